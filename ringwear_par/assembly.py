@@ -1,0 +1,290 @@
+"""Rows of the collocated, regularised boundary equation (5), on the rank that owns them.
+
+Displacements are continuous and quadratic, tractions constant, on straight elements. The equation
+is collocated where an unknown lives: at a node for its displacement, at an element's mid-point
+for its traction. The traction kernel acts on u(y) - u*(y), where u* is the rigid or
+constant-strain field that agrees with u at the collocation point, so every integrand is bounded.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from mpi4py import MPI
+from numba import njit
+
+from ringwear_par.geometry import BoolArray, Contour, FloatArray, IntArray
+from ringwear_par.kernels import ring_kernels
+from ringwear_par.quadrature import MAX_POINTS, Quadrature
+
+_MAX_PARTS = 128
+
+
+@dataclass(frozen=True)
+class Conditions:
+    """Boundary conditions of every element, for the components r, z and theta.
+
+    Parameters
+    ----------
+    held : (k, 3) bool, displacement zero on the element, traction unknown.
+    load : (k, 3) int, right-hand side that holds the element's known traction, -1 for none.
+    traction : (k, 3) float, MPa, that known traction.
+    n_loads : number of right-hand sides.
+    """
+
+    held: BoolArray
+    load: IntArray
+    traction: FloatArray
+    n_loads: int
+
+
+@dataclass(frozen=True)
+class Unknowns:
+    """Where each unknown stands, (r, z) and theta being two systems, -1 for none.
+
+    Parameters
+    ----------
+    equation : (m, 3) int, row collocated at the node in that direction.
+    displacement : (m, 3) int, column of the nodal displacement.
+    traction : (k, 3) int, column of the element's traction.
+    """
+
+    equation: IntArray
+    displacement: IntArray
+    traction: IntArray
+
+
+@dataclass(frozen=True)
+class Rows:
+    """Rows of one system owned by this rank: ``matrix @ unknowns = loads``.
+
+    Parameters
+    ----------
+    matrix : (local, n) float, column-major.
+    loads : (local, n_loads) float, column-major.
+    start : number of the first row.
+    """
+
+    matrix: FloatArray
+    loads: FloatArray
+    start: int
+
+
+@dataclass(frozen=True)
+class Assembly:
+    """The two systems of a body and the work that they took on this rank."""
+
+    normal: Rows
+    torsion: Rows
+    kernel_evaluations: int
+
+
+def number_unknowns(contour: Contour, conditions: Conditions) -> Unknowns:
+    """Return the numbering of the unknowns. Not collective."""
+    elements, held = contour.elements, conditions.held
+    fixed = np.zeros((len(contour.nodes), 3), dtype=bool)
+    for local in range(3):
+        fixed[elements[:, local]] |= held
+    on_axis = contour.nodes[:, 0] == 0.0
+    fixed[np.ix_(on_axis, [0, 2])] = True
+    collocated = ~fixed
+    collocated[elements[:, 1]] |= held
+    equation = np.full(collocated.shape, -1)
+    for block in (slice(0, 2), slice(2, 3)):
+        rows = np.cumsum(collocated[:, block]).reshape(-1, block.stop - block.start) - 1
+        equation[:, block] = np.where(collocated[:, block], rows, -1)
+    displacement = np.where(fixed, -1, equation)
+    traction = np.where(held, equation[elements[:, 1]], -1)
+    return Unknowns(equation, displacement, traction)
+
+
+@njit(cache=True)
+def _assemble_rows(
+    first_node, last_node, nodes, elements, poisson,
+    equation, displacement, traction, load, value,
+    reach, points, weights, singular_points, singular_weights,
+    start, a_rz, b_rz, a_t, b_t,
+):  # fmt: skip
+    """Fill the rows collocated at nodes first_node <= p < last_node; return kernel evaluations."""
+    shear = 0.5 / (1.0 + poisson)
+    lame = poisson / ((1.0 + poisson) * (1.0 - 2.0 * poisson))
+    h = np.empty((2, 2, 3))  # force direction, displacement component, local node
+    g = np.empty((2, 2))
+    h_t = np.empty(3)
+    shape = np.empty(3)
+    own = np.empty((2, 2))  # coefficients of the displacement at the collocation point itself
+    part_from = np.empty(_MAX_PARTS)
+    part_to = np.empty(_MAX_PARTS)
+    evaluations = 0
+    for p in range(first_node, last_node):
+        xr, xz = nodes[p, 0], nodes[p, 1]
+        inv_r = 1.0 / xr if xr > 0.0 else 0.0  # on the axis u_r = u_theta = 0: nothing to subtract
+        own[:] = 0.0
+        own_t = 0.0
+        for e in range(len(elements)):
+            n0, n2 = elements[e, 0], elements[e, 2]
+            ar, az = nodes[n0, 0] - xr, nodes[n0, 1] - xz
+            dr, dz = nodes[n2, 0] - nodes[n0, 0], nodes[n2, 1] - nodes[n0, 1]
+            length = math.hypot(dr, dz)
+            nr, nz = dz / length, -dr / length
+            star_r = 2.0 * (lame + shear) * nr * inv_r  # traction of u* = (r1/r) e_r
+            star_z = 2.0 * lame * nz * inv_r
+            h[:] = 0.0
+            g[:] = 0.0
+            h_t[:] = 0.0
+            g_t = 0.0
+            at = -1
+            for c in range(3):
+                if elements[e, c] == p:
+                    at = c
+            parts = 0
+            if at < 0:
+                part_from[0], part_to[0] = 0.0, 1.0
+                parts = 1
+            if at == 0 or at == 1:
+                part_from[parts], part_to[parts] = 0.5 * at, 1.0
+                parts += 1
+            if at == 1 or at == 2:
+                part_from[parts], part_to[parts] = 0.5 * at, 0.0
+                parts += 1
+            while parts > 0:
+                parts -= 1
+                t0, t1 = part_from[parts], part_to[parts]
+                span = t1 - t0
+                if at >= 0:
+                    n = len(singular_points)
+                else:
+                    d0 = math.hypot(ar + t0 * dr, az + t0 * dz)
+                    d1 = math.hypot(ar + t1 * dr, az + t1 * dz)
+                    ratio = (d0 + d1) / (length * span)
+                    if ratio < reach[MAX_POINTS] and parts + 2 <= _MAX_PARTS:
+                        middle = 0.5 * (t0 + t1)
+                        part_from[parts], part_to[parts] = t0, middle
+                        part_from[parts + 1], part_to[parts + 1] = middle, t1
+                        parts += 2
+                        continue
+                    n = 1
+                    while n < MAX_POINTS and reach[n] > ratio:
+                        n += 1
+                evaluations += n
+                for q in range(n):
+                    # offsets from the collocation point, free of cancellation on its own element
+                    if at >= 0:
+                        dt = span * singular_points[q]
+                        t = t0 + dt
+                        a, b = dt * dr, dt * dz
+                        w = singular_weights[q] * abs(span) * length
+                    else:
+                        dt = 0.0
+                        t = t0 + span * points[n, q]
+                        a, b = ar + t * dr, az + t * dz
+                        w = weights[n, q] * span * length
+                    (u_rr, u_rz, u_zr, u_zz, t_rr, t_rz, t_zr, t_zz, u_tt, t_tt) = ring_kernels(
+                        xr, a, b, nr, nz, poisson
+                    )
+                    shape[0] = (1.0 - t) * (1.0 - 2.0 * t)
+                    shape[1] = 4.0 * t * (1.0 - t)
+                    shape[2] = t * (2.0 * t - 1.0)
+                    if at < 0:
+                        fz, fr = -1.0, -(xr + a) * inv_r
+                    else:  # shape function minus 1, and minus r1/r
+                        if at == 0:
+                            fz = dt * (2.0 * dt - 3.0)
+                        elif at == 1:
+                            fz = -4.0 * dt * dt
+                        else:
+                            fz = dt * (2.0 * dt + 3.0)
+                        fr = fz - a * inv_r
+                        shape[at] = 0.0
+                    for c in range(3):
+                        s = w * shape[c]
+                        h[0, 0, c] += t_rr * s
+                        h[0, 1, c] += t_rz * s
+                        h[1, 0, c] += t_zr * s
+                        h[1, 1, c] += t_zz * s
+                        h_t[c] += t_tt * s
+                    g[0, 0] += w * u_rr
+                    g[0, 1] += w * u_rz
+                    g[1, 0] += w * u_zr
+                    g[1, 1] += w * u_zz
+                    g_t += w * u_tt
+                    own[0, 0] += w * (t_rr * fr + u_rr * star_r + u_rz * star_z)
+                    own[1, 0] += w * (t_zr * fr + u_zr * star_r + u_zz * star_z)
+                    own[0, 1] += w * t_rz * fz
+                    own[1, 1] += w * t_zz * fz
+                    own_t += w * t_tt * fr
+            for k in range(2):
+                row = equation[p, k] - start[0]
+                if equation[p, k] >= 0:
+                    for i in range(2):
+                        for c in range(3):
+                            column = displacement[elements[e, c], i]
+                            if column >= 0:
+                                a_rz[row, column] += h[k, i, c]
+                        if traction[e, i] >= 0:
+                            a_rz[row, traction[e, i]] -= g[k, i]
+                        if load[e, i] >= 0:
+                            b_rz[row, load[e, i]] += g[k, i] * value[e, i]
+            if equation[p, 2] >= 0:
+                row = equation[p, 2] - start[1]
+                for c in range(3):
+                    column = displacement[elements[e, c], 2]
+                    if column >= 0:
+                        a_t[row, column] += h_t[c]
+                if traction[e, 2] >= 0:
+                    a_t[row, traction[e, 2]] -= g_t
+                if load[e, 2] >= 0:
+                    b_t[row, load[e, 2]] += g_t * value[e, 2]
+        for k in range(2):
+            if equation[p, k] >= 0:
+                for i in range(2):
+                    if displacement[p, i] >= 0:
+                        a_rz[equation[p, k] - start[0], displacement[p, i]] += own[k, i]
+        if equation[p, 2] >= 0 and displacement[p, 2] >= 0:
+            a_t[equation[p, 2] - start[1], displacement[p, 2]] += own_t
+    return evaluations
+
+
+def assemble(
+    contour: Contour,
+    conditions: Conditions,
+    unknowns: Unknowns,
+    poisson: float,
+    rules: Quadrature,
+    comm: MPI.Comm,
+) -> Assembly:
+    """Assemble this rank's rows of both systems at Young's modulus 1.
+
+    Collective on comm. Nodes are shared out in equal runs, so a rank holds about
+    1/size of the rows and no rank holds a whole matrix.
+    """
+    n_nodes = len(contour.nodes)
+    share = [rank * n_nodes // comm.size for rank in range(comm.size + 1)]
+    mine = slice(share[comm.rank], share[comm.rank + 1])
+    starts = np.zeros(2, dtype=np.int64)
+    blocks: list[tuple[FloatArray, FloatArray]] = []
+    for number, block in enumerate((slice(0, 2), slice(2, 3))):
+        collocated = unknowns.equation[:, block] >= 0
+        starts[number] = np.count_nonzero(collocated[: mine.start])
+        rows, n = np.count_nonzero(collocated[mine]), np.count_nonzero(collocated)
+        blocks.append(
+            (np.zeros((rows, n), order="F"), np.zeros((rows, conditions.n_loads), order="F"))
+        )
+
+    def run(first: int, last: int) -> int:
+        return _assemble_rows(
+            first, last, contour.nodes, contour.elements, poisson,
+            unknowns.equation, unknowns.displacement, unknowns.traction,
+            conditions.load, conditions.traction,
+            rules.reach, rules.points, rules.weights,
+            rules.singular_points, rules.singular_weights,
+            starts, *blocks[0], *blocks[1],
+        )  # fmt: skip
+
+    if comm.size > 1:
+        if comm.rank == 0:  # compile once, before the other ranks look into the cache
+            run(0, 0)
+        comm.Barrier()
+    evaluations = run(mine.start, mine.stop)
+    normal, torsion = (Rows(*block, int(start)) for block, start in zip(blocks, starts, strict=True))
+    return Assembly(normal, torsion, evaluations)

@@ -1,0 +1,300 @@
+"""Unilateral contact, eq. (3) of the paper, as a bound-constrained problem solved by PETSc TAO.
+
+With K the area-weighted compliance of the contact line, m the element areas and g the gap of the
+undeformed, worn profiles, the pressure minimises
+
+    1/2 p.K p + Sum m_e [(g_e - delta) p_e + Int_0^p_e depth],    p >= 0,
+
+where ``depth`` is the wear of an implicit step (absent otherwise). The approach delta is given
+(displacement control), or found so that m.p is the force: m.p grows with delta and is piecewise
+linear for the threshold law, so secant steps end.
+
+The unknowns are scaled so that K has a unit diagonal.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from mpi4py import MPI
+from petsc4py import PETSc
+
+from ringwear_par.errors import ComputationError, InputError
+from ringwear_par.geometry import FloatArray
+from ringwear_par.newton import ActiveSetNewton
+from ringwear_par.wear import StepWear
+
+PREFIX = "contact_"
+#: TAO types on offer; each gives the same answer
+TAO_TYPES = ("python", "tron", "bnls")
+#: up to this size every rank solves the whole problem by itself
+REPLICATED_LIMIT = 2000
+#: largest relative KKT residual of an accepted solution
+KKT_TOLERANCE = 1e-9
+#: relative force balance at which the search for the approach ends, and that it may not exceed
+FORCE_TOLERANCE = 1e-12
+FORCE_LIMIT = 1e-10
+_MAX_APPROACHES = 60
+
+
+@dataclass(frozen=True)
+class ContactState:
+    """Solution of one contact problem.
+
+    Parameters
+    ----------
+    pressure : (n,) float, MPa.
+    gap : (n,) float, mm, between the deformed profiles.
+    approach : mm.
+    force : N.
+    iterations : of TAO, all its solves together.
+    residual : natural KKT residual, relative to the largest pressure (scaled unknowns).
+    """
+
+    pressure: FloatArray
+    gap: FloatArray
+    approach: float
+    force: float
+    iterations: int
+    residual: float
+
+
+class ContactSolver:
+    """One TAO for one contact line, used for every load, gap and wear step.
+
+    Collective on comm, like every method. Small problems (or type "python") are solved by each
+    rank on its own, without communication; larger ones are shared out by rows.
+
+    Parameters
+    ----------
+    stiffness : (n, n) float, mm^3/MPa, symmetric area-weighted compliance, on every rank.
+    area : (n,) float, mm^2.
+    comm : communicator.
+    replicated_limit : largest n that every rank solves by itself.
+    """
+
+    def __init__(
+        self,
+        stiffness: FloatArray,
+        area: FloatArray,
+        comm: MPI.Comm,
+        replicated_limit: int = REPLICATED_LIMIT,
+    ) -> None:
+        n = len(area)
+        small = comm.size == 1 or n <= replicated_limit
+        options = PETSc.Options(PREFIX)
+        tao_type = options.getString("tao_type", "python" if small else "tron")
+        if tao_type not in TAO_TYPES:
+            raise InputError(
+                f"-{PREFIX}tao_type {tao_type}: must be one of {', '.join(TAO_TYPES)}"
+            )
+        self.distributed = not small and tao_type != "python"
+        self._comm = comm if self.distributed else MPI.COMM_SELF
+        self._area = area
+        self._compliance_rows = stiffness / area[:, None]
+        self._scale = np.sqrt(np.diag(stiffness))
+        self._x = PETSc.Vec().createMPI(n, comm=self._comm)
+        self._here = slice(*self._x.getOwnershipRange())
+        here = self._here
+        scaled = stiffness[here] / (self._scale[here, None] * self._scale)
+        rows = (here.stop - here.start, n)
+        sizes = ((rows[0], n), (rows[0], n))
+        self._a = PETSc.Mat().createDense(sizes, array=np.asfortranarray(scaled), comm=self._comm)
+        self._h = PETSc.Mat().createDense(
+            sizes, array=np.array(scaled, order="F"), comm=self._comm
+        )
+        self._diagonal = self._x.duplicate()
+        self._lower, self._upper = self._x.duplicate(), self._x.duplicate()
+        self._upper.set(PETSc.INFINITY)
+        self._g = self._x.duplicate()
+        for matrix in (self._a, self._h):
+            matrix.assemble()
+        self._tao = self._make_tao(tao_type)
+        self.tao_type = tao_type
+
+        # the problem that the callbacks see, this rank's part
+        self._weight = (area / self._scale)[here]
+        self._linear = np.zeros(rows[0])
+        self._wear: StepWear | None = None
+        self._slope = np.zeros(rows[0])
+        # warm start of the search for the approach
+        mean = float(area @ (self._compliance_rows @ np.ones(n)) / area.sum())
+        self._rate = np.full(n, 1.0 / mean)  # d pressure / d approach
+        self._last: tuple[FloatArray, FloatArray, float] | None = None
+
+    def _make_tao(self, tao_type: str) -> PETSc.TAO:
+        tao = PETSc.TAO().create(self._comm)
+        tao.setOptionsPrefix(PREFIX)
+        tao.setType(tao_type)
+        if tao_type == "python":
+            tao.setPythonContext(ActiveSetNewton())
+        else:
+            # inexact inner solves would stop the outer ones above KKT_TOLERANCE
+            ksp = tao.getKSP()
+            one_rank = self._comm.size == 1
+            if tao_type == "bnls" and one_rank:
+                ksp.setType("preonly")
+                ksp.getPC().setType("cholesky")
+            else:
+                ksp.setType("stcg")
+                ksp.getPC().setType("jacobi")
+                ksp.setTolerances(rtol=1e-10)
+        tao.setObjective(self._objective)
+        tao.setGradient(self._gradient, None)
+        tao.setObjectiveGradient(self._objective_gradient, None)
+        tao.setHessian(self._hessian, self._h, self._h)
+        tao.setVariableBounds((self._lower, self._upper))
+        tao.setSolution(self._x)
+        tao.setFromOptions()
+        return tao
+
+    def _objective(self, tao: PETSc.TAO, x: PETSc.Vec) -> float:
+        return self._objective_gradient(tao, x, self._g)
+
+    def _gradient(self, tao: PETSc.TAO, x: PETSc.Vec, g: PETSc.Vec) -> None:
+        self._a.mult(x, g)
+        more = self._linear
+        if self._wear is not None:
+            p = x.getArray(readonly=True) / self._scale[self._here]
+            more = more + self._weight * self._wear.depth(p)
+        g.setArray(g.getArray(readonly=True) + more)
+
+    def _objective_gradient(self, tao: PETSc.TAO, x: PETSc.Vec, g: PETSc.Vec) -> float:
+        self._a.mult(x, g)
+        q, linear = x.getArray(readonly=True), self._linear
+        value = q @ (0.5 * g.getArray(readonly=True) + linear)
+        if self._wear is not None:
+            p = q / self._scale[self._here]
+            value += self._area[self._here] @ self._wear.potential(p)
+            linear = linear + self._weight * self._wear.depth(p)
+        g.setArray(g.getArray(readonly=True) + linear)
+        return float(self._comm.allreduce(value) if self.distributed else value)
+
+    def _hessian(self, tao: PETSc.TAO, x: PETSc.Vec, h: PETSc.Mat, _: PETSc.Mat) -> None:
+        if self._wear is None:
+            slope = np.zeros_like(self._slope)
+        else:
+            scale = self._scale[self._here]
+            slope = self._wear.slope(x.getArray(readonly=True) / scale) * self._weight / scale
+        changed = not np.array_equal(slope, self._slope)
+        if self._comm.allreduce(changed, MPI.LOR) if self.distributed else changed:
+            self._slope = slope
+            self._diagonal.setArray(1.0 + slope)
+            h.setDiagonal(self._diagonal)
+            h.assemble()
+
+    def _solve_at(
+        self, gap: FloatArray, approach: float, wear: StepWear | None
+    ) -> tuple[FloatArray, int, float]:
+        """Return pressure, TAO iterations and relative KKT residual at a given approach."""
+        here = self._here
+        self._wear = wear.part(here) if wear is not None and self.distributed else wear
+        self._linear = self._weight * (gap[here] - approach)
+        size = float(np.linalg.norm(self._area / self._scale * (gap - approach)))
+        self._tao.setTolerances(gatol=1e-12 * size + 1e-300, grtol=0.0, gttol=0.0)
+        self._tao.solve()
+        reason, iterations = self._tao.getConvergedReason(), self._tao.getIterationNumber()
+        q = self._x.getArray(readonly=True)
+        self._gradient(self._tao, self._x, self._g)
+        defect = np.minimum(q, self._g.getArray(readonly=True))
+        worst = float(np.abs(defect).max(initial=0.0))
+        largest = float(q.max(initial=0.0))
+        if self.distributed:
+            worst, largest = (self._comm.allreduce(v, MPI.MAX) for v in (worst, largest))
+            p = np.concatenate(self._comm.allgather(q)) / self._scale
+        else:
+            p = q / self._scale
+        residual = worst / largest if largest > 0.0 else worst / max(size, 1e-300)
+        if not (residual <= KKT_TOLERANCE):
+            raise ComputationError(
+                f"contact: TAO {self.tao_type} ended with reason {reason} after {iterations} "
+                f"iterations at approach {approach:.9g} mm; its KKT residual {residual:.2e} is "
+                f"above {KKT_TOLERANCE:.0e}"
+            )
+        return p, iterations, residual
+
+    def solve(
+        self,
+        gap: FloatArray,
+        *,
+        force: float | None = None,
+        approach: float | None = None,
+        wear: StepWear | None = None,
+    ) -> ContactState:
+        """Solve at a given force (N) or a given approach (mm). Collective on comm.
+
+        Parameters
+        ----------
+        gap : (n,) float, mm, of the undeformed profiles at the start of the step.
+        force, approach : one of them.
+        wear : wear of an implicit step.
+
+        Raises
+        ------
+        ComputationError : TAO failed, the KKT residual or the force balance is too large.
+        """
+        if approach is not None:
+            p, iterations, residual = self._solve_at(gap, approach, wear)
+        elif force is not None:
+            p, approach, iterations, residual = self._search_approach(gap, force, wear)
+        else:
+            raise ValueError("force or approach must be given")
+        opening = gap + self._compliance_rows @ p - approach
+        if wear is not None:
+            opening = opening + wear.depth(p)
+        return ContactState(p, opening, approach, float(self._area @ p), iterations, residual)
+
+    def _search_approach(
+        self, gap: FloatArray, force: float, wear: StepWear | None
+    ) -> tuple[FloatArray, float, int, float]:
+        area, rate = self._area, self._rate
+        if self._last is None:
+            last_gap, last_approach, last_force = gap, float(area @ gap / area.sum()), 0.0
+        else:
+            last_gap, last_approach, last_force = self._last
+        stiffness = float(area @ rate)
+        approach = last_approach + (force - last_force + rate @ (area * (gap - last_gap))) / stiffness
+        low, high = -np.inf, np.inf
+        before: tuple[FloatArray, float] | None = None
+        total = 0
+        for _ in range(_MAX_APPROACHES):
+            p, iterations, residual = self._solve_at(gap, approach, wear)
+            total += iterations
+            excess = float(area @ p) - force
+            if abs(excess) <= FORCE_TOLERANCE * force:
+                break
+            if excess > 0.0:
+                high = approach
+            else:
+                low = approach
+            if before is not None and abs(approach - before[1]) > 1e-9 * abs(approach):
+                rate = (p - before[0]) / (approach - before[1])
+                stiffness = float(area @ rate) or stiffness
+            before = p, approach
+            following = approach - excess / stiffness
+            if not low < following < high:
+                following = 0.5 * (low + high)
+                if not np.isfinite(following):
+                    following = approach - 2.0 * excess / stiffness
+            if following == approach:
+                break
+            approach = following
+        if abs(excess) > FORCE_LIMIT * force:
+            raise ComputationError(
+                f"contact: the approach was not found: force {force + excess:.9g} N instead of "
+                f"{force:.9g} N at approach {approach:.9g} mm after {_MAX_APPROACHES} trials"
+            )
+        self._rate, self._last = rate, (gap, approach, force)
+        return p, approach, total, residual
+
+    def destroy(self) -> None:
+        """Free the PETSc objects. Collective on comm."""
+        for item in (
+            self._tao, self._a, self._h, self._x, self._g, self._lower, self._upper, self._diagonal,
+        ):  # fmt: skip
+            item.destroy()
+
+    def __enter__(self) -> "ContactSolver":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.destroy()

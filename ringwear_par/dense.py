@@ -1,0 +1,105 @@
+"""Distributed dense systems in PETSc: factorise once, solve for many right-hand sides.
+
+One rank uses the LU of the sequential dense matrix. Several ranks convert it to ScaLAPACK's
+block-cyclic layout where PETSc has that, and otherwise (or with ``-bem_pc_type redundant``) let
+every rank factorise a copy of the whole.
+"""
+
+import numpy as np
+from mpi4py import MPI
+from petsc4py import PETSc
+
+from ringwear_par.assembly import Rows
+from ringwear_par.errors import ComputationError
+from ringwear_par.geometry import FloatArray
+
+PREFIX = "bem_"
+
+
+def has_scalapack() -> bool:
+    """Tell whether this PETSc can factorise a distributed dense matrix. Not collective."""
+    return bool(PETSc.Sys.hasExternalPackage("scalapack"))
+
+
+def _matrix(local: FloatArray, columns: tuple[int, int], comm: MPI.Comm) -> PETSc.Mat:
+    matrix = PETSc.Mat().createDense(
+        size=((local.shape[0], PETSc.DETERMINE), columns), array=local, comm=comm
+    )
+    matrix.assemble()
+    return matrix
+
+
+def solve_rows(rows: Rows, comm: MPI.Comm) -> tuple[FloatArray, int]:
+    """Solve ``matrix @ x = loads``; return some rows of x, (local, n_loads), and the first's number.
+
+    Collective on comm. The right-hand sides are solved together by the factored matrix, or one
+    after another where the preconditioner is not a factorisation. Which rows of x a rank gets is
+    the factorisation's choice (ScaLAPACK shares them out anew).
+
+    Raises
+    ------
+    ComputationError : the factorisation failed or the answer is not finite.
+    """
+    local, n_loads = rows.loads.shape
+    matrix = _matrix(rows.matrix, (local, rows.matrix.shape[1]), comm)
+    # PETSc shares the columns of the right-hand sides out; any layout serves
+    loads = _matrix(rows.loads, (PETSc.DECIDE, n_loads), comm)
+    ksp = PETSc.KSP().create(comm)
+    ksp.setOptionsPrefix(PREFIX)
+    ksp.setOperators(matrix)
+    ksp.setType("preonly")
+    pc = ksp.getPC()
+    pc.setType("lu" if comm.size == 1 or has_scalapack() else "redundant")
+    owned = [matrix, loads, ksp]
+    try:
+        ksp.setFromOptions()
+        block_cyclic = comm.size > 1 and pc.getType() == "lu"
+        if block_cyclic:
+            distributed = PETSc.Mat()
+            matrix.convert("scalapack", distributed)
+            owned.append(distributed)
+            ksp.setOperators(distributed)
+            pc.setFactorSolverType("scalapack")
+        ksp.setUp()
+        if pc.getType() in ("lu", "cholesky"):
+            factor = pc.getFactorMatrix()
+            if block_cyclic:
+                right = PETSc.Mat()
+                loads.convert("scalapack", right)
+                owned.append(right)
+            else:
+                right = loads
+            answer = right.duplicate()
+            owned.append(answer)
+            factor.matSolve(right, answer)
+            if block_cyclic:
+                rowwise = PETSc.Mat()
+                answer.convert("dense", rowwise)
+                owned.append(rowwise)
+                answer = rowwise
+            x = np.array(answer.getDenseArray(), order="F")
+            start = answer.getOwnershipRange()[0]
+        else:
+            x, start = np.empty_like(rows.loads), rows.start
+            right_vec, answer_vec = matrix.createVecLeft(), matrix.createVecRight()
+            owned += [right_vec, answer_vec]
+            for j in range(n_loads):
+                right_vec.setArray(rows.loads[:, j])
+                ksp.solve(right_vec, answer_vec)
+                if ksp.getConvergedReason() < 0:
+                    raise ComputationError(
+                        f"boundary element system: right-hand side {j} did not converge "
+                        f"(KSP reason {ksp.getConvergedReason()}, "
+                        f"residual {ksp.getResidualNorm():.2e})"
+                    )
+                x[:, j] = answer_vec.getArray(readonly=True)
+    except PETSc.Error as error:
+        raise ComputationError(
+            f"boundary element system: factorisation failed (PETSc error {error.ierr})"
+        ) from error
+    finally:
+        for item in reversed(owned):
+            item.destroy()
+    if not comm.allreduce(bool(np.isfinite(x).all()), MPI.LAND):
+        raise ComputationError("boundary element system: the solution is not finite")
+    return x, start

@@ -1,0 +1,123 @@
+"""A primal-dual active-set Newton method as a TAO solver (type "python").
+
+For min f(x), x >= 0, with f convex and its gradient piecewise linear, as in contact with a
+threshold wear law: on each guess of the active set the Newton step is exact, so the method ends
+in a few steps, in one where the set of the last solve still holds. The Cholesky factor is kept for
+as long as the Hessian and the active set stay the same.
+
+Hintermueller, Ito and Kunisch, SIAM J. Optim. 13 (2002) 865-888; the damped iteration that takes
+over if the sets cycle is Bertsekas' projected Newton method, SIAM J. Control Optim. 20 (1982).
+"""
+
+import numpy as np
+from petsc4py import PETSc
+from scipy.linalg.lapack import dpotrf, dpotrs
+
+from ringwear_par.geometry import BoolArray, FloatArray
+
+_PLAIN_ITERATIONS = 25
+
+
+class ActiveSetNewton:
+    """Context of a TAO of type "python" on one rank, with a dense Hessian and lower bounds 0."""
+
+    def __init__(self) -> None:
+        self._gradient: PETSc.Vec | None = None
+        self._factor: FloatArray | None = None
+        self._free: BoolArray | None = None
+        self._state = -1
+
+    def setUp(self, tao: PETSc.TAO) -> None:  # noqa: N802 (PETSc's name)
+        """Make the work vector."""
+        self.destroy(tao)
+        self._gradient = tao.getSolution().duplicate()
+
+    def destroy(self, tao: PETSc.TAO) -> None:
+        """Free the work vector and the factor."""
+        if self._gradient is not None:
+            self._gradient.destroy()
+        self._gradient = self._factor = self._free = None
+        self._state = -1
+
+    def solve(self, tao: PETSc.TAO) -> None:
+        """Minimise from the solution vector's present value."""
+        solution = tao.getSolution()
+        x = solution.getArray(readonly=True).copy()
+        free = x > 0.0
+        tolerance = tao.getTolerances()[0]
+        best = tao.getMaximumIterations()
+        if not free.any():
+            free = self._evaluate(tao, solution, np.zeros_like(x)) < 0.0
+        x[~free] = 0.0
+        gradient = self._evaluate(tao, solution, x)
+        for iteration in range(1, best + 1):
+            if iteration <= _PLAIN_ITERATIONS:
+                x[free] += self._newton_step(tao, solution, gradient, free)
+                gradient = self._evaluate(tao, solution, x)
+                keep = np.where(free, x > 0.0, gradient < 0.0)
+                x[~keep] = 0.0
+                settled = bool((keep == free).all())
+                if not settled:
+                    gradient = self._evaluate(tao, solution, x)
+                    free = keep
+            else:
+                x = np.maximum(x, 0.0)
+                gradient = self._evaluate(tao, solution, x)
+                free = (x > 0.0) | (gradient < 0.0)
+                step = np.zeros_like(x)
+                step[free] = self._newton_step(tao, solution, gradient, free)
+                x, gradient = self._search(tao, solution, x, gradient, step)
+                settled = bool((gradient[x == 0.0] >= 0.0).all())
+                free = x > 0.0
+            if settled and np.linalg.norm(gradient[free]) <= tolerance:
+                tao.setIterationNumber(iteration)
+                tao.setConvergedReason(PETSc.TAO.Reason.CONVERGED_GATOL)
+                return
+        tao.setIterationNumber(best)
+        tao.setConvergedReason(PETSc.TAO.Reason.DIVERGED_MAXITS)
+
+    def _evaluate(self, tao: PETSc.TAO, solution: PETSc.Vec, x: FloatArray) -> FloatArray:
+        solution.setArray(x)
+        tao.computeGradient(solution, self._gradient)
+        assert self._gradient is not None
+        return self._gradient.getArray(readonly=True).copy()
+
+    def _newton_step(
+        self, tao: PETSc.TAO, solution: PETSc.Vec, gradient: FloatArray, free: BoolArray
+    ) -> FloatArray:
+        hessian = tao.getHessian()[0]
+        tao.computeHessian(solution, hessian)
+        state = hessian.stateGet()
+        if self._factor is None or state != self._state or not np.array_equal(free, self._free):
+            block = hessian.getDenseArray(readonly=True)
+            if not free.all():
+                block = block[np.ix_(free, free)]
+            self._factor, info = dpotrf(block, lower=1, clean=0)
+            if info != 0:  # not positive definite: the caller sees the failure
+                self._factor = None
+                return np.full(np.count_nonzero(free), np.nan)
+            self._state, self._free = state, free.copy()
+        step, _ = dpotrs(self._factor, gradient[free], lower=1)
+        return -step
+
+    def _search(
+        self,
+        tao: PETSc.TAO,
+        solution: PETSc.Vec,
+        x: FloatArray,
+        gradient: FloatArray,
+        step: FloatArray,
+    ) -> tuple[FloatArray, FloatArray]:
+        """Halve the projected step until the objective falls enough (Armijo)."""
+        solution.setArray(x)
+        start = tao.computeObjective(solution)
+        length = 1.0
+        while True:
+            trial = np.maximum(x + length * step, 0.0)
+            solution.setArray(trial)
+            if (
+                tao.computeObjective(solution) <= start + 1e-4 * gradient @ (trial - x)
+                or length < 1e-10
+            ):
+                return trial, self._evaluate(tao, solution, trial)
+            length *= 0.5
