@@ -58,6 +58,26 @@ class ContactState:
     residual: float
 
 
+@dataclass(frozen=True)
+class WarmStart:
+    """Where the next solve starts: with it, a restarted run repeats an uninterrupted one bit by bit.
+
+    Parameters
+    ----------
+    scaled_pressure : (n,) float.
+    rate : (n,) float, MPa/mm, derivative of pressure with respect to approach.
+    gap : (n,) float, mm, of the last problem.
+    approach : mm, of the last problem.
+    force : N, of the last problem.
+    """
+
+    scaled_pressure: FloatArray
+    rate: FloatArray
+    gap: FloatArray
+    approach: float
+    force: float
+
+
 class ContactSolver:
     """One TAO for one contact line, used for every load, gap and wear step.
 
@@ -119,7 +139,7 @@ class ContactSolver:
         # warm start of the search for the approach
         mean = float(area @ (self._compliance_rows @ np.ones(n)) / area.sum())
         self._rate = np.full(n, 1.0 / mean)  # d pressure / d approach
-        self._last: tuple[FloatArray, FloatArray, float] | None = None
+        self._last: tuple[FloatArray, float, float] | None = None  # gap, approach, force
 
     def _make_tao(self, tao_type: str) -> PETSc.TAO:
         tao = PETSc.TAO().create(self._comm)
@@ -234,6 +254,7 @@ class ContactSolver:
         """
         if approach is not None:
             p, iterations, residual = self._solve_at(gap, approach, wear)
+            self._last = gap, approach, float(self._area @ p)
         elif force is not None:
             p, approach, iterations, residual = self._search_approach(gap, force, wear)
         else:
@@ -285,6 +306,18 @@ class ContactSolver:
             )
         self._rate, self._last = rate, (gap, approach, force)
         return p, approach, total, residual
+
+    def warm(self) -> WarmStart:
+        """Return where the next solve would start. Collective on comm."""
+        q = self._x.getArray(readonly=True)
+        q = np.concatenate(self._comm.allgather(q)) if self.distributed else q.copy()
+        gap, approach, force = self._last or (np.zeros_like(q), 0.0, 0.0)
+        return WarmStart(q, self._rate, gap, approach, force)
+
+    def warm_start(self, warm: WarmStart) -> None:
+        """Start the next solve where another one ended. Not collective."""
+        self._x.setArray(warm.scaled_pressure[self._here])
+        self._rate, self._last = warm.rate, (warm.gap, warm.approach, warm.force)
 
     def destroy(self) -> None:
         """Free the PETSc objects. Collective on comm."""

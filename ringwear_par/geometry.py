@@ -5,6 +5,7 @@ it and the held face is z = -height. The upper ring is the mirror image of that 
 same compliance, so one description serves both.
 """
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -131,19 +132,36 @@ def graded(start: float, end: float, n: int, first: float, last: float) -> Float
     (0, 1) (incomplete beta function), so that doubling n splits every element smoothly.
     """
     x = start + (end - start) * betainc(first, last, np.arange(n + 1) / n)
-    x[0], x[-1] = start, end
+    x[0], x[-1] = start, end  # exactly: faces share their ends
     return x
 
 
 def contact_line(contact: tuple[float, float], mesh: Mesh) -> ContactLine:
     """Return the contact elements between two radii (mm); not graded towards the axis."""
     a, b = contact
-    first = 1.0 if a == 0 else mesh.grading
-    return ContactLine(graded(a, b, mesh.contact_elements, first, mesh.grading))
+    towards_axis = 1.0 if a == 0 else mesh.grading
+    return ContactLine(graded(b, a, mesh.contact_elements, mesh.grading, towards_axis)[::-1].copy())
 
 
-def contour(section: Section, mesh: Mesh) -> Contour:
-    """Return the boundary elements of a section.
+@dataclass(frozen=True)
+class _Face:
+    """A straight piece of a section: end points, element number, grading at both ends."""
+
+    name: str
+    start: tuple[float, float]
+    end: tuple[float, float]
+    n: int
+    grading: tuple[float, float]
+
+    def coordinates(self) -> FloatArray:
+        (r0, z0), (r1, z1) = self.start, self.end
+        return np.stack(
+            [graded(r0, r1, self.n, *self.grading), graded(z0, z1, self.n, *self.grading)], axis=1
+        )
+
+
+def _faces(section: Section, mesh: Mesh) -> list[_Face]:
+    """Return the pieces counter-clockwise, from the inner end of the held face.
 
     Element numbers on the free and held faces follow ``mesh.contact_elements``, so that one number
     refines everything: half of it on faces that end at a contact edge and on the held face, a
@@ -154,42 +172,43 @@ def contour(section: Section, mesh: Mesh) -> Contour:
     near, far = max(4, n // 2), max(4, n // 4)
 
     def flat(length: float) -> int:
-        return max(4, round(n / 10.0 * (1.0 + np.log1p(length / (b - a)))))
+        return max(4, round(n / 10.0 * (1.0 + math.log1p(length / (b - a)))))
 
     g = CORNER_GRADING
     axis = 1.0 if inner == 0 else g
-    pieces: list[tuple[str, FloatArray, FloatArray]] = []
+    faces = [
+        _Face("held", (inner, base), (outer, base), near, (axis, g)),
+        _Face("outer_side", (outer, base), (outer, 0.0), near if b == outer else far, (g, g)),
+        _Face("flat", (outer, 0.0), (b, 0.0), flat(outer - b), (g, g)),
+        _Face("contact", (b, 0.0), (a, 0.0), n, (mesh.grading, 1.0 if a == 0 else mesh.grading)),
+        _Face("flat", (a, 0.0), (inner, 0.0), flat(a - inner), (g, axis)),
+        _Face("inner_side", (inner, 0.0), (inner, base), near if a == inner else far, (g, g)),
+    ]
+    on_axis = inner == 0
+    return [f for f in faces if f.start != f.end and not (on_axis and f.name == "inner_side")]
 
-    def add(name: str, r: FloatArray | float, z: FloatArray | float) -> None:
-        pieces.append((name, *np.broadcast_arrays(np.asarray(r), np.asarray(z))))
 
-    add("held", graded(inner, outer, near, axis, g), base)
-    add("outer_side", outer, graded(base, 0.0, near if b == outer else far, g, g))
-    if b < outer:
-        add("flat", graded(outer, b, flat(outer - b), g, g), 0.0)
-    add("contact", contact_line(section.contact, mesh).edges[::-1], 0.0)
-    if a > inner:
-        add("flat", graded(a, inner, flat(a - inner), g, axis), 0.0)
-    if inner > 0:
-        add("inner_side", inner, graded(0.0, base, near if a == inner else far, g, g))
+def count_elements(section: Section, mesh: Mesh) -> int:
+    """Return the number of boundary elements that ``contour`` would make."""
+    return sum(face.n for face in _faces(section, mesh))
 
-    ends = np.concatenate([np.stack([r[:-1], z[:-1]], axis=1) for _, r, z in pieces])
-    names = np.concatenate([np.full(len(r) - 1, name) for name, r, _ in pieces])
+
+def contour(section: Section, mesh: Mesh) -> Contour:
+    """Return the boundary elements of a section."""
+    faces = _faces(section, mesh)
+    lines = [face.coordinates() for face in faces]
+    ends = np.concatenate([line[:-1] for line in lines])
+    after = np.concatenate([line[1:] for line in lines])
     k = len(ends)
-    if inner > 0:  # closed
-        after = np.roll(ends, -1, axis=0)
-        last = np.append(2 * np.arange(1, k), 0)
-    else:  # from axis to axis
-        tip = np.array([[pieces[-1][1][-1], pieces[-1][2][-1]]])
-        after = np.concatenate([ends[1:], tip])
-        last = 2 * np.arange(1, k + 1)
-    nodes = np.empty((2 * k + (inner == 0), 2))
+    closed = section.r[0] > 0  # otherwise the contour runs from axis to axis
+    nodes = np.empty((2 * k + (not closed), 2))
     nodes[0 : 2 * k : 2] = ends
     nodes[1 : 2 * k : 2] = 0.5 * (ends + after)
-    if inner == 0:
+    if not closed:
         nodes[-1] = after[-1]
     first = 2 * np.arange(k)
-    elements = np.stack([first, first + 1, last], axis=1)
+    elements = np.stack([first, first + 1, (first + 2) % len(nodes)], axis=1)
+    names = np.repeat([face.name for face in faces], [face.n for face in faces])
 
     def of(name: str) -> IntArray:
         return np.flatnonzero(names == name)

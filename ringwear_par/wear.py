@@ -14,6 +14,11 @@ class WearLaw(Protocol):
     ``p`` : (n,) float, MPa; ``power`` : (n,) float, mm/s, friction coefficient times sliding speed.
     """
 
+    @property
+    def proportional(self) -> float | None:
+        """Ratio of the rate to the dissipated power, 1/MPa, if it is the same at every pressure."""
+        ...
+
     def rate(self, p: FloatArray, power: FloatArray) -> FloatArray:
         """Return the rate of wear, mm/s."""
         ...
@@ -39,6 +44,11 @@ class ThresholdLaw:
 
     k: float
     p0: float = 0.0
+
+    @property
+    def proportional(self) -> float | None:
+        """Ratio of the rate to the dissipated power, 1/MPa: k, where p0 = 0."""
+        return self.k if self.p0 == 0.0 else None
 
     def rate(self, p: FloatArray, power: FloatArray) -> FloatArray:
         """Return the rate of wear, mm/s."""

@@ -1,0 +1,495 @@
+"""Case files: TOML tables read into frozen dataclasses, every fault reported at once.
+
+``KEYS`` is the only list of keys: reading, messages and ``ringwear info --schema`` follow it.
+"""
+
+import difflib
+import math
+import tomllib
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Literal
+
+from ringwear_par.body import Grip
+from ringwear_par.errors import InputError
+from ringwear_par.geometry import Mesh, Section
+from ringwear_par.wear import ThresholdLaw, WearLaw
+
+FIELDS = ("pressure", "gap", "wear_lower", "wear_upper")
+
+
+@dataclass(frozen=True)
+class Ring:
+    """A rectangular ring or disc: radii and heights in mm, Young's modulus in MPa."""
+
+    r: tuple[float, float]
+    z: tuple[float, float]
+    young: float
+    poisson: float
+    grip: Grip
+
+
+@dataclass(frozen=True)
+class Load:
+    """What presses and turns the upper ring.
+
+    ``force`` (N) or ``displacement`` (mm, downward) is given, the other is None; ``omega`` in
+    rad/s.
+    """
+
+    omega: float
+    force: float | None = None
+    displacement: float | None = None
+
+
+@dataclass(frozen=True)
+class Stepping:
+    """Time steps: ``steps`` of length ``step`` (s)."""
+
+    scheme: Literal["implicit", "explicit"]
+    step: float
+    steps: int
+
+
+@dataclass(frozen=True)
+class Output:
+    """What is stored: every so many steps, and which fields along the contact line."""
+
+    every: int = 1
+    fields: tuple[str, ...] = FIELDS
+
+
+@dataclass(frozen=True)
+class Case:
+    """One wear test, complete and consistent.
+
+    Parameters
+    ----------
+    text : the TOML text as run, overrides included.
+    """
+
+    lower: Ring
+    upper: Ring
+    friction: float
+    wear_lower: WearLaw | None
+    wear_upper: WearLaw | None
+    load: Load
+    time: Stepping
+    mesh: Mesh
+    output: Output
+    title: str = ""
+    text: str = field(default="", compare=False, repr=False)
+
+    @property
+    def contact(self) -> tuple[float, float]:
+        """Inner and outer radius of the nominal contact annulus, mm."""
+        return max(self.lower.r[0], self.upper.r[0]), min(self.lower.r[1], self.upper.r[1])
+
+    @property
+    def laws(self) -> tuple[WearLaw | None, WearLaw | None]:
+        """Wear laws of lower and upper."""
+        return self.wear_lower, self.wear_upper
+
+    @property
+    def area(self) -> float:
+        """Nominal contact area, mm^2."""
+        a, b = self.contact
+        return math.pi * (b * b - a * a)
+
+    def section(self, ring: Ring) -> Section:
+        """Return the meridian section of one of the two rings, in its own frame."""
+        return Section(ring.r, ring.z[1] - ring.z[0], self.contact)
+
+
+class _Rejected(Exception):
+    """A value that its key does not allow."""
+
+
+Reader = Callable[[Any], Any]
+
+
+@dataclass(frozen=True)
+class Key:
+    """One key of the case file.
+
+    ``default`` is ... where the key must be given (for a wear law: once its table is there).
+    """
+
+    path: str
+    read: Reader
+    allowed: str
+    unit: str
+    meaning: str
+    default: Any = ...
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool)
+
+
+def _number(low: float, high: float = math.inf, *, ends: bool = False) -> tuple[Reader, str]:
+    def read(value: Any) -> float:
+        if not _is_number(value) or not math.isfinite(value):
+            raise _Rejected
+        if not (low < value < high or (ends and value in (low, high))):
+            raise _Rejected
+        return float(value)
+
+    sign = ">=" if ends else ">"
+    if high < math.inf:
+        allowed = f"a number {'from' if ends else 'between'} {low:g} {'to' if ends else 'and'} {high:g}"
+    else:
+        allowed = f"a finite number {sign} {low:g}"
+    return read, allowed
+
+
+def _integer(low: int) -> tuple[Reader, str]:
+    def read(value: Any) -> int:
+        if isinstance(value, float) and value.is_integer():
+            value = int(value)
+        if not isinstance(value, int) or isinstance(value, bool) or value < low:
+            raise _Rejected
+        return value
+
+    return read, f"a whole number >= {low}"
+
+
+def _pair(low: float) -> tuple[Reader, str]:
+    def read(value: Any) -> tuple[float, float]:
+        if not isinstance(value, list) or len(value) != 2:
+            raise _Rejected
+        if not all(_is_number(v) and math.isfinite(v) and v >= low for v in value):
+            raise _Rejected
+        if not value[0] < value[1]:
+            raise _Rejected
+        return float(value[0]), float(value[1])
+
+    return read, "two increasing numbers" + (f" >= {low:g}" if low > -math.inf else "")
+
+
+def _choice(*names: str) -> tuple[Reader, str]:
+    def read(value: Any) -> str:
+        if value not in names:
+            raise _Rejected
+        return str(value)
+
+    return read, " or ".join(f'"{name}"' for name in names)
+
+
+def _names(*names: str) -> tuple[Reader, str]:
+    def read(value: Any) -> tuple[str, ...]:
+        if not isinstance(value, list) or not all(v in names for v in value):
+            raise _Rejected
+        return tuple(name for name in names if name in value)
+
+    return read, "a list of " + ", ".join(f'"{name}"' for name in names)
+
+
+def _text(value: Any) -> str:
+    if not isinstance(value, str):
+        raise _Rejected
+    return value
+
+
+def _ring_keys(ring: str, name: str) -> list[Key]:
+    return [
+        Key(f"{ring}.r", *_pair(0.0), "mm", f"inner and outer radius of the {name}; 0: solid disc"),
+        Key(f"{ring}.z", *_pair(-math.inf), "mm", f"bottom and top of the {name}"),
+        Key(f"{ring}.young", *_number(0.0), "MPa", "Young's modulus"),
+        Key(f"{ring}.poisson", *_number(-1.0, 0.5), "1", "Poisson's ratio"),
+    ]
+
+
+def _wear_keys(ring: str) -> list[Key]:
+    return [
+        Key(
+            f"wear.{ring}.law", *_choice("threshold"), "-",
+            f"rate of wear of {ring}: k mu max(0, p - p0) V; no table: does not wear",
+            "threshold",
+        ),
+        Key(f"wear.{ring}.k", *_number(0.0, ends=True), "1/MPa", "wear coefficient"),
+        Key(f"wear.{ring}.p0", *_number(0.0, ends=True), "MPa", "threshold pressure", 0.0),
+    ]  # fmt: skip
+
+
+KEYS: tuple[Key, ...] = (
+    Key("title", _text, "a text", "-", "shown in plots and summaries", ""),
+    *_ring_keys("lower", "lower ring, its bottom held"),
+    *_ring_keys("upper", "upper ring, which turns"),
+    Key(
+        "upper.grip", *_choice("clamped", "platen"), "-",
+        "top of the upper ring: u_r = 0 (clamped) or sigma_rz = 0 (platen)", "clamped",
+    ),
+    Key("contact.friction", *_number(0.0, ends=True), "1", "Coulomb friction coefficient mu"),
+    *_wear_keys("lower"),
+    *_wear_keys("upper"),
+    Key("load.control", *_choice("force", "displacement"), "-", "what is held constant", "force"),
+    Key("load.force", *_number(0.0), "N", "axial force (control = force)", None),
+    Key(
+        "load.pressure", *_number(0.0), "MPa",
+        "mean pressure over the nominal annulus, instead of load.force", None,
+    ),
+    Key(
+        "load.displacement", *_number(0.0), "mm",
+        "downward displacement of the upper ring's top (control = displacement)", None,
+    ),
+    Key("load.omega", *_number(0.0, ends=True), "rad/s", "angular speed of the upper ring"),
+    Key(
+        "time.scheme", *_choice("implicit", "explicit"), "-",
+        "backward Euler inside the contact problem, or the paper's (6)", "implicit",
+    ),
+    Key("time.step", *_number(0.0), "s", "time step"),
+    Key("time.steps", *_integer(1), "-", "number of time steps"),
+    Key("mesh.contact_elements", *_integer(4), "-", "elements of the contact line", 64),
+    Key(
+        "mesh.grading", *_number(1.0, 6.0, ends=True), "1",
+        "grading of the contact line towards its edges; 1 is uniform", 2.5,
+    ),
+    Key(
+        "mesh.quadrature_tolerance", *_number(1e-14, 1e-2, ends=True), "1",
+        "relative accuracy of the element integrals", 1e-8,
+    ),
+    Key("mesh.geometry", *_choice("fixed"), "-", "the worn profile enters through the gap", "fixed"),
+    Key("output.every", *_integer(1), "steps", "store every so many steps, and the last", 1),
+    Key("output.fields", *_names(*FIELDS), "-", "fields stored along the contact line", FIELDS),
+)  # fmt: skip
+
+
+def _flatten(tables: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    flat: dict[str, Any] = {}
+    for name, value in tables.items():
+        path = f"{prefix}{name}"
+        if isinstance(value, dict) and path not in _BY_PATH:
+            flat.update(_flatten(value, f"{path}."))
+            if not value:
+                flat[path] = value
+        else:
+            flat[path] = value
+    return flat
+
+
+_LOADS = {"load.force", "load.pressure", "load.displacement"}
+_BY_PATH = {key.path: key for key in KEYS}
+_TABLES = {key.path[:cut] for key in KEYS for cut, c in enumerate(key.path) if c == "."}
+
+
+def toml_value(value: Any) -> str:
+    """Return a value as TOML writes it."""
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, str):
+        escaped = value.replace("\\", "\\\\").replace('"', '\\"').replace("\n", "\\n")
+        return f'"{escaped}"'
+    if isinstance(value, list | tuple):
+        return "[" + ", ".join(toml_value(v) for v in value) + "]"
+    return repr(value) if _is_number(value) else str(value)
+
+
+def toml_text(flat: Mapping[str, Any]) -> str:
+    """Return a TOML text with these dotted keys."""
+    tables: dict[str, list[str]] = {"": []}
+    for path, value in flat.items():
+        table, _, name = path.rpartition(".")
+        tables.setdefault(table, []).append(f"{name} = {toml_value(value)}")
+    blocks = [
+        "\n".join(([f"[{table}]"] if table else []) + lines)
+        for table, lines in tables.items()
+        if lines
+    ]
+    return "\n\n".join(blocks) + "\n"
+
+
+def parse_overrides(overrides: Sequence[str]) -> dict[str, Any]:
+    """Return dotted keys and values of ``--set a.b=value`` options.
+
+    Raises
+    ------
+    InputError : an option without "=".
+    """
+    values: dict[str, Any] = {}
+    faults = []
+    for item in overrides:
+        path, equals, text = item.partition("=")
+        if not equals or not path.strip():
+            faults.append(f"--set {item}: must be KEY=VALUE, such as load.pressure=50")
+            continue
+        try:
+            values[path.strip()] = tomllib.loads(f"value = {text}")["value"]
+        except tomllib.TOMLDecodeError:
+            values[path.strip()] = text.strip()
+    if faults:
+        raise InputError(*faults)
+    return values
+
+
+def read_case(path: Path, overrides: Sequence[str] = ()) -> Case:
+    """Read a case file and its overrides. Not collective.
+
+    Raises
+    ------
+    InputError : all faults, one sentence each.
+    """
+    try:
+        text = path.read_text(encoding="utf-8")
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror or error}") from error
+    except UnicodeDecodeError as error:
+        raise InputError(f"{path}: is not a text file in UTF-8") from error
+    return parse_case(text, str(path), parse_overrides(overrides))
+
+
+def parse_case(text: str, name: str, overrides: Mapping[str, Any] | None = None) -> Case:
+    """Make a case of a TOML text; ``name`` is what messages call it. Not collective.
+
+    Raises
+    ------
+    InputError : all faults, one sentence each.
+    """
+    try:
+        flat = _flatten(tomllib.loads(text))
+    except tomllib.TOMLDecodeError as error:
+        raise InputError(f"{name}: is not valid TOML: {error}") from error
+    origin = dict.fromkeys(flat, f"{name}: ")
+    if overrides:
+        overrides = _flatten(overrides)
+        if not _LOADS.isdisjoint(overrides):  # the new load takes the place of the file's
+            flat = {path: value for path, value in flat.items() if path not in _LOADS}
+        flat.update(overrides)
+        origin.update(dict.fromkeys(overrides, "--set "))
+        text = toml_text(flat)
+    faults: list[str] = []
+    values: dict[str, Any] = {}
+    for path, value in flat.items():
+        if path in _BY_PATH:
+            key = _BY_PATH[path]
+            try:
+                values[path] = key.read(value)
+            except _Rejected:
+                unit = "" if key.unit in ("-", "1") else f" ({key.unit})"
+                faults.append(
+                    f"{origin[path]}{path} = {toml_value(value)}: must be {key.allowed}{unit}"
+                )
+        elif path in _TABLES:
+            if value != {}:
+                faults.append(
+                    f"{origin[path]}{path} = {toml_value(value)}: must be a table, [{path}]"
+                )
+        else:
+            faults.append(f"{origin[path]}{path}: unknown key{_nearest(path)}")
+    wears = {
+        f"wear.{ring}": any(p.startswith(f"wear.{ring}") for p in flat) for ring in ("lower", "upper")
+    }
+    for key in KEYS:
+        if key.path not in flat:
+            table = key.path.rpartition(".")[0]
+            if key.default is not ...:
+                values[key.path] = key.default
+            elif wears.get(table, True):
+                unit = "" if key.unit in ("-", "1") else f" ({key.unit})"
+                faults.append(f"{name}: {key.path} is missing: must be {key.allowed}{unit}")
+    faults += _inconsistencies(name, values)
+    if faults:
+        raise InputError(*faults)
+    return _build(values, wears, text)
+
+
+def _nearest(path: str) -> str:
+    near = difflib.get_close_matches(path, _BY_PATH, n=1, cutoff=0.6)
+    return f" (did you mean {near[0]}?)" if near else ""
+
+
+def _inconsistencies(name: str, values: Mapping[str, Any]) -> list[str]:
+    """Return the faults of keys that are right by themselves but not together."""
+    faults = []
+    if {"lower.z", "upper.z"} <= values.keys():
+        top, bottom = values["lower.z"][1], values["upper.z"][0]
+        if abs(top - bottom) > 1e-9 * max(1.0, abs(top)):
+            what = "do not touch" if bottom > top else "interpenetrate"
+            faults.append(
+                f"{name}: upper.z[0] = {bottom:g} and lower.z[1] = {top:g}: the rings {what}; "
+                "both must be the same (mm)"
+            )
+    if {"lower.r", "upper.r"} <= values.keys():
+        lower, upper = values["lower.r"], values["upper.r"]
+        if max(lower[0], upper[0]) >= min(lower[1], upper[1]):
+            faults.append(
+                f"{name}: upper.r = {list(upper)} and lower.r = {list(lower)}: the rings do not "
+                "overlap; their radii must have an interval in common (mm)"
+            )
+    control = values.get("load.control")
+    if values.keys() >= _LOADS:
+        force, pressure = values["load.force"], values["load.pressure"]
+        displacement = values["load.displacement"]
+        if control == "force":
+            if (force is None) == (pressure is None):
+                number = "neither of them is given" if force is None else "both are given"
+                faults.append(
+                    f'{name}: load.force, load.pressure: {number}; control = "force" needs one'
+                )
+            if displacement is not None:
+                faults.append(
+                    f"{name}: load.displacement = {displacement:g}: must be absent where "
+                    'load.control = "force"'
+                )
+        elif control == "displacement":
+            if displacement is None:
+                faults.append(
+                    f"{name}: load.displacement is missing: must be a finite number > 0 (mm) where "
+                    'load.control = "displacement"'
+                )
+            for key, value in (("force", force), ("pressure", pressure)):
+                if value is not None:
+                    faults.append(
+                        f"{name}: load.{key} = {value:g}: must be absent where "
+                        'load.control = "displacement"'
+                    )
+    return faults
+
+
+def _build(values: Mapping[str, Any], wears: Mapping[str, bool], text: str) -> Case:
+    def ring(which: str, grip: Grip) -> Ring:
+        return Ring(*(values[f"{which}.{k}"] for k in ("r", "z", "young", "poisson")), grip)
+
+    def law(which: str) -> WearLaw | None:
+        if not wears[f"wear.{which}"]:
+            return None
+        return ThresholdLaw(values[f"wear.{which}.k"], values[f"wear.{which}.p0"])
+
+    case = Case(
+        lower=ring("lower", "clamped"),
+        upper=ring("upper", values["upper.grip"]),
+        friction=values["contact.friction"],
+        wear_lower=law("lower"),
+        wear_upper=law("upper"),
+        load=Load(values["load.omega"], values["load.force"], values["load.displacement"]),
+        time=Stepping(values["time.scheme"], values["time.step"], values["time.steps"]),
+        mesh=Mesh(
+            values["mesh.contact_elements"],
+            values["mesh.grading"],
+            values["mesh.quadrature_tolerance"],
+        ),
+        output=Output(values["output.every"], values["output.fields"]),
+        title=values["title"],
+        text=text,
+    )
+    if values["load.pressure"] is not None:
+        force = values["load.pressure"] * case.area
+        case = Case(**{**vars(case), "load": Load(case.load.omega, force)})
+    return case
+
+
+def schema() -> str:
+    """Return every key with its unit, default and meaning, as a table."""
+    rows = [("key", "unit", "allowed", "default", "meaning")]
+    for key in KEYS:
+        if key.default is ...:
+            default = "required" if not key.path.startswith("wear.") else "required with its table"
+        else:
+            default = "-" if key.default is None else toml_value(key.default)
+        rows.append((key.path, key.unit, key.allowed, default, key.meaning))
+    widths = [max(len(row[i]) for row in rows) for i in range(4)]
+    return "\n".join(
+        "  ".join([*(c.ljust(w) for c, w in zip(row, widths, strict=False)), row[4]])
+        for row in rows
+    )

@@ -1,0 +1,148 @@
+"""The ``ringwear`` command: arguments, errors and exit statuses, alike on one rank and on many.
+
+This is the only module that touches COMM_WORLD, and it initialises PETSc with the arguments behind
+``--`` before any other module imports it.
+"""
+
+import argparse
+import logging
+import os
+import sys
+import traceback
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, NoReturn
+
+from ringwear_par import __version__
+from ringwear_par.errors import InputError, RingwearError
+
+EPILOG = """\
+Everything after -- goes to PETSc's options: -bem_... for the boundary element systems,
+-contact_... for the contact solver (-contact_tao_type python|tron|bnls, -contact_tao_monitor).
+Exit status: 0 done, 1 the computation failed, 2 bad input.
+"""
+
+
+class _Parser(argparse.ArgumentParser):
+    """A parser whose complaints are said once, not once per rank."""
+
+    def error(self, message: str) -> NoReturn:
+        raise InputError(f"{self.prog}: {message} (see {self.prog} --help)")
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = _Parser(
+        prog="ringwear",
+        description="Wear histories of ring-on-ring and ring-on-disc tests by boundary elements.",
+        epilog=EPILOG,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("--version", action="version", version=f"ringwear {__version__}")
+    commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
+
+    def command(name: str, text: str) -> argparse.ArgumentParser:
+        return commands.add_parser(
+            name,
+            help=text,
+            description=text[0].upper() + text[1:] + ".",
+            epilog=EPILOG,
+            formatter_class=argparse.RawDescriptionHelpFormatter,
+        )
+
+    run = command("run", "compute one wear history")
+    run.add_argument("case", type=Path, metavar="CASE.toml", help="case file")
+    run.add_argument("-o", "--output", type=Path, required=True, metavar="RUN.h5")
+    run.add_argument(
+        "--set", action="append", default=[], nargs="+", dest="overrides", metavar="KEY=VALUE",
+        help="override a key of the case file, such as load.pressure=50",
+    )  # fmt: skip
+    run.add_argument(
+        "--restart", action="store_true",
+        help="continue RUN.h5 where it was interrupted, or to a larger time.steps",
+    )  # fmt: skip
+    run.add_argument("--plot", type=Path, metavar="FIG.png", help="draw the history at the end")
+
+    plot = command("plot", "draw the figures of the paper from result files")
+    plot.add_argument("results", type=Path, nargs="+", metavar="RUN.h5")
+    plot.add_argument("-o", "--output", type=Path, required=True, metavar="FIG.png")
+    plot.add_argument(
+        "--panels", default="wear,penetration", metavar="LIST",
+        help="any of wear, penetration, pressure, in this order (default: %(default)s)",
+    )  # fmt: skip
+    plot.add_argument(
+        "--steps", default="", metavar="LIST",
+        help="steps whose profiles are drawn, such as 1,50,100 (default: first and quarters)",
+    )  # fmt: skip
+
+    command("verify", "run the reference solutions; print error and observed order of each")
+    info = command("info", "print versions, MPI and PETSc builds, ranks and threads")
+    info.add_argument("--schema", action="store_true", help="print every key of the case file")
+    return parser
+
+
+def _dispatch(args: argparse.Namespace, comm: Any) -> int:
+    if args.command == "run":
+        from ringwear_par.driver import run_case
+
+        overrides = [item for group in args.overrides for item in group]
+        return run_case(args.case, args.output, overrides, args.restart, args.plot, comm)
+    if args.command == "plot":
+        from ringwear_par.plots import plot_files
+
+        if comm.rank == 0:
+            plot_files(args.results, args.output, args.panels, args.steps)
+        return 0
+    if args.command == "verify":
+        from ringwear_par.verify import verify
+
+        return verify(comm)
+    from ringwear_par.info import print_info
+
+    if comm.rank == 0:
+        print_info(args.schema, comm)
+    return 0
+
+
+def _check_launch(size: int) -> None:
+    for name in ("OMPI_COMM_WORLD_SIZE", "PMI_SIZE"):
+        launched = os.environ.get(name)
+        if launched is not None and int(launched) != size:
+            raise InputError(
+                f"{name} = {launched} but MPI has {size} rank(s): mpirun and mpi4py belong to "
+                "different MPI libraries (see ringwear info)"
+            )
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run a command and return its exit status. Collective on COMM_WORLD."""
+    words = list(sys.argv[1:] if argv is None else argv)
+    cut = words.index("--") if "--" in words else len(words)
+
+    import petsc4py
+    from mpi4py import MPI
+
+    comm = MPI.COMM_WORLD
+    logging.basicConfig(
+        format="ringwear: %(message)s",
+        level=logging.INFO if comm.rank == 0 else logging.ERROR,
+        stream=sys.stderr,
+    )
+    if comm.rank > 0:  # --help and --version are for one rank to print
+        sys.stdout = open(os.devnull, "w")  # noqa: SIM115
+    try:
+        args = _parser().parse_args(words[:cut])
+        _check_launch(comm.size)
+        petsc4py.init(["ringwear", *words[cut + 1 :]])
+        return _dispatch(args, comm)
+    except RingwearError as error:
+        # raised on all ranks alike: said by the first
+        if comm.rank == 0:
+            print("\n".join(f"ringwear: {line}" for line in str(error).splitlines()),
+                  file=sys.stderr, flush=True)  # fmt: skip
+        return error.exit_status
+    except Exception:
+        traceback.print_exc()
+        sys.stderr.flush()
+        if comm.size > 1:  # the other ranks would wait for this one for ever
+            comm.Abort(1)
+        return 1

@@ -1,0 +1,271 @@
+"""``ringwear run``: a case from its file to its result file."""
+
+import logging
+import os
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+from mpi4py import MPI
+
+from ringwear_par.case import Case, parse_case, read_case
+from ringwear_par.contact import ContactSolver
+from ringwear_par.errors import ComputationError, InputError, RingwearError
+from ringwear_par.history import State, WearHistory, run
+from ringwear_par.info import versions
+from ringwear_par.monitor import Monitor
+from ringwear_par.options import reject_unused_options
+from ringwear_par.pair import ContactPair, check_memory, contact_pair
+from ringwear_par.results import (
+    Checkpoint,
+    Recorder,
+    read_checkpoint,
+    read_status,
+    restore,
+    write_result,
+)
+
+log = logging.getLogger(__name__)
+T = TypeVar("T")
+
+
+def on_first_rank(comm: MPI.Comm, action: Callable[[], T]) -> T:
+    """Return what an action returns on rank 0, or raise its error, on all ranks. Collective."""
+    result: Any = None
+    if comm.rank == 0:
+        try:
+            result = action()
+        except RingwearError as error:
+            result = error
+        except OSError as error:
+            result = ComputationError(f"{error.filename or 'output'}: {error.strerror or error}")
+    result = comm.bcast(result)
+    if isinstance(result, RingwearError):
+        raise result
+    return result  # type: ignore[no-any-return]
+
+
+def run_case(
+    path: Path,
+    output: Path,
+    overrides: Sequence[str],
+    restart: bool,
+    figure: Path | None,
+    comm: MPI.Comm,
+) -> int:
+    """Compute a wear history and write it; return the exit status. Collective on comm.
+
+    Raises
+    ------
+    InputError : the case, the options or the output, before any work and with nothing written.
+    ComputationError : the contact failed, or the result could not be written.
+    """
+    started = time.perf_counter()
+    case, checkpoint = on_first_rank(
+        comm, lambda: _prepare(path, output, overrides, restart, figure, comm.size)
+    )
+    if checkpoint is not None and checkpoint.state.step >= case.time.steps:
+        log.info("%s is complete: nothing to do", output)
+        return 0
+    if comm.rank == 0:
+        _warn_of_threads(comm.size)
+
+    pair, cost = contact_pair(case, comm)
+    with ContactSolver(pair.stiffness, pair.line.area, comm) as solver:
+        reject_unused_options()
+        history = WearHistory(case, pair, solver)
+        recorder = Recorder(history)
+        if comm.rank == 0 and case.time.scheme == "explicit":
+            _warn_of_instability(history)
+        begun = time.perf_counter()
+        if checkpoint is None:
+            state = history.start()
+            recorder.add(state)
+        else:
+            state = checkpoint.state
+            solver.warm_start(checkpoint.warm)
+            restore(recorder, checkpoint)
+            if comm.rank == 0:
+                log.info("continuing %s at step %d of %d", output, state.step, case.time.steps)
+        seconds = {
+            "seconds_assembly": cost.seconds_assembly,
+            "seconds_factorisation": cost.seconds_solution,
+            "seconds_stepping": 0.0,
+            "seconds_output": 0.0,
+        }
+
+        def save(state: State) -> None:
+            t0 = time.perf_counter()
+            warm = solver.warm()
+            seconds["seconds_stepping"] = t0 - begun - seconds["seconds_output"]
+            attributes = {
+                "status": "complete" if state.step == case.time.steps else "incomplete",
+                "ranks": comm.size,
+                **versions(),
+                **seconds,
+                "symmetry_defect": pair.symmetry_defect,
+                "force_defect": pair.force_defect,
+                "torque_defect": pair.torque_defect,
+            }
+            on_first_rank(
+                comm,
+                lambda: write_result(output, case, pair.line, recorder, state, warm, attributes),
+            )
+            seconds["seconds_output"] += time.perf_counter() - t0
+
+        with Monitor(case.time.steps, recorder, save, comm) as monitor:
+            state = run(history, state, monitor)
+        save(state)
+        if comm.rank == 0:
+            print(summary(case, pair, state, recorder))
+            print(_times(seconds, time.perf_counter() - started, cost.kernel_evaluations))
+    if state.step < case.time.steps:
+        raise ComputationError(
+            f"stopped by {monitor.signal_name} after step {state.step} of {case.time.steps}; "
+            f"{output} holds them, and the same command with --restart continues"
+        )
+    if figure is not None and comm.rank == 0:
+        from ringwear_par.plots import plot_files
+
+        plot_files([output], figure)
+    return 0
+
+
+def summary(case: Case, pair: ContactPair, state: State, recorder: Recorder) -> str:
+    """Return the end of a run in a few lines, balances included. Not collective."""
+    scalars, last = recorder.scalars, recorder.stored - 1
+    balances, p = state.balances, state.contact.pressure
+    depths = [f"{name} {1e3 * w.max():.4f}" for name, w in zip(("lower", "upper"), state.wear)]
+    energy_holds = any(law is not None and law.proportional for law in case.laws)
+    lines = [
+        *([case.title] if case.title else []),
+        f"{state.step} of {case.time.steps} {case.time.scheme} steps of {case.time.step:g} s, "
+        f"{pair.line.n} contact elements",
+        f"approach {state.contact.approach:.7f} mm, "
+        f"penetration {1e3 * scalars['penetration'][last]:.4f} um, "
+        f"force {state.contact.force:.6g} N, torque {scalars['torque'][last]:.6g} N mm",
+        f"deepest wear {', '.join(depths)} um; "
+        f"worn volume lower {scalars['worn_volume_lower'][last]:.6g}, "
+        f"upper {scalars['worn_volume_upper'][last]:.6g} mm3; "
+        f"energy dissipated {state.energy:.6g} N mm",
+        f"pressure {p.min():.4g} to {p.max():.4g} MPa, "
+        f"{np.count_nonzero(p > 0.0)} of {len(p)} elements in contact",
+        "balances, worst of all steps: "
+        + (f"force {balances.force:.1e}, " if case.load.force is not None else "")
+        + f"torque {balances.torque:.1e}, volume {balances.volume:.1e}, "
+        + (f"energy {balances.energy:.1e}, " if energy_holds else "energy (p0 > 0: no identity), ")
+        + f"contact (KKT) {balances.residual:.1e}",
+        f"boundary elements, vanish with the mesh: symmetry defect {pair.symmetry_defect:.1e}, "
+        f"reaction force {pair.force_defect:.1e}, reaction torque {pair.torque_defect:.1e}",
+    ]
+    return "\n".join(lines)
+
+
+def _times(seconds: dict[str, float], wall: float, evaluations: int) -> str:
+    start_up = max(seconds_since_start() - wall, 0.0)
+    names = ("assembly", "factorisation", "stepping", "output")
+    parts = ", ".join(f"{name} {seconds[f'seconds_{name}']:.3f}" for name in names)
+    return f"seconds: start-up {start_up:.2f}, {parts} ({evaluations} kernel evaluations)"
+
+
+def seconds_since_start() -> float:
+    """Return the age of this process, s; 0 where the system does not tell. Not collective."""
+    try:
+        started = float(Path("/proc/self/stat").read_text().rpartition(")")[2].split()[19])
+        uptime = float(Path("/proc/uptime").read_text().split()[0])
+    except (OSError, IndexError, ValueError):
+        return 0.0
+    return uptime - started / os.sysconf("SC_CLK_TCK")
+
+
+def _prepare(
+    path: Path,
+    output: Path,
+    overrides: Sequence[str],
+    restart: bool,
+    figure: Path | None,
+    ranks: int,
+) -> tuple[Case, Checkpoint | None]:
+    """Read and check all that a run needs, before any work. On one rank."""
+    faults: list[str] = []
+    case = checkpoint = None
+    try:
+        case = read_case(path, overrides)
+        check_memory(case, ranks, str(path))
+    except InputError as error:
+        faults += error.faults
+    try:
+        check_writable(output)
+        there = read_status(output)
+        if there is not None and restart and case is not None:
+            text, checkpoint = read_checkpoint(output)
+            _check_same(case, text, output)
+        elif there is not None and there[0] == "incomplete" and not restart:
+            raise InputError(
+                f"{output}: holds a run that was interrupted after step {there[1]}; "
+                "--restart continues it, removing the file starts anew"
+            )
+    except InputError as error:
+        faults += error.faults
+    if figure is not None:
+        try:
+            check_writable(figure)
+        except InputError as error:
+            faults += error.faults
+    if faults or case is None:
+        raise InputError(*faults)
+    return case, checkpoint
+
+
+def check_writable(path: Path) -> None:
+    """Refuse a file that cannot be written. Not collective.
+
+    Raises
+    ------
+    InputError : the reason, in one sentence.
+    """
+    if path.is_dir():
+        raise InputError(f"{path}: is a folder; must be a file name")
+    if not path.parent.is_dir():
+        raise InputError(f"{path}: its folder {path.parent} does not exist")
+    probe = path.with_name(f"{path.name}.tmp{os.getpid()}")
+    try:
+        probe.touch()
+        probe.unlink()
+    except OSError as error:
+        raise InputError(f"{path}: cannot be written: {error.strerror}") from error
+
+
+def _check_same(case: Case, text: str, output: Path) -> None:
+    stored = parse_case(text, str(output))
+    same = replace(stored, time=case.time, title=case.title, text=case.text)
+    steps = replace(stored.time, steps=case.time.steps)
+    if same != case or steps != case.time:
+        raise InputError(
+            f"{output}: holds another case; --restart needs the same case, only time.steps may grow"
+        )
+
+
+def _warn_of_threads(ranks: int) -> None:
+    cores = os.cpu_count() or 1
+    names = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS")
+    threads = next((int(os.environ[n]) for n in names if os.environ.get(n, "").isdigit()), cores)
+    if ranks > 1 and threads > 1 and threads * ranks > cores:
+        log.warning(
+            "%d ranks with up to %d BLAS threads each on %d cores: set OPENBLAS_NUM_THREADS=1",
+            ranks, threads, cores,
+        )  # fmt: skip
+
+
+def _warn_of_instability(history: WearHistory) -> None:
+    limit, step = history.stable_step(), history.case.time.step
+    if step > limit:
+        log.warning(
+            "explicit scheme: time.step = %.6g s is %.3g times its stability limit; the largest "
+            "stable step on this mesh is %.6g s (beyond it profiles oscillate, and with p0 > 0 the "
+            "wear is too large)",
+            step, step / limit, limit,
+        )  # fmt: skip

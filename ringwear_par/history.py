@@ -1,0 +1,193 @@
+"""A wear history: contact and wear stepped in time, section 3 of the paper.
+
+``pressure[n]``, ``approach[n]``... are the contact solution with the profile worn up to
+``time[n]``, for both schemes. The explicit one, (6) of the paper, lets the pressure at the start
+of a step wear throughout it; the implicit one (backward Euler) the pressure at its end, which is
+found together with the wear inside the contact problem.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from ringwear_par.case import Case
+from ringwear_par.contact import ContactSolver, ContactState
+from ringwear_par.errors import ComputationError
+from ringwear_par.geometry import FloatArray
+from ringwear_par.pair import ContactPair, largest_stable_step
+from ringwear_par.wear import StepWear
+
+
+@dataclass(frozen=True)
+class Balances:
+    """Relative defects of statements that hold exactly for the discrete problem.
+
+    Parameters
+    ----------
+    force : contact pressure against the applied force (0 at given displacement).
+    torque : friction power against torque times speed.
+    volume : worn volume of the profiles against the time integral of its rate.
+    energy : worn volume against k times the dissipated energy, where p0 = 0 (else 0).
+    residual : KKT residual of the contact solution.
+    """
+
+    force: float = 0.0
+    torque: float = 0.0
+    volume: float = 0.0
+    energy: float = 0.0
+    residual: float = 0.0
+
+    def worse(self, other: "Balances") -> "Balances":
+        """Return the larger of each defect."""
+        return Balances(*(max(a, b) for a, b in zip(self.values(), other.values(), strict=True)))
+
+    def values(self) -> tuple[float, ...]:
+        """Return the defects in their order."""
+        return self.force, self.torque, self.volume, self.energy, self.residual
+
+
+@dataclass(frozen=True)
+class State:
+    """A history after ``step`` steps.
+
+    Parameters
+    ----------
+    step : number of steps made.
+    wear : (2, n) float, mm, loss of lower and upper.
+    worn : (2,) float, mm^3, time integrals of the rates of the worn volumes.
+    energy : N mm, dissipated by friction.
+    contact : the contact solution.
+    balances : the worst so far.
+    """
+
+    step: int
+    wear: FloatArray
+    worn: FloatArray
+    energy: float
+    contact: ContactState
+    balances: Balances
+
+
+class WearHistory:
+    """A case on its contact pair, step by step.
+
+    Parameters
+    ----------
+    case : the case.
+    pair : its contact pair.
+    solver : contact solver of the pair; its communicator is that of the collective methods.
+    """
+
+    def __init__(self, case: Case, pair: ContactPair, solver: ContactSolver) -> None:
+        self.case, self.pair, self.solver = case, pair, solver
+        line = pair.line
+        self._area = line.area
+        self._moment = case.friction * line.area * line.arm  # torque per unit pressure
+        self._power = case.friction * case.load.omega * line.arm  # mu V, mm/s
+        active = tuple(law for law in case.laws if law is not None)
+        self._zero = np.zeros(line.n)
+        self._implicit = (
+            StepWear(active, self._power, case.time.step)
+            if active and case.time.scheme == "implicit"
+            else None
+        )
+
+    def stable_step(self) -> float:
+        """Return the largest stable step of the explicit scheme, s. Not collective."""
+        steepest = np.full(self.pair.line.n, np.inf)
+        slopes = [law.slope(steepest, self._power) for law in self.case.laws if law is not None]
+        return largest_stable_step(self.pair, sum(slopes, self._zero))
+
+    def start(self) -> State:
+        """Return the contact before any wear. Collective."""
+        contact = self._contact(self._zero, None)
+        return self._balanced(
+            State(0, np.zeros((2, len(self._zero))), np.zeros(2), 0.0, contact, Balances())
+        )
+
+    def advance(self, state: State) -> State:
+        """Return the state one step later. Collective.
+
+        Raises
+        ------
+        ComputationError : the contact failed; the step and its time are named.
+        """
+        step = self.case.time.step
+        try:
+            if self._implicit is not None:
+                contact = self._contact(state.wear[0] + state.wear[1], self._implicit)
+                wearing = contact.pressure
+                rates = self._rates(wearing)
+                wear = state.wear + step * rates
+            else:
+                wearing = state.contact.pressure
+                rates = self._rates(wearing)
+                wear = state.wear + step * rates
+                contact = self._contact(wear[0] + wear[1], None)
+        except ComputationError as error:
+            number = state.step + 1
+            raise ComputationError(f"step {number} (time {number * step:g} s): {error}") from error
+        return self._balanced(
+            State(
+                state.step + 1,
+                wear,
+                state.worn + step * (rates @ self._area),
+                state.energy + step * self.case.load.omega * self.torque(wearing),
+                contact,
+                state.balances,
+            )
+        )
+
+    def _contact(self, gap: FloatArray, wear: StepWear | None) -> ContactState:
+        load = self.case.load
+        return self.solver.solve(gap, force=load.force, approach=load.displacement, wear=wear)
+
+    def _rates(self, p: FloatArray) -> FloatArray:
+        return np.array([law.rate(p, self._power) if law else self._zero for law in self.case.laws])
+
+    def torque(self, p: FloatArray) -> float:
+        """Return the friction torque, N mm, at pressure p (MPa)."""
+        return float(self._moment @ p)
+
+    def twist(self, p: FloatArray) -> float:
+        """Return the area mean of the circumferential displacement jump, mm, at pressure p."""
+        return self.case.friction * float(self.pair.twist @ p)
+
+    def worn_volumes(self, state: State) -> FloatArray:
+        """Return the volumes lost by lower and upper, (2,) mm^3, from their profiles."""
+        return state.wear @ self._area
+
+    def _balanced(self, state: State) -> State:
+        p, force = state.contact.pressure, self.case.load.force
+        volumes = self.worn_volumes(state)
+        friction, power = self._area @ (self._power * p), self.case.load.omega * self.torque(p)
+        total = float(volumes.max())
+        energy = 0.0
+        for law, volume in zip(self.case.laws, volumes, strict=True):
+            if law is not None and law.proportional and state.energy > 0.0:
+                energy = max(energy, abs(volume / (law.proportional * state.energy) - 1.0))
+        now = Balances(
+            abs(state.contact.force / force - 1.0) if force is not None else 0.0,
+            abs(friction / power - 1.0) if power > 0.0 else 0.0,
+            float(np.abs(volumes - state.worn).max()) / total if total > 0.0 else 0.0,
+            energy,
+            state.contact.residual,
+        )
+        return State(
+            state.step, state.wear, state.worn, state.energy, state.contact,
+            state.balances.worse(now),
+        )  # fmt: skip
+
+
+def run(history: WearHistory, state: State, watch: Callable[[State], bool]) -> State:
+    """Step from a state to the last step of the case, or until ``watch`` says stop.
+
+    Collective. ``watch`` is called with every new state, the same on all ranks, and must answer
+    the same on all ranks.
+    """
+    while state.step < history.case.time.steps:
+        state = history.advance(state)
+        if watch(state):
+            break
+    return state

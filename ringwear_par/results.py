@@ -1,0 +1,285 @@
+"""Result files: HDF5 with dimension scales, which xarray opens with its h5netcdf engine.
+
+One process writes, to a temporary name beside the target, flushed and synced, then renamed: a file
+that is there is whole.
+"""
+
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+
+from ringwear_par.case import Case
+from ringwear_par.contact import ContactState, WarmStart
+from ringwear_par.errors import InputError
+from ringwear_par.geometry import ContactLine, FloatArray, IntArray
+from ringwear_par.history import Balances, State, WearHistory
+
+SOFTWARE = "ringwear-par"
+
+#: variables with dimension (step,): unit and long name
+SCALARS = {
+    "time": ("s", "time"),
+    "approach": ("mm", "downward displacement of the upper ring's top"),
+    "penetration": ("mm", "penetration depth: approach since the start"),
+    "force": ("N", "axial contact force"),
+    "torque": ("N mm", "friction torque"),
+    "twist": ("mm", "area mean of the circumferential displacement jump"),
+    "worn_volume_lower": ("mm3", "volume lost by the lower ring"),
+    "worn_volume_upper": ("mm3", "volume lost by the upper ring"),
+    "dissipated_energy": ("N mm", "energy dissipated by friction"),
+    "contact_iterations": ("1", "iterations of the contact solver since the last stored step"),
+}
+#: variables with dimensions (step, element)
+ALONG = {
+    "pressure": ("MPa", "contact pressure"),
+    "gap": ("mm", "gap between the deformed profiles"),
+    "wear_lower": ("mm", "wear depth of the lower ring, downward"),
+    "wear_upper": ("mm", "wear depth of the upper ring, upward"),
+}
+
+
+class Recorder:
+    """Stores the states of a history that its case asks for, in memory.
+
+    Parameters
+    ----------
+    history : the wear history.
+    """
+
+    def __init__(self, history: WearHistory) -> None:
+        output, steps = history.case.output, history.case.time.steps
+        self._history = history
+        self.steps: IntArray = np.append(np.arange(0, steps, output.every), steps)
+        rows = len(self.steps)
+        self.scalars = {name: np.zeros(rows) for name in SCALARS}
+        self.fields = {name: np.zeros((rows, history.pair.line.n)) for name in output.fields}
+        self.stored = 0
+        self.pending_iterations = 0
+
+    def add(self, state: State) -> None:
+        """Take a new state; store it if it is one of those asked for."""
+        self.pending_iterations += state.contact.iterations
+        row = self.stored
+        if self.steps[row] != state.step:
+            return
+        history, contact = self._history, state.contact
+        volumes = history.worn_volumes(state)
+        start = self.scalars["approach"][0] if row else contact.approach
+        values = {
+            "time": state.step * history.case.time.step,
+            "approach": contact.approach,
+            "penetration": contact.approach - start,
+            "force": contact.force,
+            "torque": history.torque(contact.pressure),
+            "twist": history.twist(contact.pressure),
+            "worn_volume_lower": volumes[0],
+            "worn_volume_upper": volumes[1],
+            "dissipated_energy": state.energy,
+            "contact_iterations": self.pending_iterations,
+        }
+        for name, value in values.items():
+            self.scalars[name][row] = value
+        along = {
+            "pressure": contact.pressure,
+            "gap": contact.gap,
+            "wear_lower": state.wear[0],
+            "wear_upper": state.wear[1],
+        }
+        for name, table in self.fields.items():
+            table[row] = along[name]
+        self.stored += 1
+        self.pending_iterations = 0
+
+
+@dataclass(frozen=True)
+class Checkpoint:
+    """An interrupted run, as its file holds it."""
+
+    state: State
+    warm: WarmStart
+    steps: IntArray
+    scalars: dict[str, FloatArray]
+    fields: dict[str, FloatArray]
+    pending_iterations: int
+
+
+@dataclass(frozen=True)
+class Result:
+    """A stored history, for plots: arrays as in the file, and its attributes."""
+
+    path: Path
+    scalars: dict[str, FloatArray]
+    fields: dict[str, FloatArray]
+    line: ContactLine
+    steps: IntArray
+    attributes: dict[str, Any]
+
+
+def write_result(
+    path: Path,
+    case: Case,
+    line: ContactLine,
+    recorder: Recorder,
+    state: State,
+    warm: WarmStart,
+    attributes: Mapping[str, Any],
+) -> None:
+    """Write a result file, complete or not, by rename. Call on one rank only.
+
+    Raises
+    ------
+    OSError : the disk or the folder.
+    """
+    temporary = path.with_name(f"{path.name}.tmp{os.getpid()}")
+    try:
+        with h5py.File(temporary, "w") as file:
+            _write(file, case, line, recorder, state, warm, attributes)
+            file.flush()
+        with temporary.open("rb+") as handle:
+            os.fsync(handle.fileno())
+        temporary.replace(path)
+    except BaseException:
+        temporary.unlink(missing_ok=True)
+        raise
+
+
+def _write(
+    file: h5py.File,
+    case: Case,
+    line: ContactLine,
+    recorder: Recorder,
+    state: State,
+    warm: WarmStart,
+    attributes: Mapping[str, Any],
+) -> None:
+    rows = recorder.stored
+    file.attrs["software"] = SOFTWARE
+    file.attrs["case"] = case.text
+    file.attrs["title"] = case.title
+    for name, value in attributes.items():
+        file.attrs[name] = value
+
+    def variable(
+        name: str, data: FloatArray | IntArray, dims: tuple[str, ...], unit: str, text: str
+    ) -> None:
+        dataset = file.create_dataset(name, data=data)
+        dataset.attrs["units"], dataset.attrs["long_name"] = unit, text
+        for axis, dim in enumerate(dims):
+            dataset.dims[axis].attach_scale(file[dim])
+
+    for name, data, text in (
+        ("step", recorder.steps[:rows], "number of time steps made"),
+        ("element", np.arange(line.n), "contact element, from the inner edge outwards"),
+    ):
+        variable(name, data, (), "1", text)
+        file[name].make_scale(name)
+    for name, table in recorder.scalars.items():
+        variable(name, table[:rows], ("step",), *SCALARS[name])
+    variable("r", line.r, ("element",), "mm", "radius of the element's mid-point")
+    variable("width", line.width, ("element",), "mm", "radial length of the element")
+    for name, table in recorder.fields.items():
+        variable(name, table[:rows], ("step", "element"), *ALONG[name])
+
+    group = file.create_group("checkpoint")
+    group.attrs["step"] = state.step
+    group.attrs["energy"] = state.energy
+    group.attrs["approach"] = state.contact.approach
+    group.attrs["force"] = state.contact.force
+    group.attrs["balances"] = state.balances.values()
+    group.attrs["pending_iterations"] = recorder.pending_iterations
+    group.attrs["warm_approach"], group.attrs["warm_force"] = warm.approach, warm.force
+    for name, values in (
+        ("edges", line.edges), ("wear", state.wear), ("worn", state.worn),
+        ("pressure", state.contact.pressure), ("gap", state.contact.gap),
+        ("warm_scaled_pressure", warm.scaled_pressure), ("warm_rate", warm.rate),
+        ("warm_gap", warm.gap),
+    ):  # fmt: skip
+        group.create_dataset(name, data=values)
+
+
+def read_status(path: Path) -> tuple[str, int] | None:
+    """Return status and last step of a result file, None if there is none. Not collective.
+
+    Raises
+    ------
+    InputError : something else is there.
+    """
+    if not path.exists():
+        return None
+    try:
+        with h5py.File(path, "r") as file:
+            if file.attrs.get("software") == SOFTWARE:
+                return str(file.attrs["status"]), int(file["checkpoint"].attrs["step"])
+    except (OSError, KeyError):
+        pass
+    raise InputError(
+        f"{path}: exists and is not a result file of ringwear; must be a new name or such a file"
+    )
+
+
+def read_checkpoint(path: Path) -> tuple[str, Checkpoint]:
+    """Return the case text and the checkpoint of a result file. Not collective."""
+    with h5py.File(path, "r") as file:
+        group = file["checkpoint"]
+        attrs = group.attrs
+        contact = ContactState(
+            group["pressure"][:], group["gap"][:], float(attrs["approach"]),
+            float(attrs["force"]), 0, 0.0,
+        )  # fmt: skip
+        state = State(
+            int(attrs["step"]), group["wear"][:], group["worn"][:], float(attrs["energy"]),
+            contact, Balances(*(float(v) for v in attrs["balances"])),
+        )  # fmt: skip
+        warm = WarmStart(
+            group["warm_scaled_pressure"][:], group["warm_rate"][:], group["warm_gap"][:],
+            float(attrs["warm_approach"]), float(attrs["warm_force"]),
+        )  # fmt: skip
+        return str(file.attrs["case"]), Checkpoint(
+            state,
+            warm,
+            file["step"][:],
+            {name: file[name][:] for name in SCALARS},
+            {name: file[name][:] for name in ALONG if name in file},
+            int(attrs["pending_iterations"]),
+        )
+
+
+def restore(recorder: Recorder, checkpoint: Checkpoint) -> None:
+    """Put the stored rows of an interrupted run back, as far as the case still stores them."""
+    keep = np.isin(checkpoint.steps, recorder.steps)
+    rows = int(keep.sum())
+    for tables, stored in (
+        (recorder.scalars, checkpoint.scalars),
+        (recorder.fields, checkpoint.fields),
+    ):
+        for name, table in tables.items():
+            table[:rows] = stored[name][keep]
+    recorder.stored = rows
+    recorder.pending_iterations = checkpoint.pending_iterations + int(
+        checkpoint.scalars["contact_iterations"][~keep].sum()
+    )
+
+
+def read_result(path: Path) -> Result:
+    """Read a result file. Not collective.
+
+    Raises
+    ------
+    InputError : it is not one.
+    """
+    if read_status(path) is None:
+        raise InputError(f"{path}: does not exist; must be a result file of ringwear")
+    with h5py.File(path, "r") as file:
+        return Result(
+            path,
+            {name: file[name][:] for name in SCALARS},
+            {name: file[name][:] for name in ALONG if name in file},
+            ContactLine(file["checkpoint/edges"][:]),
+            file["step"][:],
+            dict(file.attrs),
+        )
