@@ -8,6 +8,7 @@ constant-strain field that agrees with u at the collocation point, so every inte
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from mpi4py import MPI
@@ -20,9 +21,10 @@ from ringwear_par.quadrature import MAX_POINTS, Quadrature
 _MAX_PARTS = 128
 
 
-@dataclass(frozen=True)
-class Conditions:
+class Conditions(NamedTuple):
     """Boundary conditions of every element, for the components r, z and theta.
+
+    A named tuple because compiled code reads it, like ``Unknowns``.
 
     Parameters
     ----------
@@ -38,8 +40,7 @@ class Conditions:
     n_loads: int
 
 
-@dataclass(frozen=True)
-class Unknowns:
+class Unknowns(NamedTuple):
     """Where each unknown stands, (r, z) and theta being two systems, -1 for none.
 
     Parameters
@@ -99,149 +100,176 @@ def number_unknowns(contour: Contour, conditions: Conditions) -> Unknowns:
 
 
 @njit(cache=True)
-def _assemble_rows(
-    first_node, last_node, nodes, elements, poisson,
-    equation, displacement, traction, load, value,
-    reach, points, weights, singular_points, singular_weights,
-    start, a_rz, b_rz, a_t, b_t,
-):  # fmt: skip
-    """Fill the rows collocated at nodes first_node <= p < last_node; return kernel evaluations."""
+def _integrate(
+    x: FloatArray,
+    first: FloatArray,
+    last: FloatArray,
+    at: int,
+    poisson: float,
+    rules: Quadrature,
+    h: FloatArray,
+    g: FloatArray,
+    own: FloatArray,
+    work: FloatArray,
+) -> int:
+    """Integrate the kernels of source ``x`` over the element from ``first`` to ``last``.
+
+    Parameters
+    ----------
+    at : local node 0, 1, 2 where x lies on the element, -1 elsewhere.
+    h : (5, 3), set to the integrals of T times shape function (that of node ``at`` left out), by
+        local node; rows rr, rz, zr, zz, theta theta, force direction first.
+    g : (5,), set to the integrals of U.
+    own : (5,), added to: the coefficients of the displacement at x itself.
+    work : (3, _MAX_PARTS), scratch.
+
+    Returns
+    -------
+    Number of kernel evaluations.
+    """
+    xr = x[0]
+    inv_r = 1.0 / xr if xr > 0.0 else 0.0  # on the axis u_r = u_theta = 0: nothing to subtract
+    ar, az = first[0] - xr, first[1] - x[1]
+    dr, dz = last[0] - first[0], last[1] - first[1]
+    length = math.hypot(dr, dz)
+    nr, nz = dz / length, -dr / length
     shear = 0.5 / (1.0 + poisson)
     lame = poisson / ((1.0 + poisson) * (1.0 - 2.0 * poisson))
-    h = np.empty((2, 2, 3))  # force direction, displacement component, local node
-    g = np.empty((2, 2))
-    h_t = np.empty(3)
-    shape = np.empty(3)
-    own = np.empty((2, 2))  # coefficients of the displacement at the collocation point itself
-    part_from = np.empty(_MAX_PARTS)
-    part_to = np.empty(_MAX_PARTS)
+    star_r = 2.0 * (lame + shear) * nr * inv_r  # traction of u* = (r1/r) e_r
+    star_z = 2.0 * lame * nz * inv_r
+    h[:] = 0.0
+    g[:] = 0.0
+    shape, part_from, part_to = work[0], work[1], work[2]
+    parts = 0
+    if at < 0:
+        part_from[0], part_to[0] = 0.0, 1.0
+        parts = 1
+    if at == 0 or at == 1:
+        part_from[parts], part_to[parts] = 0.5 * at, 1.0
+        parts += 1
+    if at == 1 or at == 2:
+        part_from[parts], part_to[parts] = 0.5 * at, 0.0
+        parts += 1
+    evaluations = 0
+    while parts > 0:
+        parts -= 1
+        t0, t1 = part_from[parts], part_to[parts]
+        span = t1 - t0
+        if at >= 0:
+            n = len(rules.singular_points)
+        else:
+            d0 = math.hypot(ar + t0 * dr, az + t0 * dz)
+            d1 = math.hypot(ar + t1 * dr, az + t1 * dz)
+            ratio = (d0 + d1) / (length * span)
+            if ratio < rules.reach[MAX_POINTS] and parts + 2 <= _MAX_PARTS:
+                middle = 0.5 * (t0 + t1)
+                part_from[parts], part_to[parts] = t0, middle
+                part_from[parts + 1], part_to[parts + 1] = middle, t1
+                parts += 2
+                continue
+            n = 1
+            while n < MAX_POINTS and rules.reach[n] > ratio:
+                n += 1
+        evaluations += n
+        for q in range(n):
+            # offsets from the source, without cancellation on its own element
+            if at >= 0:
+                dt = span * rules.singular_points[q]
+                t = t0 + dt
+                a, b = dt * dr, dt * dz
+                w = rules.singular_weights[q] * abs(span) * length
+            else:
+                dt = 0.0
+                t = t0 + span * rules.points[n, q]
+                a, b = ar + t * dr, az + t * dz
+                w = rules.weights[n, q] * span * length
+            u_rr, u_rz, u_zr, u_zz, t_rr, t_rz, t_zr, t_zz, u_tt, t_tt = ring_kernels(
+                xr, a, b, nr, nz, poisson
+            )
+            shape[0] = (1.0 - t) * (1.0 - 2.0 * t)
+            shape[1] = 4.0 * t * (1.0 - t)
+            shape[2] = t * (2.0 * t - 1.0)
+            if at < 0:
+                fz, fr = -1.0, -(xr + a) * inv_r
+            else:  # shape function minus 1, and minus r1/r
+                if at == 0:
+                    fz = dt * (2.0 * dt - 3.0)
+                elif at == 1:
+                    fz = -4.0 * dt * dt
+                else:
+                    fz = dt * (2.0 * dt + 3.0)
+                fr = fz - a * inv_r
+                shape[at] = 0.0
+            for c in range(3):
+                s = w * shape[c]
+                h[0, c] += t_rr * s
+                h[1, c] += t_rz * s
+                h[2, c] += t_zr * s
+                h[3, c] += t_zz * s
+                h[4, c] += t_tt * s
+            g[0] += w * u_rr
+            g[1] += w * u_rz
+            g[2] += w * u_zr
+            g[3] += w * u_zz
+            g[4] += w * u_tt
+            own[0] += w * (t_rr * fr + u_rr * star_r + u_rz * star_z)
+            own[1] += w * t_rz * fz
+            own[2] += w * (t_zr * fr + u_zr * star_r + u_zz * star_z)
+            own[3] += w * t_zz * fz
+            own[4] += w * t_tt * fr
+    return evaluations
+
+
+@njit(cache=True)
+def _assemble_rows(
+    first_node: int,
+    last_node: int,
+    contour: Contour,
+    conditions: Conditions,
+    unknowns: Unknowns,
+    poisson: float,
+    rules: Quadrature,
+    starts: IntArray,
+    matrices: tuple[FloatArray, FloatArray],
+    loads: tuple[FloatArray, FloatArray],
+) -> int:
+    """Fill the rows collocated at nodes first_node <= p < last_node; return kernel evaluations."""
+    nodes, elements = contour.nodes, contour.elements
+    equation, displacement = unknowns.equation, unknowns.displacement
+    h, g, own = np.empty((5, 3)), np.empty(5), np.empty(5)
+    work = np.empty((3, _MAX_PARTS))
     evaluations = 0
     for p in range(first_node, last_node):
-        xr, xz = nodes[p, 0], nodes[p, 1]
-        inv_r = 1.0 / xr if xr > 0.0 else 0.0  # on the axis u_r = u_theta = 0: nothing to subtract
         own[:] = 0.0
-        own_t = 0.0
         for e in range(len(elements)):
-            n0, n2 = elements[e, 0], elements[e, 2]
-            ar, az = nodes[n0, 0] - xr, nodes[n0, 1] - xz
-            dr, dz = nodes[n2, 0] - nodes[n0, 0], nodes[n2, 1] - nodes[n0, 1]
-            length = math.hypot(dr, dz)
-            nr, nz = dz / length, -dr / length
-            star_r = 2.0 * (lame + shear) * nr * inv_r  # traction of u* = (r1/r) e_r
-            star_z = 2.0 * lame * nz * inv_r
-            h[:] = 0.0
-            g[:] = 0.0
-            h_t[:] = 0.0
-            g_t = 0.0
             at = -1
             for c in range(3):
                 if elements[e, c] == p:
                     at = c
-            parts = 0
-            if at < 0:
-                part_from[0], part_to[0] = 0.0, 1.0
-                parts = 1
-            if at == 0 or at == 1:
-                part_from[parts], part_to[parts] = 0.5 * at, 1.0
-                parts += 1
-            if at == 1 or at == 2:
-                part_from[parts], part_to[parts] = 0.5 * at, 0.0
-                parts += 1
-            while parts > 0:
-                parts -= 1
-                t0, t1 = part_from[parts], part_to[parts]
-                span = t1 - t0
-                if at >= 0:
-                    n = len(singular_points)
-                else:
-                    d0 = math.hypot(ar + t0 * dr, az + t0 * dz)
-                    d1 = math.hypot(ar + t1 * dr, az + t1 * dz)
-                    ratio = (d0 + d1) / (length * span)
-                    if ratio < reach[MAX_POINTS] and parts + 2 <= _MAX_PARTS:
-                        middle = 0.5 * (t0 + t1)
-                        part_from[parts], part_to[parts] = t0, middle
-                        part_from[parts + 1], part_to[parts + 1] = middle, t1
-                        parts += 2
-                        continue
-                    n = 1
-                    while n < MAX_POINTS and reach[n] > ratio:
-                        n += 1
-                evaluations += n
-                for q in range(n):
-                    # offsets from the collocation point, free of cancellation on its own element
-                    if at >= 0:
-                        dt = span * singular_points[q]
-                        t = t0 + dt
-                        a, b = dt * dr, dt * dz
-                        w = singular_weights[q] * abs(span) * length
-                    else:
-                        dt = 0.0
-                        t = t0 + span * points[n, q]
-                        a, b = ar + t * dr, az + t * dz
-                        w = weights[n, q] * span * length
-                    (u_rr, u_rz, u_zr, u_zz, t_rr, t_rz, t_zr, t_zz, u_tt, t_tt) = ring_kernels(
-                        xr, a, b, nr, nz, poisson
-                    )
-                    shape[0] = (1.0 - t) * (1.0 - 2.0 * t)
-                    shape[1] = 4.0 * t * (1.0 - t)
-                    shape[2] = t * (2.0 * t - 1.0)
-                    if at < 0:
-                        fz, fr = -1.0, -(xr + a) * inv_r
-                    else:  # shape function minus 1, and minus r1/r
-                        if at == 0:
-                            fz = dt * (2.0 * dt - 3.0)
-                        elif at == 1:
-                            fz = -4.0 * dt * dt
-                        else:
-                            fz = dt * (2.0 * dt + 3.0)
-                        fr = fz - a * inv_r
-                        shape[at] = 0.0
-                    for c in range(3):
-                        s = w * shape[c]
-                        h[0, 0, c] += t_rr * s
-                        h[0, 1, c] += t_rz * s
-                        h[1, 0, c] += t_zr * s
-                        h[1, 1, c] += t_zz * s
-                        h_t[c] += t_tt * s
-                    g[0, 0] += w * u_rr
-                    g[0, 1] += w * u_rz
-                    g[1, 0] += w * u_zr
-                    g[1, 1] += w * u_zz
-                    g_t += w * u_tt
-                    own[0, 0] += w * (t_rr * fr + u_rr * star_r + u_rz * star_z)
-                    own[1, 0] += w * (t_zr * fr + u_zr * star_r + u_zz * star_z)
-                    own[0, 1] += w * t_rz * fz
-                    own[1, 1] += w * t_zz * fz
-                    own_t += w * t_tt * fr
-            for k in range(2):
-                row = equation[p, k] - start[0]
-                if equation[p, k] >= 0:
-                    for i in range(2):
-                        for c in range(3):
-                            column = displacement[elements[e, c], i]
-                            if column >= 0:
-                                a_rz[row, column] += h[k, i, c]
-                        if traction[e, i] >= 0:
-                            a_rz[row, traction[e, i]] -= g[k, i]
-                        if load[e, i] >= 0:
-                            b_rz[row, load[e, i]] += g[k, i] * value[e, i]
-            if equation[p, 2] >= 0:
-                row = equation[p, 2] - start[1]
+            evaluations += _integrate(
+                nodes[p], nodes[elements[e, 0]], nodes[elements[e, 2]], at, poisson, rules,
+                h, g, own, work,
+            )  # fmt: skip
+            for pair in range(5):  # rr, rz, zr, zz of the first system, theta theta of the second
+                k, i = (pair // 2, pair % 2) if pair < 4 else (2, 2)
+                system = 0 if pair < 4 else 1
+                if equation[p, k] < 0:
+                    continue
+                row = equation[p, k] - starts[system]
                 for c in range(3):
-                    column = displacement[elements[e, c], 2]
+                    column = displacement[elements[e, c], i]
                     if column >= 0:
-                        a_t[row, column] += h_t[c]
-                if traction[e, 2] >= 0:
-                    a_t[row, traction[e, 2]] -= g_t
-                if load[e, 2] >= 0:
-                    b_t[row, load[e, 2]] += g_t * value[e, 2]
-        for k in range(2):
-            if equation[p, k] >= 0:
-                for i in range(2):
-                    if displacement[p, i] >= 0:
-                        a_rz[equation[p, k] - start[0], displacement[p, i]] += own[k, i]
-        if equation[p, 2] >= 0 and displacement[p, 2] >= 0:
-            a_t[equation[p, 2] - start[1], displacement[p, 2]] += own_t
+                        matrices[system][row, column] += h[pair, c]
+                if unknowns.traction[e, i] >= 0:
+                    matrices[system][row, unknowns.traction[e, i]] -= g[pair]
+                if conditions.load[e, i] >= 0:
+                    loads[system][row, conditions.load[e, i]] += g[pair] * conditions.traction[e, i]
+        for pair in range(5):
+            k, i = (pair // 2, pair % 2) if pair < 4 else (2, 2)
+            system = 0 if pair < 4 else 1
+            if equation[p, k] >= 0 and displacement[p, i] >= 0:
+                row = equation[p, k] - starts[system]
+                matrices[system][row, displacement[p, i]] += own[pair]
     return evaluations
 
 
@@ -262,29 +290,25 @@ def assemble(
     share = [rank * n_nodes // comm.size for rank in range(comm.size + 1)]
     mine = slice(share[comm.rank], share[comm.rank + 1])
     starts = np.zeros(2, dtype=np.int64)
-    blocks: list[tuple[FloatArray, FloatArray]] = []
-    for number, block in enumerate((slice(0, 2), slice(2, 3))):
+    matrices: list[FloatArray] = []
+    loads: list[FloatArray] = []
+    for system, block in enumerate((slice(0, 2), slice(2, 3))):
         collocated = unknowns.equation[:, block] >= 0
-        starts[number] = np.count_nonzero(collocated[: mine.start])
-        rows, n = np.count_nonzero(collocated[mine]), np.count_nonzero(collocated)
-        blocks.append(
-            (np.zeros((rows, n), order="F"), np.zeros((rows, conditions.n_loads), order="F"))
-        )
+        starts[system] = np.count_nonzero(collocated[: mine.start])
+        rows = np.count_nonzero(collocated[mine])
+        matrices.append(np.zeros((rows, np.count_nonzero(collocated)), order="F"))
+        loads.append(np.zeros((rows, conditions.n_loads), order="F"))
 
-    def run(first: int, last: int) -> int:
+    def fill(first: int, last: int) -> int:
         return _assemble_rows(
-            first, last, contour.nodes, contour.elements, poisson,
-            unknowns.equation, unknowns.displacement, unknowns.traction,
-            conditions.load, conditions.traction,
-            rules.reach, rules.points, rules.weights,
-            rules.singular_points, rules.singular_weights,
-            starts, *blocks[0], *blocks[1],
+            first, last, contour, conditions, unknowns, poisson, rules, starts,
+            (matrices[0], matrices[1]), (loads[0], loads[1]),
         )  # fmt: skip
 
     if comm.size > 1:
         if comm.rank == 0:  # compile once, before the other ranks look into the cache
-            run(0, 0)
+            fill(0, 0)
         comm.Barrier()
-    evaluations = run(mine.start, mine.stop)
-    normal, torsion = (Rows(*block, int(start)) for block, start in zip(blocks, starts, strict=True))
+    evaluations = fill(mine.start, mine.stop)
+    normal, torsion = (Rows(matrices[i], loads[i], int(starts[i])) for i in (0, 1))
     return Assembly(normal, torsion, evaluations)

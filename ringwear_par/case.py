@@ -102,7 +102,7 @@ class Case:
         return Section(ring.r, ring.z[1] - ring.z[0], self.contact)
 
 
-class _Rejected(Exception):
+class _RejectedError(Exception):
     """A value that its key does not allow."""
 
 
@@ -131,14 +131,16 @@ def _is_number(value: Any) -> bool:
 def _number(low: float, high: float = math.inf, *, ends: bool = False) -> tuple[Reader, str]:
     def read(value: Any) -> float:
         if not _is_number(value) or not math.isfinite(value):
-            raise _Rejected
+            raise _RejectedError
         if not (low < value < high or (ends and value in (low, high))):
-            raise _Rejected
+            raise _RejectedError
         return float(value)
 
     sign = ">=" if ends else ">"
     if high < math.inf:
-        allowed = f"a number {'from' if ends else 'between'} {low:g} {'to' if ends else 'and'} {high:g}"
+        allowed = (
+            f"a number {'from' if ends else 'between'} {low:g} {'to' if ends else 'and'} {high:g}"
+        )
     else:
         allowed = f"a finite number {sign} {low:g}"
     return read, allowed
@@ -149,7 +151,7 @@ def _integer(low: int) -> tuple[Reader, str]:
         if isinstance(value, float) and value.is_integer():
             value = int(value)
         if not isinstance(value, int) or isinstance(value, bool) or value < low:
-            raise _Rejected
+            raise _RejectedError
         return value
 
     return read, f"a whole number >= {low}"
@@ -158,11 +160,11 @@ def _integer(low: int) -> tuple[Reader, str]:
 def _pair(low: float) -> tuple[Reader, str]:
     def read(value: Any) -> tuple[float, float]:
         if not isinstance(value, list) or len(value) != 2:
-            raise _Rejected
+            raise _RejectedError
         if not all(_is_number(v) and math.isfinite(v) and v >= low for v in value):
-            raise _Rejected
+            raise _RejectedError
         if not value[0] < value[1]:
-            raise _Rejected
+            raise _RejectedError
         return float(value[0]), float(value[1])
 
     return read, "two increasing numbers" + (f" >= {low:g}" if low > -math.inf else "")
@@ -171,7 +173,7 @@ def _pair(low: float) -> tuple[Reader, str]:
 def _choice(*names: str) -> tuple[Reader, str]:
     def read(value: Any) -> str:
         if value not in names:
-            raise _Rejected
+            raise _RejectedError
         return str(value)
 
     return read, " or ".join(f'"{name}"' for name in names)
@@ -180,7 +182,7 @@ def _choice(*names: str) -> tuple[Reader, str]:
 def _names(*names: str) -> tuple[Reader, str]:
     def read(value: Any) -> tuple[str, ...]:
         if not isinstance(value, list) or not all(v in names for v in value):
-            raise _Rejected
+            raise _RejectedError
         return tuple(name for name in names if name in value)
 
     return read, "a list of " + ", ".join(f'"{name}"' for name in names)
@@ -188,7 +190,7 @@ def _names(*names: str) -> tuple[Reader, str]:
 
 def _text(value: Any) -> str:
     if not isinstance(value, str):
-        raise _Rejected
+        raise _RejectedError
     return value
 
 
@@ -365,7 +367,7 @@ def parse_case(text: str, name: str, overrides: Mapping[str, Any] | None = None)
             key = _BY_PATH[path]
             try:
                 values[path] = key.read(value)
-            except _Rejected:
+            except _RejectedError:
                 unit = "" if key.unit in ("-", "1") else f" ({key.unit})"
                 faults.append(
                     f"{origin[path]}{path} = {toml_value(value)}: must be {key.allowed}{unit}"
@@ -378,7 +380,8 @@ def parse_case(text: str, name: str, overrides: Mapping[str, Any] | None = None)
         else:
             faults.append(f"{origin[path]}{path}: unknown key{_nearest(path)}")
     wears = {
-        f"wear.{ring}": any(p.startswith(f"wear.{ring}") for p in flat) for ring in ("lower", "upper")
+        f"wear.{ring}": any(p.startswith(f"wear.{ring}") for p in flat)
+        for ring in ("lower", "upper")
     }
     for key in KEYS:
         if key.path not in flat:
@@ -449,7 +452,8 @@ def _inconsistencies(name: str, values: Mapping[str, Any]) -> list[str]:
 
 def _build(values: Mapping[str, Any], wears: Mapping[str, bool], text: str) -> Case:
     def ring(which: str, grip: Grip) -> Ring:
-        return Ring(*(values[f"{which}.{k}"] for k in ("r", "z", "young", "poisson")), grip)
+        r, z, young, poisson = (values[f"{which}.{k}"] for k in ("r", "z", "young", "poisson"))
+        return Ring(r, z, young, poisson, grip)
 
     def law(which: str) -> WearLaw | None:
         if not wears[f"wear.{which}"]:

@@ -60,7 +60,7 @@ class ContactState:
 
 @dataclass(frozen=True)
 class WarmStart:
-    """Where the next solve starts: with it, a restarted run repeats an uninterrupted one bit by bit.
+    """Where the next solve starts; with it, a restarted run repeats an uninterrupted one exactly.
 
     Parameters
     ----------
@@ -104,9 +104,7 @@ class ContactSolver:
         options = PETSc.Options(PREFIX)
         tao_type = options.getString("tao_type", "python" if small else "tron")
         if tao_type not in TAO_TYPES:
-            raise InputError(
-                f"-{PREFIX}tao_type {tao_type}: must be one of {', '.join(TAO_TYPES)}"
-            )
+            raise InputError(f"-{PREFIX}tao_type {tao_type}: must be one of {', '.join(TAO_TYPES)}")
         self.distributed = not small and tao_type != "python"
         self._comm = comm if self.distributed else MPI.COMM_SELF
         self._area = area
@@ -119,9 +117,7 @@ class ContactSolver:
         rows = (here.stop - here.start, n)
         sizes = ((rows[0], n), (rows[0], n))
         self._a = PETSc.Mat().createDense(sizes, array=np.asfortranarray(scaled), comm=self._comm)
-        self._h = PETSc.Mat().createDense(
-            sizes, array=np.array(scaled, order="F"), comm=self._comm
-        )
+        self._h = PETSc.Mat().createDense(sizes, array=np.array(scaled, order="F"), comm=self._comm)
         self._diagonal = self._x.duplicate()
         self._lower, self._upper = self._x.duplicate(), self._x.duplicate()
         self._upper.set(PETSc.INFINITY)
@@ -273,7 +269,8 @@ class ContactSolver:
         else:
             last_gap, last_approach, last_force = self._last
         stiffness = float(area @ rate)
-        approach = last_approach + (force - last_force + rate @ (area * (gap - last_gap))) / stiffness
+        growth = float(rate @ (area * (gap - last_gap)))
+        approach = last_approach + (force - last_force + growth) / stiffness
         low, high = -np.inf, np.inf
         before: tuple[FloatArray, float] | None = None
         total = 0

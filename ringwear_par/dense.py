@@ -30,7 +30,7 @@ def _matrix(local: FloatArray, columns: tuple[int, int], comm: MPI.Comm) -> PETS
 
 
 def solve_rows(rows: Rows, comm: MPI.Comm) -> tuple[FloatArray, int]:
-    """Solve ``matrix @ x = loads``; return some rows of x, (local, n_loads), and the first's number.
+    """Solve ``matrix @ x = loads``; return some rows of x, (local, n_loads), and where they start.
 
     Collective on comm. The right-hand sides are solved together by the factored matrix, or one
     after another where the preconditioner is not a factorisation. Which rows of x a rank gets is

@@ -45,7 +45,7 @@ def on_first_rank(comm: MPI.Comm, action: Callable[[], T]) -> T:
     result = comm.bcast(result)
     if isinstance(result, RingwearError):
         raise result
-    return result  # type: ignore[no-any-return]
+    return result
 
 
 def run_case(
@@ -138,7 +138,7 @@ def summary(case: Case, pair: ContactPair, state: State, recorder: Recorder) -> 
     """Return the end of a run in a few lines, balances included. Not collective."""
     scalars, last = recorder.scalars, recorder.stored - 1
     balances, p = state.balances, state.contact.pressure
-    depths = [f"{name} {1e3 * w.max():.4f}" for name, w in zip(("lower", "upper"), state.wear)]
+    lower, upper = 1e3 * state.wear.max(axis=1)
     energy_holds = any(law is not None and law.proportional for law in case.laws)
     lines = [
         *([case.title] if case.title else []),
@@ -147,7 +147,7 @@ def summary(case: Case, pair: ContactPair, state: State, recorder: Recorder) -> 
         f"approach {state.contact.approach:.7f} mm, "
         f"penetration {1e3 * scalars['penetration'][last]:.4f} um, "
         f"force {state.contact.force:.6g} N, torque {scalars['torque'][last]:.6g} N mm",
-        f"deepest wear {', '.join(depths)} um; "
+        f"deepest wear lower {lower:.4f}, upper {upper:.4f} um; "
         f"worn volume lower {scalars['worn_volume_lower'][last]:.6g}, "
         f"upper {scalars['worn_volume_upper'][last]:.6g} mm3; "
         f"energy dissipated {state.energy:.6g} N mm",

@@ -7,6 +7,7 @@ same compliance, so one description serves both.
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -103,9 +104,10 @@ class ContactLine:
         return len(self.edges) - 1
 
 
-@dataclass(frozen=True)
-class Contour:
+class Contour(NamedTuple):
     """Straight quadratic elements along a section's boundary, counter-clockwise.
+
+    A named tuple because compiled code reads it.
 
     Parameters
     ----------

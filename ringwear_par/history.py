@@ -169,7 +169,7 @@ class WearHistory:
                 energy = max(energy, abs(volume / (law.proportional * state.energy) - 1.0))
         now = Balances(
             abs(state.contact.force / force - 1.0) if force is not None else 0.0,
-            abs(friction / power - 1.0) if power > 0.0 else 0.0,
+            abs(float(friction) / power - 1.0) if power > 0.0 else 0.0,
             float(np.abs(volumes - state.worn).max()) / total if total > 0.0 else 0.0,
             energy,
             state.contact.residual,

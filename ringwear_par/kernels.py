@@ -134,16 +134,12 @@ def ring_kernels(r: float, a: float, b: float, nr: float, nz: float, nu: float) 
     g2 = n0 * i52 + n1 * i53
     # the antisymmetric part for rr: R.e_r(y) n.e_r(x) - R.e_r(x) n.e_r(y) = 2 y1 nr (s2 - s2^2)
     t_rr = ct * (
-        k2 * (m0 - 2.0 * m1 + 2.0 * y1 * nr * (i31 - i32))
-        + 3.0 * (a * a * g0 + q1 * g1 + q2 * g2)
+        k2 * (m0 - 2.0 * m1 + 2.0 * y1 * nr * (i31 - i32)) + 3.0 * (a * a * g0 + q1 * g1 + q2 * g2)
     )
     t_rz = ct * (
-        3.0 * b * (a * g0 - x1 * g1)
-        + k2 * (b * nr * (i30 - 2.0 * i31) - nz * (a * i30 - x1 * i31))
+        3.0 * b * (a * g0 - x1 * g1) + k2 * (b * nr * (i30 - 2.0 * i31) - nz * (a * i30 - x1 * i31))
     )
-    t_zr = ct * (
-        3.0 * b * (a * g0 + y1 * g1) + k2 * (nz * (a * i30 + y1 * i31) - b * nr * i30)
-    )
+    t_zr = ct * (3.0 * b * (a * g0 + y1 * g1) + k2 * (nz * (a * i30 + y1 * i31) - b * nr * i30))
     t_zz = ct * (k2 * m0 + 3.0 * b * b * g0)
 
     cosine = i10 - 2.0 * i11

@@ -27,7 +27,7 @@ class ActiveSetNewton:
         self._free: BoolArray | None = None
         self._state = -1
 
-    def setUp(self, tao: PETSc.TAO) -> None:  # noqa: N802 (PETSc's name)
+    def setUp(self, tao: PETSc.TAO) -> None:
         """Make the work vector."""
         self.destroy(tao)
         self._gradient = tao.getSolution().duplicate()
@@ -88,7 +88,7 @@ class ActiveSetNewton:
         hessian = tao.getHessian()[0]
         tao.computeHessian(solution, hessian)
         state = hessian.stateGet()
-        if self._factor is None or state != self._state or not np.array_equal(free, self._free):
+        if self._factor is None or state != self._state or not self._same_set(free):
             block = hessian.getDenseArray(readonly=True)
             if not free.all():
                 block = block[np.ix_(free, free)]
@@ -99,6 +99,9 @@ class ActiveSetNewton:
             self._state, self._free = state, free.copy()
         step, _ = dpotrs(self._factor, gradient[free], lower=1)
         return -step
+
+    def _same_set(self, free: BoolArray) -> bool:
+        return self._free is not None and bool((free == self._free).all())
 
     def _search(
         self,

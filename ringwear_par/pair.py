@@ -91,7 +91,7 @@ def contact_pair(case: Case, comm: MPI.Comm) -> tuple[ContactPair, BodyCost]:
         sum(body.response.seconds_solution for body in bodies),
     )
     line = contact_line(case.contact, case.mesh)
-    return join(line, *bodies, (case.lower.young, case.upper.young)), cost
+    return join(line, bodies[0], bodies[1], (case.lower.young, case.upper.young)), cost
 
 
 def memory_needed(case: Case, ranks: int) -> float:
@@ -102,7 +102,9 @@ def memory_needed(case: Case, ranks: int) -> float:
     and its copies.
     """
     n = float(case.mesh.contact_elements)
-    unknowns = 4.0 * max(count_elements(case.section(r), case.mesh) for r in (case.lower, case.upper))
+    unknowns = 4.0 * max(
+        count_elements(case.section(r), case.mesh) for r in (case.lower, case.upper)
+    )
     return 8.0 * (2.5 * unknowns**2 + 4.0 * unknowns * n + ranks * 8.0 * n**2)
 
 

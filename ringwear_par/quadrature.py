@@ -11,7 +11,7 @@ f(t) + g(t) log t with f, g smooth; t = tau^4 turns the logarithm into a weak si
 order for Gauss points in tau.
 """
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -22,9 +22,8 @@ _SINGULAR_POINTS = 12
 _SINGULAR_POWER = 4
 
 
-@dataclass(frozen=True)
-class Quadrature:
-    """Rules on [0, 1].
+class Quadrature(NamedTuple):
+    """Rules on [0, 1]; a named tuple because compiled code reads it.
 
     Parameters
     ----------
@@ -54,6 +53,4 @@ def quadrature(tolerance: float) -> Quadrature:
     x, w = np.polynomial.legendre.leggauss(_SINGULAR_POINTS)
     tau = 0.5 * (x + 1.0)
     power = _SINGULAR_POWER
-    return Quadrature(
-        reach, points, weights, tau**power, 0.5 * w * power * tau ** (power - 1)
-    )
+    return Quadrature(reach, points, weights, tau**power, 0.5 * w * power * tau ** (power - 1))

@@ -179,7 +179,10 @@ def _write(
         variable(name, data, (), "1", text)
         file[name].make_scale(name)
     for name, table in recorder.scalars.items():
-        variable(name, table[:rows], ("step",), *SCALARS[name])
+        whole = name == "contact_iterations"
+        variable(
+            name, table[:rows].astype(int) if whole else table[:rows], ("step",), *SCALARS[name]
+        )
     variable("r", line.r, ("element",), "mm", "radius of the element's mid-point")
     variable("width", line.width, ("element",), "mm", "radial length of the element")
     for name, table in recorder.fields.items():

@@ -1,0 +1,166 @@
+"""Figures from stored results: worn profiles, penetration histories, pressure profiles."""
+
+from collections.abc import Callable, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import matplotlib
+import numpy as np
+from matplotlib.figure import Figure
+
+from ringwear_par.driver import check_writable
+from ringwear_par.errors import InputError
+from ringwear_par.results import Result, read_result
+
+_STYLE: dict[Any, Any] = {
+    "font.size": 9.0,
+    "axes.titlesize": 9.0,
+    "legend.fontsize": 8.0,
+    "lines.linewidth": 1.3,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "savefig.dpi": 200,
+}
+#: line styles that stay apart in print without colour
+_DASHES = ("-", "--", "-.", ":", (0, (5, 1, 1, 1, 1, 1)))
+_COLUMNS = 3
+_COLOURS = ("#1b4f8a", "#c1440e", "#3a7d44", "#6a4c93", "#444444")
+
+
+def plot_files(
+    paths: Sequence[Path], output: Path, panels: str = "wear,penetration", steps: str = ""
+) -> None:
+    """Draw the panels of one or more result files side by side. On one rank.
+
+    Profiles (``wear``, ``pressure``) are drawn of every file, one panel each; the histories of all
+    files share a panel (``penetration``).
+
+    Parameters
+    ----------
+    paths : result files.
+    output : picture; its ending chooses the format.
+    panels : comma-separated names.
+    steps : comma-separated step numbers of the profiles; "" for the first step and four quarters.
+
+    Raises
+    ------
+    InputError : a file that is not a result, an unknown panel or format, a step not stored.
+    """
+    check_writable(output)
+    formats = Figure().canvas.get_supported_filetypes()
+    if output.suffix[1:].lower() not in formats:
+        raise InputError(f"{output}: its ending must be one of {', '.join(sorted(formats))}")
+    results = [read_result(path) for path in paths]
+    drawings: list[Callable[..., None]] = []
+    for panel in panels.split(","):
+        if panel == "penetration":
+            drawings.append(partial(_penetration, results=results))
+        elif panel in ("wear", "pressure"):
+            for result in results:
+                profile = _wear if panel == "wear" else _pressure
+                drawings.append(partial(profile, result=result, rows=_rows(result, steps)))
+        else:
+            raise InputError(
+                f"--panels {panels}: {panel!r} must be one of wear, penetration, pressure"
+            )
+    with matplotlib.rc_context(_STYLE):
+        columns = min(len(drawings), _COLUMNS)
+        rows = -(-len(drawings) // columns)
+        figure = Figure(figsize=(3.6 * columns, 3.3 * rows), layout="constrained")
+        for number, draw in enumerate(drawings):
+            draw(figure.add_subplot(rows, columns, number + 1))
+        titles = {str(result.attributes["title"]) for result in results} - {""}
+        if len(titles) == 1:
+            figure.suptitle(titles.pop(), fontsize=8.0)
+        temporary = output.with_name(f".{output.stem}.tmp{output.suffix}")
+        figure.savefig(temporary)
+        temporary.replace(output)
+
+
+def _rows(result: Result, steps: str) -> list[int]:
+    stored, last = result.steps, int(result.steps[-1])
+    if not steps:
+        wished = np.unique([1, *(round(last * q / 4) for q in (1, 2, 3)), last])
+        return sorted({int(np.abs(stored - s).argmin()) for s in wished})
+    rows = []
+    for word in steps.split(","):
+        if not word.strip().isdigit() or int(word) not in stored:
+            raise InputError(
+                f"--steps {steps}: {word!r} is not a stored step of {result.path}; "
+                f"must be among 0..{last} as stored (output.every)"
+            )
+        rows.append(int(np.flatnonzero(stored == int(word))[0]))
+    return rows
+
+
+def _field(result: Result, name: str) -> Any:
+    if name not in result.fields:
+        raise InputError(
+            f"{result.path}: does not hold {name}; output.fields of its case left it out"
+        )
+    return result.fields[name]
+
+
+def _label(result: Result) -> str:
+    return result.path.stem
+
+
+def _profiles(axes: Any, result: Result, rows: Sequence[int], curve: Callable[[int], Any]) -> None:
+    time = result.scalars["time"]
+    for number, row in enumerate(rows):
+        axes.plot(
+            result.line.r, curve(row), color=_COLOURS[number % len(_COLOURS)],
+            linestyle=_DASHES[number % len(_DASHES)], label=f"{time[row]:g} s",
+        )  # fmt: skip
+    axes.set_xlabel("distance to axis (mm)")
+    axes.set_title(_label(result))
+
+
+def _wear(axes: Any, result: Result, rows: Sequence[int]) -> None:
+    """Worn profiles: the contact face of lower falls below 0, that of upper rises above it."""
+    inner, outer = result.line.edges[[0, -1]]
+    margin = 0.15 * (outer - inner)
+    lower, upper = _field(result, "wear_lower"), _field(result, "wear_upper")
+    _profiles(axes, result, rows, lambda row: -1e3 * lower[row])
+    if upper.any():
+        for number, row in enumerate(rows):
+            axes.plot(
+                result.line.r, 1e3 * upper[row], color=_COLOURS[number % len(_COLOURS)],
+                linestyle=_DASHES[number % len(_DASHES)],
+            )  # fmt: skip
+        axes.set_ylabel("worn profiles (\N{MICRO SIGN}m): lower < 0 < upper")
+    else:
+        axes.set_ylabel("wear depth (\N{MICRO SIGN}m)")
+    axes.plot([inner - margin, inner], [0, 0], color="0.4", linewidth=0.8)
+    axes.plot([outer, outer + margin], [0, 0], color="0.4", linewidth=0.8)
+    axes.set_xlim(inner - margin, outer + margin)
+    low, high = axes.get_ylim()
+    axes.set_ylim(low - 0.3 * (high - low), high)  # room for the legend
+    axes.legend(frameon=False, loc="lower center", ncols=3, columnspacing=1.0)
+
+
+def _pressure(axes: Any, result: Result, rows: Sequence[int]) -> None:
+    """Contact pressure along the contact line; the singular edges of the first instant are cut."""
+    pressure = _field(result, "pressure")
+    _profiles(axes, result, rows, lambda row: pressure[row])
+    mean = result.scalars["force"] / result.line.area.sum()
+    top = 3.0 * float(mean[list(rows)].max())
+    if top > 0.0:
+        axes.set_ylim(0.0, min(top, 1.1 * float(pressure[list(rows)].max())))
+    axes.set_ylabel("contact pressure (MPa)")
+    axes.legend(title="time", frameon=False)
+
+
+def _penetration(axes: Any, results: Sequence[Result]) -> None:
+    for number, result in enumerate(results):
+        axes.plot(
+            result.scalars["time"], 1e3 * result.scalars["penetration"],
+            color=_COLOURS[number % len(_COLOURS)], linestyle=_DASHES[number % len(_DASHES)],
+            label=_label(result),
+        )  # fmt: skip
+    axes.set_xlim(left=0.0)
+    axes.set_ylim(bottom=0.0)
+    axes.set_xlabel("time (s)")
+    axes.set_ylabel("penetration depth (\N{MICRO SIGN}m)")
+    axes.legend(frameon=False)
