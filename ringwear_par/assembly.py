@@ -19,6 +19,9 @@ from ringwear_par.kernels import ring_kernels
 from ringwear_par.quadrature import MAX_POINTS, Quadrature
 
 _MAX_PARTS = 128
+# the integrals of a source and an element, rr, rz, zr, zz, theta theta: force and component
+_FORCE = np.array([0, 0, 1, 1, 2])
+_COMPONENT = np.array([0, 1, 0, 1, 2])
 
 
 class Conditions(NamedTuple):
@@ -101,9 +104,10 @@ def number_unknowns(contour: Contour, conditions: Conditions) -> Unknowns:
 
 @njit(cache=True)
 def _integrate(
-    x: FloatArray,
-    first: FloatArray,
-    last: FloatArray,
+    nodes: FloatArray,
+    p: int,
+    first: int,
+    last: int,
     at: int,
     poisson: float,
     rules: Quadrature,
@@ -112,25 +116,25 @@ def _integrate(
     own: FloatArray,
     work: FloatArray,
 ) -> int:
-    """Integrate the kernels of source ``x`` over the element from ``first`` to ``last``.
+    """Integrate the kernels of source node p over the element from node first to node last.
 
     Parameters
     ----------
-    at : local node 0, 1, 2 where x lies on the element, -1 elsewhere.
+    at : local node 0, 1, 2 where p lies on the element, -1 elsewhere.
     h : (5, 3), set to the integrals of T times shape function (that of node ``at`` left out), by
         local node; rows rr, rz, zr, zz, theta theta, force direction first.
     g : (5,), set to the integrals of U.
-    own : (5,), added to: the coefficients of the displacement at x itself.
+    own : (5,), added to: the coefficients of the displacement at p itself.
     work : (3, _MAX_PARTS), scratch.
 
     Returns
     -------
     Number of kernel evaluations.
     """
-    xr = x[0]
+    xr = nodes[p, 0]
     inv_r = 1.0 / xr if xr > 0.0 else 0.0  # on the axis u_r = u_theta = 0: nothing to subtract
-    ar, az = first[0] - xr, first[1] - x[1]
-    dr, dz = last[0] - first[0], last[1] - first[1]
+    ar, az = nodes[first, 0] - xr, nodes[first, 1] - nodes[p, 1]
+    dr, dz = nodes[last, 0] - nodes[first, 0], nodes[last, 1] - nodes[first, 1]
     length = math.hypot(dr, dz)
     nr, nz = dz / length, -dr / length
     shear = 0.5 / (1.0 + poisson)
@@ -234,42 +238,50 @@ def _assemble_rows(
     loads: tuple[FloatArray, FloatArray],
 ) -> int:
     """Fill the rows collocated at nodes first_node <= p < last_node; return kernel evaluations."""
-    nodes, elements = contour.nodes, contour.elements
-    equation, displacement = unknowns.equation, unknowns.displacement
+    elements, load = contour.elements, conditions.load
+    displacement, traction = unknowns.displacement, unknowns.traction
     h, g, own = np.empty((5, 3)), np.empty(5), np.empty(5)
     work = np.empty((3, _MAX_PARTS))
+    # a node's rows are gathered here, side by side, and copied once into the column-major matrices
+    lines = np.empty((3, max(matrices[0].shape[1], matrices[1].shape[1])))
+    rights = np.empty((3, loads[0].shape[1]))
     evaluations = 0
     for p in range(first_node, last_node):
         own[:] = 0.0
+        lines[:] = 0.0
+        rights[:] = 0.0
         for e in range(len(elements)):
             at = -1
             for c in range(3):
                 if elements[e, c] == p:
                     at = c
             evaluations += _integrate(
-                nodes[p], nodes[elements[e, 0]], nodes[elements[e, 2]], at, poisson, rules,
+                contour.nodes, p, elements[e, 0], elements[e, 2], at, poisson, rules,
                 h, g, own, work,
             )  # fmt: skip
-            for pair in range(5):  # rr, rz, zr, zz of the first system, theta theta of the second
-                k, i = (pair // 2, pair % 2) if pair < 4 else (2, 2)
-                system = 0 if pair < 4 else 1
-                if equation[p, k] < 0:
-                    continue
-                row = equation[p, k] - starts[system]
+            for pair in range(5):
+                k, i = _FORCE[pair], _COMPONENT[pair]
                 for c in range(3):
                     column = displacement[elements[e, c], i]
                     if column >= 0:
-                        matrices[system][row, column] += h[pair, c]
-                if unknowns.traction[e, i] >= 0:
-                    matrices[system][row, unknowns.traction[e, i]] -= g[pair]
-                if conditions.load[e, i] >= 0:
-                    loads[system][row, conditions.load[e, i]] += g[pair] * conditions.traction[e, i]
+                        lines[k, column] += h[pair, c]
+                if traction[e, i] >= 0:
+                    lines[k, traction[e, i]] -= g[pair]
+                if load[e, i] >= 0:
+                    rights[k, load[e, i]] += g[pair] * conditions.traction[e, i]
         for pair in range(5):
-            k, i = (pair // 2, pair % 2) if pair < 4 else (2, 2)
-            system = 0 if pair < 4 else 1
-            if equation[p, k] >= 0 and displacement[p, i] >= 0:
-                row = equation[p, k] - starts[system]
-                matrices[system][row, displacement[p, i]] += own[pair]
+            column = displacement[p, _COMPONENT[pair]]
+            if column >= 0:
+                lines[_FORCE[pair], column] += own[pair]
+        for k in range(3):
+            if unknowns.equation[p, k] >= 0:
+                system = 0 if k < 2 else 1
+                row = unknowns.equation[p, k] - starts[system]
+                matrix, right = matrices[system], loads[system]
+                for column in range(matrix.shape[1]):
+                    matrix[row, column] = lines[k, column]
+                for column in range(right.shape[1]):
+                    right[row, column] = rights[k, column]
     return evaluations
 
 

@@ -250,9 +250,12 @@ KEYS: tuple[Key, ...] = (
     ),
     Key(
         "mesh.quadrature_tolerance", *_number(1e-14, 1e-2, ends=True), "1",
-        "relative accuracy of the element integrals", 1e-8,
+        "relative accuracy of the element integrals", 1e-7,
     ),
-    Key("mesh.geometry", *_choice("fixed"), "-", "the worn profile enters through the gap", "fixed"),
+    Key(
+        "mesh.geometry", *_choice("fixed"), "-",
+        "fixed: the worn profile enters through the gap, not the mesh", "fixed",
+    ),
     Key("output.every", *_integer(1), "steps", "store every so many steps, and the last", 1),
     Key("output.fields", *_names(*FIELDS), "-", "fields stored along the contact line", FIELDS),
 )  # fmt: skip

@@ -132,14 +132,20 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         args = _parser().parse_args(words[:cut])
         _check_launch(comm.size)
-        petsc4py.init(["ringwear", *words[cut + 1 :]])
-        return _dispatch(args, comm)
+        # Python's own handling of signals: checkpoints on SIGTERM, quiet ends of pipes
+        petsc4py.init(["ringwear", "-no_signal_handler", *words[cut + 1 :]])
+        status = _dispatch(args, comm)
+        sys.stdout.flush()
+        return status
     except RingwearError as error:
         # raised on all ranks alike: said by the first
         if comm.rank == 0:
             print("\n".join(f"ringwear: {line}" for line in str(error).splitlines()),
                   file=sys.stderr, flush=True)  # fmt: skip
         return error.exit_status
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 1
     except Exception:
         traceback.print_exc()
         sys.stderr.flush()

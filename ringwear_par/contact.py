@@ -202,11 +202,14 @@ class ContactSolver:
         self, gap: FloatArray, approach: float, wear: StepWear | None
     ) -> tuple[FloatArray, int, float]:
         """Return pressure, TAO iterations and relative KKT residual at a given approach."""
+        if gap.min() >= approach:  # nothing overlaps
+            self._x.set(0.0)
+            return np.zeros_like(gap), 0, 0.0
         here = self._here
         self._wear = wear.part(here) if wear is not None and self.distributed else wear
         self._linear = self._weight * (gap[here] - approach)
         size = float(np.linalg.norm(self._area / self._scale * (gap - approach)))
-        self._tao.setTolerances(gatol=1e-12 * size + 1e-300, grtol=0.0, gttol=0.0)
+        self._tao.setTolerances(gatol=1e-12 * size, grtol=0.0, gttol=0.0)
         self._tao.solve()
         reason, iterations = self._tao.getConvergedReason(), self._tao.getIterationNumber()
         q = self._x.getArray(readonly=True)
@@ -219,7 +222,7 @@ class ContactSolver:
             p = np.concatenate(self._comm.allgather(q)) / self._scale
         else:
             p = q / self._scale
-        residual = worst / largest if largest > 0.0 else worst / max(size, 1e-300)
+        residual = worst / largest if largest > 0.0 else np.inf
         if not (residual <= KKT_TOLERANCE):
             raise ComputationError(
                 f"contact: TAO {self.tao_type} ended with reason {reason} after {iterations} "
@@ -263,6 +266,7 @@ class ContactSolver:
     def _search_approach(
         self, gap: FloatArray, force: float, wear: StepWear | None
     ) -> tuple[FloatArray, float, int, float]:
+        """Find the approach: secant steps, or bisection where they do not halve the imbalance."""
         area, rate = self._area, self._rate
         if self._last is None:
             last_gap, last_approach, last_force = gap, float(area @ gap / area.sum()), 0.0
@@ -270,9 +274,9 @@ class ContactSolver:
             last_gap, last_approach, last_force = self._last
         stiffness = float(area @ rate)
         growth = float(rate @ (area * (gap - last_gap)))
-        approach = last_approach + (force - last_force + growth) / stiffness
-        low, high = -np.inf, np.inf
-        before: tuple[FloatArray, float] | None = None
+        low, high = float(gap.min()), np.inf  # no contact, no force at low
+        approach = max(last_approach + (force - last_force + growth) / stiffness, low)
+        before: tuple[FloatArray, float, float] | None = None
         total = 0
         for _ in range(_MAX_APPROACHES):
             p, iterations, residual = self._solve_at(gap, approach, wear)
@@ -280,19 +284,21 @@ class ContactSolver:
             excess = float(area @ p) - force
             if abs(excess) <= FORCE_TOLERANCE * force:
                 break
-            if excess > 0.0:
-                high = approach
-            else:
-                low = approach
-            if before is not None and abs(approach - before[1]) > 1e-9 * abs(approach):
-                rate = (p - before[0]) / (approach - before[1])
-                stiffness = float(area @ rate) or stiffness
-            before = p, approach
+            low, high = (low, approach) if excess > 0.0 else (approach, high)
+            slow = False
+            if before is not None:
+                p_before, approach_before, excess_before = before
+                slow = abs(excess) > 0.5 * abs(excess_before)
+                if abs(approach - approach_before) > 1e-9 * abs(approach):
+                    rate = (p - p_before) / (approach - approach_before)
+                    stiffness = float(area @ rate) or stiffness
+            before = p, approach, excess
             following = approach - excess / stiffness
-            if not low < following < high:
-                following = 0.5 * (low + high)
-                if not np.isfinite(following):
-                    following = approach - 2.0 * excess / stiffness
+            if high < np.inf:
+                if slow or not low < following < high:
+                    following = 0.5 * (low + high)
+            elif slow:
+                following = approach - 2.0 * excess / stiffness
             if following == approach:
                 break
             approach = following

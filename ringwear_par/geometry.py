@@ -36,7 +36,7 @@ class Mesh:
 
     contact_elements: int = 64
     grading: float = 2.5
-    quadrature_tolerance: float = 1e-8
+    quadrature_tolerance: float = 1e-7
 
 
 @dataclass(frozen=True)

@@ -144,5 +144,5 @@ def ring_kernels(r: float, a: float, b: float, nr: float, nz: float, nu: float) 
 
     cosine = i10 - 2.0 * i11
     u_tt = r1 / (4.0 * math.pi * shear) * cosine
-    t_tt = -r1 / (4.0 * math.pi) * (m0 - 2.0 * m1 + nr / r1 * cosine)
+    t_tt = -(r1 * (m0 - 2.0 * m1) + nr * cosine) / (4.0 * math.pi)
     return u_rr, u_rz, u_zr, u_zz, t_rr, t_rz, t_zr, t_zz, u_tt, t_tt

@@ -85,6 +85,8 @@ class ActiveSetNewton:
     def _newton_step(
         self, tao: PETSc.TAO, solution: PETSc.Vec, gradient: FloatArray, free: BoolArray
     ) -> FloatArray:
+        if not free.any():
+            return np.empty(0)
         hessian = tao.getHessian()[0]
         tao.computeHessian(solution, hessian)
         state = hessian.stateGet()

@@ -7,7 +7,7 @@ are the element's ends, so with d1, d2 the distances from the source to them and
 close for ``MAX_POINTS`` are halved until their parts are not.
 
 Elements that hold the source: on each side of it the regularised integrand is
-f(t) + g(t) log t with f, g smooth; t = tau^4 turns the logarithm into a weak singularity of high
+f(t) + g(t) log t with f, g smooth; t = tau^5 turns the logarithm into a weak singularity of high
 order for Gauss points in tau.
 """
 
@@ -18,8 +18,10 @@ import numpy as np
 from ringwear_par.geometry import FloatArray
 
 MAX_POINTS = 16
-_SINGULAR_POINTS = 12
-_SINGULAR_POWER = 4
+# the factor before rho^(-2n): the traction kernel has poles of second order
+_SAFETY = 0.02
+_SINGULAR_POINTS = 16
+_SINGULAR_POWER = 5
 
 
 class Quadrature(NamedTuple):
@@ -45,7 +47,7 @@ def quadrature(tolerance: float) -> Quadrature:
     points = np.zeros((MAX_POINTS + 1, MAX_POINTS))
     weights = np.zeros_like(points)
     for n in range(1, MAX_POINTS + 1):
-        rho = tolerance ** (-0.5 / n)
+        rho = (_SAFETY * tolerance) ** (-0.5 / n)
         reach[n] = 0.5 * (rho + 1.0 / rho)
         x, w = np.polynomial.legendre.leggauss(n)
         points[n, :n] = 0.5 * (x + 1.0)

@@ -1,0 +1,81 @@
+"""Serial and parallel runs of the same tests; a rank that fails does not leave the others waiting.
+
+Run as ``pytest`` or as ``mpirun -n 2 python -m pytest --with-mpi``.
+"""
+
+import os
+import sys
+import time
+
+import pytest
+
+#: the environment before MPI adds to it: what a user's shell gives to a command
+SHELL_ENVIRONMENT = dict(os.environ)
+#: seconds that a rank waits for the others after a test
+GRACE = 60.0
+
+
+def pytest_configure(config):
+    import petsc4py
+
+    petsc4py.init(["pytest", "-no_signal_handler"])
+    from mpi4py import MPI
+
+    config.addinivalue_line("markers", "serial: starts programs of its own; skipped under mpirun")
+    config._sync = MPI.COMM_WORLD.Dup() if MPI.COMM_WORLD.size > 1 else None
+    config._failures = []
+
+
+def pytest_collection_modifyitems(config, items):
+    if config._sync is not None:
+        for item in items:
+            if item.get_closest_marker("serial"):
+                item.add_marker(pytest.mark.skip(reason="starts programs of its own"))
+
+
+@pytest.hookimpl(hookwrapper=True)
+def pytest_runtest_makereport(item, call):
+    outcome = yield
+    report = outcome.get_result()
+    if report.failed:
+        item.config._failures.append(f"{report.nodeid}\n{report.longreprtext}")
+
+
+@pytest.hookimpl(hookwrapper=True, tryfirst=True)
+def pytest_runtest_protocol(item, nextitem):
+    yield
+    sync = item.config._sync
+    if sync is None:
+        return
+    request, started = sync.Ibarrier(), time.monotonic()
+    while not request.Test():
+        if time.monotonic() - started > GRACE:
+            text = "\n".join(item.config._failures) or "no failure here"
+            sys.__stderr__.write(f"rank {sync.rank} waited {GRACE:g} s after {item.nodeid}\n{text}\n")
+            sys.__stderr__.flush()
+            sync.Abort(1)
+        time.sleep(0.001)
+
+
+@pytest.fixture(scope="session")
+def comm():
+    from mpi4py import MPI
+
+    return MPI.COMM_WORLD
+
+
+@pytest.fixture
+def shared_path(tmp_path, comm):
+    """A folder that is the same on all ranks."""
+    return comm.bcast(tmp_path)
+
+
+@pytest.fixture(scope="session")
+def paper_pair(comm):
+    """The paper's case at 80 MPa and p0 = 40 MPa, and its contact pair."""
+    from ringwear_par.geometry import Mesh
+    from ringwear_par.pair import contact_pair
+    from ringwear_par.verify import paper_case
+
+    case = paper_case(Mesh())
+    return case, contact_pair(case, comm)[0]

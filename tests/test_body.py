@@ -1,0 +1,106 @@
+"""Bodies: exact fields, orders of convergence, symmetry, the factorisations, the ranks."""
+
+import numpy as np
+import pytest
+from petsc4py import PETSc
+
+from ringwear_par import verify
+from ringwear_par.body import compliance
+from ringwear_par.dense import has_scalapack
+from ringwear_par.geometry import Mesh, Section, contact_line
+
+LOWER = Section((20.0, 40.0), 20.0, (28.5, 31.5))
+UPPER = Section((28.5, 31.5), 20.0, (28.5, 31.5))
+
+
+def test_rigid_modes_close():
+    assert verify.closure_error() < 1e-12
+
+
+def test_linear_fields_are_exact_but_for_quadrature(comm):
+    assert verify.bar_error(16, comm) < 1e-6
+    assert verify.lame_error(64, comm) < 1e-6
+
+
+def test_torsion_converges_with_order_two(comm):
+    coarse, fine = (verify.torsion_error(n, comm) for n in (16, 32))
+    assert np.log2(coarse / fine) > 1.8
+
+
+@pytest.mark.parametrize("section", [LOWER, UPPER])
+def test_defects_vanish_with_the_mesh(section, comm):
+    symmetry, force, torque = [], [], []
+    for n in (16, 32, 64):
+        body = compliance(section, 0.3, "clamped", Mesh(n), comm)
+        line = contact_line(section.contact, Mesh(n))
+        weighted = line.area[:, None] * body.normal
+        symmetry.append(np.abs(weighted - weighted.T).max() / np.abs(weighted).max())
+        force.append(np.abs(body.force_reaction / line.area - 1).max())
+        torque.append(np.abs(body.torque_reaction / (line.area * line.arm) - 1).max())
+    for defects in (symmetry, force, torque):
+        assert defects[0] > 1.8 * defects[1] > 1.8**2 * defects[2]
+    assert max(symmetry[2], force[2], torque[2]) < 1e-3
+
+
+def test_alternating_pressure_has_compliance(comm):
+    """No checkerboard mode: the smallest eigenvalue falls like 1/n, as it does for exact C."""
+    smallest = []
+    for n in (32, 64):
+        mesh = Mesh(n, grading=1.0)
+        body = compliance(LOWER, 0.3, "clamped", mesh, comm)
+        sign = (-1.0) ** np.arange(n)
+        smallest.append((sign @ body.normal @ sign) / n)
+        spectrum = np.linalg.eigvals(body.normal).real
+        assert spectrum.min() > 0.9 * 0.7424 * 0.91 * 3.0 / n  # 0.7424 h/E* on a half-plane
+    assert smallest[0] / smallest[1] == pytest.approx(2.0, rel=0.05)
+
+
+def test_clamped_is_stiffer_than_platen(comm):
+    clamped, platen = (compliance(UPPER, 0.3, grip, Mesh(32), comm) for grip in ("clamped", "platen"))
+    mean = [float(body.normal.mean()) for body in (clamped, platen)]
+    assert mean[0] < mean[1] < 1.05 * mean[0]
+
+
+def test_same_compliance_on_any_number_of_ranks(comm):
+    from mpi4py import MPI
+
+    body = compliance(LOWER, 0.3, "clamped", Mesh(32), comm)
+    alone = compliance(LOWER, 0.3, "clamped", Mesh(32), MPI.COMM_SELF)
+    for name in ("normal", "torsion", "force_reaction", "torque_reaction"):
+        a, b = getattr(body, name), getattr(alone, name)
+        assert np.abs(a - b).max() <= 1e-11 * np.abs(b).max()
+    again = compliance(LOWER, 0.3, "clamped", Mesh(32), comm)
+    assert np.array_equal(again.normal, body.normal)
+    assert np.array_equal(again.torsion, body.torsion)
+
+
+@pytest.mark.mpi(min_size=2)
+def test_redundant_and_distributed_factorisations_agree(comm):
+    if not has_scalapack():
+        pytest.skip("this PETSc has no ScaLAPACK")
+    options = PETSc.Options()
+    distributed = compliance(LOWER, 0.3, "clamped", Mesh(32), comm)
+    options["bem_pc_type"] = "redundant"
+    try:
+        redundant = compliance(LOWER, 0.3, "clamped", Mesh(32), comm)
+    finally:
+        del options["bem_pc_type"]
+    for name in ("normal", "torsion", "force_reaction", "torque_reaction"):
+        a, b = getattr(redundant, name), getattr(distributed, name)
+        assert np.abs(a - b).max() <= 1e-10 * np.abs(b).max()
+
+
+def test_no_rank_holds_a_whole_matrix(comm):
+    from ringwear_par.assembly import assemble, number_unknowns
+    from ringwear_par.body import ring_conditions
+    from ringwear_par.geometry import contour
+    from ringwear_par.quadrature import quadrature
+
+    body = contour(LOWER, Mesh(16))
+    conditions = ring_conditions(body, "clamped")
+    rows = assemble(body, conditions, number_unknowns(body, conditions), 0.3, quadrature(1e-6), comm)
+    for system in (rows.normal, rows.torsion):
+        local, n = system.matrix.shape
+        assert comm.allreduce(local) == n
+        assert abs(local - n / comm.size) <= 4
+        assert system.start == sum(comm.allgather(local)[: comm.rank])
