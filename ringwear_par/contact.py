@@ -78,6 +78,11 @@ class WarmStart:
     force: float
 
 
+def _reason_name(reason: int) -> str:
+    names = {v: k for k, v in vars(PETSc.TAO.Reason).items() if isinstance(v, int)}
+    return f"{names.get(reason, 'unknown')} ({reason})"
+
+
 class ContactSolver:
     """One TAO for one contact line, used for every load, gap and wear step.
 
@@ -185,12 +190,15 @@ class ContactSolver:
         g.setArray(g.getArray(readonly=True) + linear)
         return float(self._comm.allreduce(value) if self.distributed else value)
 
-    def _hessian(self, tao: PETSc.TAO, x: PETSc.Vec, h: PETSc.Mat, _: PETSc.Mat) -> None:
+    def _slope_at(self, q: FloatArray) -> FloatArray:
+        """Return what wear adds to the Hessian's diagonal."""
         if self._wear is None:
-            slope = np.zeros_like(self._slope)
-        else:
-            scale = self._scale[self._here]
-            slope = self._wear.slope(x.getArray(readonly=True) / scale) * self._weight / scale
+            return np.zeros_like(self._slope)
+        scale = self._scale[self._here]
+        return self._wear.slope(q / scale) * self._weight / scale
+
+    def _hessian(self, tao: PETSc.TAO, x: PETSc.Vec, h: PETSc.Mat, _: PETSc.Mat) -> None:
+        slope = self._slope_at(x.getArray(readonly=True))
         changed = not np.array_equal(slope, self._slope)
         if self._comm.allreduce(changed, MPI.LOR) if self.distributed else changed:
             self._slope = slope
@@ -214,7 +222,8 @@ class ContactSolver:
         reason, iterations = self._tao.getConvergedReason(), self._tao.getIterationNumber()
         q = self._x.getArray(readonly=True)
         self._gradient(self._tao, self._x, self._g)
-        defect = np.minimum(q, self._g.getArray(readonly=True))
+        diagonal = 1.0 + np.maximum(self._slope, self._slope_at(q))  # both sides of a kink
+        defect = np.minimum(q, self._g.getArray(readonly=True) / diagonal)
         worst = float(np.abs(defect).max(initial=0.0))
         largest = float(q.max(initial=0.0))
         if self.distributed:
@@ -223,11 +232,11 @@ class ContactSolver:
         else:
             p = q / self._scale
         residual = worst / largest if largest > 0.0 else np.inf
-        if not (residual <= KKT_TOLERANCE):
+        if reason <= 0 or not residual <= KKT_TOLERANCE:
             raise ComputationError(
-                f"contact: TAO {self.tao_type} ended with reason {reason} after {iterations} "
-                f"iterations at approach {approach:.9g} mm; its KKT residual {residual:.2e} is "
-                f"above {KKT_TOLERANCE:.0e}"
+                f"contact: TAO {self.tao_type} ended with reason {_reason_name(reason)} after "
+                f"{iterations} iterations at approach {approach:.9g} mm with KKT residual "
+                f"{residual:.2e} (allowed {KKT_TOLERANCE:.0e})"
             )
         return p, iterations, residual
 

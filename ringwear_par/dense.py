@@ -42,8 +42,11 @@ def solve_rows(rows: Rows, comm: MPI.Comm) -> tuple[FloatArray, int]:
     """
     local, n_loads = rows.loads.shape
     matrix = _matrix(rows.matrix, (local, rows.matrix.shape[1]), comm)
-    # PETSc shares the columns of the right-hand sides out; any layout serves
-    loads = _matrix(rows.loads, (PETSc.DECIDE, n_loads), comm)
+    # PETSc shares the columns of the right-hand sides out, ScaLAPACK wants one a rank at least
+    columns = max(n_loads, comm.size)
+    padded = np.zeros((local, columns), order="F")
+    padded[:, :n_loads] = rows.loads
+    loads = _matrix(padded, (PETSc.DECIDE, columns), comm)
     ksp = PETSc.KSP().create(comm)
     ksp.setOptionsPrefix(PREFIX)
     ksp.setOperators(matrix)
@@ -62,6 +65,7 @@ def solve_rows(rows: Rows, comm: MPI.Comm) -> tuple[FloatArray, int]:
             pc.setFactorSolverType("scalapack")
         ksp.setUp()
         if pc.getType() in ("lu", "cholesky"):
+            ksp.viewFromOptions("-ksp_view")
             factor = pc.getFactorMatrix()
             if block_cyclic:
                 right = PETSc.Mat()
@@ -77,7 +81,7 @@ def solve_rows(rows: Rows, comm: MPI.Comm) -> tuple[FloatArray, int]:
                 answer.convert("dense", rowwise)
                 owned.append(rowwise)
                 answer = rowwise
-            x = np.array(answer.getDenseArray(), order="F")
+            x = np.array(answer.getDenseArray()[:, :n_loads], order="F")
             start = answer.getOwnershipRange()[0]
         else:
             x, start = np.empty_like(rows.loads), rows.start

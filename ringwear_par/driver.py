@@ -75,14 +75,14 @@ def run_case(
 
     pair, cost = contact_pair(case, comm)
     with ContactSolver(pair.stiffness, pair.line.area, comm) as solver:
-        reject_unused_options()
         history = WearHistory(case, pair, solver)
         recorder = Recorder(history)
         if comm.rank == 0 and case.time.scheme == "explicit":
             _warn_of_instability(history)
         begun = time.perf_counter()
+        state = history.start()
+        reject_unused_options()
         if checkpoint is None:
-            state = history.start()
             recorder.add(state)
         else:
             state = checkpoint.state

@@ -101,7 +101,10 @@ class WearHistory:
 
     def start(self) -> State:
         """Return the contact before any wear. Collective."""
-        contact = self._contact(self._zero, None)
+        try:
+            contact = self._contact(self._zero, None)
+        except ComputationError as error:
+            raise ComputationError(f"step 0 (before any wear): {error}") from error
         return self._balanced(
             State(0, np.zeros((2, len(self._zero))), np.zeros(2), 0.0, contact, Balances())
         )

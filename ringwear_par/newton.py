@@ -19,18 +19,25 @@ _PLAIN_ITERATIONS = 25
 
 
 class ActiveSetNewton:
-    """Context of a TAO of type "python" on one rank, with a dense Hessian and lower bounds 0."""
+    """Context of a TAO of type "python" on one rank, with a dense Hessian and lower bounds 0.
+
+    Converged when the active set repeats and the natural residual min(x, g/diag(H)) is below the
+    TAO's absolute gradient tolerance: where wear makes the diagonal large, round-off in x makes
+    the gradient itself large.
+    """
 
     def __init__(self) -> None:
         self._gradient: PETSc.Vec | None = None
         self._factor: FloatArray | None = None
         self._free: BoolArray | None = None
         self._state = -1
+        self._monitored = False
 
     def setUp(self, tao: PETSc.TAO) -> None:
         """Make the work vector."""
         self.destroy(tao)
         self._gradient = tao.getSolution().duplicate()
+        self._monitored = PETSc.Options(tao.getOptionsPrefix()).hasName("tao_monitor")
 
     def destroy(self, tao: PETSc.TAO) -> None:
         """Free the work vector and the factor."""
@@ -69,7 +76,10 @@ class ActiveSetNewton:
                 x, gradient = self._search(tao, solution, x, gradient, step)
                 settled = bool((gradient[x == 0.0] >= 0.0).all())
                 free = x > 0.0
-            if settled and np.linalg.norm(gradient[free]) <= tolerance:
+            residual = float(np.linalg.norm(np.minimum(gradient / self._diagonal(tao), x)))
+            if self._monitored:
+                tao.monitor(iteration, tao.computeObjective(solution), residual)
+            if settled and residual <= tolerance:
                 tao.setIterationNumber(iteration)
                 tao.setConvergedReason(PETSc.TAO.Reason.CONVERGED_GATOL)
                 return
@@ -101,6 +111,11 @@ class ActiveSetNewton:
             self._state, self._free = state, free.copy()
         step, _ = dpotrs(self._factor, gradient[free], lower=1)
         return -step
+
+    def _diagonal(self, tao: PETSc.TAO) -> FloatArray:
+        assert self._gradient is not None
+        tao.getHessian()[0].getDiagonal(self._gradient)
+        return self._gradient.getArray(readonly=True)
 
     def _same_set(self, free: BoolArray) -> bool:
         return self._free is not None and bool((free == self._free).all())

@@ -14,14 +14,14 @@ PREFIXES = (dense.PREFIX, contact.PREFIX)
 def _was_used(name: str) -> bool:
     # PetscOptionsUsed has no petsc4py call before 3.19
     used = ctypes.c_int(0)
-    ctypes.CDLL(PETSc.__file__).PetscOptionsUsed(None, f"-{name}".encode(), ctypes.byref(used))
+    ctypes.CDLL(PETSc.__file__).PetscOptionsUsed(None, name.encode(), ctypes.byref(used))
     return bool(used.value & 0xFF)
 
 
 def reject_unused_options() -> None:
     """Check that every option with one of our prefixes was read by a solver. Not collective.
 
-    Call after the boundary element systems were solved and the contact solver was made.
+    Call when every kind of system was solved once: some options are read as late as that.
 
     Raises
     ------

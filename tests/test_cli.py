@@ -1,0 +1,158 @@
+"""The command itself, started as a user does, alone and under mpirun."""
+
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+from conftest import SHELL_ENVIRONMENT
+
+from ringwear_par.results import read_status
+
+pytestmark = pytest.mark.serial
+PAPER = Path(__file__).parents[1] / "scripts" / "cases" / "paper.toml"
+RINGWEAR = [sys.executable, "-m", "ringwear_par"]
+SMALL = ["mesh.contact_elements=16", "time.steps=20"]
+
+
+def ringwear(*words, ranks=0, cwd=None):
+    launcher = ["mpirun", "-n", str(ranks)] if ranks else []
+    return subprocess.run(
+        [*launcher, *RINGWEAR, *map(str, words)],
+        env=SHELL_ENVIRONMENT, cwd=cwd, capture_output=True, text=True, timeout=100, check=False,
+    )  # fmt: skip
+
+
+def sentences(result):
+    """What ringwear said, without mpirun's own remarks."""
+    return [line for line in result.stderr.splitlines() if line.startswith("ringwear: ")]
+
+
+RANKS = [0, pytest.param(3, marks=pytest.mark.skipif(not shutil.which("mpirun"), reason="no mpirun"))]
+
+
+@pytest.mark.parametrize("ranks", RANKS)
+def test_run_plot_and_status_0(tmp_path, ranks):
+    done = ringwear("run", PAPER, "-o", "a.h5", "--plot", "a.png", "--set", *SMALL,
+                    ranks=ranks, cwd=tmp_path)  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.count("balances") == 1
+    assert "our reading" in done.stdout
+    assert {p.name for p in tmp_path.iterdir()} == {"a.h5", "a.png"}
+    assert ringwear("plot", "a.h5", "-o", "b.pdf", ranks=ranks, cwd=tmp_path).returncode == 0
+
+
+@pytest.mark.parametrize("ranks", RANKS)
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["nowhere.toml", "-o", "a.h5"], "nowhere.toml: cannot be read"),
+        ([PAPER, "-o", "a.h5", "--set", "lower.young=-1"], "lower.young = -1"),
+        ([PAPER, "-o", "no/a.h5"], "its folder no does not exist"),
+        ([PAPER, "-o", "taken.h5"], "not a result file of ringwear"),
+        ([PAPER, "-o", "a.h5", "--plot", "no/a.png"], "its folder no does not exist"),
+        ([PAPER, "-o", "a.h5", "--set", "mesh.contact_elements=1000000000"], "GB of memory"),
+        ([PAPER, "-o", "a.h5", "--", "-contact_tao_typ", "tron"], "did you mean -contact_tao_type"),
+        ([PAPER, "-o", "a.h5", "--", "-bem_nonsense", "3"], "-bem_nonsense: no solver"),
+        ([PAPER, "-o", "a.h5", "--", "-contact_tao_type", "lmvm"], "must be one of python, tron"),
+        ([PAPER], "the following arguments are required"),
+    ],
+)
+def test_bad_input_is_said_once_with_status_2(tmp_path, ranks, words, said):
+    (tmp_path / "taken.h5").write_text("precious")
+    result = ringwear("run", *words, ranks=ranks, cwd=tmp_path)
+    assert result.returncode == 2, result.stderr
+    told = sentences(result)
+    assert len(told) == 1
+    assert said in told[0]
+    assert "Traceback" not in result.stderr
+    assert [p.name for p in tmp_path.iterdir()] == ["taken.h5"]
+
+
+def test_failed_computation_has_status_1(tmp_path):
+    for ranks in (0, 2):
+        result = ringwear(
+            "run", PAPER, "-o", "a.h5", "--set", *SMALL, "--", "-contact_tao_type", "tron",
+            "-contact_tao_max_it", "1", "-contact_ksp_max_it", "1", ranks=ranks, cwd=tmp_path,
+        )  # fmt: skip
+        assert result.returncode == 1, result.stderr
+        told = sentences(result)
+        assert len(told) == 1
+        assert "step 0" in told[0]
+        assert "reason DIVERGED_MAXITS" in told[0]
+        assert "residual" in told[0]
+        assert "Traceback" not in result.stderr
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("ranks", [0, 2])
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGUSR1])
+def test_a_signal_ends_the_run_with_its_steps_on_disk(tmp_path, ranks, number):
+    launcher = ["mpirun", "-n", str(ranks)] if ranks else []
+    command = [*launcher, *RINGWEAR, "run", str(PAPER), "-o", "a.h5", "--set",
+               "mesh.contact_elements=16", "time.steps=2000000", "output.every=1000"]  # fmt: skip
+    process = subprocess.Popen(command, env=SHELL_ENVIRONMENT, cwd=tmp_path, text=True,
+                               stdout=subprocess.PIPE, stderr=subprocess.PIPE)  # fmt: skip
+    time.sleep(6.0)
+    process.send_signal(number)
+    _, errors = process.communicate(timeout=60)
+    assert process.returncode != 0
+    status, step = read_status(tmp_path / "a.h5")
+    assert status == "incomplete"
+    assert step > 100
+    if ranks == 0:
+        assert process.returncode == 1
+        assert f"stopped by {number.name} after step {step} of 2000000" in errors
+    assert [p.name for p in tmp_path.iterdir()] == ["a.h5"]
+
+
+def test_info_schema_help_and_version():
+    info = ringwear("info", ranks=2)
+    assert info.returncode == 0
+    assert info.stdout.count("petsc version") == 1
+    assert "ranks: 2" in info.stdout
+    assert "lower.young" in ringwear("info", "--schema").stdout
+    assert ringwear("--version", ranks=2).stdout.count("ringwear") == 1
+    for command in ("run", "plot", "verify", "info"):
+        assert ringwear(command, "--help").returncode == 0
+
+
+def test_petsc_options_reach_the_solvers(tmp_path):
+    result = ringwear("run", PAPER, "-o", "a.h5", "--set", *SMALL, "--", "-contact_tao_monitor",
+                      "-bem_ksp_view", cwd=tmp_path)  # fmt: skip
+    assert result.returncode == 0, result.stderr
+    assert "preonly" in result.stdout
+    assert "Residual" in result.stdout
+
+
+def test_a_quiet_end_when_the_reader_leaves():
+    text = f"{' '.join(RINGWEAR)} info --schema | head -n 1"
+    result = subprocess.run(["bash", "-c", text], env=SHELL_ENVIRONMENT, capture_output=True,
+                            text=True, timeout=60, check=False)  # fmt: skip
+    assert result.stderr == ""
+
+
+def test_explicit_scheme_warns_with_the_largest_stable_step(tmp_path):
+    result = ringwear("run", PAPER, "-o", "a.h5", "--set", "time.scheme=explicit", "time.steps=9",
+                      ranks=2, cwd=tmp_path)  # fmt: skip
+    assert result.returncode == 0, result.stderr
+    told = sentences(result)
+    assert len(told) == 1
+    assert "largest stable step" in told[0]
+    limit = float(told[0].split("mesh is ")[1].split(" s ")[0])
+    result = ringwear("run", PAPER, "-o", "b.h5", "--set", "time.scheme=explicit", "time.steps=9",
+                      f"time.step={0.99 * limit}", cwd=tmp_path)  # fmt: skip
+    assert sentences(result) == []
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root may write anywhere")
+def test_a_folder_without_rights(tmp_path):
+    tmp_path.chmod(0o500)
+    result = ringwear("run", PAPER, "-o", tmp_path / "a.h5")
+    tmp_path.chmod(0o700)
+    assert result.returncode == 2
+    assert "cannot be written" in result.stderr

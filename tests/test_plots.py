@@ -1,0 +1,67 @@
+"""Figures: drawn from files alone, with axes that say what they show."""
+
+from pathlib import Path
+
+import pytest
+
+from ringwear_par.driver import run_case
+from ringwear_par.errors import InputError
+
+pytestmark = pytest.mark.serial
+PAPER = Path(__file__).parents[1] / "scripts" / "cases" / "paper.toml"
+
+
+@pytest.fixture(scope="module")
+def runs(tmp_path_factory, comm):
+    folder = tmp_path_factory.mktemp("runs")
+    paths = [folder / "p0_0.h5", folder / "p0_40.h5", folder / "lean.h5"]
+    extra = [["wear.lower.p0=0", "wear.upper.k=1e-8"], [], ["output.fields=['gap']", "output.every=7"]]
+    for path, overrides in zip(paths, extra, strict=True):
+        overrides = ["mesh.contact_elements=16", "time.steps=20", *overrides]
+        run_case(PAPER, path, overrides, False, None, comm)
+    return paths
+
+
+@pytest.mark.parametrize("panels", ["wear,penetration", "pressure", "penetration,pressure,wear"])
+@pytest.mark.parametrize("ending", [".png", ".pdf", ".svg"])
+def test_every_panel_and_format(runs, tmp_path, panels, ending):
+    from ringwear_par.plots import plot_files
+
+    output = tmp_path / f"figure{ending}"
+    plot_files(runs[:2], output, panels, "1,10,20")
+    assert output.stat().st_size > 3000
+    assert list(tmp_path.iterdir()) == [output]
+    if ending == ".svg":
+        text = output.read_text()
+        assert "comment" not in panels
+        assert text.count("<path") > 10
+
+
+@pytest.mark.parametrize(
+    ("arguments", "match"),
+    [
+        (("wear", "3,99"), "'99' is not a stored step"),
+        (("wear", "x"), "'x' is not a stored step"),
+        (("temperature", ""), "must be one of wear, penetration, pressure"),
+    ],
+)
+def test_wrong_requests(runs, tmp_path, arguments, match):
+    from ringwear_par.plots import plot_files
+
+    with pytest.raises(InputError, match=match):
+        plot_files(runs[:1], tmp_path / "a.png", *arguments)
+    assert not list(tmp_path.iterdir())
+
+
+def test_wrong_files(runs, tmp_path):
+    from ringwear_par.plots import plot_files
+
+    with pytest.raises(InputError, match="does not hold pressure"):
+        plot_files([runs[2]], tmp_path / "a.png", "pressure")
+    with pytest.raises(InputError, match="its ending must be one of"):
+        plot_files(runs, tmp_path / "a.docx")
+    with pytest.raises(InputError, match="does not exist"):
+        plot_files([tmp_path / "none.h5"], tmp_path / "a.png")
+    with pytest.raises(InputError, match="not a result file"):
+        plot_files([PAPER], tmp_path / "a.png")
+    assert not list(tmp_path.iterdir())
