@@ -74,6 +74,11 @@ def _parser() -> argparse.ArgumentParser:
         help="steps whose profiles are drawn, such as 1,50,100 (default: first and quarters)",
     )  # fmt: skip
 
+    plot.add_argument(
+        "--profiles-of", type=Path, nargs="+", default=[], metavar="RUN.h5",
+        help="draw the profiles of these files only (default: of all)",
+    )  # fmt: skip
+
     command("verify", "run the reference solutions; print error and observed order of each")
     info = command("info", "print versions, MPI and PETSc builds, ranks and threads")
     info.add_argument("--schema", action="store_true", help="print every key of the case file")
@@ -90,7 +95,7 @@ def _dispatch(args: argparse.Namespace, comm: Any) -> int:
         from ringwear_par.plots import plot_files
 
         if comm.rank == 0:
-            plot_files(args.results, args.output, args.panels, args.steps)
+            plot_files(args.results, args.output, args.panels, args.steps, args.profiles_of)
         return 0
     if args.command == "verify":
         from ringwear_par.verify import verify

@@ -53,7 +53,7 @@ def solve_rows(rows: Rows, comm: MPI.Comm) -> tuple[FloatArray, int]:
     ksp.setType("preonly")
     pc = ksp.getPC()
     pc.setType("lu" if comm.size == 1 or has_scalapack() else "redundant")
-    owned = [matrix, loads, ksp]
+    owned = [matrix, loads, ksp, pc]
     try:
         ksp.setFromOptions()
         block_cyclic = comm.size > 1 and pc.getType() == "lu"
@@ -67,6 +67,7 @@ def solve_rows(rows: Rows, comm: MPI.Comm) -> tuple[FloatArray, int]:
         if pc.getType() in ("lu", "cholesky"):
             ksp.viewFromOptions("-ksp_view")
             factor = pc.getFactorMatrix()
+            owned.append(factor)
             if block_cyclic:
                 right = PETSc.Mat()
                 loads.convert("scalapack", right)
@@ -102,6 +103,8 @@ def solve_rows(rows: Rows, comm: MPI.Comm) -> tuple[FloatArray, int]:
             f"boundary element system: factorisation failed (PETSc error {error.ierr})"
         ) from error
     finally:
+        # petsc4py would put aside for later whatever it held last, factors too
+        ksp.reset()
         for item in reversed(owned):
             item.destroy()
     if not comm.allreduce(bool(np.isfinite(x).all()), MPI.LAND):

@@ -29,7 +29,11 @@ _COLOURS = ("#1b4f8a", "#c1440e", "#3a7d44", "#6a4c93", "#444444")
 
 
 def plot_files(
-    paths: Sequence[Path], output: Path, panels: str = "wear,penetration", steps: str = ""
+    paths: Sequence[Path],
+    output: Path,
+    panels: str = "wear,penetration",
+    steps: str = "",
+    profiles_of: Sequence[Path] = (),
 ) -> None:
     """Draw the panels of one or more result files side by side. On one rank.
 
@@ -41,6 +45,7 @@ def plot_files(
     paths : result files.
     output : picture; its ending chooses the format.
     panels : comma-separated names.
+    profiles_of : those of the files whose profiles are drawn; () for all.
     steps : comma-separated step numbers of the profiles; "" for the first step and four quarters.
 
     Raises
@@ -52,12 +57,17 @@ def plot_files(
     if output.suffix[1:].lower() not in formats:
         raise InputError(f"{output}: its ending must be one of {', '.join(sorted(formats))}")
     results = [read_result(path) for path in paths]
+    for path in profiles_of:
+        if path not in paths:
+            raise InputError(f"--profiles-of {path}: must be one of the result files to be drawn")
     drawings: list[Callable[..., None]] = []
     for panel in panels.split(","):
         if panel == "penetration":
             drawings.append(partial(_penetration, results=results))
         elif panel in ("wear", "pressure"):
             for result in results:
+                if profiles_of and result.path not in profiles_of:
+                    continue
                 profile = _wear if panel == "wear" else _pressure
                 drawings.append(partial(profile, result=result, rows=_rows(result, steps)))
         else:

@@ -37,17 +37,20 @@ def solve(stiffness, area, gap, *, force=None, approach=None, laws=(), rise=None
         p, delta = x[:n], x[n]
         wear = sum((s * np.maximum(p - p0, 0) for p0, s in zip(laws, rise, strict=True)), 0 * p)
         opening = (stiffness @ p) / area + gap + wear - delta
-        scale = np.abs(p).max() + 1e-300
-        wrong = [(-p[e] / scale, "off", e) for e in range(n) if contact[e] and p[e] < -1e-13 * scale]
-        wrong += [(-opening[e] / (np.abs(opening).max()), "on", e) for e in range(n)
-                  if not contact[e] and opening[e] < -1e-13 * np.abs(opening).max()]  # fmt: skip
-        for p0, over in zip(laws, above, strict=True):
-            wrong += [(abs(p[e] - p0) / scale, over, e) for e in range(n)
-                      if contact[e] and over[e] != (p[e] > p0) and abs(p[e] - p0) > 1e-13 * scale]  # fmt: skip
+        size, depth = np.abs(p).max() + 1e-300, np.abs(opening).max()
+        wrong = []
+        for e in range(n):
+            if contact[e] and p[e] < -1e-13 * size:
+                wrong.append((-p[e] / size, "off", e))
+            elif not contact[e] and opening[e] < -1e-13 * depth:
+                wrong.append((-opening[e] / depth, "on", e))
+            for p0, over in zip(laws, above, strict=True):
+                off = abs(p[e] - p0)
+                if contact[e] and over[e] != (p[e] > p0) and off > 1e-13 * size:
+                    wrong.append((off / size, over, e))
         if not wrong:
             return p, delta
-        # the most wrong of each kind changes; the first wrong one alone if that goes in circles
-        _, kind, e = max(wrong, key=lambda w: w[0])
+        _, kind, e = max(wrong, key=lambda w: w[0])  # the most wrong one changes, alone
         if isinstance(kind, str):
             contact[e] = kind == "on"
         else:

@@ -51,7 +51,9 @@ def pytest_runtest_protocol(item, nextitem):
     while not request.Test():
         if time.monotonic() - started > GRACE:
             text = "\n".join(item.config._failures) or "no failure here"
-            sys.__stderr__.write(f"rank {sync.rank} waited {GRACE:g} s after {item.nodeid}\n{text}\n")
+            sys.__stderr__.write(
+                f"rank {sync.rank} waited {GRACE:g} s after {item.nodeid}\n{text}\n"
+            )
             sys.__stderr__.flush()
             sync.Abort(1)
         time.sleep(0.001)

@@ -1,5 +1,7 @@
 """Bodies: exact fields, orders of convergence, symmetry, the factorisations, the ranks."""
 
+import os
+
 import numpy as np
 import pytest
 from petsc4py import PETSc
@@ -56,7 +58,9 @@ def test_alternating_pressure_has_compliance(comm):
 
 
 def test_clamped_is_stiffer_than_platen(comm):
-    clamped, platen = (compliance(UPPER, 0.3, grip, Mesh(32), comm) for grip in ("clamped", "platen"))
+    clamped, platen = (
+        compliance(UPPER, 0.3, grip, Mesh(32), comm) for grip in ("clamped", "platen")
+    )
     mean = [float(body.normal.mean()) for body in (clamped, platen)]
     assert mean[0] < mean[1] < 1.05 * mean[0]
 
@@ -98,9 +102,35 @@ def test_no_rank_holds_a_whole_matrix(comm):
 
     body = contour(LOWER, Mesh(16))
     conditions = ring_conditions(body, "clamped")
-    rows = assemble(body, conditions, number_unknowns(body, conditions), 0.3, quadrature(1e-6), comm)
+    rows = assemble(
+        body, conditions, number_unknowns(body, conditions), 0.3, quadrature(1e-6), comm
+    )
     for system in (rows.normal, rows.torsion):
         local, n = system.matrix.shape
         assert comm.allreduce(local) == n
         assert abs(local - n / comm.size) <= 0.1 * n
         assert system.start == sum(comm.allgather(local)[: comm.rank])
+
+
+def resident_megabytes():
+    with open("/proc/self/statm") as file:
+        return int(file.read().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 1e6
+
+
+def test_memory_stays_flat(comm):
+    """Matrices of 32 contact elements hold 1.4 MB; so must 40 solves and contact solvers."""
+    from ringwear_par.contact import ContactSolver
+
+    def once():
+        body = compliance(LOWER, 0.3, "clamped", Mesh(32), comm)
+        line = contact_line(LOWER.contact, Mesh(32))
+        weighted = line.area[:, None] * body.normal
+        with ContactSolver(0.5 * (weighted + weighted.T), line.area, comm) as solver:
+            solver.solve(np.zeros(32), force=1.0)
+
+    for _ in range(5):
+        once()
+    before = resident_megabytes()
+    for _ in range(40):
+        once()
+    assert resident_megabytes() - before < 6.0

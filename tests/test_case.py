@@ -32,7 +32,7 @@ def test_the_papers_case():
 
 
 def test_overrides_enter_the_text_that_is_stored():
-    case = read_case(PAPER, ["load.force=100", "title=a \"b\" c", "output.fields=['pressure']"])
+    case = read_case(PAPER, ["load.force=100", 'title=a "b" c', "output.fields=['pressure']"])
     assert case.load.force == 100
     again = parse_case(case.text, "stored")
     assert again == case
@@ -49,7 +49,7 @@ def test_an_overriding_load_replaces_the_files():
 def test_toml_text_reads_back():
     import tomllib
 
-    flat = {"a": 1, "b.c": [1.5, 2.0], "b.d.e": "x\\y\"z", "b.f": True, "g.h": 1e-7}
+    flat = {"a": 1, "b.c": [1.5, 2.0], "b.d.e": 'x\\y"z', "b.f": True, "g.h": 1e-7}
     tables = tomllib.loads(toml_text(flat))
     assert tables == {"a": 1, "b": {"c": [1.5, 2.0], "d": {"e": 'x\\y"z'}, "f": True},
                       "g": {"h": 1e-7}}  # fmt: skip

@@ -32,7 +32,10 @@ def sentences(result):
     return [line for line in result.stderr.splitlines() if line.startswith("ringwear: ")]
 
 
-RANKS = [0, pytest.param(3, marks=pytest.mark.skipif(not shutil.which("mpirun"), reason="no mpirun"))]
+RANKS = [
+    0,
+    pytest.param(3, marks=pytest.mark.skipif(not shutil.which("mpirun"), reason="no mpirun")),
+]
 
 
 @pytest.mark.parametrize("ranks", RANKS)

@@ -129,7 +129,9 @@ def test_failure_is_an_error_that_names_reason_and_residual(problem, comm):
     try:
         with (
             ContactSolver(stiffness, line.area, comm) as solver,
-            pytest.raises(ComputationError, match=r"reason \w+ \(-?\d+\) after 1 iterations.*residual"),
+            pytest.raises(
+                ComputationError, match=r"reason \w+ \(-?\d+\) after 1 iterations.*residual"
+            ),
         ):
             solver.solve(gaps(N)["rough"], force=FORCE)
     finally:

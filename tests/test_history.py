@@ -1,5 +1,6 @@
 """Wear histories: balances, steady laws, schemes, stability, ranks."""
 
+import itertools
 from dataclasses import replace
 
 import numpy as np
@@ -44,7 +45,7 @@ def test_balances_at_every_step(stepped, scheme):
     # recomputed from the states themselves
     line, case = history.pair.line, history.case
     energy = 0.0
-    for before, after in zip(states, states[1:], strict=False):
+    for before, after in itertools.pairwise(states):
         p = (after if scheme == "implicit" else before).contact.pressure
         energy += step * case.friction * case.load.omega * (line.area * line.arm) @ p
         assert line.area @ after.contact.pressure == pytest.approx(case.load.force, rel=1e-10)
@@ -69,7 +70,9 @@ def test_twenty_steps_nearly_serve_for_two_hundred(stepped):
             volumes.append(history.worn_volumes(states[-1])[0])
             depths.append(states[-1].contact.approach - states[0].contact.approach)
         assert volumes[0] == pytest.approx(volumes[1], rel=tolerance)
-        assert 1e3 * depths[1] == pytest.approx(depth, abs=0.05)  # um, read off the paper's axes: 18, 10
+        assert 1e3 * depths[1] == pytest.approx(
+            depth, abs=0.05
+        )  # um, read off the paper's axes: 18, 10
 
 
 def test_steady_pressure_at_2000_s(stepped):
@@ -84,9 +87,7 @@ def test_steady_pressure_at_2000_s(stepped):
 
 def test_both_bodies_wear(stepped):
     laws = ThresholdLaw(1e-7), ThresholdLaw(3e-7)
-    _, states = stepped(
-        wear_lower=laws[0], wear_upper=laws[1], time=steps("implicit", 1.0, 20)
-    )
+    _, states = stepped(wear_lower=laws[0], wear_upper=laws[1], time=steps("implicit", 1.0, 20))
     lower, upper = states[-1].wear
     assert upper == pytest.approx(3 * lower, rel=1e-12)
     _, alone = stepped(wear_lower=ThresholdLaw(4e-7), time=steps("implicit", 1.0, 20))
@@ -96,11 +97,9 @@ def test_both_bodies_wear(stepped):
 
 def test_fixed_approach_unloads(stepped):
     load = Load(85 / 24, displacement=0.0585)
-    history, states = stepped(
-        load=load, wear_lower=ThresholdLaw(1e-7), time=steps("implicit", 20.0, 50)
-    )
+    _, states = stepped(load=load, wear_lower=ThresholdLaw(1e-7), time=steps("implicit", 20.0, 50))
     forces = [state.contact.force for state in states]
-    assert all(a > b > 0 for a, b in zip(forces, forces[1:], strict=False))
+    assert all(a > b > 0 for a, b in itertools.pairwise(forces))
     assert all(state.contact.approach == 0.0585 for state in states)
     # with a threshold, what is left everywhere is the threshold
     _, states = stepped(load=load, time=steps("implicit", 1e4, 50))

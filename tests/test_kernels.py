@@ -89,7 +89,18 @@ def kelvin_over_the_ring(r, a, b, nr, nz, n=200_000):
 )
 def test_ring_kernels_are_the_integrated_kelvin_solution(r, a, b, nr, nz):
     u, t = kelvin_over_the_ring(r, a, b, nr, nz)
-    exact = [u["rr"], u["rz"], u["zr"], u["zz"], t["rr"], t["rz"], t["zr"], t["zz"], u["tt"], t["tt"]]
+    exact = [
+        u["rr"],
+        u["rz"],
+        u["zr"],
+        u["zz"],
+        t["rr"],
+        t["rz"],
+        t["zr"],
+        t["zz"],
+        u["tt"],
+        t["tt"],
+    ]
     got = ring_kernels(r, a, b, nr, nz, NU)
     scale = max(map(abs, exact)) or 1.0
     assert got == pytest.approx(exact, abs=1e-12 * scale)

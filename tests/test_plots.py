@@ -15,7 +15,11 @@ PAPER = Path(__file__).parents[1] / "scripts" / "cases" / "paper.toml"
 def runs(tmp_path_factory, comm):
     folder = tmp_path_factory.mktemp("runs")
     paths = [folder / "p0_0.h5", folder / "p0_40.h5", folder / "lean.h5"]
-    extra = [["wear.lower.p0=0", "wear.upper.k=1e-8"], [], ["output.fields=['gap']", "output.every=7"]]
+    extra = [
+        ["wear.lower.p0=0", "wear.upper.k=1e-8"],
+        [],
+        ["output.fields=['gap']", "output.every=7"],
+    ]
     for path, overrides in zip(paths, extra, strict=True):
         overrides = ["mesh.contact_elements=16", "time.steps=20", *overrides]
         run_case(PAPER, path, overrides, False, None, comm)

@@ -56,7 +56,9 @@ def test_opens_in_xarray(shared_path, comm):
 
 def test_only_the_steps_and_fields_asked_for(shared_path, comm):
     path = shared_path / "run.h5"
-    run_case(PAPER, path, [*SMALL, "output.every=8", "output.fields=['pressure']"], False, None, comm)
+    run_case(
+        PAPER, path, [*SMALL, "output.every=8", "output.fields=['pressure']"], False, None, comm
+    )
     if comm.rank == 0:
         with xarray.open_dataset(path, engine="h5netcdf") as data:
             assert list(data.step.values) == [0, 8, 16, 20]

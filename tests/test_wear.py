@@ -24,7 +24,8 @@ def test_taylor_remainders_of_rate_and_potential(law):
     for f, derivative in ((step.depth, step.slope), (step.potential, step.depth)):
         first = f(pressure), derivative(pressure) * direction
         remainders = [
-            np.abs(f(pressure + h * direction) - first[0] - h * first[1]).max() for h in (1e-1, 1e-2, 1e-3)
+            np.abs(f(pressure + h * direction) - first[0] - h * first[1]).max()
+            for h in (1e-1, 1e-2, 1e-3)
         ]
         size = np.abs(first[1]).max()
         for h, remainder in zip((1e-1, 1e-2, 1e-3), remainders, strict=True):

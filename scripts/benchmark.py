@@ -1,0 +1,124 @@
+"""Times of each part of the work at several sizes, on the ranks it is started with.
+
+Usage: [mpirun -n N] python scripts/benchmark.py [--sizes 32 64 128 256] [--repeats 5] [--csv F]
+
+The paper's rings, 80 MPa and p0 = 40 MPa. Every time is the median over the repeats (after one that
+is not counted) of the slowest rank's wall time; memory is the largest rank's peak so far, which
+grows with the sizes. Counts: kernel evaluations (both bodies, all directions), flops of the two
+factorisations 2/3 n^3.
+"""
+
+import argparse
+import csv
+import resource
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from statistics import median
+
+import numpy as np
+from mpi4py import MPI
+
+from ringwear_par.assembly import assemble, number_unknowns
+from ringwear_par.body import compliance, ring_conditions
+from ringwear_par.contact import ContactSolver
+from ringwear_par.dense import solve_rows
+from ringwear_par.geometry import Mesh, contour
+from ringwear_par.history import WearHistory, run
+from ringwear_par.pair import contact_pair
+from ringwear_par.quadrature import quadrature
+from ringwear_par.verify import paper_case
+
+COLUMNS = (
+    "contact_elements", "ranks", "boundary_elements", "unknowns", "kernel_evaluations",
+    "assembly_s", "ns_per_evaluation", "factor_solve_s", "gflop_per_s", "compliance_s",
+    "first_contact_ms", "steps_200_s", "ms_per_step", "peak_MB_per_rank",
+)  # fmt: skip
+
+
+def timed(comm: MPI.Comm, repeats: int, action: Callable[[], object]) -> float:
+    """Return the median wall time of an action, s, on the slowest rank. Collective."""
+    times = []
+    for _ in range(repeats + 1):
+        comm.Barrier()
+        started = time.perf_counter()
+        action()
+        times.append(comm.allreduce(time.perf_counter() - started, MPI.MAX))
+    return median(times[1:])
+
+
+def measure(n: int, repeats: int, comm: MPI.Comm) -> dict[str, float]:
+    """Return one row of the table. Collective."""
+    case, rules = paper_case(Mesh(n)), quadrature(Mesh().quadrature_tolerance)
+    rings = (case.lower, case.upper)
+    bodies = [contour(case.section(ring), case.mesh) for ring in rings]
+    conditions = [ring_conditions(body, "clamped") for body in bodies]
+    unknowns = [number_unknowns(*both) for both in zip(bodies, conditions, strict=True)]
+    work = list(zip(bodies, conditions, unknowns, strict=True))
+
+    def assembled() -> list:
+        return [assemble(*parts, 0.3, rules, comm) for parts in work]
+
+    systems, evaluations = [], 0
+    for rows in assembled():
+        evaluations += comm.allreduce(rows.kernel_evaluations)
+        systems += [rows.normal, rows.torsion]
+    sizes = [system.matrix.shape[1] for system in systems]
+    flops = sum(2.0 / 3.0 * size**3 + 2.0 * size**2 * n for size in sizes)
+    assembly = timed(comm, repeats, assembled)
+    solution = timed(comm, repeats, lambda: [solve_rows(system, comm) for system in systems])
+    systems.clear()
+    both = timed(
+        comm, repeats,
+        lambda: [compliance(case.section(r), 0.3, "clamped", case.mesh, comm) for r in rings],
+    )  # fmt: skip
+    pair, _ = contact_pair(case, comm)
+    flat = np.zeros(n)
+
+    def first_contact() -> None:
+        with ContactSolver(pair.stiffness, pair.line.area, comm) as solver:
+            solver.solve(flat, force=case.load.force)
+
+    def history() -> None:
+        with ContactSolver(pair.stiffness, pair.line.area, comm) as solver:
+            wear = WearHistory(case, pair, solver)
+            run(wear, wear.start(), lambda _: False)
+
+    contact, stepping = timed(comm, repeats, first_contact), timed(comm, repeats, history)
+    peak = comm.allreduce(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024, MPI.MAX)
+    return dict(
+        zip(
+            COLUMNS,
+            (
+                n, comm.size, sum(len(body.elements) for body in bodies), sum(sizes), evaluations,
+                assembly, 1e9 * assembly * comm.size / evaluations, solution,
+                1e-9 * flops / solution, both, 1e3 * contact, stepping, 5.0 * stepping, peak,
+            ),
+            strict=True,
+        )
+    )  # fmt: skip
+
+
+def main() -> None:
+    """Print the table, and write it as CSV if asked."""
+    comm = MPI.COMM_WORLD
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--sizes", type=int, nargs="+", default=[32, 64, 128, 256])
+    parser.add_argument("--repeats", type=int, default=5)
+    parser.add_argument("--csv", type=Path)
+    args = parser.parse_args()
+    table = [measure(n, args.repeats, comm) for n in args.sizes]
+    if comm.rank > 0:
+        return
+    for name in COLUMNS:
+        print(f"{name:>20}", *(f"{row[name]:>12.4g}" for row in table))
+    if args.csv is not None:
+        with args.csv.open("w", newline="") as file:
+            writer = csv.DictWriter(file, COLUMNS)
+            writer.writeheader()
+            writer.writerows(table)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
