@@ -14,9 +14,17 @@ import numpy as np
 from mpi4py import MPI
 from numba import njit
 
-from ringwear_par.geometry import BoolArray, Contour, FloatArray, IntArray
+from ringwear_par.geometry import (
+    BoolArray,
+    Contour,
+    FloatArray,
+    IntArray,
+    Mesh,
+    Section,
+    contour,
+)
 from ringwear_par.kernels import ring_kernels
-from ringwear_par.quadrature import MAX_POINTS, Quadrature
+from ringwear_par.quadrature import MAX_POINTS, Quadrature, quadrature
 
 _MAX_PARTS = 128
 # the integrals of a source and an element, rr, rz, zr, zz, theta theta: force and component
@@ -83,13 +91,13 @@ class Assembly:
     kernel_evaluations: int
 
 
-def number_unknowns(contour: Contour, conditions: Conditions) -> Unknowns:
+def number_unknowns(body: Contour, conditions: Conditions) -> Unknowns:
     """Return the numbering of the unknowns. Not collective."""
-    elements, held = contour.elements, conditions.held
-    fixed = np.zeros((len(contour.nodes), 3), dtype=bool)
+    elements, held = body.elements, conditions.held
+    fixed = np.zeros((len(body.nodes), 3), dtype=bool)
     for local in range(3):
         fixed[elements[:, local]] |= held
-    on_axis = contour.nodes[:, 0] == 0.0
+    on_axis = body.nodes[:, 0] == 0.0
     fixed[np.ix_(on_axis, [0, 2])] = True
     collocated = ~fixed
     collocated[elements[:, 1]] |= held
@@ -228,7 +236,7 @@ def _integrate(
 def _assemble_rows(
     first_node: int,
     last_node: int,
-    contour: Contour,
+    body: Contour,
     conditions: Conditions,
     unknowns: Unknowns,
     poisson: float,
@@ -238,7 +246,7 @@ def _assemble_rows(
     loads: tuple[FloatArray, FloatArray],
 ) -> int:
     """Fill the rows collocated at nodes first_node <= p < last_node; return kernel evaluations."""
-    elements, load = contour.elements, conditions.load
+    elements, load = body.elements, conditions.load
     displacement, traction = unknowns.displacement, unknowns.traction
     h, g, own = np.empty((5, 3)), np.empty(5), np.empty(5)
     work = np.empty((3, _MAX_PARTS))
@@ -256,7 +264,7 @@ def _assemble_rows(
                 if elements[e, c] == p:
                     at = c
             evaluations += _integrate(
-                contour.nodes, p, elements[e, 0], elements[e, 2], at, poisson, rules,
+                body.nodes, p, elements[e, 0], elements[e, 2], at, poisson, rules,
                 h, g, own, work,
             )  # fmt: skip
             for pair in range(5):
@@ -285,8 +293,31 @@ def _assemble_rows(
     return evaluations
 
 
+def load_kernels(comm: MPI.Comm) -> None:
+    """Compile the kernels, or load them from the cache of an earlier run. Collective on comm.
+
+    Rank 0 goes first, so that many ranks do not write one cache at the same time.
+    """
+
+    def load() -> None:
+        body = contour(Section((1.0, 2.0), 1.0, (1.0, 2.0)), Mesh(4))
+        k = len(body.elements)
+        nothing = Conditions(np.zeros((k, 3), bool), np.full((k, 3), -1), np.zeros((k, 3)), 0)
+        empty = np.zeros((0, 0), order="F")
+        _assemble_rows(
+            0, 0, body, nothing, number_unknowns(body, nothing), 0.0, quadrature(0.1),
+            np.zeros(2, dtype=np.int64), (empty, empty), (empty, empty),
+        )  # fmt: skip
+
+    if comm.rank == 0:
+        load()
+    comm.Barrier()
+    if comm.rank > 0:
+        load()
+
+
 def assemble(
-    contour: Contour,
+    body: Contour,
     conditions: Conditions,
     unknowns: Unknowns,
     poisson: float,
@@ -298,7 +329,7 @@ def assemble(
     Collective on comm. Nodes are shared out in equal runs, so a rank holds about
     1/size of the rows and no rank holds a whole matrix.
     """
-    n_nodes = len(contour.nodes)
+    n_nodes = len(body.nodes)
     share = [rank * n_nodes // comm.size for rank in range(comm.size + 1)]
     mine = slice(share[comm.rank], share[comm.rank + 1])
     starts = np.zeros(2, dtype=np.int64)
@@ -313,14 +344,10 @@ def assemble(
 
     def fill(first: int, last: int) -> int:
         return _assemble_rows(
-            first, last, contour, conditions, unknowns, poisson, rules, starts,
+            first, last, body, conditions, unknowns, poisson, rules, starts,
             (matrices[0], matrices[1]), (loads[0], loads[1]),
         )  # fmt: skip
 
-    if comm.size > 1:
-        if comm.rank == 0:  # compile once, before the other ranks look into the cache
-            fill(0, 0)
-        comm.Barrier()
     evaluations = fill(mine.start, mine.stop)
     normal, torsion = (Rows(matrices[i], loads[i], int(starts[i])) for i in (0, 1))
     return Assembly(normal, torsion, evaluations)

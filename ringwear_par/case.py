@@ -274,6 +274,7 @@ def _flatten(tables: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
     return flat
 
 
+UNITS = {key.path: key.unit for key in KEYS}
 _LOADS = {"load.force", "load.pressure", "load.displacement"}
 _BY_PATH = {key.path: key for key in KEYS}
 _TABLES = {key.path[:cut] for key in KEYS for cut, c in enumerate(key.path) if c == "."}
@@ -303,6 +304,11 @@ def toml_text(flat: Mapping[str, Any]) -> str:
         if lines
     ]
     return "\n\n".join(blocks) + "\n"
+
+
+def read_keys(text: str) -> dict[str, Any]:
+    """Return the dotted keys and raw values of a case's TOML text."""
+    return _flatten(tomllib.loads(text))
 
 
 def parse_overrides(overrides: Sequence[str]) -> dict[str, Any]:
@@ -352,7 +358,7 @@ def parse_case(text: str, name: str, overrides: Mapping[str, Any] | None = None)
     InputError : all faults, one sentence each.
     """
     try:
-        flat = _flatten(tomllib.loads(text))
+        flat = read_keys(text)
     except tomllib.TOMLDecodeError as error:
         raise InputError(f"{name}: is not valid TOML: {error}") from error
     origin = dict.fromkeys(flat, f"{name}: ")

@@ -11,6 +11,7 @@ from typing import Any, TypeVar
 import numpy as np
 from mpi4py import MPI
 
+from ringwear_par.assembly import load_kernels
 from ringwear_par.case import Case, parse_case, read_case
 from ringwear_par.contact import ContactSolver
 from ringwear_par.errors import ComputationError, InputError, RingwearError
@@ -73,6 +74,9 @@ def run_case(
     if comm.rank == 0:
         _warn_of_threads(comm.size)
 
+    t0 = time.perf_counter()
+    load_kernels(comm)
+    loading = time.perf_counter() - t0
     pair, cost = contact_pair(case, comm)
     with ContactSolver(pair.stiffness, pair.line.area, comm) as solver:
         history = WearHistory(case, pair, solver)
@@ -121,7 +125,8 @@ def run_case(
         save(state)
         if comm.rank == 0:
             print(summary(case, pair, state, recorder))
-            print(_times(seconds, time.perf_counter() - started, cost.kernel_evaluations))
+            start_up = max(seconds_since_start() - (time.perf_counter() - started), 0.0)
+            print(_times(seconds, start_up, loading, cost.kernel_evaluations))
     if state.step < case.time.steps:
         raise ComputationError(
             f"stopped by {monitor.signal_name} after step {state.step} of {case.time.steps}; "
@@ -164,11 +169,13 @@ def summary(case: Case, pair: ContactPair, state: State, recorder: Recorder) -> 
     return "\n".join(lines)
 
 
-def _times(seconds: dict[str, float], wall: float, evaluations: int) -> str:
-    start_up = max(seconds_since_start() - wall, 0.0)
+def _times(seconds: dict[str, float], start_up: float, loading: float, evaluations: int) -> str:
     names = ("assembly", "factorisation", "stepping", "output")
     parts = ", ".join(f"{name} {seconds[f'seconds_{name}']:.3f}" for name in names)
-    return f"seconds: start-up {start_up:.2f}, {parts} ({evaluations} kernel evaluations)"
+    return (
+        f"seconds: start-up {start_up:.2f}, compiled code {loading:.2f}, {parts} "
+        f"({evaluations} kernel evaluations)"
+    )
 
 
 def seconds_since_start() -> float:

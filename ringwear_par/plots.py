@@ -9,6 +9,7 @@ import matplotlib
 import numpy as np
 from matplotlib.figure import Figure
 
+from ringwear_par.case import UNITS, read_keys
 from ringwear_par.driver import check_writable
 from ringwear_par.errors import InputError
 from ringwear_par.results import Result, read_result
@@ -60,26 +61,27 @@ def plot_files(
     for path in profiles_of:
         if path not in paths:
             raise InputError(f"--profiles-of {path}: must be one of the result files to be drawn")
+    labels = _labels(results)
     drawings: list[Callable[..., None]] = []
     for panel in panels.split(","):
         if panel == "penetration":
-            drawings.append(partial(_penetration, results=results))
+            drawings.append(partial(_penetration, results=results, labels=labels))
         elif panel in ("wear", "pressure"):
-            for result in results:
-                if profiles_of and result.path not in profiles_of:
-                    continue
-                profile = _wear if panel == "wear" else _pressure
-                drawings.append(partial(profile, result=result, rows=_rows(result, steps)))
+            profile = _wear if panel == "wear" else _pressure
+            for result, label in zip(results, labels, strict=True):
+                if not profiles_of or result.path in profiles_of:
+                    rows = _rows(result, steps)
+                    drawings.append(partial(profile, result=result, label=label, rows=rows))
         else:
             raise InputError(
                 f"--panels {panels}: {panel!r} must be one of wear, penetration, pressure"
             )
     with matplotlib.rc_context(_STYLE):
         columns = min(len(drawings), _COLUMNS)
-        rows = -(-len(drawings) // columns)
-        figure = Figure(figsize=(3.6 * columns, 3.3 * rows), layout="constrained")
+        lines = -(-len(drawings) // columns)
+        figure = Figure(figsize=(3.6 * columns, 3.3 * lines), layout="constrained")
         for number, draw in enumerate(drawings):
-            draw(figure.add_subplot(rows, columns, number + 1))
+            draw(figure.add_subplot(lines, columns, number + 1))
         titles = {str(result.attributes["title"]) for result in results} - {""}
         if len(titles) == 1:
             figure.suptitle(titles.pop(), fontsize=8.0)
@@ -112,11 +114,29 @@ def _field(result: Result, name: str) -> Any:
     return result.fields[name]
 
 
-def _label(result: Result) -> str:
-    return result.path.stem
+def _labels(results: Sequence[Result]) -> list[str]:
+    """Name each result by what sets its case apart, or by its file where that is too much."""
+    cases = [read_keys(str(result.attributes["case"])) for result in results]
+    paths = [
+        path for path in UNITS if path != "title" and len({str(c.get(path)) for c in cases}) > 1
+    ]
+    if not 1 <= len(paths) <= 2 or any(path not in case for path in paths for case in cases):
+        return [result.path.stem for result in results]
+    names = [path.rpartition(".")[2] for path in paths]
+    units = [f" {UNITS[path]}" if UNITS[path] not in ("-", "1") else "" for path in paths]
+    return [
+        ", ".join(
+            f"{name} = {case[path]:g}{unit}" if not isinstance(case[path], str | list | bool)
+            else f"{name} = {case[path]}"
+            for name, path, unit in zip(names, paths, units, strict=True)
+        )
+        for case in cases
+    ]  # fmt: skip
 
 
-def _profiles(axes: Any, result: Result, rows: Sequence[int], curve: Callable[[int], Any]) -> None:
+def _profiles(
+    axes: Any, result: Result, label: str, rows: Sequence[int], curve: Callable[[int], Any]
+) -> None:
     time = result.scalars["time"]
     for number, row in enumerate(rows):
         axes.plot(
@@ -124,15 +144,15 @@ def _profiles(axes: Any, result: Result, rows: Sequence[int], curve: Callable[[i
             linestyle=_DASHES[number % len(_DASHES)], label=f"{time[row]:g} s",
         )  # fmt: skip
     axes.set_xlabel("distance to axis (mm)")
-    axes.set_title(_label(result))
+    axes.set_title(label)
 
 
-def _wear(axes: Any, result: Result, rows: Sequence[int]) -> None:
+def _wear(axes: Any, result: Result, label: str, rows: Sequence[int]) -> None:
     """Worn profiles: the contact face of lower falls below 0, that of upper rises above it."""
     inner, outer = result.line.edges[[0, -1]]
     margin = 0.15 * (outer - inner)
     lower, upper = _field(result, "wear_lower"), _field(result, "wear_upper")
-    _profiles(axes, result, rows, lambda row: -1e3 * lower[row])
+    _profiles(axes, result, label, rows, lambda row: -1e3 * lower[row])
     if upper.any():
         for number, row in enumerate(rows):
             axes.plot(
@@ -150,10 +170,10 @@ def _wear(axes: Any, result: Result, rows: Sequence[int]) -> None:
     axes.legend(frameon=False, loc="lower center", ncols=3, columnspacing=1.0)
 
 
-def _pressure(axes: Any, result: Result, rows: Sequence[int]) -> None:
+def _pressure(axes: Any, result: Result, label: str, rows: Sequence[int]) -> None:
     """Contact pressure along the contact line; the singular edges of the first instant are cut."""
     pressure = _field(result, "pressure")
-    _profiles(axes, result, rows, lambda row: pressure[row])
+    _profiles(axes, result, label, rows, lambda row: pressure[row])
     mean = result.scalars["force"] / result.line.area.sum()
     top = 3.0 * float(mean[list(rows)].max())
     if top > 0.0:
@@ -162,12 +182,12 @@ def _pressure(axes: Any, result: Result, rows: Sequence[int]) -> None:
     axes.legend(title="time", frameon=False)
 
 
-def _penetration(axes: Any, results: Sequence[Result]) -> None:
-    for number, result in enumerate(results):
+def _penetration(axes: Any, results: Sequence[Result], labels: Sequence[str]) -> None:
+    for number, (result, label) in enumerate(zip(results, labels, strict=True)):
         axes.plot(
             result.scalars["time"], 1e3 * result.scalars["penetration"],
             color=_COLOURS[number % len(_COLOURS)], linestyle=_DASHES[number % len(_DASHES)],
-            label=_label(result),
+            label=label,
         )  # fmt: skip
     axes.set_xlim(left=0.0)
     axes.set_ylim(bottom=0.0)

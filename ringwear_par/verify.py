@@ -17,7 +17,7 @@ from scipy.interpolate import CubicSpline
 from scipy.linalg import eigh
 
 from ringwear_par import reference
-from ringwear_par.assembly import Conditions
+from ringwear_par.assembly import Conditions, load_kernels
 from ringwear_par.body import compliance, ring_conditions, solve_body
 from ringwear_par.case import Case, Load, Output, Ring, Stepping
 from ringwear_par.contact import ContactSolver
@@ -380,6 +380,7 @@ def checks(comm: MPI.Comm) -> Iterator[Check]:
 
 def verify(comm: MPI.Comm) -> int:
     """Print every check as it is done; return 0 if all passed, else 1. Collective on comm."""
+    load_kernels(comm)
     started = time.perf_counter()
     failed = total = 0
     width = 66
