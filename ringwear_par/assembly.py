@@ -167,12 +167,20 @@ def _integrate(
         parts -= 1
         t0, t1 = part_from[parts], part_to[parts]
         span = t1 - t0
-        if at >= 0:
+        singular = at >= 0 and t0 == 0.5 * at
+        if singular:
+            reach = xr / length  # near the axis the kernels change over the radius, not the element
+            if xr > 0.0 and abs(span) > 1.5 * reach and parts + 2 <= _MAX_PARTS:
+                middle = t0 + math.copysign(reach, span)
+                part_from[parts], part_to[parts] = t0, middle
+                part_from[parts + 1], part_to[parts + 1] = middle, t1
+                parts += 2
+                continue
             n = len(rules.singular_points)
         else:
             d0 = math.hypot(ar + t0 * dr, az + t0 * dz)
             d1 = math.hypot(ar + t1 * dr, az + t1 * dz)
-            ratio = (d0 + d1) / (length * span)
+            ratio = (d0 + d1) / (length * abs(span))
             if ratio < rules.reach[MAX_POINTS] and parts + 2 <= _MAX_PARTS:
                 middle = 0.5 * (t0 + t1)
                 part_from[parts], part_to[parts] = t0, middle
@@ -185,16 +193,18 @@ def _integrate(
         evaluations += n
         for q in range(n):
             # offsets from the source, without cancellation on its own element
-            if at >= 0:
+            if singular:
                 dt = span * rules.singular_points[q]
-                t = t0 + dt
-                a, b = dt * dr, dt * dz
                 w = rules.singular_weights[q] * abs(span) * length
             else:
-                dt = 0.0
-                t = t0 + span * rules.points[n, q]
+                dt = t0 + span * rules.points[n, q] - 0.5 * max(at, 0)
+                w = rules.weights[n, q] * abs(span) * length
+            if at >= 0:
+                t = 0.5 * at + dt
+                a, b = dt * dr, dt * dz
+            else:
+                t = dt
                 a, b = ar + t * dr, az + t * dz
-                w = rules.weights[n, q] * span * length
             u_rr, u_rz, u_zr, u_zz, t_rr, t_rz, t_zr, t_zz, u_tt, t_tt = ring_kernels(
                 xr, a, b, nr, nz, poisson
             )
@@ -303,7 +313,7 @@ def load_kernels(comm: MPI.Comm) -> None:
         body = contour(Section((1.0, 2.0), 1.0, (1.0, 2.0)), Mesh(4))
         k = len(body.elements)
         nothing = Conditions(np.zeros((k, 3), bool), np.full((k, 3), -1), np.zeros((k, 3)), 0)
-        empty = np.zeros((0, 0), order="F")
+        empty = np.zeros((2, 2), order="F")  # column-major, which empty arrays are not only
         _assemble_rows(
             0, 0, body, nothing, number_unknowns(body, nothing), 0.0, quadrature(0.1),
             np.zeros(2, dtype=np.int64), (empty, empty), (empty, empty),

@@ -4,10 +4,11 @@
 """
 
 import difflib
+import json
 import math
 import tomllib
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -146,15 +147,15 @@ def _number(low: float, high: float = math.inf, *, ends: bool = False) -> tuple[
     return read, allowed
 
 
-def _integer(low: int) -> tuple[Reader, str]:
+def _integer(low: int, high: int = 10**12) -> tuple[Reader, str]:
     def read(value: Any) -> int:
         if isinstance(value, float) and value.is_integer():
             value = int(value)
-        if not isinstance(value, int) or isinstance(value, bool) or value < low:
+        if not isinstance(value, int) or isinstance(value, bool) or not low <= value <= high:
             raise _RejectedError
         return value
 
-    return read, f"a whole number >= {low}"
+    return read, f"a whole number from {low} to {high:g}"
 
 
 def _pair(low: float) -> tuple[Reader, str]:
@@ -249,7 +250,7 @@ KEYS: tuple[Key, ...] = (
         "grading of the contact line towards its edges; 1 is uniform", 2.5,
     ),
     Key(
-        "mesh.quadrature_tolerance", *_number(1e-14, 1e-2, ends=True), "1",
+        "mesh.quadrature_tolerance", *_number(1e-10, 1e-2, ends=True), "1",
         "relative accuracy of the element integrals", 1e-7,
     ),
     Key(
@@ -267,7 +268,7 @@ def _flatten(tables: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
         path = f"{prefix}{name}"
         if isinstance(value, dict) and path not in _BY_PATH:
             flat.update(_flatten(value, f"{path}."))
-            if not value:
+            if not value and path not in _TABLES:  # unknown, and to be told so
                 flat[path] = value
         else:
             flat[path] = value
@@ -285,8 +286,7 @@ def toml_value(value: Any) -> str:
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, str):
-        escaped = value.replace("\\", "\\\\").replace('"', '\\"').replace("\n", "\\n")
-        return f'"{escaped}"'
+        return json.dumps(value, ensure_ascii=False)  # TOML's escapes are JSON's
     if isinstance(value, list | tuple):
         return "[" + ", ".join(toml_value(v) for v in value) + "]"
     return repr(value) if _is_number(value) else str(value)
@@ -382,10 +382,7 @@ def parse_case(text: str, name: str, overrides: Mapping[str, Any] | None = None)
                     f"{origin[path]}{path} = {toml_value(value)}: must be {key.allowed}{unit}"
                 )
         elif path in _TABLES:
-            if value != {}:
-                faults.append(
-                    f"{origin[path]}{path} = {toml_value(value)}: must be a table, [{path}]"
-                )
+            faults.append(f"{origin[path]}{path} = {toml_value(value)}: must be a table, [{path}]")
         else:
             faults.append(f"{origin[path]}{path}: unknown key{_nearest(path)}")
     wears = {
@@ -488,7 +485,7 @@ def _build(values: Mapping[str, Any], wears: Mapping[str, bool], text: str) -> C
     )
     if values["load.pressure"] is not None:
         force = values["load.pressure"] * case.area
-        case = Case(**{**vars(case), "load": Load(case.load.omega, force)})
+        case = replace(case, load=Load(case.load.omega, force))
     return case
 
 

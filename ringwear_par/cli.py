@@ -8,6 +8,7 @@ import argparse
 import logging
 import os
 import sys
+import time
 import traceback
 from collections.abc import Sequence
 from pathlib import Path
@@ -15,6 +16,9 @@ from typing import Any, NoReturn
 
 from ringwear_par import __version__
 from ringwear_par.errors import InputError, RingwearError
+
+#: how long a rank that fails waits for the others to fail alike
+GRACE_SECONDS = 10.0
 
 EPILOG = """\
 Everything after -- goes to PETSc's options: -bem_... for the boundary element systems,
@@ -92,10 +96,15 @@ def _dispatch(args: argparse.Namespace, comm: Any) -> int:
         overrides = [item for group in args.overrides for item in group]
         return run_case(args.case, args.output, overrides, args.restart, args.plot, comm)
     if args.command == "plot":
+        from ringwear_par.driver import on_first_rank
         from ringwear_par.plots import plot_files
 
-        if comm.rank == 0:
-            plot_files(args.results, args.output, args.panels, args.steps, args.profiles_of)
+        on_first_rank(
+            comm,
+            lambda: plot_files(
+                args.results, args.output, args.panels, args.steps, args.profiles_of
+            ),
+        )
         return 0
     if args.command == "verify":
         from ringwear_par.verify import verify
@@ -111,11 +120,23 @@ def _dispatch(args: argparse.Namespace, comm: Any) -> int:
 def _check_launch(size: int) -> None:
     for name in ("OMPI_COMM_WORLD_SIZE", "PMI_SIZE"):
         launched = os.environ.get(name)
-        if launched is not None and int(launched) != size:
+        if launched is not None and launched.isdecimal() and int(launched) != size:
             raise InputError(
                 f"{name} = {launched} but MPI has {size} rank(s): mpirun and mpi4py belong to "
                 "different MPI libraries (see ringwear info)"
             )
+
+
+def _others_come(together: Any) -> bool:
+    """Wait a little for the other ranks to fail as well; they may have gone on to a collective."""
+    if together is None:
+        return True
+    request, started = together.Ibarrier(), time.monotonic()
+    while not request.Test():
+        if time.monotonic() - started > GRACE_SECONDS:
+            return False
+        time.sleep(0.001)
+    return True
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -127,6 +148,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     from mpi4py import MPI
 
     comm = MPI.COMM_WORLD
+    together = comm.Dup() if comm.size > 1 else None
     logging.basicConfig(
         format="ringwear: %(message)s",
         level=logging.INFO if comm.rank == 0 else logging.ERROR,
@@ -143,11 +165,15 @@ def main(argv: Sequence[str] | None = None) -> int:
         sys.stdout.flush()
         return status
     except RingwearError as error:
-        # raised on all ranks alike: said by the first
-        if comm.rank == 0:
-            print("\n".join(f"ringwear: {line}" for line in str(error).splitlines()),
-                  file=sys.stderr, flush=True)  # fmt: skip
+        alike = _others_come(together)
+        if comm.rank == 0 or not alike:
+            told = "\n".join(f"ringwear: {line}" for line in str(error).splitlines())
+            print(told, file=sys.stderr, flush=True)
+        if not alike:
+            comm.Abort(error.exit_status)
         return error.exit_status
+    except KeyboardInterrupt:
+        return 130
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 1

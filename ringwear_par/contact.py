@@ -18,6 +18,7 @@ import numpy as np
 from mpi4py import MPI
 from petsc4py import PETSc
 
+from ringwear_par.dense import set_from_options
 from ringwear_par.errors import ComputationError, InputError
 from ringwear_par.geometry import FloatArray
 from ringwear_par.newton import ActiveSetNewton
@@ -165,7 +166,7 @@ class ContactSolver:
         tao.setHessian(self._hessian, self._h, self._h)
         tao.setVariableBounds((self._lower, self._upper))
         tao.setSolution(self._x)
-        tao.setFromOptions()
+        set_from_options(tao, PREFIX)
         return tao
 
     def _objective(self, tao: PETSc.TAO, x: PETSc.Vec) -> float:
@@ -216,15 +217,21 @@ class ContactSolver:
         here = self._here
         self._wear = wear.part(here) if wear is not None and self.distributed else wear
         self._linear = self._weight * (gap[here] - approach)
-        size = float(np.linalg.norm(self._area / self._scale * (gap - approach)))
+        overlap = np.maximum(approach - gap, 0.0)
+        size = float(np.linalg.norm(self._area / self._scale * overlap))
         self._tao.setTolerances(gatol=1e-12 * size, grtol=0.0, gttol=0.0)
-        self._tao.solve()
+        try:
+            self._tao.solve()
+        except PETSc.Error as error:
+            raise ComputationError(
+                f"contact: TAO {self.tao_type} failed (PETSc error {error.ierr})"
+            ) from error
         reason, iterations = self._tao.getConvergedReason(), self._tao.getIterationNumber()
         q = self._x.getArray(readonly=True)
         self._gradient(self._tao, self._x, self._g)
         diagonal = 1.0 + np.maximum(self._slope, self._slope_at(q))  # both sides of a kink
         defect = np.minimum(q, self._g.getArray(readonly=True) / diagonal)
-        worst = float(np.abs(defect).max(initial=0.0))
+        worst = float(np.abs(defect).max(initial=0.0)) if np.isfinite(defect).all() else np.inf
         largest = float(q.max(initial=0.0))
         if self.distributed:
             worst, largest = (self._comm.allreduce(v, MPI.MAX) for v in (worst, largest))
@@ -260,14 +267,16 @@ class ContactSolver:
         ------
         ComputationError : TAO failed, the KKT residual or the force balance is too large.
         """
+        nearest = float(gap.min())
         if approach is not None:
             p, iterations, residual = self._solve_at(gap, approach, wear)
-            self._last = gap, approach, float(self._area @ p)
+            indentation, self._last = approach - nearest, (gap, approach, float(self._area @ p))
         elif force is not None:
-            p, approach, iterations, residual = self._search_approach(gap, force, wear)
+            p, indentation, iterations, residual = self._search_approach(gap, force, wear)
+            approach = nearest + indentation
         else:
             raise ValueError("force or approach must be given")
-        opening = gap + self._compliance_rows @ p - approach
+        opening = (gap - nearest) + self._compliance_rows @ p - indentation
         if wear is not None:
             opening = opening + wear.depth(p)
         return ContactState(p, opening, approach, float(self._area @ p), iterations, residual)
@@ -275,7 +284,12 @@ class ContactSolver:
     def _search_approach(
         self, gap: FloatArray, force: float, wear: StepWear | None
     ) -> tuple[FloatArray, float, int, float]:
-        """Find the approach: secant steps, or bisection where they do not halve the imbalance."""
+        """Find the approach: secant steps, or bisection where they do not halve the imbalance.
+
+        Returned is the indentation, approach less the smallest gap: under light loads it is far
+        smaller than either.
+        """
+        nearest = float(gap.min())
         area, rate = self._area, self._rate
         if self._last is None:
             last_gap, last_approach, last_force = gap, float(area @ gap / area.sum()), 0.0
@@ -283,12 +297,13 @@ class ContactSolver:
             last_gap, last_approach, last_force = self._last
         stiffness = float(area @ rate)
         growth = float(rate @ (area * (gap - last_gap)))
-        low, high = float(gap.min()), np.inf  # no contact, no force at low
-        approach = max(last_approach + (force - last_force + growth) / stiffness, low)
+        low, high = 0.0, np.inf  # no contact, no force at low
+        step = (force - last_force + growth) / stiffness
+        approach, gap_above = max(last_approach - nearest + step, low), gap - nearest
         before: tuple[FloatArray, float, float] | None = None
         total = 0
         for _ in range(_MAX_APPROACHES):
-            p, iterations, residual = self._solve_at(gap, approach, wear)
+            p, iterations, residual = self._solve_at(gap_above, approach, wear)
             total += iterations
             excess = float(area @ p) - force
             if abs(excess) <= FORCE_TOLERANCE * force:
@@ -316,7 +331,7 @@ class ContactSolver:
                 f"contact: the approach was not found: force {force + excess:.9g} N instead of "
                 f"{force:.9g} N at approach {approach:.9g} mm after {_MAX_APPROACHES} trials"
             )
-        self._rate, self._last = rate, (gap, approach, force)
+        self._rate, self._last = rate, (gap, nearest + approach, force)
         return p, approach, total, residual
 
     def warm(self) -> WarmStart:

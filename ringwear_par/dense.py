@@ -10,10 +10,12 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from ringwear_par.assembly import Rows
-from ringwear_par.errors import ComputationError
+from ringwear_par.errors import ComputationError, InputError
 from ringwear_par.geometry import FloatArray
 
 PREFIX = "bem_"
+#: largest residual of a row, relative to the sum of its terms
+RESIDUAL_TOLERANCE = 1e-9
 
 
 def has_scalapack() -> bool:
@@ -38,7 +40,8 @@ def solve_rows(rows: Rows, comm: MPI.Comm) -> tuple[FloatArray, int]:
 
     Raises
     ------
-    ComputationError : the factorisation failed or the answer is not finite.
+    ComputationError : the factorisation failed, or the residual is too large.
+    InputError : PETSc does not accept an option.
     """
     local, n_loads = rows.loads.shape
     matrix = _matrix(rows.matrix, (local, rows.matrix.shape[1]), comm)
@@ -55,7 +58,7 @@ def solve_rows(rows: Rows, comm: MPI.Comm) -> tuple[FloatArray, int]:
     pc.setType("lu" if comm.size == 1 or has_scalapack() else "redundant")
     owned = [matrix, loads, ksp, pc]
     try:
-        ksp.setFromOptions()
+        set_from_options(ksp, PREFIX)
         block_cyclic = comm.size > 1 and pc.getType() == "lu"
         if block_cyclic:
             distributed = PETSc.Mat()
@@ -107,6 +110,38 @@ def solve_rows(rows: Rows, comm: MPI.Comm) -> tuple[FloatArray, int]:
         ksp.reset()
         for item in reversed(owned):
             item.destroy()
-    if not comm.allreduce(bool(np.isfinite(x).all()), MPI.LAND):
-        raise ComputationError("boundary element system: the solution is not finite")
+    _check_residual(rows, x, start, comm)
     return x, start
+
+
+def _check_residual(rows: Rows, x: FloatArray, start: int, comm: MPI.Comm) -> None:
+    """Raise unless the sum of all right-hand sides is solved. Collective on comm."""
+    total = np.zeros(rows.matrix.shape[1])
+    total[start : start + len(x)] = x.sum(axis=1)
+    comm.Allreduce(MPI.IN_PLACE, total, MPI.SUM)
+    defect = np.abs(rows.matrix @ total - rows.loads.sum(axis=1))
+    size = np.abs(rows.matrix) @ np.abs(total)
+    worst = float((defect / np.maximum(size, 1e-300)).max(initial=0.0))
+    worst = max(comm.allgather(worst if np.isfinite(total).all() else np.inf))
+    if not worst <= RESIDUAL_TOLERANCE:
+        raise ComputationError(
+            f"boundary element system: relative residual {worst:.1e} is above "
+            f"{RESIDUAL_TOLERANCE:.0e} (KSP and PC of -{PREFIX} options must solve, not only "
+            "precondition)"
+        )
+
+
+def set_from_options(solver: PETSc.KSP | PETSc.TAO, prefix: str) -> None:
+    """Let a solver read its PETSc options. Collective on the solver.
+
+    Raises
+    ------
+    InputError : PETSc does not accept a value.
+    """
+    try:
+        solver.setFromOptions()
+    except PETSc.Error as error:
+        raise InputError(
+            f"-{prefix}... options: PETSc does not accept one of them (error {error.ierr}); types "
+            "must be among those of this PETSc"
+        ) from error

@@ -12,14 +12,14 @@ import numpy as np
 from mpi4py import MPI
 
 from ringwear_par.assembly import load_kernels
-from ringwear_par.case import Case, parse_case, read_case
+from ringwear_par.case import FIELDS, Case, parse_case, read_case
 from ringwear_par.contact import ContactSolver
 from ringwear_par.errors import ComputationError, InputError, RingwearError
 from ringwear_par.history import State, WearHistory, run
 from ringwear_par.info import versions
 from ringwear_par.monitor import Monitor
 from ringwear_par.options import reject_unused_options
-from ringwear_par.pair import ContactPair, check_memory, contact_pair
+from ringwear_par.pair import ContactPair, check_memory, check_mesh, contact_pair
 from ringwear_par.results import (
     Checkpoint,
     Recorder,
@@ -68,9 +68,10 @@ def run_case(
     case, checkpoint = on_first_rank(
         comm, lambda: _prepare(path, output, overrides, restart, figure, comm.size)
     )
-    if checkpoint is not None and checkpoint.state.step >= case.time.steps:
-        log.info("%s is complete: nothing to do", output)
-        return 0
+    if checkpoint is not None and checkpoint.state.step == case.time.steps:
+        if comm.rank == 0:
+            log.info("%s is complete: nothing to compute", output)
+        return _draw(output, figure, comm)
     if comm.rank == 0:
         _warn_of_threads(comm.size)
 
@@ -80,20 +81,21 @@ def run_case(
     pair, cost = contact_pair(case, comm)
     with ContactSolver(pair.stiffness, pair.line.area, comm) as solver:
         history = WearHistory(case, pair, solver)
-        recorder = Recorder(history)
+        recorder = Recorder(history) if comm.rank == 0 else None
         if comm.rank == 0 and case.time.scheme == "explicit":
             _warn_of_instability(history)
         begun = time.perf_counter()
         state = history.start()
         reject_unused_options()
-        if checkpoint is None:
-            recorder.add(state)
-        else:
+        if checkpoint is not None:
             state = checkpoint.state
             solver.warm_start(checkpoint.warm)
+        if recorder is not None and checkpoint is None:
+            recorder.add(state)
+        elif recorder is not None and checkpoint is not None:
             restore(recorder, checkpoint)
-            if comm.rank == 0:
-                log.info("continuing %s at step %d of %d", output, state.step, case.time.steps)
+            log.info("continuing %s at step %d of %d", output, state.step, case.time.steps)
+        before = checkpoint.seconds if checkpoint is not None else {}
         seconds = {
             "seconds_assembly": cost.seconds_assembly,
             "seconds_factorisation": cost.seconds_solution,
@@ -105,25 +107,26 @@ def run_case(
             t0 = time.perf_counter()
             warm = solver.warm()
             seconds["seconds_stepping"] = t0 - begun - seconds["seconds_output"]
+            spent = {name: value + before.get(name, 0.0) for name, value in seconds.items()}
             attributes = {
                 "status": "complete" if state.step == case.time.steps else "incomplete",
                 "ranks": comm.size,
                 **versions(),
-                **seconds,
+                **spent,
                 "symmetry_defect": pair.symmetry_defect,
-                "force_defect": pair.force_defect,
-                "torque_defect": pair.torque_defect,
             }
-            on_first_rank(
-                comm,
-                lambda: write_result(output, case, pair.line, recorder, state, warm, attributes),
-            )
+
+            def write() -> None:
+                assert recorder is not None
+                write_result(output, case, pair.line, recorder, state, warm, attributes)
+
+            on_first_rank(comm, write)
             seconds["seconds_output"] += time.perf_counter() - t0
 
         with Monitor(case.time.steps, recorder, save, comm) as monitor:
             state = run(history, state, monitor)
-        save(state)
-        if comm.rank == 0:
+            save(state)
+        if recorder is not None:
             print(summary(case, pair, state, recorder))
             start_up = max(seconds_since_start() - (time.perf_counter() - started), 0.0)
             print(_times(seconds, start_up, loading, cost.kernel_evaluations))
@@ -132,10 +135,14 @@ def run_case(
             f"stopped by {monitor.signal_name} after step {state.step} of {case.time.steps}; "
             f"{output} holds them, and the same command with --restart continues"
         )
-    if figure is not None and comm.rank == 0:
+    return _draw(output, figure, comm)
+
+
+def _draw(output: Path, figure: Path | None, comm: MPI.Comm) -> int:
+    if figure is not None:
         from ringwear_par.plots import plot_files
 
-        plot_files([output], figure)
+        on_first_rank(comm, lambda: plot_files([output], figure))
     return 0
 
 
@@ -160,11 +167,12 @@ def summary(case: Case, pair: ContactPair, state: State, recorder: Recorder) -> 
         f"{np.count_nonzero(p > 0.0)} of {len(p)} elements in contact",
         "balances, worst of all steps: "
         + (f"force {balances.force:.1e}, " if case.load.force is not None else "")
-        + f"torque {balances.torque:.1e}, volume {balances.volume:.1e}, "
+        + f"volume {balances.volume:.1e}, "
         + (f"energy {balances.energy:.1e}, " if energy_holds else "energy (p0 > 0: no identity), ")
         + f"contact (KKT) {balances.residual:.1e}",
-        f"boundary elements, vanish with the mesh: symmetry defect {pair.symmetry_defect:.1e}, "
-        f"reaction force {pair.force_defect:.1e}, reaction torque {pair.torque_defect:.1e}",
+        "balances of the boundary elements, which vanish with the mesh: torque on the held faces "
+        f"{balances.torque:.1e}, force on them {balances.reaction:.1e}, "
+        f"symmetry {pair.symmetry_defect:.1e}",
     ]
     return "\n".join(lines)
 
@@ -202,6 +210,7 @@ def _prepare(
     try:
         case = read_case(path, overrides)
         check_memory(case, ranks, str(path))
+        check_mesh(case, str(path))
     except InputError as error:
         faults += error.faults
     try:
@@ -209,7 +218,7 @@ def _prepare(
         there = read_status(output)
         if there is not None and restart and case is not None:
             text, checkpoint = read_checkpoint(output)
-            _check_same(case, text, output)
+            _check_same(case, text, checkpoint.state.step, output)
         elif there is not None and there[0] == "incomplete" and not restart:
             raise InputError(
                 f"{output}: holds a run that was interrupted after step {there[1]}; "
@@ -218,8 +227,10 @@ def _prepare(
     except InputError as error:
         faults += error.faults
     if figure is not None:
+        from ringwear_par.plots import check_figure
+
         try:
-            check_writable(figure)
+            check_figure(figure, case.output.fields if case is not None else FIELDS)
         except InputError as error:
             faults += error.faults
     if faults or case is None:
@@ -246,13 +257,18 @@ def check_writable(path: Path) -> None:
         raise InputError(f"{path}: cannot be written: {error.strerror}") from error
 
 
-def _check_same(case: Case, text: str, output: Path) -> None:
+def _check_same(case: Case, text: str, reached: int, output: Path) -> None:
     stored = parse_case(text, str(output))
     same = replace(stored, time=case.time, title=case.title, text=case.text)
     steps = replace(stored.time, steps=case.time.steps)
     if same != case or steps != case.time:
         raise InputError(
             f"{output}: holds another case; --restart needs the same case, only time.steps may grow"
+        )
+    if reached > case.time.steps:
+        raise InputError(
+            f"{output}: holds {reached} steps, time.steps = {case.time.steps}: must be at least as "
+            "many with --restart"
         )
 
 

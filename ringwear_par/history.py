@@ -21,12 +21,15 @@ from ringwear_par.wear import StepWear
 
 @dataclass(frozen=True)
 class Balances:
-    """Relative defects of statements that hold exactly for the discrete problem.
+    """Relative defects of balances.
+
+    All hold to round-off, but for torque and reaction, which vanish with the mesh.
 
     Parameters
     ----------
     force : contact pressure against the applied force (0 at given displacement).
-    torque : friction power against torque times speed.
+    torque : torque on the held faces against the friction torque, the worse of both bodies.
+    reaction : axial force on the held faces against that of the contact pressure, likewise.
     volume : worn volume of the profiles against the time integral of its rate.
     energy : worn volume against k times the dissipated energy, where p0 = 0 (else 0).
     residual : KKT residual of the contact solution.
@@ -34,6 +37,7 @@ class Balances:
 
     force: float = 0.0
     torque: float = 0.0
+    reaction: float = 0.0
     volume: float = 0.0
     energy: float = 0.0
     residual: float = 0.0
@@ -44,7 +48,7 @@ class Balances:
 
     def values(self) -> tuple[float, ...]:
         """Return the defects in their order."""
-        return self.force, self.torque, self.volume, self.energy, self.residual
+        return self.force, self.torque, self.reaction, self.volume, self.energy, self.residual
 
 
 @dataclass(frozen=True)
@@ -164,7 +168,8 @@ class WearHistory:
     def _balanced(self, state: State) -> State:
         p, force = state.contact.pressure, self.case.load.force
         volumes = self.worn_volumes(state)
-        friction, power = self._area @ (self._power * p), self.case.load.omega * self.torque(p)
+        pair, pushed = self.pair, state.contact.force
+        turned = float((self._area * pair.line.arm) @ p)
         total = float(volumes.max())
         energy = 0.0
         for law, volume in zip(self.case.laws, volumes, strict=True):
@@ -172,7 +177,8 @@ class WearHistory:
                 energy = max(energy, abs(volume / (law.proportional * state.energy) - 1.0))
         now = Balances(
             abs(state.contact.force / force - 1.0) if force is not None else 0.0,
-            abs(float(friction) / power - 1.0) if power > 0.0 else 0.0,
+            float(np.abs(pair.torque_reaction @ p / turned - 1.0).max()) if turned > 0.0 else 0.0,
+            float(np.abs(pair.force_reaction @ p / pushed - 1.0).max()) if pushed > 0.0 else 0.0,
             float(np.abs(volumes - state.worn).max()) / total if total > 0.0 else 0.0,
             energy,
             state.contact.residual,

@@ -30,24 +30,25 @@ class Monitor:
     Parameters
     ----------
     steps : number of steps of the run.
-    recorder : takes every state.
+    recorder : takes every state; None on ranks that store nothing.
     save : writes a checkpoint; collective.
     comm : communicator; calls are collective, and answered alike on all ranks.
     """
 
     def __init__(
-        self, steps: int, recorder: Recorder, save: Callable[[State], None], comm: MPI.Comm
+        self, steps: int, recorder: Recorder | None, save: Callable[[State], None], comm: MPI.Comm
     ) -> None:
         self._steps, self._recorder, self._save, self._comm = steps, recorder, save, comm
         self._saved = self._told = time.perf_counter()
-        self._request = np.zeros(2, dtype=np.int64)  # signal received, checkpoint due
+        self._received = 0  # here; only what the ranks agree on is acted upon
+        self._agreed = 0
         self._old: dict[int, Any] = {}
         self._bar: Any = None
 
     @property
     def signal_name(self) -> str:
         """Name of the signal that stopped the run."""
-        return signal.Signals(int(self._request[0])).name
+        return signal.Signals(self._agreed).name
 
     def __enter__(self) -> "Monitor":
         for number in _SIGNALS:
@@ -56,30 +57,32 @@ class Monitor:
 
     def __exit__(self, *_: object) -> None:
         for number, handler in self._old.items():
-            signal.signal(number, handler)
+            signal.signal(number, signal.SIG_DFL if handler is None else handler)
         if self._bar is not None:
             self._bar.close()
 
     def _receive(self, number: int, frame: FrameType | None) -> None:
-        self._request[0] = number
+        self._received = number
 
     def __call__(self, state: State) -> bool:
         """Return whether to stop after this state. Collective."""
-        self._recorder.add(state)
         now = time.perf_counter()
-        if self._comm.rank == 0:
+        if self._recorder is not None:
+            self._recorder.add(state)
             self._tell(state, now)
-            self._request[1] = now - self._saved > CHECKPOINT_SECONDS
+        due = self._comm.rank == 0 and now - self._saved > CHECKPOINT_SECONDS
+        request = np.array([self._received, due], dtype=np.int64)
         if self._comm.size > 1:
-            self._comm.Allreduce(MPI.IN_PLACE, self._request, MPI.MAX)
-        if self._request[1] and state.step < self._steps:
+            self._comm.Allreduce(MPI.IN_PLACE, request, MPI.MAX)
+        self._agreed = int(request[0])
+        if request[1] and not self._agreed and state.step < self._steps:
             try:
                 self._save(state)
             except ComputationError as error:
                 if self._comm.rank == 0:
                     log.warning("checkpoint not written, going on: %s", error)
-            self._saved, self._request[1] = time.perf_counter(), 0
-        return bool(self._request[0])
+            self._saved = time.perf_counter()
+        return self._agreed != 0
 
     def _tell(self, state: State, now: float) -> None:
         if self._bar is None:

@@ -16,14 +16,14 @@ from scipy.linalg.lapack import dpotrf, dpotrs
 from ringwear_par.geometry import BoolArray, FloatArray
 
 _PLAIN_ITERATIONS = 25
+_ROUND_OFF = 1e-13
 
 
 class ActiveSetNewton:
     """Context of a TAO of type "python" on one rank, with a dense Hessian and lower bounds 0.
 
-    Converged when the active set repeats and the natural residual min(x, g/diag(H)) is below the
-    TAO's absolute gradient tolerance: where wear makes the diagonal large, round-off in x makes
-    the gradient itself large.
+    Converged when the active set repeats and the natural residual min(g, diag(H) x) is below the
+    TAO's absolute gradient tolerance, or at the round-off of x.
     """
 
     def __init__(self) -> None:
@@ -52,12 +52,12 @@ class ActiveSetNewton:
         x = solution.getArray(readonly=True).copy()
         free = x > 0.0
         tolerance = tao.getTolerances()[0]
-        best = tao.getMaximumIterations()
+        limit = tao.getMaximumIterations()
         if not free.any():
             free = self._evaluate(tao, solution, np.zeros_like(x)) < 0.0
         x[~free] = 0.0
         gradient = self._evaluate(tao, solution, x)
-        for iteration in range(1, best + 1):
+        for iteration in range(1, limit + 1):
             if iteration <= _PLAIN_ITERATIONS:
                 x[free] += self._newton_step(tao, solution, gradient, free)
                 gradient = self._evaluate(tao, solution, x)
@@ -76,14 +76,19 @@ class ActiveSetNewton:
                 x, gradient = self._search(tao, solution, x, gradient, step)
                 settled = bool((gradient[x == 0.0] >= 0.0).all())
                 free = x > 0.0
-            residual = float(np.linalg.norm(np.minimum(gradient / self._diagonal(tao), x)))
+            defect = np.minimum(gradient, x * (diagonal := self._diagonal(tao)))
+            residual = float(np.linalg.norm(defect))
             if self._monitored:
                 tao.monitor(iteration, tao.computeObjective(solution), residual)
-            if settled and residual <= tolerance:
+            # where wear makes the diagonal large, round-off in x is more than the tolerance in g
+            if settled and (
+                residual <= tolerance
+                or np.abs(defect / diagonal).max() <= _ROUND_OFF * x.max(initial=0.0)
+            ):
                 tao.setIterationNumber(iteration)
                 tao.setConvergedReason(PETSc.TAO.Reason.CONVERGED_GATOL)
                 return
-        tao.setIterationNumber(best)
+        tao.setIterationNumber(limit)
         tao.setConvergedReason(PETSc.TAO.Reason.DIVERGED_MAXITS)
 
     def _evaluate(self, tao: PETSc.TAO, solution: PETSc.Vec, x: FloatArray) -> FloatArray:

@@ -9,8 +9,9 @@ from scipy.linalg import eigh
 
 from ringwear_par.body import Compliance, compliance
 from ringwear_par.case import Case
+from ringwear_par.dense import has_scalapack
 from ringwear_par.errors import ComputationError, InputError
-from ringwear_par.geometry import ContactLine, FloatArray, contact_line, count_elements
+from ringwear_par.geometry import ContactLine, FloatArray, contact_line, contour, count_elements
 
 
 @dataclass(frozen=True)
@@ -24,16 +25,17 @@ class ContactPair:
     twist : (n,) float, mm/MPa; area mean of the circumferential displacement jump per unit
         circumferential traction on each element.
     symmetry_defect : largest ``|m C - (m C)'|`` over the largest ``|m C|``; vanishes with the mesh.
-    force_defect, torque_defect : largest relative difference, over both bodies and all contact
-        elements, of the reaction on the held face from the load; vanish with the mesh.
+    force_reaction, torque_reaction : (2, n) float, mm^2 and mm^3; force and torque on the held
+        faces of lower and upper per unit pressure and unit shear on each element. Equilibrium asks
+        for the area, and area times arm; the difference vanishes with the mesh.
     """
 
     line: ContactLine
     stiffness: FloatArray
     twist: FloatArray
     symmetry_defect: float
-    force_defect: float
-    torque_defect: float
+    force_reaction: FloatArray
+    torque_reaction: FloatArray
 
 
 @dataclass(frozen=True)
@@ -74,13 +76,18 @@ def join(
         stiffness,
         twist / m.sum(),
         float(np.abs(weighted - weighted.T).max() / np.abs(weighted).max()),
-        max(float(np.abs(body.force_reaction / m - 1.0).max()) for body in bodies),
-        max(float(np.abs(body.torque_reaction / (m * line.arm) - 1.0).max()) for body in bodies),
+        np.array([body.force_reaction for body in bodies]),
+        np.array([body.torque_reaction for body in bodies]),
     )
 
 
 def contact_pair(case: Case, comm: MPI.Comm) -> tuple[ContactPair, BodyCost]:
-    """Assemble and condense both bodies of a case. Collective on comm."""
+    """Assemble and condense both bodies of a case. Collective on comm.
+
+    Raises
+    ------
+    ComputationError : a factorisation failed, or the compliance is not positive definite.
+    """
     bodies = [
         compliance(case.section(ring), ring.poisson, ring.grip, case.mesh, comm)
         for ring in (case.lower, case.upper)
@@ -95,21 +102,23 @@ def contact_pair(case: Case, comm: MPI.Comm) -> tuple[ContactPair, BodyCost]:
 
 
 def memory_needed(case: Case, ranks: int) -> float:
-    """Return an estimate of the bytes that the boundary elements need on all ranks together.
+    """Return an estimate of the bytes that a run needs on all ranks together.
 
     The (r, z) system of the larger body (two unknowns a node, two nodes an element) with its
-    factor, the torsion system with its own, the right-hand sides, and on every rank the compliance
-    and its copies.
+    factor, which every rank holds where there is no ScaLAPACK; the torsion system; the right-hand
+    sides; on every rank the compliance and its copies; on one the history.
     """
     n = float(case.mesh.contact_elements)
     unknowns = 4.0 * max(
         count_elements(case.section(r), case.mesh) for r in (case.lower, case.upper)
     )
-    return 8.0 * (2.5 * unknowns**2 + 4.0 * unknowns * n + ranks * 8.0 * n**2)
+    copies = 1.0 if ranks == 1 or has_scalapack() else float(ranks)
+    history = len(case.output.fields) * n * (1.0 + case.time.steps / case.output.every)
+    return 8.0 * ((1.25 + 1.25 * copies) * unknowns**2 + ranks * 8.0 * n**2 + history)
 
 
 def check_memory(case: Case, ranks: int, name: str) -> None:
-    """Refuse a mesh that this machine cannot hold. Not collective.
+    """Refuse what this machine cannot hold, as if all ranks were on it. Not collective.
 
     Raises
     ------
@@ -118,12 +127,30 @@ def check_memory(case: Case, ranks: int, name: str) -> None:
     needed = memory_needed(case, ranks)
     there = float(os.sysconf("SC_PAGE_SIZE")) * os.sysconf("SC_PHYS_PAGES")
     if needed > 0.9 * there:
-        allowed = int(case.mesh.contact_elements * (0.9 * there / needed) ** 0.5)
         raise InputError(
-            f"{name}: mesh.contact_elements = {case.mesh.contact_elements}: needs "
-            f"{needed / 1e9:.3g} GB of memory, this machine has {there / 1e9:.3g} GB; "
-            f"must be at most about {allowed}"
+            f"{name}: mesh.contact_elements = {case.mesh.contact_elements}, time.steps = "
+            f"{case.time.steps}, output.every = {case.output.every}: needs about "
+            f"{needed / 1e9:.3g} GB of memory, this machine has {there / 1e9:.3g} GB; must be less"
         )
+
+
+def check_mesh(case: Case, name: str) -> None:
+    """Refuse a mesh whose smallest elements drown in round-off. Not collective.
+
+    Raises
+    ------
+    InputError : with the smallest length.
+    """
+    for ring in (case.lower, case.upper):
+        body = contour(case.section(ring), case.mesh)
+        ends = body.nodes[body.elements]
+        shortest = float(np.hypot(*(ends[:, 2] - ends[:, 0]).T).min())
+        if shortest < 1e-11 * ring.r[1]:
+            raise InputError(
+                f"{name}: mesh.grading = {case.mesh.grading:g} with mesh.contact_elements = "
+                f"{case.mesh.contact_elements}: the shortest element of this geometry is "
+                f"{shortest:.1e} mm; must be at least {1e-11 * ring.r[1]:.1e} mm"
+            )
 
 
 def largest_stable_step(pair: ContactPair, slope: FloatArray) -> float:

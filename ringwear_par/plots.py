@@ -1,5 +1,6 @@
 """Figures from stored results: worn profiles, penetration histories, pressure profiles."""
 
+import os
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
@@ -9,7 +10,7 @@ import matplotlib
 import numpy as np
 from matplotlib.figure import Figure
 
-from ringwear_par.case import UNITS, read_keys
+from ringwear_par.case import FIELDS, UNITS, read_keys
 from ringwear_par.driver import check_writable
 from ringwear_par.errors import InputError
 from ringwear_par.results import Result, read_result
@@ -46,17 +47,14 @@ def plot_files(
     paths : result files.
     output : picture; its ending chooses the format.
     panels : comma-separated names.
-    profiles_of : those of the files whose profiles are drawn; () for all.
     steps : comma-separated step numbers of the profiles; "" for the first step and four quarters.
+    profiles_of : those of the files whose profiles are drawn; () for all.
 
     Raises
     ------
     InputError : a file that is not a result, an unknown panel or format, a step not stored.
     """
-    check_writable(output)
-    formats = Figure().canvas.get_supported_filetypes()
-    if output.suffix[1:].lower() not in formats:
-        raise InputError(f"{output}: its ending must be one of {', '.join(sorted(formats))}")
+    check_figure(output)
     results = [read_result(path) for path in paths]
     for path in profiles_of:
         if path not in paths:
@@ -85,9 +83,30 @@ def plot_files(
         titles = {str(result.attributes["title"]) for result in results} - {""}
         if len(titles) == 1:
             figure.suptitle(titles.pop(), fontsize=8.0)
-        temporary = output.with_name(f".{output.stem}.tmp{output.suffix}")
-        figure.savefig(temporary)
-        temporary.replace(output)
+        temporary = output.with_name(f".{output.stem}.tmp{os.getpid()}{output.suffix}")
+        try:
+            figure.savefig(temporary)
+            temporary.replace(output)
+        finally:
+            temporary.unlink(missing_ok=True)
+
+
+def check_figure(output: Path, fields: Sequence[str] = FIELDS) -> None:
+    """Refuse a picture that cannot be written, or drawn from these fields. Not collective.
+
+    Raises
+    ------
+    InputError : the reason.
+    """
+    check_writable(output)
+    formats = Figure().canvas.get_supported_filetypes()
+    if output.suffix[1:].lower() not in formats:
+        raise InputError(f"{output}: its ending must be one of {', '.join(sorted(formats))}")
+    missing = {"wear_lower", "wear_upper"} - set(fields)
+    if missing:
+        raise InputError(
+            f"{output}: needs {' and '.join(sorted(missing))}, which output.fields leaves out"
+        )
 
 
 def _rows(result: Result, steps: str) -> list[int]:
@@ -97,7 +116,7 @@ def _rows(result: Result, steps: str) -> list[int]:
         return sorted({int(np.abs(stored - s).argmin()) for s in wished})
     rows = []
     for word in steps.split(","):
-        if not word.strip().isdigit() or int(word) not in stored:
+        if not word.strip().isdecimal() or int(word) not in stored:
             raise InputError(
                 f"--steps {steps}: {word!r} is not a stored step of {result.path}; "
                 f"must be among 0..{last} as stored (output.every)"

@@ -106,6 +106,7 @@ class Checkpoint:
     scalars: dict[str, FloatArray]
     fields: dict[str, FloatArray]
     pending_iterations: int
+    seconds: dict[str, float]
 
 
 @dataclass(frozen=True)
@@ -249,6 +250,7 @@ def read_checkpoint(path: Path) -> tuple[str, Checkpoint]:
             {name: file[name][:] for name in SCALARS},
             {name: file[name][:] for name in ALONG if name in file},
             int(attrs["pending_iterations"]),
+            {k: float(v) for k, v in file.attrs.items() if k.startswith("seconds_")},
         )
 
 

@@ -69,7 +69,7 @@ class StepWear:
 
     Parameters
     ----------
-    laws : laws of the bodies that wear.
+    laws : laws of the bodies that wear, one at least.
     power : (n,) float, mm/s, friction coefficient times sliding speed.
     step : s.
     """
@@ -80,18 +80,20 @@ class StepWear:
 
     def depth(self, p: FloatArray) -> FloatArray:
         """Return the growth of the gap, mm."""
-        return self.step * sum((law.rate(p, self.power) for law in self.laws), np.zeros_like(p))
+        return self.step * _total([law.rate(p, self.power) for law in self.laws])
 
     def slope(self, p: FloatArray) -> FloatArray:
         """Return d depth / d p, mm/MPa."""
-        return self.step * sum((law.slope(p, self.power) for law in self.laws), np.zeros_like(p))
+        return self.step * _total([law.slope(p, self.power) for law in self.laws])
 
     def potential(self, p: FloatArray) -> FloatArray:
         """Return the integral of the depth from 0 to p, MPa mm."""
-        return self.step * sum(
-            (law.potential(p, self.power) for law in self.laws), np.zeros_like(p)
-        )
+        return self.step * _total([law.potential(p, self.power) for law in self.laws])
 
     def part(self, here: slice) -> "StepWear":
         """Return the same for some of the elements."""
         return StepWear(self.laws, self.power[here], self.step)
+
+
+def _total(parts: list[FloatArray]) -> FloatArray:
+    return sum(parts[1:], parts[0])

@@ -8,7 +8,7 @@ out="${1:-$top/out}"
 mkdir -p "$out"
 cd "$out"
 for p0 in 40 0; do
-    mpirun -n 2 ringwear run "$top/scripts/cases/paper.toml" -o "p0_$p0.h5" --set "wear.lower.p0=$p0"
+    mpirun -n 2 ringwear run "$top/scripts/cases/paper.toml" -o "p0_$p0.h5" --set "wear.lower.p0=$p0" --restart
     echo
 done
 ringwear plot p0_40.h5 p0_0.h5 -o figure2.png --panels wear,penetration --profiles-of p0_40.h5 --steps 1,50,100,150,200

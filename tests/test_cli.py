@@ -62,6 +62,13 @@ def test_run_plot_and_status_0(tmp_path, ranks):
         ([PAPER, "-o", "a.h5", "--", "-contact_tao_typ", "tron"], "did you mean -contact_tao_type"),
         ([PAPER, "-o", "a.h5", "--", "-bem_nonsense", "3"], "-bem_nonsense: no solver"),
         ([PAPER, "-o", "a.h5", "--", "-contact_tao_type", "lmvm"], "must be one of python, tron"),
+        ([PAPER, "-o", "a.h5", "--", "-bem_pc_type", "nonsense"], "-bem_... options"),
+        ([PAPER, "-o", "a.h5", "--plot", "a.xyz"], "its ending must be one of"),
+        (
+            [PAPER, "-o", "a.h5", "--plot", "a.png", "--set", "output.fields=['gap']"],
+            "output.fields",
+        ),
+        ([PAPER, "-o", "a.h5", "--set", "time.steps=1000000000000"], "GB of memory"),
         ([PAPER], "the following arguments are required"),
     ],
 )
@@ -109,6 +116,15 @@ def wait_for_handlers(output, ranks, deadline=90.0):
             return
         time.sleep(0.05)
     raise AssertionError("the run did not begin to step")
+
+
+@pytest.mark.parametrize("kind", ["jacobi", "none", "cholesky"])
+def test_a_solver_that_does_not_solve_is_an_error(tmp_path, kind):
+    result = ringwear("run", PAPER, "-o", "a.h5", "--set", *SMALL, "--", "-bem_pc_type", kind,
+                      cwd=tmp_path)  # fmt: skip
+    assert result.returncode == 1
+    assert "relative residual" in sentences(result)[0]
+    assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.parametrize("ranks", [0, 2])

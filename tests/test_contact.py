@@ -105,6 +105,29 @@ def test_random_problems(problem, comm):
             assert state.approach == pytest.approx(delta, rel=1e-8)
 
 
+@pytest.mark.parametrize("tao_type", TAO_TYPES, indirect=True)
+@pytest.mark.parametrize("shape", ["flat", "half open", "crown", "rough"])
+def test_light_loads_between_wide_gaps(problem, comm, tao_type, shape):
+    line, stiffness = problem
+    gap = gaps(N)[shape]
+    with ContactSolver(stiffness, line.area, comm) as solver:
+        for force in (1e-6, 1e-3, 1.0):
+            p, _ = active_set.solve(stiffness, line.area, gap, force=force)
+            state = solver.solve(gap, force=force)
+            assert np.abs(state.pressure - p).max() <= 1e-5 * p.max()
+            assert abs(state.force / force - 1) <= 1e-10
+
+
+def test_violent_wear(problem, comm):
+    line, stiffness = problem
+    wear = StepWear((ThresholdLaw(1e3),), 0.35 * line.arm, 1.0)
+    with ContactSolver(stiffness, line.area, comm) as solver:
+        state = solver.solve(np.zeros(N), force=FORCE, wear=wear)
+    # elasticity is nothing against this: all elements wear alike, p r is constant
+    steady = FORCE / (line.area / line.arm).sum()
+    assert state.pressure * line.arm == pytest.approx(np.full(N, steady), rel=1e-6)
+
+
 def test_linear_in_the_load_while_all_is_in_contact(problem, comm):
     line, stiffness = problem
     with ContactSolver(stiffness, line.area, comm) as solver:

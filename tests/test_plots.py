@@ -37,8 +37,28 @@ def test_every_panel_and_format(runs, tmp_path, panels, ending):
     assert list(tmp_path.iterdir()) == [output]
     if ending == ".svg":
         text = output.read_text()
-        assert "comment" not in panels
         assert text.count("<path") > 10
+
+
+def test_what_is_drawn_is_what_is_stored(runs, tmp_path, monkeypatch):
+    from matplotlib.figure import Figure
+
+    from ringwear_par.plots import plot_files
+    from ringwear_par.results import read_result
+
+    figures = []
+    monkeypatch.setattr(Figure, "savefig", lambda self, path: (figures.append(self), path.touch()))
+    plot_files(runs[:2], tmp_path / "a.png", "wear,penetration,pressure", "1,20", runs[1:2])
+    wear, penetration, pressure = figures[0].axes
+    result = read_result(runs[1])
+    assert wear.lines[1].get_ydata() == pytest.approx(-1e3 * result.fields["wear_lower"][20])
+    assert pressure.lines[0].get_ydata() == pytest.approx(result.fields["pressure"][1])
+    assert pressure.lines[0].get_xdata() == pytest.approx(result.line.r)
+    assert penetration.lines[1].get_ydata() == pytest.approx(1e3 * result.scalars["penetration"])
+    assert penetration.lines[1].get_xdata() == pytest.approx(result.scalars["time"])
+    assert wear.get_ylabel() == "wear depth (\N{MICRO SIGN}m)"
+    assert pressure.get_ylabel() == "contact pressure (MPa)"
+    assert penetration.get_xlabel() == "time (s)"
 
 
 @pytest.mark.parametrize(

@@ -49,6 +49,18 @@ def rows(tolerance, comm):
                     quadrature(tolerance), comm)  # fmt: skip
 
 
+@pytest.mark.parametrize("bore", [0.01, 0.3, 10.0])
+def test_bars_with_small_bores_stay_exact(bore, comm):
+    """u_z = s z, u_r = -nu s r is in the discrete space: what is left is quadrature."""
+    from ringwear_par.body import compliance
+
+    section = Section((bore, 20.0), 20.0, (bore, 20.0))
+    for tolerance in (1e-4, 1e-7):
+        mesh = Mesh(16, quadrature_tolerance=tolerance)
+        body = compliance(section, 0.3, "platen", mesh, comm)
+        assert np.abs(body.normal.sum(axis=1) / 20.0 - 1).max() < 10 * tolerance
+
+
 def test_assembled_rows_follow_the_tolerance(comm):
     exact = rows(1e-13, comm)
     defects, counts = [], []

@@ -108,6 +108,51 @@ def test_a_longer_history_extends_a_complete_one(shared_path, comm):
         assert all(np.array_equal(value, two[name]) for name, value in one.items())
 
 
+def test_restart_with_fewer_steps_is_refused(shared_path, comm):
+    path = shared_path / "run.h5"
+    run_case(PAPER, path, SMALL, False, None, comm)
+    with pytest.raises(InputError, match=r"holds 20 steps, time\.steps = 10"):
+        run_case(PAPER, path, [*SMALL, "time.steps=10"], True, None, comm)
+
+
+def test_a_complete_run_is_drawn_without_computing(shared_path, comm):
+    path, figure = shared_path / "run.h5", shared_path / "run.png"
+    run_case(PAPER, path, SMALL, False, None, comm)
+    before = contents(path) if comm.rank == 0 else {}
+    assert run_case(PAPER, path, SMALL, True, figure, comm) == 0
+    if comm.rank == 0:
+        assert figure.exists()
+        assert all(np.array_equal(v, contents(path)[k]) for k, v in before.items())
+
+
+@pytest.mark.mpi(min_size=2)
+def test_a_signal_during_the_meeting_stops_all_ranks_at_the_same_step(
+    shared_path, comm, monkeypatch
+):
+    """Rank 0 gets its signal while it waits for the others inside the meeting after step 5."""
+    import os
+    import signal
+    import time
+
+    call = monitor.Monitor.__call__
+
+    def late(self, state):
+        if state.step == 5 and comm.rank > 0:
+            time.sleep(0.5)
+        if state.step == 5 and comm.rank == 0:
+            signal.setitimer(signal.ITIMER_REAL, 0.2)
+        return call(self, state)
+
+    if comm.rank == 0:
+        signal.signal(signal.SIGALRM, lambda *_: os.kill(os.getpid(), signal.SIGUSR1))
+    monkeypatch.setattr(monitor.Monitor, "__call__", late)
+    path = shared_path / "run.h5"
+    with pytest.raises(ComputationError, match=r"SIGUSR1 after step [56] of 20"):
+        run_case(PAPER, path, SMALL, False, None, comm)
+    if comm.rank == 0:
+        assert results.read_status(path)[0] == "incomplete"
+
+
 def test_restart_of_another_case_is_refused(shared_path, comm):
     path = shared_path / "run.h5"
     run_case(PAPER, path, SMALL, False, None, comm)
