@@ -126,7 +126,9 @@ class Key:
 
 
 def _is_number(value: Any) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool)
+    """Tell whether a value is a number that a double can hold, NaN and infinities included."""
+    whole = isinstance(value, int) and not isinstance(value, bool)
+    return isinstance(value, float) or (whole and abs(value) < 10**300)
 
 
 def _number(low: float, high: float = math.inf, *, ends: bool = False) -> tuple[Reader, str]:
@@ -137,13 +139,12 @@ def _number(low: float, high: float = math.inf, *, ends: bool = False) -> tuple[
             raise _RejectedError
         return float(value)
 
-    sign = ">=" if ends else ">"
-    if high < math.inf:
-        allowed = (
-            f"a number {'from' if ends else 'between'} {low:g} {'to' if ends else 'and'} {high:g}"
-        )
+    if high == math.inf:
+        allowed = f"a finite number {'>=' if ends else '>'} {low:g}"
+    elif ends:
+        allowed = f"a number from {low:g} to {high:g}"
     else:
-        allowed = f"a finite number {sign} {low:g}"
+        allowed = f"a number > {low:g} and < {high:g}"
     return read, allowed
 
 
@@ -397,7 +398,7 @@ def parse_case(text: str, name: str, overrides: Mapping[str, Any] | None = None)
             elif wears.get(table, True):
                 unit = "" if key.unit in ("-", "1") else f" ({key.unit})"
                 faults.append(f"{name}: {key.path} is missing: must be {key.allowed}{unit}")
-    faults += _inconsistencies(name, values)
+    faults += _inconsistencies(f"{name} with --set" if overrides else name, values)
     if faults:
         raise InputError(*faults)
     return _build(values, wears, text)
@@ -431,15 +432,17 @@ def _inconsistencies(name: str, values: Mapping[str, Any]) -> list[str]:
         force, pressure = values["load.force"], values["load.pressure"]
         displacement = values["load.displacement"]
         if control == "force":
-            if (force is None) == (pressure is None):
-                number = "neither of them is given" if force is None else "both are given"
-                faults.append(
-                    f'{name}: load.force, load.pressure: {number}; control = "force" needs one'
-                )
             if displacement is not None:
                 faults.append(
-                    f"{name}: load.displacement = {displacement:g}: must be absent where "
-                    'load.control = "force"'
+                    f"{name}: load.displacement = {displacement:g}: needs "
+                    'load.control = "displacement"'
+                )
+            elif (force is None) == (pressure is None):
+                number = "neither of them is given"
+                if force is not None:
+                    number = f"both are given ({force:g} N, {pressure:g} MPa)"
+                faults.append(
+                    f'{name}: load.force, load.pressure: {number}; control = "force" needs one'
                 )
         elif control == "displacement":
             if displacement is None:

@@ -31,7 +31,7 @@ class _Parser(argparse.ArgumentParser):
     """A parser whose complaints are said once, not once per rank."""
 
     def error(self, message: str) -> NoReturn:
-        raise InputError(f"{self.prog}: {message} (see {self.prog} --help)")
+        raise InputError(f"{message} (see {self.prog} --help; PETSc's options go behind --)")
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -154,6 +154,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         level=logging.INFO if comm.rank == 0 else logging.ERROR,
         stream=sys.stderr,
     )
+    logging.getLogger("matplotlib").setLevel(logging.WARNING)
     if comm.rank > 0:  # --help and --version are for one rank to print
         sys.stdout = open(os.devnull, "w")  # noqa: SIM115
     try:

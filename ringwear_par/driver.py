@@ -128,6 +128,7 @@ def run_case(
             save(state)
         if recorder is not None:
             print(summary(case, pair, state, recorder))
+            _warn_of_doubts(case, pair, state)
             start_up = max(seconds_since_start() - (time.perf_counter() - started), 0.0)
             print(_times(seconds, start_up, loading, cost.kernel_evaluations))
     if state.step < case.time.steps:
@@ -156,10 +157,10 @@ def summary(case: Case, pair: ContactPair, state: State, recorder: Recorder) -> 
         *([case.title] if case.title else []),
         f"{state.step} of {case.time.steps} {case.time.scheme} steps of {case.time.step:g} s, "
         f"{pair.line.n} contact elements",
-        f"approach {state.contact.approach:.7f} mm, "
-        f"penetration {1e3 * scalars['penetration'][last]:.4f} um, "
+        f"approach {state.contact.approach:.7g} mm, "
+        f"penetration {1e3 * scalars['penetration'][last]:.6g} um, "
         f"force {state.contact.force:.6g} N, torque {scalars['torque'][last]:.6g} N mm",
-        f"deepest wear lower {lower:.4f}, upper {upper:.4f} um; "
+        f"deepest wear lower {lower:.6g}, upper {upper:.6g} um; "
         f"worn volume lower {scalars['worn_volume_lower'][last]:.6g}, "
         f"upper {scalars['worn_volume_upper'][last]:.6g} mm3; "
         f"energy dissipated {state.energy:.6g} N mm",
@@ -170,7 +171,7 @@ def summary(case: Case, pair: ContactPair, state: State, recorder: Recorder) -> 
         + f"volume {balances.volume:.1e}, "
         + (f"energy {balances.energy:.1e}, " if energy_holds else "energy (p0 > 0: no identity), ")
         + f"contact (KKT) {balances.residual:.1e}",
-        "balances of the boundary elements, which vanish with the mesh: torque on the held faces "
+        "defects of the boundary elements, which vanish with the mesh: torque on the held faces "
         f"{balances.torque:.1e}, force on them {balances.reaction:.1e}, "
         f"symmetry {pair.symmetry_defect:.1e}",
     ]
@@ -249,6 +250,8 @@ def check_writable(path: Path) -> None:
         raise InputError(f"{path}: is a folder; must be a file name")
     if not path.parent.is_dir():
         raise InputError(f"{path}: its folder {path.parent} does not exist")
+    if path.exists() and not os.access(path, os.W_OK):
+        raise InputError(f"{path}: is write-protected; must be a file that may be replaced")
     probe = path.with_name(f"{path.name}.tmp{os.getpid()}")
     try:
         probe.touch()
@@ -280,6 +283,23 @@ def _warn_of_threads(ranks: int) -> None:
         log.warning(
             "%d ranks with up to %d BLAS threads each on %d cores: set OPENBLAS_NUM_THREADS=1",
             ranks, threads, cores,
+        )  # fmt: skip
+
+
+def _warn_of_doubts(case: Case, pair: ContactPair, state: State) -> None:
+    """Warn where the answer leaves what the method is made for."""
+    height = min(ring.z[1] - ring.z[0] for ring in (case.lower, case.upper))
+    moved = max(state.contact.approach, float(state.wear.max()))
+    if moved > 0.05 * height:
+        log.warning(
+            "approach or wear of %.3g mm is more than 5 %% of a body's height: small displacements "
+            "and the mesh of the unworn rings no longer describe it", moved,
+        )  # fmt: skip
+    defect = max(state.balances.torque, state.balances.reaction, pair.symmetry_defect)
+    if defect > 0.01:
+        log.warning(
+            "the boundary elements' own balances are wrong by %.2g: a finer mesh "
+            "(mesh.contact_elements) or thicker bodies are needed", defect,
         )  # fmt: skip
 
 

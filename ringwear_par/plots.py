@@ -192,13 +192,16 @@ def _wear(axes: Any, result: Result, label: str, rows: Sequence[int]) -> None:
 def _pressure(axes: Any, result: Result, label: str, rows: Sequence[int]) -> None:
     """Contact pressure along the contact line; the singular edges of the first instant are cut."""
     pressure = _field(result, "pressure")
-    _profiles(axes, result, label, rows, lambda row: pressure[row])
+    highest = float(pressure[list(rows)].max())
     mean = result.scalars["force"] / result.line.area.sum()
     top = 3.0 * float(mean[list(rows)].max())
-    if top > 0.0:
-        axes.set_ylim(0.0, min(top, 1.1 * float(pressure[list(rows)].max())))
+    if highest > top:
+        label = f"{label} (peak {highest:.3g} MPa cut)"
+    _profiles(axes, result, label, rows, lambda row: pressure[row])
+    if highest > 0.0:
+        axes.set_ylim(0.0, min(top, 1.1 * highest))
     axes.set_ylabel("contact pressure (MPa)")
-    axes.legend(title="time", frameon=False)
+    axes.legend(frameon=False)
 
 
 def _penetration(axes: Any, results: Sequence[Result], labels: Sequence[str]) -> None:

@@ -222,7 +222,8 @@ def read_status(path: Path) -> tuple[str, int] | None:
     except (OSError, KeyError):
         pass
     raise InputError(
-        f"{path}: exists and is not a result file of ringwear; must be a new name or such a file"
+        f"{path}: exists and is not a result file of ringwear, or is damaged; must be a new name "
+        "or such a file"
     )
 
 
@@ -277,8 +278,12 @@ def read_result(path: Path) -> Result:
     ------
     InputError : it is not one.
     """
-    if read_status(path) is None:
+    if not path.exists():
         raise InputError(f"{path}: does not exist; must be a result file of ringwear")
+    try:
+        read_status(path)
+    except InputError as error:
+        raise InputError(f"{path}: is not a result file of ringwear, or is damaged") from error
     with h5py.File(path, "r") as file:
         return Result(
             path,
