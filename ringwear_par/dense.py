@@ -120,7 +120,10 @@ def _check_residual(rows: Rows, x: FloatArray, start: int, comm: MPI.Comm) -> No
     total[start : start + len(x)] = x.sum(axis=1)
     comm.Allreduce(MPI.IN_PLACE, total, MPI.SUM)
     defect = np.abs(rows.matrix @ total - rows.loads.sum(axis=1))
-    size = np.abs(rows.matrix) @ np.abs(total)
+    size = np.empty_like(defect)
+    for first in range(0, len(size), 64):  # no copy of the whole
+        part = slice(first, first + 64)
+        size[part] = np.abs(rows.matrix[part]) @ np.abs(total)
     worst = float((defect / np.maximum(size, 1e-300)).max(initial=0.0))
     worst = max(comm.allgather(worst if np.isfinite(total).all() else np.inf))
     if not worst <= RESIDUAL_TOLERANCE:

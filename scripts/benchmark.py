@@ -4,8 +4,9 @@ Usage: [mpirun -n N] python scripts/benchmark.py [--sizes 32 64 128 256] [--repe
 
 The paper's rings, 80 MPa and p0 = 40 MPa. Every time is the median over the repeats (after one that
 is not counted) of the slowest rank's wall time; memory is the largest rank's peak so far, which
-grows with the sizes. Counts: kernel evaluations (both bodies, all directions), flops of the two
-factorisations 2/3 n^3.
+grows with the sizes. Steps are made by every rank on its own (active-set Newton) and, "shared",
+with the matrix spread over the ranks (tron; on one rank the same as the former). Counts: kernel
+evaluations (both bodies, all directions), flops of the two factorisations 2/3 n^3.
 """
 
 import argparse
@@ -33,7 +34,8 @@ from ringwear_par.verify import paper_case
 COLUMNS = (
     "contact_elements", "ranks", "boundary_elements", "unknowns", "kernel_evaluations",
     "assembly_s", "ns_per_evaluation", "factor_solve_s", "gflop_per_s", "compliance_s",
-    "first_contact_ms", "steps_200_s", "ms_per_step", "peak_MB_per_rank",
+    "first_contact_ms", "steps_200_s",
+    "steps_200_shared_s", "ms_per_step", "peak_MB_per_rank",
 )  # fmt: skip
 
 
@@ -80,12 +82,14 @@ def measure(n: int, repeats: int, comm: MPI.Comm) -> dict[str, float]:
         with ContactSolver(pair.stiffness, pair.line.area, comm) as solver:
             solver.solve(flat, force=case.load.force)
 
-    def history() -> None:
-        with ContactSolver(pair.stiffness, pair.line.area, comm) as solver:
+    def history(replicated_limit: int) -> None:
+        with ContactSolver(pair.stiffness, pair.line.area, comm, replicated_limit) as solver:
             wear = WearHistory(case, pair, solver)
             run(wear, wear.start(), lambda _: False)
 
-    contact, stepping = timed(comm, repeats, first_contact), timed(comm, repeats, history)
+    contact = timed(comm, repeats, first_contact)
+    stepping = timed(comm, repeats, lambda: history(n))
+    shared = timed(comm, repeats, lambda: history(0))
     peak = comm.allreduce(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024, MPI.MAX)
     return dict(
         zip(
@@ -93,7 +97,8 @@ def measure(n: int, repeats: int, comm: MPI.Comm) -> dict[str, float]:
             (
                 n, comm.size, sum(len(body.elements) for body in bodies), sum(sizes), evaluations,
                 assembly, 1e9 * assembly * comm.size / evaluations, solution,
-                1e-9 * flops / solution, both, 1e3 * contact, stepping, 5.0 * stepping, peak,
+                1e-9 * flops / solution, both,
+                1e3 * contact, stepping, shared, 5.0 * stepping, peak,
             ),
             strict=True,
         )
