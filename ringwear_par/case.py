@@ -1,13 +1,9 @@
-"""Case files: TOML tables read into frozen dataclasses, every fault reported at once.
-
-``KEYS`` is the only list of keys: reading, messages and ``ringwear info --schema`` follow it.
-"""
+"""Case files: TOML tables read into frozen dataclasses, every fault reported at once."""
 
 import difflib
-import json
 import math
 import tomllib
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
@@ -15,9 +11,10 @@ from typing import Any, Literal
 from ringwear_par.body import Grip
 from ringwear_par.errors import InputError
 from ringwear_par.geometry import Mesh, Section
+from ringwear_par.schema import BY_PATH, FIELDS, KEYS, TABLES, RejectedError, toml_value
 from ringwear_par.wear import ThresholdLaw, WearLaw
 
-FIELDS = ("pressure", "gap", "wear_lower", "wear_upper")
+_LOADS = {"load.force", "load.pressure", "load.displacement"}
 
 
 @dataclass(frozen=True)
@@ -103,194 +100,17 @@ class Case:
         return Section(ring.r, ring.z[1] - ring.z[0], self.contact)
 
 
-class _RejectedError(Exception):
-    """A value that its key does not allow."""
-
-
-Reader = Callable[[Any], Any]
-
-
-@dataclass(frozen=True)
-class Key:
-    """One key of the case file.
-
-    ``default`` is ... where the key must be given (for a wear law: once its table is there).
-    """
-
-    path: str
-    read: Reader
-    allowed: str
-    unit: str
-    meaning: str
-    default: Any = ...
-
-
-def _is_number(value: Any) -> bool:
-    """Tell whether a value is a number that a double can hold, NaN and infinities included."""
-    whole = isinstance(value, int) and not isinstance(value, bool)
-    return isinstance(value, float) or (whole and abs(value) < 10**300)
-
-
-def _number(low: float, high: float = math.inf, *, ends: bool = False) -> tuple[Reader, str]:
-    def read(value: Any) -> float:
-        if not _is_number(value) or not math.isfinite(value):
-            raise _RejectedError
-        if not (low < value < high or (ends and value in (low, high))):
-            raise _RejectedError
-        return float(value)
-
-    if high == math.inf:
-        allowed = f"a finite number {'>=' if ends else '>'} {low:g}"
-    elif ends:
-        allowed = f"a number from {low:g} to {high:g}"
-    else:
-        allowed = f"a number > {low:g} and < {high:g}"
-    return read, allowed
-
-
-def _integer(low: int, high: int = 10**12) -> tuple[Reader, str]:
-    def read(value: Any) -> int:
-        if isinstance(value, float) and value.is_integer():
-            value = int(value)
-        if not isinstance(value, int) or isinstance(value, bool) or not low <= value <= high:
-            raise _RejectedError
-        return value
-
-    return read, f"a whole number from {low} to {high:g}"
-
-
-def _pair(low: float) -> tuple[Reader, str]:
-    def read(value: Any) -> tuple[float, float]:
-        if not isinstance(value, list) or len(value) != 2:
-            raise _RejectedError
-        if not all(_is_number(v) and math.isfinite(v) and v >= low for v in value):
-            raise _RejectedError
-        if not value[0] < value[1]:
-            raise _RejectedError
-        return float(value[0]), float(value[1])
-
-    return read, "two increasing numbers" + (f" >= {low:g}" if low > -math.inf else "")
-
-
-def _choice(*names: str) -> tuple[Reader, str]:
-    def read(value: Any) -> str:
-        if value not in names:
-            raise _RejectedError
-        return str(value)
-
-    return read, " or ".join(f'"{name}"' for name in names)
-
-
-def _names(*names: str) -> tuple[Reader, str]:
-    def read(value: Any) -> tuple[str, ...]:
-        if not isinstance(value, list) or not all(v in names for v in value):
-            raise _RejectedError
-        return tuple(name for name in names if name in value)
-
-    return read, "a list of " + ", ".join(f'"{name}"' for name in names)
-
-
-def _text(value: Any) -> str:
-    if not isinstance(value, str):
-        raise _RejectedError
-    return value
-
-
-def _ring_keys(ring: str, name: str) -> list[Key]:
-    return [
-        Key(f"{ring}.r", *_pair(0.0), "mm", f"inner and outer radius of the {name}; 0: solid disc"),
-        Key(f"{ring}.z", *_pair(-math.inf), "mm", f"bottom and top of the {name}"),
-        Key(f"{ring}.young", *_number(0.0), "MPa", "Young's modulus"),
-        Key(f"{ring}.poisson", *_number(-1.0, 0.5), "1", "Poisson's ratio"),
-    ]
-
-
-def _wear_keys(ring: str) -> list[Key]:
-    return [
-        Key(
-            f"wear.{ring}.law", *_choice("threshold"), "-",
-            f"rate of wear of {ring}: k mu max(0, p - p0) V; no table: does not wear",
-            "threshold",
-        ),
-        Key(f"wear.{ring}.k", *_number(0.0, ends=True), "1/MPa", "wear coefficient"),
-        Key(f"wear.{ring}.p0", *_number(0.0, ends=True), "MPa", "threshold pressure", 0.0),
-    ]  # fmt: skip
-
-
-KEYS: tuple[Key, ...] = (
-    Key("title", _text, "a text", "-", "shown in plots and summaries", ""),
-    *_ring_keys("lower", "lower ring, its bottom held"),
-    *_ring_keys("upper", "upper ring, which turns"),
-    Key(
-        "upper.grip", *_choice("clamped", "platen"), "-",
-        "top of the upper ring: u_r = 0 (clamped) or sigma_rz = 0 (platen)", "clamped",
-    ),
-    Key("contact.friction", *_number(0.0, ends=True), "1", "Coulomb friction coefficient mu"),
-    *_wear_keys("lower"),
-    *_wear_keys("upper"),
-    Key("load.control", *_choice("force", "displacement"), "-", "what is held constant", "force"),
-    Key("load.force", *_number(0.0), "N", "axial force (control = force)", None),
-    Key(
-        "load.pressure", *_number(0.0), "MPa",
-        "mean pressure over the nominal annulus, instead of load.force", None,
-    ),
-    Key(
-        "load.displacement", *_number(0.0), "mm",
-        "downward displacement of the upper ring's top (control = displacement)", None,
-    ),
-    Key("load.omega", *_number(0.0, ends=True), "rad/s", "angular speed of the upper ring"),
-    Key(
-        "time.scheme", *_choice("implicit", "explicit"), "-",
-        "backward Euler inside the contact problem, or the paper's (6)", "implicit",
-    ),
-    Key("time.step", *_number(0.0), "s", "time step"),
-    Key("time.steps", *_integer(1), "-", "number of time steps"),
-    Key("mesh.contact_elements", *_integer(4), "-", "elements of the contact line", 64),
-    Key(
-        "mesh.grading", *_number(1.0, 6.0, ends=True), "1",
-        "grading of the contact line towards its edges; 1 is uniform", 2.5,
-    ),
-    Key(
-        "mesh.quadrature_tolerance", *_number(1e-10, 1e-2, ends=True), "1",
-        "relative accuracy of the element integrals", 1e-7,
-    ),
-    Key(
-        "mesh.geometry", *_choice("fixed"), "-",
-        "fixed: the worn profile enters through the gap, not the mesh", "fixed",
-    ),
-    Key("output.every", *_integer(1), "steps", "store every so many steps, and the last", 1),
-    Key("output.fields", *_names(*FIELDS), "-", "fields stored along the contact line", FIELDS),
-)  # fmt: skip
-
-
 def _flatten(tables: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
     flat: dict[str, Any] = {}
     for name, value in tables.items():
         path = f"{prefix}{name}"
-        if isinstance(value, dict) and path not in _BY_PATH:
+        if isinstance(value, dict) and path not in BY_PATH:
             flat.update(_flatten(value, f"{path}."))
-            if not value and path not in _TABLES:  # unknown, and to be told so
+            if not value and path not in TABLES:  # unknown, and to be told so
                 flat[path] = value
         else:
             flat[path] = value
     return flat
-
-
-UNITS = {key.path: key.unit for key in KEYS}
-_LOADS = {"load.force", "load.pressure", "load.displacement"}
-_BY_PATH = {key.path: key for key in KEYS}
-_TABLES = {key.path[:cut] for key in KEYS for cut, c in enumerate(key.path) if c == "."}
-
-
-def toml_value(value: Any) -> str:
-    """Return a value as TOML writes it."""
-    if isinstance(value, bool):
-        return "true" if value else "false"
-    if isinstance(value, str):
-        return json.dumps(value, ensure_ascii=False)  # TOML's escapes are JSON's
-    if isinstance(value, list | tuple):
-        return "[" + ", ".join(toml_value(v) for v in value) + "]"
-    return repr(value) if _is_number(value) else str(value)
 
 
 def toml_text(flat: Mapping[str, Any]) -> str:
@@ -373,16 +193,16 @@ def parse_case(text: str, name: str, overrides: Mapping[str, Any] | None = None)
     faults: list[str] = []
     values: dict[str, Any] = {}
     for path, value in flat.items():
-        if path in _BY_PATH:
-            key = _BY_PATH[path]
+        if path in BY_PATH:
+            key = BY_PATH[path]
             try:
                 values[path] = key.read(value)
-            except _RejectedError:
+            except RejectedError:
                 unit = "" if key.unit in ("-", "1") else f" ({key.unit})"
                 faults.append(
                     f"{origin[path]}{path} = {toml_value(value)}: must be {key.allowed}{unit}"
                 )
-        elif path in _TABLES:
+        elif path in TABLES:
             faults.append(f"{origin[path]}{path} = {toml_value(value)}: must be a table, [{path}]")
         else:
             faults.append(f"{origin[path]}{path}: unknown key{_nearest(path)}")
@@ -405,7 +225,7 @@ def parse_case(text: str, name: str, overrides: Mapping[str, Any] | None = None)
 
 
 def _nearest(path: str) -> str:
-    near = difflib.get_close_matches(path, _BY_PATH, n=1, cutoff=0.6)
+    near = difflib.get_close_matches(path, BY_PATH, n=1, cutoff=0.6)
     return f" (did you mean {near[0]}?)" if near else ""
 
 
@@ -490,19 +310,3 @@ def _build(values: Mapping[str, Any], wears: Mapping[str, bool], text: str) -> C
         force = values["load.pressure"] * case.area
         case = replace(case, load=Load(case.load.omega, force))
     return case
-
-
-def schema() -> str:
-    """Return every key with its unit, default and meaning, as a table."""
-    rows = [("key", "unit", "allowed", "default", "meaning")]
-    for key in KEYS:
-        if key.default is ...:
-            default = "required" if not key.path.startswith("wear.") else "required with its table"
-        else:
-            default = "-" if key.default is None else toml_value(key.default)
-        rows.append((key.path, key.unit, key.allowed, default, key.meaning))
-    widths = [max(len(row[i]) for row in rows) for i in range(4)]
-    return "\n".join(
-        "  ".join([*(c.ljust(w) for c, w in zip(row, widths, strict=False)), row[4]])
-        for row in rows
-    )

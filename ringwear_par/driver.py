@@ -12,7 +12,7 @@ import numpy as np
 from mpi4py import MPI
 
 from ringwear_par.assembly import load_kernels
-from ringwear_par.case import FIELDS, Case, parse_case, read_case
+from ringwear_par.case import Case, parse_case, read_case
 from ringwear_par.contact import ContactSolver
 from ringwear_par.errors import ComputationError, InputError, RingwearError
 from ringwear_par.history import State, WearHistory, run
@@ -28,6 +28,7 @@ from ringwear_par.results import (
     restore,
     write_result,
 )
+from ringwear_par.schema import FIELDS
 
 log = logging.getLogger(__name__)
 T = TypeVar("T")

@@ -14,7 +14,7 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from ringwear_par import __version__
-from ringwear_par.case import schema
+from ringwear_par.schema import schema
 
 
 def versions() -> dict[str, str]:

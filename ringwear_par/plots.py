@@ -10,10 +10,11 @@ import matplotlib
 import numpy as np
 from matplotlib.figure import Figure
 
-from ringwear_par.case import FIELDS, UNITS, read_keys
+from ringwear_par.case import read_keys
 from ringwear_par.driver import check_writable
 from ringwear_par.errors import InputError
 from ringwear_par.results import Result, read_result
+from ringwear_par.schema import FIELDS, UNITS
 
 _STYLE: dict[Any, Any] = {
     "font.size": 9.0,

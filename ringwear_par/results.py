@@ -139,7 +139,11 @@ def write_result(
     temporary = path.with_name(f"{path.name}.tmp{os.getpid()}")
     try:
         with h5py.File(temporary, "w") as file:
-            _write(file, case, line, recorder, state, warm, attributes)
+            _write_history(file, line, recorder)
+            _write_checkpoint(file.create_group("checkpoint"), line, recorder, state, warm)
+            file.attrs.update(
+                {"software": SOFTWARE, "case": case.text, "title": case.title, **attributes}
+            )
             file.flush()
         with temporary.open("rb+") as handle:
             os.fsync(handle.fileno())
@@ -149,21 +153,8 @@ def write_result(
         raise
 
 
-def _write(
-    file: h5py.File,
-    case: Case,
-    line: ContactLine,
-    recorder: Recorder,
-    state: State,
-    warm: WarmStart,
-    attributes: Mapping[str, Any],
-) -> None:
+def _write_history(file: h5py.File, line: ContactLine, recorder: Recorder) -> None:
     rows = recorder.stored
-    file.attrs["software"] = SOFTWARE
-    file.attrs["case"] = case.text
-    file.attrs["title"] = case.title
-    for name, value in attributes.items():
-        file.attrs[name] = value
 
     def variable(
         name: str, data: FloatArray | IntArray, dims: tuple[str, ...], unit: str, text: str
@@ -189,7 +180,10 @@ def _write(
     for name, table in recorder.fields.items():
         variable(name, table[:rows], ("step", "element"), *ALONG[name])
 
-    group = file.create_group("checkpoint")
+
+def _write_checkpoint(
+    group: h5py.Group, line: ContactLine, recorder: Recorder, state: State, warm: WarmStart
+) -> None:
     group.attrs["step"] = state.step
     group.attrs["energy"] = state.energy
     group.attrs["approach"] = state.contact.approach

@@ -5,9 +5,10 @@ from pathlib import Path
 
 import pytest
 
-from ringwear_par.case import KEYS, parse_case, parse_overrides, read_case, schema, toml_text
+from ringwear_par.case import parse_case, parse_overrides, read_case, toml_text
 from ringwear_par.errors import InputError
 from ringwear_par.pair import check_memory, check_mesh
+from ringwear_par.schema import KEYS, schema
 from ringwear_par.wear import ThresholdLaw
 
 PAPER = Path(__file__).parents[1] / "scripts" / "cases" / "paper.toml"
