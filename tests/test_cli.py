@@ -199,3 +199,22 @@ def test_a_folder_without_rights(tmp_path):
     tmp_path.chmod(0o700)
     assert result.returncode == 2
     assert "cannot be written" in result.stderr
+
+
+def test_loaded_code_is_the_code_that_assembles():
+    """Otherwise all ranks would compile again, at once, in the middle of the assembly."""
+    program = """
+from mpi4py import MPI
+from ringwear_par.assembly import _assemble_rows, load_kernels
+from ringwear_par.geometry import Mesh
+from ringwear_par.pair import contact_pair
+from ringwear_par.verify import paper_case
+load_kernels(MPI.COMM_SELF)
+loaded = list(_assemble_rows.signatures)
+contact_pair(paper_case(Mesh(8)), MPI.COMM_SELF)
+assert len(loaded) == 1
+assert list(_assemble_rows.signatures) == loaded
+"""
+    result = subprocess.run([sys.executable, "-c", program], env=SHELL_ENVIRONMENT,
+                            capture_output=True, text=True, timeout=100, check=False)  # fmt: skip
+    assert result.returncode == 0, result.stderr
