@@ -87,7 +87,7 @@ class WearHistory:
         self.case, self.pair, self.solver = case, pair, solver
         line = pair.line
         self._area = line.area
-        self._moment = case.friction * line.area * line.arm  # torque per unit pressure
+        self._moment = line.area * line.arm  # torque per unit shear
         self._power = case.friction * case.load.omega * line.arm  # mu V, mm/s
         active = tuple(law for law in case.laws if law is not None)
         self._zero = np.zeros(line.n)
@@ -155,7 +155,7 @@ class WearHistory:
 
     def torque(self, p: FloatArray) -> float:
         """Return the friction torque, N mm, at pressure p (MPa)."""
-        return float(self._moment @ p)
+        return self.case.friction * float(self._moment @ p)
 
     def twist(self, p: FloatArray) -> float:
         """Return the area mean of the circumferential displacement jump, mm, at pressure p."""
@@ -169,7 +169,7 @@ class WearHistory:
         p, force = state.contact.pressure, self.case.load.force
         volumes = self.worn_volumes(state)
         pair, pushed = self.pair, state.contact.force
-        turned = float((self._area * pair.line.arm) @ p)
+        turned = float(self._moment @ p)
         total = float(volumes.max())
         energy = 0.0
         for law, volume in zip(self.case.laws, volumes, strict=True):
