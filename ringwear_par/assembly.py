@@ -313,10 +313,10 @@ def load_kernels(comm: MPI.Comm) -> None:
         body = contour(Section((1.0, 2.0), 1.0, (1.0, 2.0)), Mesh(4))
         k = len(body.elements)
         nothing = Conditions(np.zeros((k, 3), bool), np.full((k, 3), -1), np.zeros((k, 3)), 0)
-        empty = np.zeros((2, 2), order="F")  # column-major, which empty arrays are not only
+        unused = np.zeros((2, 2), order="F")  # an empty one would be row-major too
         _assemble_rows(
             0, 0, body, nothing, number_unknowns(body, nothing), 0.0, quadrature(0.1),
-            np.zeros(2, dtype=np.int64), (empty, empty), (empty, empty),
+            np.zeros(2, dtype=np.int64), (unused, unused), (unused, unused),
         )  # fmt: skip
 
     if comm.rank == 0:
@@ -352,12 +352,9 @@ def assemble(
         matrices.append(np.zeros((rows, np.count_nonzero(collocated)), order="F"))
         loads.append(np.zeros((rows, conditions.n_loads), order="F"))
 
-    def fill(first: int, last: int) -> int:
-        return _assemble_rows(
-            first, last, body, conditions, unknowns, poisson, rules, starts,
-            (matrices[0], matrices[1]), (loads[0], loads[1]),
-        )  # fmt: skip
-
-    evaluations = fill(mine.start, mine.stop)
+    evaluations = _assemble_rows(
+        mine.start, mine.stop, body, conditions, unknowns, poisson, rules, starts,
+        (matrices[0], matrices[1]), (loads[0], loads[1]),
+    )  # fmt: skip
     normal, torsion = (Rows(matrices[i], loads[i], int(starts[i])) for i in (0, 1))
     return Assembly(normal, torsion, evaluations)

@@ -198,10 +198,7 @@ def parse_case(text: str, name: str, overrides: Mapping[str, Any] | None = None)
             try:
                 values[path] = key.read(value)
             except RejectedError:
-                unit = "" if key.unit in ("-", "1") else f" ({key.unit})"
-                faults.append(
-                    f"{origin[path]}{path} = {toml_value(value)}: must be {key.allowed}{unit}"
-                )
+                faults.append(f"{origin[path]}{path} = {toml_value(value)}: {key.rule}")
         elif path in TABLES:
             faults.append(f"{origin[path]}{path} = {toml_value(value)}: must be a table, [{path}]")
         else:
@@ -216,8 +213,7 @@ def parse_case(text: str, name: str, overrides: Mapping[str, Any] | None = None)
             if key.default is not ...:
                 values[key.path] = key.default
             elif wears.get(table, True):
-                unit = "" if key.unit in ("-", "1") else f" ({key.unit})"
-                faults.append(f"{name}: {key.path} is missing: must be {key.allowed}{unit}")
+                faults.append(f"{name}: {key.path} is missing: {key.rule}")
     faults += _inconsistencies(f"{name} with --set" if overrides else name, values)
     if faults:
         raise InputError(*faults)

@@ -274,7 +274,7 @@ class ContactSolver:
             p, iterations, residual = self._solve_at(gap, approach, wear)
             indentation, self._last = approach - nearest, (gap, approach, float(self._area @ p))
         elif force is not None:
-            p, indentation, iterations, residual = self._search_approach(gap, force, wear)
+            p, indentation, iterations, residual = self._search_approach(gap, nearest, force, wear)
             approach = nearest + indentation
         else:
             raise ValueError("force or approach must be given")
@@ -284,14 +284,13 @@ class ContactSolver:
         return ContactState(p, opening, approach, float(self._area @ p), iterations, residual)
 
     def _search_approach(
-        self, gap: FloatArray, force: float, wear: StepWear | None
+        self, gap: FloatArray, nearest: float, force: float, wear: StepWear | None
     ) -> tuple[FloatArray, float, int, float]:
         """Find the approach: secant steps, or bisection where they do not halve the imbalance.
 
-        Returned is the indentation, approach less the smallest gap: under light loads it is far
-        smaller than either.
+        Returned is the indentation, approach less ``nearest``, the smallest gap: under light loads
+        it is far smaller than either.
         """
-        nearest = float(gap.min())
         area, rate = self._area, self._rate
         if self._last is None:
             last_gap, last_approach, last_force = gap, float(area @ gap / area.sum()), 0.0

@@ -7,7 +7,7 @@ found together with the wear inside the contact problem.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -183,10 +183,7 @@ class WearHistory:
             energy,
             state.contact.residual,
         )
-        return State(
-            state.step, state.wear, state.worn, state.energy, state.contact,
-            state.balances.worse(now),
-        )  # fmt: skip
+        return replace(state, balances=state.balances.worse(now))
 
 
 def run(history: WearHistory, state: State, watch: Callable[[State], bool]) -> State:

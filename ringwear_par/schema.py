@@ -30,6 +30,12 @@ class Key:
     meaning: str
     default: Any = ...
 
+    @property
+    def rule(self) -> str:
+        """What a message says of the values allowed, with their unit."""
+        unit = "" if self.unit in ("-", "1") else f" ({self.unit})"
+        return f"must be {self.allowed}{unit}"
+
 
 def _is_number(value: Any) -> bool:
     """Tell whether a value is a number that a double can hold, NaN and infinities included."""
