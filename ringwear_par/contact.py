@@ -12,6 +12,7 @@ linear for the threshold law, so secant steps end.
 The unknowns are scaled so that K has a unit diagonal.
 """
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -86,6 +87,12 @@ def _reason_name(reason: int) -> str:
     return f"{names.get(reason, 'unknown')} ({reason})"
 
 
+def _defect(q: FloatArray, gradient: FloatArray, diagonal: FloatArray) -> float:
+    """Return the natural KKT residual; infinity where it is not a number."""
+    worst = float(np.abs(np.minimum(q, gradient / diagonal)).max(initial=0.0))
+    return worst if math.isfinite(worst) else math.inf
+
+
 class ContactSolver:
     """One TAO for one contact line, used for every load, gap and wear step.
 
@@ -116,7 +123,6 @@ class ContactSolver:
         self.distributed = not small and tao_type != "python"
         self._comm = comm if self.distributed else MPI.COMM_SELF
         self._area = area
-        self._compliance_rows = stiffness / area[:, None]
         self._scale = np.sqrt(np.diag(stiffness))
         self._x = PETSc.Vec().createMPI(n, comm=self._comm)
         self._here = slice(*self._x.getOwnershipRange())
@@ -129,19 +135,21 @@ class ContactSolver:
         self._diagonal = self._x.duplicate()
         self._lower, self._upper = self._x.duplicate(), self._x.duplicate()
         self._upper.set(PETSc.INFINITY)
-        self._g = self._x.duplicate()
+        self._g, self._scratch = self._x.duplicate(), self._x.duplicate()
         for matrix in (self._a, self._h):
             matrix.assemble()
         self._tao = self._make_tao(tao_type)
         self.tao_type = tao_type
 
         # the problem that the callbacks see, this rank's part
-        self._weight = (area / self._scale)[here]
+        self._all_weights = area / self._scale
+        self._weight, self._own_scale = self._all_weights[here], self._scale[here]
+        self._slope_weight = self._weight / self._own_scale
         self._linear = np.zeros(rows[0])
         self._wear: StepWear | None = None
         self._slope = np.zeros(rows[0])
         # warm start of the search for the approach
-        mean = float(area @ (self._compliance_rows @ np.ones(n)) / area.sum())
+        mean = float(stiffness.sum() / area.sum())
         self._rate = np.full(n, 1.0 / mean)  # d pressure / d approach
         self._last: tuple[FloatArray, float, float] | None = None  # gap, approach, force
 
@@ -163,8 +171,8 @@ class ContactSolver:
                 ksp.getPC().setType("jacobi")
                 ksp.setTolerances(rtol=1e-10)
         tao.setObjective(self._objective)
-        tao.setGradient(self._gradient, None)
-        tao.setObjectiveGradient(self._objective_gradient, None)
+        tao.setGradient(self._gradient, self._g)
+        tao.setObjectiveGradient(self._objective_gradient, self._g)
         tao.setHessian(self._hessian, self._h, self._h)
         tao.setVariableBounds((self._lower, self._upper))
         tao.setSolution(self._x)
@@ -172,13 +180,13 @@ class ContactSolver:
         return tao
 
     def _objective(self, tao: PETSc.TAO, x: PETSc.Vec) -> float:
-        return self._objective_gradient(tao, x, self._g)
+        return self._objective_gradient(tao, x, self._scratch)
 
     def _gradient(self, tao: PETSc.TAO, x: PETSc.Vec, g: PETSc.Vec) -> None:
         self._a.mult(x, g)
         more = self._linear
         if self._wear is not None:
-            p = x.getArray(readonly=True) / self._scale[self._here]
+            p = x.getArray(readonly=True) / self._own_scale
             more = more + self._weight * self._wear.depth(p)
         g.setArray(g.getArray(readonly=True) + more)
 
@@ -187,7 +195,7 @@ class ContactSolver:
         q, linear = x.getArray(readonly=True), self._linear
         value = q @ (0.5 * g.getArray(readonly=True) + linear)
         if self._wear is not None:
-            p = q / self._scale[self._here]
+            p = q / self._own_scale
             value += self._area[self._here] @ self._wear.potential(p)
             linear = linear + self._weight * self._wear.depth(p)
         g.setArray(g.getArray(readonly=True) + linear)
@@ -197,8 +205,7 @@ class ContactSolver:
         """Return what wear adds to the Hessian's diagonal."""
         if self._wear is None:
             return np.zeros_like(self._slope)
-        scale = self._scale[self._here]
-        return self._wear.slope(q / scale) * self._weight / scale
+        return self._wear.slope(q / self._own_scale) * self._slope_weight
 
     def _hessian(self, tao: PETSc.TAO, x: PETSc.Vec, h: PETSc.Mat, _: PETSc.Mat) -> None:
         slope = self._slope_at(x.getArray(readonly=True))
@@ -213,15 +220,15 @@ class ContactSolver:
         self, gap: FloatArray, approach: float, wear: StepWear | None
     ) -> tuple[FloatArray, int, float]:
         """Return pressure, TAO iterations and relative KKT residual at a given approach."""
-        if gap.min() >= approach:  # nothing overlaps
-            self._x.set(0.0)
-            return np.zeros_like(gap), 0, 0.0
         here = self._here
         self._wear = wear.part(here) if wear is not None and self.distributed else wear
         self._linear = self._weight * (gap[here] - approach)
-        overlap = np.maximum(approach - gap, 0.0)
-        size = float(np.linalg.norm(self._area / self._scale * overlap))
-        self._tao.setTolerances(gatol=1e-12 * size, grtol=0.0, gttol=0.0)
+        if gap.min() >= approach:  # nothing overlaps
+            self._x.set(0.0)
+            self._g.setArray(self._linear)
+            return np.zeros_like(gap), 0, 0.0
+        overlap = self._all_weights * np.maximum(approach - gap, 0.0)
+        self._tao.setTolerances(gatol=1e-12 * math.sqrt(overlap @ overlap), grtol=0.0, gttol=0.0)
         try:
             self._tao.solve()
         except PETSc.Error as error:
@@ -230,16 +237,15 @@ class ContactSolver:
             ) from error
         reason, iterations = self._tao.getConvergedReason(), self._tao.getIterationNumber()
         q = self._x.getArray(readonly=True)
-        self._gradient(self._tao, self._x, self._g)
-        diagonal = 1.0 + np.maximum(self._slope, self._slope_at(q))  # both sides of a kink
-        defect = np.minimum(q, self._g.getArray(readonly=True) / diagonal)
-        worst = float(np.abs(defect).max(initial=0.0)) if np.isfinite(defect).all() else np.inf
-        largest = float(q.max(initial=0.0))
+        if self.tao_type != "python":  # that one leaves the gradient at its solution
+            self._gradient(self._tao, self._x, self._g)
+        g = self._g.getArray(readonly=True)
+        worst, largest = _defect(q, g, 1.0 + self._slope), float(q.max(initial=0.0))
+        if worst > KKT_TOLERANCE * largest:  # at a kink of the law either side's slope will do
+            worst = _defect(q, g, 1.0 + np.maximum(self._slope, self._slope_at(q)))
         if self.distributed:
             worst, largest = (self._comm.allreduce(v, MPI.MAX) for v in (worst, largest))
-            p = np.concatenate(self._comm.allgather(q)) / self._scale
-        else:
-            p = q / self._scale
+        p = self._gathered(q) / self._scale
         residual = worst / largest if largest > 0.0 else np.inf
         if reason <= 0 or not residual <= KKT_TOLERANCE:
             raise ComputationError(
@@ -248,6 +254,9 @@ class ContactSolver:
                 f"{residual:.2e} (allowed {KKT_TOLERANCE:.0e})"
             )
         return p, iterations, residual
+
+    def _gathered(self, part: FloatArray) -> FloatArray:
+        return np.concatenate(self._comm.allgather(part)) if self.distributed else part
 
     def solve(
         self,
@@ -269,28 +278,26 @@ class ContactSolver:
         ------
         ComputationError : TAO failed, the KKT residual or the force balance is too large.
         """
-        nearest = float(gap.min())
         if approach is not None:
             p, iterations, residual = self._solve_at(gap, approach, wear)
-            indentation, self._last = approach - nearest, (gap, approach, float(self._area @ p))
+            self._last = gap, approach, float(self._area @ p)
         elif force is not None:
-            p, indentation, iterations, residual = self._search_approach(gap, nearest, force, wear)
-            approach = nearest + indentation
+            p, approach, iterations, residual = self._search_approach(gap, force, wear)
         else:
             raise ValueError("force or approach must be given")
-        opening = (gap - nearest) + self._compliance_rows @ p - indentation
-        if wear is not None:
-            opening = opening + wear.depth(p)
+        # the gradient is the gap of the deformed, worn profiles, weighted
+        opening = self._gathered(self._g.getArray(readonly=True)) / self._all_weights
         return ContactState(p, opening, approach, float(self._area @ p), iterations, residual)
 
     def _search_approach(
-        self, gap: FloatArray, nearest: float, force: float, wear: StepWear | None
+        self, gap: FloatArray, force: float, wear: StepWear | None
     ) -> tuple[FloatArray, float, int, float]:
         """Find the approach: secant steps, or bisection where they do not halve the imbalance.
 
-        Returned is the indentation, approach less ``nearest``, the smallest gap: under light loads
-        it is far smaller than either.
+        What is searched for is the approach less the smallest gap: under light loads it is far
+        smaller than either.
         """
+        nearest = float(gap.min())
         area, rate = self._area, self._rate
         if self._last is None:
             last_gap, last_approach, last_force = gap, float(area @ gap / area.sum()), 0.0
@@ -333,12 +340,12 @@ class ContactSolver:
                 f"{force:.9g} N at approach {approach:.9g} mm after {_MAX_APPROACHES} trials"
             )
         self._rate, self._last = rate, (gap, nearest + approach, force)
-        return p, approach, total, residual
+        return p, nearest + approach, total, residual
 
     def warm(self) -> WarmStart:
         """Return where the next solve would start. Collective on comm."""
         q = self._x.getArray(readonly=True)
-        q = np.concatenate(self._comm.allgather(q)) if self.distributed else q.copy()
+        q = self._gathered(q.copy())
         gap, approach, force = self._last or (np.zeros_like(q), 0.0, 0.0)
         return WarmStart(q, self._rate, gap, approach, force)
 
@@ -350,7 +357,8 @@ class ContactSolver:
     def destroy(self) -> None:
         """Free the PETSc objects. Collective on comm."""
         for item in (
-            self._tao, self._a, self._h, self._x, self._g, self._lower, self._upper, self._diagonal,
+            self._tao, self._a, self._h, self._x, self._g, self._scratch, self._lower, self._upper,
+            self._diagonal,
         ):  # fmt: skip
             item.destroy()
 

@@ -7,7 +7,8 @@ found together with the wear inside the contact problem.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from operator import sub
 
 import numpy as np
 
@@ -44,7 +45,7 @@ class Balances:
 
     def worse(self, other: "Balances") -> "Balances":
         """Return the larger of each defect."""
-        return Balances(*(max(a, b) for a, b in zip(self.values(), other.values(), strict=True)))
+        return Balances(*map(max, self.values(), other.values()))
 
     def values(self) -> tuple[float, ...]:
         """Return the defects in their order."""
@@ -90,6 +91,8 @@ class WearHistory:
         self._moment = line.area * line.arm  # torque per unit shear
         self._power = case.friction * case.load.omega * line.arm  # mu V, mm/s
         active = tuple(law for law in case.laws if law is not None)
+        # what balances take from the pressure: friction torque / mu, reactions of both bodies
+        self._sums = np.vstack([self._moment, pair.force_reaction, pair.torque_reaction])
         self._zero = np.zeros(line.n)
         self._implicit = (
             StepWear(active, self._power, case.time.step)
@@ -110,7 +113,7 @@ class WearHistory:
         except ComputationError as error:
             raise ComputationError(f"step 0 (before any wear): {error}") from error
         return self._balanced(
-            State(0, np.zeros((2, len(self._zero))), np.zeros(2), 0.0, contact, Balances())
+            0, np.zeros((2, len(self._zero))), np.zeros(2), 0.0, contact, Balances()
         )
 
     def advance(self, state: State) -> State:
@@ -136,14 +139,12 @@ class WearHistory:
             number = state.step + 1
             raise ComputationError(f"step {number} (time {number * step:g} s): {error}") from error
         return self._balanced(
-            State(
-                state.step + 1,
-                wear,
-                state.worn + step * (rates @ self._area),
-                state.energy + step * self.case.load.omega * self.torque(wearing),
-                contact,
-                state.balances,
-            )
+            state.step + 1,
+            wear,
+            state.worn + step * (rates @ self._area),
+            state.energy + step * self.case.load.omega * self.torque(wearing),
+            contact,
+            state.balances,
         )
 
     def _contact(self, gap: FloatArray, wear: StepWear | None) -> ContactState:
@@ -151,7 +152,11 @@ class WearHistory:
         return self.solver.solve(gap, force=load.force, approach=load.displacement, wear=wear)
 
     def _rates(self, p: FloatArray) -> FloatArray:
-        return np.array([law.rate(p, self._power) if law else self._zero for law in self.case.laws])
+        rates = np.zeros((2, len(p)))
+        for rate, law in zip(rates, self.case.laws, strict=True):
+            if law is not None:
+                rate[:] = law.rate(p, self._power)
+        return rates
 
     def torque(self, p: FloatArray) -> float:
         """Return the friction torque, N mm, at pressure p (MPa)."""
@@ -161,29 +166,37 @@ class WearHistory:
         """Return the area mean of the circumferential displacement jump, mm, at pressure p."""
         return self.case.friction * float(self.pair.twist @ p)
 
-    def worn_volumes(self, state: State) -> FloatArray:
-        """Return the volumes lost by lower and upper, (2,) mm^3, from their profiles."""
-        return state.wear @ self._area
+    def worn_volumes(self, wear: FloatArray) -> FloatArray:
+        """Return the volumes lost by lower and upper, (2,) mm^3, from their profiles, (2, n) mm."""
+        return wear @ self._area
 
-    def _balanced(self, state: State) -> State:
-        p, force = state.contact.pressure, self.case.load.force
-        volumes = self.worn_volumes(state)
-        pair, pushed = self.pair, state.contact.force
-        turned = float(self._moment @ p)
-        total = float(volumes.max())
-        energy = 0.0
+    def _balanced(
+        self,
+        step: int,
+        wear: FloatArray,
+        worn: FloatArray,
+        energy: float,
+        contact: ContactState,
+        before: Balances,
+    ) -> State:
+        """Return the state with its balances."""
+        force, pushed = self.case.load.force, contact.force
+        turned, *reactions = (self._sums @ contact.pressure).tolist()
+        volumes = self.worn_volumes(wear).tolist()
+        total = max(volumes)
+        identity = 0.0
         for law, volume in zip(self.case.laws, volumes, strict=True):
-            if law is not None and law.proportional and state.energy > 0.0:
-                energy = max(energy, abs(volume / (law.proportional * state.energy) - 1.0))
+            if law is not None and law.proportional and energy > 0.0:
+                identity = max(identity, abs(volume / (law.proportional * energy) - 1.0))
         now = Balances(
-            abs(state.contact.force / force - 1.0) if force is not None else 0.0,
-            float(np.abs(pair.torque_reaction @ p / turned - 1.0).max()) if turned > 0.0 else 0.0,
-            float(np.abs(pair.force_reaction @ p / pushed - 1.0).max()) if pushed > 0.0 else 0.0,
-            float(np.abs(volumes - state.worn).max()) / total if total > 0.0 else 0.0,
-            energy,
-            state.contact.residual,
+            abs(pushed / force - 1.0) if force is not None else 0.0,
+            max(abs(t / turned - 1.0) for t in reactions[2:]) if turned > 0.0 else 0.0,
+            max(abs(f / pushed - 1.0) for f in reactions[:2]) if pushed > 0.0 else 0.0,
+            max(map(abs, map(sub, volumes, worn.tolist()))) / total if total > 0.0 else 0.0,
+            identity,
+            contact.residual,
         )
-        return replace(state, balances=state.balances.worse(now))
+        return State(step, wear, worn, energy, contact, before.worse(now))
 
 
 def run(history: WearHistory, state: State, watch: Callable[[State], bool]) -> State:

@@ -9,6 +9,8 @@ Hintermueller, Ito and Kunisch, SIAM J. Optim. 13 (2002) 865-888; the damped ite
 over if the sets cycle is Bertsekas' projected Newton method, SIAM J. Control Optim. 20 (1982).
 """
 
+import math
+
 import numpy as np
 from petsc4py import PETSc
 from scipy.linalg.lapack import dpotrf, dpotrs
@@ -27,28 +29,28 @@ class ActiveSetNewton:
     """
 
     def __init__(self) -> None:
-        self._gradient: PETSc.Vec | None = None
         self._factor: FloatArray | None = None
-        self._free: BoolArray | None = None
+        self._free: BoolArray = np.empty(0, dtype=bool)
+        self._diagonal: FloatArray | float = 1.0
         self._state = -1
         self._monitored = False
 
     def setUp(self, tao: PETSc.TAO) -> None:
-        """Make the work vector."""
-        self.destroy(tao)
-        self._gradient = tao.getSolution().duplicate()
+        """Look whether somebody watches."""
         self._monitored = PETSc.Options(tao.getOptionsPrefix()).hasName("tao_monitor")
 
     def destroy(self, tao: PETSc.TAO) -> None:
-        """Free the work vector and the factor."""
-        if self._gradient is not None:
-            self._gradient.destroy()
-        self._gradient = self._factor = self._free = None
+        """Forget the factor."""
+        self._factor = None
         self._state = -1
 
     def solve(self, tao: PETSc.TAO) -> None:
-        """Minimise from the solution vector's present value."""
+        """Minimise from the solution vector's present value.
+
+        At the end the TAO's gradient vector holds the gradient at the solution.
+        """
         solution = tao.getSolution()
+        self._vector = tao.getGradient()[0]
         x = solution.getArray(readonly=True).copy()
         free = x > 0.0
         tolerance = tao.getTolerances()[0]
@@ -59,12 +61,13 @@ class ActiveSetNewton:
         gradient = self._evaluate(tao, solution, x)
         for iteration in range(1, limit + 1):
             if iteration <= _PLAIN_ITERATIONS:
-                x[free] += self._newton_step(tao, solution, gradient, free)
+                inside = slice(None) if free.all() else free
+                x[inside] += self._newton_step(tao, solution, gradient[inside], free)
                 gradient = self._evaluate(tao, solution, x)
                 keep = np.where(free, x > 0.0, gradient < 0.0)
-                x[~keep] = 0.0
-                settled = bool((keep == free).all())
+                settled = np.array_equal(keep, free)
                 if not settled:
+                    x[~keep] = 0.0
                     gradient = self._evaluate(tao, solution, x)
                     free = keep
             else:
@@ -72,18 +75,18 @@ class ActiveSetNewton:
                 gradient = self._evaluate(tao, solution, x)
                 free = (x > 0.0) | (gradient < 0.0)
                 step = np.zeros_like(x)
-                step[free] = self._newton_step(tao, solution, gradient, free)
+                step[free] = self._newton_step(tao, solution, gradient[free], free)
                 x, gradient = self._search(tao, solution, x, gradient, step)
                 settled = bool((gradient[x == 0.0] >= 0.0).all())
                 free = x > 0.0
-            defect = np.minimum(gradient, x * (diagonal := self._diagonal(tao)))
-            residual = float(np.linalg.norm(defect))
+            defect = np.minimum(gradient, x * self._diagonal)
+            residual = math.sqrt(defect @ defect)
             if self._monitored:
                 tao.monitor(iteration, tao.computeObjective(solution), residual)
             # where wear makes the diagonal large, round-off in x is more than the tolerance in g
             if settled and (
                 residual <= tolerance
-                or np.abs(defect / diagonal).max() <= _ROUND_OFF * x.max(initial=0.0)
+                or np.abs(defect / self._diagonal).max() <= _ROUND_OFF * x.max(initial=0.0)
             ):
                 tao.setIterationNumber(iteration)
                 tao.setConvergedReason(PETSc.TAO.Reason.CONVERGED_GATOL)
@@ -93,9 +96,8 @@ class ActiveSetNewton:
 
     def _evaluate(self, tao: PETSc.TAO, solution: PETSc.Vec, x: FloatArray) -> FloatArray:
         solution.setArray(x)
-        tao.computeGradient(solution, self._gradient)
-        assert self._gradient is not None
-        return self._gradient.getArray(readonly=True).copy()
+        tao.computeGradient(solution, self._vector)
+        return self._vector.getArray(readonly=True).copy()
 
     def _newton_step(
         self, tao: PETSc.TAO, solution: PETSc.Vec, gradient: FloatArray, free: BoolArray
@@ -105,8 +107,9 @@ class ActiveSetNewton:
         hessian = tao.getHessian()[0]
         tao.computeHessian(solution, hessian)
         state = hessian.stateGet()
-        if self._factor is None or state != self._state or not self._same_set(free):
+        if self._factor is None or state != self._state or not np.array_equal(free, self._free):
             block = hessian.getDenseArray(readonly=True)
+            self._diagonal = block.diagonal().copy()
             if not free.all():
                 block = block[np.ix_(free, free)]
             self._factor, info = dpotrf(block, lower=1, clean=0)
@@ -114,16 +117,8 @@ class ActiveSetNewton:
                 self._factor = None
                 return np.full(np.count_nonzero(free), np.nan)
             self._state, self._free = state, free.copy()
-        step, _ = dpotrs(self._factor, gradient[free], lower=1)
+        step, _ = dpotrs(self._factor, gradient, lower=1)
         return -step
-
-    def _diagonal(self, tao: PETSc.TAO) -> FloatArray:
-        assert self._gradient is not None
-        tao.getHessian()[0].getDiagonal(self._gradient)
-        return self._gradient.getArray(readonly=True)
-
-    def _same_set(self, free: BoolArray) -> bool:
-        return self._free is not None and bool((free == self._free).all())
 
     def _search(
         self,

@@ -68,7 +68,7 @@ class Recorder:
         if self.steps[row] != state.step:
             return
         history, contact = self._history, state.contact
-        volumes = history.worn_volumes(state)
+        volumes = history.worn_volumes(state.wear)
         start = self.scalars["approach"][0] if row else contact.approach
         values = {
             "time": state.step * history.case.time.step,

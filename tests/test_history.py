@@ -68,7 +68,7 @@ def test_twenty_steps_nearly_serve_for_two_hundred(stepped):
             history, states = stepped(
                 wear_lower=ThresholdLaw(1e-7, p0), time=steps("implicit", 200.0 / number, number)
             )
-            volumes.append(history.worn_volumes(states[-1])[0])
+            volumes.append(history.worn_volumes(states[-1].wear)[0])
             depths.append(states[-1].contact.approach - states[0].contact.approach)
         assert volumes[0] == pytest.approx(volumes[1], rel=tolerance)
         assert 1e3 * depths[1] == pytest.approx(
