@@ -52,10 +52,14 @@ class Stepping:
 
 @dataclass(frozen=True)
 class Output:
-    """What is stored: every so many steps, and which fields along the contact line."""
+    """What is stored: every so many steps, and which fields along the contact line.
+
+    ``profiles`` says whether the fields are stored as often as all else, or at the last step only.
+    """
 
     every: int = 1
     fields: tuple[str, ...] = FIELDS
+    profiles: Literal["all", "last"] = "all"
 
 
 @dataclass(frozen=True)
@@ -183,13 +187,40 @@ def parse_case(text: str, name: str, overrides: Mapping[str, Any] | None = None)
     except tomllib.TOMLDecodeError as error:
         raise InputError(f"{name}: is not valid TOML: {error}") from error
     origin = dict.fromkeys(flat, f"{name}: ")
-    if overrides:
-        overrides = _flatten(overrides)
-        if not _LOADS.isdisjoint(overrides):  # the new load takes the place of the file's
-            flat = {path: value for path, value in flat.items() if path not in _LOADS}
-        flat.update(overrides)
-        origin.update(dict.fromkeys(overrides, "--set "))
-        text = toml_text(flat)
+    if not overrides:
+        return make_case(flat, name, origin, text)
+    overrides = _flatten(overrides)
+    origin.update(dict.fromkeys(overrides, "--set "))
+    return make_case(override(flat, overrides), f"{name} with --set", origin)
+
+
+def override(flat: Mapping[str, Any], overrides: Mapping[str, Any]) -> dict[str, Any]:
+    """Return dotted keys with some of them replaced; a new load takes the place of the old one."""
+    if not _LOADS.isdisjoint(overrides):
+        flat = {path: value for path, value in flat.items() if path not in _LOADS}
+    return {**flat, **overrides}
+
+
+def make_case(
+    flat: Mapping[str, Any],
+    name: str,
+    origin: Mapping[str, str] | None = None,
+    text: str | None = None,
+) -> Case:
+    """Make a case of dotted keys and raw values. Not collective.
+
+    Parameters
+    ----------
+    flat : dotted keys and values, as TOML gives them.
+    name : what messages call the case.
+    origin : what messages begin with where a key does not come from ``name``.
+    text : the case's TOML text, if it is not to be made of the keys.
+
+    Raises
+    ------
+    InputError : all faults, one sentence each.
+    """
+    origin, own = origin or {}, f"{name}: "
     faults: list[str] = []
     values: dict[str, Any] = {}
     for path, value in flat.items():
@@ -198,11 +229,12 @@ def parse_case(text: str, name: str, overrides: Mapping[str, Any] | None = None)
             try:
                 values[path] = key.read(value)
             except RejectedError:
-                faults.append(f"{origin[path]}{path} = {toml_value(value)}: {key.rule}")
+                faults.append(f"{origin.get(path, own)}{path} = {toml_value(value)}: {key.rule}")
         elif path in TABLES:
-            faults.append(f"{origin[path]}{path} = {toml_value(value)}: must be a table, [{path}]")
+            said = f"{origin.get(path, own)}{path} = {toml_value(value)}"
+            faults.append(f"{said}: must be a table, [{path}]")
         else:
-            faults.append(f"{origin[path]}{path}: unknown key{_nearest(path)}")
+            faults.append(f"{origin.get(path, own)}{path}: unknown key{nearest_key(path)}")
     wears = {
         f"wear.{ring}": any(p.startswith(f"wear.{ring}") for p in flat)
         for ring in ("lower", "upper")
@@ -213,14 +245,16 @@ def parse_case(text: str, name: str, overrides: Mapping[str, Any] | None = None)
             if key.default is not ...:
                 values[key.path] = key.default
             elif wears.get(table, True):
-                faults.append(f"{name}: {key.path} is missing: {key.rule}")
-    faults += _inconsistencies(f"{name} with --set" if overrides else name, values)
+                whose = name.removesuffix(" with --set")
+                faults.append(f"{whose}: {key.path} is missing: {key.rule}")
+    faults += _inconsistencies(name, values)
     if faults:
         raise InputError(*faults)
-    return _build(values, wears, text)
+    return _build(values, wears, toml_text(flat) if text is None else text)
 
 
-def _nearest(path: str) -> str:
+def nearest_key(path: str) -> str:
+    """Return a hint at the known key nearest to an unknown one."""
     near = difflib.get_close_matches(path, BY_PATH, n=1, cutoff=0.6)
     return f" (did you mean {near[0]}?)" if near else ""
 
@@ -298,7 +332,7 @@ def _build(values: Mapping[str, Any], wears: Mapping[str, bool], text: str) -> C
             values["mesh.grading"],
             values["mesh.quadrature_tolerance"],
         ),
-        output=Output(values["output.every"], values["output.fields"]),
+        output=Output(values["output.every"], values["output.fields"], values["output.profiles"]),
         title=values["title"],
         text=text,
     )

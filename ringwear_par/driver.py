@@ -4,6 +4,7 @@ import logging
 import os
 import time
 from collections.abc import Callable, Sequence
+from contextlib import ExitStack, closing
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, TypeVar
@@ -17,7 +18,7 @@ from ringwear_par.contact import ContactSolver
 from ringwear_par.errors import ComputationError, InputError, RingwearError
 from ringwear_par.history import State, WearHistory, run
 from ringwear_par.info import versions
-from ringwear_par.monitor import Monitor
+from ringwear_par.monitor import Monitor, Progress, StopSignals
 from ringwear_par.options import reject_unused_options
 from ringwear_par.pair import ContactPair, check_memory, check_mesh, contact_pair
 from ringwear_par.results import (
@@ -28,7 +29,6 @@ from ringwear_par.results import (
     restore,
     write_result,
 )
-from ringwear_par.schema import FIELDS
 
 log = logging.getLogger(__name__)
 T = TypeVar("T")
@@ -124,7 +124,11 @@ def run_case(
             on_first_rank(comm, write)
             seconds["seconds_output"] += time.perf_counter() - t0
 
-        with Monitor(case.time.steps, recorder, save, comm) as monitor:
+        with StopSignals() as signals, ExitStack() as at_end:
+            progress = None
+            if comm.rank == 0:
+                progress = at_end.enter_context(closing(Progress(state.step, case.time.steps)))
+            monitor = Monitor(case.time.steps, recorder, save, signals, comm, progress)
             state = run(history, state, monitor)
             save(state)
         if recorder is not None:
@@ -232,7 +236,7 @@ def _prepare(
         from ringwear_par.plots import check_figure
 
         try:
-            check_figure(figure, case.output.fields if case is not None else FIELDS)
+            check_figure(figure, case.output if case is not None else None)
         except InputError as error:
             faults += error.faults
     if faults or case is None:

@@ -24,33 +24,14 @@ PROGRESS_SECONDS = 10.0
 _SIGNALS = (signal.SIGTERM, signal.SIGUSR1, signal.SIGINT)
 
 
-class Monitor:
-    """Called with every new state; a context manager, for its signal handlers and progress bar.
+class StopSignals:
+    """Notes signals that ask to stop, instead of dying of them; a context manager."""
 
-    Parameters
-    ----------
-    steps : number of steps of the run.
-    recorder : takes every state; None on ranks that store nothing.
-    save : writes a checkpoint; collective.
-    comm : communicator; calls are collective, and answered alike on all ranks.
-    """
-
-    def __init__(
-        self, steps: int, recorder: Recorder | None, save: Callable[[State], None], comm: MPI.Comm
-    ) -> None:
-        self._steps, self._recorder, self._save, self._comm = steps, recorder, save, comm
-        self._saved = self._told = time.perf_counter()
-        self._received = 0  # here; only what the ranks agree on is acted upon
-        self._agreed = 0
+    def __init__(self) -> None:
+        self.received = 0
         self._old: dict[int, Any] = {}
-        self._bar: Any = None
 
-    @property
-    def signal_name(self) -> str:
-        """Name of the signal that stopped the run."""
-        return signal.Signals(self._agreed).name
-
-    def __enter__(self) -> "Monitor":
+    def __enter__(self) -> "StopSignals":
         for number in _SIGNALS:
             self._old[number] = signal.signal(number, self._receive)
         return self
@@ -58,41 +39,91 @@ class Monitor:
     def __exit__(self, *_: object) -> None:
         for number, handler in self._old.items():
             signal.signal(number, signal.SIG_DFL if handler is None else handler)
-        if self._bar is not None:
-            self._bar.close()
 
     def _receive(self, number: int, frame: FrameType | None) -> None:
-        self._received = number
+        self.received = number
+
+
+class Monitor:
+    """Called with every new state: stores it, writes checkpoints, stops on a signal.
+
+    Parameters
+    ----------
+    steps : number of steps of the run.
+    recorder : takes every state; None on ranks that store nothing.
+    save : writes a checkpoint; collective.
+    signals : noted here, acted upon when one of the ranks has received one.
+    comm : communicator; calls are collective, and answered alike on all ranks.
+    tell : called with every state on this rank only, for progress.
+    """
+
+    def __init__(
+        self,
+        steps: int,
+        recorder: Recorder | None,
+        save: Callable[[State], None],
+        signals: StopSignals,
+        comm: MPI.Comm,
+        tell: Callable[[State], None] | None = None,
+    ) -> None:
+        self._steps, self._recorder, self._save, self._comm = steps, recorder, save, comm
+        self._signals, self._tell = signals, tell
+        self._saved = time.perf_counter()
+        #: the signal that the ranks agreed to stop for, or 0
+        self.agreed = 0
+
+    @property
+    def signal_name(self) -> str:
+        """Name of the signal that stopped the run."""
+        return signal.Signals(self.agreed).name
 
     def __call__(self, state: State) -> bool:
         """Return whether to stop after this state. Collective."""
-        now = time.perf_counter()
         if self._recorder is not None:
             self._recorder.add(state)
-            self._tell(state, now)
-        due = self._comm.rank == 0 and now - self._saved > CHECKPOINT_SECONDS
-        request = np.array([self._received, due], dtype=np.int64)
+        if self._tell is not None:
+            self._tell(state)
+        received = self._signals.received
+        due = self._comm.rank == 0 and time.perf_counter() - self._saved > CHECKPOINT_SECONDS
         if self._comm.size > 1:
+            request = np.array([received, due], dtype=np.int64)
             self._comm.Allreduce(MPI.IN_PLACE, request, MPI.MAX)
-        self._agreed = int(request[0])
-        if request[1] and not self._agreed and state.step < self._steps:
+            received, due = int(request[0]), bool(request[1])
+        self.agreed = received
+        if due and not received and state.step < self._steps:
             try:
                 self._save(state)
             except ComputationError as error:
                 if self._comm.rank == 0:
                     log.warning("checkpoint not written, going on: %s", error)
             self._saved = time.perf_counter()
-        return self._agreed != 0
+        return received != 0
 
-    def _tell(self, state: State, now: float) -> None:
-        if self._bar is None:
-            self._bar = tqdm(
-                total=self._steps, initial=state.step - 1, unit="step", leave=False,
-                disable=not sys.stderr.isatty(),
-            )  # fmt: skip
+
+class Progress:
+    """A bar on a terminal, else a line now and then.
+
+    Parameters
+    ----------
+    done, steps : steps made already, and in all.
+    """
+
+    def __init__(self, done: int, steps: int) -> None:
+        self._steps, self._told = steps, time.perf_counter()
+        self._bar: Any = tqdm(
+            total=steps, initial=done, unit="step", leave=False, disable=not sys.stderr.isatty()
+        )
+
+    def __call__(self, state: State) -> None:
+        """Tell of a state."""
         self._bar.update()
+        now = time.perf_counter()
         if self._bar.disable and now - self._told > PROGRESS_SECONDS:
             self._told = now
             log.info(
                 "step %d of %d, approach %.6f mm", state.step, self._steps, state.contact.approach
             )
+
+    def close(self) -> None:
+        """Remove the bar."""
+        self._bar.close()

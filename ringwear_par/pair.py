@@ -1,13 +1,14 @@
 """Two bodies in contact: everything that a wear history needs to know of their elasticity."""
 
 import os
+from collections.abc import Hashable
 from dataclasses import dataclass
 
 import numpy as np
 from mpi4py import MPI
 from scipy.linalg import eigh
 
-from ringwear_par.body import Compliance, compliance
+from ringwear_par.body import compliance
 from ringwear_par.case import Case
 from ringwear_par.dense import has_scalapack
 from ringwear_par.errors import ComputationError, InputError
@@ -39,6 +40,27 @@ class ContactPair:
 
 
 @dataclass(frozen=True)
+class Operator:
+    """What the boundary elements say of both bodies at Young's modulus 1.
+
+    Moduli, load, speed, friction and wear laws scale it or come later, so that one operator serves
+    every case of the same shape, mesh, Poisson's ratios and grip.
+
+    Parameters
+    ----------
+    normal : (2, n, n) float, mm/MPa; approach under unit pressure, of lower and upper.
+    twist : (2, n) float, mm^3/MPa; area integral of the circumferential displacement per unit
+        circumferential traction.
+    force_reaction, torque_reaction : (2, n) float, mm^2 and mm^3, as in ContactPair.
+    """
+
+    normal: FloatArray
+    twist: FloatArray
+    force_reaction: FloatArray
+    torque_reaction: FloatArray
+
+
+@dataclass(frozen=True)
 class BodyCost:
     """What the boundary elements of both bodies took (wall seconds on this rank)."""
 
@@ -47,46 +69,18 @@ class BodyCost:
     seconds_solution: float
 
 
-def join(
-    line: ContactLine, lower: Compliance, upper: Compliance, young: tuple[float, float]
-) -> ContactPair:
-    """Join two bodies with Young's moduli ``young`` (MPa). Not collective.
-
-    Raises
-    ------
-    ComputationError : the compliance is not positive definite (the mesh is far too coarse).
-    """
-    m, bodies = line.area, (lower, upper)
-    weighted = m[:, None] * sum(
-        (body.normal / e for body, e in zip(bodies, young, strict=True)), np.zeros((line.n, line.n))
-    )
-    stiffness = 0.5 * (weighted + weighted.T)
-    try:
-        np.linalg.cholesky(stiffness)
-    except np.linalg.LinAlgError as error:
-        raise ComputationError(
-            f"compliance of {line.n} contact elements: not positive definite; "
-            "a finer mesh or a milder grading is needed"
-        ) from error
-    twist = sum(
-        (m @ body.torsion / e for body, e in zip(bodies, young, strict=True)), np.zeros(line.n)
-    )
-    return ContactPair(
-        line,
-        stiffness,
-        twist / m.sum(),
-        float(np.abs(weighted - weighted.T).max() / np.abs(weighted).max()),
-        np.array([body.force_reaction for body in bodies]),
-        np.array([body.torque_reaction for body in bodies]),
-    )
+def operator_key(case: Case) -> Hashable:
+    """Return what the operator of a case depends on; equal for cases that can share it."""
+    bodies = ((case.section(ring), ring.poisson, ring.grip) for ring in (case.lower, case.upper))
+    return case.mesh, *bodies
 
 
-def contact_pair(case: Case, comm: MPI.Comm) -> tuple[ContactPair, BodyCost]:
+def assemble_operator(case: Case, comm: MPI.Comm) -> tuple[Operator, BodyCost]:
     """Assemble and condense both bodies of a case. Collective on comm.
 
     Raises
     ------
-    ComputationError : a factorisation failed, or the compliance is not positive definite.
+    ComputationError : a factorisation failed.
     """
     bodies = [
         compliance(case.section(ring), ring.poisson, ring.grip, case.mesh, comm)
@@ -97,8 +91,53 @@ def contact_pair(case: Case, comm: MPI.Comm) -> tuple[ContactPair, BodyCost]:
         sum(body.response.seconds_assembly for body in bodies),
         sum(body.response.seconds_solution for body in bodies),
     )
+    area = contact_line(case.contact, case.mesh).area
+    operator = Operator(
+        np.array([body.normal for body in bodies]),
+        np.array([area @ body.torsion for body in bodies]),
+        np.array([body.force_reaction for body in bodies]),
+        np.array([body.torque_reaction for body in bodies]),
+    )
+    return operator, cost
+
+
+def join(case: Case, operator: Operator) -> ContactPair:
+    """Join both bodies of a case with its Young's moduli. Not collective.
+
+    Raises
+    ------
+    ComputationError : the compliance is not positive definite (the mesh is far too coarse).
+    """
     line = contact_line(case.contact, case.mesh)
-    return join(line, bodies[0], bodies[1], (case.lower.young, case.upper.young)), cost
+    lower, upper = 1.0 / case.lower.young, 1.0 / case.upper.young
+    weighted = line.area[:, None] * (lower * operator.normal[0] + upper * operator.normal[1])
+    stiffness = 0.5 * (weighted + weighted.T)
+    try:
+        np.linalg.cholesky(stiffness)
+    except np.linalg.LinAlgError as error:
+        raise ComputationError(
+            f"compliance of {line.n} contact elements: not positive definite; "
+            "a finer mesh or a milder grading is needed"
+        ) from error
+    return ContactPair(
+        line,
+        stiffness,
+        (lower * operator.twist[0] + upper * operator.twist[1]) / line.area.sum(),
+        float(np.abs(weighted - weighted.T).max() / np.abs(weighted).max()),
+        operator.force_reaction,
+        operator.torque_reaction,
+    )
+
+
+def contact_pair(case: Case, comm: MPI.Comm) -> tuple[ContactPair, BodyCost]:
+    """Assemble, condense and join both bodies of a case. Collective on comm.
+
+    Raises
+    ------
+    ComputationError : a factorisation failed, or the compliance is not positive definite.
+    """
+    operator, cost = assemble_operator(case, comm)
+    return join(case, operator), cost
 
 
 def memory_needed(case: Case, ranks: int) -> float:

@@ -10,11 +10,11 @@ import matplotlib
 import numpy as np
 from matplotlib.figure import Figure
 
-from ringwear_par.case import read_keys
+from ringwear_par.case import Output, read_keys
 from ringwear_par.driver import check_writable
 from ringwear_par.errors import InputError
 from ringwear_par.results import Result, read_result
-from ringwear_par.schema import FIELDS, UNITS
+from ringwear_par.schema import UNITS
 
 _STYLE: dict[Any, Any] = {
     "font.size": 9.0,
@@ -92,8 +92,8 @@ def plot_files(
             temporary.unlink(missing_ok=True)
 
 
-def check_figure(output: Path, fields: Sequence[str] = FIELDS) -> None:
-    """Refuse a picture that cannot be written, or drawn from these fields. Not collective.
+def check_figure(output: Path, stored: Output | None = None) -> None:
+    """Refuse a picture that cannot be written, or drawn from what a case stores. Not collective.
 
     Raises
     ------
@@ -103,11 +103,15 @@ def check_figure(output: Path, fields: Sequence[str] = FIELDS) -> None:
     formats = Figure().canvas.get_supported_filetypes()
     if output.suffix[1:].lower() not in formats:
         raise InputError(f"{output}: its ending must be one of {', '.join(sorted(formats))}")
-    missing = {"wear_lower", "wear_upper"} - set(fields)
+    if stored is None:
+        return
+    missing = {"wear_lower", "wear_upper"} - set(stored.fields)
     if missing:
         raise InputError(
             f"{output}: needs {' and '.join(sorted(missing))}, which output.fields leaves out"
         )
+    if stored.profiles != "all":
+        raise InputError(f'{output}: needs output.profiles = "all"')
 
 
 def _rows(result: Result, steps: str) -> list[int]:
@@ -130,6 +134,11 @@ def _field(result: Result, name: str) -> Any:
     if name not in result.fields:
         raise InputError(
             f"{result.path}: does not hold {name}; output.fields of its case left it out"
+        )
+    if result.fields[name].ndim == 1:
+        raise InputError(
+            f"{result.path}: holds {name} of the last step only; must be computed with "
+            'output.profiles = "all"'
         )
     return result.fields[name]
 

@@ -57,7 +57,10 @@ class Recorder:
         self.steps: IntArray = np.append(np.arange(0, steps, output.every), steps)
         rows = len(self.steps)
         self.scalars = {name: np.zeros(rows) for name in SCALARS}
-        self.fields = {name: np.zeros((rows, history.pair.line.n)) for name in output.fields}
+        #: rows of the fields: as many as of the scalars, or the last stored one only
+        self.profiles = rows if output.profiles == "all" else 1
+        shape = self.profiles, history.pair.line.n
+        self.fields = {name: np.zeros(shape) for name in output.fields}
         self.stored = 0
         self.pending_iterations = 0
 
@@ -91,7 +94,7 @@ class Recorder:
             "wear_upper": state.wear[1],
         }
         for name, table in self.fields.items():
-            table[row] = along[name]
+            table[min(row, self.profiles - 1)] = along[name]
         self.stored += 1
         self.pending_iterations = 0
 
@@ -178,7 +181,11 @@ def _write_history(file: h5py.File, line: ContactLine, recorder: Recorder) -> No
     variable("r", line.r, ("element",), "mm", "radius of the element's mid-point")
     variable("width", line.width, ("element",), "mm", "radial length of the element")
     for name, table in recorder.fields.items():
-        variable(name, table[:rows], ("step", "element"), *ALONG[name])
+        unit, text = ALONG[name]
+        if recorder.profiles == 1:
+            variable(name, table[0], ("element",), unit, f"{text}, at the last step")
+        else:
+            variable(name, table[:rows], ("step", "element"), unit, text)
 
 
 def _write_checkpoint(
@@ -253,12 +260,13 @@ def restore(recorder: Recorder, checkpoint: Checkpoint) -> None:
     """Put the stored rows of an interrupted run back, as far as the case still stores them."""
     keep = np.isin(checkpoint.steps, recorder.steps)
     rows = int(keep.sum())
-    for tables, stored in (
-        (recorder.scalars, checkpoint.scalars),
-        (recorder.fields, checkpoint.fields),
-    ):
-        for name, table in tables.items():
-            table[:rows] = stored[name][keep]
+    for name, scalars in recorder.scalars.items():
+        scalars[:rows] = checkpoint.scalars[name][keep]
+    for name, table in recorder.fields.items():
+        if recorder.profiles == 1:
+            table[0] = checkpoint.fields[name]
+        else:
+            table[:rows] = checkpoint.fields[name][keep]
     recorder.stored = rows
     recorder.pending_iterations = checkpoint.pending_iterations + int(
         checkpoint.scalars["contact_iterations"][~keep].sum()

@@ -172,6 +172,10 @@ KEYS: tuple[Key, ...] = (
     ),
     Key("output.every", *_integer(1), "steps", "store every so many steps, and the last", 1),
     Key("output.fields", *_names(*FIELDS), "-", "fields stored along the contact line", FIELDS),
+    Key(
+        "output.profiles", *_choice("all", "last"), "-",
+        "store these fields as often as the histories, or at the last step only", "all",
+    ),
 )  # fmt: skip
 
 
