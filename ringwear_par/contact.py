@@ -149,8 +149,8 @@ class ContactSolver:
         self._wear: StepWear | None = None
         self._slope = np.zeros(rows[0])
         # warm start of the search for the approach
-        mean = float(stiffness.sum() / area.sum())
-        self._rate = np.full(n, 1.0 / mean)  # d pressure / d approach
+        self._first_rate = np.full(n, float(area.sum() / stiffness.sum()))
+        self._rate = self._first_rate  # d pressure / d approach
         self._last: tuple[FloatArray, float, float] | None = None  # gap, approach, force
 
     def _make_tao(self, tao_type: str) -> PETSc.TAO:
@@ -341,6 +341,11 @@ class ContactSolver:
             )
         self._rate, self._last = rate, (gap, nearest + approach, force)
         return p, nearest + approach, total, residual
+
+    def cold_start(self) -> None:
+        """Start the next solve as a new solver would. Not collective."""
+        self._x.set(0.0)
+        self._rate, self._last = self._first_rate, None
 
     def warm(self) -> WarmStart:
         """Return where the next solve would start. Collective on comm."""

@@ -47,6 +47,11 @@ class Balances:
         """Return the larger of each defect."""
         return Balances(*map(max, self.values(), other.values()))
 
+    @property
+    def worst(self) -> float:
+        """The worst of those that hold to round-off."""
+        return max(self.force, self.volume, self.energy, self.residual)
+
     def values(self) -> tuple[float, ...]:
         """Return the defects in their order."""
         return self.force, self.torque, self.reaction, self.volume, self.energy, self.residual

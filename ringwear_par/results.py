@@ -98,6 +98,19 @@ class Recorder:
         self.stored += 1
         self.pending_iterations = 0
 
+    def arrays(self) -> dict[str, FloatArray]:
+        """Return what is stored so far by variable, ``step`` (the numbers of steps) included."""
+        rows = slice(self.stored)
+        fields = {n: t[0] if self.profiles == 1 else t[rows] for n, t in self.fields.items()}
+        line = self._history.pair.line
+        return {
+            "step": self.steps[rows].astype(float),
+            **{name: table[rows] for name, table in self.scalars.items()},
+            "r": line.r,
+            "width": line.width,
+            **fields,
+        }
+
 
 @dataclass(frozen=True)
 class Checkpoint:
