@@ -66,8 +66,27 @@ def _parser() -> argparse.ArgumentParser:
     )  # fmt: skip
     run.add_argument("--plot", type=Path, metavar="FIG.png", help="draw the history at the end")
 
-    plot = command("plot", "draw the figures of the paper from result files")
-    plot.add_argument("results", type=Path, nargs="+", metavar="RUN.h5")
+    sweep = command("sweep", "compute every case of a study, or go on with it")
+    sweep.add_argument("study", type=Path, metavar="STUDY.toml", help="study file")
+    sweep.add_argument("-o", "--output", type=Path, required=True, metavar="DIR")
+    sweep.add_argument(
+        "--ranks-per-case", type=int, default=1, metavar="M",
+        help="ranks that share a case; must divide their number (default: %(default)s)",
+    )  # fmt: skip
+    sweep.add_argument(
+        "--slice", type=_slice, metavar="I/N", dest="part",
+        help="compute the I-th of N slices only; without it, slices are merged",
+    )  # fmt: skip
+    sweep.add_argument(
+        "--retry-failed", action="store_true", help="compute failed cases again as well"
+    )
+    sweep.add_argument(
+        "--dry-run", action="store_true",
+        help="count cases and operators, estimate memory and time; write nothing",
+    )  # fmt: skip
+
+    plot = command("plot", "draw the figures of the paper from result files, or those of a sweep")
+    plot.add_argument("results", type=Path, nargs="+", metavar="RUN.h5 or DIR")
     plot.add_argument("-o", "--output", type=Path, required=True, metavar="FIG.png")
     plot.add_argument(
         "--panels", default="wear,penetration", metavar="LIST",
@@ -89,12 +108,26 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
+def _slice(text: str) -> tuple[int, int]:
+    first, _, last = text.partition("/")
+    if not (first.isdecimal() and last.isdecimal() and 1 <= int(first) <= int(last)):
+        raise argparse.ArgumentTypeError(f"{text}: must be I/N with I from 1 to N, such as 2/8")
+    return int(first), int(last)
+
+
 def _dispatch(args: argparse.Namespace, comm: Any) -> int:
     if args.command == "run":
         from ringwear_par.driver import run_case
 
         overrides = [item for group in args.overrides for item in group]
         return run_case(args.case, args.output, overrides, args.restart, args.plot, comm)
+    if args.command == "sweep":
+        from ringwear_par.sweep import run_sweep
+
+        return run_sweep(
+            args.study, args.output, args.ranks_per_case, args.part, args.dry_run,
+            args.retry_failed, comm,
+        )  # fmt: skip
     if args.command == "plot":
         from ringwear_par.driver import on_first_rank
         from ringwear_par.plots import plot_files

@@ -74,7 +74,7 @@ def run_case(
             log.info("%s is complete: nothing to compute", output)
         return _draw(output, figure, comm)
     if comm.rank == 0:
-        _warn_of_threads(comm.size)
+        warn_of_threads(comm.size)
 
     t0 = time.perf_counter()
     load_kernels(comm)
@@ -280,7 +280,8 @@ def _check_same(case: Case, text: str, reached: int, output: Path) -> None:
         )
 
 
-def _warn_of_threads(ranks: int) -> None:
+def warn_of_threads(ranks: int) -> None:
+    """Warn where BLAS threads and ranks are more than the cores. On one rank."""
     cores = os.cpu_count() or 1
     names = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS")
     threads = next((int(os.environ[n]) for n in names if os.environ.get(n, "").isdigit()), cores)

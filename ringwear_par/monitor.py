@@ -1,6 +1,7 @@
 """What happens between the steps of a run: storing, progress, checkpoints, stopping on a signal."""
 
 import logging
+import math
 import signal
 import sys
 import time
@@ -21,6 +22,7 @@ log = logging.getLogger(__name__)
 #: wall seconds between checkpoints, and between lines of progress where there is no terminal
 CHECKPOINT_SECONDS = 30.0
 PROGRESS_SECONDS = 10.0
+_BAR_SECONDS = 0.2
 _SIGNALS = (signal.SIGTERM, signal.SIGUSR1, signal.SIGINT)
 
 
@@ -127,3 +129,63 @@ class Progress:
     def close(self) -> None:
         """Remove the bar."""
         self._bar.close()
+
+
+class SweepProgress:
+    """Cases done and failed, rate and time left: a bar on a terminal, else a line now and then.
+
+    Parameters
+    ----------
+    done, failed : cases that had ended before.
+    total : all cases.
+    ended : returns how many are done and have failed since.
+    comm : communicator of the sweep.
+    """
+
+    def __init__(
+        self, done: int, failed: int, total: int, ended: Callable[[], tuple[int, int]],
+        comm: MPI.Comm,
+    ) -> None:  # fmt: skip
+        self._before, self._total, self._ended, self._comm = (done, failed), total, ended, comm
+        self._begun = self._told = time.perf_counter()
+        self._bar: Any = tqdm(
+            total=total, initial=done + failed, unit="case", leave=False, smoothing=0.0,
+            disable=not sys.stderr.isatty(),
+        )  # fmt: skip
+        self._pause = PROGRESS_SECONDS if self._bar.disable else _BAR_SECONDS
+
+    def __call__(self, state: State | None = None) -> None:
+        """Tell, if it is time; and let MPI serve the other ranks, which some networks need."""
+        if self._comm.size > 1:
+            self._comm.Iprobe()
+        now = time.perf_counter()
+        if now - self._told < self._pause:
+            return
+        self._told = now
+        done, failed = self._ended()
+        ended = done + failed + sum(self._before)
+        rate = (done + failed) / (now - self._begun)
+        failures = failed + self._before[1]
+        if not self._bar.disable:
+            self._bar.set_postfix_str(f"{failures} failed", refresh=False)
+            self._bar.update(ended - self._bar.n)
+            return
+        left = (self._total - ended) / rate if rate else math.inf
+        log.info(
+            "%d of %d cases ended, %d failed, %.3g a second, %s left",
+            ended, self._total, failures, rate, duration(left),
+        )  # fmt: skip
+
+    def close(self) -> None:
+        """Remove the bar."""
+        self._bar.close()
+
+
+def duration(seconds: float) -> str:
+    """Return a time in words."""
+    if not math.isfinite(seconds):
+        return "unknown time"
+    if seconds < 120.0:
+        return f"{seconds:.3g} s"
+    minutes = round(seconds / 60.0)
+    return f"{minutes} min" if minutes < 120 else f"{minutes / 60:.1f} h"
