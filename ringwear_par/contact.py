@@ -138,6 +138,9 @@ class ContactSolver:
         self._g, self._scratch = self._x.duplicate(), self._x.duplicate()
         for matrix in (self._a, self._h):
             matrix.assemble()
+        self._diagonal.set(1.0)  # to the last bit what it is again after any case without wear
+        self._h.setDiagonal(self._diagonal)
+        self._h.assemble()
         self._tao = self._make_tao(tao_type)
         self.tao_type = tao_type
 
