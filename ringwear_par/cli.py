@@ -132,6 +132,14 @@ def _dispatch(args: argparse.Namespace, comm: Any) -> int:
         from ringwear_par.driver import on_first_rank
         from ringwear_par.plots import plot_files
 
+        folders = [path for path in args.results if path.is_dir()]
+        if folders:
+            from ringwear_par.sweep_plots import plot_sweep
+
+            if len(args.results) > 1:
+                raise InputError(f"{folders[0]}: is a folder; must be the only thing to be drawn")
+            on_first_rank(comm, lambda: plot_sweep(folders[0], args.output))
+            return 0
         on_first_rank(
             comm,
             lambda: plot_files(
