@@ -37,8 +37,8 @@ log = logging.getLogger(__name__)
 
 #: how long a team that waits for an operator, or for the others, sleeps between two looks
 _NAP_SECONDS = 0.002
-#: memory of a rank before it has done anything (Python, MPI, PETSc), for the estimate
-_BARE_BYTES = 170e6
+#: memory of a rank without its matrices (Python, MPI, PETSc, compiled code), for estimates
+_BARE_BYTES = 250e6
 #: longest trial of a dry run
 _TRIAL_SECONDS = 20.0
 
