@@ -29,6 +29,7 @@ FINAL = ("penetration", "worn_volume_lower", "worn_volume_upper")
 _BLOCK_BYTES = 32e6
 _CHUNK_BYTES = 256e3
 _TEXT = h5py.string_dtype()
+_COMMON_STEPS = "number of time steps made"
 
 
 @dataclass(frozen=True)
@@ -196,6 +197,8 @@ def _write_histories(
                     tables[name][i, stored - 1, : len(array)] = array
                 else:
                     tables[name][(i, *map(slice, array.shape))] = array
+            if stored and "step" not in arrays:
+                common = None
             if stored:
                 finals[n] = [arrays[name][-1] for name in FINAL]
         for name, table in tables.items():
@@ -203,7 +206,7 @@ def _write_histories(
         file["case_toml"][start : start + len(part)] = texts
     if common is not None and len(common) == steps:
         file["step"][:] = common.astype(int)
-        file["step"].attrs["long_name"] = "number of time steps made"
+        file["step"].attrs["long_name"] = _COMMON_STEPS
     _write_columns(file, names, rows, values, status, error, scalars, finals)
     return [
         (
@@ -348,11 +351,12 @@ def read_records(path: Path, ids: Sequence[str]) -> Iterator[Record]:
         seconds, stored, elements = map(column, ("seconds", "steps_stored", "elements"))
         imbalance = column("imbalance")
         steps = file["step"][:].astype(float)
+        common = file["step"].attrs["long_name"] == _COMMON_STEPS
         names = [name for name in (*SCALARS, "r", "width", *ALONG) if name in file]
         tables = {name: column(name) for name in names}
         for i in range(len(wanted)):
             s, e = slice(stored[i]), slice(elements[i])
-            arrays = {"step": steps[s]}
+            arrays = {"step": steps[s]} if common else {}
             for name, table in tables.items():
                 if name in SCALARS:
                     arrays[name] = table[i, s]
@@ -374,8 +378,8 @@ def read_ensemble(folder: Path) -> Ensemble:
     path = folder / RESULTS
     if not path.exists():
         raise InputError(
-            f"{path}: does not exist; must be written by ringwear sweep, which the same command "
-            "finishes if it was interrupted"
+            f"{path}: does not exist; must be written by ringwear sweep (without --slice), which "
+            "goes on where it was interrupted"
         )
     try:
         with h5py.File(path, "r") as file:

@@ -5,9 +5,9 @@
 of a study keep to files of their own until the whole is merged.
 """
 
-import shutil
 from collections import defaultdict
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -77,10 +77,12 @@ class Store:
         for path in left:
             path.unlink(missing_ok=True)
 
-    def scan(self) -> tuple[dict[str, Entry], list[str]]:
+    def scan(self, mend: bool) -> tuple[dict[str, Entry], list[str]]:
         """Return the stored cases by id, and sentences on what is damaged. Needs the lock.
 
-        Damaged files are moved aside.
+        Parameters
+        ----------
+        mend : move damaged files aside.
 
         Raises
         ------
@@ -93,23 +95,26 @@ class Store:
             found = ensemble.read_entries(results)
             if found is None:
                 aside = results.with_name("results.damaged.h5")
-                results.replace(aside)
+                if mend:
+                    results.replace(aside)
                 notes.append(f"{results}: is damaged (kept as {aside.name}); its cases run again")
             entries.update(found or {})
         for path in sorted((self.folder / "shards").glob(f"{self.part or '*'}_*.sqlite")):
             found = shards.read_index(path)
             if found is None:
                 aside = path.with_suffix(".damaged")
-                path.replace(aside)
-                for tail in ("-wal", "-shm"):
-                    Path(f"{path}{tail}").unlink(missing_ok=True)
+                if mend:
+                    path.replace(aside)
+                    for tail in ("-wal", "-shm"):
+                        Path(f"{path}{tail}").unlink(missing_ok=True)
                 notes.append(f"{path}: is damaged (kept as {aside.name}); its cases run again")
             entries.update(found or {})
         for path in sorted((self.folder / "inflight").glob("*.h5")):
             if entries.get(path.stem, _NOTHING).status not in ("done", "failed"):
                 entry = _interrupted(path)
                 if entry is None:
-                    path.unlink()
+                    if mend:
+                        path.unlink()
                     notes.append(f"{path}: is damaged; this case starts anew")
                 else:
                     entries[path.stem] = entry
@@ -131,11 +136,11 @@ class Store:
 
     def forget_shards(self) -> None:
         """Remove what results.h5 holds by now."""
-        for name in ("shards", "operators"):
-            shutil.rmtree(self.folder / name, ignore_errors=True)
-        inflight = self.folder / "inflight"
-        if inflight.is_dir() and not any(inflight.iterdir()):
-            inflight.rmdir()
+        for path in (self.folder / "shards").glob("*.sqlite*"):
+            path.unlink(missing_ok=True)
+        for name in _FOLDERS:  # what is damaged or interrupted stays
+            with suppress(OSError):
+                (self.folder / name).rmdir()
 
 
 _NOTHING = Entry("", 0, 0, (), False, Path())

@@ -21,7 +21,7 @@ from ringwear_par.board import Board
 from ringwear_par.case import Case, toml_text
 from ringwear_par.contact import ContactSolver
 from ringwear_par.driver import on_first_rank, warn_of_threads
-from ringwear_par.ensemble import RESULTS, TABLE, Row, write_ensemble
+from ringwear_par.ensemble import RESULTS, TABLE, Row, read_ensemble, write_ensemble
 from ringwear_par.errors import ComputationError, InputError, RingwearError
 from ringwear_par.history import State, WearHistory, run
 from ringwear_par.info import versions
@@ -153,12 +153,12 @@ def _prepare(
         store.open()
         held.enter_context(locked(folder, store.part))
         store.clear()
-        entries, notes = store.scan()
+        entries, notes = store.scan(mend=True)
         for note in notes:
             log.warning("%s", note)
     elif (folder / "shards").is_dir() or (folder / RESULTS).exists():
         with locked(folder, store.part):
-            entries, _ = store.scan()
+            entries, _ = store.scan(mend=False)
     mine = _slice(study, part)
     ended = {"done"} if retry_failed else {"done", "failed"}
     status = [entries[i].status if i in entries else "" for i in study.ids]
@@ -219,7 +219,7 @@ def _compute(plan: Plan, started: float, comm: MPI.Intracomm, team: MPI.Comm) ->
         received = max(comm.allgather(signals.received))
         counts = plan.done + done, plan.failed + failed, plan.total
         if not troubles and not plan.store.part:
-            on_first_rank(comm, lambda: _merge(plan, counts, comm.size))
+            on_first_rank(comm, lambda: _merge(plan, counts, done + failed, comm.size))
     tallies = comm.gather(tally)
     peak = comm.allreduce(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss, MPI.MAX)
     if tallies is not None:
@@ -324,8 +324,12 @@ class Bench:
         InputError : an option for PETSc that nobody used.
         """
         team, board, first = self._team, self._board, self._team.rank == 0
-        if first and any(self._plan.todo):
-            self._shard = Shard(self._path)
+        if any(self._plan.todo):
+
+            def open_shard() -> None:
+                self._shard = Shard(self._path)
+
+            on_first_rank(team, open_shard)
         while True:
             drawn = None
             if first:
@@ -352,8 +356,7 @@ class Bench:
         def add() -> None:
             assert self._shard is not None
             self._shard.add(record)
-            if record.id in self._plan.interrupted:
-                self._plan.store.inflight(record.id).unlink(missing_ok=True)
+            self._plan.store.inflight(record.id).unlink(missing_ok=True)
 
         on_first_rank(self._team, add)
         self._tally.output += time.perf_counter() - t0
@@ -537,10 +540,12 @@ def _load_operator(path: Path) -> Operator:
     return Operator(stacked[:, :n], stacked[:, n], stacked[:, n + 1], stacked[:, n + 2])
 
 
-def _merge(plan: Plan, counts: tuple[int, int, int], ranks: int) -> None:
+def _merge(plan: Plan, counts: tuple[int, int, int], computed: int, ranks: int) -> None:
     """Write results.h5 and cases.csv of all that is stored, then drop the shards. On one rank."""
     study, store = plan.study, plan.store
-    entries, _ = store.scan()
+    if not computed and (store.folder / RESULTS).exists():
+        ranks = int(read_ensemble(store.folder).attributes["ranks"])
+    entries, _ = store.scan(mend=True)
     rows = [
         Row(
             identity,
@@ -581,19 +586,26 @@ def _summary(
         return f"{100.0 * sum(getattr(t, name) for t in tallies) / (wall * ranks):.1f} % {name}"
 
     operators = sum(t.operators for t in tallies) // (1 if not plan.together else ranks)
+    part = plan.store.part
     lines = [
-        f"{total} cases{f' of slice {plan.store.part}' if plan.store.part else ''}: {done} done, "
-        f"{failed} failed, {total - done - failed} not done; {operators} operators assembled",
-        f"{computed} cases computed in {duration(wall)} on {ranks} rank(s): "
-        f"{computed / wall:.3g} a second, {computed / wall / ranks:.3g} a rank; peak memory of a "
-        f"rank {peak:.0f} MB",
-        f"time of the ranks: {share('stepping')}, {share('assembly')}, {share('waiting')}, "
-        f"{share('output')}",
+        f"cases{f' of slice {part}' if part else ''}: {total}, {done} done, {failed} failed, "
+        f"{total - done - failed} not done; operators assembled: {operators}"
     ]
-    if computed > failed:
-        worst = max(t.worst for t in tallies)
+    if computed:
+        known = ("stepping", "assembly", "waiting", "output")
+        rest = wall * ranks - sum(getattr(t, name) for t in tallies for name in known)
+        lines += [
+            f"{computed} computed in {duration(wall)}, ranks: {ranks}: {computed / wall:.3g} a "
+            f"second, {computed / wall / ranks:.3g} a rank; peak memory of a rank {peak:.0f} MB",
+            f"time of the ranks: {', '.join(map(share, known))}, "
+            f"{100.0 * rest / (wall * ranks):.1f} % start and merging",
+        ]
+    worst = max(t.worst for t in tallies)
+    if worst > 0.0:
         lines.append(f"worst balance (force, volume, energy, KKT) of these cases: {worst:.1e}")
-    if not plan.store.part:
+    if part:
+        lines.append("the same command without --slice computes what is left and merges all slices")
+    else:
         lines.append(f"{plan.store.folder / TABLE}, {plan.store.folder / RESULTS}")
     return "\n".join(lines)
 
@@ -606,7 +618,7 @@ def _estimate(plan: Plan, ranks_per_case: int, comm: MPI.Intracomm) -> None:
     study, teams = plan.study, comm.size // ranks_per_case
     left = [group for group, cases in enumerate(plan.todo) if cases]
     print(f"{plan.total} cases, {plan.done} done, {plan.failed} failed before")
-    print(f"{len(study.groups)} distinct operators, {len(left)} of them still needed")
+    print(f"{len(study.groups)} distinct operator(s), {len(left)} still needed")
     if not left:
         return
     group, number = left[0], plan.todo[left[0]][0]

@@ -450,10 +450,11 @@ def _draw_fan(axes: Any, ensemble: Ensemble, drawn: IntArray, columns: int) -> N
     grid, table, even = _fan_table(ensemble, cases)
     low, lower, median, upper, high = np.nanquantile(table, [0.05, 0.25, 0.5, 0.75, 0.95], axis=0)
     colour = _COLOURS[0]
-    for number, row in enumerate(table[np.linspace(0, len(table) - 1, _SINGLES).astype(int)]):
+    by_depth = table[np.argsort(np.nanmax(table, axis=1))]  # the least and the deepest included
+    for number, row in enumerate(by_depth[np.linspace(0, len(table) - 1, _SINGLES).astype(int)]):
         axes.plot(
             grid, row, color=_GREY, linewidth=0.5, alpha=0.7, zorder=1.5,
-            label=None if number else "single cases",
+            label=None if number else f"{_SINGLES} of the cases",
         )  # fmt: skip
     axes.fill_between(
         grid, low, high, color=colour, alpha=0.16, linewidth=0.0, label="5\N{EN DASH}95 %"
@@ -621,7 +622,7 @@ def _draw_scatter(axes: Any, key: _Key, x: FloatArray, y: FloatArray) -> None:
     axes.plot(
         x + aside, y, color=_COLOURS[0], marker="o", linestyle="none", rasterized=many,
         markersize=float(np.clip(60.0 / math.sqrt(max(len(x), 1)), 1.2, 4.0)),
-        markeredgewidth=0.0, alpha=0.8 if not many else 0.35 if len(x) < 5000 else 0.15,
+        markeredgewidth=0.0, alpha=min(0.8, 11.0 / math.sqrt(len(x))) if many else 0.8,
     )  # fmt: skip
     if len(levels) <= _DISCRETE and len(x) >= 5 * len(levels):
         middle = np.array([np.median(y[x == level]) for level in levels])
