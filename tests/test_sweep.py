@@ -254,5 +254,5 @@ def test_a_dry_run_writes_nothing(write, shared_path, comm, capsys):
     if comm.rank == 0:
         told = capsys.readouterr().out
         assert "12 cases" in told
-        assert "2 distinct operators" in told
+        assert "2 distinct operator(s)" in told
         assert "estimate for 12 cases" in told
