@@ -11,6 +11,7 @@ import argparse
 import csv
 import os
 import random
+import re
 import shutil
 import signal
 import sqlite3
@@ -254,8 +255,10 @@ def run_trial(
         if restarts == 3:
             faults.append(f"still status {again.returncode}: {again.stderr[-300:]}")
             return Trial(moment, victims, len(before), total, restarts, tuple(faults))
-    if f"{total - len(before)} cases computed" not in again.stdout and restarts == 1:
-        faults.append("did not compute just the cases that were missing")
+    computed = re.search(r"^(\d+) (?:cases )?computed in ", again.stdout, re.MULTILINE)
+    count = int(computed[1]) if computed else 0
+    if restarts == 1 and count != total - len(before):
+        faults.append(f"computed {count} cases, not the {total - len(before)} that were missing")
     after = seconds_by_id(output)
     repeated = [identity for identity, seconds in before.items() if after.get(identity) != seconds]
     if repeated:

@@ -5,6 +5,7 @@ Run as ``pytest`` or as ``mpirun -n 2 python -m pytest --with-mpi``.
 
 import os
 import sys
+import tempfile
 import time
 
 import pytest
@@ -23,7 +24,17 @@ def pytest_configure(config):
 
     config.addinivalue_line("markers", "serial: starts programs of its own; skipped under mpirun")
     config._sync = MPI.COMM_WORLD.Dup() if MPI.COMM_WORLD.size > 1 else None
+    if config._sync is not None:  # ranks that clear one temporary folder at once trip over it
+        config._own = tempfile.TemporaryDirectory(prefix="ranks-", ignore_cleanup_errors=True)
+        os.environ["PYTEST_DEBUG_TEMPROOT"] = config._own.name
     config._failures = []
+
+
+@pytest.hookimpl(trylast=True)
+def pytest_unconfigure(config):
+    if getattr(config, "_sync", None) is not None:
+        config._sync.Barrier()
+        config._own.cleanup()
 
 
 def pytest_collection_modifyitems(config, items):

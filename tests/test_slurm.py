@@ -14,20 +14,13 @@ from conftest import SHELL_ENVIRONMENT
 
 from ringwear_par.results import read_status
 
+pytestmark = pytest.mark.serial
 TOP = Path(__file__).parents[1]
 PAPER = TOP / "scripts" / "cases" / "paper.toml"
-pytestmark = pytest.mark.serial
 SLURM = TOP / "slurm"
 LOCAL_SLURM = ["bash", TOP / "scripts" / "local_slurm.sh"]
-FAILING = [
-    "--",
-    "-contact_tao_type",
-    "tron",
-    "-contact_tao_max_it",
-    "1",
-    "-contact_ksp_max_it",
-    "1",
-]
+FAILING = ["--", "-contact_tao_type", "tron", "-contact_tao_max_it", "1",
+           "-contact_ksp_max_it", "1"]  # fmt: skip
 #: exit status of local_slurm.sh where Slurm cannot be started
 CANNOT = 77
 #: states of a job that has not ended
