@@ -8,7 +8,7 @@ find ringwear_par -name '*.nb[ic]' -delete
 ruff check .
 ruff format --check .
 mypy
-timeout -k 5 900 python -m pytest -q
+timeout -k 5 900 python -m pytest -q -rs
 for ranks in 2 3; do
     echo "on $ranks ranks"
     # every rank reports; one report is enough where all went well
