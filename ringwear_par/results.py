@@ -102,6 +102,8 @@ class Recorder:
         """Return what is stored so far by variable, ``step`` (the numbers of steps) included."""
         rows = slice(self.stored)
         fields = {n: t[0] if self.profiles == 1 else t[rows] for n, t in self.fields.items()}
+        if not self.stored:
+            fields = {}
         line = self._history.pair.line
         return {
             "step": self.steps[rows].astype(float),

@@ -73,7 +73,8 @@ class Store:
         self.stopped.unlink(missing_ok=True)
         left = [*(self.folder / "operators").glob(f"{self.part or '*'}_*")]
         if not self.part:
-            left += [*self.folder.glob("*.tmp*"), *(self.folder / "inflight").glob("*.tmp*")]
+            left += [*self.folder.glob("STOPPED.*"), *self.folder.glob("*.tmp*")]
+            left += [*(self.folder / "inflight").glob("*.tmp*")]
         for path in left:
             path.unlink(missing_ok=True)
 
@@ -108,16 +109,20 @@ class Store:
                     for tail in ("-wal", "-shm"):
                         Path(f"{path}{tail}").unlink(missing_ok=True)
                 notes.append(f"{path}: is damaged (kept as {aside.name}); its cases run again")
-            entries.update(found or {})
+            for identity, entry in (found or {}).items():  # a failure never hides a success
+                if entries.get(identity, _NOTHING).status != "done":
+                    entries[identity] = entry
         for path in sorted((self.folder / "inflight").glob("*.h5")):
             if entries.get(path.stem, _NOTHING).status not in ("done", "failed"):
-                entry = _interrupted(path)
-                if entry is None:
+                interrupted = _interrupted(path)
+                if interrupted is None:
+                    if not path.exists():  # another slice has just ended the case
+                        continue
                     if mend:
-                        path.unlink()
+                        path.unlink(missing_ok=True)
                     notes.append(f"{path}: is damaged; this case starts anew")
                 else:
-                    entries[path.stem] = entry
+                    entries[path.stem] = interrupted
         return entries, notes
 
     def fetch(self, rows: Sequence[Row]) -> Iterator[Record]:

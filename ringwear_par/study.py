@@ -142,6 +142,11 @@ def _split(name: str) -> tuple[str, int | None]:
     return (match[1], int(match[2])) if match else (name, None)
 
 
+def _has_entry(name: str) -> bool:
+    path, index = _split(name)
+    return index is None or "two increasing numbers" in BY_PATH[path].allowed
+
+
 def value_of(case_keys: Mapping[str, Any], name: str) -> Any:
     """Return the value of a varied key in a case; None where it has none."""
     path, index = _split(name)
@@ -159,7 +164,8 @@ def _varied_keys(
         if index is None:
             changed[path] = value
         else:
-            pair = list(changed.get(path, base.get(path, [None, None])))
+            there = changed.get(path, base.get(path))
+            pair = list(there) if isinstance(there, list) and len(there) == 2 else [None, None]
             pair[index] = value
             changed[path] = pair
     return override(base, changed)
@@ -269,13 +275,13 @@ def _variations(
         faults.append(f"{name}: [vary]: is missing or empty; must name one case key at least")
     variations = []
     for key, entry in _unnested(vary).items():
-        path, index = _split(key)
+        path, _ = _split(key)
         said = f'{name}: vary."{key}"'
         if path not in BY_PATH:
             faults.append(f"{said}: unknown key{nearest_key(path)}")
         elif path == "title":
             faults.append(f"{said}: a title makes no other case; must be another key")
-        elif index is not None and "two increasing numbers" not in BY_PATH[path].allowed:
+        elif not _has_entry(key):
             faults.append(f"{said}: {path} has no entries; must be the key itself")
         else:
             found = _variation(said, key, entry, method, faults)
@@ -376,6 +382,8 @@ def _listed(path: Path, file: str) -> tuple[tuple[str, ...], list[tuple[Any, ...
     for name in names:
         if _split(name)[0] not in BY_PATH or name == "title":
             faults.append(f"{table}: column {name}: unknown key{nearest_key(_split(name)[0])}")
+        elif not _has_entry(name):
+            faults.append(f"{table}: column {name}: has no entries; must be the key itself")
         elif names.count(name) > 1:
             faults.append(f"{table}: column {name}: is there more than once")
     rows = []

@@ -56,6 +56,7 @@ class Plan:
     done, failed, total : cases of this study, or slice, that have ended before; and in all.
     together : whether all ranks assemble each operator (there are fewer than teams) or the team
         that takes its group.
+    ranks_per_case : size of the teams.
     """
 
     study: Study
@@ -66,6 +67,7 @@ class Plan:
     failed: int
     total: int
     together: bool
+    ranks_per_case: int
 
 
 @dataclass
@@ -169,8 +171,9 @@ def _prepare(
     failed = 0 if retry_failed else sum(status[n] == "failed" for n in mine)
     interrupted = frozenset(i for i in study.ids if store.inflight(i).exists())
     return Plan(
-        study, store, todo, interrupted, done, failed, len(mine), len(study.groups) <= teams
-    )
+        study, store, todo, interrupted, done, failed, len(mine), len(study.groups) <= teams,
+        ranks_per_case,
+    )  # fmt: skip
 
 
 def _slice(study: Study, part: tuple[int, int] | None) -> set[int]:
@@ -381,7 +384,7 @@ class Bench:
                 self._tally.stepping += time.perf_counter() - begun
         except _StoppedError:
             return None
-        except _StorageError:
+        except (_StorageError, InputError):  # an option for PETSc, not the case
             raise
         except Exception as error:  # of the solver, or of a law that is not ours
             self._drop_solver()
@@ -476,6 +479,8 @@ class Bench:
             while not path.exists():
                 if failure.exists():
                     return failure.read_text(encoding="utf-8")
+                if self._signals.received:
+                    self._board.ask_to_stop()
                 if self._board.stopped:
                     raise _StoppedError
                 if self._progress is not None:
@@ -511,8 +516,10 @@ def _provide_operator(plan: Plan, group: int, comm: MPI.Comm, tally: Tally) -> N
         operator, _ = assemble_operator(plan.study.case(plan.todo[group][0]), comm)
         rest = (operator.twist, operator.force_reaction, operator.torque_reaction)
         stacked = np.concatenate([operator.normal, np.stack(rest, axis=1)], axis=1)
-    except ComputationError as error:
-        reason = str(error)
+    except InputError:
+        raise
+    except Exception as error:  # those who wait for it must hear of it
+        reason = str(error) or repr(error)
 
     def write() -> None:
         temporary = path.with_suffix(".tmp")
@@ -585,7 +592,8 @@ def _summary(
     def share(name: str) -> str:
         return f"{100.0 * sum(getattr(t, name) for t in tallies) / (wall * ranks):.1f} % {name}"
 
-    operators = sum(t.operators for t in tallies) // (1 if not plan.together else ranks)
+    sharing = ranks if plan.together else plan.ranks_per_case
+    operators = sum(t.operators for t in tallies) // sharing
     part = plan.store.part
     lines = [
         f"cases{f' of slice {part}' if part else ''}: {total}, {done} done, {failed} failed, "
