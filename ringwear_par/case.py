@@ -3,7 +3,7 @@
 import difflib
 import math
 import tomllib
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
@@ -11,9 +11,27 @@ from typing import Any, Literal
 from ringwear_par.body import Grip
 from ringwear_par.errors import InputError
 from ringwear_par.geometry import Mesh, Section
-from ringwear_par.schema import BY_PATH, FIELDS, KEYS, TABLES, RejectedError, toml_value
-from ringwear_par.wear import ThresholdLaw, WearLaw
+from ringwear_par.quantity import Quantity, Table, knots, largest, smallest
+from ringwear_par.schema import BY_PATH, FIELDS, KEYS, LAWS, TABLES, RejectedError, toml_value
+from ringwear_par.wear import (
+    ArchardLaw,
+    NonLocalLaw,
+    PowerLaw,
+    RunningInLaw,
+    TableLaw,
+    ThresholdLaw,
+    UserLaw,
+    WearLaw,
+)
 
+_LAW_CLASSES: dict[str, Callable[..., WearLaw]] = {
+    "threshold": ThresholdLaw,
+    "archard": ArchardLaw,
+    "power": PowerLaw,
+    "table": TableLaw,
+    "running-in": RunningInLaw,
+    "non-local": NonLocalLaw,
+}
 _LOADS = {"load.force", "load.pressure", "load.displacement"}
 
 
@@ -30,36 +48,54 @@ class Ring:
 
 @dataclass(frozen=True)
 class Load:
-    """What presses and turns the upper ring.
+    """What presses and turns the upper ring, numbers or tables in time.
 
     ``force`` (N) or ``displacement`` (mm, downward) is given, the other is None; ``omega`` in
     rad/s.
     """
 
-    omega: float
-    force: float | None = None
-    displacement: float | None = None
+    omega: Quantity
+    force: Quantity | None = None
+    displacement: Quantity | None = None
 
 
 @dataclass(frozen=True)
 class Stepping:
-    """Time steps: ``steps`` of length ``step`` (s)."""
+    """Time steps: ``steps`` of length ``step`` (s), or adaptive ones until ``until`` (s).
 
-    scheme: Literal["implicit", "explicit"]
-    step: float
-    steps: int
+    ``tolerance`` (mm) is the largest error of wear of an adaptive step.
+    """
+
+    scheme: Literal["implicit", "explicit", "adaptive"]
+    step: float = 0.0
+    steps: int = 0
+    until: float = 0.0
+    tolerance: float = 2e-6
+
+    @property
+    def adaptive(self) -> bool:
+        """Whether steps are chosen by the tolerance."""
+        return self.scheme == "adaptive"
+
+    @property
+    def end(self) -> float:
+        """Time at the end, s."""
+        return self.until if self.adaptive else self.step * self.steps
 
 
 @dataclass(frozen=True)
 class Output:
-    """What is stored: every so many steps, and which fields along the contact line.
+    """What is stored: every so many steps, or at some times, and which fields of the contact line.
 
-    ``profiles`` says whether the fields are stored as often as all else, or at the last step only.
+    ``profiles`` says whether the fields are stored as often as all else, or at the last step only;
+    ``boundary`` at which of them whole-boundary fields are stored, or from which times on the next.
     """
 
     every: int = 1
     fields: tuple[str, ...] = FIELDS
     profiles: Literal["all", "last"] = "all"
+    times: tuple[float, ...] = ()
+    boundary: str | tuple[float, ...] = "none"
 
 
 @dataclass(frozen=True)
@@ -98,6 +134,27 @@ class Case:
         """Nominal contact area, mm^2."""
         a, b = self.contact
         return math.pi * (b * b - a * a)
+
+    @property
+    def knots(self) -> tuple[float, ...]:
+        """Times at which a schedule or a parameter bends, s: adaptive steps end there."""
+        load = self.load
+        inside = {*knots(load.omega, load.force, load.displacement)}
+        for law in self.laws:
+            inside.update(law.knots if law is not None else ())
+        return tuple(sorted(time for time in inside if time < self.time.end))
+
+    @property
+    def about_steps(self) -> float:
+        """About how many steps it takes, an adaptive one counting as several fixed ones."""
+        return 100.0 + 20.0 * len(self.knots) if self.time.adaptive else float(self.time.steps)
+
+    @property
+    def stored_rows(self) -> float:
+        """About how many states are stored."""
+        if self.output.times:
+            return 2.0 + len(self.output.times)
+        return (100.0 if self.time.adaptive else 1.0 + self.time.steps) / self.output.every
 
     def section(self, ring: Ring) -> Section:
         """Return the meridian section of one of the two rings, in its own frame."""
@@ -172,11 +229,18 @@ def read_case(path: Path, overrides: Sequence[str] = ()) -> Case:
         raise InputError(f"{path}: cannot be read: {error.strerror or error}") from error
     except UnicodeDecodeError as error:
         raise InputError(f"{path}: is not a text file in UTF-8") from error
-    return parse_case(text, str(path), parse_overrides(overrides))
+    return parse_case(text, str(path), parse_overrides(overrides), path.parent)
 
 
-def parse_case(text: str, name: str, overrides: Mapping[str, Any] | None = None) -> Case:
+def parse_case(
+    text: str,
+    name: str,
+    overrides: Mapping[str, Any] | None = None,
+    folder: Path | None = None,
+) -> Case:
     """Make a case of a TOML text; ``name`` is what messages call it. Not collective.
+
+    Files that it names are looked for in ``folder``; the case's own text then has them in full.
 
     Raises
     ------
@@ -187,15 +251,34 @@ def parse_case(text: str, name: str, overrides: Mapping[str, Any] | None = None)
     except tomllib.TOMLDecodeError as error:
         raise InputError(f"{name}: is not valid TOML: {error}") from error
     origin = dict.fromkeys(flat, f"{name}: ")
+    found = find_files(flat, folder) if folder is not None else flat
     if not overrides:
-        return make_case(flat, name, origin, text)
+        return make_case(found, name, origin, text if found == flat else None)
     overrides = _flatten(overrides)
     origin.update(dict.fromkeys(overrides, "--set "))
-    return make_case(override(flat, overrides), f"{name} with --set", origin)
+    found = override(found, find_files(overrides, Path()))
+    return make_case(found, f"{name} with --set", origin)
+
+
+def find_files(flat: Mapping[str, Any], folder: Path) -> dict[str, Any]:
+    """Return dotted keys with the files that they name in full, relative ones from a folder."""
+    files = {f"wear.{ring}.file" for ring in ("lower", "upper")}
+    return {
+        path: str((folder / value).resolve()) if path in files and isinstance(value, str) else value
+        for path, value in flat.items()
+    }
 
 
 def override(flat: Mapping[str, Any], overrides: Mapping[str, Any]) -> dict[str, Any]:
-    """Return dotted keys with some of them replaced; a new load takes the place of the old one."""
+    """Return dotted keys with some of them replaced.
+
+    A new load takes the place of the old one; keys without meaning for a new law of wear go.
+    """
+    for table in ("wear.lower", "wear.upper"):
+        law = overrides.get(f"{table}.law")
+        if isinstance(law, str) and law in LAWS:
+            known = {f"{table}.{key}" for key in ("law", *LAWS[law][0], *LAWS[law][1])}
+            flat = {p: v for p, v in flat.items() if not p.startswith(f"{table}.") or p in known}
     if not _LOADS.isdisjoint(overrides):
         flat = {path: value for path, value in flat.items() if path not in _LOADS}
     return {**flat, **overrides}
@@ -228,8 +311,11 @@ def make_case(
             key = BY_PATH[path]
             try:
                 values[path] = key.read(value)
-            except RejectedError:
-                faults.append(f"{origin.get(path, own)}{path} = {toml_value(value)}: {key.rule}")
+            except RejectedError as reason:
+                told = f" ({reason})" if str(reason) else ""
+                faults.append(
+                    f"{origin.get(path, own)}{path} = {_shortened(value)}: {key.rule}{told}"
+                )
         elif path in TABLES:
             said = f"{origin.get(path, own)}{path} = {toml_value(value)}"
             faults.append(f"{said}: must be a table, [{path}]")
@@ -239,18 +325,25 @@ def make_case(
         f"wear.{ring}": any(p.startswith(f"wear.{ring}") for p in flat)
         for ring in ("lower", "upper")
     }
+    whose = name.removesuffix(" with --set")
     for key in KEYS:
         if key.path not in flat:
-            table = key.path.rpartition(".")[0]
             if key.default is not ...:
                 values[key.path] = key.default
-            elif wears.get(table, True):
-                whose = name.removesuffix(" with --set")
+            else:
                 faults.append(f"{whose}: {key.path} is missing: {key.rule}")
     faults += _inconsistencies(name, values)
+    faults += _time_faults(whose, values)
+    for table in (table for table, worn in wears.items() if worn):
+        faults += _law_faults(whose, table, flat, values)
     if faults:
         raise InputError(*faults)
     return _build(values, wears, toml_text(flat) if text is None else text)
+
+
+def _shortened(value: Any) -> str:
+    text = toml_value(value)
+    return text if len(text) <= 120 else f"{text[:80]} ... {text[-20:]}"
 
 
 def nearest_key(path: str) -> str:
@@ -284,13 +377,13 @@ def _inconsistencies(name: str, values: Mapping[str, Any]) -> list[str]:
         if control == "force":
             if displacement is not None:
                 faults.append(
-                    f"{name}: load.displacement = {displacement:g}: needs "
+                    f"{name}: load.displacement = {_told(displacement)}: needs "
                     'load.control = "displacement"'
                 )
             elif (force is None) == (pressure is None):
                 number = "neither of them is given"
                 if force is not None:
-                    number = f"both are given ({force:g} N, {pressure:g} MPa)"
+                    number = f"both are given ({_told(force)} N, {_told(pressure)} MPa)"
                 faults.append(
                     f'{name}: load.force, load.pressure: {number}; control = "force" needs one'
                 )
@@ -303,10 +396,106 @@ def _inconsistencies(name: str, values: Mapping[str, Any]) -> list[str]:
             for key, value in (("force", force), ("pressure", pressure)):
                 if value is not None:
                     faults.append(
-                        f"{name}: load.{key} = {value:g}: must be absent where "
+                        f"{name}: load.{key} = {_told(value)}: must be absent where "
                         'load.control = "displacement"'
                     )
     return faults
+
+
+def _told(quantity: Quantity | None) -> str:
+    return f"a table to {largest(quantity):g}" if isinstance(quantity, Table) else f"{quantity:g}"
+
+
+def _time_faults(name: str, values: Mapping[str, Any]) -> list[str]:
+    """Return the faults of the time steps and the times of output."""
+    needed = {"time.scheme", "time.step", "time.steps", "time.end", "output.times", "output.every"}
+    if not needed <= values.keys():
+        return []
+    faults = []
+    scheme, end = values["time.scheme"], values["time.end"]
+    fixed = {key: values[key] for key in ("time.step", "time.steps")}
+    missing = [key for key, value in fixed.items() if value is None]
+    if scheme == "adaptive":
+        if end is None and missing:
+            faults.append(f"{name}: time.end is missing: {BY_PATH['time.end'].rule}")
+    else:
+        faults += [
+            f'{name}: {key} is missing: {BY_PATH[key].rule} where time.scheme = "{scheme}"'
+            for key in missing
+        ]
+        if end is not None:
+            faults.append(f'{name}: time.end = {end:g}: needs time.scheme = "adaptive"')
+    if end is None and not missing:
+        end = fixed["time.step"] * fixed["time.steps"]
+    times = values["output.times"]
+    if times and end is not None and times[-1] > end * (1.0 + 1e-12):
+        faults.append(
+            f"{name}: output.times: {times[-1]:g} is after the end; must be <= {end:g} (s)"
+        )
+    if times and values["output.every"] != 1:
+        faults.append(f"{name}: output.every, output.times: both are given; must be one of them")
+    return faults
+
+
+def _law_faults(
+    name: str, table: str, flat: Mapping[str, Any], values: Mapping[str, Any]
+) -> list[str]:
+    """Return the faults of a body's wear law."""
+    law = values.get(f"{table}.law")
+    if law is None:
+        return []
+    needs, may = LAWS[law]
+    faults = [
+        f"{name}: {table}.{key} is missing: {BY_PATH[f'{table}.{key}'].rule} where {table}.law = "
+        f'"{law}"'
+        for key in needs
+        if f"{table}.{key}" not in flat
+    ]
+    for path in flat:
+        key = path.removeprefix(f"{table}.")
+        if path in BY_PATH and path.startswith(f"{table}.") and key not in ("law", *needs, *may):
+            keys = ", ".join((*needs, *may))
+            faults.append(
+                f'{name}: {path}: has no meaning where {table}.law = "{law}"; must be among {keys}'
+            )
+    if law == "running-in":
+        depth, distance = (values.get(f"{table}.{key}") for key in ("depth", "distance"))
+        if (depth is None) == (distance is None):
+            faults.append(
+                f"{name}: {table}.depth, {table}.distance: one of them must be given (mm)"
+            )
+        k, start = values.get(f"{table}.k"), values.get(f"{table}.k_start")
+        if k is not None and start is not None and smallest(start) < largest(k):
+            faults.append(
+                f"{name}: {table}.k_start = {_told(start)}: must be at least {table}.k = {_told(k)}"
+            )
+    file = values.get(f"{table}.file")
+    if law == "user" and file is not None:
+        try:
+            _user_law(values, table)
+        except InputError as error:
+            faults += [f"{name}: {table}.file = {toml_value(file)}: {f}" for f in error.faults]
+    return faults
+
+
+def _user_law(values: Mapping[str, Any], table: str) -> UserLaw:
+    """Return the law that a Python file defines.
+
+    Raises
+    ------
+    InputError : the file cannot be read or run, or does not define a law.
+    """
+    path = Path(values[f"{table}.file"])
+    try:
+        source = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        reason = getattr(error, "strerror", None) or error
+        raise InputError(f"cannot be read ({reason}); must be a Python file") from error
+    law = UserLaw(str(path), source, values[f"{table}.parameters"] or ())
+    missing = law.missing()
+    if missing:
+        raise InputError(missing)
+    return law
 
 
 def _build(values: Mapping[str, Any], wears: Mapping[str, bool], text: str) -> Case:
@@ -315,9 +504,14 @@ def _build(values: Mapping[str, Any], wears: Mapping[str, bool], text: str) -> C
         return Ring(r, z, young, poisson, grip)
 
     def law(which: str) -> WearLaw | None:
-        if not wears[f"wear.{which}"]:
+        table = f"wear.{which}"
+        if not wears[table]:
             return None
-        return ThresholdLaw(values[f"wear.{which}.k"], values[f"wear.{which}.p0"])
+        name = values[f"{table}.law"]
+        if name == "user":
+            return _user_law(values, table)
+        keys = (key for group in LAWS[name] for key in group)
+        return _LAW_CLASSES[name](**{key: values[f"{table}.{key}"] for key in keys})
 
     case = Case(
         lower=ring("lower", "clamped"),
@@ -326,17 +520,38 @@ def _build(values: Mapping[str, Any], wears: Mapping[str, bool], text: str) -> C
         wear_lower=law("lower"),
         wear_upper=law("upper"),
         load=Load(values["load.omega"], values["load.force"], values["load.displacement"]),
-        time=Stepping(values["time.scheme"], values["time.step"], values["time.steps"]),
+        time=_stepping(values),
         mesh=Mesh(
             values["mesh.contact_elements"],
             values["mesh.grading"],
             values["mesh.quadrature_tolerance"],
         ),
-        output=Output(values["output.every"], values["output.fields"], values["output.profiles"]),
+        output=Output(
+            values["output.every"],
+            values["output.fields"],
+            values["output.profiles"],
+            values["output.times"] or (),
+            values["output.boundary"],
+        ),
         title=values["title"],
         text=text,
     )
     if values["load.pressure"] is not None:
-        force = values["load.pressure"] * case.area
+        pressure, area = values["load.pressure"], case.area
+        force: Quantity = (
+            Table(pressure.x, tuple(area * p for p in pressure.y))
+            if isinstance(pressure, Table)
+            else pressure * area
+        )
         case = replace(case, load=Load(case.load.omega, force))
     return case
+
+
+def _stepping(values: Mapping[str, Any]) -> Stepping:
+    scheme, step, steps = (values[f"time.{key}"] for key in ("scheme", "step", "steps"))
+    if scheme != "adaptive":
+        return Stepping(scheme, step, steps)
+    end = values["time.end"]
+    return Stepping(
+        scheme, until=step * steps if end is None else end, tolerance=values["time.tolerance"]
+    )

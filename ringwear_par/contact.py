@@ -7,7 +7,7 @@ undeformed, worn profiles, the pressure minimises
 
 where ``depth`` is the wear of an implicit step (absent otherwise). The approach delta is given
 (displacement control), or found so that m.p is the force: m.p grows with delta and is piecewise
-linear for the threshold law, so secant steps end.
+linear for the threshold law, so Newton steps end.
 
 The unknowns are scaled so that K has a unit diagonal.
 """
@@ -151,6 +151,7 @@ class ContactSolver:
         self._linear = np.zeros(rows[0])
         self._wear: StepWear | None = None
         self._slope = np.zeros(rows[0])
+        self._full = False  # whether the Hessian is more than a changed diagonal
         # warm start of the search for the approach
         self._first_rate = np.full(n, float(area.sum() / stiffness.sum()))
         self._rate = self._first_rate  # d pressure / d approach
@@ -158,10 +159,12 @@ class ContactSolver:
 
     def _make_tao(self, tao_type: str) -> PETSc.TAO:
         tao = PETSc.TAO().create(self._comm)
+        self._newton: ActiveSetNewton | None = None
         tao.setOptionsPrefix(PREFIX)
         tao.setType(tao_type)
         if tao_type == "python":
-            tao.setPythonContext(ActiveSetNewton())
+            self._newton = ActiveSetNewton()
+            tao.setPythonContext(self._newton)
         else:
             # inexact inner solves would stop the outer ones above KKT_TOLERANCE
             ksp = tao.getKSP()
@@ -211,8 +214,17 @@ class ContactSolver:
         return self._wear.slope(q / self._own_scale) * self._slope_weight
 
     def _hessian(self, tao: PETSc.TAO, x: PETSc.Vec, h: PETSc.Mat, _: PETSc.Mat) -> None:
-        slope = self._slope_at(x.getArray(readonly=True))
-        changed = not np.array_equal(slope, self._slope)
+        q = x.getArray(readonly=True)
+        slope = self._slope_at(q)
+        full = self._wear is not None and not self._wear.local
+        if full or self._full:  # all entries change, or are put back
+            dense = h.getDenseArray()
+            dense[:] = self._a.getDenseArray(readonly=True)
+            if self._wear is not None and full:
+                derivative = self._wear.derivative(q / self._own_scale)
+                dense += self._all_weights[:, None] * derivative / self._scale
+        changed = full or self._full or not np.array_equal(slope, self._slope)
+        self._full = full
         if self._comm.allreduce(changed, MPI.LOR) if self.distributed else changed:
             self._slope = slope
             self._diagonal.setArray(1.0 + slope)
@@ -284,6 +296,10 @@ class ContactSolver:
         if approach is not None:
             p, iterations, residual = self._solve_at(gap, approach, wear)
             self._last = gap, approach, float(self._area @ p)
+        elif force == 0.0:  # the bodies just touch
+            approach = float(gap.min())
+            p, iterations, residual = self._solve_at(gap, approach, None)
+            self._last = gap, approach, 0.0
         elif force is not None:
             p, approach, iterations, residual = self._search_approach(gap, force, wear)
         else:
@@ -295,7 +311,9 @@ class ContactSolver:
     def _search_approach(
         self, gap: FloatArray, force: float, wear: StepWear | None
     ) -> tuple[FloatArray, float, int, float]:
-        """Find the approach: secant steps, or bisection where they do not halve the imbalance.
+        """Find the approach: Newton steps, or bisection where they do not halve the imbalance.
+
+        The derivative comes from the last factor; without one (TAO's own types) from a secant.
 
         What is searched for is the approach less the smallest gap: under light loads it is far
         smaller than either.
@@ -320,11 +338,14 @@ class ContactSolver:
             if abs(excess) <= FORCE_TOLERANCE * force:
                 break
             low, high = (low, approach) if excess > 0.0 else (approach, high)
-            slow = False
+            slow, tangent = False, self._tangent()
+            if tangent is not None:
+                rate = tangent
+                stiffness = float(area @ rate) or stiffness
             if before is not None:
                 p_before, approach_before, excess_before = before
                 slow = abs(excess) > 0.5 * abs(excess_before)
-                if abs(approach - approach_before) > 1e-9 * abs(approach):
+                if tangent is None and abs(approach - approach_before) > 1e-9 * abs(approach):
                     rate = (p - p_before) / (approach - approach_before)
                     stiffness = float(area @ rate) or stiffness
             before = p, approach, excess
@@ -344,6 +365,13 @@ class ContactSolver:
             )
         self._rate, self._last = rate, (gap, nearest + approach, force)
         return p, nearest + approach, total, residual
+
+    def _tangent(self) -> FloatArray | None:
+        """Return the derivative of the pressure with respect to the approach, if it is known."""
+        if self._newton is None:
+            return None
+        response = self._newton.response(self._all_weights)
+        return None if response is None else response / self._scale
 
     def cold_start(self) -> None:
         """Start the next solve as a new solver would. Not collective."""

@@ -26,7 +26,6 @@ from ringwear_par.results import (
     Recorder,
     read_checkpoint,
     read_status,
-    restore,
     write_result,
 )
 
@@ -69,7 +68,7 @@ def run_case(
     case, checkpoint = on_first_rank(
         comm, lambda: _prepare(path, output, overrides, restart, figure, comm.size)
     )
-    if checkpoint is not None and checkpoint.state.step == case.time.steps:
+    if checkpoint is not None and _is_last(case, checkpoint.state):
         if comm.rank == 0:
             log.info("%s is complete: nothing to compute", output)
         return _draw(output, figure, comm)
@@ -94,8 +93,8 @@ def run_case(
         if recorder is not None and checkpoint is None:
             recorder.add(state)
         elif recorder is not None and checkpoint is not None:
-            restore(recorder, checkpoint)
-            log.info("continuing %s at step %d of %d", output, state.step, case.time.steps)
+            recorder.restore(checkpoint)
+            log.info("continuing %s after step %d (%g s)", output, state.step, state.time)
         before = checkpoint.seconds if checkpoint is not None else {}
         seconds = {
             "seconds_assembly": cost.seconds_assembly,
@@ -110,7 +109,7 @@ def run_case(
             seconds["seconds_stepping"] = t0 - begun - seconds["seconds_output"]
             spent = {name: value + before.get(name, 0.0) for name, value in seconds.items()}
             attributes = {
-                "status": "complete" if state.step == case.time.steps else "incomplete",
+                "status": "complete" if history.finished(state) else "incomplete",
                 "ranks": comm.size,
                 **versions(),
                 **spent,
@@ -127,21 +126,32 @@ def run_case(
         with StopSignals() as signals, ExitStack() as at_end:
             progress = None
             if comm.rank == 0:
-                progress = at_end.enter_context(closing(Progress(state.step, case.time.steps)))
-            monitor = Monitor(case.time.steps, recorder, save, signals, comm, progress)
-            state = run(history, state, monitor)
+                progress = at_end.enter_context(closing(Progress(state.time, case.time.end)))
+            monitor = Monitor(history.finished, recorder, save, signals, comm, progress)
+            state = run(history, state, monitor, monitor.show)
             save(state)
         if recorder is not None:
             print(summary(case, pair, state, recorder))
             _warn_of_doubts(case, pair, state)
             start_up = max(seconds_since_start() - (time.perf_counter() - started), 0.0)
             print(_times(seconds, start_up, loading, cost.kernel_evaluations))
-    if state.step < case.time.steps:
+    if not history.finished(state):
         raise ComputationError(
-            f"stopped by {monitor.signal_name} after step {state.step} of {case.time.steps}; "
+            f"stopped by {monitor.signal_name} after step {state.step} {_progress(case, state)}; "
             f"{output} holds them, and the same command with --restart continues"
         )
     return _draw(output, figure, comm)
+
+
+def _is_last(case: Case, state: State) -> bool:
+    return state.time >= case.time.end if case.time.adaptive else state.step == case.time.steps
+
+
+def _progress(case: Case, state: State) -> str:
+    """Return how far a state is."""
+    if case.time.adaptive:
+        return f"(at {state.time:g} of {case.time.end:g} s)"
+    return f"of {case.time.steps}"
 
 
 def _draw(output: Path, figure: Path | None, comm: MPI.Comm) -> int:
@@ -157,11 +167,18 @@ def summary(case: Case, pair: ContactPair, state: State, recorder: Recorder) -> 
     scalars, last = recorder.scalars, recorder.stored - 1
     balances, p = state.balances, state.contact.pressure
     lower, upper = 1e3 * state.wear.max(axis=1)
-    energy_holds = any(law is not None and law.proportional for law in case.laws)
+    energy_holds = any(law is not None and law.per_energy(case.friction) for law in case.laws)
+    if case.time.adaptive:
+        made = (
+            f"{state.step} adaptive steps (and {state.rejected} repeated) to {state.time:g} s, "
+            f"tolerance {case.time.tolerance:g} mm"
+        )
+    else:
+        made = f"{state.step} of {case.time.steps} {case.time.scheme} steps of {case.time.step:g} s"
     lines = [
         *([case.title] if case.title else []),
-        f"{state.step} of {case.time.steps} {case.time.scheme} steps of {case.time.step:g} s, "
-        f"{pair.line.n} contact elements",
+        f"{made}, {pair.line.n} contact elements, "
+        f"{state.iterations / max(state.step, 1):.1f} TAO iterations a step",
         f"approach {state.contact.approach:.7g} mm, "
         f"penetration {1e3 * scalars['penetration'][last]:.6g} um, "
         f"force {state.contact.force:.6g} N, torque {scalars['torque'][last]:.6g} N mm",
@@ -174,7 +191,11 @@ def summary(case: Case, pair: ContactPair, state: State, recorder: Recorder) -> 
         "balances, worst of all steps: "
         + (f"force {balances.force:.1e}, " if case.load.force is not None else "")
         + f"volume {balances.volume:.1e}, "
-        + (f"energy {balances.energy:.1e}, " if energy_holds else "energy (p0 > 0: no identity), ")
+        + (
+            f"energy {balances.energy:.1e}, "
+            if energy_holds
+            else "energy (this law: no identity), "
+        )
         + f"contact (KKT) {balances.residual:.1e}",
         "defects of the boundary elements, which vanish with the mesh: torque on the held faces "
         f"{balances.torque:.1e}, force on them {balances.reaction:.1e}, "
@@ -224,7 +245,7 @@ def _prepare(
         there = read_status(output)
         if there is not None and restart and case is not None:
             text, checkpoint = read_checkpoint(output)
-            _check_same(case, text, checkpoint.state.step, output)
+            _check_same(case, text, checkpoint.state, output)
         elif there is not None and there[0] == "incomplete" and not restart:
             raise InputError(
                 f"{output}: holds a run that was interrupted after step {there[1]}; "
@@ -265,18 +286,24 @@ def check_writable(path: Path) -> None:
         raise InputError(f"{path}: cannot be written: {error.strerror}") from error
 
 
-def _check_same(case: Case, text: str, reached: int, output: Path) -> None:
+def _check_same(case: Case, text: str, reached: State, output: Path) -> None:
     stored = parse_case(text, str(output))
     same = replace(stored, time=case.time, title=case.title, text=case.text)
-    steps = replace(stored.time, steps=case.time.steps)
-    if same != case or steps != case.time:
+    longer = replace(stored.time, steps=case.time.steps, until=case.time.until)
+    growing = "time.end" if case.time.adaptive else "time.steps"
+    if same != case or longer != case.time:
         raise InputError(
-            f"{output}: holds another case; --restart needs the same case, only time.steps may grow"
+            f"{output}: holds another case; --restart needs the same case, only {growing} may grow"
         )
-    if reached > case.time.steps:
+    if case.time.adaptive and reached.time > case.time.end:
         raise InputError(
-            f"{output}: holds {reached} steps, time.steps = {case.time.steps}: must be at least as "
-            "many with --restart"
+            f"{output}: holds {reached.time:g} s, time.end = {case.time.end:g}: must be at least "
+            "as long with --restart"
+        )
+    if not case.time.adaptive and reached.step > case.time.steps:
+        raise InputError(
+            f"{output}: holds {reached.step} steps, time.steps = {case.time.steps}: must be at "
+            "least as many with --restart"
         )
 
 

@@ -1,23 +1,26 @@
 """A wear history: contact and wear stepped in time, section 3 of the paper.
 
 ``pressure[n]``, ``approach[n]``... are the contact solution with the profile worn up to
-``time[n]``, for both schemes. The explicit one, (6) of the paper, lets the pressure at the start
+``time[n]``, for every scheme. The explicit one, (6) of the paper, lets the pressure at the start
 of a step wear throughout it; the implicit one (backward Euler) the pressure at its end, which is
-found together with the wear inside the contact problem.
+found together with the wear inside the contact problem; the adaptive one (see ``adaptive``) takes
+two such stages a step.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from operator import sub
 
 import numpy as np
 
+from ringwear_par import adaptive
 from ringwear_par.case import Case
 from ringwear_par.contact import ContactSolver, ContactState
 from ringwear_par.errors import ComputationError
 from ringwear_par.geometry import FloatArray
 from ringwear_par.pair import ContactPair, largest_stable_step
-from ringwear_par.wear import StepWear
+from ringwear_par.quantity import Quantity, in_time, integral, largest
+from ringwear_par.wear import Sliding, StepWear, UserLaw, averaging, check_user_law
 
 
 @dataclass(frozen=True)
@@ -64,19 +67,29 @@ class State:
     Parameters
     ----------
     step : number of steps made.
+    time : s.
     wear : (2, n) float, mm, loss of lower and upper.
     worn : (2,) float, mm^3, time integrals of the rates of the worn volumes.
     energy : N mm, dissipated by friction.
     contact : the contact solution.
     balances : the worst so far.
+    iterations : of TAO so far.
+    next_step : s, what an adaptive history tries next; 0 before its first step.
+    rejected : adaptive steps that were repeated with a smaller one, so far.
+    stored : whether the case stores this state.
     """
 
     step: int
+    time: float
     wear: FloatArray
     worn: FloatArray
     energy: float
     contact: ContactState
     balances: Balances
+    iterations: int = 0
+    next_step: float = 0.0
+    rejected: int = 0
+    stored: bool = True
 
 
 class WearHistory:
@@ -92,33 +105,50 @@ class WearHistory:
     def __init__(self, case: Case, pair: ContactPair, solver: ContactSolver) -> None:
         self.case, self.pair, self.solver = case, pair, solver
         line = pair.line
-        self._area = line.area
-        self._moment = line.area * line.arm  # torque per unit shear
-        self._power = case.friction * case.load.omega * line.arm  # mu V, mm/s
-        active = tuple(law for law in case.laws if law is not None)
+        self._r, self._arm, self.area = line.r, line.arm, line.area
+        self._moment = self.area * self._arm  # torque per unit shear
+        self._wears = any(law is not None for law in case.laws)
+        self._averages = tuple(
+            averaging(line.r, line.area, law.length) if law is not None and law.length else None
+            for law in case.laws
+        )
         # what balances take from the pressure: friction torque / mu, reactions of both bodies
         self._sums = np.vstack([self._moment, pair.force_reaction, pair.torque_reaction])
         self._zero = np.zeros(line.n)
-        self._implicit = (
-            StepWear(active, self._power, case.time.step)
-            if active and case.time.scheme == "implicit"
-            else None
-        )
+
+    def finished(self, state: State) -> bool:
+        """Tell whether a state is the last one of the case."""
+        if self.case.time.adaptive:
+            return state.time >= self.case.time.end
+        return state.step >= self.case.time.steps
 
     def stable_step(self) -> float:
         """Return the largest stable step of the explicit scheme, s. Not collective."""
         steepest = np.full(self.pair.line.n, np.inf)
-        slopes = [law.slope(steepest, self._power) for law in self.case.laws if law is not None]
+        at = self.sliding(0.0, largest(self.case.load.omega), self._zero)
+        with np.errstate(invalid="ignore"):
+            slopes = [law.slope(steepest, at) for law in self.case.laws if law is not None]
         return largest_stable_step(self.pair, sum(slopes, self._zero))
 
     def start(self) -> State:
-        """Return the contact before any wear. Collective."""
+        """Return the contact before any wear. Collective.
+
+        Raises
+        ------
+        ComputationError : the contact failed.
+        InputError : a user's law is none, or the bodies interpenetrate too much.
+        """
         try:
-            contact = self._contact(self._zero, None)
+            contact = self.contact(0.0, np.zeros((2, len(self._zero))), None)
         except ComputationError as error:
             raise ComputationError(f"step 0 (before any wear): {error}") from error
+        pressure = 3.0 * float(contact.pressure.max()) or 100.0
+        at = self.sliding(0.0, largest(self.case.load.omega), self._zero)
+        for law in self.case.laws:
+            if isinstance(law, UserLaw):
+                check_user_law(law, at, pressure)
         return self._balanced(
-            0, np.zeros((2, len(self._zero))), np.zeros(2), 0.0, contact, Balances()
+            State(0, 0.0, np.zeros((2, len(self._zero))), np.zeros(2), 0.0, contact, Balances())
         )
 
     def advance(self, state: State) -> State:
@@ -128,43 +158,112 @@ class WearHistory:
         ------
         ComputationError : the contact failed; the step and its time are named.
         """
-        step = self.case.time.step
         try:
-            if self._implicit is not None:
-                contact = self._contact(state.wear[0] + state.wear[1], self._implicit)
-                wearing = contact.pressure
-                rates = self._rates(wearing)
-                wear = state.wear + step * rates
+            if self.case.time.adaptive:
+                after = adaptive.advance(self, state)
             else:
-                wearing = state.contact.pressure
-                rates = self._rates(wearing)
-                wear = state.wear + step * rates
-                contact = self._contact(wear[0] + wear[1], None)
+                after = self.stepped(state, (state.step + 1) * self.case.time.step)
         except ComputationError as error:
-            number = state.step + 1
-            raise ComputationError(f"step {number} (time {number * step:g} s): {error}") from error
-        return self._balanced(
-            state.step + 1,
-            wear,
-            state.worn + step * (rates @ self._area),
-            state.energy + step * self.case.load.omega * self.torque(wearing),
-            contact,
-            state.balances,
-        )
+            raise ComputationError(
+                f"step {state.step + 1} (from time {state.time:g} s): {error}"
+            ) from error
+        return replace(after, stored=self._stores(after))
 
-    def _contact(self, gap: FloatArray, wear: StepWear | None) -> ContactState:
-        load = self.case.load
-        return self.solver.solve(gap, force=load.force, approach=load.displacement, wear=wear)
+    def between(self, state: State, time: float) -> State:
+        """Return the state at a time within the step that follows a state. Collective.
 
-    def _rates(self, p: FloatArray) -> FloatArray:
+        A step of the same formula, so of the same accuracy, that the history does not go on from.
+        """
+        if self.case.time.adaptive:
+            return adaptive.between(self, state, time)
+        return self.stepped(state, time)
+
+    def moments(self, before: State, after: State) -> list[float]:
+        """Return the times of output strictly between two states."""
+        near = 1e-9 * (after.time - before.time)
+        return [t for t in self.case.output.times if before.time + near < t < after.time - near]
+
+    def _stores(self, state: State) -> bool:
+        output = self.case.output
+        if self.finished(state):
+            return True
+        if output.times:
+            near = 1e-9 * self.case.time.end
+            return any(abs(t - state.time) <= near for t in output.times)
+        return state.step % output.every == 0
+
+    # -- what schemes are made of ------------------------------------------------------------------
+
+    def sliding(self, time: float, omega: float, wear: FloatArray) -> Sliding:
+        """Return what wear laws may know of a body at a time, its wear being (n,) mm."""
+        angle, arm = integral(self.case.load.omega, 0.0, time), self._arm
+        return Sliding(time, self._r, omega * arm, self.case.friction, wear, angle * arm)
+
+    def step_wear(self, time: float, omega: float, wear: FloatArray, step: float) -> StepWear:
+        """Return the wear of an implicit step that ends at a time, from wear (2, n) mm on."""
+        at = tuple(self.sliding(time, omega, body) for body in wear)
+        return StepWear(self.case.laws, at, step, self._averages)
+
+    def rates(self, time: float, omega: float, wear: FloatArray, p: FloatArray) -> FloatArray:
+        """Return the rates of wear of lower and upper, (2, n) mm/s, at pressure p and wear."""
         rates = np.zeros((2, len(p)))
-        for rate, law in zip(rates, self.case.laws, strict=True):
+        bodies = zip(rates, self.case.laws, wear, self._averages, strict=True)
+        for rate, law, worn, average in bodies:
             if law is not None:
-                rate[:] = law.rate(p, self._power)
+                at = self.sliding(time, omega, worn)
+                felt = p if average is None else average @ p
+                local = law.rate(felt, at)
+                rate[:] = local if average is None else average @ local
         return rates
 
+    def contact(self, time: float, wear: FloatArray, during: StepWear | None) -> ContactState:
+        """Return the contact at a time, with profiles worn by (2, n) mm. Collective."""
+        load = self.case.load
+
+        def at(quantity: Quantity | None) -> float | None:
+            return None if quantity is None else in_time(quantity, time)
+
+        return self.solver.solve(
+            wear[0] + wear[1],
+            force=at(load.force),
+            approach=at(load.displacement),
+            wear=during if self._wears else None,
+        )
+
+    def stepped(self, state: State, time: float) -> State:
+        """Return the state after one implicit or explicit step to a time. Collective."""
+        step, omega = time - state.time, self.case.load.omega
+        mean = integral(omega, state.time, time) / step
+        if self.case.time.scheme == "implicit":
+            during = self.step_wear(time, mean, state.wear, step)
+            contact = self.contact(time, state.wear, during)
+            p = contact.pressure
+            depths = during.depths(p) if self._wears else np.zeros_like(state.wear)
+        else:
+            p = state.contact.pressure
+            depths = step * self.rates(state.time, mean, state.wear, p)
+            contact = self.contact(time, state.wear + depths, None)
+        return self.after(state, time, depths, step * mean * self.torque(p), contact)
+
+    def after(
+        self, state: State, time: float, depths: FloatArray, energy: float, contact: ContactState
+    ) -> State:
+        """Return the state after a step in which depths (2, n) mm were worn off."""
+        return self._balanced(
+            replace(
+                state,
+                step=state.step + 1,
+                time=time,
+                wear=state.wear + depths,
+                worn=state.worn + depths @ self.area,
+                energy=state.energy + energy,
+                contact=contact,
+                iterations=state.iterations + contact.iterations,
+            )
+        )
+
     def torque(self, p: FloatArray) -> float:
-        """Return the friction torque, N mm, at pressure p (MPa)."""
+        """Return the friction torque in full slip, N mm, at pressure p (MPa)."""
         return self.case.friction * float(self._moment @ p)
 
     def twist(self, p: FloatArray) -> float:
@@ -173,45 +272,50 @@ class WearHistory:
 
     def worn_volumes(self, wear: FloatArray) -> FloatArray:
         """Return the volumes lost by lower and upper, (2,) mm^3, from their profiles, (2, n) mm."""
-        return wear @ self._area
+        return wear @ self.area
 
-    def _balanced(
-        self,
-        step: int,
-        wear: FloatArray,
-        worn: FloatArray,
-        energy: float,
-        contact: ContactState,
-        before: Balances,
-    ) -> State:
-        """Return the state with its balances."""
-        force, pushed = self.case.load.force, contact.force
+    def _balanced(self, state: State) -> State:
+        """Return a state with its balances, the worst of it and those before it."""
+        contact, energy = state.contact, state.energy
+        given, pushed = self.case.load.force, contact.force
+        force = in_time(given, state.time) if given is not None else 0.0
         turned, *reactions = (self._sums @ contact.pressure).tolist()
-        volumes = self.worn_volumes(wear).tolist()
+        volumes = self.worn_volumes(state.wear).tolist()
         total = max(volumes)
         identity = 0.0
         for law, volume in zip(self.case.laws, volumes, strict=True):
-            if law is not None and law.proportional and energy > 0.0:
-                identity = max(identity, abs(volume / (law.proportional * energy) - 1.0))
+            ratio = law.per_energy(self.case.friction) if law is not None else None
+            if ratio and energy > 0.0:
+                identity = max(identity, abs(volume / (ratio * energy) - 1.0))
         now = Balances(
-            abs(pushed / force - 1.0) if force is not None else 0.0,
+            abs(pushed / force - 1.0) if force > 0.0 else 0.0,
             max(abs(t / turned - 1.0) for t in reactions[2:]) if turned > 0.0 else 0.0,
             max(abs(f / pushed - 1.0) for f in reactions[:2]) if pushed > 0.0 else 0.0,
-            max(map(abs, map(sub, volumes, worn.tolist()))) / total if total > 0.0 else 0.0,
+            max(map(abs, map(sub, volumes, state.worn.tolist()))) / total if total > 0.0 else 0.0,
             identity,
             contact.residual,
         )
-        return State(step, wear, worn, energy, contact, before.worse(now))
+        return replace(state, balances=state.balances.worse(now))
 
 
-def run(history: WearHistory, state: State, watch: Callable[[State], bool]) -> State:
-    """Step from a state to the last step of the case, or until ``watch`` says stop.
+def run(
+    history: WearHistory,
+    state: State,
+    watch: Callable[[State], bool],
+    show: Callable[[State], None] | None = None,
+) -> State:
+    """Step from a state to the end of the case, or until ``watch`` says stop.
 
     Collective. ``watch`` is called with every new state, the same on all ranks, and must answer
-    the same on all ranks.
+    the same on all ranks; before it ``show`` is called with the states at times of output within
+    the step.
     """
-    while state.step < history.case.time.steps:
-        state = history.advance(state)
+    while not history.finished(state):
+        before, state = state, history.advance(state)
+        for time in history.moments(before, state):
+            passing = history.between(before, time)
+            if show is not None:
+                show(passing)
         if watch(state):
             break
     return state

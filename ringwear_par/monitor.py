@@ -51,7 +51,7 @@ class Monitor:
 
     Parameters
     ----------
-    steps : number of steps of the run.
+    finished : tells whether a state is the last.
     recorder : takes every state; None on ranks that store nothing.
     save : writes a checkpoint; collective.
     signals : noted here, acted upon when one of the ranks has received one.
@@ -61,14 +61,14 @@ class Monitor:
 
     def __init__(
         self,
-        steps: int,
+        finished: Callable[[State], bool],
         recorder: Recorder | None,
         save: Callable[[State], None],
         signals: StopSignals,
         comm: MPI.Comm,
         tell: Callable[[State], None] | None = None,
     ) -> None:
-        self._steps, self._recorder, self._save, self._comm = steps, recorder, save, comm
+        self._finished, self._recorder, self._save, self._comm = finished, recorder, save, comm
         self._signals, self._tell = signals, tell
         self._saved = time.perf_counter()
         #: the signal that the ranks agreed to stop for, or 0
@@ -78,6 +78,11 @@ class Monitor:
     def signal_name(self) -> str:
         """Name of the signal that stopped the run."""
         return signal.Signals(self.agreed).name
+
+    def show(self, state: State) -> None:
+        """Take a state within a step, at a time of output. Not collective."""
+        if self._recorder is not None:
+            self._recorder.add(state)
 
     def __call__(self, state: State) -> bool:
         """Return whether to stop after this state. Collective."""
@@ -92,7 +97,7 @@ class Monitor:
             self._comm.Allreduce(MPI.IN_PLACE, request, MPI.MAX)
             received, due = int(request[0]), bool(request[1])
         self.agreed = received
-        if due and not received and state.step < self._steps:
+        if due and not received and not self._finished(state):
             try:
                 self._save(state)
             except ComputationError as error:
@@ -103,28 +108,33 @@ class Monitor:
 
 
 class Progress:
-    """A bar on a terminal, else a line now and then.
+    """A bar of the time simulated on a terminal, else a line now and then.
 
     Parameters
     ----------
-    done, steps : steps made already, and in all.
+    start : s, time simulated before.
+    end : s.
     """
 
-    def __init__(self, done: int, steps: int) -> None:
-        self._steps, self._told = steps, time.perf_counter()
+    def __init__(self, start: float, end: float) -> None:
+        self._end, self._told = end, time.perf_counter()
         self._bar: Any = tqdm(
-            total=steps, initial=done, unit="step", leave=False, disable=not sys.stderr.isatty()
-        )
+            total=end, initial=start, unit="s", leave=False, disable=not sys.stderr.isatty(),
+            bar_format="{l_bar}{bar}| {n:.4g}/{total:.4g} s simulated [{elapsed}<{remaining}]",
+        )  # fmt: skip
 
     def __call__(self, state: State) -> None:
         """Tell of a state."""
-        self._bar.update()
+        if not self._bar.disable:
+            self._bar.update(state.time - self._bar.n)
+            return
         now = time.perf_counter()
-        if self._bar.disable and now - self._told > PROGRESS_SECONDS:
+        if now - self._told > PROGRESS_SECONDS:
             self._told = now
             log.info(
-                "step %d of %d, approach %.6f mm", state.step, self._steps, state.contact.approach
-            )
+                "step %d, time %.6g of %.6g s, approach %.6f mm",
+                state.step, state.time, self._end, state.contact.approach,
+            )  # fmt: skip
 
     def close(self) -> None:
         """Remove the bar."""

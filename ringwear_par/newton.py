@@ -120,6 +120,17 @@ class ActiveSetNewton:
         step, _ = dpotrs(self._factor, gradient, lower=1)
         return -step
 
+    def response(self, right: FloatArray) -> FloatArray | None:
+        """Return H^-1 right on the active set of the last Newton step, 0 elsewhere.
+
+        None where there is no factor.
+        """
+        if self._factor is None:
+            return None
+        x = np.zeros_like(right)
+        x[self._free], _ = dpotrs(self._factor, right[self._free], lower=1)
+        return x
+
     def _search(
         self,
         tao: PETSc.TAO,

@@ -152,7 +152,7 @@ def memory_needed(case: Case, ranks: int) -> float:
         count_elements(case.section(r), case.mesh) for r in (case.lower, case.upper)
     )
     copies = 1.0 if ranks == 1 or has_scalapack() else float(ranks)
-    history = len(case.output.fields) * n * (1.0 + case.time.steps / case.output.every)
+    history = len(case.output.fields) * n * case.stored_rows
     return 8.0 * ((1.25 + 1.25 * copies) * unknowns**2 + ranks * 8.0 * n**2 + history)
 
 

@@ -43,6 +43,9 @@ ALONG = {
 }
 
 
+_APPROACH = list(SCALARS).index("approach")
+
+
 class Recorder:
     """Stores the states of a history that its case asks for, in memory.
 
@@ -52,29 +55,25 @@ class Recorder:
     """
 
     def __init__(self, history: WearHistory) -> None:
-        output, steps = history.case.output, history.case.time.steps
+        output = history.case.output
         self._history = history
-        self.steps: IntArray = np.append(np.arange(0, steps, output.every), steps)
-        rows = len(self.steps)
-        self.scalars = {name: np.zeros(rows) for name in SCALARS}
-        #: rows of the fields: as many as of the scalars, or the last stored one only
-        self.profiles = rows if output.profiles == "all" else 1
-        shape = self.profiles, history.pair.line.n
-        self.fields = {name: np.zeros(shape) for name in output.fields}
-        self.stored = 0
+        #: whether the fields are stored as often as the scalars, or at the last stored state only
+        self.deep = output.profiles == "all"
+        self._steps: list[int] = []
+        self._scalars: list[tuple[float, ...]] = []
+        self._fields: dict[str, list[FloatArray]] = {name: [] for name in output.fields}
         self.pending_iterations = 0
 
     def add(self, state: State) -> None:
         """Take a new state; store it if it is one of those asked for."""
         self.pending_iterations += state.contact.iterations
-        row = self.stored
-        if self.steps[row] != state.step:
+        if not state.stored:
             return
         history, contact = self._history, state.contact
         volumes = history.worn_volumes(state.wear)
-        start = self.scalars["approach"][0] if row else contact.approach
+        start = self._scalars[0][_APPROACH] if self._scalars else contact.approach
         values = {
-            "time": state.step * history.case.time.step,
+            "time": state.time,
             "approach": contact.approach,
             "penetration": contact.approach - start,
             "force": contact.force,
@@ -85,33 +84,73 @@ class Recorder:
             "dissipated_energy": state.energy,
             "contact_iterations": self.pending_iterations,
         }
-        for name, value in values.items():
-            self.scalars[name][row] = value
+        self._steps.append(state.step)
+        self._scalars.append(tuple(values[name] for name in SCALARS))
         along = {
             "pressure": contact.pressure,
             "gap": contact.gap,
             "wear_lower": state.wear[0],
             "wear_upper": state.wear[1],
         }
-        for name, table in self.fields.items():
-            table[min(row, self.profiles - 1)] = along[name]
-        self.stored += 1
+        for name, rows in self._fields.items():
+            if not self.deep:
+                rows.clear()
+            rows.append(along[name])
         self.pending_iterations = 0
+
+    @property
+    def stored(self) -> int:
+        """Number of stored states."""
+        return len(self._steps)
+
+    @property
+    def steps(self) -> IntArray:
+        """(stored,) int, numbers of steps made."""
+        return np.array(self._steps, dtype=np.int64)
+
+    @property
+    def scalars(self) -> dict[str, FloatArray]:
+        """(stored,) float each, by name."""
+        table = np.array(self._scalars, dtype=float).reshape(-1, len(SCALARS))
+        return dict(zip(SCALARS, table.T.copy(), strict=True))
+
+    @property
+    def fields(self) -> dict[str, FloatArray]:
+        """(stored, n) float each, by name; (1, n) where the last ones are stored only."""
+        n = self._history.pair.line.n
+        return {name: np.array(rows).reshape(-1, n) for name, rows in self._fields.items()}
 
     def arrays(self) -> dict[str, FloatArray]:
         """Return what is stored so far by variable, ``step`` (the numbers of steps) included."""
-        rows = slice(self.stored)
-        fields = {n: t[0] if self.profiles == 1 else t[rows] for n, t in self.fields.items()}
+        line, fields = self._history.pair.line, self.fields
         if not self.stored:
             fields = {}
-        line = self._history.pair.line
+        elif not self.deep:
+            fields = {name: table[0] for name, table in fields.items()}
         return {
-            "step": self.steps[rows].astype(float),
-            **{name: table[rows] for name, table in self.scalars.items()},
+            "step": self.steps.astype(float),
+            **self.scalars,
             "r": line.r,
             "width": line.width,
             **fields,
         }
+
+    def restore(self, checkpoint: "Checkpoint") -> None:
+        """Put the stored rows of an interrupted run back, as far as the case still stores them."""
+        output, adaptive = self._history.case.output, self._history.case.time.adaptive
+        steps = checkpoint.steps
+        keep = np.ones(len(steps), dtype=bool)
+        if not (output.times or adaptive):  # the last one of a shorter run may not belong here
+            keep = (steps % output.every == 0) | (steps == self._history.case.time.steps)
+        self._steps = steps[keep].tolist()
+        table = np.array([checkpoint.scalars[name][keep] for name in SCALARS])
+        self._scalars = list(map(tuple, table.T.tolist()))
+        for name in self._fields:
+            stored = checkpoint.fields[name]
+            self._fields[name] = list(stored[keep] if self.deep else stored[None])
+        self.pending_iterations = checkpoint.pending_iterations + int(
+            checkpoint.scalars["contact_iterations"][~keep].sum()
+        )
 
 
 @dataclass(frozen=True)
@@ -172,8 +211,6 @@ def write_result(
 
 
 def _write_history(file: h5py.File, line: ContactLine, recorder: Recorder) -> None:
-    rows = recorder.stored
-
     def variable(
         name: str, data: FloatArray | IntArray, dims: tuple[str, ...], unit: str, text: str
     ) -> None:
@@ -183,31 +220,29 @@ def _write_history(file: h5py.File, line: ContactLine, recorder: Recorder) -> No
             dataset.dims[axis].attach_scale(file[dim])
 
     for name, data, text in (
-        ("step", recorder.steps[:rows], "number of time steps made"),
+        ("step", recorder.steps, "number of time steps made"),
         ("element", np.arange(line.n), "contact element, from the inner edge outwards"),
     ):
         variable(name, data, (), "1", text)
         file[name].make_scale(name)
     for name, table in recorder.scalars.items():
         whole = name == "contact_iterations"
-        variable(
-            name, table[:rows].astype(int) if whole else table[:rows], ("step",), *SCALARS[name]
-        )
+        variable(name, table.astype(int) if whole else table, ("step",), *SCALARS[name])
     variable("r", line.r, ("element",), "mm", "radius of the element's mid-point")
     variable("width", line.width, ("element",), "mm", "radial length of the element")
     for name, table in recorder.fields.items():
         unit, text = ALONG[name]
-        if recorder.profiles == 1:
+        if recorder.deep:
+            variable(name, table, ("step", "element"), unit, text)
+        elif len(table):
             variable(name, table[0], ("element",), unit, f"{text}, at the last step")
-        else:
-            variable(name, table[:rows], ("step", "element"), unit, text)
 
 
 def _write_checkpoint(
     group: h5py.Group, line: ContactLine, recorder: Recorder, state: State, warm: WarmStart
 ) -> None:
-    group.attrs["step"] = state.step
-    group.attrs["energy"] = state.energy
+    for name in ("step", "time", "energy", "iterations", "next_step", "rejected"):
+        group.attrs[name] = getattr(state, name)
     group.attrs["approach"] = state.contact.approach
     group.attrs["force"] = state.contact.force
     group.attrs["balances"] = state.balances.values()
@@ -253,8 +288,9 @@ def read_checkpoint(path: Path) -> tuple[str, Checkpoint]:
             float(attrs["force"]), 0, 0.0,
         )  # fmt: skip
         state = State(
-            int(attrs["step"]), group["wear"][:], group["worn"][:], float(attrs["energy"]),
-            contact, Balances(*(float(v) for v in attrs["balances"])),
+            int(attrs["step"]), float(attrs["time"]), group["wear"][:], group["worn"][:],
+            float(attrs["energy"]), contact, Balances(*(float(v) for v in attrs["balances"])),
+            int(attrs["iterations"]), float(attrs["next_step"]), int(attrs["rejected"]),
         )  # fmt: skip
         warm = WarmStart(
             group["warm_scaled_pressure"][:], group["warm_rate"][:], group["warm_gap"][:],
@@ -269,23 +305,6 @@ def read_checkpoint(path: Path) -> tuple[str, Checkpoint]:
             int(attrs["pending_iterations"]),
             {k: float(v) for k, v in file.attrs.items() if k.startswith("seconds_")},
         )
-
-
-def restore(recorder: Recorder, checkpoint: Checkpoint) -> None:
-    """Put the stored rows of an interrupted run back, as far as the case still stores them."""
-    keep = np.isin(checkpoint.steps, recorder.steps)
-    rows = int(keep.sum())
-    for name, scalars in recorder.scalars.items():
-        scalars[:rows] = checkpoint.scalars[name][keep]
-    for name, table in recorder.fields.items():
-        if recorder.profiles == 1:
-            table[0] = checkpoint.fields[name]
-        else:
-            table[:rows] = checkpoint.fields[name][keep]
-    recorder.stored = rows
-    recorder.pending_iterations = checkpoint.pending_iterations + int(
-        checkpoint.scalars["contact_iterations"][~keep].sum()
-    )
 
 
 def read_result(path: Path) -> Result:

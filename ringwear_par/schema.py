@@ -1,16 +1,31 @@
 """The keys of a case file: one list that reading, messages and ``info --schema`` follow."""
 
+import itertools
 import json
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
+from ringwear_par.quantity import Quantity, Table
+
 FIELDS = ("pressure", "gap", "wear_lower", "wear_upper")
 
 
+#: laws of wear, with the keys that each needs and those that it may have
+LAWS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
+    "threshold": (("k",), ("p0",)),
+    "archard": (("k",), ()),
+    "power": (("k", "m"), ("n",)),
+    "table": (("table",), ()),
+    "running-in": (("k", "k_start"), ("p0", "depth", "distance")),
+    "non-local": (("k", "length"), ("p0",)),
+    "user": (("file",), ("parameters",)),
+}
+
+
 class RejectedError(Exception):
-    """A value that its key does not allow."""
+    """A value that its key does not allow, perhaps with the reason."""
 
 
 Reader = Callable[[Any], Any]
@@ -20,7 +35,7 @@ Reader = Callable[[Any], Any]
 class Key:
     """One key of the case file.
 
-    ``default`` is ... where the key must be given (for a wear law: once its table is there).
+    ``default`` is ... where the key must be given.
     """
 
     path: str
@@ -58,6 +73,87 @@ def _number(low: float, high: float = math.inf, *, ends: bool = False) -> tuple[
     else:
         allowed = f"a number > {low:g} and < {high:g}"
     return read, allowed
+
+
+def _points(value: Any, number: Reader) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    """Return abscissae, which must increase, and values of a list of pairs."""
+    if not isinstance(value, list) or not value:
+        raise RejectedError
+    for pair in value:
+        if not isinstance(pair, list) or len(pair) != 2:
+            raise RejectedError
+        if not _is_number(pair[0]) or not math.isfinite(pair[0]):
+            raise RejectedError
+    x = tuple(float(pair[0]) for pair in value)
+    for before, after in itertools.pairwise(x):
+        if after <= before:
+            raise RejectedError(f"{after:g} after {before:g}: the first of each pair must increase")
+    return x, tuple(number(pair[1]) for pair in value)
+
+
+def _schedule(low: float, *, ends: bool = False) -> tuple[Reader, str]:
+    """Return the reader of a number or a table in time, whose values may be ``low`` itself."""
+    number, allowed = _number(low, ends=ends)
+    entry, allowed_entry = _number(low, ends=True)
+
+    def read(value: Any) -> Quantity:
+        return Table(*_points(value, entry)) if isinstance(value, list) else float(number(value))
+
+    return read, f"{allowed}, or a table [[t, value], ...] in time (s), {allowed_entry} each"
+
+
+def _quantity(low: float, *, ends: bool = False) -> tuple[Reader, str]:
+    """Return the reader of a number, a table in time or a profile in r."""
+    schedule, allowed = _schedule(low, ends=ends)
+    number, _ = _number(low, ends=ends)
+
+    def read(value: Any) -> Quantity:
+        if isinstance(value, dict):
+            if set(value) != {"r"}:
+                raise RejectedError
+            return Table(*_points(value["r"], number), "r")
+        return schedule(value)
+
+    return read, f"{allowed}, or a profile {{ r = [[r, value], ...] }} (mm)"
+
+
+def _parameters(value: Any) -> tuple[tuple[str, Quantity], ...]:
+    if not isinstance(value, dict):
+        raise RejectedError
+    read, _ = _quantity(-math.inf)
+    return tuple((name, read(v)) for name, v in value.items())
+
+
+def _rates(value: Any) -> tuple[tuple[float, float], ...]:
+    number, _ = _number(0.0, ends=True)
+    x, y = _points(value, number)
+    if len(x) < 2 or (x[0], y[0]) != (0.0, 0.0):
+        raise RejectedError("it must have two points at least and begin with [0, 0]")
+    for before, after in itertools.pairwise(y):
+        if after < before:
+            raise RejectedError(f"rate {after:g} after {before:g}: rates must not fall")
+    return tuple(zip(x, y, strict=True))
+
+
+def _times(value: Any) -> tuple[float, ...]:
+    number, _ = _number(0.0)
+    if not isinstance(value, list) or not value:
+        raise RejectedError
+    times = tuple(float(number(v)) for v in value)
+    if any(after <= before for before, after in itertools.pairwise(times)):
+        raise RejectedError
+    return times
+
+
+def _boundary(value: Any) -> str | tuple[float, ...]:
+    if isinstance(value, str):
+        if value not in ("none", "last", "all"):
+            raise RejectedError
+        return value
+    number, _ = _number(0.0, ends=True)
+    if not isinstance(value, list):
+        raise RejectedError
+    return tuple(sorted({float(number(v)) for v in value}))
 
 
 def _integer(low: int, high: int = 10**12) -> tuple[Reader, str]:
@@ -118,14 +214,61 @@ def _ring_keys(ring: str, name: str) -> list[Key]:
 
 
 def _wear_keys(ring: str) -> list[Key]:
+    table = f"wear.{ring}"
+
+    def of(name: str) -> str:
+        users = [law for law, (needs, may) in LAWS.items() if name in needs + may]
+        return f"(law = {' or '.join(users)})"
+
     return [
         Key(
-            f"wear.{ring}.law", *_choice("threshold"), "-",
-            f"rate of wear of {ring}: k mu max(0, p - p0) V; no table: does not wear",
+            f"{table}.law", *_choice(*LAWS), "-",
+            f"rate of wear of {ring}: threshold: k mu max(0, p - p0) V; archard: k p V; power: "
+            "k p^m V^n; table: of rate against p V; running-in: threshold, k falling from k_start; "
+            "non-local: threshold, averaged over a length; user: a Python file; no table "
+            f"[{table}]: does not wear",
             "threshold",
         ),
-        Key(f"wear.{ring}.k", *_number(0.0, ends=True), "1/MPa", "wear coefficient"),
-        Key(f"wear.{ring}.p0", *_number(0.0, ends=True), "MPa", "threshold pressure", 0.0),
+        Key(
+            f"{table}.k", *_quantity(0.0, ends=True), "1/MPa",
+            "wear coefficient (power: mm/s at p = 1 MPa, V = 1 mm/s) " + of("k"), None,
+        ),
+        Key(
+            f"{table}.p0", *_quantity(0.0, ends=True), "MPa", f"threshold pressure {of('p0')}", 0.0
+        ),
+        Key(f"{table}.m", *_number(1.0, 10.0, ends=True), "1", f"exponent of p {of('m')}", None),
+        Key(f"{table}.n", *_number(0.0, 10.0), "1", f"exponent of V {of('n')}", 1.0),
+        Key(
+            f"{table}.table", _rates, "a table [[p V, rate], ...] from [0, 0], p V increasing and "
+            "rates not falling", "MPa mm/s and mm/s",
+            f"rate of wear; beyond its end the last slope goes on {of('table')}", None,
+        ),
+        Key(
+            f"{table}.k_start", *_quantity(0.0, ends=True), "1/MPa",
+            f"wear coefficient at the start, k or larger {of('k_start')}", None,
+        ),
+        Key(
+            f"{table}.depth", *_number(0.0), "mm",
+            f"worn depth over which k_start - k falls by the factor e {of('depth')}", None,
+        ),
+        Key(
+            f"{table}.distance", *_number(0.0), "mm",
+            f"distance slid over which it does, instead of depth {of('distance')}", None,
+        ),
+        Key(
+            f"{table}.length", *_number(0.0), "mm",
+            "standard deviation of the Gaussian average of the pressure, and of the wear that it "
+            f"causes {of('length')}", None,
+        ),
+        Key(
+            f"{table}.file", _text, "a text", "-",
+            "Python file, relative to the case, that defines rate(p, at) and slope(p, at) "
+            f"{of('file')}", None,
+        ),
+        Key(
+            f"{table}.parameters", _parameters, "a table of numbers, tables in time or profiles "
+            "in r", "-", f"what at.parameters holds {of('parameters')}", None,
+        ),
     ]  # fmt: skip
 
 
@@ -141,22 +284,33 @@ KEYS: tuple[Key, ...] = (
     *_wear_keys("lower"),
     *_wear_keys("upper"),
     Key("load.control", *_choice("force", "displacement"), "-", "what is held constant", "force"),
-    Key("load.force", *_number(0.0), "N", "axial force (control = force)", None),
+    Key("load.force", *_schedule(0.0), "N", "axial force (control = force)", None),
     Key(
-        "load.pressure", *_number(0.0), "MPa",
+        "load.pressure", *_schedule(0.0), "MPa",
         "mean pressure over the nominal annulus, instead of load.force", None,
     ),
     Key(
-        "load.displacement", *_number(0.0), "mm",
+        "load.displacement", *_schedule(0.0), "mm",
         "downward displacement of the upper ring's top (control = displacement)", None,
     ),
-    Key("load.omega", *_number(0.0, ends=True), "rad/s", "angular speed of the upper ring"),
     Key(
-        "time.scheme", *_choice("implicit", "explicit"), "-",
-        "backward Euler inside the contact problem, or the paper's (6)", "implicit",
+        "load.omega", *_schedule(0.0, ends=True), "rad/s", "angular speed of the upper ring"
     ),
-    Key("time.step", *_number(0.0), "s", "time step"),
-    Key("time.steps", *_integer(1), "-", "number of time steps"),
+    Key(
+        "time.scheme", *_choice("implicit", "explicit", "adaptive"), "-",
+        "implicit: backward Euler inside the contact problem; explicit: the paper's (6); adaptive: "
+        "second order, steps chosen by time.tolerance", "implicit",
+    ),
+    Key("time.step", *_number(0.0), "s", "time step (implicit, explicit)", None),
+    Key("time.steps", *_integer(1), "-", "number of time steps (implicit, explicit)", None),
+    Key(
+        "time.end", *_number(0.0), "s",
+        "end of an adaptive history; where it is absent, time.step x time.steps", None,
+    ),
+    Key(
+        "time.tolerance", *_number(0.0), "mm",
+        "largest error of wear of one adaptive step", 2e-6,
+    ),
     Key("mesh.contact_elements", *_integer(4), "-", "elements of the contact line", 64),
     Key(
         "mesh.grading", *_number(1.0, 6.0, ends=True), "1",
@@ -171,10 +325,19 @@ KEYS: tuple[Key, ...] = (
         "fixed: the worn profile enters through the gap, not the mesh", "fixed",
     ),
     Key("output.every", *_integer(1), "steps", "store every so many steps, and the last", 1),
+    Key(
+        "output.times", _times, "a list of increasing numbers > 0", "s",
+        "store at these times, the start and the end instead", None,
+    ),
     Key("output.fields", *_names(*FIELDS), "-", "fields stored along the contact line", FIELDS),
     Key(
         "output.profiles", *_choice("all", "last"), "-",
         "store these fields as often as the histories, or at the last step only", "all",
+    ),
+    Key(
+        "output.boundary", _boundary, '"none", "last", "all" or a list of times (s)', "-",
+        "stored steps at which displacement and traction of both whole boundaries are stored; "
+        "times: the first stored step from each on", "none",
     ),
 )  # fmt: skip
 
@@ -192,6 +355,9 @@ def toml_value(value: Any) -> str:
         return json.dumps(value, ensure_ascii=False)  # TOML's escapes are JSON's
     if isinstance(value, list | tuple):
         return "[" + ", ".join(toml_value(v) for v in value) + "]"
+    if isinstance(value, dict):
+        items = ", ".join(f"{json.dumps(k)} = {toml_value(v)}" for k, v in value.items())
+        return "{ " + items + " }"
     return repr(value) if _is_number(value) else str(value)
 
 
@@ -200,7 +366,7 @@ def schema() -> str:
     rows = [("key", "unit", "allowed", "default", "meaning")]
     for key in KEYS:
         if key.default is ...:
-            default = "required" if not key.path.startswith("wear.") else "required with its table"
+            default = "required"
         else:
             default = "-" if key.default is None else toml_value(key.default)
         rows.append((key.path, key.unit, key.allowed, default, key.meaning))

@@ -22,7 +22,7 @@ from typing import Any, Literal
 import numpy as np
 from scipy.stats import qmc
 
-from ringwear_par.case import Case, make_case, nearest_key, override, read_keys
+from ringwear_par.case import Case, find_files, make_case, nearest_key, override, read_keys
 from ringwear_par.errors import InputError
 from ringwear_par.geometry import FloatArray, count_elements
 from ringwear_par.pair import check_memory, check_mesh, operator_key
@@ -134,7 +134,9 @@ def case_id(case_keys: Mapping[str, Any]) -> str:
         value = BY_PATH[path].read(case_keys[path])
         if value != BY_PATH[path].default:
             content[path] = value
-    return hashlib.sha256(json.dumps(content).encode()).hexdigest()[:16]
+        if path.startswith("wear.") and path.endswith(".file"):  # what it says, not where it is
+            content[path] = Path(case_keys[path]).read_text(encoding="utf-8")
+    return hashlib.sha256(json.dumps(content, default=repr).encode()).hexdigest()[:16]
 
 
 def _split(name: str) -> tuple[str, int | None]:
@@ -196,7 +198,7 @@ def read_study(path: Path, ranks: int = 1) -> Study:
     else:
         base_path = path.parent / base_name
         try:
-            base = read_keys(_text(base_path))
+            base = find_files(read_keys(_text(base_path)), base_path.parent)
         except tomllib.TOMLDecodeError as error:
             faults.append(f"{base_path}: is not valid TOML: {error}")
         except InputError as error:
@@ -440,7 +442,7 @@ def _checked(
         kept[identity] = row
         work.append(_stepping_work(case))
         there = largest.setdefault(key, case)
-        if there.time.steps < case.time.steps:
+        if there.stored_rows < case.stored_rows:
             largest[key] = case
     if bad > _FAULTS_TOLD:
         faults.append(f"{path}: {bad - _FAULTS_TOLD} more of {len(rows)} cases are bad")
@@ -466,7 +468,7 @@ def _checked(
 
 def _stepping_work(case: Case) -> float:
     """Return about the seconds of a case's steps: a constant and the work on the matrix a step."""
-    return 1e-4 * case.time.steps * (1.0 + (case.mesh.contact_elements / 220.0) ** 2)
+    return 1e-4 * case.about_steps * (1.0 + (case.mesh.contact_elements / 220.0) ** 2)
 
 
 def _assembly_work(case: Case) -> float:

@@ -28,7 +28,7 @@ from ringwear_par.info import versions
 from ringwear_par.monitor import Monitor, StopSignals, SweepProgress, duration
 from ringwear_par.options import reject_unused_options
 from ringwear_par.pair import ContactPair, Operator, assemble_operator, join, memory_needed
-from ringwear_par.results import Checkpoint, Recorder, read_checkpoint, restore, write_result
+from ringwear_par.results import Checkpoint, Recorder, read_checkpoint, write_result
 from ringwear_par.shards import Entry, Record, Shard, locked
 from ringwear_par.store import Store
 from ringwear_par.study import Study, read_study
@@ -412,7 +412,7 @@ class Bench:
         else:
             state = checkpoint.state
             solver.warm_start(checkpoint.warm)
-            restore(recorder, checkpoint)
+            recorder.restore(checkpoint)
 
         def save(state: State) -> None:
             warm = solver.warm()
@@ -428,9 +428,9 @@ class Bench:
                 team, lambda: write_result(path, case, line, recorder, state, warm, attributes)
             )
 
-        monitor = Monitor(case.time.steps, recorder, save, self._signals, team, self._progress)
-        state = run(history, state, monitor)
-        if state.step < case.time.steps:
+        monitor = Monitor(history.finished, recorder, save, self._signals, team, self._progress)
+        state = run(history, state, monitor, monitor.show)
+        if not history.finished(state):
             try:
                 save(state)
             except ComputationError as error:
@@ -648,7 +648,7 @@ def _estimate(plan: Plan, ranks_per_case: int, comm: MPI.Intracomm) -> None:
 
         state = run(history, state, watch)
     t3 = time.perf_counter()
-    stepping = (t3 - t2) * case.time.steps / state.step
+    stepping = (t3 - t2) * case.time.end / state.time
     assembly = (t1 - t0) * study.assembly[left].sum() / study.assembly[group]
     cases = [n for g in left for n in plan.todo[g]]
     steps = stepping * study.work[cases].sum() / study.work[number]
@@ -659,7 +659,7 @@ def _estimate(plan: Plan, ranks_per_case: int, comm: MPI.Intracomm) -> None:
     )
     print(
         f"first case timed on one rank: {t1 - t0:.3g} s for its operator, {stepping:.3g} s for its "
-        f"{case.time.steps} steps" + (" (from the first of them)" if state.step < case.time.steps
+        f"{case.time.scheme} steps" + (" (from the first of them)" if not history.finished(state)
         else "")
     )  # fmt: skip
     print(

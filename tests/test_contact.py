@@ -4,10 +4,11 @@ import active_set
 import numpy as np
 import pytest
 from petsc4py import PETSc
+from wearing import step_wear
 
 from ringwear_par.contact import TAO_TYPES, ContactSolver
 from ringwear_par.errors import ComputationError, InputError
-from ringwear_par.wear import StepWear, ThresholdLaw
+from ringwear_par.wear import ThresholdLaw
 
 N = 40
 FORCE = 45000.0
@@ -77,7 +78,7 @@ def test_implicit_wear_of_two_bodies(problem, comm, tao_type, shape):
     laws = ThresholdLaw(1e-6, 40.0), ThresholdLaw(2e-6, 85.0)
     rise = [20.0 * law.k * power for law in laws]
     with ContactSolver(stiffness, line.area, comm) as solver:
-        state = solver.solve(gap, force=FORCE, wear=StepWear(laws, power, 20.0))
+        state = solver.solve(gap, force=FORCE, wear=step_wear(laws, power, 20.0))
     p, delta = active_set.solve(
         stiffness, line.area, gap, force=FORCE, laws=[40.0, 85.0], rise=rise
     )
@@ -96,7 +97,7 @@ def test_random_problems(problem, comm):
             laws = tuple(ThresholdLaw(10 ** rng.uniform(-8, -5), rng.uniform(0, 150)) for _ in "ab")
             power, step = 0.35 * line.arm, 10 ** rng.uniform(-1, 2)
             force = 10 ** rng.uniform(2, 5)
-            state = solver.solve(gap, force=force, wear=StepWear(laws, power, step))
+            state = solver.solve(gap, force=force, wear=step_wear(laws, power, step))
             p, delta = active_set.solve(
                 stiffness, line.area, gap, force=force,
                 laws=[law.p0 for law in laws], rise=[step * law.k * power for law in laws],
@@ -120,7 +121,7 @@ def test_light_loads_between_wide_gaps(problem, comm, tao_type, shape):
 
 def test_violent_wear(problem, comm):
     line, stiffness = problem
-    wear = StepWear((ThresholdLaw(1e3),), 0.35 * line.arm, 1.0)
+    wear = step_wear((ThresholdLaw(1e3),), 0.35 * line.arm, 1.0)
     with ContactSolver(stiffness, line.area, comm) as solver:
         state = solver.solve(np.zeros(N), force=FORCE, wear=wear)
     # elasticity is nothing against this: all elements wear alike, p r is constant
@@ -176,7 +177,7 @@ def test_warm_steps_take_one_iteration(paper_pair, comm):
     case, pair = paper_pair
     with ContactSolver(pair.stiffness, pair.line.area, comm) as solver:
         gap = np.zeros(pair.line.n)
-        wear = StepWear((case.wear_lower,), case.friction * case.load.omega * pair.line.arm, 1.0)
+        wear = step_wear((case.wear_lower,), case.friction * case.load.omega * pair.line.arm, 1.0)
         counts = []
         for _ in range(10):
             state = solver.solve(gap, force=case.load.force, wear=wear)

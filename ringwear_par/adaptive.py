@@ -1,0 +1,157 @@
+"""Adaptive steps of second order: SDIRK2 with an error estimate, steps growing to the steady state.
+
+Both stages are implicit in the same way (L-stable, stiffly accurate, all coefficients positive, so
+that wear never falls and the last stage is the contact with the worn profile). The error is the
+difference to the integral of the quadratic through the rates at the start and the two stages;
+its stiff part, which the formula damps but the estimate does not, is filtered by (I + gamma h W
+C^-1)^-1, with what the last stage knows (Hosea and Shampine, Appl. Numer. Math. 20 (1996) 21-37).
+"""
+
+import math
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy.linalg import cho_factor, cho_solve
+
+from ringwear_par.errors import ComputationError
+from ringwear_par.geometry import FloatArray
+from ringwear_par.quantity import in_time
+from ringwear_par.wear import StepWear
+
+if TYPE_CHECKING:
+    from ringwear_par.history import State, WearHistory
+
+GAMMA = 1.0 - 1.0 / math.sqrt(2.0)
+# integral of the quadratic through rates at 0, gamma and 1
+_AT_START = 0.5 - 1.0 / (6.0 * GAMMA)
+_AT_STAGE = 1.0 / (6.0 * GAMMA * (1.0 - GAMMA))
+_AT_END = 1.0 - _AT_START - _AT_STAGE
+_SAFETY, _LARGEST_GROWTH, _LARGEST_CUT = 0.9, 5.0, 0.1
+#: wear of the first step, in tolerances: edges wear fast and not for long
+_FIRST_WEAR = 50.0
+_SMALLEST_STEP = 1e-12
+
+
+def advance(history: "WearHistory", state: "State") -> "State":
+    """Return the state after one step that meets the tolerance. Collective.
+
+    Steps end at the times at which a schedule or a parameter bends.
+
+    Raises
+    ------
+    ComputationError : no step, however small, succeeds.
+    """
+    time = history.case.time
+    limit = next((t for t in history.case.knots if t > state.time), time.end)
+    step = state.next_step or _first_step(history, state)
+    rejected, iterations, failure = state.rejected, 0, ""
+    while True:
+        left = limit - state.time
+        cut = step >= left * (1.0 - 1e-9)
+        if cut:
+            end = limit
+        else:  # no sliver at the end
+            end = state.time + (step if step < 0.5 * left or step > 0.9 * left else 0.5 * left)
+        if end - state.time <= _SMALLEST_STEP * time.end:
+            raise ComputationError(
+                f"time.tolerance = {time.tolerance:g} mm is not met by any step; the last one "
+                f"tried is {end - state.time:.3g} s{failure}"
+            )
+        try:
+            after, error = _stages(history, state, end)
+        except ComputationError as reason:
+            rejected, failure, step = rejected + 1, f" ({reason})", 0.25 * (end - state.time)
+            continue
+        iterations += after.contact.iterations
+        ratio = max(error / time.tolerance, 1e-6)
+        change = _SAFETY * ratio ** (-1.0 / 3.0)
+        if ratio <= 1.0:
+            break
+        rejected, step = rejected + 1, (end - state.time) * max(change, _LARGEST_CUT)
+    growth = min(max(change, _LARGEST_CUT), _LARGEST_GROWTH)
+    following = (end - state.time) * growth
+    return replace(
+        after,
+        contact=replace(after.contact, iterations=iterations),
+        iterations=state.iterations + iterations,
+        next_step=max(following, step) if cut else following,
+        rejected=rejected,
+    )
+
+
+def between(history: "WearHistory", state: "State", time: float) -> "State":
+    """Return the state at a time within the step that follows a state. Collective."""
+    return _stages(history, state, time)[0]
+
+
+def _first_step(history: "WearHistory", state: "State") -> float:
+    omega = in_time(history.case.load.omega, state.time)
+    fastest = history.rates(state.time, omega, state.wear, state.contact.pressure).max()
+    end, tolerance = history.case.time.end, history.case.time.tolerance
+    return float(min(end, _FIRST_WEAR * tolerance / fastest)) if fastest > 0.0 else end
+
+
+def _stages(history: "WearHistory", state: "State", end: float) -> tuple["State", float]:
+    """Return the state at a time and the estimated error of its wear, mm."""
+    step = end - state.time
+    middle = state.time + GAMMA * step
+    omega = history.case.load.omega
+    speeds = [in_time(omega, t) for t in (state.time, middle, end)]
+
+    first = history.step_wear(middle, speeds[1], state.wear, GAMMA * step)
+    stage = history.contact(middle, state.wear, first)
+    k1 = first.depths(stage.pressure) / (GAMMA * step)
+    carried = state.wear + (1.0 - GAMMA) * step * k1
+    last = history.step_wear(end, speeds[2], carried, GAMMA * step)
+    contact = history.contact(end, carried, last)
+    k2 = last.depths(contact.pressure) / (GAMMA * step)
+
+    depths = step * ((1.0 - GAMMA) * k1 + GAMMA * k2)
+    powers = [
+        speed * history.torque(c.pressure)
+        for speed, c in zip(speeds[1:], (stage, contact), strict=True)
+    ]
+    energy = step * ((1.0 - GAMMA) * powers[0] + GAMMA * powers[1])
+    contact = replace(
+        contact,
+        iterations=stage.iterations + contact.iterations,
+        residual=max(stage.residual, contact.residual),
+    )
+    after = history.after(state, end, depths, energy, contact)
+
+    k0 = history.rates(state.time, speeds[0], state.wear, state.contact.pressure)
+    defect = step * (
+        _AT_START * k0 + (_AT_STAGE - (1.0 - GAMMA)) * k1 + (_AT_END - GAMMA) * k2
+    ).sum(axis=0)
+    if not defect.any():
+        return after, 0.0
+    error = _filtered(history, defect, contact.pressure, last)
+    return after, float(np.abs(error).max())
+
+
+def _filtered(
+    history: "WearHistory", defect: FloatArray, p: FloatArray, wear: StepWear
+) -> FloatArray:
+    """Return (I + gamma h W C^-1)^-1 defect: the defect less the wear that its pressure undoes."""
+    inside = p > 0.0
+    if not inside.any():
+        return defect
+    area = history.area
+    block = np.ix_(inside, inside)
+    matrix = history.pair.stiffness[block].copy()
+    if wear.local:
+        slope = wear.slope(p)
+        matrix[np.diag_indices(len(matrix))] += (area * slope)[inside]
+    else:
+        derivative = wear.derivative(p)
+        matrix += (area[:, None] * derivative)[block]
+    factor = cho_factor(matrix, lower=True, check_finite=False, overwrite_a=True)
+    m = area[inside]
+    change = -cho_solve(factor, m * defect[inside], check_finite=False)
+    if history.case.load.force is not None:  # the approach follows so that the force stays
+        per_approach = cho_solve(factor, m, check_finite=False)
+        change -= per_approach * (m @ change) / (m @ per_approach)
+    pressure = np.zeros_like(p)
+    pressure[inside] = change
+    return defect + (slope * pressure if wear.local else derivative @ pressure)
