@@ -102,6 +102,13 @@ def _parser() -> argparse.ArgumentParser:
         help="draw the profiles of these files only (default: of all)",
     )  # fmt: skip
 
+    laws = command("laws", "print what the wear laws of a case do, and test their derivatives")
+    laws.add_argument("case", type=Path, metavar="CASE.toml", help="case file")
+    laws.add_argument(
+        "--set", action="append", default=[], nargs="+", dest="overrides", metavar="KEY=VALUE",
+        help="override a key of the case file",
+    )  # fmt: skip
+
     command("verify", "run the reference solutions; print error and observed order of each")
     info = command("info", "print versions, MPI and PETSc builds, ranks and threads")
     info.add_argument("--schema", action="store_true", help="print every key of the case file")
@@ -128,6 +135,12 @@ def _dispatch(args: argparse.Namespace, comm: Any) -> int:
             args.study, args.output, args.ranks_per_case, args.part, args.dry_run,
             args.retry_failed, comm,
         )  # fmt: skip
+    if args.command == "laws":
+        from ringwear_par.driver import on_first_rank
+        from ringwear_par.laws import check_laws
+
+        overrides = [item for group in args.overrides for item in group]
+        return on_first_rank(comm, lambda: check_laws(args.case, overrides))
     if args.command == "plot":
         from ringwear_par.driver import on_first_rank
         from ringwear_par.plots import plot_files
