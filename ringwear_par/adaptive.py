@@ -12,12 +12,9 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve
 
-from ringwear_par.errors import ComputationError
-from ringwear_par.geometry import FloatArray
+from ringwear_par.errors import ComputationError, LawError
 from ringwear_par.quantity import in_time
-from ringwear_par.wear import StepWear
 
 if TYPE_CHECKING:
     from ringwear_par.history import State, WearHistory
@@ -60,6 +57,8 @@ def advance(history: "WearHistory", state: "State") -> "State":
             )
         try:
             after, error = _stages(history, state, end)
+        except LawError:
+            raise
         except ComputationError as reason:
             rejected, failure, step = rejected + 1, f" ({reason})", 0.25 * (end - state.time)
             continue
@@ -126,32 +125,7 @@ def _stages(history: "WearHistory", state: "State", end: float) -> tuple["State"
     ).sum(axis=0)
     if not defect.any():
         return after, 0.0
-    error = _filtered(history, defect, contact.pressure, last)
+    # the wear that the defect undoes by the pressure that it takes away
+    relief = history.solver.response(defect, history.case.load.force is not None)
+    error = defect + last.linear(contact.pressure, relief)
     return after, float(np.abs(error).max())
-
-
-def _filtered(
-    history: "WearHistory", defect: FloatArray, p: FloatArray, wear: StepWear
-) -> FloatArray:
-    """Return (I + gamma h W C^-1)^-1 defect: the defect less the wear that its pressure undoes."""
-    inside = p > 0.0
-    if not inside.any():
-        return defect
-    area = history.area
-    block = np.ix_(inside, inside)
-    matrix = history.pair.stiffness[block].copy()
-    if wear.local:
-        slope = wear.slope(p)
-        matrix[np.diag_indices(len(matrix))] += (area * slope)[inside]
-    else:
-        derivative = wear.derivative(p)
-        matrix += (area[:, None] * derivative)[block]
-    factor = cho_factor(matrix, lower=True, check_finite=False, overwrite_a=True)
-    m = area[inside]
-    change = -cho_solve(factor, m * defect[inside], check_finite=False)
-    if history.case.load.force is not None:  # the approach follows so that the force stays
-        per_approach = cho_solve(factor, m, check_finite=False)
-        change -= per_approach * (m @ change) / (m @ per_approach)
-    pressure = np.zeros_like(p)
-    pressure[inside] = change
-    return defect + (slope * pressure if wear.local else derivative @ pressure)

@@ -70,7 +70,7 @@ class Stepping:
     step: float = 0.0
     steps: int = 0
     until: float = 0.0
-    tolerance: float = 2e-6
+    tolerance: float = 3e-6
 
     @property
     def adaptive(self) -> bool:

@@ -373,6 +373,29 @@ class ContactSolver:
         response = self._newton.response(self._all_weights)
         return None if response is None else response / self._scale
 
+    def response(self, gap: FloatArray, force_kept: bool) -> FloatArray:
+        """Return what a small growth of the gap does to the pressure of the last solution, MPa.
+
+        Linear, elements in contact staying so, the wear of the step included. Collective.
+
+        Parameters
+        ----------
+        gap : (n,) float, mm.
+        force_kept : whether the approach follows so that the force stays, or stays itself.
+        """
+        right = np.stack([self._all_weights * gap, self._all_weights], axis=1)
+        x = self._newton.response(right) if self._newton is not None else None
+        if x is None:
+            free = self._gathered(self._x.getArray(readonly=True)) > 0.0
+            hessian = self._gathered(self._h.getDenseArray(readonly=True))
+            x = np.zeros_like(right)
+            x[free] = np.linalg.solve(hessian[np.ix_(free, free)], right[free])
+        by_gap, by_approach = (x / self._scale[:, None]).T
+        stiffness = self._area @ by_approach
+        if force_kept and stiffness > 0.0:
+            return by_approach * (self._area @ by_gap) / stiffness - by_gap
+        return -by_gap
+
     def cold_start(self) -> None:
         """Start the next solve as a new solver would. Not collective."""
         self._x.set(0.0)

@@ -82,10 +82,10 @@ def run_case(
     with ContactSolver(pair.stiffness, pair.line.area, comm) as solver:
         history = WearHistory(case, pair, solver)
         recorder = Recorder(history) if comm.rank == 0 else None
-        if comm.rank == 0 and case.time.scheme == "explicit":
-            _warn_of_instability(history)
         begun = time.perf_counter()
         state = history.start()
+        if comm.rank == 0 and case.time.scheme == "explicit":
+            _warn_of_instability(history, float(state.contact.pressure.max()))
         reject_unused_options()
         if checkpoint is not None:
             state = checkpoint.state
@@ -336,8 +336,8 @@ def _warn_of_doubts(case: Case, pair: ContactPair, state: State) -> None:
         )  # fmt: skip
 
 
-def _warn_of_instability(history: WearHistory) -> None:
-    limit, step = history.stable_step(), history.case.time.step
+def _warn_of_instability(history: WearHistory, pressure: float) -> None:
+    limit, step = history.stable_step(pressure), history.case.time.step
     if step > limit:
         log.warning(
             "explicit scheme: time.step = %.6g s is %.3g times its stability limit; the largest "

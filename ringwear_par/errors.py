@@ -11,6 +11,10 @@ class ComputationError(RingwearError):
     """A computation that did not succeed: which case, step and residual."""
 
 
+class LawError(ComputationError):
+    """A user's wear law that failed; no other step will do."""
+
+
 class InputError(RingwearError):
     """Bad input: one sentence a fault, all faults of a file together; exit status 2.
 

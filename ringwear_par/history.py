@@ -122,12 +122,14 @@ class WearHistory:
             return state.time >= self.case.time.end
         return state.step >= self.case.time.steps
 
-    def stable_step(self) -> float:
-        """Return the largest stable step of the explicit scheme, s. Not collective."""
-        steepest = np.full(self.pair.line.n, np.inf)
+    def stable_step(self, pressure: float) -> float:
+        """Return the largest stable step of the explicit scheme, s, at a pressure. Not collective.
+
+        Unworn, at the start, with the largest speed; MPa.
+        """
         at = self.sliding(0.0, largest(self.case.load.omega), self._zero)
-        with np.errstate(invalid="ignore"):
-            slopes = [law.slope(steepest, at) for law in self.case.laws if law is not None]
+        p = np.full_like(self._zero, pressure)
+        slopes = [law.slope(p, at) for law in self.case.laws if law is not None]
         return largest_stable_step(self.pair, sum(slopes, self._zero))
 
     def start(self) -> State:

@@ -121,7 +121,7 @@ class ActiveSetNewton:
         return -step
 
     def response(self, right: FloatArray) -> FloatArray | None:
-        """Return H^-1 right on the active set of the last Newton step, 0 elsewhere.
+        """Return H^-1 right, (n,) or (n, k), on the active set of the last Newton step, else 0.
 
         None where there is no factor.
         """

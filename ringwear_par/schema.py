@@ -309,7 +309,7 @@ KEYS: tuple[Key, ...] = (
     ),
     Key(
         "time.tolerance", *_number(0.0), "mm",
-        "largest error of wear of one adaptive step", 2e-6,
+        "largest error of wear of one adaptive step", 3e-6,
     ),
     Key("mesh.contact_elements", *_integer(4), "-", "elements of the contact line", 64),
     Key(

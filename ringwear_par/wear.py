@@ -13,7 +13,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from ringwear_par.errors import ComputationError, InputError
+from ringwear_par.errors import ComputationError, InputError, LawError
 from ringwear_par.geometry import FloatArray
 from ringwear_par.quantity import Quantity, Table, knots, value
 
@@ -404,7 +404,7 @@ class UserLaw(_Local):
                 result = self._functions[name](p, replace(at, parameters=values))
             result = np.array(np.broadcast_to(np.asarray(result, dtype=float), p.shape))
         except Exception as error:  # whatever a user's code may raise
-            raise ComputationError(
+            raise LawError(
                 f"{self.file}: {name}() failed at time {at.time:g} s: "
                 f"{type(error).__name__}: {error}"
             ) from error
@@ -419,7 +419,7 @@ class UserLaw(_Local):
                 why += ": rates must not fall with pressure"
             elif name == "wear_slope":
                 why = "a finite number"
-            raise ComputationError(
+            raise LawError(
                 f"{self.file}: {name}() gives {result[e]:g} as {what} at time {at.time:g} s, "
                 f"element {e} (r = {at.r[e]:.6g} mm), p = {p[e]:.6g} MPa; must be {why}"
             )
@@ -430,7 +430,7 @@ class UserLaw(_Local):
 
         Raises
         ------
-        ComputationError : the function failed, or gave NaN or a negative rate.
+        LawError : the function failed, or gave NaN or a negative rate.
         """
         return self._call("rate", p, at)
 
@@ -439,7 +439,7 @@ class UserLaw(_Local):
 
         Raises
         ------
-        ComputationError : the function failed, or gave NaN or a negative slope.
+        LawError : the function failed, or gave NaN or a negative slope.
         """
         return self._call("slope", p, at)
 
@@ -602,6 +602,10 @@ class StepWear:
             else:
                 total += (average * self._slope(law, at, average @ p)) @ average
         return total
+
+    def linear(self, p: FloatArray, change: FloatArray) -> FloatArray:
+        """Return what a small change of pressure does to the depth, mm."""
+        return self.slope(p) * change if self.local else self.derivative(p) @ change
 
     def potential(self, p: FloatArray) -> FloatArray:
         """Return the integral of the depth from 0 to p, MPa mm.
