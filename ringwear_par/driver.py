@@ -43,6 +43,12 @@ def on_first_rank(comm: MPI.Comm, action: Callable[[], T]) -> T:
             result = error
         except OSError as error:
             result = ComputationError(f"{error.filename or 'output'}: {error.strerror or error}")
+        except Exception as error:
+            if comm.size == 1:
+                raise
+            # the other ranks wait to hear of it
+            log.exception("an error that should not be")
+            result = ComputationError(f"{type(error).__name__}: {error}")
     result = comm.bcast(result)
     if isinstance(result, RingwearError):
         raise result

@@ -123,6 +123,8 @@ def write_ensemble(
         _sync(listed)
         temporary.replace(target)
         listed.replace(folder / TABLE)
+    except RuntimeError as error:  # what h5py makes of some failures of the disk
+        raise OSError(None, str(error), str(target)) from error
     finally:
         for name in (RESULTS, TABLE):
             (folder / f"{name}.tmp{os.getpid()}").unlink(missing_ok=True)

@@ -117,8 +117,9 @@ def check_figure(output: Path, stored: Output | None = None) -> None:
 def _rows(result: Result, steps: str) -> list[int]:
     stored, last = result.steps, int(result.steps[-1])
     if not steps:
-        wished = np.unique([1, *(round(last * q / 4) for q in (1, 2, 3)), last])
-        return sorted({int(np.abs(stored - s).argmin()) for s in wished})
+        time = result.scalars["time"]
+        wished = (time[min(1, len(time) - 1)], *(time[-1] * q / 4 for q in (1, 2, 3, 4)))
+        return sorted({int(np.abs(time - t).argmin()) for t in wished})
     rows = []
     for word in steps.split(","):
         if not word.strip().isdecimal() or int(word) not in stored:

@@ -205,6 +205,9 @@ def write_result(
         with temporary.open("rb+") as handle:
             os.fsync(handle.fileno())
         temporary.replace(path)
+    except RuntimeError as error:  # what h5py makes of some failures of the disk
+        temporary.unlink(missing_ok=True)
+        raise OSError(None, str(error), str(path)) from error
     except BaseException:
         temporary.unlink(missing_ok=True)
         raise

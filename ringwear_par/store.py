@@ -97,7 +97,8 @@ class Store:
             if found is None:
                 aside = results.with_name("results.damaged.h5")
                 if mend:
-                    results.replace(aside)
+                    with suppress(FileNotFoundError):  # another slice was first
+                        results.replace(aside)
                 notes.append(f"{results}: is damaged (kept as {aside.name}); its cases run again")
             entries.update(found or {})
         for path in sorted((self.folder / "shards").glob(f"{self.part or '*'}_*.sqlite")):

@@ -443,7 +443,7 @@ class Bench:
             return None
 
         def read() -> Checkpoint | None:
-            with suppress(OSError, KeyError):
+            with suppress(OSError, KeyError, ValueError, RuntimeError):
                 return read_checkpoint(self._plan.store.inflight(identity))[1]
             return None
 
