@@ -99,6 +99,7 @@ class WearHistory:
         # what balances take from the pressure: friction torque / mu, reactions of both bodies
         self._sums = np.vstack([self._moment, pair.force_reaction, pair.torque_reaction])
         self._zero = np.zeros(line.n)
+        self._initial_gap = case.gap_at(line.gap_point)
         self._implicit = (
             StepWear(active, self._power, case.time.step)
             if active and case.time.scheme == "implicit"
@@ -114,7 +115,7 @@ class WearHistory:
     def start(self) -> State:
         """Return the contact before any wear. Collective."""
         try:
-            contact = self._contact(self._zero, None)
+            contact = self._contact(self._initial_gap, None)
         except ComputationError as error:
             raise ComputationError(f"step 0 (before any wear): {error}") from error
         return self._balanced(
@@ -131,7 +132,9 @@ class WearHistory:
         step = self.case.time.step
         try:
             if self._implicit is not None:
-                contact = self._contact(state.wear[0] + state.wear[1], self._implicit)
+                contact = self._contact(
+                    self._initial_gap + state.wear[0] + state.wear[1], self._implicit
+                )
                 wearing = contact.pressure
                 rates = self._rates(wearing)
                 wear = state.wear + step * rates
@@ -139,7 +142,7 @@ class WearHistory:
                 wearing = state.contact.pressure
                 rates = self._rates(wearing)
                 wear = state.wear + step * rates
-                contact = self._contact(wear[0] + wear[1], None)
+                contact = self._contact(self._initial_gap + wear[0] + wear[1], None)
         except ComputationError as error:
             number = state.step + 1
             raise ComputationError(f"step {number} (time {number * step:g} s): {error}") from error

@@ -25,7 +25,7 @@ from ringwear_par.geometry import ContactLine, FloatArray, Mesh, Section, contac
 from ringwear_par.history import State, WearHistory, run
 from ringwear_par.kernels import ring_kernels
 from ringwear_par.options import reject_unused_options
-from ringwear_par.pair import contact_pair, largest_stable_step
+from ringwear_par.pair import contact_pair, largest_stable_step, symmetric
 from ringwear_par.wear import ThresholdLaw
 
 SIZES = (32, 64, 128)
@@ -101,17 +101,22 @@ def closure_error() -> float:
     return worst
 
 
+def _hollow(n: int) -> tuple[Section, ContactLine]:
+    """Return a hollow cylinder with its whole top as contact line."""
+    return Section((20.0, 40.0), 20.0), contact_line((20.0, 40.0), Mesh(n))
+
+
 def bar_error(n: int, comm: MPI.Comm) -> float:
     """Return the error of u_z on top of a bar with free sides under uniform pressure."""
-    section = Section((20.0, 40.0), 20.0, (20.0, 40.0))
-    body = compliance(section, NU, "platen", Mesh(n), comm)
+    section, line = _hollow(n)
+    body = compliance(section, line, NU, "platen", Mesh(n), comm)
     return float(np.abs(body.normal.sum(axis=1) / section.height - 1.0).max())
 
 
 def lame_error(n: int, comm: MPI.Comm) -> float:
     """Return the error of u_r on the bore of a ring between two smooth planes, both pressures."""
-    section, inner, outer = Section((20.0, 40.0), 20.0, (20.0, 40.0)), 3.0, 1.0
-    body = contour(section, Mesh(n))
+    (section, line), inner, outer = _hollow(n), 3.0, 1.0
+    body = contour(section, line, Mesh(n))
     k = len(body.elements)
     held = np.zeros((k, 3), dtype=bool)
     held[np.concatenate([body.held, body.contact]), 1] = True
@@ -120,18 +125,20 @@ def lame_error(n: int, comm: MPI.Comm) -> float:
     for side, value in ((body.inner_side, inner), (body.outer_side, -outer)):
         load[side, 0], traction[side, 0] = 0, value
     conditions = Conditions(held, load, traction, 1)
-    response = solve_body(body, conditions, NU, 1e-8, body.inner_side, comm)
+    bore = body.elements[body.inner_side, 1]
+    response = solve_body(body, conditions, NU, 1e-8, bore, body.inner_side, comm)
     exact = reference.lame_displacement(np.array(20.0), 20.0, 40.0, inner, outer, 1.0, NU)
     return float(np.abs(response.displacement[:, 0, 0] / exact - 1.0).max())
 
 
 def torsion_error(n: int, comm: MPI.Comm) -> float:
     """Return the error of u_theta on top of a hollow cylinder, traction proportional to r."""
-    section = Section((20.0, 40.0), 20.0, (20.0, 40.0))
-    body = contour(section, Mesh(n))
+    section, line = _hollow(n)
+    body = contour(section, line, Mesh(n))
     conditions = ring_conditions(body, "clamped")
-    response = solve_body(body, conditions, NU, 1e-8, body.contact, comm)
-    r = body.nodes[body.elements[body.contact, 1], 0]
+    middle = body.elements[body.contact, 1]
+    response = solve_body(body, conditions, NU, 1e-8, middle, body.contact, comm)
+    r = body.nodes[middle, 0]
     torque, shear = 1.0, 0.5 / (1.0 + NU)
     twist = torque / (shear * reference.polar_moment(20.0, 40.0))
     u = response.displacement[:, 2] @ (shear * twist * r)
@@ -154,10 +161,10 @@ class _Indentation:
 
 def _indentation(a: float, big_r: float, n: int, comm: MPI.Comm) -> _Indentation:
     contact, mesh = (a, 1.0), Mesh(n, grading=_GRADED)
-    body = compliance(Section((0.0, big_r), big_r, contact), NU, "clamped", mesh, comm)
     line = contact_line(contact, mesh)
+    body = compliance(Section((0.0, big_r), big_r), line, NU, "clamped", mesh, comm)
     m = line.area
-    stiffness = _symmetric(m, body.normal)
+    stiffness = symmetric(line, body.normal)
     p = np.linalg.solve(stiffness, m)
     shear = np.linalg.solve(_symmetric(m, body.torsion), m * line.arm)
     worn = np.diag(m * line.arm)
