@@ -20,7 +20,7 @@ from ringwear_par import reference
 from ringwear_par.assembly import Conditions, load_kernels
 from ringwear_par.body import compliance, ring_conditions, solve_body
 from ringwear_par.case import Case, Load, Output, Ring, Stepping
-from ringwear_par.contact import ContactSolver
+from ringwear_par.contact import ContactSolver, ContactState
 from ringwear_par.geometry import ContactLine, FloatArray, Mesh, Section, contact_line, contour
 from ringwear_par.history import State, WearHistory, run
 from ringwear_par.kernels import ring_kernels
@@ -154,6 +154,7 @@ class _Indentation:
 
     force: float  # per unit approach
     middle: float  # p at the middle radius / mean p
+    first: float  # largest relative error of p of the four innermost elements of a cylinder
     torque: float  # per unit angle
     decay_force: FloatArray
     decay_approach: FloatArray
@@ -173,10 +174,17 @@ def _indentation(a: float, big_r: float, n: int, comm: MPI.Comm) -> _Indentation
     return _Indentation(
         float(m @ p),
         pressure_at(line, p, 0.5 * (a + 1.0)) * float(m.sum() / (m @ p)),
+        _first_error(line, p) if a == 0.0 else math.nan,
         float((m * line.arm) @ shear),
         eigh(free.T @ worn @ free, free.T @ stiffness @ free, eigvals_only=True)[:2] / modulus,
         eigh(worn, stiffness, eigvals_only=True)[:2] / modulus,
     )
+
+
+def _first_error(line: ContactLine, p: FloatArray) -> float:
+    exact = reference.flat_cylinder_pressure(1.0, line.edges[:5])
+    mean = float(line.area @ p / line.area.sum())
+    return float(np.abs(p[:4] / mean / exact - 1.0).max())
 
 
 def _symmetric(m: FloatArray, matrix: FloatArray) -> FloatArray:
@@ -226,6 +234,8 @@ def half_space_checks(comm: MPI.Comm) -> Iterator[Check]:
         yield row("force", forces, force * unit, 1e-4, 1e-6)
         yield row("p(mid)/p(mean)", [runs[n][1].middle for n in SIZES], middle, 1e-3, 1e-5)
         if not ratio:
+            yield Check(f"{name}: p at the axis, worst of 4 elements", SIZES,
+                        tuple(runs[n][1].first for n in SIZES), 1e-3)  # fmt: skip
             torque = reference.reissner_sagoci_torque(shear, 1.0, 1.0)
             turned = "disc turned on a half-space (Reissner-Sagoci)"
             yield row("torque", [runs[n][1].torque for n in SIZES], torque, 1e-4, name=turned)
@@ -237,6 +247,75 @@ def half_space_checks(comm: MPI.Comm) -> Iterator[Check]:
                 rates = [_without_truncation(r.decay_approach[i] for r in runs[n]) for n in SIZES]
                 exact = reference.DECAY_APPROACH[i]
                 yield row(f"decay {i + 1}, given approach", rates, exact, 1e-3, 2e-4)
+
+
+#: radius of the sphere and slope of the cone, their approaches make the contact radius 1
+_SPHERE, _CONE = 10.0, 0.1
+#: radius of these bodies. Errors depend on where in an element the contact ends
+_REACH = 1.6
+
+
+def _indented(profile: FloatArray, approach: float, big_r: float, n: int,
+              comm: MPI.Comm) -> tuple[ContactLine, ContactState]:  # fmt: skip
+    """Press a rigid body of revolution, given as r and depth, into a disc of radius R at E = 1."""
+    reach = float(profile[-1, 0])
+    face = tuple((float(r), -float(z)) for r, z in profile)
+    case = Case(
+        Ring((0.0, big_r), (0.0, big_r), 1.0, NU, "clamped"),
+        Ring((0.0, reach), (big_r, big_r + 2.0), 1e13, NU, "clamped", face),
+        0.1, None, None, Load(0.0, displacement=approach), _PAPER_STEPPING,
+        Mesh(n, grading=1.0), Output(),
+    )  # fmt: skip
+    pair, _ = contact_pair(case, comm)
+    with ContactSolver(pair.stiffness, pair.line.area, comm) as solver:
+        return pair.line, WearHistory(case, pair, solver).start().contact
+
+
+def _indented_force(forces: Iterable[float], approach: float, power: float) -> float:
+    """Return the force for R = infinity of approach = alpha F^power + beta F/R."""
+    compliance = [approach / force**power for force in forces]
+    shift = [
+        force ** (1.0 - power) / big_r for force, big_r in zip(forces, (50.0, 100.0), strict=True)
+    ]
+    beta = (compliance[0] - compliance[1]) / (shift[0] - shift[1])
+    return float((approach / (compliance[1] - beta * shift[1])) ** (1.0 / power))
+
+
+def sphere_checks(comm: MPI.Comm) -> Iterator[Check]:
+    """Compare a rigid sphere and a rigid cone on a half-space with Hertz and Sneddon."""
+    modulus, approach = reference.contact_modulus((1.0, NU)), 1.0 / _SPHERE
+    force, a, p_max = reference.hertz(modulus, _SPHERE, approach)
+    r = np.linspace(0.0, _REACH, 401)
+    sphere = np.stack([r, r * r / (2.0 * _SPHERE)], axis=1)
+    found: list[list[float]] = []
+    for n in SIZES:
+        forces, radii, peaks = [], [], []
+        for big_r in (50.0, 100.0):
+            line, state = _indented(sphere, approach, big_r, n, comm)
+            forces.append(state.force)
+            x, y = line.r**2, state.pressure**2  # p^2 is linear in r^2
+            outer, inner = (x > 0.5) & (x < 0.9), x < 0.25
+            slope, at_axis = np.polyfit(x[outer], y[outer], 1)
+            radii.append(math.sqrt(-at_axis / slope))
+            peaks.append(math.sqrt(np.polyfit(x[inner], y[inner], 1)[1]))
+        found.append(
+            [_indented_force(forces, approach, 2.0 / 3.0) / force - 1.0]
+            + [(2.0 * v[1] - v[0]) / exact - 1.0 for v, exact in ((radii, a), (peaks, p_max))]
+        )
+    for i, (text, tolerance) in enumerate(
+        (("force", 1e-4), ("contact radius", 1e-3), ("largest pressure", 1e-3))
+    ):
+        # of the order of (a/R)^2, what the extrapolation leaves
+        errors = tuple(abs(v[i]) for v in found)
+        yield Check(f"sphere (Hertz): {text}", SIZES, errors, tolerance, 3e-5)
+    approach = 0.5 * math.pi * _CONE
+    cone = np.array([[0.0, 0.0], [_REACH, _REACH * _CONE]])
+    found.clear()
+    for n in SIZES:
+        forces = [_indented(cone, approach, big_r, n, comm)[1].force for big_r in (50.0, 100.0)]
+        exact = reference.cone_force(modulus, _CONE, approach)
+        found.append([abs(_indented_force(forces, approach, 0.5) / exact - 1.0)])
+    yield Check("rigid cone: force", SIZES, tuple(v[0] for v in found), 1e-4, 3e-5)
 
 
 # -- the paper's rings -----------------------------------------------------------------------------
@@ -379,6 +458,7 @@ def checks(comm: MPI.Comm) -> Iterator[Check]:
         "torsion of a hollow cylinder: u_theta", partial(torsion_error, comm=comm), 1e-3
     )
     yield from half_space_checks(comm)
+    yield from sphere_checks(comm)
     yield from paper_checks(comm)
     for ratio in reference.EDGE_EXPONENT:
         yield Check(f"edge exponent, E2/E1 = {ratio:g} (absolute error)", (128,),
