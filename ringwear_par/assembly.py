@@ -21,6 +21,7 @@ from ringwear_par.geometry import (
     IntArray,
     Mesh,
     Section,
+    contact_line,
     contour,
 )
 from ringwear_par.kernels import ring_kernels
@@ -310,7 +311,8 @@ def load_kernels(comm: MPI.Comm) -> None:
     """
 
     def load() -> None:
-        body = contour(Section((1.0, 2.0), 1.0, (1.0, 2.0)), Mesh(4))
+        mesh = Mesh(4)
+        body = contour(Section((1.0, 2.0), 1.0), contact_line((1.0, 2.0), mesh), mesh)
         k = len(body.elements)
         nothing = Conditions(np.zeros((k, 3), bool), np.full((k, 3), -1), np.zeros((k, 3)), 0)
         unused = np.zeros((2, 2), order="F")  # an empty one would be row-major too

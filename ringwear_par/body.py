@@ -13,7 +13,15 @@ from mpi4py import MPI
 
 from ringwear_par.assembly import Conditions, Unknowns, assemble, number_unknowns
 from ringwear_par.dense import solve_rows
-from ringwear_par.geometry import Contour, FloatArray, IntArray, Mesh, Section, contour
+from ringwear_par.geometry import (
+    ContactLine,
+    Contour,
+    FloatArray,
+    IntArray,
+    Mesh,
+    Section,
+    contour,
+)
 from ringwear_par.quadrature import quadrature
 
 Grip = Literal["clamped", "platen"]
@@ -21,12 +29,12 @@ Grip = Literal["clamped", "platen"]
 
 @dataclass(frozen=True)
 class Response:
-    """Boundary values on selected elements for each load, on every rank.
+    """Boundary values for each load, on every rank.
 
     Parameters
     ----------
-    displacement : (e, 3, n_loads) float, mm at E = 1, at the elements' mid-points.
-    traction : (e, 3, n_loads) float, MPa, unknown tractions; 0 where they were given.
+    displacement : (wanted nodes, 3, n_loads) float, mm at E = 1.
+    traction : (wanted elements, 3, n_loads) float, MPa, unknown ones; 0 where they were given.
     kernel_evaluations : on all ranks together.
     seconds_assembly, seconds_solution : wall time on this rank.
     """
@@ -63,7 +71,9 @@ def ring_conditions(body: Contour, grip: Grip) -> Conditions:
     """Return the conditions of a ring: held face, one right-hand side per contact element.
 
     Right-hand side j is unit pressure (normal system) and unit circumferential traction (torsion)
-    on contact element j. "clamped" holds u_r, u_z and u_theta, "platen" leaves u_r free of
+    on contact element j, both per area projected on the contact plane: the tractions are along z
+    and theta whatever the slope of the element, dr/ds as large as the pressure, so that the force
+    is area times pressure. "clamped" holds u_r, u_z and u_theta, "platen" leaves u_r free of
     traction.
     """
     k, n = len(body.elements), len(body.contact)
@@ -72,7 +82,9 @@ def ring_conditions(body: Contour, grip: Grip) -> Conditions:
     load = np.full((k, 3), -1)
     traction = np.zeros((k, 3))
     load[body.contact, 1:] = np.arange(n)[:, None]
-    traction[body.contact, 1:] = [-1.0, 1.0]
+    along = body.nodes[body.elements[body.contact, 2]] - body.nodes[body.elements[body.contact, 0]]
+    projected = np.abs(along[:, 0]) / np.hypot(*along.T)
+    traction[body.contact, 1:] = projected[:, None] * [-1.0, 1.0]
     return Conditions(held, load, traction, n)
 
 
@@ -81,10 +93,11 @@ def solve_body(
     conditions: Conditions,
     poisson: float,
     tolerance: float,
-    wanted: IntArray,
+    nodes: IntArray,
+    elements: IntArray,
     comm: MPI.Comm,
 ) -> Response:
-    """Solve (5) for all right-hand sides and return the values on the wanted elements.
+    """Solve (5) for all right-hand sides; return some nodes' displacements, elements' tractions.
 
     Collective on comm.
     """
@@ -92,15 +105,14 @@ def solve_body(
     unknowns: Unknowns = number_unknowns(body, conditions)
     rows = assemble(body, conditions, unknowns, poisson, quadrature(tolerance), comm)
     t1 = time.perf_counter()
-    displacement = np.zeros((len(wanted), 3, conditions.n_loads))
-    traction = np.zeros_like(displacement)
-    middle = body.elements[wanted, 1]
+    displacement = np.zeros((len(nodes), 3, conditions.n_loads))
+    traction = np.zeros((len(elements), 3, conditions.n_loads))
     for system, components in ((rows.normal, (0, 1)), (rows.torsion, (2,))):
         x, start = solve_rows(system, comm)
         for c in components:
             for target, column in (
-                (displacement, unknowns.displacement[middle, c]),
-                (traction, unknowns.traction[wanted, c]),
+                (displacement, unknowns.displacement[nodes, c]),
+                (traction, unknowns.traction[elements, c]),
             ):
                 local = column - start
                 here = (column >= 0) & (local >= 0) & (local < len(x))
@@ -113,27 +125,36 @@ def solve_body(
 
 
 def compliance(
-    section: Section, poisson: float, grip: Grip, mesh: Mesh, comm: MPI.Comm
+    section: Section, line: ContactLine, poisson: float, grip: Grip, mesh: Mesh, comm: MPI.Comm
 ) -> Compliance:
     """Return the compliance of a body's contact line.
 
     Collective on comm. Displacements are collocated at the elements' mid-points; taking them from
     the end nodes would give pressures of alternating sign almost no displacement.
     """
-    body = contour(section, mesh)
-    n = len(body.contact)
-    wanted = np.concatenate([body.contact, body.held])
+    body = contour(section, line, mesh)
     response = solve_body(
-        body, ring_conditions(body, grip), poisson, mesh.quadrature_tolerance, wanted, comm
-    )
+        body, ring_conditions(body, grip), poisson, mesh.quadrature_tolerance,
+        body.elements[body.contact, 1], body.held, comm,
+    )  # fmt: skip
+    return condense(body, response)
+
+
+def condense(body: Contour, response: Response) -> Compliance:
+    """Return the compliance of a solved body. Not collective.
+
+    Parameters
+    ----------
+    response : displacements at the contact elements' mid-points, tractions of the held elements.
+    """
     inner = body.nodes[body.elements[body.held, 0], 0]
     outer = body.nodes[body.elements[body.held, 2], 0]
     area = np.pi * (outer**2 - inner**2)
     moment = 2.0 * np.pi / 3.0 * (outer**3 - inner**3)
     return Compliance(
-        normal=-response.displacement[:n, 1],
-        torsion=response.displacement[:n, 2],
-        force_reaction=area @ response.traction[n:, 1],
-        torque_reaction=-(moment @ response.traction[n:, 2]),
+        normal=-response.displacement[:, 1],
+        torsion=response.displacement[:, 2],
+        force_reaction=area @ response.traction[:, 1],
+        torque_reaction=-(moment @ response.traction[:, 2]),
         response=response,
     )

@@ -5,14 +5,32 @@ import math
 import tomllib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal
 
+import numpy as np
+
 from ringwear_par.body import Grip
 from ringwear_par.errors import InputError
-from ringwear_par.geometry import Mesh, Section
+from ringwear_par.geometry import (
+    ContactLine,
+    FloatArray,
+    Mesh,
+    Polyline,
+    Section,
+    contact_line,
+    contact_pieces,
+)
 from ringwear_par.quantity import Quantity, Table, knots, largest, smallest
 from ringwear_par.schema import BY_PATH, FIELDS, KEYS, LAWS, TABLES, RejectedError, toml_value
+from ringwear_par.shapes import (
+    CLOSE,
+    chamfer_face,
+    chamfer_faults,
+    profile_face,
+    profile_faults,
+)
 from ringwear_par.wear import (
     ArchardLaw,
     NonLocalLaw,
@@ -37,13 +55,17 @@ _LOADS = {"load.force", "load.pressure", "load.displacement"}
 
 @dataclass(frozen=True)
 class Ring:
-    """A rectangular ring or disc: radii and heights in mm, Young's modulus in MPa."""
+    """A ring or disc: radii and heights in mm, Young's modulus in MPa.
+
+    ``face`` is the contact face in the body's own frame (see geometry), none the flat one.
+    """
 
     r: tuple[float, float]
     z: tuple[float, float]
     young: float
     poisson: float
     grip: Grip
+    face: Polyline = ()
 
 
 @dataclass(frozen=True)
@@ -120,9 +142,52 @@ class Case:
     text: str = field(default="", compare=False, repr=False)
 
     @property
-    def contact(self) -> tuple[float, float]:
-        """Inner and outer radius of the nominal contact annulus, mm."""
+    def overlap(self) -> tuple[float, float]:
+        """Radii between which the bodies face each other, mm."""
         return max(self.lower.r[0], self.upper.r[0]), min(self.lower.r[1], self.upper.r[1])
+
+    @property
+    def contact(self) -> tuple[float, float]:
+        """Inner and outer radius of the contact line, mm: the overlap, cut to mesh.contact."""
+        a, b = self.overlap
+        if self.mesh.contact is None:
+            return a, b
+        low, high = self.mesh.contact
+        # an end that means the overlap's is the overlap's
+        return (
+            a if low - a <= CLOSE * b else low,
+            b if b - high <= CLOSE * b else high,
+        )
+
+    @property
+    def open_ends(self) -> tuple[bool, bool]:
+        """Whether mesh.contact cut the inner and the outer end: contact must not reach there."""
+        (a, b), (inner, outer) = self.contact, self.overlap
+        return a > inner, b < outer
+
+    @cached_property
+    def line(self) -> ContactLine:
+        """The contact elements of the pair."""
+        return contact_line(self.contact, self.mesh, *self.sections)
+
+    def gap_at(self, r: FloatArray) -> FloatArray:
+        """Return the gap (mm) of the undeformed, unworn faces at radii; negative: overlapping."""
+        lower, upper = (section.depth(r) for section in self.sections)
+        return (self.upper.z[0] - self.lower.z[1]) - lower - upper
+
+    @cached_property
+    def initial_gap(self) -> FloatArray:
+        """(n,) mm, gap at the gap points of the contact line."""
+        return self.gap_at(self.line.gap_point)
+
+    @property
+    def interpenetration(self) -> float:
+        """Largest overlap (mm) of the undeformed bodies along the contact line, 0 for none."""
+        a, b = self.contact
+        r = np.concatenate([[a, b], *(section.points[:, 0] for section in self.sections)])
+        deepest = -float(self.gap_at(r[(r >= a) & (r <= b)]).min())
+        size = max(1.0, *map(abs, self.lower.z + self.upper.z))
+        return deepest if deepest > CLOSE * size else 0.0
 
     @property
     def laws(self) -> tuple[WearLaw | None, WearLaw | None]:
@@ -131,8 +196,8 @@ class Case:
 
     @property
     def area(self) -> float:
-        """Nominal contact area, mm^2."""
-        a, b = self.contact
+        """Nominal contact area, mm^2: of the overlap, whatever the faces."""
+        a, b = self.overlap
         return math.pi * (b * b - a * a)
 
     @property
@@ -158,7 +223,12 @@ class Case:
 
     def section(self, ring: Ring) -> Section:
         """Return the meridian section of one of the two rings, in its own frame."""
-        return Section(ring.r, ring.z[1] - ring.z[0], self.contact)
+        return Section(ring.r, ring.z[1] - ring.z[0], ring.face)
+
+    @property
+    def sections(self) -> tuple[Section, Section]:
+        """Meridian sections of lower and upper, each in its own frame."""
+        return self.section(self.lower), self.section(self.upper)
 
 
 def _flatten(tables: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
@@ -336,9 +406,12 @@ def make_case(
     faults += _time_faults(whose, values)
     for table in (table for table, worn in wears.items() if worn):
         faults += _law_faults(whose, table, flat, values)
+    faces = _faces(name, values, faults)
     if faults:
         raise InputError(*faults)
-    return _build(values, wears, toml_text(flat) if text is None else text)
+    case = _build(values, wears, faces, toml_text(flat) if text is None else text)
+    _check_contact(name, case, values["load.displacement"])
+    return case
 
 
 def _shortened(value: Any) -> str:
@@ -355,14 +428,6 @@ def nearest_key(path: str) -> str:
 def _inconsistencies(name: str, values: Mapping[str, Any]) -> list[str]:
     """Return the faults of keys that are right by themselves but not together."""
     faults = []
-    if {"lower.z", "upper.z"} <= values.keys():
-        top, bottom = values["lower.z"][1], values["upper.z"][0]
-        if abs(top - bottom) > 1e-9 * max(1.0, abs(top)):
-            what = "do not touch" if bottom > top else "interpenetrate"
-            faults.append(
-                f"{name}: upper.z[0] = {bottom:g} and lower.z[1] = {top:g}: the rings {what}; "
-                "both must be the same (mm)"
-            )
     if {"lower.r", "upper.r"} <= values.keys():
         lower, upper = values["lower.r"], values["upper.r"]
         if max(lower[0], upper[0]) >= min(lower[1], upper[1]):
@@ -370,6 +435,14 @@ def _inconsistencies(name: str, values: Mapping[str, Any]) -> list[str]:
                 f"{name}: upper.r = {list(upper)} and lower.r = {list(lower)}: the rings do not "
                 "overlap; their radii must have an interval in common (mm)"
             )
+        elif values.get("mesh.contact") is not None:
+            low, high = values["mesh.contact"]
+            a, b = max(lower[0], upper[0]), min(lower[1], upper[1])
+            if low >= b or high <= a:
+                faults.append(
+                    f"{name}: mesh.contact = [{low:g}, {high:g}]: must have an interval in common "
+                    f"with [{a:g}, {b:g}], where the bodies face each other (mm)"
+                )
     control = values.get("load.control")
     if values.keys() >= _LOADS:
         force, pressure = values["load.force"], values["load.pressure"]
@@ -498,10 +571,57 @@ def _user_law(values: Mapping[str, Any], table: str) -> UserLaw:
     return law
 
 
-def _build(values: Mapping[str, Any], wears: Mapping[str, bool], text: str) -> Case:
+def _faces(name: str, values: Mapping[str, Any], faults: list[str]) -> dict[str, Polyline]:
+    """Return the contact faces of lower and upper in their own frames; add to the faults."""
+    faces: dict[str, Polyline] = {"lower": (), "upper": ()}
+    for ring in faces:
+        profile, chamfer = values.get(f"{ring}.profile"), values.get(f"{ring}.chamfer")
+        if profile is not None and chamfer is not None:
+            faults.append(
+                f"{name}: {ring}.chamfer, {ring}.profile: both are given; must be one or the other"
+            )
+            continue
+        if not {f"{ring}.r", f"{ring}.z"} <= values.keys():
+            continue
+        r, z = values[f"{ring}.r"], values[f"{ring}.z"]
+        found: list[str] = []
+        if chamfer is not None:
+            inner, outer = chamfer
+            if inner is None:  # one number is for the corners that there are
+                inner = outer if r[0] > 0 else 0.0
+            found = chamfer_faults((inner, outer), r, z)
+            if not found:
+                faces[ring] = chamfer_face((inner, outer), r)
+        if profile is not None:
+            found = profile_faults(ring, profile, r, z)
+            if not found:
+                faces[ring] = profile_face(ring, profile, r, z)
+        faults += [f"{name}: {ring}.{fault}" for fault in found]
+    return faces
+
+
+def _check_contact(name: str, case: Case, displacement: Quantity | None) -> None:
+    """Raise where the contact line of a case that is complete cannot be."""
+    faults = []
+    try:
+        contact_pieces(case.contact, case.mesh, *case.sections)
+    except InputError as error:
+        faults += [f"{name}: {fault}" for fault in error.faults]
+    if displacement is not None and case.interpenetration > largest(displacement):
+        faults.append(
+            f"{name}: load.displacement = {_told(displacement)}: the undeformed rings "
+            f"interpenetrate by {case.interpenetration:g}; must be at least that (mm)"
+        )
+    if faults:
+        raise InputError(*faults)
+
+
+def _build(
+    values: Mapping[str, Any], wears: Mapping[str, bool], faces: Mapping[str, Polyline], text: str
+) -> Case:
     def ring(which: str, grip: Grip) -> Ring:
         r, z, young, poisson = (values[f"{which}.{k}"] for k in ("r", "z", "young", "poisson"))
-        return Ring(r, z, young, poisson, grip)
+        return Ring(r, z, young, poisson, grip, faces[which])
 
     def law(which: str) -> WearLaw | None:
         table = f"wear.{which}"
@@ -525,6 +645,9 @@ def _build(values: Mapping[str, Any], wears: Mapping[str, bool], text: str) -> C
             values["mesh.contact_elements"],
             values["mesh.grading"],
             values["mesh.quadrature_tolerance"],
+            values["mesh.contact"],
+            values["mesh.geometry"],
+            values["mesh.geometry_tolerance"],
         ),
         output=Output(
             values["output.every"],

@@ -1,13 +1,18 @@
 """Meridian sections of rings and discs, and their boundary elements.
 
-Every body is described in its own frame: the contact face is the plane z = 0, the body lies below
-it and the held face is z = -height. The upper ring is the mirror image of that picture, with the
-same compliance, so one description serves both.
+Every body is described in its own frame: the contact plane is z = 0, the contact face lies in it or
+below it, and the held face is z = -height. The upper ring is the mirror image of that picture, with
+the same compliance, so one description serves both.
+
+The face is a polyline over the radius. Contact stays along z: elements of the two faces over the
+same interval of radii are paired, which neglects the square of the slope.
 """
 
+import itertools
 import math
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +24,12 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
 
+#: vertices (r, z) of a face, a tuple so that it can be hashed
+Polyline = tuple[tuple[float, float], ...]
+#: turn of a face (rad) from which on a vertex is a corner rather than a sample of a smooth curve
+CORNER_ANGLE = math.radians(5.0)
+#: fewest elements of a piece of the contact line
+FEWEST = 4
 #: grading exponent of the free and held faces towards every corner and contact edge
 CORNER_GRADING = 3.5
 
@@ -30,37 +41,68 @@ class Mesh:
     Parameters
     ----------
     contact_elements : number of elements of the contact line.
-    grading : exponent of the grading towards the two contact edges; 1 is a uniform mesh.
+    grading : exponent of the grading towards the ends of the contact line and its corners; 1 is a
+        uniform mesh.
     quadrature_tolerance : relative accuracy of the element integrals.
+    contact : radii (mm) to which the contact line is cut, None for no cut.
+    geometry : whether the elements follow the worn profile ("updated") or not ("fixed").
+    geometry_tolerance : mm of wear since the last assembly that asks for a new one.
     """
 
     contact_elements: int = 64
     grading: float = 2.5
     quadrature_tolerance: float = 1e-7
+    contact: tuple[float, float] | None = None
+    geometry: Literal["fixed", "updated"] = "fixed"
+    geometry_tolerance: float = 0.005
 
 
 @dataclass(frozen=True)
 class Section:
-    """Rectangular meridian section with its contact line, in the body's own frame (mm).
+    """Meridian section in the body's own frame (mm): a rectangle but for its contact face.
 
     Parameters
     ----------
     r : inner and outer radius; inner radius 0 is a solid disc.
     height : distance from the held face to the contact plane.
-    contact : inner and outer radius of the contact line, inside ``r``.
+    face : contact face as a polyline of (r, z) from the inner to the outer radius, z <= 0; none is
+        the flat face.
     """
 
     r: tuple[float, float]
     height: float
-    contact: tuple[float, float]
+    face: Polyline = ()
 
     def __post_init__(self) -> None:
-        (inner, outer), (a, b) = self.r, self.contact
-        if not (0 <= inner <= a < b <= outer and self.height > 0):
+        inner, outer = self.r
+        radii, z = [p[0] for p in self.face], [p[1] for p in self.face]
+        sound = not self.face or (
+            (radii[0], radii[-1]) == self.r
+            and all(p < q for p, q in itertools.pairwise(radii))
+            and all(-self.height < v <= 0 for v in z)
+        )
+        if not (0 <= inner < outer and self.height > 0 and sound):
             raise InputError(
-                f"section r = {self.r}, height = {self.height}, contact = {self.contact}: "
-                "0 <= inner <= contact <= outer radius and a positive height are needed"
+                f"section r = {self.r}, height = {self.height}, face = {self.face}: "
+                "0 <= inner < outer radius, a positive height and a face over increasing radii "
+                "between contact plane and held face are needed"
             )
+
+    @property
+    def points(self) -> FloatArray:
+        """(m, 2) mm, vertices of the contact face."""
+        return np.array(self.face or [(self.r[0], 0.0), (self.r[1], 0.0)])
+
+    def depth(self, r: FloatArray) -> FloatArray:
+        """Return the height z <= 0 (mm) of the contact face at radii (mm)."""
+        return np.interp(r, *self.points.T)
+
+
+def corners(section: Section) -> list[float]:
+    """Return the radii inside the face where its direction turns by more than CORNER_ANGLE."""
+    along = np.diff(section.points, axis=0)
+    turn = np.abs(np.diff(np.arctan2(along[:, 1], along[:, 0])))
+    return section.points[1:-1, 0][turn > CORNER_ANGLE].tolist()
 
 
 @dataclass(frozen=True)
@@ -76,8 +118,17 @@ class ContactLine:
 
     @property
     def r(self) -> FloatArray:
-        """(n,) mm, mid-points, where gaps and displacements are taken."""
+        """(n,) mm, mid-points."""
         return 0.5 * (self.edges[1:] + self.edges[:-1])
+
+    @property
+    def gap_point(self) -> FloatArray:
+        """(n,) mm, where gaps and displacements are taken: the mid-points.
+
+        The equation is collocated there. Other points bring nothing: what went wrong near the axis
+        was the symmetrisation (see pair.symmetric).
+        """
+        return self.r
 
     @property
     def width(self) -> FloatArray:
@@ -138,71 +189,199 @@ def graded(start: float, end: float, n: int, first: float, last: float) -> Float
     return x
 
 
-def contact_line(contact: tuple[float, float], mesh: Mesh) -> ContactLine:
-    """Return the contact elements between two radii (mm); not graded towards the axis."""
-    a, b = contact
-    towards_axis = 1.0 if a == 0 else mesh.grading
-    return ContactLine(graded(b, a, mesh.contact_elements, mesh.grading, towards_axis)[::-1].copy())
+def _pieces(start: float, end: float, cuts: Iterable[float], size: float) -> list[float]:
+    """Return start, the cuts between and end, increasing; cuts nearer than 1e-9 size are one."""
+    radii = [start]
+    for cut in sorted(cuts):
+        if cut - radii[-1] > 1e-9 * size and end - cut > 1e-9 * size:
+            radii.append(cut)
+    return [*radii, end]
+
+
+def _shares(n: int, lengths: Sequence[float]) -> list[int]:
+    """Share n elements out by the square roots of the lengths, at least FEWEST each."""
+    if n < FEWEST * len(lengths):
+        raise InputError(
+            f"mesh.contact_elements = {n}: the contact line has {len(lengths)} pieces between its "
+            f"corners; must be at least {FEWEST * len(lengths)}"
+        )
+    weights = np.sqrt(lengths)
+    shares = np.maximum(FEWEST, np.floor(n * weights / weights.sum()).astype(int))
+    while shares.sum() > n:
+        shares[np.argmax(np.where(shares > FEWEST, (shares - 0.5) / weights, -1.0))] -= 1
+    while shares.sum() < n:
+        shares[np.argmin((shares + 0.5) / weights)] += 1
+    return shares.tolist()
+
+
+def contact_pieces(
+    contact: tuple[float, float], mesh: Mesh, *faces: Section
+) -> list[tuple[float, float, int]]:
+    """Return the pieces of a contact line between the corners of the faces: ends, elements.
+
+    Raises
+    ------
+    InputError : too few elements for the pieces.
+    """
+    cuts = [cut for face in faces for cut in corners(face) if contact[0] < cut < contact[1]]
+    ends = _pieces(*contact, cuts, contact[1])
+    shares = _shares(mesh.contact_elements, np.diff(ends).tolist())
+    return [(a, b, n) for (a, b), n in zip(itertools.pairwise(ends), shares, strict=True)]
+
+
+def contact_line(contact: tuple[float, float], mesh: Mesh, *faces: Section) -> ContactLine:
+    """Return the contact elements between two radii (mm), cut at the corners of the faces.
+
+    Every piece is graded towards its ends, but not towards the axis.
+
+    Raises
+    ------
+    InputError : too few elements for the pieces.
+    """
+    lines = []
+    for a, b, n in contact_pieces(contact, mesh, *faces):
+        towards_axis = 1.0 if a == 0 else mesh.grading
+        lines.append(graded(b, a, n, mesh.grading, towards_axis)[::-1])
+    return ContactLine(np.concatenate([lines[0], *(line[1:] for line in lines[1:])]))
 
 
 @dataclass(frozen=True)
 class _Face:
-    """A straight piece of a section: end points, element number, grading at both ends."""
+    """A piece of a section: its corners, element number, grading at both ends.
+
+    Straight where it has two points; otherwise graded along the arc of the polyline.
+    """
 
     name: str
-    start: tuple[float, float]
-    end: tuple[float, float]
+    points: FloatArray
     n: int
     grading: tuple[float, float]
 
     def coordinates(self) -> FloatArray:
-        (r0, z0), (r1, z1) = self.start, self.end
-        return np.stack(
-            [graded(r0, r1, self.n, *self.grading), graded(z0, z1, self.n, *self.grading)], axis=1
-        )
+        if len(self.points) == 2:
+            (r0, z0), (r1, z1) = self.points
+            return np.stack(
+                [graded(r0, r1, self.n, *self.grading), graded(z0, z1, self.n, *self.grading)],
+                axis=1,
+            )
+        arc = np.append(0.0, np.cumsum(np.hypot(*np.diff(self.points, axis=0).T)))
+        at = graded(0.0, arc[-1], self.n, *self.grading)
+        return np.stack([np.interp(at, arc, x) for x in self.points.T], axis=1)
 
 
-def _faces(section: Section, mesh: Mesh) -> list[_Face]:
+def _between(section: Section, a: float, b: float) -> FloatArray:
+    """Return the vertices of the contact face from radius a to radius b > a, ends included."""
+    radii = section.points[:, 0]
+    inside = radii[(radii > a) & (radii < b)]
+    r = np.concatenate([[a], inside, [b]])
+    return np.stack([r, section.depth(r)], axis=1)
+
+
+def _faces(section: Section, contact: tuple[float, float], mesh: Mesh) -> list[_Face]:
     """Return the pieces counter-clockwise, from the inner end of the held face.
 
     Element numbers on the free and held faces follow ``mesh.contact_elements``, so that one number
     refines everything: half of it on faces that end at a contact edge and on the held face, a
     quarter on the other sides, and as many on the flats beside the contact as their length asks.
+    The piece "contact" has but its number of elements; its nodes are the contact line's.
     """
-    (inner, outer), (a, b), base = section.r, section.contact, -section.height
+    (inner, outer), (a, b), base = section.r, contact, -section.height
     n = mesh.contact_elements
     near, far = max(4, n // 2), max(4, n // 4)
-
-    def flat(length: float) -> int:
-        return max(4, round(n / 10.0 * (1.0 + math.log1p(length / (b - a)))))
-
     g = CORNER_GRADING
     axis = 1.0 if inner == 0 else g
+
+    def flats(start: float, end: float) -> list[_Face]:
+        """Return the free pieces of the contact face from start inwards to end."""
+        if start == end:
+            return []
+        cuts = [cut for cut in corners(section) if end < cut < start]
+        pieces = []
+        for low, high in itertools.pairwise(_pieces(end, start, cuts, outer)):
+            count = max(4, round(n / 10.0 * (1.0 + math.log1p((high - low) / (b - a)))))
+            points = _between(section, low, high)[::-1]
+            pieces.append(_Face("flat", points, count, (g, 1.0 if low == 0 else g)))
+        return pieces[::-1]
+
+    z_inner, z_outer = section.points[0, 1], section.points[-1, 1]
+
+    def straight(*ends: tuple[float, float]) -> FloatArray:
+        return np.array(ends)
+
     faces = [
-        _Face("held", (inner, base), (outer, base), near, (axis, g)),
-        _Face("outer_side", (outer, base), (outer, 0.0), near if b == outer else far, (g, g)),
-        _Face("flat", (outer, 0.0), (b, 0.0), flat(outer - b), (g, g)),
-        _Face("contact", (b, 0.0), (a, 0.0), n, (mesh.grading, 1.0 if a == 0 else mesh.grading)),
-        _Face("flat", (a, 0.0), (inner, 0.0), flat(a - inner), (g, axis)),
-        _Face("inner_side", (inner, 0.0), (inner, base), near if a == inner else far, (g, g)),
-    ]
-    on_axis = inner == 0
-    return [f for f in faces if f.start != f.end and not (on_axis and f.name == "inner_side")]
+        _Face("held", straight((inner, base), (outer, base)), near, (axis, g)),
+        _Face(
+            "outer_side", straight((outer, base), (outer, z_outer)),
+            near if b == outer else far, (g, g),
+        ),
+        *flats(outer, b),
+        _Face("contact", _between(section, a, b)[::-1], n, (1.0, 1.0)),
+        *flats(a, inner),
+        _Face(
+            "inner_side", straight((inner, z_inner), (inner, base)),
+            near if a == inner else far, (g, g),
+        ),
+    ]  # fmt: skip
+    return faces[:-1] if inner == 0 else faces
 
 
-def count_elements(section: Section, mesh: Mesh) -> int:
+def count_elements(section: Section, contact: tuple[float, float], mesh: Mesh) -> int:
     """Return the number of boundary elements that ``contour`` would make."""
-    return sum(face.n for face in _faces(section, mesh))
+    return sum(face.n for face in _faces(section, contact, mesh))
 
 
-def contour(section: Section, mesh: Mesh) -> Contour:
-    """Return the boundary elements of a section."""
-    faces = _faces(section, mesh)
-    lines = [face.coordinates() for face in faces]
-    ends = np.concatenate([line[:-1] for line in lines])
-    after = np.concatenate([line[1:] for line in lines])
+def _lowered(side: FloatArray, top: int, worn: float) -> FloatArray:
+    """Return the nodes of a side face whose upper half is shortened to an end ``worn`` lower.
+
+    The lower half stays where it is, so that its elements need not be integrated again.
+    """
+    z, middle = side[:, 1], 0.5 * (side[0, 1] + side[-1, 1])
+    shrink = worn / (side[top, 1] - middle)
+    lowered = side.copy()
+    lowered[:, 1] = np.where(z > middle, z - shrink * (z - middle), z)
+    lowered[top, 1] = side[top, 1] - worn
+    return lowered
+
+
+def contour(
+    section: Section, line: ContactLine, mesh: Mesh, worn: FloatArray | None = None
+) -> Contour:
+    """Return the boundary elements of a section with the elements of a contact line.
+
+    Parameters
+    ----------
+    line : contact elements, within the section's radii.
+    worn : (n+1,) mm >= 0, lowering of the contact line's nodes in the body's own frame. Where the
+        line ends inside the face, the neighbouring free element becomes the wall of the wear track;
+        where it ends at a side face, that face's upper half is shortened.
+
+    Raises
+    ------
+    InputError : the contact line leaves the section.
+    """
+    a, b = float(line.edges[0]), float(line.edges[-1])
+    inner, outer = section.r
+    if not inner <= a < b <= outer:
+        raise InputError(f"section r = {section.r}: the contact line {a}, {b} must lie within")
+    faces = _faces(section, (a, b), mesh)
+    lines = {i: face.coordinates() for i, face in enumerate(faces) if face.name != "contact"}
+    contact = np.stack([line.edges, section.depth(line.edges)], axis=1)
+    at = next(i for i, face in enumerate(faces) if face.name == "contact")
+    if worn is not None:
+        contact[:, 1] -= worn
+        # the ends are shared with whatever piece comes before and after
+        for other, row, loss in ((at - 1, -1, worn[-1]), (at + 1, 0, worn[0])):
+            if other not in lines:
+                continue
+            if faces[other].name.endswith("side"):
+                lines[other] = _lowered(lines[other], row, loss)
+            else:
+                lines[other][row, 1] -= loss
+    lines[at] = contact[::-1]
+    ends = np.concatenate([lines[i][:-1] for i in range(len(faces))])
+    after = np.concatenate([lines[i][1:] for i in range(len(faces))])
     k = len(ends)
-    closed = section.r[0] > 0  # otherwise the contour runs from axis to axis
+    closed = inner > 0  # otherwise the contour runs from axis to axis
     nodes = np.empty((2 * k + (not closed), 2))
     nodes[0 : 2 * k : 2] = ends
     nodes[1 : 2 * k : 2] = 0.5 * (ends + after)

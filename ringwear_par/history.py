@@ -115,6 +115,7 @@ class WearHistory:
         # what balances take from the pressure: friction torque / mu, reactions of both bodies
         self._sums = np.vstack([self._moment, pair.force_reaction, pair.torque_reaction])
         self._zero = np.zeros(line.n)
+        self._initial_gap = case.gap_at(line.gap_point)
 
     def finished(self, state: State) -> bool:
         """Tell whether a state is the last one of the case."""
@@ -176,9 +177,8 @@ class WearHistory:
 
         A step of the same formula, so of the same accuracy, that the history does not go on from.
         """
-        if self.case.time.adaptive:
-            return adaptive.between(self, state, time)
-        return self.stepped(state, time)
+        step = adaptive.between if self.case.time.adaptive else WearHistory.stepped
+        return replace(step(self, state, time), stored=True)
 
     def moments(self, before: State, after: State) -> list[float]:
         """Return the times of output strictly between two states."""
@@ -226,7 +226,7 @@ class WearHistory:
             return None if quantity is None else in_time(quantity, time)
 
         return self.solver.solve(
-            wear[0] + wear[1],
+            self._initial_gap + wear[0] + wear[1],
             force=at(load.force),
             approach=at(load.displacement),
             wear=during if self._wears else None,

@@ -2,6 +2,8 @@
 
 import math
 
+import numpy as np
+
 from ringwear_par.geometry import FloatArray
 
 #: rigid flat annulus a/b on a half-space: F / (2 E* b delta), and p(mid) / p(mean)
@@ -49,6 +51,23 @@ def polar_moment(a: float, b: float) -> float:
 def flat_cylinder_force(modulus: float, a: float, approach: float) -> float:
     """Return the force (N) of a rigid flat cylinder of radius a on a half-space."""
     return 2.0 * modulus * a * approach
+
+
+def flat_cylinder_pressure(a: float, r: FloatArray) -> FloatArray:
+    """Return the mean of p over the rings between radii r (mm), relative to F / (pi a^2)."""
+    return -np.diff(np.sqrt(1.0 - (r / a) ** 2)) * a * a / np.diff(r**2)
+
+
+def hertz(modulus: float, radius: float, approach: float) -> tuple[float, float, float]:
+    """Return force (N), contact radius (mm) and largest pressure (MPa) of a rigid sphere."""
+    force = 4.0 / 3.0 * modulus * math.sqrt(radius) * approach**1.5
+    a = math.sqrt(radius * approach)
+    return force, a, 1.5 * force / (math.pi * a * a)
+
+
+def cone_force(modulus: float, slope: float, approach: float) -> float:
+    """Return the force (N) of a rigid cone whose flank has that slope (tangent) to the plane."""
+    return 2.0 * modulus * approach**2 / (math.pi * slope)
 
 
 def reissner_sagoci_torque(shear: float, a: float, angle: float) -> float:

@@ -180,6 +180,27 @@ def _pair(low: float) -> tuple[Reader, str]:
     return read, "two increasing numbers" + (f" >= {low:g}" if low > -math.inf else "")
 
 
+def _is_finite(value: Any) -> bool:
+    return _is_number(value) and math.isfinite(value)
+
+
+def _chamfer(value: Any) -> tuple[float | None, float]:
+    """Read [inner, outer], or one number for both (inner None: none on a solid disc)."""
+    both = value if isinstance(value, list) else [value, value]
+    if len(both) != 2 or not all(_is_finite(v) and v >= 0 for v in both):
+        raise RejectedError
+    return (float(both[0]) if both is value else None), float(both[1])
+
+
+def _profile(value: Any) -> tuple[tuple[float, float], ...]:
+    if not isinstance(value, list) or len(value) < 2:
+        raise RejectedError
+    for point in value:
+        if not isinstance(point, list) or len(point) != 2 or not all(map(_is_finite, point)):
+            raise RejectedError
+    return tuple((float(r), float(z)) for r, z in value)
+
+
 def _choice(*names: str) -> tuple[Reader, str]:
     def read(value: Any) -> str:
         if value not in names:
@@ -210,7 +231,11 @@ def _ring_keys(ring: str, name: str) -> list[Key]:
         Key(f"{ring}.z", *_pair(-math.inf), "mm", f"bottom and top of the {name}"),
         Key(f"{ring}.young", *_number(0.0), "MPa", "Young's modulus"),
         Key(f"{ring}.poisson", *_number(-1.0, 0.5), "1", "Poisson's ratio"),
-    ]
+        Key(
+            f"{ring}.profile", _profile, "at least 2 points [r, z] of finite numbers", "mm",
+            f"contact face of the {ring} body as a polyline over increasing r", None,
+        ),
+    ]  # fmt: skip
 
 
 def _wear_keys(ring: str) -> list[Key]:
@@ -280,6 +305,10 @@ KEYS: tuple[Key, ...] = (
         "upper.grip", *_choice("clamped", "platen"), "-",
         "top of the upper ring: u_r = 0 (clamped) or sigma_rz = 0 (platen)", "clamped",
     ),
+    Key(
+        "upper.chamfer", _chamfer, "a number >= 0, or two of them: [inner, outer]", "mm",
+        "45 degrees, on the contact corners of the upper ring; excludes upper.profile", None,
+    ),
     Key("contact.friction", *_number(0.0, ends=True), "1", "Coulomb friction coefficient mu"),
     *_wear_keys("lower"),
     *_wear_keys("upper"),
@@ -321,8 +350,17 @@ KEYS: tuple[Key, ...] = (
         "relative accuracy of the element integrals", 1e-7,
     ),
     Key(
-        "mesh.geometry", *_choice("fixed"), "-",
-        "fixed: the worn profile enters through the gap, not the mesh", "fixed",
+        "mesh.contact", *_pair(0.0), "mm",
+        "radii between which contact may arise; default: where the bodies face each other", None,
+    ),
+    Key(
+        "mesh.geometry", *_choice("fixed", "updated"), "-",
+        "updated: the elements follow the worn profile; fixed: it enters through the gap alone",
+        "fixed",
+    ),
+    Key(
+        "mesh.geometry_tolerance", *_number(0.0), "mm",
+        "wear since the last assembly that asks for a new one (geometry = updated)", 0.005,
     ),
     Key("output.every", *_integer(1), "steps", "store every so many steps, and the last", 1),
     Key(

@@ -54,7 +54,7 @@ def measure(n: int, repeats: int, comm: MPI.Comm) -> dict[str, float]:
     """Return one row of the table. Collective."""
     case, rules = paper_case(Mesh(n)), quadrature(Mesh().quadrature_tolerance)
     rings = (case.lower, case.upper)
-    bodies = [contour(case.section(ring), case.mesh) for ring in rings]
+    bodies = [contour(case.section(ring), case.line, case.mesh) for ring in rings]
     conditions = [ring_conditions(body, "clamped") for body in bodies]
     unknowns = [number_unknowns(*both) for both in zip(bodies, conditions, strict=True)]
     work = list(zip(bodies, conditions, unknowns, strict=True))
@@ -73,7 +73,9 @@ def measure(n: int, repeats: int, comm: MPI.Comm) -> dict[str, float]:
     systems.clear()
     both = timed(
         comm, repeats,
-        lambda: [compliance(case.section(r), 0.3, "clamped", case.mesh, comm) for r in rings],
+        lambda: [
+            compliance(case.section(r), case.line, 0.3, "clamped", case.mesh, comm) for r in rings
+        ],
     )  # fmt: skip
     pair, _ = contact_pair(case, comm)
     flat = np.zeros(n)

@@ -103,6 +103,7 @@ def test_times_of_output_are_as_accurate_and_change_nothing(stepped):
     assert states[-1].wear == pytest.approx(plain[-1].wear, rel=1e-9)
     assert [s.stored for s in states] == [True] + [False] * (len(states) - 2) + [True]
     assert [s.time for s in shown] == list(times)
+    assert all(s.stored for s in shown)
     for state in shown:
         _, exact, _ = stepped(time=until(state.time, 1e-9))
         assert np.abs(state.wear - exact[-1].wear).max() <= 1e-5

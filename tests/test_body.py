@@ -11,8 +11,13 @@ from ringwear_par.body import compliance
 from ringwear_par.dense import has_scalapack
 from ringwear_par.geometry import Mesh, Section, contact_line
 
-LOWER = Section((20.0, 40.0), 20.0, (28.5, 31.5))
-UPPER = Section((28.5, 31.5), 20.0, (28.5, 31.5))
+LOWER = Section((20.0, 40.0), 20.0)
+UPPER = Section((28.5, 31.5), 20.0)
+CONTACT = (28.5, 31.5)
+
+
+def condensed(section, mesh, comm, grip="clamped"):
+    return compliance(section, contact_line(CONTACT, mesh), 0.3, grip, mesh, comm)
 
 
 def test_rigid_modes_close():
@@ -33,8 +38,8 @@ def test_torsion_converges_with_order_two(comm):
 def test_defects_vanish_with_the_mesh(section, comm):
     symmetry, force, torque = [], [], []
     for n in (16, 32, 64):
-        body = compliance(section, 0.3, "clamped", Mesh(n), comm)
-        line = contact_line(section.contact, Mesh(n))
+        body = condensed(section, Mesh(n), comm)
+        line = contact_line(CONTACT, Mesh(n))
         weighted = line.area[:, None] * body.normal
         symmetry.append(np.abs(weighted - weighted.T).max() / np.abs(weighted).max())
         force.append(np.abs(body.force_reaction / line.area - 1).max())
@@ -49,7 +54,7 @@ def test_alternating_pressure_has_compliance(comm):
     smallest = []
     for n in (32, 64):
         mesh = Mesh(n, grading=1.0)
-        body = compliance(LOWER, 0.3, "clamped", mesh, comm)
+        body = condensed(LOWER, mesh, comm)
         sign = (-1.0) ** np.arange(n)
         smallest.append((sign @ body.normal @ sign) / n)
         spectrum = np.linalg.eigvals(body.normal).real
@@ -58,9 +63,7 @@ def test_alternating_pressure_has_compliance(comm):
 
 
 def test_clamped_is_stiffer_than_platen(comm):
-    clamped, platen = (
-        compliance(UPPER, 0.3, grip, Mesh(32), comm) for grip in ("clamped", "platen")
-    )
+    clamped, platen = (condensed(UPPER, Mesh(32), comm, grip) for grip in ("clamped", "platen"))
     mean = [float(body.normal.mean()) for body in (clamped, platen)]
     assert mean[0] < mean[1] < 1.05 * mean[0]
 
@@ -68,12 +71,12 @@ def test_clamped_is_stiffer_than_platen(comm):
 def test_same_compliance_on_any_number_of_ranks(comm):
     from mpi4py import MPI
 
-    body = compliance(LOWER, 0.3, "clamped", Mesh(32), comm)
-    alone = compliance(LOWER, 0.3, "clamped", Mesh(32), MPI.COMM_SELF)
+    body = condensed(LOWER, Mesh(32), comm)
+    alone = condensed(LOWER, Mesh(32), MPI.COMM_SELF)
     for name in ("normal", "torsion", "force_reaction", "torque_reaction"):
         a, b = getattr(body, name), getattr(alone, name)
         assert np.abs(a - b).max() <= 1e-11 * np.abs(b).max()
-    again = compliance(LOWER, 0.3, "clamped", Mesh(32), comm)
+    again = condensed(LOWER, Mesh(32), comm)
     assert np.array_equal(again.normal, body.normal)
     assert np.array_equal(again.torsion, body.torsion)
 
@@ -83,10 +86,10 @@ def test_redundant_and_distributed_factorisations_agree(comm):
     if not has_scalapack():
         pytest.skip("this PETSc has no ScaLAPACK")
     options = PETSc.Options()
-    distributed = compliance(LOWER, 0.3, "clamped", Mesh(32), comm)
+    distributed = condensed(LOWER, Mesh(32), comm)
     options["bem_pc_type"] = "redundant"
     try:
-        redundant = compliance(LOWER, 0.3, "clamped", Mesh(32), comm)
+        redundant = condensed(LOWER, Mesh(32), comm)
     finally:
         del options["bem_pc_type"]
     for name in ("normal", "torsion", "force_reaction", "torque_reaction"):
@@ -100,7 +103,7 @@ def test_no_rank_holds_a_whole_matrix(comm):
     from ringwear_par.geometry import contour
     from ringwear_par.quadrature import quadrature
 
-    body = contour(LOWER, Mesh(16))
+    body = contour(LOWER, contact_line(CONTACT, Mesh(16)), Mesh(16))
     conditions = ring_conditions(body, "clamped")
     rows = assemble(
         body, conditions, number_unknowns(body, conditions), 0.3, quadrature(1e-6), comm
@@ -122,8 +125,8 @@ def test_memory_stays_flat(comm):
     from ringwear_par.contact import ContactSolver
 
     def once():
-        body = compliance(LOWER, 0.3, "clamped", Mesh(32), comm)
-        line = contact_line(LOWER.contact, Mesh(32))
+        body = condensed(LOWER, Mesh(32), comm)
+        line = contact_line(CONTACT, Mesh(32))
         weighted = line.area[:, None] * body.normal
         with ContactSolver(0.5 * (weighted + weighted.T), line.area, comm) as solver:
             solver.solve(np.zeros(32), force=1.0)

@@ -3,11 +3,12 @@
 import math
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from ringwear_par.case import parse_case, parse_overrides, read_case, toml_text
 from ringwear_par.errors import InputError
-from ringwear_par.pair import check_memory, check_mesh
+from ringwear_par.pair import check_memory, check_mesh, operator_key
 from ringwear_par.schema import KEYS, schema
 from ringwear_par.wear import ThresholdLaw
 
@@ -84,8 +85,6 @@ def test_toml_text_reads_back():
         ("upper.grip=glued", ['"clamped" or "platen"']),
         ("lower.yung=1", ["lower.yung: unknown key", "did you mean lower.young?"]),
         ("wear.lower.q0=1", ["unknown key", "did you mean wear.lower.p0?"]),
-        ("upper.z=[21, 40]", ["upper.z[0] = 21", "lower.z[1] = 20", "do not touch"]),
-        ("upper.z=[19, 40]", ["interpenetrate"]),
         ("upper.r=[41, 45]", ["do not overlap"]),
         ("lower.young=1" + 400 * "0", ["must be a finite number > 0"]),
         ("load.displacement=1", ["load.displacement = 1", 'needs load.control = "displacement"']),
@@ -100,6 +99,112 @@ def test_each_fault_has_its_sentence(override, words):
     for word in words:
         assert word in text
     assert all("Traceback" not in line for line in told)
+
+
+DISC = ["upper.r=[0, 31.5]"]
+PUSHED = ["load.control=displacement", "load.displacement=0.5"]
+
+
+@pytest.mark.parametrize(
+    ("overrides", "words"),
+    [
+        (["upper.chamfer=-0.1"], ["upper.chamfer = -0.1", "a number >= 0, or two", "mm"]),
+        (["upper.chamfer=[0.1]"], ["upper.chamfer = [0.1]", "two of them: [inner, outer]"]),
+        (["upper.chamfer=1.5"], ["upper.chamfer = [1.5, 1.5]", "smaller than the width", "3 (mm)"]),
+        (["upper.chamfer=[0, 25]", "upper.r=[1, 40]"], ["smaller than the height, 20 (mm)"]),
+        ([*DISC, "upper.chamfer=[0.1, 0.1]"], ["no inner corner", "must be 0"]),
+        (["upper.chamfer=0.1", "upper.profile=[[28.5, 20], [31.5, 21]]"],
+         ["upper.chamfer, upper.profile: both are given"]),
+        (["lower.chamfer=0.1"], ["lower.chamfer: unknown key"]),
+        (["lower.profile=[[20, 20]]"], ["lower.profile", "at least 2 points [r, z]"]),
+        (["lower.profile=[[20, 20], [40, nan]]"], ["lower.profile", "finite numbers (mm)"]),
+        (["lower.profile=[[20, 20], [39, 20]]"],
+         ["lower.profile[1] = [39, 20]", "outer end must have r = 40 (mm)"]),
+        (["lower.profile=[[21, 20], [40, 20]]"], ["lower.profile[0]", "inner end", "r = 20"]),
+        (["lower.profile=[[20, 20], [30, 20.5], [40, 20]]"],
+         ["lower.profile[1] = [30, 20.5]: leaves the body", "> 0 and <= 20 (mm)"]),
+        (["lower.profile=[[20, 20], [30, 0], [40, 20]]"], ["leaves the body"]),
+        (["upper.profile=[[28.5, 20], [30, 19.9], [31.5, 20]]"],
+         ["upper.profile[1] = [30, 19.9]: leaves the body", ">= 20 and < 40"]),
+        (["lower.profile=[[20, 20], [30, 19], [30, 18], [40, 20]]"],
+         ["lower.profile[2] = [30, 18]", "does not face the other body", "> 30"]),
+        (["lower.profile=[[20, 10], [35, 10], [35, 15], [25, 5], [40, 20]]"],
+         ["lower.profile[2] = [35, 15]: the profile crosses itself"]),
+        (["mesh.contact=[40, 50]"], ["mesh.contact = [40, 50]", "in common with [28.5, 31.5]"]),
+        (["mesh.contact=[3, 2]"], ["mesh.contact", "two increasing numbers"]),
+        (["mesh.geometry=moving"], ['"fixed" or "updated"']),
+        (["mesh.geometry_tolerance=0"], ["mesh.geometry_tolerance = 0", "> 0 (mm)"]),
+        (["upper.chamfer=0.1", "mesh.contact_elements=11"],
+         ["case.toml", "mesh.contact_elements = 11", "3 pieces", "at least 12"]),
+        ([*PUSHED, "upper.z=[19, 40]"],
+         ["load.displacement = 0.5", "interpenetrate by 1", "at least that (mm)"]),
+    ],
+)  # fmt: skip
+def test_each_fault_of_a_shape_has_its_sentence(overrides, words):
+    text = "\n".join(faults(TEXT, *overrides))
+    for word in words:
+        assert word in text
+
+
+def test_faults_of_shapes_come_together():
+    told = faults(TEXT, "upper.chamfer=2", "lower.profile=[[20, 20], [40, 21]]", "load.omega=-1")
+    assert len(told) == 3
+    assert all("case.toml" in line or line.startswith("--set ") for line in told)
+
+
+def test_a_long_profile_that_is_wrong_is_not_printed_in_full():
+    points = [[20 + 0.01 * i, 20] for i in range(2000)] + [[40, "up"]]
+    (told,) = faults(TEXT, f"lower.profile={points}")
+    assert len(told) < 200
+
+
+def test_rings_need_not_touch():
+    apart = read_case(PAPER, ["upper.z=[21, 40]"])
+    assert apart.initial_gap == pytest.approx(1.0)
+    assert apart.interpenetration == 0.0
+    deep = read_case(PAPER, ["upper.z=[19.75, 40]"])
+    assert deep.interpenetration == pytest.approx(0.25)
+    assert deep.initial_gap.max() == pytest.approx(-0.25)
+    assert read_case(PAPER, [*PUSHED, "upper.z=[19.75, 40]"]).load.displacement == 0.5
+    assert read_case(PAPER, ["upper.z=[19.9999999999, 40]"]).interpenetration == 0.0
+
+
+def test_shapes_give_the_initial_gap():
+    case = read_case(PAPER, ["upper.chamfer=[0.2, 0.1]"])
+    r = case.line.gap_point
+    exact = np.maximum(0, np.maximum(28.7 - r, r - 31.4))
+    assert case.initial_gap == pytest.approx(exact, abs=1e-13)
+    assert case.area == pytest.approx(math.pi * (31.5**2 - 28.5**2))
+    case = read_case(PAPER, [
+        "lower.profile=[[20.0000000001, 19], [30, 20], [40, 18]]",
+        "upper.profile=[[28.5, 21], [31.5, 20.5]]", "mesh.contact=[29, 31.5000000001]",
+    ])  # fmt: skip
+    r = case.line.gap_point
+    lower = np.where(r < 30, 19 + (r - 20) / 10, 20 - 0.2 * (r - 30))
+    assert case.initial_gap == pytest.approx(21 - (r - 28.5) / 6 - lower, abs=1e-9)
+    assert case.contact == (29, 31.5)
+    assert case.open_ends == (True, False)
+    assert 30.0 in case.line.edges
+    assert case.area == pytest.approx(math.pi * (31.5**2 - 28.5**2))
+
+
+def test_a_chamfer_of_a_disc_is_its_outer_corner():
+    case = read_case(PAPER, [*DISC, "upper.chamfer=0.1", "lower.r=[0, 40]"])
+    assert case.upper.face == ((0.0, 0.0), (31.4, 0.0), (31.5, -0.1))
+
+
+def test_nothing_cut_off_is_a_flat_face():
+    plain = read_case(PAPER)
+    for override in (
+        "upper.chamfer=0", "upper.profile=[[28.5, 20], [31.5, 20]]",
+        "lower.profile=[[20, 20], [30, 20], [40, 20]]",
+    ):  # fmt: skip
+        case = read_case(PAPER, [override])
+        assert operator_key(case) == operator_key(plain)
+        assert hash(operator_key(case)) == hash(operator_key(plain))
+    updated = read_case(PAPER, ["mesh.geometry=updated", "mesh.geometry_tolerance=0.01"])
+    assert operator_key(updated) == operator_key(plain)
+    assert operator_key(read_case(PAPER, ["upper.chamfer=0.1"])) != operator_key(plain)
 
 
 def test_all_faults_together_and_by_origin():

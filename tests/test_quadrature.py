@@ -5,7 +5,7 @@ import pytest
 from scipy.integrate import quad
 
 from ringwear_par.assembly import Conditions, assemble, number_unknowns
-from ringwear_par.geometry import Mesh, Section, contour
+from ringwear_par.geometry import Mesh, Section, contact_line, contour
 from ringwear_par.quadrature import MAX_POINTS, quadrature
 
 
@@ -38,7 +38,7 @@ def test_gauss_order_meets_its_tolerance(tolerance, source):
 
 
 def rows(tolerance, comm):
-    body = contour(Section((20.0, 40.0), 20.0, (28.5, 31.5)), Mesh(16))
+    body = contour(Section((20.0, 40.0), 20.0), contact_line((28.5, 31.5), Mesh(16)), Mesh(16))
     k = len(body.elements)
     held = np.zeros((k, 3), dtype=bool)
     held[body.held] = True
@@ -54,10 +54,10 @@ def test_bars_with_small_bores_stay_exact(bore, comm):
     """u_z = s z, u_r = -nu s r is in the discrete space: what is left is quadrature."""
     from ringwear_par.body import compliance
 
-    section = Section((bore, 20.0), 20.0, (bore, 20.0))
+    section = Section((bore, 20.0), 20.0)
     for tolerance in (1e-4, 1e-7):
         mesh = Mesh(16, quadrature_tolerance=tolerance)
-        body = compliance(section, 0.3, "platen", mesh, comm)
+        body = compliance(section, contact_line(section.r, mesh), 0.3, "platen", mesh, comm)
         assert np.abs(body.normal.sum(axis=1) / 20.0 - 1).max() < 10 * tolerance
 
 
