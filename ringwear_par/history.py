@@ -16,7 +16,7 @@ import numpy as np
 from ringwear_par import adaptive
 from ringwear_par.case import Case
 from ringwear_par.contact import ContactSolver, ContactState
-from ringwear_par.errors import ComputationError
+from ringwear_par.errors import ComputationError, InputError
 from ringwear_par.geometry import FloatArray
 from ringwear_par.pair import ContactPair, largest_stable_step
 from ringwear_par.quantity import Quantity, in_time, integral, largest
@@ -145,6 +145,7 @@ class WearHistory:
             contact = self.contact(0.0, np.zeros((2, len(self._zero))), None)
         except ComputationError as error:
             raise ComputationError(f"step 0 (before any wear): {error}") from error
+        self._check_interpenetration()
         pressure = 3.0 * float(contact.pressure.max()) or 100.0
         at = self.sliding(0.0, largest(self.case.load.omega), self._zero)
         for law in self.case.laws:
@@ -153,6 +154,20 @@ class WearHistory:
         return self._balanced(
             State(0, 0.0, np.zeros((2, len(self._zero))), np.zeros(2), 0.0, contact, Balances())
         )
+
+    def _check_interpenetration(self) -> None:
+        """Refuse undeformed bodies that overlap by more than the largest force presses them."""
+        force, overlap = self.case.load.force, self.case.interpenetration
+        if force is None or overlap == 0.0:
+            return
+        pressed = self.solver.solve(self._initial_gap, force=largest(force))
+        if pressed.approach < 0.0:
+            e = int(self._initial_gap.argmin())
+            raise InputError(
+                f"upper.z, lower.z and contact faces: the undeformed bodies interpenetrate by "
+                f"{overlap:.6g} mm at element {e} (r = {self.pair.line.r[e]:.6g} mm); must be at "
+                f"most the {overlap + pressed.approach:.6g} mm that the load presses them together"
+            )
 
     def advance(self, state: State) -> State:
         """Return the state one step later. Collective.
@@ -277,8 +292,19 @@ class WearHistory:
         return wear @ self.area
 
     def _balanced(self, state: State) -> State:
-        """Return a state with its balances, the worst of it and those before it."""
+        """Return a state with its balances, the worst of it and those before it.
+
+        Raises
+        ------
+        ComputationError : contact has reached an end of the contact line that is no edge.
+        """
         contact, energy = state.contact, state.energy
+        for is_open, e in zip(self.case.open_ends, (0, -1), strict=True):
+            if is_open and contact.pressure[e] > 0.0:
+                raise ComputationError(
+                    f"time {state.time:g} s: contact has reached the end of mesh.contact at "
+                    f"r = {self.pair.line.edges[e]:g} mm, which must be farther out"
+                )
         given, pushed = self.case.load.force, contact.force
         force = in_time(given, state.time) if given is not None else 0.0
         turned, *reactions = (self._sums @ contact.pressure).tolist()

@@ -1,0 +1,216 @@
+"""Random rings, faces, loads, schedules and laws: every case must run and keep its balances.
+
+    python scripts/random_cases.py [--count 1000] [--seed 1]
+
+Ranges: radii 0 to 45 mm, heights 5 to 20 mm, moduli 1e3 to 1e6 MPa, Poisson's ratios 0 to 0.45,
+friction 0.05 to 0.8; faces flat, chamfered, crowned, conical, filleted or wavy to 0.05 mm; mean
+pressures 1 to 300 MPa, or displacements to 0.5 % of the height; force, displacement and omega
+numbers or tables with unloading, lift-off, reloading and stops; every law of wear on either body,
+to depths of about 1e-4 to 0.03 mm; implicit and adaptive steps; 16 to 48 contact elements of
+grading 1 to 3.
+"""
+
+import argparse
+import math
+import sys
+import time
+from collections import Counter
+
+import numpy as np
+from mpi4py import MPI
+
+from ringwear_par.assembly import load_kernels
+from ringwear_par.case import make_case
+from ringwear_par.contact import ContactSolver
+from ringwear_par.errors import RingwearError
+from ringwear_par.history import State, WearHistory, run
+from ringwear_par.pair import contact_pair
+
+#: defects that a case must not exceed, of force, volume, energy and the contact's KKT conditions
+ALLOWED = {"force": 1e-10, "volume": 1e-10, "energy": 1e-10, "residual": 1e-9}
+_END = 100.0
+_POINTS = 81
+
+
+def _log(rng: np.random.Generator, low: float, high: float) -> float:
+    return float(10 ** rng.uniform(math.log10(low), math.log10(high)))
+
+
+def _face(rng: np.random.Generator, r: tuple[float, float], z: float, up: float) -> list:
+    """Return a random smooth or broken face as samples; ``up`` is where the material is not."""
+    x = np.linspace(0.0, 1.0, _POINTS)
+    depth = _log(rng, 1e-4, 0.05)
+    kind = rng.integers(4)
+    if kind == 0:  # crown, or sphere
+        top = rng.uniform(0.2, 0.8) if r[0] > 0 else 0.0
+        fall = ((x - top) / max(top, 1.0 - top)) ** 2
+    elif kind == 1:  # cone
+        fall = x if rng.random() < 0.5 or r[0] == 0 else 1.0 - x
+    elif kind == 2:  # fillets at the edges
+        fall = np.maximum(np.abs(2.0 * x - 1.0) - 0.7, 0.0) ** 2 / 0.09
+    else:  # waves
+        fall = 0.5 - 0.5 * np.cos(2.0 * np.pi * rng.integers(1, 4) * x)
+    radii = r[0] + (r[1] - r[0]) * x
+    return np.stack([radii, z + up * depth * fall], axis=1).tolist()
+
+
+def _law(rng: np.random.Generator, keys: dict, table: str, pv: float, mu: float) -> str:
+    """Add a random law that wears 1e-4 to 0.03 mm in all at the mean p V."""
+    law = str(rng.choice(["threshold", "archard", "power", "table", "running-in", "non-local"]))
+    rate, pressure = _log(rng, 1e-4, 0.03) / _END, keys["pressure"]
+    k = rate / (mu * pv)
+    keys[f"{table}.law"] = law
+    if law in ("threshold", "running-in", "non-local"):
+        keys[f"{table}.k"] = k
+        keys[f"{table}.p0"] = float(rng.choice([0.0, 0.3, 0.8]) * pressure)
+    if law == "threshold" and rng.random() < 0.3:
+        keys[f"{table}.k"] = [[0.0, k], [30.0, 0.0], [60.0, 0.0], [61.0, 2.0 * k]]
+    if law == "archard":
+        keys[f"{table}.k"] = rate / pv
+    if law == "power":
+        m, n = float(rng.uniform(1.0, 3.0)), float(rng.uniform(0.5, 1.5))
+        keys.update({f"{table}.m": m, f"{table}.n": n})
+        keys[f"{table}.k"] = rate / (pressure**m * (pv / pressure) ** n)
+    if law == "table":
+        keys[f"{table}.table"] = [[0.0, 0.0], [0.5 * pv, 0.1 * rate], [pv, rate],
+                                  [3.0 * pv, 1.5 * rate]]  # fmt: skip
+    if law == "running-in":
+        keys[f"{table}.k_start"] = float(rng.uniform(1.0, 20.0)) * k
+        if rng.random() < 0.5:
+            keys[f"{table}.depth"] = _log(rng, 1e-4, 1e-2)
+        else:
+            keys[f"{table}.distance"] = _log(rng, 10.0, 1e4)
+    if law == "non-local":
+        keys[f"{table}.length"] = float(rng.uniform(0.02, 0.3)) * keys["width"]
+    return law
+
+
+def random_case(rng: np.random.Generator) -> tuple[dict, str]:
+    """Return the keys of a random case, and what sort of case it is."""
+    inner = 0.0 if rng.random() < 0.25 else float(rng.uniform(3.0, 30.0))
+    lower = inner, inner + float(rng.uniform(4.0, 15.0))
+    width = float(rng.uniform(0.15, 1.0)) * (lower[1] - lower[0])
+    where = str(rng.choice(["inside", "equal", "inner overlap", "outer overlap"]))
+    if where == "equal":
+        upper = lower
+    elif where == "inside":
+        start = 0.0 if inner == 0.0 and rng.random() < 0.5 else lower[0] + float(
+            rng.uniform(0.0, 1.0) * (lower[1] - lower[0] - width))  # fmt: skip
+        upper = start, start + width
+    elif where == "inner overlap" and lower[0] > 1.0:
+        upper = lower[0] * float(rng.uniform(0.7, 0.95)), lower[0] + width
+    else:
+        upper = lower[1] - width, lower[1] + float(rng.uniform(0.5, 5.0))
+    bottom, top = float(rng.uniform(5.0, 20.0)), float(rng.uniform(5.0, 20.0))
+    contact = max(lower[0], upper[0]), min(lower[1], upper[1])
+    pressure, mu = _log(rng, 1.0, 300.0), float(rng.uniform(0.05, 0.8))
+    omega = _log(rng, 0.1, 30.0)
+    young = _log(rng, 1e3, 1e6), _log(rng, 1e3, 1e6)
+    keys: dict = {
+        "lower.r": list(lower), "lower.z": [0.0, bottom], "lower.young": young[0],
+        "lower.poisson": float(rng.uniform(0.0, 0.45)),
+        "upper.r": list(upper), "upper.z": [bottom, bottom + top], "upper.young": young[1],
+        "upper.poisson": float(rng.uniform(0.0, 0.45)),
+        "upper.grip": str(rng.choice(["clamped", "platen"])),
+        "contact.friction": mu, "load.omega": omega,
+        "mesh.contact_elements": int(rng.integers(16, 49)),
+        "mesh.grading": float(rng.uniform(1.0, 3.0)),
+        "pressure": pressure, "width": contact[1] - contact[0],
+    }  # fmt: skip
+    shapes = []
+    for body, r, z, up in (("lower", lower, bottom, -1.0), ("upper", upper, bottom, 1.0)):
+        draw = rng.random()
+        if draw < (0.25 if body == "lower" else 0.5):
+            keys[f"{body}.profile"] = _face(rng, r, z, up)
+            shapes.append("profile")
+        elif body == "upper" and draw < 0.7:
+            keys["upper.chamfer"] = 0.2 * float(rng.uniform(0.02, 1.0)) * (upper[1] - upper[0])
+            shapes.append("chamfer")
+    pv = pressure * omega * 0.5 * sum(contact)
+    laws = [
+        _law(rng, keys, f"wear.{body}", pv, mu)
+        for body, chance in (("lower", 0.85), ("upper", 0.4))
+        if rng.random() < chance
+    ]
+    if rng.random() < 0.65:
+        keys["load.pressure"] = pressure
+        if rng.random() < 0.4:
+            keys["load.pressure"] = [[0.0, pressure], [40.0, pressure], [45.0, 0.0], [55.0, 0.0],
+                                     [60.0, 1.3 * pressure]]  # fmt: skip
+    else:
+        down = _log(rng, 2e-4, 5e-3) * min(bottom, top)
+        keys["load.control"], keys["load.displacement"] = "displacement", down
+        if rng.random() < 0.5:
+            keys["load.displacement"] = [[0.0, 0.2 * down], [30.0, down], [50.0, 0.0],
+                                         [70.0, 1.2 * down]]  # fmt: skip
+    if rng.random() < 0.3:
+        keys["load.omega"] = [[0.0, omega], [20.0, 0.2 * omega], [20.5, 0.0], [35.0, 0.0],
+                              [36.0, omega]]  # fmt: skip
+    adaptive = rng.random() < 0.7
+    keys["time.scheme"] = "adaptive" if adaptive else "implicit"
+    if adaptive:
+        keys["time.end"], keys["time.tolerance"] = _END, _log(rng, 1e-6, 1e-4)
+    else:
+        keys["time.step"], keys["time.steps"] = _END / 40, 40
+    del keys["pressure"], keys["width"]
+    return keys, f"{where}; {', '.join(shapes) or 'flat'}; {', '.join(laws) or 'no wear'}"
+
+
+def failure(state: State) -> str:
+    """Return which balances a state does not meet, "" if it meets all."""
+    over = {name: getattr(state.balances, name) for name in ALLOWED}
+    return ", ".join(f"{n} {v:.1e}" for n, v in over.items() if not v <= ALLOWED[n])
+
+
+def compute(keys: dict, name: str) -> tuple[State, int]:
+    """Run a case; return its last state and the most TAO iterations of a step."""
+    case = make_case(keys, name)
+    pair, _ = contact_pair(case, MPI.COMM_SELF)
+    most = 0
+
+    def watch(state: State) -> bool:
+        nonlocal most
+        most = max(most, state.contact.iterations)
+        return False
+
+    with ContactSolver(pair.stiffness, pair.line.area, MPI.COMM_SELF) as solver:
+        history = WearHistory(case, pair, solver)
+        return run(history, history.start(), watch), most
+
+
+def main() -> int:
+    """Run the cases; return 1 if one fails."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--count", type=int, default=1000)
+    parser.add_argument("--seed", type=int, default=1)
+    args = parser.parse_args()
+    load_kernels(MPI.COMM_SELF)
+    failed, steps, iterations, rejected, most = 0, 0, 0, 0, 0
+    worst: Counter[str] = Counter()
+    t0 = time.perf_counter()
+    for number in range(args.count):
+        keys, sort = random_case(np.random.default_rng((args.seed, number)))
+        try:
+            state, peak = compute(keys, f"case {number}")
+            reason = failure(state)
+        except RingwearError as error:
+            reason = str(error)
+        if reason:
+            failed += 1
+            print(f"case {number} ({sort}): {reason}", flush=True)
+            continue
+        steps, iterations = steps + state.step, iterations + state.iterations
+        rejected, most = rejected + state.rejected, max(most, peak)
+        for name in ALLOWED:
+            worst[name] = max(worst[name], getattr(state.balances, name))
+    print(
+        f"{args.count} random cases (seed {args.seed}) in {time.perf_counter() - t0:.0f} s: "
+        f"{failed} failed; {steps} steps, {rejected} repeated, {iterations / max(steps, 1):.2f} "
+        f"TAO iterations a step, at most {most}"
+    )
+    print("worst balances: " + ", ".join(f"{name} {value:.1e}" for name, value in worst.items()))
+    return 1 if failed else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
