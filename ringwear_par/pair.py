@@ -68,6 +68,15 @@ class BodyCost:
     seconds_assembly: float
     seconds_solution: float
 
+    @classmethod
+    def of(cls, bodies: Sequence[Compliance]) -> "BodyCost":
+        """Return what these bodies took together."""
+        return cls(
+            sum(body.response.kernel_evaluations for body in bodies),
+            sum(body.response.seconds_assembly for body in bodies),
+            sum(body.response.seconds_solution for body in bodies),
+        )
+
 
 def operator_key(case: Case) -> Hashable:
     """Return what the operator of a case depends on; equal for cases that can share it."""
@@ -91,23 +100,17 @@ def assemble_operator(case: Case, comm: MPI.Comm) -> tuple[Operator, BodyCost]:
         compliance(case.section(ring), case.line, ring.poisson, ring.grip, case.mesh, comm)
         for ring in (case.lower, case.upper)
     ]
-    return join_bodies(case.line, bodies)
+    return join_bodies(case.line, bodies), BodyCost.of(bodies)
 
 
-def join_bodies(line: ContactLine, bodies: Sequence[Compliance]) -> tuple[Operator, BodyCost]:
-    """Return the operator of two condensed bodies, and what they took. Not collective."""
-    cost = BodyCost(
-        sum(body.response.kernel_evaluations for body in bodies),
-        sum(body.response.seconds_assembly for body in bodies),
-        sum(body.response.seconds_solution for body in bodies),
-    )
-    operator = Operator(
+def join_bodies(line: ContactLine, bodies: Sequence[Compliance]) -> Operator:
+    """Return the operator of lower and upper. Not collective."""
+    return Operator(
         np.array([body.normal for body in bodies]),
         np.array([line.area @ body.torsion for body in bodies]),
         np.array([body.force_reaction for body in bodies]),
         np.array([body.torque_reaction for body in bodies]),
     )
-    return operator, cost
 
 
 def symmetric(line: ContactLine, normal: FloatArray) -> FloatArray:
