@@ -146,8 +146,8 @@ def join(case: Case, operator: Operator) -> ContactPair:
     lower, upper = 1.0 / case.lower.young, 1.0 / case.upper.young
     normal = lower * operator.normal[0] + upper * operator.normal[1]
     weighted = line.area[:, None] * normal
-    stiffness = symmetric(line, normal)
     try:
+        stiffness = symmetric(line, normal)
         np.linalg.cholesky(stiffness)
     except np.linalg.LinAlgError as error:
         raise ComputationError(
@@ -180,15 +180,19 @@ def memory_needed(case: Case, ranks: int) -> float:
 
     The (r, z) system of the larger body (two unknowns a node, two nodes an element) with its
     factor, which every rank holds where there is no ScaLAPACK; the torsion system; the right-hand
-    sides; on every rank the compliance and its copies; on one the history.
+    sides; where elements follow the wear, what stays of the matrices of each body that wears; on
+    every rank the compliance and its copies; on one the history.
     """
     n = float(case.mesh.contact_elements)
     unknowns = 4.0 * max(
         count_elements(case.section(r), case.contact, case.mesh) for r in (case.lower, case.upper)
     )
     copies = 1.0 if ranks == 1 or has_scalapack() else float(ranks)
+    kept = 0.0
+    if case.mesh.geometry == "updated":
+        kept = 1.25 * sum(law is not None for law in case.laws)
     history = len(case.output.fields) * n * (1.0 + case.time.steps / case.output.every)
-    return 8.0 * ((1.25 + 1.25 * copies) * unknowns**2 + ranks * 8.0 * n**2 + history)
+    return 8.0 * ((1.25 + kept + 1.25 * copies) * unknowns**2 + ranks * 8.0 * n**2 + history)
 
 
 def check_memory(case: Case, ranks: int, name: str) -> None:
