@@ -67,6 +67,21 @@ class Unknowns(NamedTuple):
     traction: IntArray
 
 
+class Moving(NamedTuple):
+    """What moves when the geometry changes.
+
+    The integrals of a source over an element stay as they are where neither of them moves.
+
+    Parameters
+    ----------
+    nodes : (m,) bool.
+    elements : (k,) bool, those with a node that moves.
+    """
+
+    nodes: BoolArray
+    elements: BoolArray
+
+
 @dataclass(frozen=True)
 class Rows:
     """Rows of one system owned by this rank: ``matrix @ unknowns = loads``.
@@ -250,13 +265,18 @@ def _assemble_rows(
     body: Contour,
     conditions: Conditions,
     unknowns: Unknowns,
+    moving: Moving,
+    moved: bool,
     poisson: float,
     rules: Quadrature,
     starts: IntArray,
     matrices: tuple[FloatArray, FloatArray],
     loads: tuple[FloatArray, FloatArray],
 ) -> int:
-    """Fill the rows collocated at nodes first_node <= p < last_node; return kernel evaluations."""
+    """Add to the rows collocated at nodes first_node <= p < last_node; return kernel evaluations.
+
+    The integrals added are those that move with the geometry, or those that do not.
+    """
     elements, load = body.elements, conditions.load
     displacement, traction = unknowns.displacement, unknowns.traction
     h, g, own = np.empty((5, 3)), np.empty(5), np.empty(5)
@@ -266,10 +286,14 @@ def _assemble_rows(
     rights = np.empty((3, loads[0].shape[1]))
     evaluations = 0
     for p in range(first_node, last_node):
+        if moving.nodes[p] and not moved:
+            continue
         own[:] = 0.0
         lines[:] = 0.0
         rights[:] = 0.0
         for e in range(len(elements)):
+            if (moving.nodes[p] or moving.elements[e]) != moved:
+                continue
             at = -1
             for c in range(3):
                 if elements[e, c] == p:
@@ -298,9 +322,9 @@ def _assemble_rows(
                 row = unknowns.equation[p, k] - starts[system]
                 matrix, right = matrices[system], loads[system]
                 for column in range(matrix.shape[1]):
-                    matrix[row, column] = lines[k, column]
+                    matrix[row, column] += lines[k, column]
                 for column in range(right.shape[1]):
-                    right[row, column] = rights[k, column]
+                    right[row, column] += rights[k, column]
     return evaluations
 
 
@@ -315,9 +339,11 @@ def load_kernels(comm: MPI.Comm) -> None:
         body = contour(Section((1.0, 2.0), 1.0), contact_line((1.0, 2.0), mesh), mesh)
         k = len(body.elements)
         nothing = Conditions(np.zeros((k, 3), bool), np.full((k, 3), -1), np.zeros((k, 3)), 0)
+        still = Moving(np.zeros(len(body.nodes), bool), np.zeros(k, bool))
         unused = np.zeros((2, 2), order="F")  # an empty one would be row-major too
         _assemble_rows(
-            0, 0, body, nothing, number_unknowns(body, nothing), 0.0, quadrature(0.1),
+            0, 0, body, nothing, number_unknowns(body, nothing), still, False, 0.0,
+            quadrature(0.1),
             np.zeros(2, dtype=np.int64), (unused, unused), (unused, unused),
         )  # fmt: skip
 
@@ -335,13 +361,23 @@ def assemble(
     poisson: float,
     rules: Quadrature,
     comm: MPI.Comm,
+    moving: Moving | None = None,
+    base: Assembly | None = None,
 ) -> Assembly:
     """Assemble this rank's rows of both systems at Young's modulus 1.
 
     Collective on comm. Nodes are shared out in equal runs, so a rank holds about
     1/size of the rows and no rank holds a whole matrix.
+
+    Parameters
+    ----------
+    moving : what moves, if only a part is to be assembled: what stays, or with ``base`` what moves.
+    base : the part that stays, to a copy of which the other is added.
     """
     n_nodes = len(body.nodes)
+    moved = base is not None or moving is None
+    if moving is None:
+        moving = Moving(np.ones(n_nodes, bool), np.ones(len(body.elements), bool))
     share = [rank * n_nodes // comm.size for rank in range(comm.size + 1)]
     mine = slice(share[comm.rank], share[comm.rank + 1])
     starts = np.zeros(2, dtype=np.int64)
@@ -350,12 +386,17 @@ def assemble(
     for system, block in enumerate((slice(0, 2), slice(2, 3))):
         collocated = unknowns.equation[:, block] >= 0
         starts[system] = np.count_nonzero(collocated[: mine.start])
+        if base is not None:
+            before = base.normal if system == 0 else base.torsion
+            matrices.append(before.matrix.copy(order="F"))
+            loads.append(before.loads.copy(order="F"))
+            continue
         rows = np.count_nonzero(collocated[mine])
         matrices.append(np.zeros((rows, np.count_nonzero(collocated)), order="F"))
         loads.append(np.zeros((rows, conditions.n_loads), order="F"))
 
     evaluations = _assemble_rows(
-        mine.start, mine.stop, body, conditions, unknowns, poisson, rules, starts,
+        mine.start, mine.stop, body, conditions, unknowns, moving, moved, poisson, rules, starts,
         (matrices[0], matrices[1]), (loads[0], loads[1]),
     )  # fmt: skip
     normal, torsion = (Rows(matrices[i], loads[i], int(starts[i])) for i in (0, 1))

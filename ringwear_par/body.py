@@ -5,13 +5,13 @@ load, speed and wear law at the same shape and Poisson's ratio.
 """
 
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
 from mpi4py import MPI
 
-from ringwear_par.assembly import Conditions, Unknowns, assemble, number_unknowns
+from ringwear_par.assembly import Assembly, Conditions, Unknowns, assemble, number_unknowns
 from ringwear_par.dense import solve_rows
 from ringwear_par.geometry import (
     ContactLine,
@@ -101,12 +101,29 @@ def solve_body(
 
     Collective on comm.
     """
-    t0 = time.perf_counter()
-    unknowns: Unknowns = number_unknowns(body, conditions)
+    unknowns = number_unknowns(body, conditions)
+    started = time.perf_counter()
     rows = assemble(body, conditions, unknowns, poisson, quadrature(tolerance), comm)
-    t1 = time.perf_counter()
-    displacement = np.zeros((len(nodes), 3, conditions.n_loads))
-    traction = np.zeros((len(elements), 3, conditions.n_loads))
+    seconds = time.perf_counter() - started
+    return solve_assembled(rows, unknowns, nodes, elements, seconds, comm)
+
+
+def solve_assembled(
+    rows: Assembly,
+    unknowns: Unknowns,
+    nodes: IntArray,
+    elements: IntArray,
+    seconds: float,
+    comm: MPI.Comm,
+) -> Response:
+    """Solve two assembled systems, as ``solve_body`` does; ``seconds`` is what assembly took.
+
+    Collective on comm.
+    """
+    started = time.perf_counter()
+    n_loads = rows.normal.loads.shape[1]
+    displacement = np.zeros((len(nodes), 3, n_loads))
+    traction = np.zeros((len(elements), 3, n_loads))
     for system, components in ((rows.normal, (0, 1)), (rows.torsion, (2,))):
         x, start = solve_rows(system, comm)
         for c in components:
@@ -120,19 +137,93 @@ def solve_body(
     for array in (displacement, traction):  # each entry is known to one rank: the sum is exact
         comm.Allreduce(MPI.IN_PLACE, array, MPI.SUM)
     evaluations = comm.allreduce(rows.kernel_evaluations)
-    t2 = time.perf_counter()
-    return Response(displacement, traction, evaluations, t1 - t0, t2 - t1)
+    return Response(displacement, traction, evaluations, seconds, time.perf_counter() - started)
+
+
+@dataclass(frozen=True)
+class BoundaryResponse:
+    """Values on the whole boundary, at Young's modulus 1, for loads on each contact element.
+
+    Load j is unit pressure (components r and z) and unit circumferential traction (theta) on
+    contact element j, per area projected on the contact plane.
+
+    Parameters
+    ----------
+    body : the boundary elements.
+    displacement : (m, 3, n) float, mm/MPa, of every node in r, z and theta.
+    traction : (k, 3, n) float, MPa/MPa, on every element, the loads included.
+    """
+
+    body: Contour
+    displacement: FloatArray
+    traction: FloatArray
+
+
+def boundary_response(
+    section: Section,
+    line: ContactLine,
+    poisson: float,
+    grip: Grip,
+    mesh: Mesh,
+    comm: MPI.Comm,
+    worn: FloatArray | None = None,
+) -> BoundaryResponse:
+    """Return displacements and tractions on the whole boundary, in the body's own frame.
+
+    Collective on comm. ``worn`` is that of ``contour``.
+    """
+    body = contour(section, line, mesh, worn)
+    conditions = ring_conditions(body, grip)
+    nodes, elements = np.arange(len(body.nodes)), np.arange(len(body.elements))
+    response = solve_body(
+        body, conditions, poisson, mesh.quadrature_tolerance, nodes, elements, comm
+    )
+    e, c = np.nonzero(conditions.load >= 0)
+    response.traction[e, c, conditions.load[e, c]] += conditions.traction[e, c]
+    return BoundaryResponse(body, response.displacement, response.traction)
+
+
+def in_case_frame(
+    response: BoundaryResponse, which: Literal["lower", "upper"], plane: float
+) -> BoundaryResponse:
+    """Return a boundary response in the frame of the case. Not collective.
+
+    z is counted from the case's origin, ``plane`` (mm) being lower.z[1] or upper.z[0]. The upper
+    body is mirrored back: u_z and t_z change sign, and elements change direction, so that their
+    outward normals still lie to the right. Unit shear becomes what unit friction does: it drags
+    lower towards +theta and holds upper back towards -theta, so that u_theta and t_theta of the
+    upper body change sign too. Multiplied by 1/E (displacements), p (r, z) and mu p (theta) and
+    summed over the loads, these are the fields of the case.
+    """
+    body, nodes = response.body, response.body.nodes.copy()
+    if which == "lower":
+        nodes[:, 1] += plane
+        return replace(response, body=body._replace(nodes=nodes))
+    nodes[:, 1] = plane - nodes[:, 1]
+    signs = np.array([1.0, -1.0, -1.0])[None, :, None]
+    return BoundaryResponse(
+        body._replace(nodes=nodes, elements=body.elements[:, ::-1].copy()),
+        signs * response.displacement,
+        signs * response.traction,
+    )
 
 
 def compliance(
-    section: Section, line: ContactLine, poisson: float, grip: Grip, mesh: Mesh, comm: MPI.Comm
+    section: Section,
+    line: ContactLine,
+    poisson: float,
+    grip: Grip,
+    mesh: Mesh,
+    comm: MPI.Comm,
+    worn: FloatArray | None = None,
 ) -> Compliance:
     """Return the compliance of a body's contact line.
 
     Collective on comm. Displacements are collocated at the elements' mid-points; taking them from
-    the end nodes would give pressures of alternating sign almost no displacement.
+    the end nodes would give pressures of alternating sign almost no displacement. ``worn`` is that
+    of ``contour``.
     """
-    body = contour(section, line, mesh)
+    body = contour(section, line, mesh, worn)
     response = solve_body(
         body, ring_conditions(body, grip), poisson, mesh.quadrature_tolerance,
         body.elements[body.contact, 1], body.held, comm,

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import betainc
 
-from ringwear_par.errors import InputError
+from ringwear_par.errors import ComputationError, InputError
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -358,6 +358,7 @@ def contour(
     Raises
     ------
     InputError : the contact line leaves the section.
+    ComputationError : more is worn than half of the body's height.
     """
     a, b = float(line.edges[0]), float(line.edges[-1])
     inner, outer = section.r
@@ -368,6 +369,11 @@ def contour(
     contact = np.stack([line.edges, section.depth(line.edges)], axis=1)
     at = next(i for i, face in enumerate(faces) if face.name == "contact")
     if worn is not None:
+        if not worn.max() < 0.5 * (section.height + contact[:, 1].min()):
+            raise ComputationError(
+                f"wear of {worn.max():.3g} mm is more than half of the height of its body, "
+                f"{section.height + contact[:, 1].min():g} mm: the elements cannot follow it"
+            )
         contact[:, 1] -= worn
         # the ends are shared with whatever piece comes before and after
         for other, row, loss in ((at - 1, -1, worn[-1]), (at + 1, 0, worn[0])):

@@ -14,6 +14,9 @@ from ringwear_par.dense import has_scalapack
 from ringwear_par.errors import ComputationError, InputError
 from ringwear_par.geometry import ContactLine, FloatArray, Mesh, contour, count_elements
 
+#: elements wider than this share of their radius are near the axis
+_NEAR_AXIS = 0.1
+
 
 @dataclass(frozen=True)
 class ContactPair:
@@ -68,6 +71,15 @@ class BodyCost:
     seconds_assembly: float
     seconds_solution: float
 
+    @classmethod
+    def of(cls, bodies: Sequence[Compliance]) -> "BodyCost":
+        """Return what these bodies took together."""
+        return cls(
+            sum(body.response.kernel_evaluations for body in bodies),
+            sum(body.response.seconds_assembly for body in bodies),
+            sum(body.response.seconds_solution for body in bodies),
+        )
+
 
 def operator_key(case: Case) -> Hashable:
     """Return what the operator of a case depends on; equal for cases that can share it."""
@@ -91,23 +103,17 @@ def assemble_operator(case: Case, comm: MPI.Comm) -> tuple[Operator, BodyCost]:
         compliance(case.section(ring), case.line, ring.poisson, ring.grip, case.mesh, comm)
         for ring in (case.lower, case.upper)
     ]
-    return join_bodies(case.line, bodies)
+    return join_bodies(case.line, bodies), BodyCost.of(bodies)
 
 
-def join_bodies(line: ContactLine, bodies: Sequence[Compliance]) -> tuple[Operator, BodyCost]:
-    """Return the operator of two condensed bodies, and what they took. Not collective."""
-    cost = BodyCost(
-        sum(body.response.kernel_evaluations for body in bodies),
-        sum(body.response.seconds_assembly for body in bodies),
-        sum(body.response.seconds_solution for body in bodies),
-    )
-    operator = Operator(
+def join_bodies(line: ContactLine, bodies: Sequence[Compliance]) -> Operator:
+    """Return the operator of lower and upper. Not collective."""
+    return Operator(
         np.array([body.normal for body in bodies]),
         np.array([line.area @ body.torsion for body in bodies]),
         np.array([body.force_reaction for body in bodies]),
         np.array([body.torque_reaction for body in bodies]),
     )
-    return operator, cost
 
 
 def symmetric(line: ContactLine, normal: FloatArray) -> FloatArray:
@@ -126,8 +132,8 @@ def symmetric(line: ContactLine, normal: FloatArray) -> FloatArray:
     flat = np.linalg.solve(weighted, line.area)
     lost = 0.5 * ((weighted - weighted.T) @ flat)
     diagonal = weighted.diagonal()
-    # where the pressure of a flat face is no guide, beside corners, the diagonal stays
-    guided = np.abs(lost) < 0.25 * diagonal * flat
+    # elsewhere areas hardly change, and beside corners a flat face's pressure is no guide
+    guided = (line.width > _NEAR_AXIS * line.r) & (np.abs(lost) < 0.25 * diagonal * flat)
     correction = np.divide(lost, flat, out=np.zeros_like(flat), where=guided)
     return stiffness + np.diag(correction)
 
@@ -143,8 +149,8 @@ def join(case: Case, operator: Operator) -> ContactPair:
     lower, upper = 1.0 / case.lower.young, 1.0 / case.upper.young
     normal = lower * operator.normal[0] + upper * operator.normal[1]
     weighted = line.area[:, None] * normal
-    stiffness = symmetric(line, normal)
     try:
+        stiffness = symmetric(line, normal)
         np.linalg.cholesky(stiffness)
     except np.linalg.LinAlgError as error:
         raise ComputationError(
@@ -177,15 +183,19 @@ def memory_needed(case: Case, ranks: int) -> float:
 
     The (r, z) system of the larger body (two unknowns a node, two nodes an element) with its
     factor, which every rank holds where there is no ScaLAPACK; the torsion system; the right-hand
-    sides; on every rank the compliance and its copies; on one the history.
+    sides; where elements follow the wear, what stays of the matrices of each body that wears; on
+    every rank the compliance and its copies; on one the history.
     """
     n = float(case.mesh.contact_elements)
     unknowns = 4.0 * max(
         count_elements(case.section(r), case.contact, case.mesh) for r in (case.lower, case.upper)
     )
     copies = 1.0 if ranks == 1 or has_scalapack() else float(ranks)
+    kept = 0.0
+    if case.mesh.geometry == "updated":
+        kept = 1.25 * sum(law is not None for law in case.laws)
     history = len(case.output.fields) * n * case.stored_rows
-    return 8.0 * ((1.25 + 1.25 * copies) * unknowns**2 + ranks * 8.0 * n**2 + history)
+    return 8.0 * ((1.25 + kept + 1.25 * copies) * unknowns**2 + ranks * 8.0 * n**2 + history)
 
 
 def check_memory(case: Case, ranks: int, name: str) -> None:

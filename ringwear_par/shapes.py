@@ -39,20 +39,20 @@ def chamfer_face(chamfer: Pair, r: Pair) -> Polyline:
 def _crosses(points: Polyline) -> bool:
     """Tell whether two segments of a polyline that are not neighbours meet."""
     xy = np.array(points)
-    start, along = xy[:-1], np.diff(xy, axis=0)
+    start, end = xy[:-1], xy[1:]
 
-    def side(of: int, point: FloatArray) -> FloatArray:
-        to = point - start[of]
-        return along[of, 0] * to[..., 1] - along[of, 1] * to[..., 0]
+    def side(a: FloatArray, b: FloatArray, point: FloatArray) -> FloatArray:
+        """Return on which side of the segments from a to b points lie, by the sign."""
+        along, to = b - a, point - a
+        return along[..., 0] * to[..., 1] - along[..., 1] * to[..., 0]
 
+    low, high = np.minimum(start, end), np.maximum(start, end)
     for i in range(len(start) - 2):
-        others = np.arange(i + 2, len(start))
-        here = side(i, start[others]) * side(i, xy[others + 1]) <= 0
-        back = [side(j, xy[i]) * side(j, xy[i + 1]) <= 0 for j in others]
-        apart = (np.maximum(start[others], xy[others + 1]) < np.minimum(xy[i], xy[i + 1])) | (
-            np.minimum(start[others], xy[others + 1]) > np.maximum(xy[i], xy[i + 1])
-        )
-        if (here & np.array(back) & ~apart.any(axis=1)).any():
+        p, q, others = start[i], end[i], slice(i + 2, None)
+        a, b = start[others], end[others]
+        near = ((low[others] <= high[i]) & (high[others] >= low[i])).all(axis=1)
+        apart = side(p, q, a) * side(p, q, b) > 0
+        if (near & ~apart & (side(a, b, p) * side(a, b, q) <= 0)).any():
             return True
     return False
 

@@ -7,7 +7,7 @@ import pytest
 from petsc4py import PETSc
 
 from ringwear_par import verify
-from ringwear_par.body import compliance
+from ringwear_par.body import boundary_response, compliance, in_case_frame
 from ringwear_par.dense import has_scalapack
 from ringwear_par.geometry import Mesh, Section, contact_line
 
@@ -137,3 +137,47 @@ def test_memory_stays_flat(comm):
     for _ in range(100):
         once()
     assert resident_megabytes() - before < 4.0
+
+
+@pytest.mark.parametrize("section", [LOWER, UPPER])
+def test_the_whole_boundary_in_both_frames(section, comm):
+    mesh = Mesh(24)
+    line = contact_line(CONTACT, mesh)
+    response = boundary_response(section, line, 0.3, "clamped", mesh, comm)
+    body = response.body
+    condensed_body = condensed(section, mesh, comm)
+    middle = body.elements[body.contact, 1]
+    assert np.array_equal(-response.displacement[middle, 1], condensed_body.normal)
+    assert np.array_equal(response.displacement[middle, 2], condensed_body.torsion)
+    assert not response.displacement[body.elements[body.held].ravel()].any()
+    assert np.array_equal(response.traction[body.contact, 1], -np.eye(24))
+    assert np.array_equal(response.traction[body.contact, 2], np.eye(24))
+    free = np.setdiff1d(np.arange(len(body.elements)), [*body.contact, *body.held])
+    assert not response.traction[free].any()
+    # equilibrium along z and about the axis, by area and moment of every element
+    first, last = body.nodes[body.elements[:, 0]], body.nodes[body.elements[:, 2]]
+    length = np.hypot(*(last - first).T)
+    area = np.pi * (first[:, 0] + last[:, 0]) * length
+    assert np.abs(area @ response.traction[:, 1] / line.area).max() < 5e-3
+    lower = in_case_frame(response, "lower", 20.0)
+    upper = in_case_frame(response, "upper", 20.0)
+    assert np.array_equal(lower.displacement, response.displacement)
+    assert np.array_equal(lower.body.nodes[:, 1] + upper.body.nodes[:, 1], np.full(
+        len(body.nodes), 40.0))  # fmt: skip
+    assert np.array_equal(upper.displacement[:, 0], response.displacement[:, 0])
+    assert np.array_equal(upper.displacement[:, 1], -response.displacement[:, 1])
+    assert np.array_equal(upper.traction[upper.body.contact, 1], np.eye(24))  # pushed up
+    assert np.array_equal(upper.traction[upper.body.contact, 2], -np.eye(24))  # held back
+    for shown in (lower.body, upper.body):  # outward normals to the right: of the contact, up, down
+        along = np.diff(shown.nodes[shown.elements[shown.contact]][:, [0, 2], 0], axis=1)
+        assert (along < 0).all() == (shown is lower.body)
+
+
+def test_pressure_on_a_slope_keeps_its_force(comm):
+    face = ((28.5, -0.3), (30.0, 0.0), (31.5, -0.5))
+    section = Section((28.5, 31.5), 20.0, face)
+    mesh = Mesh(48)
+    line = contact_line(CONTACT, mesh, section)
+    body = compliance(section, line, 0.3, "clamped", mesh, comm)
+    assert body.force_reaction == pytest.approx(line.area, rel=1e-3)
+    assert body.torque_reaction == pytest.approx(line.area * line.arm, rel=1e-3)

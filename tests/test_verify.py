@@ -24,6 +24,10 @@ def test_every_reference_solution_is_met(checks):
     [
         ("torsion of a hollow cylinder: u_theta", 1.8),
         ("rigid flat cylinder: force", 1.8),
+        ("rigid flat cylinder: p at the axis, worst of 4 elements", 1.8),
+        ("sphere (Hertz): force", 1.4),
+        ("sphere (Hertz): contact radius", 1.4),
+        ("rigid cone: force", 1.4),
         ("rigid flat annulus a/b = 0.5: force", 1.8),
         ("rigid flat annulus a/b = 0.5: p(mid)/p(mean)", 1.7),
         ("paper, 50 MPa: approach", 1.7),
@@ -33,6 +37,20 @@ def test_every_reference_solution_is_met(checks):
 )
 def test_observed_orders(checks, name, order):
     assert checks[name].order > order
+
+
+def test_hertz_pressure_at_the_axis(comm):
+    """The innermost elements too, not only a fit through many."""
+    *_, p_max = reference.hertz(reference.contact_modulus((1.0, verify.NU)), 10.0, 0.1)
+    r = np.linspace(0.0, 1.6, 401)
+    sphere = np.stack([r, r * r / 20.0], axis=1)
+    for n in (64, 128):
+        states = [verify._indented(sphere, 0.1, big_r, n, comm) for big_r in (50.0, 100.0)]
+        line = states[0][0]
+        first, second = (state.pressure[:4] for _, state in states)
+        inside = line.edges[:5] ** 2
+        exact = p_max * np.diff(-((1.0 - inside) ** 1.5)) / (1.5 * np.diff(inside))
+        assert 2.0 * second - first == pytest.approx(exact, rel=1e-3)
 
 
 def test_default_mesh_meets_its_figures(comm):
