@@ -16,6 +16,7 @@ from ringwear_par.assembly import load_kernels
 from ringwear_par.case import Case, parse_case, read_case
 from ringwear_par.contact import ContactSolver
 from ringwear_par.errors import ComputationError, InputError, RingwearError
+from ringwear_par.fields import WholeBoundary
 from ringwear_par.history import State, WearHistory, run
 from ringwear_par.info import versions
 from ringwear_par.monitor import Monitor, Progress, StopSignals
@@ -86,7 +87,8 @@ def run_case(
     loading = time.perf_counter() - t0
     pair, cost = contact_pair(case, comm)
     with ContactSolver(pair.stiffness, pair.line.area, comm) as solver:
-        history = WearHistory(case, pair, solver)
+        boundary = None if case.output.boundary == "none" else WholeBoundary(case, comm)
+        history = WearHistory(case, pair, solver, boundary)
         recorder = Recorder(history) if comm.rank == 0 else None
         begun = time.perf_counter()
         state = history.start()

@@ -17,6 +17,7 @@ from ringwear_par import adaptive
 from ringwear_par.case import Case
 from ringwear_par.contact import ContactSolver, ContactState
 from ringwear_par.errors import ComputationError, InputError
+from ringwear_par.fields import BoundaryFields, WholeBoundary, wants_boundary
 from ringwear_par.geometry import FloatArray
 from ringwear_par.pair import ContactPair, largest_stable_step
 from ringwear_par.quantity import Quantity, in_time, integral, largest
@@ -77,6 +78,8 @@ class State:
     next_step : s, what an adaptive history tries next; 0 before its first step.
     rejected : adaptive steps that were repeated with a smaller one, so far.
     stored : whether the case stores this state.
+    stored_before : s, time of the last state stored before this one; negative: none.
+    boundary : fields on the whole boundaries of lower and upper, where the case stores them.
     """
 
     step: int
@@ -90,6 +93,8 @@ class State:
     next_step: float = 0.0
     rejected: int = 0
     stored: bool = True
+    stored_before: float = -1.0
+    boundary: tuple[BoundaryFields, BoundaryFields] | None = None
 
 
 class WearHistory:
@@ -100,10 +105,18 @@ class WearHistory:
     case : the case.
     pair : its contact pair.
     solver : contact solver of the pair; its communicator is that of the collective methods.
+    boundary : makes the whole-boundary fields that the case asks for; None: there are none.
     """
 
-    def __init__(self, case: Case, pair: ContactPair, solver: ContactSolver) -> None:
+    def __init__(
+        self,
+        case: Case,
+        pair: ContactPair,
+        solver: ContactSolver,
+        boundary: WholeBoundary | None = None,
+    ) -> None:
         self.case, self.pair, self.solver = case, pair, solver
+        self._boundary = boundary
         line = pair.line
         self._r, self._arm, self.area = line.r, line.arm, line.area
         self._moment = self.area * self._arm  # torque per unit shear
@@ -151,8 +164,10 @@ class WearHistory:
         for law in self.case.laws:
             if isinstance(law, UserLaw):
                 check_user_law(law, at, pressure)
-        return self._balanced(
-            State(0, 0.0, np.zeros((2, len(self._zero))), np.zeros(2), 0.0, contact, Balances())
+        return self._with_boundary(
+            self._balanced(
+                State(0, 0.0, np.zeros((2, len(self._zero))), np.zeros(2), 0.0, contact, Balances())
+            )
         )
 
     def _check_interpenetration(self) -> None:
@@ -185,7 +200,9 @@ class WearHistory:
             raise ComputationError(
                 f"step {state.step + 1} (from time {state.time:g} s): {error}"
             ) from error
-        return replace(after, stored=self._stores(after))
+        return self._with_boundary(
+            replace(after, stored=self._stores(after), stored_before=_last_stored(state))
+        )
 
     def between(self, state: State, time: float) -> State:
         """Return the state at a time within the step that follows a state. Collective.
@@ -193,7 +210,10 @@ class WearHistory:
         A step of the same formula, so of the same accuracy, that the history does not go on from.
         """
         step = adaptive.between if self.case.time.adaptive else WearHistory.stepped
-        return replace(step(self, state, time), stored=True)
+        passing = step(self, state, time)
+        return self._with_boundary(
+            replace(passing, stored=True, stored_before=_last_stored(state))
+        )
 
     def moments(self, before: State, after: State) -> list[float]:
         """Return the times of output strictly between two states."""
@@ -208,6 +228,24 @@ class WearHistory:
             near = 1e-9 * self.case.time.end
             return any(abs(t - state.time) <= near for t in output.times)
         return state.step % output.every == 0
+
+    def _with_boundary(self, state: State) -> State:
+        """Return a state with the boundary fields that the case wants of it. Collective."""
+        if self._boundary is None:
+            return state
+        output, before, near = self.case.output, state.stored_before, 1e-9 * self.case.time.end
+        if output.times:  # states within a step are stored behind the back of those that follow
+            passed = [t for t in (0.0, *output.times) if t < state.time - near]
+            before = max(passed, default=-1.0)
+        elif not self.case.time.adaptive and state.step > 0:
+            before = (state.step - 1) // output.every * output.every * self.case.time.step
+        finished = self.finished(state)
+        if not (state.stored and wants_boundary(self.case, state.time, finished, before)):
+            return replace(state, boundary=None)
+        # the elasticity that the contact was solved with
+        shape = getattr(self, "shape", None)
+        fields = self._boundary.fields(state.contact, state.wear, shape)
+        return replace(state, boundary=fields)
 
     # -- what schemes are made of ------------------------------------------------------------------
 
@@ -324,6 +362,10 @@ class WearHistory:
             contact.residual,
         )
         return replace(state, balances=state.balances.worse(now))
+
+
+def _last_stored(state: State) -> float:
+    return state.time if state.stored else state.stored_before
 
 
 def run(

@@ -5,7 +5,7 @@ that is there is whole.
 """
 
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -16,6 +16,7 @@ import numpy as np
 from ringwear_par.case import Case
 from ringwear_par.contact import ContactState, WarmStart
 from ringwear_par.errors import InputError
+from ringwear_par.fields import BODIES, FACES, BoundaryFields, BoundaryState
 from ringwear_par.geometry import ContactLine, FloatArray, IntArray
 from ringwear_par.history import Balances, State, WearHistory
 
@@ -41,6 +42,20 @@ ALONG = {
     "wear_lower": ("mm", "wear depth of the lower ring, downward"),
     "wear_upper": ("mm", "wear depth of the upper ring, upward"),
 }
+#: variables of the groups boundary/lower and boundary/upper by attribute of BoundaryFields: names
+#: of their columns, dimension beside time, unit and long name
+BOUNDARY = {
+    "nodes": (("r", "z"), "node", "mm", "{} of the worn, undeformed body"),
+    "displacement": (
+        tuple(f"displacement_{x}" for x in ("r", "z", "theta")), "node", "mm",
+        "displacement along {}",
+    ),
+    "traction": (
+        tuple(f"traction_{x}" for x in ("r", "z", "theta")), "element", "MPa", "traction along {}",
+    ),
+    "pressure": (("pressure",), "element", "MPa", "contact pressure, 0 elsewhere"),
+    "wear": (("wear",), "element", "mm", "wear depth, 0 off the contact"),
+}  # fmt: skip
 
 
 _APPROACH = list(SCALARS).index("approach")
@@ -62,6 +77,7 @@ class Recorder:
         self._steps: list[int] = []
         self._scalars: list[tuple[float, ...]] = []
         self._fields: dict[str, list[FloatArray]] = {name: [] for name in output.fields}
+        self._boundary: list[BoundaryState] = []
         self.pending_iterations = 0
 
     def add(self, state: State) -> None:
@@ -96,6 +112,8 @@ class Recorder:
             if not self.deep:
                 rows.clear()
             rows.append(along[name])
+        if state.boundary is not None:
+            self._boundary.append(BoundaryState(state.step, state.time, state.boundary))
         self.pending_iterations = 0
 
     @property
@@ -119,6 +137,11 @@ class Recorder:
         """(stored, n) float each, by name; (1, n) where the last ones are stored only."""
         n = self._history.pair.line.n
         return {name: np.array(rows).reshape(-1, n) for name, rows in self._fields.items()}
+
+    @property
+    def boundary(self) -> Sequence[BoundaryState]:
+        """Stored fields on the whole boundaries."""
+        return self._boundary
 
     def arrays(self) -> dict[str, FloatArray]:
         """Return what is stored so far by variable, ``step`` (the numbers of steps) included."""
@@ -148,6 +171,10 @@ class Recorder:
         for name in self._fields:
             stored = checkpoint.fields[name]
             self._fields[name] = list(stored[keep] if self.deep else stored[None])
+        # the last state of a shorter run is not the last one of this run
+        if output.boundary != "last" or self._history.finished(checkpoint.state):
+            left = set(self._steps)
+            self._boundary = [b for b in checkpoint.boundary if b.step in left]
         self.pending_iterations = checkpoint.pending_iterations + int(
             checkpoint.scalars["contact_iterations"][~keep].sum()
         )
@@ -162,6 +189,7 @@ class Checkpoint:
     steps: IntArray
     scalars: dict[str, FloatArray]
     fields: dict[str, FloatArray]
+    boundary: tuple[BoundaryState, ...]
     pending_iterations: int
     seconds: dict[str, float]
 
@@ -175,6 +203,7 @@ class Result:
     fields: dict[str, FloatArray]
     line: ContactLine
     steps: IntArray
+    boundary: tuple[BoundaryState, ...]
     attributes: dict[str, Any]
 
 
@@ -197,6 +226,9 @@ def write_result(
     try:
         with h5py.File(temporary, "w") as file:
             _write_history(file, line, recorder)
+            if recorder.boundary:
+                for i, name in enumerate(BODIES):
+                    _write_boundary(file.create_group(f"boundary/{name}"), recorder.boundary, i)
             _write_checkpoint(file.create_group("checkpoint"), line, recorder, state, warm)
             file.attrs.update(
                 {"software": SOFTWARE, "case": case.text, "title": case.title, **attributes}
@@ -213,32 +245,92 @@ def write_result(
         raise
 
 
-def _write_history(file: h5py.File, line: ContactLine, recorder: Recorder) -> None:
-    def variable(
-        name: str, data: FloatArray | IntArray, dims: tuple[str, ...], unit: str, text: str
-    ) -> None:
-        dataset = file.create_dataset(name, data=data)
-        dataset.attrs["units"], dataset.attrs["long_name"] = unit, text
-        for axis, dim in enumerate(dims):
-            dataset.dims[axis].attach_scale(file[dim])
+def _variable(
+    group: h5py.Group, name: str, data: FloatArray | IntArray, dims: tuple[str, ...], unit: str,
+    text: str,
+) -> None:  # fmt: skip
+    """Write a variable over dimensions of its group."""
+    dataset = group.create_dataset(name, data=data)
+    dataset.attrs["units"], dataset.attrs["long_name"] = unit, text
+    for axis, dim in enumerate(dims):
+        dataset.dims[axis].attach_scale(group[dim])
 
-    for name, data, text in (
-        ("step", recorder.steps, "number of time steps made"),
-        ("element", np.arange(line.n), "contact element, from the inner edge outwards"),
-    ):
-        variable(name, data, (), "1", text)
-        file[name].make_scale(name)
+
+def _dimension(
+    group: h5py.Group, name: str, data: FloatArray | IntArray, unit: str, text: str
+) -> None:
+    """Write a coordinate that is a dimension of its group."""
+    _variable(group, name, data, (), unit, text)
+    group[name].make_scale(name)
+
+
+def _write_history(file: h5py.File, line: ContactLine, recorder: Recorder) -> None:
+    _dimension(file, "step", recorder.steps, "1", "number of time steps made")
+    text = "contact element, from the inner edge outwards"
+    _dimension(file, "element", np.arange(line.n), "1", text)
     for name, table in recorder.scalars.items():
         whole = name == "contact_iterations"
-        variable(name, table.astype(int) if whole else table, ("step",), *SCALARS[name])
-    variable("r", line.r, ("element",), "mm", "radius of the element's mid-point")
-    variable("width", line.width, ("element",), "mm", "radial length of the element")
+        _variable(file, name, table.astype(int) if whole else table, ("step",), *SCALARS[name])
+    _variable(file, "r", line.r, ("element",), "mm", "radius of the element's mid-point")
+    _variable(file, "width", line.width, ("element",), "mm", "radial length of the element")
     for name, table in recorder.fields.items():
         unit, text = ALONG[name]
         if recorder.deep:
-            variable(name, table, ("step", "element"), unit, text)
+            _variable(file, name, table, ("step", "element"), unit, text)
         elif len(table):
-            variable(name, table[0], ("element",), unit, f"{text}, at the last step")
+            _variable(file, name, table[0], ("element",), unit, f"{text}, at the last step")
+
+
+def _write_boundary(group: h5py.Group, states: Sequence[BoundaryState], body: int) -> None:
+    """Write the fields on the boundary of one body, 0 or 1, at all stored times."""
+    fields = [state.bodies[body] for state in states]
+    first = fields[0]
+    nodes, elements = np.arange(len(first.nodes)), np.arange(len(first.elements))
+    _dimension(group, "time", np.array([state.time for state in states]), "s", "time")
+    _dimension(group, "node", nodes, "1", "node of the boundary")
+    text = "element of the boundary; its outward normal lies to the right of its direction"
+    _dimension(group, "element", elements, "1", text)
+    _dimension(group, "corner", np.arange(3), "1", "first, middle and last node of an element")
+    steps = np.array([state.step for state in states])
+    _variable(group, "step", steps, ("time",), "1", "number of time steps made")
+    text = "nodes of the element"
+    _variable(group, "nodes", first.elements, ("element", "corner"), "1", text)
+    faces = ", ".join(f"{number} {name}" for number, name in enumerate(FACES))
+    _variable(group, "face", first.face, ("element",), "1", f"face of the body: {faces}")
+    for attribute, (names, dim, unit, text) in BOUNDARY.items():
+        table = np.array([getattr(f, attribute) for f in fields])
+        columns = table.reshape(*table.shape[:2], len(names))
+        for column, name in enumerate(names):
+            told = text.format(name.rpartition("_")[2])
+            _variable(group, name, columns[..., column], ("time", dim), unit, told)
+
+
+def _read_boundary(file: h5py.File) -> tuple[BoundaryState, ...]:
+    """Return the stored fields on the boundaries, () where there are none."""
+    if "boundary" not in file:
+        return ()
+    group = file["boundary"][BODIES[0]]
+    steps, times = group["step"][:].tolist(), group["time"][:].tolist()
+    both = [_read_body(file["boundary"][name]) for name in BODIES]
+    return tuple(
+        BoundaryState(step, time, (lower, upper))
+        for step, time, lower, upper in zip(steps, times, *both, strict=True)
+    )
+
+
+def _read_body(group: h5py.Group) -> list[BoundaryFields]:
+    elements, face = group["nodes"][:], group["face"][:]
+    table = {
+        attribute: np.stack([group[name][:] for name in names], axis=-1)
+        for attribute, (names, *_) in BOUNDARY.items()
+    }
+    return [
+        BoundaryFields(
+            table["nodes"][t], elements, face, table["displacement"][t], table["traction"][t],
+            table["pressure"][t, :, 0], table["wear"][t, :, 0],
+        )
+        for t in range(len(group["time"]))
+    ]  # fmt: skip
 
 
 def _write_checkpoint(
@@ -290,10 +382,12 @@ def read_checkpoint(path: Path) -> tuple[str, Checkpoint]:
             group["pressure"][:], group["gap"][:], float(attrs["approach"]),
             float(attrs["force"]), 0, 0.0,
         )  # fmt: skip
+        time, last = float(attrs["time"]), float(file["time"][-1])
         state = State(
-            int(attrs["step"]), float(attrs["time"]), group["wear"][:], group["worn"][:],
+            int(attrs["step"]), time, group["wear"][:], group["worn"][:],
             float(attrs["energy"]), contact, Balances(*(float(v) for v in attrs["balances"])),
             int(attrs["iterations"]), float(attrs["next_step"]), int(attrs["rejected"]),
+            stored=last == time, stored_before=last,
         )  # fmt: skip
         warm = WarmStart(
             group["warm_scaled_pressure"][:], group["warm_rate"][:], group["warm_gap"][:],
@@ -305,6 +399,7 @@ def read_checkpoint(path: Path) -> tuple[str, Checkpoint]:
             file["step"][:],
             {name: file[name][:] for name in SCALARS},
             {name: file[name][:] for name in ALONG if name in file},
+            _read_boundary(file),
             int(attrs["pending_iterations"]),
             {k: float(v) for k, v in file.attrs.items() if k.startswith("seconds_")},
         )
@@ -330,5 +425,6 @@ def read_result(path: Path) -> Result:
             {name: file[name][:] for name in ALONG if name in file},
             ContactLine(file["checkpoint/edges"][:]),
             file["step"][:],
+            _read_boundary(file),
             dict(file.attrs),
         )
