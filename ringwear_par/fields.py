@@ -127,6 +127,8 @@ class WholeBoundary:
             for loads in (unit.displacement, unit.traction)
         )
         shown = _worn_contour(case, i, wear)
+        # the same force on elements that wear has tilted, and so lengthened, since the reference
+        traction[shown.contact] *= (_lengths(unit.body) / _lengths(shown))[shown.contact, None]
         response = in_case_frame(
             BoundaryResponse(shown, displacement[..., None] / ring.young, traction[..., None]),
             which, plane,
@@ -159,6 +161,11 @@ class WholeBoundary:
             )
             known = self._known[which] = (None if shape is None else shape.copy(), response)
         return known[1]
+
+
+def _lengths(body: Contour) -> FloatArray:
+    ends = body.nodes[body.elements]
+    return np.hypot(*(ends[:, 2] - ends[:, 0]).T)
 
 
 def _same(one: FloatArray | None, other: FloatArray | None) -> bool:

@@ -211,9 +211,7 @@ class WearHistory:
         """
         step = adaptive.between if self.case.time.adaptive else WearHistory.stepped
         passing = step(self, state, time)
-        return self._with_boundary(
-            replace(passing, stored=True, stored_before=_last_stored(state))
-        )
+        return self._with_boundary(replace(passing, stored=True, stored_before=_last_stored(state)))
 
     def moments(self, before: State, after: State) -> list[float]:
         """Return the times of output strictly between two states."""

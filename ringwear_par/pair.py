@@ -184,7 +184,8 @@ def memory_needed(case: Case, ranks: int) -> float:
     The (r, z) system of the larger body (two unknowns a node, two nodes an element) with its
     factor, which every rank holds where there is no ScaLAPACK; the torsion system; the right-hand
     sides; where elements follow the wear, what stays of the matrices of each body that wears; on
-    every rank the compliance and its copies; on one the history.
+    every rank the compliance and its copies, and the responses of whole boundaries where their
+    fields are asked for; on one the history.
     """
     n = float(case.mesh.contact_elements)
     unknowns = 4.0 * max(
@@ -194,8 +195,14 @@ def memory_needed(case: Case, ranks: int) -> float:
     kept = 0.0
     if case.mesh.geometry == "updated":
         kept = 1.25 * sum(law is not None for law in case.laws)
-    history = len(case.output.fields) * n * case.stored_rows
-    return 8.0 * ((1.25 + kept + 1.25 * copies) * unknowns**2 + ranks * 8.0 * n**2 + history)
+    history, shared = len(case.output.fields) * n * case.stored_rows, 8.0 * n**2
+    if case.output.boundary != "none":
+        # displacements of two nodes an element and its traction, of both bodies and n loads
+        shared += 2.0 * 9.0 * n * unknowns / 4.0
+        # what is stored of them; an element has six coordinates, six displacements and more
+        rows = 1.0 if case.output.boundary == "last" else case.stored_rows
+        history += 2.0 * 15.0 * unknowns / 4.0 * rows
+    return 8.0 * ((1.25 + kept + 1.25 * copies) * unknowns**2 + ranks * shared + history)
 
 
 def check_memory(case: Case, ranks: int, name: str) -> None:

@@ -223,6 +223,11 @@ def read_study(path: Path, ranks: int = 1) -> Study:
     else:
         names = tuple(v.name for v in variations)
         rows = _drawn(name, variations, method, design)
+    if base.get("output.boundary", "none") != "none" or "output.boundary" in names:
+        raise InputError(
+            f"{name}: output.boundary: must be absent from a study and its case; fields on whole "
+            "boundaries are stored by ringwear run only"
+        )
     return _checked(path, text, base, names, method, rows, ranks)
 
 

@@ -136,6 +136,7 @@ method = "grid"
         ('[vary]\n"wear.lower.k" = { linear = [1, 2] }', ["count is missing", ">= 2"]),
         ('[vary]\n"wear.lower.k" = { linear = [1, 2], count = 2, seed = 1 }', ["seed"]),
         ('[vary]\n"title" = { values = ["a"] }', ["title"]),
+        ('[vary]\n"output.boundary" = { values = ["all"] }', ["output.boundary", "ringwear run"]),
         ('[vary]\n"contact.friction[0]" = { values = [1] }', ["no entries"]),
         ('[vary]\n"load.pressure" = { values = [-5, 80] }', ["load.pressure = -5", "case 1"]),
         ('[vary]\n"upper.r[0]" = { values = [50] }', ["upper.r", "two increasing"]),
