@@ -90,7 +90,7 @@ def _parser() -> argparse.ArgumentParser:
     plot.add_argument("-o", "--output", type=Path, required=True, metavar="FIG.png")
     plot.add_argument(
         "--panels", default="wear,penetration", metavar="LIST",
-        help="any of wear, penetration, pressure, in this order (default: %(default)s)",
+        help="any of wear, penetration, pressure, section, in this order (default: %(default)s)",
     )  # fmt: skip
     plot.add_argument(
         "--steps", default="", metavar="LIST",
@@ -100,6 +100,28 @@ def _parser() -> argparse.ArgumentParser:
     plot.add_argument(
         "--profiles-of", type=Path, nargs="+", default=[], metavar="RUN.h5",
         help="draw the profiles of these files only (default: of all)",
+    )  # fmt: skip
+
+    export = command("export", "write a result file for ParaView or a spreadsheet")
+    export.add_argument("result", type=Path, metavar="RUN.h5")
+    export.add_argument(
+        "-o", "--output", type=Path, required=True, metavar="OUT",
+        help=".vtp: contours of both bodies; .vtu: their surfaces, revolved; .csv: histories",
+    )  # fmt: skip
+    export.add_argument(
+        "--time", type=float, metavar="T",
+        help="take the stored state nearest to this time, s (default: the last)",
+    )  # fmt: skip
+    export.add_argument(
+        "--revolve", type=int, metavar="N", help="segments of the revolved surfaces (default: 72)"
+    )
+    export.add_argument(
+        "--scale", type=float, metavar="S",
+        help="add the displacements, S times magnified, to the points (default: 0)",
+    )  # fmt: skip
+    export.add_argument(
+        "--fields", action="store_true",
+        help="write the fields along the contact line to .csv instead of the histories",
     )  # fmt: skip
 
     laws = command("laws", "print what the wear laws of a case do, and test their derivatives")
@@ -141,6 +163,19 @@ def _dispatch(args: argparse.Namespace, comm: Any) -> int:
 
         overrides = [item for group in args.overrides for item in group]
         return on_first_rank(comm, lambda: check_laws(args.case, overrides))
+    if args.command == "export":
+        from ringwear_par.driver import on_first_rank
+        from ringwear_par.export import export
+
+        told = on_first_rank(
+            comm,
+            lambda: export(
+                args.result, args.output, args.time, args.revolve, args.scale, args.fields
+            ),
+        )
+        if comm.rank == 0:
+            print(told)
+        return 0
     if args.command == "plot":
         from ringwear_par.driver import on_first_rank
         from ringwear_par.plots import plot_files
