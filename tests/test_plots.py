@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from ringwear_par.driver import run_case
@@ -88,4 +89,60 @@ def test_wrong_files(runs, tmp_path):
         plot_files([tmp_path / "none.h5"], tmp_path / "a.png")
     with pytest.raises(InputError, match="not a result file"):
         plot_files([PAPER], tmp_path / "a.png")
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("case", ["fields", "sphere"])
+def test_deformed_sections(tmp_path, comm, monkeypatch, case):
+    from matplotlib.figure import Figure
+
+    from ringwear_par.plots import plot_files
+    from ringwear_par.results import read_result
+
+    run = tmp_path / "run.h5"
+    words = ["mesh.contact_elements=16", "output.boundary=last"]
+    words += ["wear.upper={law='threshold', k=1e-8}"] if case == "fields" else ["time.steps=2"]
+    run_case(PAPER.with_name(f"{case}.toml"), run, words, False, None, comm)
+    plot_files([run], tmp_path / "a.png", "section,pressure")
+    assert (tmp_path / "a.png").stat().st_size > 3000
+    figures = []
+    monkeypatch.setattr(Figure, "savefig", lambda self, path: (figures.append(self), path.touch()))
+    plot_files([run], tmp_path / "b.png", "section")
+    axes = figures[0].axes[0]
+    assert axes.get_aspect() == 1.0
+    assert "mm" in axes.get_xlabel()
+    shown = [patch.get_xy()[:-1] for patch in axes.patches]
+    state = read_result(run).boundary[-1]
+    for drawn, body in zip(shown, state.bodies, strict=False):
+        assert drawn == pytest.approx(body.nodes)
+    # magnified, they touch under pressure and overlap nowhere on the contact line
+    height = []
+    for outline, body in zip(shown[2:], state.bodies, strict=True):
+        middle = body.elements[body.face == 1, 1]
+        height.append(outline[middle[body.nodes[middle, 0].argsort()], 1])
+    gap = height[1] - height[0]
+    size = 40.0 if case == "fields" else 16.0
+    assert abs(gap.min()) < 1e-12
+    if case == "fields":
+        assert np.abs(gap).max() < 2e-3 * size
+    (colours,) = axes.collections
+    p = state.bodies[0].pressure[state.bodies[0].face == 1]
+    assert np.array_equal(np.sort(np.asarray(colours.get_array())), np.sort(p))
+
+
+def test_magnification_is_round():
+    from ringwear_par.plots import magnification
+
+    assert magnification(0.0, 40.0) == 1.0
+    assert magnification(0.04, 40.0) == 100.0
+    assert magnification(0.013, 40.0) == 200.0  # nearest to 308 in logarithms
+    assert magnification(5.0, 40.0) == 1.0
+    assert magnification(20.0, 40.0) == pytest.approx(0.2)
+
+
+def test_sections_need_boundary_fields(runs, tmp_path):
+    from ringwear_par.plots import plot_files
+
+    with pytest.raises(InputError, match=r"holds no fields .* output\.boundary"):
+        plot_files(runs[:1], tmp_path / "a.png", "section")
     assert not list(tmp_path.iterdir())
