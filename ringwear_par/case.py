@@ -201,6 +201,11 @@ class Case:
         return math.pi * (b * b - a * a)
 
     @property
+    def follows_wear(self) -> bool:
+        """Whether elements follow the worn profile."""
+        return self.mesh.geometry == "updated" and any(law is not None for law in self.laws)
+
+    @property
     def knots(self) -> tuple[float, ...]:
         """Times at which a schedule or a parameter bends, s: adaptive steps end there."""
         load = self.load

@@ -18,7 +18,8 @@ from ringwear_par.case import Case
 from ringwear_par.contact import ContactSolver, ContactState
 from ringwear_par.errors import ComputationError, InputError
 from ringwear_par.geometry import FloatArray
-from ringwear_par.pair import ContactPair, largest_stable_step
+from ringwear_par.moving import MovingElasticity
+from ringwear_par.pair import BodyCost, ContactPair, join, largest_stable_step
 from ringwear_par.quantity import Quantity, in_time, integral, largest
 from ringwear_par.wear import Sliding, StepWear, UserLaw, averaging, check_user_law
 
@@ -76,6 +77,8 @@ class State:
     iterations : of TAO so far.
     next_step : s, what an adaptive history tries next; 0 before its first step.
     rejected : adaptive steps that were repeated with a smaller one, so far.
+    shape : (2, n) float, mm, the wear that the elements have followed; None where they do not.
+    assemblies : how often they were assembled anew for it, so far.
     stored : whether the case stores this state.
     """
 
@@ -89,6 +92,8 @@ class State:
     iterations: int = 0
     next_step: float = 0.0
     rejected: int = 0
+    shape: FloatArray | None = None
+    assemblies: int = 0
     stored: bool = True
 
 
@@ -99,12 +104,27 @@ class WearHistory:
     ----------
     case : the case.
     pair : its contact pair.
-    solver : contact solver of the pair; its communicator is that of the collective methods.
+    solver : contact solver of the pair; its communicator is that of the collective methods. Where
+        ``mesh.geometry`` is "updated" it is given another stiffness as wear goes on.
+    elasticity : of the moving elements, if the caller has it already.
     """
 
-    def __init__(self, case: Case, pair: ContactPair, solver: ContactSolver) -> None:
-        self.case, self.pair, self.solver = case, pair, solver
+    def __init__(
+        self,
+        case: Case,
+        pair: ContactPair,
+        solver: ContactSolver,
+        elasticity: MovingElasticity | None = None,
+    ) -> None:
+        self.case, self.solver = case, solver
         line = pair.line
+        self._elasticity = elasticity
+        if elasticity is None and case.follows_wear:
+            self._elasticity = MovingElasticity(case, solver.comm)
+        #: the wear that the present elasticity is of, None where elements do not follow it
+        self.shape = np.zeros((2, line.n)) if self._elasticity is not None else None
+        #: what following it took so far
+        self.following = BodyCost(0, 0.0, 0.0)
         self._r, self._arm, self.area = line.r, line.arm, line.area
         self._moment = self.area * self._arm  # torque per unit shear
         self._wears = any(law is not None for law in case.laws)
@@ -112,10 +132,41 @@ class WearHistory:
             averaging(line.r, line.area, law.length) if law is not None and law.length else None
             for law in case.laws
         )
-        # what balances take from the pressure: friction torque / mu, reactions of both bodies
-        self._sums = np.vstack([self._moment, pair.force_reaction, pair.torque_reaction])
+        self._take(pair)
         self._zero = np.zeros(line.n)
         self._initial_gap = case.gap_at(line.gap_point)
+
+    def _take(self, pair: ContactPair) -> None:
+        self.pair = pair
+        # what balances take from the pressure: friction torque / mu, reactions of both bodies
+        self._sums = np.vstack([self._moment, pair.force_reaction, pair.torque_reaction])
+
+    def _followed(self, state: State) -> State:
+        """Let the elements follow the wear, if it is more than the tolerance. Collective.
+
+        What they follow depends on the state alone, so that a restarted run does the same.
+        """
+        if self._elasticity is None:
+            return state
+        shape, assemblies = state.shape, state.assemblies
+        if shape is None:
+            shape = np.zeros_like(state.wear)
+        if np.abs(state.wear - shape).max() > self.case.mesh.geometry_tolerance:
+            shape, assemblies = state.wear, assemblies + 1
+        if self.shape is None or not np.array_equal(shape, self.shape):
+            operator, cost = self._elasticity.update(shape)
+            self._take(join(self.case, operator))
+            self.solver.set_stiffness(self.pair.stiffness)
+            self.shape, self.following = shape, self.following + cost
+        return replace(state, shape=shape, assemblies=assemblies)
+
+    def longest_step(self, state: State) -> float:
+        """Return the longest step, s, in which wear stays about the tolerance of the geometry."""
+        if self._elasticity is None:
+            return np.inf
+        omega = in_time(self.case.load.omega, state.time)
+        fastest = self.rates(state.time, omega, state.wear, state.contact.pressure).max()
+        return float(self.case.mesh.geometry_tolerance / fastest) if fastest > 0.0 else np.inf
 
     def finished(self, state: State) -> bool:
         """Tell whether a state is the last one of the case."""
@@ -177,6 +228,7 @@ class WearHistory:
         ComputationError : the contact failed; the step and its time are named.
         """
         try:
+            state = self._followed(state)
             if self.case.time.adaptive:
                 after = adaptive.advance(self, state)
             else:
@@ -192,6 +244,7 @@ class WearHistory:
 
         A step of the same formula, so of the same accuracy, that the history does not go on from.
         """
+        state = self._followed(state)
         step = adaptive.between if self.case.time.adaptive else WearHistory.stepped
         return replace(step(self, state, time), stored=True)
 
