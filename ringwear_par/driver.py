@@ -102,7 +102,7 @@ def run_case(
         reject_unused_options()
         if checkpoint is not None:
             state = checkpoint.state
-            solver.warm_start(checkpoint.warm)
+            history.resume(state, checkpoint.warm)
         if recorder is not None and checkpoint is None:
             recorder.add(state)
         elif recorder is not None and checkpoint is not None:

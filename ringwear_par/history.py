@@ -15,7 +15,7 @@ import numpy as np
 
 from ringwear_par import adaptive
 from ringwear_par.case import Case
-from ringwear_par.contact import ContactSolver, ContactState
+from ringwear_par.contact import ContactSolver, ContactState, WarmStart
 from ringwear_par.errors import ComputationError, InputError
 from ringwear_par.geometry import FloatArray
 from ringwear_par.moving import MovingElasticity
@@ -121,8 +121,8 @@ class WearHistory:
         self._elasticity = elasticity
         if elasticity is None and case.follows_wear:
             self._elasticity = MovingElasticity(case, solver.comm)
-        #: the wear that the present elasticity is of, None where elements do not follow it
-        self.shape = np.zeros((2, line.n)) if self._elasticity is not None else None
+        #: the wear that the present elasticity is of
+        self.shape = np.zeros((2, line.n))
         #: what following it took so far
         self.following = BodyCost(0, 0.0, 0.0)
         self._r, self._arm, self.area = line.r, line.arm, line.area
@@ -153,12 +153,22 @@ class WearHistory:
             shape = np.zeros_like(state.wear)
         if np.abs(state.wear - shape).max() > self.case.mesh.geometry_tolerance:
             shape, assemblies = state.wear, assemblies + 1
-        if self.shape is None or not np.array_equal(shape, self.shape):
-            operator, cost = self._elasticity.update(shape)
-            self._take(join(self.case, operator))
-            self.solver.set_stiffness(self.pair.stiffness)
-            self.shape, self.following = shape, self.following + cost
+        self._follow(shape)
         return replace(state, shape=shape, assemblies=assemblies)
+
+    def _follow(self, shape: FloatArray) -> None:
+        if self._elasticity is None or np.array_equal(shape, self.shape):
+            return
+        operator, cost = self._elasticity.update(shape)
+        self._take(join(self.case, operator))
+        self.solver.set_stiffness(self.pair.stiffness)
+        self.shape, self.following = shape, self.following + cost
+
+    def resume(self, state: State, warm: WarmStart) -> None:
+        """Go on from a stored state as if it had just been computed. Collective."""
+        if state.shape is not None:
+            self._follow(state.shape)
+        self.solver.warm_start(warm)
 
     def longest_step(self, state: State) -> float:
         """Return the longest step, s, in which wear stays about the tolerance of the geometry."""

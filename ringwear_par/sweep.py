@@ -413,7 +413,7 @@ class Bench:
             recorder.add(state)
         else:
             state = checkpoint.state
-            solver.warm_start(checkpoint.warm)
+            history.resume(state, checkpoint.warm)
             recorder.restore(checkpoint)
 
         def save(state: State) -> None:

@@ -126,7 +126,7 @@ def main() -> None:
         pressure = np.abs(other.pressure / fixed.pressure - 1.0)[:, inside].max(axis=1)
         right.plot(other.time, 1e2 * pressure, dash, label=label)
     left.set_ylabel("approach, updated \N{MINUS SIGN} fixed (\N{MICRO SIGN}m)")
-    right.set_ylabel("largest change of interior pressure (%)")
+    right.set_ylabel("change of interior pressure (%)")
     for axes in (left, right):
         axes.set_xlabel("time (s)")
         axes.spines[["top", "right"]].set_visible(False)
