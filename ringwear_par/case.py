@@ -92,7 +92,7 @@ class Stepping:
     step: float = 0.0
     steps: int = 0
     until: float = 0.0
-    tolerance: float = 3e-6
+    tolerance: float = 2.5e-6
 
     @property
     def adaptive(self) -> bool:

@@ -457,7 +457,7 @@ def adaptive_checks(comm: MPI.Comm) -> Iterator[Check]:
     line = pair.line
     with ContactSolver(pair.stiffness, line.area, comm) as solver:
 
-        def last(case: Case, end: float, tolerance: float = 3e-6) -> State:
+        def last(case: Case, end: float, tolerance: float = 2.5e-6) -> State:
             solver.cold_start()
             stepping = Stepping("adaptive", until=end, tolerance=tolerance)
             history = WearHistory(replace(case, time=stepping), pair, solver)
