@@ -347,8 +347,19 @@ def find_files(flat: Mapping[str, Any], folder: Path) -> dict[str, Any]:
 def override(flat: Mapping[str, Any], overrides: Mapping[str, Any]) -> dict[str, Any]:
     """Return dotted keys with some of them replaced.
 
-    A new load takes the place of the old one; keys without meaning for a new law of wear go.
+    A new load takes the place of the old one; keys without meaning for a new law of wear go;
+    ``wear.lower.parameters.NAME`` is one entry of that table.
     """
+    overrides = dict(overrides)
+    for table in ("wear.lower.parameters", "wear.upper.parameters"):
+        named = {p: v for p, v in overrides.items() if p.startswith(f"{table}.")}
+        if named:
+            before = overrides.get(table, flat.get(table))
+            entries = dict(before) if isinstance(before, dict) else {}
+            for path, value in named.items():
+                entries[path.removeprefix(f"{table}.")] = value
+                del overrides[path]
+            overrides[table] = entries
     for table in ("wear.lower", "wear.upper"):
         law = overrides.get(f"{table}.law")
         if isinstance(law, str) and law in LAWS:
