@@ -212,9 +212,9 @@ class WearHistory:
         for law in self.case.laws:
             if isinstance(law, UserLaw):
                 check_user_law(law, at, pressure)
-        return self._balanced(
-            State(0, 0.0, np.zeros((2, len(self._zero))), np.zeros(2), 0.0, contact, Balances())
-        )
+        wear, worn = np.zeros((2, len(self._zero))), np.zeros(2)
+        balances = self._balances(0.0, wear, worn, 0.0, contact)
+        return State(0, 0.0, wear, worn, 0.0, contact, balances)
 
     def _check_interpenetration(self) -> None:
         """Refuse undeformed bodies that overlap by more than the largest force presses them."""
@@ -247,7 +247,8 @@ class WearHistory:
             raise ComputationError(
                 f"step {state.step + 1} (from time {state.time:g} s): {error}"
             ) from error
-        return replace(after, stored=self._stores(after))
+        stored = self._stores(after)
+        return after if after.stored == stored else replace(after, stored=stored)
 
     def between(self, state: State, time: float) -> State:
         """Return the state at a time within the step that follows a state. Collective.
@@ -329,17 +330,19 @@ class WearHistory:
         self, state: State, time: float, depths: FloatArray, energy: float, contact: ContactState
     ) -> State:
         """Return the state after a step in which depths (2, n) mm were worn off."""
-        return self._balanced(
-            replace(
-                state,
-                step=state.step + 1,
-                time=time,
-                wear=state.wear + depths,
-                worn=state.worn + depths @ self.area,
-                energy=state.energy + energy,
-                contact=contact,
-                iterations=state.iterations + contact.iterations,
-            )
+        wear, worn = state.wear + depths, state.worn + depths @ self.area
+        energy = state.energy + energy
+        now = self._balances(time, wear, worn, energy, contact)
+        return replace(
+            state,
+            step=state.step + 1,
+            time=time,
+            wear=wear,
+            worn=worn,
+            energy=energy,
+            contact=contact,
+            balances=state.balances.worse(now),
+            iterations=state.iterations + contact.iterations,
         )
 
     def torque(self, p: FloatArray) -> float:
@@ -354,39 +357,39 @@ class WearHistory:
         """Return the volumes lost by lower and upper, (2,) mm^3, from their profiles, (2, n) mm."""
         return wear @ self.area
 
-    def _balanced(self, state: State) -> State:
-        """Return a state with its balances, the worst of it and those before it.
+    def _balances(
+        self, time: float, wear: FloatArray, worn: FloatArray, energy: float, contact: ContactState
+    ) -> Balances:
+        """Return the balances at a time, of what a state holds.
 
         Raises
         ------
         ComputationError : contact has reached an end of the contact line that is no edge.
         """
-        contact, energy = state.contact, state.energy
         for is_open, e in zip(self.case.open_ends, (0, -1), strict=True):
             if is_open and contact.pressure[e] > 0.0:
                 raise ComputationError(
-                    f"time {state.time:g} s: contact has reached the end of mesh.contact at "
+                    f"time {time:g} s: contact has reached the end of mesh.contact at "
                     f"r = {self.pair.line.edges[e]:g} mm, which must be farther out"
                 )
         given, pushed = self.case.load.force, contact.force
-        force = in_time(given, state.time) if given is not None else 0.0
+        force = in_time(given, time) if given is not None else 0.0
         turned, *reactions = (self._sums @ contact.pressure).tolist()
-        volumes = self.worn_volumes(state.wear).tolist()
+        volumes = self.worn_volumes(wear).tolist()
         total = max(volumes)
         identity = 0.0
         for law, volume in zip(self.case.laws, volumes, strict=True):
             ratio = law.per_energy(self.case.friction) if law is not None else None
             if ratio and energy > 0.0:
                 identity = max(identity, abs(volume / (ratio * energy) - 1.0))
-        now = Balances(
+        return Balances(
             abs(pushed / force - 1.0) if force > 0.0 else 0.0,
             max(abs(t / turned - 1.0) for t in reactions[2:]) if turned > 0.0 else 0.0,
             max(abs(f / pushed - 1.0) for f in reactions[:2]) if pushed > 0.0 else 0.0,
-            max(map(abs, map(sub, volumes, state.worn.tolist()))) / total if total > 0.0 else 0.0,
+            max(map(abs, map(sub, volumes, worn.tolist()))) / total if total > 0.0 else 0.0,
             identity,
             contact.residual,
         )
-        return replace(state, balances=state.balances.worse(now))
 
 
 def run(
