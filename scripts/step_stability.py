@@ -5,14 +5,17 @@ Usage: [mpirun -n N] python scripts/step_stability.py [-o FIG.png]
 Steps the paper's rings on uniform contact meshes, prints what it finds and draws it.
 
 - Explicit steps, (6) of the paper, are stable up to kappa V dt lambda_max(C^-1) = 2, C being the
-  compliance of the contact line: wear per step of less than 1.485 h p / E*. Beyond, the worn
-  profile alternates from element to element.
+  compliance of the contact line: wear per step of less than 1.485 h p / E* where the speed is
+  largest. Beyond, the worn profile alternates from element to element.
 - Gaps that contact elements take from their end nodes (the mean, as linear interpolation has it)
   hardly feel pressures of alternating sign: the smallest eigenvalue of C falls as h^3, not as h.
   Unworn pressures are garbage, and the largest stable step falls as h^3 too, so that steps far
   within the limit of the mid-points' compliance make profiles ripple. Within its own limit, or
   implicit, stepping is smooth with these gaps as well: wear evens out what pressure they invent.
 - Mid-point gaps and implicit steps have neither fault.
+
+Ripples with a threshold p0 > 0 also dig too deep: pressure swings above and below it, and only the
+former wears. With p0 = 0 the penetration stays right.
 
 A ripple is the r.m.s. alternating component of the wear on the inner four fifths of the contact,
 away from the edges: fourth differences over 16, which leave +-a of alternating sign as it is and
@@ -41,6 +44,7 @@ from ringwear_par.errors import RingwearError
 from ringwear_par.geometry import ContactLine, FloatArray, contour
 from ringwear_par.history import State, WearHistory
 from ringwear_par.pair import ContactPair, contact_pair, largest_stable_step, symmetric
+from ringwear_par.plots import _STYLE
 from ringwear_par.reference import EXPLICIT_LIMIT, contact_modulus
 from ringwear_par.wear import ThresholdLaw
 
@@ -370,15 +374,6 @@ def report_unworn(sizes: tuple[int, ...], comm: MPI.Comm) -> None:
         print(f"{grading:>7g}{n:>5}" + "".join(f"{value:>27.2f}" for value in values))
 
 
-_STYLE = {
-    "font.size": 9.0,
-    "axes.titlesize": 9.0,
-    "legend.fontsize": 8.0,
-    "lines.linewidth": 1.3,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "savefig.dpi": 200,
-}
 _DASHES = ((0, (1, 1)), "-.", "--", "-")
 _COLOURS = {"a": "#c1440e", "b": "#6a4c93", "c": "#1b4f8a"}
 
@@ -403,15 +398,23 @@ def draw(found: Study, path: Path) -> None:
             ),
             "c": (
                 found.runs["mid-point", "implicit", LONG, 40.0],
-                f"implicit, mid-point gaps, steps of {LONG:.1f} s:\nno limit, no ripple",
+                f"implicit, mid-point gaps, steps of {LONG:.1f} s:\n"
+                "no ripple (dots, 200 s: nor with nodal gaps)",
             ),
         }
-        for ax, (name, (run, title)) in zip(axes[0], panels.items(), strict=True):
-            _profiles(ax, run, _COLOURS[name])
+        sames = (
+            found.runs["mid-point", "explicit", LONG, 0.0],
+            found.runs["nodal", "explicit", SHORT, 0.0],
+            found.runs["mid-point", "implicit", LONG, 0.0],
+        )
+        for ax, same, (name, (run, title)) in zip(axes[0], sames, panels.items(), strict=True):
+            _profiles(ax, run, same, _COLOURS[name])
             ax.set_title(f"({name}) {title}", loc="left")
+        nodal = found.runs["nodal", "implicit", LONG, 40.0]
+        axes[0, 2].plot(nodal.r[::2], -nodal.wear[-1, ::2], ".", ms=4, color=_COLOURS["b"])
         _pressures(axes[1, 0], panels)
-        _unworn(axes[1, 1], found)
-        _limits(axes[1, 2], found)
+        _unworn(axes[1, 1], nodal.r, found.unworn)
+        _limits(axes[1, 2], found.limits)
         figure.suptitle(
             f"Why late worn profiles ripple: the paper's rings, p0 = 40 MPa, {N} equal contact "
             "elements (load and speed are our reading: 80 MPa, 3.54 rad/s)",
@@ -420,63 +423,88 @@ def draw(found: Study, path: Path) -> None:
         figure.savefig(path)
 
 
-def _profiles(ax: Axes, run: Run, colour: str) -> None:
+def _profiles(ax: Axes, run: Run, same: Run, colour: str) -> None:
+    """Draw worn profiles, and in words what happened, also where p0 = 0 (``same``)."""
     for time, profile, dashes in zip(TIMES, run.wear, _DASHES, strict=True):
         ax.plot(run.r, -profile, linestyle=dashes, color=colour, label=f"{time:g} s")
-    ax.set(xlabel="distance to axis (mm)", ylabel="wear depth (µm)", ylim=(-23.0, 0.0))
+    ax.set(xlabel="distance to axis (mm)", ylabel="wear depth (µm)", ylim=(-25.0, 0.0))
     ax.text(
-        0.5, 0.13, f"ripple {run.ripples[-1]:.1g} µm, penetration {run.penetration:.1f} µm",
-        transform=ax.transAxes, ha="center",
+        0.5, 0.14, f"200 s: ripple {run.ripples[-1]:.1g} µm,\n"
+        f"penetration {run.penetration:.1f} µm (p0 = 0: {same.penetration:.1f} µm)",
+        transform=ax.transAxes, ha="center", fontsize=8.0,
     )  # fmt: skip
-    ax.legend(frameon=False, ncols=4, loc="lower center", handlelength=2.4, columnspacing=1.0)
+    ax.legend(
+        frameon=False, ncols=4, loc="lower center", handlelength=2.2, columnspacing=0.8,
+        handletextpad=0.4, fontsize=7.5, borderaxespad=0.1,
+    )  # fmt: skip
 
 
 def _pressures(ax: Axes, panels: dict[str, tuple[Run, str]]) -> None:
+    styles = {"a": ("o-", 1.4, 3), "b": (".:", 0.8, 2), "c": ("-", 1.6, 4)}
     for name, (run, _) in panels.items():
-        ax.plot(run.r, run.pressure, ".-", ms=4, color=_COLOURS[name], label=f"({name})")
-    ax.set(xlabel="distance to axis (mm)", ylabel="contact pressure (MPa)")
-    ax.set_title(f"(d) pressure after {TIMES[-1]:g} s", loc="left")
+        mark, width, order = styles[name]
+        ax.plot(
+            run.r, run.pressure, mark, ms=3.5, lw=width, zorder=order, color=_COLOURS[name],
+            label=f"({name})",
+        )  # fmt: skip
+    ax.set(xlabel="distance to axis (mm)", ylabel="contact pressure (MPa)", ylim=(-5.0, 205.0))
+    ax.set_title(f"(d) contact pressure after {TIMES[-1]:g} s of (a), (b), (c)", loc="left")
     ax.legend(frameon=False, ncols=3, loc="upper center")
 
 
-def _unworn(ax: Axes, found: Study) -> None:
-    r = panels_r(found)
-    ax.plot(r, found.unworn["nodal"], ".-", ms=4, color=_COLOURS["b"], label="nodal gaps")
-    ax.plot(r, found.unworn["mid-point"], ".-", ms=4, color=_COLOURS["c"], label="mid-point gaps")
+def _unworn(ax: Axes, r: FloatArray, pressures: dict[Gaps, FloatArray]) -> None:
+    names: tuple[tuple[Gaps, str], ...] = (("nodal", "b"), ("mid-point", "c"))
+    for gaps, name in names:
+        ax.plot(r, pressures[gaps], ".-", ms=4, color=_COLOURS[name], label=f"{gaps} gaps")
     ax.set(xlabel="distance to axis (mm)", ylabel="contact pressure (MPa)")
-    ax.set_title("(e) before any wear: nodal gaps do not feel\npressures of alternating sign",
-                 loc="left")  # fmt: skip
+    ax.set_title(
+        "(e) contact pressure before any wear: nodal gaps\nhardly feel alternating pressures",
+        loc="left",
+    )
     ax.legend(frameon=False, loc="upper center")
 
 
-def panels_r(found: Study) -> FloatArray:
-    """Return the radii of the element values, mm."""
-    return next(iter(found.runs.values())).r
-
-
-def _limits(ax: Axes, found: Study) -> None:
-    n = np.array(list(found.limits))
+def _limits(ax: Axes, limit: dict[int, Limits]) -> None:
+    n = np.array(list(limit))
     fine = np.geomspace(n[0], n[-1], 50)
-    first = next(iter(found.limits.values()))
-    ax.loglog(fine, first.formula * n[0] / fine, "-", color="0.3", lw=1.0,
-              label="wear per step 1.485 h p / E*")  # fmt: skip
-    gaps_of: tuple[tuple[Gaps, str], ...] = (("mid-point", "c"), ("nodal", "b"))
-    for gaps, name in gaps_of:
-        colour = _COLOURS[name]
-        measured = [limit.measured[gaps] for limit in found.limits.values()]
-        values = [limit.eigenvalue[gaps] for limit in found.limits.values()]
-        ax.loglog(n, measured, "o", ms=7, mfc="none", color=colour,
-                  label=f"{gaps} gaps: measured by stepping")  # fmt: skip
-        ax.loglog(n, values, "x", ms=4, color=colour, label=f"{gaps} gaps: from the eigenvalue")
-    for name, step in (("a", LONG), ("b", SHORT)):
-        ax.plot(N, step, "*", ms=9, color=_COLOURS["a" if name == "a" else "b"])
-        ax.annotate(f"({name})", (N, step), xytext=(5, 3), textcoords="offset points")
-    ax.set(xlabel="number of equal contact elements", ylabel="largest stable explicit step (s)")
+    first = limit[n[0]]
+    ax.loglog(
+        fine, first.formula * n[0] / fine, "-", color="0.3", lw=1.0,
+        label="wear per step 1.485 h p / E*",
+    )  # fmt: skip
+    cubic = first.eigenvalue["nodal"] * (n[0] / fine) ** 3
+    ax.loglog(fine, cubic, ":", color="0.3", lw=1.0, label="as h³")
+    names: tuple[tuple[Gaps, str], ...] = (("mid-point", "c"), ("nodal", "b"))
+    for gaps, name in names:
+        measured = [at.measured[gaps] for at in limit.values()]
+        values = [at.eigenvalue[gaps] for at in limit.values()]
+        style = {"ls": "none", "color": _COLOURS[name]}
+        ax.loglog(
+            n, measured, marker="o", ms=7, mfc="none", label=f"{gaps} gaps, by stepping", **style
+        )
+        ax.loglog(n, values, marker="x", ms=4, label=f"{gaps} gaps, eigenvalue", **style)
+    for number, at in limit.items():
+        ax.annotate(
+            f"{at.measured['mid-point'] / at.formula:.3f}", (number, at.measured["mid-point"]),
+            xytext=(14, 6), textcoords="offset points", ha="center", fontsize=7.5,
+            color=_COLOURS["c"],
+        )  # fmt: skip
+    for name, step, offset in (("a", LONG, (-20, 1)), ("b", SHORT, (-20, -9))):
+        ax.plot(N, step, "*", ms=7, color=_COLOURS[name], zorder=5)
+        ax.annotate(f"({name})", (N, step), xytext=offset, textcoords="offset points")
+    ax.set(
+        xlabel="number of equal contact elements", ylabel="explicit step (s)",
+        xlim=(13.5, 165.0), ylim=(2e-6, 1e2),
+    )  # fmt: skip
     ax.set_xticks(n, [str(value) for value in n])
     ax.xaxis.set_minor_locator(NullLocator())
     ax.xaxis.set_minor_formatter(NullFormatter())
-    ax.set_title("(f) stable below: as h, and as h³ with nodal gaps", loc="left")
-    ax.legend(frameon=False, loc="lower left")
+    ax.set_title(
+        "(f) largest stable explicit step (numbers: by\n"
+        "stepping / formula) and the steps of (a), (b)",
+        loc="left",
+    )
+    ax.legend(frameon=False, loc="lower left", fontsize=7.5, labelspacing=0.25)
 
 
 def main() -> int:
