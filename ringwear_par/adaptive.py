@@ -41,7 +41,7 @@ def advance(history: "WearHistory", state: "State") -> "State":
     """
     time = history.case.time
     limit = next((t for t in history.case.knots if t > state.time), time.end)
-    step = state.next_step or _first_step(history, state)
+    step = min(state.next_step or _first_step(history, state), history.longest_step(state))
     rejected, iterations, failure = state.rejected, 0, ""
     while True:
         left = limit - state.time

@@ -92,7 +92,7 @@ class Stepping:
     step: float = 0.0
     steps: int = 0
     until: float = 0.0
-    tolerance: float = 3e-6
+    tolerance: float = 2.5e-6
 
     @property
     def adaptive(self) -> bool:
@@ -199,6 +199,11 @@ class Case:
         """Nominal contact area, mm^2: of the overlap, whatever the faces."""
         a, b = self.overlap
         return math.pi * (b * b - a * a)
+
+    @property
+    def follows_wear(self) -> bool:
+        """Whether elements follow the worn profile."""
+        return self.mesh.geometry == "updated" and any(law is not None for law in self.laws)
 
     @property
     def knots(self) -> tuple[float, ...]:
@@ -342,8 +347,19 @@ def find_files(flat: Mapping[str, Any], folder: Path) -> dict[str, Any]:
 def override(flat: Mapping[str, Any], overrides: Mapping[str, Any]) -> dict[str, Any]:
     """Return dotted keys with some of them replaced.
 
-    A new load takes the place of the old one; keys without meaning for a new law of wear go.
+    A new load takes the place of the old one; keys without meaning for a new law of wear go;
+    ``wear.lower.parameters.NAME`` is one entry of that table.
     """
+    overrides = dict(overrides)
+    for table in ("wear.lower.parameters", "wear.upper.parameters"):
+        named = {p: v for p, v in overrides.items() if p.startswith(f"{table}.")}
+        if named:
+            before = overrides.get(table, flat.get(table))
+            entries = dict(before) if isinstance(before, dict) else {}
+            for path, value in named.items():
+                entries[path.removeprefix(f"{table}.")] = value
+                del overrides[path]
+            overrides[table] = entries
     for table in ("wear.lower", "wear.upper"):
         law = overrides.get(f"{table}.law")
         if isinstance(law, str) and law in LAWS:

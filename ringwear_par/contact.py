@@ -122,40 +122,55 @@ class ContactSolver:
             raise InputError(f"-{PREFIX}tao_type {tao_type}: must be one of {', '.join(TAO_TYPES)}")
         self.distributed = not small and tao_type != "python"
         self._comm = comm if self.distributed else MPI.COMM_SELF
-        self._area = area
-        self._scale = np.sqrt(np.diag(stiffness))
+        self.comm, self._area = comm, area
         self._x = PETSc.Vec().createMPI(n, comm=self._comm)
         self._here = slice(*self._x.getOwnershipRange())
-        here = self._here
-        scaled = stiffness[here] / (self._scale[here, None] * self._scale)
-        rows = (here.stop - here.start, n)
+        rows = (self._here.stop - self._here.start, n)
         sizes = ((rows[0], n), (rows[0], n))
-        self._a = PETSc.Mat().createDense(sizes, array=np.asfortranarray(scaled), comm=self._comm)
-        self._h = PETSc.Mat().createDense(sizes, array=np.array(scaled, order="F"), comm=self._comm)
+        self._a, self._h = (
+            PETSc.Mat().createDense(sizes, array=np.zeros(rows, order="F"), comm=self._comm)
+            for _ in "ah"
+        )
         self._diagonal = self._x.duplicate()
         self._lower, self._upper = self._x.duplicate(), self._x.duplicate()
         self._upper.set(PETSc.INFINITY)
         self._g, self._scratch = self._x.duplicate(), self._x.duplicate()
-        for matrix in (self._a, self._h):
-            matrix.assemble()
-        self._diagonal.set(1.0)  # to the last bit what it is again after any case without wear
-        self._h.setDiagonal(self._diagonal)
-        self._h.assemble()
+        self._scale = np.ones(n)
+        self.set_stiffness(stiffness)
         self._tao = self._make_tao(tao_type)
         self.tao_type = tao_type
 
         # the problem that the callbacks see, this rank's part
-        self._all_weights = area / self._scale
-        self._weight, self._own_scale = self._all_weights[here], self._scale[here]
-        self._slope_weight = self._weight / self._own_scale
         self._linear = np.zeros(rows[0])
         self._wear: StepWear | None = None
-        self._slope = np.zeros(rows[0])
-        self._full = False  # whether the Hessian is more than a changed diagonal
         # warm start of the search for the approach
         self._first_rate = np.full(n, float(area.sum() / stiffness.sum()))
         self._rate = self._first_rate  # d pressure / d approach
         self._last: tuple[FloatArray, float, float] | None = None  # gap, approach, force
+
+    def set_stiffness(self, stiffness: FloatArray) -> None:
+        """Take another stiffness of the same contact line; the warm start stays. Collective.
+
+        Parameters
+        ----------
+        stiffness : (n, n) float, mm^3/MPa, symmetric area-weighted compliance, on every rank.
+        """
+        here, before = self._here, self._scale
+        self._scale = np.sqrt(np.diag(stiffness))
+        scaled = stiffness[here] / (self._scale[here, None] * self._scale)
+        for matrix in (self._a, self._h):
+            matrix.getDenseArray()[:] = scaled
+            matrix.assemble()
+        self._diagonal.set(1.0)  # to the last bit what it is again after any case without wear
+        self._h.setDiagonal(self._diagonal)
+        self._h.assemble()
+        self._slope = np.zeros(here.stop - here.start)
+        self._full = False  # whether the Hessian is more than a changed diagonal
+        self._all_weights = self._area / self._scale
+        self._weight, self._own_scale = self._all_weights[here], self._scale[here]
+        self._slope_weight = self._weight / self._own_scale
+        q = self._x.getArray(readonly=True)
+        self._x.setArray(q * (self._scale / before)[here])
 
     def _make_tao(self, tao_type: str) -> PETSc.TAO:
         tao = PETSc.TAO().create(self._comm)

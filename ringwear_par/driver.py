@@ -20,8 +20,9 @@ from ringwear_par.fields import WholeBoundary
 from ringwear_par.history import State, WearHistory, run
 from ringwear_par.info import versions
 from ringwear_par.monitor import Monitor, Progress, StopSignals
+from ringwear_par.moving import MovingElasticity
 from ringwear_par.options import reject_unused_options
-from ringwear_par.pair import ContactPair, check_memory, check_mesh, contact_pair
+from ringwear_par.pair import ContactPair, check_memory, check_mesh, contact_pair, join
 from ringwear_par.results import (
     Checkpoint,
     Recorder,
@@ -85,10 +86,16 @@ def run_case(
     t0 = time.perf_counter()
     load_kernels(comm)
     loading = time.perf_counter() - t0
-    pair, cost = contact_pair(case, comm)
+    elasticity = None
+    if case.follows_wear:
+        elasticity = MovingElasticity(case, comm)
+        operator, cost = elasticity.update(np.zeros((2, case.line.n)))
+        pair = join(case, operator)
+    else:
+        pair, cost = contact_pair(case, comm)
     with ContactSolver(pair.stiffness, pair.line.area, comm) as solver:
         boundary = None if case.output.boundary == "none" else WholeBoundary(case, comm)
-        history = WearHistory(case, pair, solver, boundary)
+        history = WearHistory(case, pair, solver, elasticity, boundary)
         recorder = Recorder(history) if comm.rank == 0 else None
         begun = time.perf_counter()
         state = history.start()
@@ -97,7 +104,7 @@ def run_case(
         reject_unused_options()
         if checkpoint is not None:
             state = checkpoint.state
-            solver.warm_start(checkpoint.warm)
+            history.resume(state, checkpoint.warm)
         if recorder is not None and checkpoint is None:
             recorder.add(state)
         elif recorder is not None and checkpoint is not None:
@@ -114,7 +121,11 @@ def run_case(
         def save(state: State) -> None:
             t0 = time.perf_counter()
             warm = solver.warm()
-            seconds["seconds_stepping"] = t0 - begun - seconds["seconds_output"]
+            moving = history.following
+            seconds["seconds_assembly"] = cost.seconds_assembly + moving.seconds_assembly
+            seconds["seconds_factorisation"] = cost.seconds_solution + moving.seconds_solution
+            following = moving.seconds_assembly + moving.seconds_solution
+            seconds["seconds_stepping"] = t0 - begun - seconds["seconds_output"] - following
             spent = {name: value + before.get(name, 0.0) for name, value in seconds.items()}
             attributes = {
                 "status": "complete" if history.finished(state) else "incomplete",
@@ -139,8 +150,15 @@ def run_case(
             state = run(history, state, monitor, monitor.show)
             save(state)
         if recorder is not None:
-            print(summary(case, pair, state, recorder))
-            _warn_of_doubts(case, pair, state)
+            print(summary(case, history.pair, state, recorder))
+            if case.follows_wear:
+                moving = history.following
+                print(
+                    f"elements followed the wear {state.assemblies} times (every "
+                    f"{case.mesh.geometry_tolerance:g} mm): {moving.kernel_evaluations} kernel "
+                    f"evaluations, {moving.seconds_assembly + moving.seconds_solution:.3f} s"
+                )
+            _warn_of_doubts(case, history.pair, state)
             start_up = max(seconds_since_start() - (time.perf_counter() - started), 0.0)
             print(_times(seconds, start_up, loading, cost.kernel_evaluations))
     if not history.finished(state):

@@ -20,7 +20,7 @@ from ringwear_par.geometry import BoolArray, FloatArray, IntArray
 from ringwear_par.results import ALONG, SCALARS
 from ringwear_par.schema import BY_PATH, toml_value
 from ringwear_par.shards import Entry, Record
-from ringwear_par.study import value_of
+from ringwear_par.study import path_of, value_of
 
 SOFTWARE = "ringwear-par sweep"
 RESULTS, TABLE = "results.h5", "cases.csv"
@@ -301,7 +301,7 @@ def _write_columns(
         file[name][:] = list(words)
     for i, name in enumerate(names):
         column = [values[i] for values in varied]
-        key = BY_PATH[name.partition("[")[0]]
+        key = BY_PATH[path_of(name)]
         unit = "1" if key.unit == "-" else key.unit
         numbers = all(
             v is None or (isinstance(v, int | float) and not isinstance(v, bool)) for v in column

@@ -151,8 +151,10 @@ class WholeBoundary:
         """Return the responses of a body whose elements followed (n,) mm of wear. Collective."""
         case, which = self._case, BODIES[i]
         ring = (case.lower, case.upper)[i]
+        if shape is not None and not shape.any():
+            shape = None
         known = self._known.get(which)
-        # the reference wear is the same on all ranks, and so is the decision
+        # the shape is the same on all ranks, and so is the decision
         if known is None or not _same(known[0], shape):
             worn = None if shape is None else node_wear(case.line, shape)
             self._known.pop(which, None)  # not two at a time

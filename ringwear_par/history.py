@@ -15,11 +15,12 @@ import numpy as np
 
 from ringwear_par import adaptive
 from ringwear_par.case import Case
-from ringwear_par.contact import ContactSolver, ContactState
+from ringwear_par.contact import ContactSolver, ContactState, WarmStart
 from ringwear_par.errors import ComputationError, InputError
 from ringwear_par.fields import BoundaryFields, WholeBoundary, wants_boundary
 from ringwear_par.geometry import FloatArray
-from ringwear_par.pair import ContactPair, largest_stable_step
+from ringwear_par.moving import MovingElasticity
+from ringwear_par.pair import BodyCost, ContactPair, join, largest_stable_step
 from ringwear_par.quantity import Quantity, in_time, integral, largest
 from ringwear_par.wear import Sliding, StepWear, UserLaw, averaging, check_user_law
 
@@ -77,6 +78,8 @@ class State:
     iterations : of TAO so far.
     next_step : s, what an adaptive history tries next; 0 before its first step.
     rejected : adaptive steps that were repeated with a smaller one, so far.
+    shape : (2, n) float, mm, the wear that the elements have followed; None where they do not.
+    assemblies : how often they were assembled anew for it, so far.
     stored : whether the case stores this state.
     stored_before : s, time of the last state stored before this one; negative: none.
     boundary : fields on the whole boundaries of lower and upper, where the case stores them.
@@ -92,6 +95,8 @@ class State:
     iterations: int = 0
     next_step: float = 0.0
     rejected: int = 0
+    shape: FloatArray | None = None
+    assemblies: int = 0
     stored: bool = True
     stored_before: float = -1.0
     boundary: tuple[BoundaryFields, BoundaryFields] | None = None
@@ -104,7 +109,9 @@ class WearHistory:
     ----------
     case : the case.
     pair : its contact pair.
-    solver : contact solver of the pair; its communicator is that of the collective methods.
+    solver : contact solver of the pair; its communicator is that of the collective methods. Where
+        ``mesh.geometry`` is "updated" it is given another stiffness as wear goes on.
+    elasticity : of the moving elements, if the caller has it already.
     boundary : makes the whole-boundary fields that the case asks for; None: there are none.
     """
 
@@ -113,11 +120,19 @@ class WearHistory:
         case: Case,
         pair: ContactPair,
         solver: ContactSolver,
+        elasticity: MovingElasticity | None = None,
         boundary: WholeBoundary | None = None,
     ) -> None:
-        self.case, self.pair, self.solver = case, pair, solver
+        self.case, self.solver = case, solver
         self._boundary = boundary
         line = pair.line
+        self._elasticity = elasticity
+        if elasticity is None and case.follows_wear:
+            self._elasticity = MovingElasticity(case, solver.comm)
+        #: the wear that the present elasticity is of
+        self.shape = np.zeros((2, line.n))
+        #: what following it took so far
+        self.following = BodyCost(0, 0.0, 0.0)
         self._r, self._arm, self.area = line.r, line.arm, line.area
         self._moment = self.area * self._arm  # torque per unit shear
         self._wears = any(law is not None for law in case.laws)
@@ -125,10 +140,51 @@ class WearHistory:
             averaging(line.r, line.area, law.length) if law is not None and law.length else None
             for law in case.laws
         )
-        # what balances take from the pressure: friction torque / mu, reactions of both bodies
-        self._sums = np.vstack([self._moment, pair.force_reaction, pair.torque_reaction])
+        self._take(pair)
         self._zero = np.zeros(line.n)
         self._initial_gap = case.gap_at(line.gap_point)
+
+    def _take(self, pair: ContactPair) -> None:
+        self.pair = pair
+        # what balances take from the pressure: friction torque / mu, reactions of both bodies
+        self._sums = np.vstack([self._moment, pair.force_reaction, pair.torque_reaction])
+
+    def _followed(self, state: State) -> State:
+        """Let the elements follow the wear, if it is more than the tolerance. Collective.
+
+        What they follow depends on the state alone, so that a restarted run does the same.
+        """
+        if self._elasticity is None:
+            return state
+        shape, assemblies = state.shape, state.assemblies
+        if shape is None:
+            shape = np.zeros_like(state.wear)
+        if np.abs(state.wear - shape).max() > self.case.mesh.geometry_tolerance:
+            shape, assemblies = state.wear, assemblies + 1
+        self._follow(shape)
+        return replace(state, shape=shape, assemblies=assemblies)
+
+    def _follow(self, shape: FloatArray) -> None:
+        if self._elasticity is None or np.array_equal(shape, self.shape):
+            return
+        operator, cost = self._elasticity.update(shape)
+        self._take(join(self.case, operator))
+        self.solver.set_stiffness(self.pair.stiffness)
+        self.shape, self.following = shape, self.following + cost
+
+    def resume(self, state: State, warm: WarmStart) -> None:
+        """Go on from a stored state as if it had just been computed. Collective."""
+        if state.shape is not None:
+            self._follow(state.shape)
+        self.solver.warm_start(warm)
+
+    def longest_step(self, state: State) -> float:
+        """Return the longest step, s, in which wear stays about the tolerance of the geometry."""
+        if self._elasticity is None:
+            return np.inf
+        omega = in_time(self.case.load.omega, state.time)
+        fastest = self.rates(state.time, omega, state.wear, state.contact.pressure).max()
+        return float(self.case.mesh.geometry_tolerance / fastest) if fastest > 0.0 else np.inf
 
     def finished(self, state: State) -> bool:
         """Tell whether a state is the last one of the case."""
@@ -164,11 +220,9 @@ class WearHistory:
         for law in self.case.laws:
             if isinstance(law, UserLaw):
                 check_user_law(law, at, pressure)
-        return self._with_boundary(
-            self._balanced(
-                State(0, 0.0, np.zeros((2, len(self._zero))), np.zeros(2), 0.0, contact, Balances())
-            )
-        )
+        wear, worn = np.zeros((2, len(self._zero))), np.zeros(2)
+        balances = self._balances(0.0, wear, worn, 0.0, contact)
+        return self._with_boundary(State(0, 0.0, wear, worn, 0.0, contact, balances), None)
 
     def _check_interpenetration(self) -> None:
         """Refuse undeformed bodies that overlap by more than the largest force presses them."""
@@ -192,6 +246,7 @@ class WearHistory:
         ComputationError : the contact failed; the step and its time are named.
         """
         try:
+            state = self._followed(state)
             if self.case.time.adaptive:
                 after = adaptive.advance(self, state)
             else:
@@ -200,8 +255,9 @@ class WearHistory:
             raise ComputationError(
                 f"step {state.step + 1} (from time {state.time:g} s): {error}"
             ) from error
+        stored = self._stores(after)
         return self._with_boundary(
-            replace(after, stored=self._stores(after), stored_before=_last_stored(state))
+            after if after.stored == stored else replace(after, stored=stored), state
         )
 
     def between(self, state: State, time: float) -> State:
@@ -209,9 +265,9 @@ class WearHistory:
 
         A step of the same formula, so of the same accuracy, that the history does not go on from.
         """
+        state = self._followed(state)
         step = adaptive.between if self.case.time.adaptive else WearHistory.stepped
-        passing = step(self, state, time)
-        return self._with_boundary(replace(passing, stored=True, stored_before=_last_stored(state)))
+        return self._with_boundary(replace(step(self, state, time), stored=True), state)
 
     def moments(self, before: State, after: State) -> list[float]:
         """Return the times of output strictly between two states."""
@@ -227,23 +283,27 @@ class WearHistory:
             return any(abs(t - state.time) <= near for t in output.times)
         return state.step % output.every == 0
 
-    def _with_boundary(self, state: State) -> State:
-        """Return a state with the boundary fields that the case wants of it. Collective."""
+    def _with_boundary(self, state: State, earlier: State | None) -> State:
+        """Return a state with the boundary fields that the case wants of it. Collective.
+
+        ``earlier`` is the one that it follows; None at the start.
+        """
         if self._boundary is None:
             return state
-        output, before, near = self.case.output, state.stored_before, 1e-9 * self.case.time.end
-        if output.times:  # states within a step are stored behind the back of those that follow
-            passed = [t for t in (0.0, *output.times) if t < state.time - near]
-            before = max(passed, default=-1.0)
+        output, last = self.case.output, -1.0
+        if earlier is not None:
+            last = earlier.time if earlier.stored else earlier.stored_before
+        before = last
+        if output.times:  # those within a step are stored, but not gone on from
+            near = 1e-9 * self.case.time.end
+            before = max((t for t in (0.0, *output.times) if t < state.time - near), default=-1.0)
         elif not self.case.time.adaptive and state.step > 0:
+            # a shorter run's last state, from which this one may have been restarted, is forgotten
             before = (state.step - 1) // output.every * output.every * self.case.time.step
-        finished = self.finished(state)
-        if not (state.stored and wants_boundary(self.case, state.time, finished, before)):
-            return replace(state, boundary=None)
-        # the elasticity that the contact was solved with
-        shape = getattr(self, "shape", None)
-        fields = self._boundary.fields(state.contact, state.wear, shape)
-        return replace(state, boundary=fields)
+        fields = None
+        if state.stored and wants_boundary(self.case, state.time, self.finished(state), before):
+            fields = self._boundary.fields(state.contact, state.wear, state.shape)
+        return replace(state, stored_before=last, boundary=fields)
 
     # -- what schemes are made of ------------------------------------------------------------------
 
@@ -302,17 +362,19 @@ class WearHistory:
         self, state: State, time: float, depths: FloatArray, energy: float, contact: ContactState
     ) -> State:
         """Return the state after a step in which depths (2, n) mm were worn off."""
-        return self._balanced(
-            replace(
-                state,
-                step=state.step + 1,
-                time=time,
-                wear=state.wear + depths,
-                worn=state.worn + depths @ self.area,
-                energy=state.energy + energy,
-                contact=contact,
-                iterations=state.iterations + contact.iterations,
-            )
+        wear, worn = state.wear + depths, state.worn + depths @ self.area
+        energy = state.energy + energy
+        now = self._balances(time, wear, worn, energy, contact)
+        return replace(
+            state,
+            step=state.step + 1,
+            time=time,
+            wear=wear,
+            worn=worn,
+            energy=energy,
+            contact=contact,
+            balances=state.balances.worse(now),
+            iterations=state.iterations + contact.iterations,
         )
 
     def torque(self, p: FloatArray) -> float:
@@ -327,43 +389,39 @@ class WearHistory:
         """Return the volumes lost by lower and upper, (2,) mm^3, from their profiles, (2, n) mm."""
         return wear @ self.area
 
-    def _balanced(self, state: State) -> State:
-        """Return a state with its balances, the worst of it and those before it.
+    def _balances(
+        self, time: float, wear: FloatArray, worn: FloatArray, energy: float, contact: ContactState
+    ) -> Balances:
+        """Return the balances at a time, of what a state holds.
 
         Raises
         ------
         ComputationError : contact has reached an end of the contact line that is no edge.
         """
-        contact, energy = state.contact, state.energy
         for is_open, e in zip(self.case.open_ends, (0, -1), strict=True):
             if is_open and contact.pressure[e] > 0.0:
                 raise ComputationError(
-                    f"time {state.time:g} s: contact has reached the end of mesh.contact at "
+                    f"time {time:g} s: contact has reached the end of mesh.contact at "
                     f"r = {self.pair.line.edges[e]:g} mm, which must be farther out"
                 )
         given, pushed = self.case.load.force, contact.force
-        force = in_time(given, state.time) if given is not None else 0.0
+        force = in_time(given, time) if given is not None else 0.0
         turned, *reactions = (self._sums @ contact.pressure).tolist()
-        volumes = self.worn_volumes(state.wear).tolist()
+        volumes = self.worn_volumes(wear).tolist()
         total = max(volumes)
         identity = 0.0
         for law, volume in zip(self.case.laws, volumes, strict=True):
             ratio = law.per_energy(self.case.friction) if law is not None else None
             if ratio and energy > 0.0:
                 identity = max(identity, abs(volume / (ratio * energy) - 1.0))
-        now = Balances(
+        return Balances(
             abs(pushed / force - 1.0) if force > 0.0 else 0.0,
             max(abs(t / turned - 1.0) for t in reactions[2:]) if turned > 0.0 else 0.0,
             max(abs(f / pushed - 1.0) for f in reactions[:2]) if pushed > 0.0 else 0.0,
-            max(map(abs, map(sub, volumes, state.worn.tolist()))) / total if total > 0.0 else 0.0,
+            max(map(abs, map(sub, volumes, worn.tolist()))) / total if total > 0.0 else 0.0,
             identity,
             contact.residual,
         )
-        return replace(state, balances=state.balances.worse(now))
-
-
-def _last_stored(state: State) -> float:
-    return state.time if state.stored else state.stored_before
 
 
 def run(

@@ -71,6 +71,13 @@ class BodyCost:
     seconds_assembly: float
     seconds_solution: float
 
+    def __add__(self, other: "BodyCost") -> "BodyCost":
+        return BodyCost(
+            self.kernel_evaluations + other.kernel_evaluations,
+            self.seconds_assembly + other.seconds_assembly,
+            self.seconds_solution + other.seconds_solution,
+        )
+
     @classmethod
     def of(cls, bodies: Sequence[Compliance]) -> "BodyCost":
         """Return what these bodies took together."""

@@ -186,7 +186,7 @@ def _profiles(
     for number, row in enumerate(rows):
         axes.plot(
             result.line.r, curve(row), color=_COLOURS[number % len(_COLOURS)],
-            linestyle=_DASHES[number % len(_DASHES)], label=f"{time[row]:g} s",
+            linestyle=_DASHES[number % len(_DASHES)], label=f"{time[row]:.3g} s",
         )  # fmt: skip
     axes.set_xlabel("distance to axis (mm)")
     axes.set_title(label)
@@ -222,7 +222,7 @@ def _pressure(axes: Any, result: Result, label: str, rows: Sequence[int]) -> Non
     mean = result.scalars["force"] / result.line.area.sum()
     top = 3.0 * float(mean[list(rows)].max())
     if highest > top:
-        label = f"{label} (peak {highest:.3g} MPa cut)"
+        label = f"{label} (peak {highest:.0f} MPa cut)"
     _profiles(axes, result, label, rows, lambda row: pressure[row])
     if highest > 0.0:
         axes.set_ylim(0.0, min(top, 1.1 * highest))
@@ -238,7 +238,8 @@ def _penetration(axes: Any, results: Sequence[Result], labels: Sequence[str]) ->
             label=label,
         )  # fmt: skip
     axes.set_xlim(left=0.0)
-    axes.set_ylim(bottom=0.0)
+    if all((result.scalars["penetration"] >= 0.0).all() for result in results):
+        axes.set_ylim(bottom=0.0)
     axes.set_xlabel("time (s)")
     axes.set_ylabel("penetration depth (\N{MICRO SIGN}m)")
     axes.legend(frameon=False)

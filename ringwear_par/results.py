@@ -336,13 +336,15 @@ def _read_body(group: h5py.Group) -> list[BoundaryFields]:
 def _write_checkpoint(
     group: h5py.Group, line: ContactLine, recorder: Recorder, state: State, warm: WarmStart
 ) -> None:
-    for name in ("step", "time", "energy", "iterations", "next_step", "rejected"):
+    for name in ("step", "time", "energy", "iterations", "next_step", "rejected", "assemblies"):
         group.attrs[name] = getattr(state, name)
     group.attrs["approach"] = state.contact.approach
     group.attrs["force"] = state.contact.force
     group.attrs["balances"] = state.balances.values()
     group.attrs["pending_iterations"] = recorder.pending_iterations
     group.attrs["warm_approach"], group.attrs["warm_force"] = warm.approach, warm.force
+    if state.shape is not None:
+        group.create_dataset("shape", data=state.shape)
     for name, values in (
         ("edges", line.edges), ("wear", state.wear), ("worn", state.worn),
         ("pressure", state.contact.pressure), ("gap", state.contact.gap),
@@ -387,6 +389,7 @@ def read_checkpoint(path: Path) -> tuple[str, Checkpoint]:
             int(attrs["step"]), time, group["wear"][:], group["worn"][:],
             float(attrs["energy"]), contact, Balances(*(float(v) for v in attrs["balances"])),
             int(attrs["iterations"]), float(attrs["next_step"]), int(attrs["rejected"]),
+            group["shape"][:] if "shape" in group else None, int(attrs["assemblies"]),
             stored=last == time, stored_before=last,
         )  # fmt: skip
         warm = WarmStart(

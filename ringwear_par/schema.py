@@ -3,6 +3,7 @@
 import itertools
 import json
 import math
+import textwrap
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -94,12 +95,13 @@ def _points(value: Any, number: Reader) -> tuple[tuple[float, ...], tuple[float,
 def _schedule(low: float, *, ends: bool = False) -> tuple[Reader, str]:
     """Return the reader of a number or a table in time, whose values may be ``low`` itself."""
     number, allowed = _number(low, ends=ends)
-    entry, allowed_entry = _number(low, ends=True)
+    entry, _ = _number(low, ends=True)
 
     def read(value: Any) -> Quantity:
         return Table(*_points(value, entry)) if isinstance(value, list) else float(number(value))
 
-    return read, f"{allowed}, or a table [[t, value], ...] in time (s), {allowed_entry} each"
+    zero = "" if ends else f" >= {low:g}"
+    return read, f"{allowed}, or a table [[t, value{zero}], ...] in time, t in s and increasing"
 
 
 def _quantity(low: float, *, ends: bool = False) -> tuple[Reader, str]:
@@ -114,7 +116,7 @@ def _quantity(low: float, *, ends: bool = False) -> tuple[Reader, str]:
             return Table(*_points(value["r"], number), "r")
         return schedule(value)
 
-    return read, f"{allowed}, or a profile {{ r = [[r, value], ...] }} (mm)"
+    return read, f"{allowed}, or a profile {{ r = [[r, value], ...] }}, r in mm and increasing"
 
 
 def _parameters(value: Any) -> tuple[tuple[str, Quantity], ...]:
@@ -338,7 +340,7 @@ KEYS: tuple[Key, ...] = (
     ),
     Key(
         "time.tolerance", *_number(0.0), "mm",
-        "largest error of wear of one adaptive step", 3e-6,
+        "largest error of wear of one adaptive step", 2.5e-6,
     ),
     Key("mesh.contact_elements", *_integer(4), "-", "elements of the contact line", 64),
     Key(
@@ -400,16 +402,22 @@ def toml_value(value: Any) -> str:
 
 
 def schema() -> str:
-    """Return every key with its unit, default and meaning, as a table."""
-    rows = [("key", "unit", "allowed", "default", "meaning")]
+    """Return every key with its unit, default and meaning, and what is allowed below each."""
+    rows = [("key", "unit", "default", "meaning, and what is allowed")]
     for key in KEYS:
-        if key.default is ...:
-            default = "required"
-        else:
-            default = "-" if key.default is None else toml_value(key.default)
-        rows.append((key.path, key.unit, key.allowed, default, key.meaning))
-    widths = [max(len(row[i]) for row in rows) for i in range(4)]
+        default = "required" if key.default is ... else "-"
+        if key.default is not ... and key.default is not None:
+            default = toml_value(key.default)
+        lines = textwrap.wrap(key.meaning, 90) + textwrap.wrap(key.allowed, 86)
+        first = len(textwrap.wrap(key.meaning, 90))
+        lines[first:] = [f"    {line}" for line in lines[first:]]
+        if len(default) > 20:  # a row of its own
+            lines.insert(1, f"    default: {default}")
+            default = "below"
+        rows.append((key.path, key.unit, default, lines[0]))
+        rows += [("", "", "", line) for line in lines[1:]]
+    widths = [max(len(row[i]) for row in rows) for i in range(3)]
     return "\n".join(
-        "  ".join([*(c.ljust(w) for c, w in zip(row, widths, strict=False)), row[4]])
+        "  ".join([*(c.ljust(w) for c, w in zip(row, widths, strict=False)), row[3]]).rstrip()
         for row in rows
     )

@@ -51,7 +51,7 @@ class Variation:
 
     name: str
     path: str
-    index: int | None
+    index: int | str | None
     spacing: Literal["values", "linear", "log"]
     values: tuple[Any, ...]
     count: int = 0
@@ -118,7 +118,7 @@ class Study:
         return _varied_keys(self.base, self._parts, self.rows[number])
 
     @cached_property
-    def _parts(self) -> list[tuple[str, int | None]]:
+    def _parts(self) -> list[tuple[str, int | str | None]]:
         return [_split(name) for name in self.names]
 
 
@@ -139,14 +139,23 @@ def case_id(case_keys: Mapping[str, Any]) -> str:
     return hashlib.sha256(json.dumps(content, default=repr).encode()).hexdigest()[:16]
 
 
-def _split(name: str) -> tuple[str, int | None]:
+def _split(name: str) -> tuple[str, int | str | None]:
+    """Return the case key of a varied one, and which entry of a pair or of a table it is."""
     match = re.fullmatch(r"(.+)\[([01])\]", name)
-    return (match[1], int(match[2])) if match else (name, None)
+    if match:
+        return match[1], int(match[2])
+    match = re.fullmatch(r"(wear\.(?:lower|upper)\.parameters)\.(.+)", name)
+    return (match[1], match[2]) if match else (name, None)
+
+
+def path_of(name: str) -> str:
+    """Return the case key of a varied one, which may be an entry of it."""
+    return _split(name)[0]
 
 
 def _has_entry(name: str) -> bool:
     path, index = _split(name)
-    return index is None or "two increasing numbers" in BY_PATH[path].allowed
+    return not isinstance(index, int) or "two increasing numbers" in BY_PATH[path].allowed
 
 
 def value_of(case_keys: Mapping[str, Any], name: str) -> Any:
@@ -155,16 +164,20 @@ def value_of(case_keys: Mapping[str, Any], name: str) -> Any:
     value = case_keys.get(path, BY_PATH[path].default if path in BY_PATH else None)
     if index is None:
         return None if value is ... else value
+    if isinstance(index, str):
+        return value.get(index) if isinstance(value, dict) else None
     return value[index] if isinstance(value, list | tuple) and len(value) > index else None
 
 
 def _varied_keys(
-    base: Mapping[str, Any], parts: Sequence[tuple[str, int | None]], row: Sequence[Any]
+    base: Mapping[str, Any], parts: Sequence[tuple[str, int | str | None]], row: Sequence[Any]
 ) -> dict[str, Any]:
     changed: dict[str, Any] = {}
     for (path, index), value in zip(parts, row, strict=True):
         if index is None:
             changed[path] = value
+        elif isinstance(index, str):
+            changed[f"{path}.{index}"] = value
         else:
             there = changed.get(path, base.get(path))
             pair = list(there) if isinstance(there, list) and len(there) == 2 else [None, None]
@@ -282,7 +295,7 @@ def _variations(
         faults.append(f"{name}: [vary]: is missing or empty; must name one case key at least")
     variations = []
     for key, entry in _unnested(vary).items():
-        path, _ = _split(key)
+        path = path_of(key)
         said = f'{name}: vary."{key}"'
         if path not in BY_PATH:
             faults.append(f"{said}: unknown key{nearest_key(path)}")
@@ -387,8 +400,8 @@ def _listed(path: Path, file: str) -> tuple[tuple[str, ...], list[tuple[Any, ...
     names = tuple(cell.strip() for cell in lines[0])
     faults = []
     for name in names:
-        if _split(name)[0] not in BY_PATH or name == "title":
-            faults.append(f"{table}: column {name}: unknown key{nearest_key(_split(name)[0])}")
+        if path_of(name) not in BY_PATH or name == "title":
+            faults.append(f"{table}: column {name}: unknown key{nearest_key(path_of(name))}")
         elif not _has_entry(name):
             faults.append(f"{table}: column {name}: has no entries; must be the key itself")
         elif names.count(name) > 1:

@@ -22,7 +22,7 @@ from ringwear_par.body import compliance, ring_conditions, solve_body
 from ringwear_par.case import Case, Load, Output, Ring, Stepping
 from ringwear_par.contact import ContactSolver, ContactState
 from ringwear_par.geometry import ContactLine, FloatArray, Mesh, Section, contact_line, contour
-from ringwear_par.history import State, WearHistory, run
+from ringwear_par.history import Balances, State, WearHistory, run
 from ringwear_par.kernels import ring_kernels
 from ringwear_par.options import reject_unused_options
 from ringwear_par.pair import contact_pair, symmetric
@@ -450,6 +450,74 @@ def wear_checks(comm: MPI.Comm) -> Iterator[Check]:
                 (float(after.contact.pressure.max()) / mean,), 1e-3)  # fmt: skip
 
 
+def adaptive_checks(comm: MPI.Comm) -> Iterator[Check]:
+    """Compare adaptive histories with steady laws, similarity, balances and their own limit."""
+    n = 64
+    pair, _ = contact_pair(paper_case(Mesh(n)), comm)
+    line = pair.line
+    with ContactSolver(pair.stiffness, line.area, comm) as solver:
+
+        def last(case: Case, end: float, tolerance: float = 2.5e-6) -> State:
+            solver.cold_start()
+            stepping = Stepping("adaptive", until=end, tolerance=tolerance)
+            history = WearHistory(replace(case, time=stepping), pair, solver)
+            return run(history, history.start(), lambda _: False)
+
+        for p0 in (0.0, 40.0):
+            case = paper_case(Mesh(n), p0=(p0, None))
+            for end, most in ((200.0, 20), (2000.0, 30)):
+                state = last(case, end)
+                error = np.abs(state.wear - last(case, end, 1e-9).wear).max()
+                yield Check(f"adaptive, p0 = {p0:g} MPa, {end:g} s: wear, mm", (n,),
+                            (float(error),), 1e-5)  # fmt: skip
+                yield Check(f"adaptive, p0 = {p0:g} MPa, {end:g} s: number of steps", (n,),
+                            (float(state.step),), float(most))  # fmt: skip
+
+        thresholds, k = (40.0, 60.0), (1e-7, 3e-7)
+        both = paper_case(Mesh(n), p0=thresholds, k=k)
+        state = last(both, 8000.0)
+        assert isinstance(both.load.force, float)
+        mean = (k[0] * thresholds[0] + k[1] * thresholds[1]) / sum(k)
+        c = reference.steady_constant(both.load.force, mean, *both.contact)
+        error = np.abs(state.contact.pressure / (mean + c / line.arm) - 1.0).max()
+        yield Check("both wear, thresholds 40 and 60 MPa: steady pressure", (n,),
+                    (float(error),), 1e-3)  # fmt: skip
+
+        one = last(paper_case(Mesh(n), p0=(0.0, 0.0), k=(1e-7, 3e-7)), 300.0)
+        two = last(paper_case(Mesh(n), p0=(0.0, 0.0), k=(2e-7, 6e-7)), 150.0)
+        yield Check("similarity: wear of twice k in half the time", (n,),
+                    (float(np.abs(two.wear / one.wear - 1.0).max()),), 1e-8)  # fmt: skip
+        yield Check("both wear: worn volumes = k1, k2 x dissipated energy", (n,),
+                    (one.balances.energy,), 1e-10)  # fmt: skip
+    yield from growing_checks(comm)
+
+
+def growing_checks(comm: MPI.Comm) -> Iterator[Check]:
+    """Check the balances of a sphere and a torus that wear while their contact grows."""
+    for name, r in (("sphere", (0.0, 3.0)), ("torus", (18.0, 22.0))):
+        samples = np.linspace(*r, 200)
+        middle = 0.0 if r[0] == 0.0 else 0.5 * sum(r)
+        fall = np.sqrt(40.0**2 - (samples - middle) ** 2) - 40.0
+        face = tuple(zip(samples.tolist(), fall.tolist(), strict=True))
+        case = replace(
+            paper_case(Mesh(48, grading=1.0)),
+            lower=Ring((0.0, 30.0), (0.0, 20.0), 2e5, NU, "clamped"),
+            upper=Ring(r, (20.0, 30.0), 2e5, NU, "clamped", face),
+            wear_lower=None, wear_upper=ThresholdLaw(1e-6), load=Load(1.0, 300.0),
+            time=Stepping("adaptive", until=400.0),
+        )  # fmt: skip
+        pair, _ = contact_pair(case, comm)
+        with ContactSolver(pair.stiffness, pair.line.area, comm) as solver:
+            history = WearHistory(case, pair, solver)
+            before = history.start()
+            after = run(history, before, lambda _: False)
+        grown = [np.count_nonzero(state.contact.pressure) for state in (before, after)]
+        said = f"worn {name}, contact of {grown[0]} to {grown[1]} elements"
+        worst = after.balances if grown[1] > grown[0] else Balances(volume=math.inf)
+        yield Check(f"{said}: volume balance", (48,), (worst.volume,), 1e-10)
+        yield Check(f"{said}: worn volume = k x energy", (48,), (worst.energy,), 1e-10)
+
+
 def checks(comm: MPI.Comm) -> Iterator[Check]:
     """Run all reference solutions, one after another. Collective on comm."""
     yield Check("traction kernel: rigid modes, sources inside and outside", (1,),
@@ -466,6 +534,7 @@ def checks(comm: MPI.Comm) -> Iterator[Check]:
         yield Check(f"edge exponent, E2/E1 = {ratio:g} (absolute error)", (128,),
                     (edge_error(ratio, comm),), 4e-3)  # fmt: skip
     yield from wear_checks(comm)
+    yield from adaptive_checks(comm)
     yield Check("explicit limit 1.485 h p/E*, uniform mesh", (128,),
                 (explicit_limit_error(128, comm),), 2e-2)  # fmt: skip
 

@@ -45,7 +45,7 @@ class Sliding:
     slid: FloatArray
     parameters: Mapping[str, Any] = field(default_factory=dict)
 
-    @cached_property
+    @property
     def power(self) -> FloatArray:
         """(n,) mm/s, friction coefficient times sliding speed."""
         return self.friction * self.speed
@@ -153,7 +153,7 @@ class ThresholdLaw(_Local):
         return self.k if not isinstance(self.k, Table) and self.p0 == 0.0 else None
 
     def _rise(self, at: Sliding) -> FloatArray:
-        return value(self.k, at.time, at.r) * at.power
+        return value(self.k, at.time, at.r) * at.friction * at.speed
 
     def _excess(self, p: FloatArray, at: Sliding) -> FloatArray:
         return np.maximum(p - value(self.p0, at.time, at.r), 0.0)
@@ -518,6 +518,7 @@ class StepWear:
     step: float
     averages: tuple[FloatArray | None, ...] = (None, None)
 
+    @cached_property
     def _each(self) -> list[tuple[WearLaw, Sliding, FloatArray | None]]:
         return [
             (law, at, average)
@@ -531,11 +532,8 @@ class StepWear:
         """Return what one body loses, mm; solves d = step rate(p, wear + d) where it remembers."""
         p = np.maximum(p, 0.0)
         if average is not None:
-            rate = law.rate(average @ p, at)
-            return self.step * (average @ rate)
-        if not law.remembers:
-            return self.step * law.rate(p, at)
-        return self.step * law.rate(p, self._after(law, at, p))
+            return self.step * (average @ law.rate(average @ p, at))
+        return self.step * law.rate(p, self._after(law, at, p) if law.remembers else at)
 
     def _after(self, law: WearLaw, at: Sliding, p: FloatArray) -> Sliding:
         """Return the sliding with the depth worn at the end of the step (Newton, from below).
@@ -576,19 +574,19 @@ class StepWear:
 
     def depth(self, p: FloatArray) -> FloatArray:
         """Return the growth of the gap, mm."""
-        return _total([self._depth(*each, p) for each in self._each()])
+        return _total([self._depth(*each, p) for each in self._each])
 
     def slope(self, p: FloatArray) -> FloatArray:
         """Return d depth_e / d p_e, (n,) mm/MPa; of local laws all there is."""
-        parts = [self._slope(law, at, p) for law, at, average in self._each() if average is None]
+        parts = [self._slope(law, at, p) for law, at, average in self._each if average is None]
         parts += [
             ((average * average.T) * self._slope(law, at, average @ p)).sum(axis=1)
-            for law, at, average in self._each()
+            for law, at, average in self._each
             if average is not None
         ]
         return _total(parts)
 
-    @property
+    @cached_property
     def local(self) -> bool:
         """Whether all laws are local, so that ``slope`` is the whole derivative."""
         return all(average is None for average in self.averages)
@@ -596,7 +594,7 @@ class StepWear:
     def derivative(self, p: FloatArray) -> FloatArray:
         """Return d depth / d p, (n, n) mm/MPa."""
         total = np.zeros((len(p), len(p)))
-        for law, at, average in self._each():
+        for law, at, average in self._each:
             if average is None:
                 total[np.diag_indices(len(p))] += self._slope(law, at, p)
             else:
@@ -613,7 +611,7 @@ class StepWear:
         Non-local laws: area integrals of it are those of the potential, not its values.
         """
         parts = []
-        for law, at, average in self._each():
+        for law, at, average in self._each:
             q = np.maximum(p if average is None else average @ p, 0.0)
             part = None if law.remembers else law.potential(q, at)
             parts.append(self._integrated(law, at, q) if part is None else self.step * part)

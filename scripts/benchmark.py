@@ -5,7 +5,9 @@ Usage: [mpirun -n N] python scripts/benchmark.py [--sizes 32 64 128 256] [--repe
 The paper's rings, 80 MPa and p0 = 40 MPa. Every time is the median over the repeats (after one that
 is not counted) of the slowest rank's wall time; memory is the largest rank's peak so far, which
 grows with the sizes. Steps are made by every rank on its own (active-set Newton) and, "shared",
-with the matrix spread over the ranks (tron; on one rank the same as the former). Counts: kernel
+with the matrix spread over the ranks (tron; on one rank the same as the former). The adaptive
+history reaches the same 200 s; "updated" are 200 steps with elements that follow the wear, their
+re-assemblies included, the first assembly not. Counts: kernel
 evaluations (both bodies, all directions), flops of the two factorisations 2/3 n^3.
 """
 
@@ -15,6 +17,7 @@ import resource
 import sys
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from statistics import median
 
@@ -23,10 +26,12 @@ from mpi4py import MPI
 
 from ringwear_par.assembly import assemble, number_unknowns
 from ringwear_par.body import compliance, ring_conditions
+from ringwear_par.case import Stepping
 from ringwear_par.contact import ContactSolver
 from ringwear_par.dense import solve_rows
 from ringwear_par.geometry import Mesh, contour
 from ringwear_par.history import WearHistory, run
+from ringwear_par.moving import MovingElasticity
 from ringwear_par.pair import contact_pair
 from ringwear_par.quadrature import quadrature
 from ringwear_par.verify import paper_case
@@ -35,7 +40,8 @@ COLUMNS = (
     "contact_elements", "ranks", "boundary_elements", "unknowns", "kernel_evaluations",
     "assembly_s", "ns_per_evaluation", "factor_solve_s", "gflop_per_s", "compliance_s",
     "first_contact_ms", "steps_200_s",
-    "steps_200_shared_s", "ms_per_step", "peak_MB_per_rank",
+    "steps_200_shared_s", "ms_per_step", "adaptive_200_s", "updated_200_steps_s",
+    "peak_MB_per_rank",
 )  # fmt: skip
 
 
@@ -89,9 +95,25 @@ def measure(n: int, repeats: int, comm: MPI.Comm) -> dict[str, float]:
             wear = WearHistory(case, pair, solver)
             run(wear, wear.start(), lambda _: False)
 
+    def adaptive() -> None:
+        stepping = Stepping("adaptive", until=200.0)
+        with ContactSolver(pair.stiffness, pair.line.area, comm) as solver:
+            wear = WearHistory(replace(case, time=stepping), pair, solver)
+            run(wear, wear.start(), lambda _: False)
+
+    moving = replace(case, mesh=Mesh(n, geometry="updated"))
+    elasticity = MovingElasticity(moving, comm)
+    elasticity.update(np.zeros((2, n)))  # the first assembly is counted above
+
+    def updated() -> None:
+        with ContactSolver(pair.stiffness, pair.line.area, comm) as solver:
+            wear = WearHistory(moving, pair, solver, elasticity)
+            run(wear, wear.start(), lambda _: False)
+
     contact = timed(comm, repeats, first_contact)
     stepping = timed(comm, repeats, lambda: history(n))
     shared = timed(comm, repeats, lambda: history(0))
+    grown, followed = timed(comm, repeats, adaptive), timed(comm, repeats, updated)
     peak = comm.allreduce(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024, MPI.MAX)
     return dict(
         zip(
@@ -100,7 +122,7 @@ def measure(n: int, repeats: int, comm: MPI.Comm) -> dict[str, float]:
                 n, comm.size, sum(len(body.elements) for body in bodies), sum(sizes), evaluations,
                 assembly, 1e9 * assembly * comm.size / evaluations, solution,
                 1e-9 * flops / solution, both,
-                1e3 * contact, stepping, shared, 5.0 * stepping, peak,
+                1e3 * contact, stepping, shared, 5.0 * stepping, grown, followed, peak,
             ),
             strict=True,
         )

@@ -162,3 +162,25 @@ def test_bad_cases_are_counted(write):
         read_study(write(text))
     assert len(raised.value.faults) == 6
     assert "25 more of 30 cases are bad" in raised.value.faults[-1]
+
+
+def test_parameters_of_a_user_law_vary(tmp_path):
+    """By name; the law counts by what it says, not by where its file is."""
+    base = Path(__file__).parent.parent / "scripts/cases/user_law.toml"
+    study = tmp_path / "study.toml"
+    study.write_text(
+        f'case = "{base}"\n[vary]\n"wear.lower.parameters.p1" = {{ values = [30, 90] }}\n'
+        '"load.omega" = { values = [3.5, [[0, 0], [10, 3.5]]] }\n'
+    )
+    read = read_study(study, 1)
+    laws = [dict(read.case(i).wear_lower.parameters) for i in range(4)]
+    assert [law["p1"] for law in laws] == [30.0, 30.0, 90.0, 90.0]
+    assert all(law["k"] == 2e-7 for law in laws)
+    moved = tmp_path / "elsewhere"
+    moved.mkdir()
+    for name in ("user_law.toml", "user_law.py"):
+        (moved / name).write_text((base.parent / name).read_text())
+    study.write_text(study.read_text().replace(str(base), str(moved / "user_law.toml")))
+    assert read_study(study, 1).ids == read.ids
+    (moved / "user_law.py").write_text((moved / "user_law.py").read_text() + "\n# changed\n")
+    assert not set(read_study(study, 1).ids) & set(read.ids)
