@@ -343,6 +343,6 @@ def _section(axes: Any, result: Result, label: str) -> None:
         f"displacement and wear {factor:g}\N{MULTIPLICATION SIGN}{raised}"
     )
     axes.legend(
-        frameon=False, loc="upper center", bbox_to_anchor=(0.5, -0.2), ncols=3,
+        frameon=False, loc="upper center", bbox_to_anchor=(0.5, 0.0), borderaxespad=4.0, ncols=3,
         columnspacing=1.0, handlelength=1.2,
     )  # fmt: skip
