@@ -21,7 +21,7 @@ from ringwear_par.fields import BoundaryFields, WholeBoundary, wants_boundary
 from ringwear_par.geometry import FloatArray
 from ringwear_par.moving import MovingElasticity
 from ringwear_par.pair import BodyCost, ContactPair, join, largest_stable_step
-from ringwear_par.quantity import Quantity, in_time, integral, largest
+from ringwear_par.quantity import Quantity, in_time, integral, largest, mean
 from ringwear_par.wear import Sliding, StepWear, UserLaw, averaging, check_user_law
 
 
@@ -135,6 +135,7 @@ class WearHistory:
         self.following = BodyCost(0, 0.0, 0.0)
         self._r, self._arm, self.area = line.r, line.arm, line.area
         self._moment = self.area * self._arm  # torque per unit shear
+        self._laws = case.laws
         self._wears = any(law is not None for law in case.laws)
         self._averages = tuple(
             averaging(line.r, line.area, law.length) if law is not None and law.length else None
@@ -314,8 +315,9 @@ class WearHistory:
 
     def step_wear(self, time: float, omega: float, wear: FloatArray, step: float) -> StepWear:
         """Return the wear of an implicit step that ends at a time, from wear (2, n) mm on."""
-        at = tuple(self.sliding(time, omega, body) for body in wear)
-        return StepWear(self.case.laws, at, step, self._averages)
+        lower = self.sliding(time, omega, wear[0])
+        upper = self.sliding(time, omega, wear[1]) if self.case.wear_upper is not None else lower
+        return StepWear(self._laws, (lower, upper), step, self._averages)
 
     def rates(self, time: float, omega: float, wear: FloatArray, p: FloatArray) -> FloatArray:
         """Return the rates of wear of lower and upper, (2, n) mm/s, at pressure p and wear."""
@@ -345,18 +347,18 @@ class WearHistory:
 
     def stepped(self, state: State, time: float) -> State:
         """Return the state after one implicit or explicit step to a time. Collective."""
-        step, omega = time - state.time, self.case.load.omega
-        mean = integral(omega, state.time, time) / step
+        step = time - state.time
+        omega = mean(self.case.load.omega, state.time, time)
         if self.case.time.scheme == "implicit":
-            during = self.step_wear(time, mean, state.wear, step)
+            during = self.step_wear(time, omega, state.wear, step)
             contact = self.contact(time, state.wear, during)
             p = contact.pressure
             depths = during.depths(p) if self._wears else np.zeros_like(state.wear)
         else:
             p = state.contact.pressure
-            depths = step * self.rates(state.time, mean, state.wear, p)
+            depths = step * self.rates(state.time, omega, state.wear, p)
             contact = self.contact(time, state.wear + depths, None)
-        return self.after(state, time, depths, step * mean * self.torque(p), contact)
+        return self.after(state, time, depths, step * omega * self.torque(p), contact)
 
     def after(
         self, state: State, time: float, depths: FloatArray, energy: float, contact: ContactState
@@ -365,17 +367,11 @@ class WearHistory:
         wear, worn = state.wear + depths, state.worn + depths @ self.area
         energy = state.energy + energy
         now = self._balances(time, wear, worn, energy, contact)
-        return replace(
-            state,
-            step=state.step + 1,
-            time=time,
-            wear=wear,
-            worn=worn,
-            energy=energy,
-            contact=contact,
-            balances=state.balances.worse(now),
-            iterations=state.iterations + contact.iterations,
-        )
+        return State(
+            state.step + 1, time, wear, worn, energy, contact, state.balances.worse(now),
+            state.iterations + contact.iterations, state.next_step, state.rejected, state.shape,
+            state.assemblies, state.stored,
+        )  # fmt: skip
 
     def torque(self, p: FloatArray) -> float:
         """Return the friction torque in full slip, N mm, at pressure p (MPa)."""

@@ -68,6 +68,13 @@ def integral(quantity: Quantity, start: float, end: float) -> float:
     return quantity * (end - start)
 
 
+def mean(quantity: Quantity, start: float, end: float) -> float:
+    """Return the mean over an interval of time; a number itself, to the last bit."""
+    if isinstance(quantity, Table):
+        return integral(quantity, start, end) / (end - start)
+    return quantity
+
+
 def largest(quantity: Quantity) -> float:
     """Return the largest value that a quantity takes."""
     return max(quantity.y) if isinstance(quantity, Table) else quantity

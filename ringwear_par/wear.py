@@ -44,11 +44,11 @@ class Sliding:
     wear: FloatArray
     slid: FloatArray
     parameters: Mapping[str, Any] = field(default_factory=dict)
+    #: (n,) mm/s, friction coefficient times sliding speed
+    power: FloatArray = field(init=False, repr=False)
 
-    @property
-    def power(self) -> FloatArray:
-        """(n,) mm/s, friction coefficient times sliding speed."""
-        return self.friction * self.speed
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "power", self.friction * self.speed)
 
     def part(self, here: slice) -> "Sliding":
         """Return the same for some of the elements."""
@@ -153,7 +153,7 @@ class ThresholdLaw(_Local):
         return self.k if not isinstance(self.k, Table) and self.p0 == 0.0 else None
 
     def _rise(self, at: Sliding) -> FloatArray:
-        return value(self.k, at.time, at.r) * at.friction * at.speed
+        return value(self.k, at.time, at.r) * at.power
 
     def _excess(self, p: FloatArray, at: Sliding) -> FloatArray:
         return np.maximum(p - value(self.p0, at.time, at.r), 0.0)
@@ -567,9 +567,9 @@ class StepWear:
     def depths(self, p: FloatArray) -> FloatArray:
         """Return what lower and upper lose, (2, n) mm."""
         depths = np.zeros((2, len(p)))
-        for row, law, at, average in zip(depths, self.laws, self.at, self.averages, strict=True):
+        for i, law in enumerate(self.laws):
             if law is not None:
-                row[:] = self._depth(law, at, average, p)
+                depths[i] = self._depth(law, self.at[i], self.averages[i], p)
         return depths
 
     def depth(self, p: FloatArray) -> FloatArray:
