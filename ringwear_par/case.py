@@ -42,6 +42,8 @@ from ringwear_par.wear import (
     WearLaw,
 )
 
+#: times closer than this share of them are one
+SAME_TIME = 1e-12
 _LAW_CLASSES: dict[str, Callable[..., WearLaw]] = {
     "threshold": ThresholdLaw,
     "archard": ArchardLaw,
@@ -103,6 +105,10 @@ class Stepping:
     def end(self) -> float:
         """Time at the end, s."""
         return self.until if self.adaptive else self.step * self.steps
+
+    def finished(self, step: int, time: float) -> bool:
+        """Tell whether so many steps, to a time (s), are all of them."""
+        return time >= self.until if self.adaptive else step >= self.steps
 
 
 @dataclass(frozen=True)
@@ -190,6 +196,11 @@ class Case:
         return deepest if deepest > CLOSE * size else 0.0
 
     @property
+    def rings(self) -> tuple[Ring, Ring]:
+        """Lower and upper."""
+        return self.lower, self.upper
+
+    @property
     def laws(self) -> tuple[WearLaw | None, WearLaw | None]:
         """Wear laws of lower and upper."""
         return self.wear_lower, self.wear_upper
@@ -212,7 +223,11 @@ class Case:
         inside = {*knots(load.omega, load.force, load.displacement)}
         for law in self.laws:
             inside.update(law.knots if law is not None else ())
-        return tuple(sorted(time for time in inside if time < self.time.end))
+        found: list[float] = []
+        for time in sorted(t for t in inside if t < self.time.end):
+            if not found or time - found[-1] > SAME_TIME * time:
+                found.append(time)
+        return tuple(found)
 
     @property
     def about_steps(self) -> float:

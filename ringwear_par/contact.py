@@ -143,6 +143,7 @@ class ContactSolver:
         # the problem that the callbacks see, this rank's part
         self._linear = np.zeros(rows[0])
         self._wear: StepWear | None = None
+        self._empty = True  # whether the last solution is without contact
         # warm start of the search for the approach
         self._first_rate = np.full(n, float(area.sum() / stiffness.sum()))
         self._rate = self._first_rate  # d pressure / d approach
@@ -253,7 +254,8 @@ class ContactSolver:
         here = self._here
         self._wear = wear.part(here) if wear is not None and self.distributed else wear
         self._linear = self._weight * (gap[here] - approach)
-        if gap.min() >= approach:  # nothing overlaps
+        self._empty = bool(gap.min() >= approach)  # nothing overlaps
+        if self._empty:
             self._x.set(0.0)
             self._g.setArray(self._linear)
             return np.zeros_like(gap), 0, 0.0
@@ -398,6 +400,8 @@ class ContactSolver:
         gap : (n,) float, mm.
         force_kept : whether the approach follows so that the force stays, or stays itself.
         """
+        if self._empty:
+            return np.zeros_like(gap)
         right = np.stack([self._all_weights * gap, self._all_weights], axis=1)
         x = self._newton.response(right) if self._newton is not None else None
         if x is None:

@@ -15,7 +15,7 @@ from mpi4py import MPI
 from ringwear_par.assembly import load_kernels
 from ringwear_par.case import Case, parse_case, read_case
 from ringwear_par.contact import ContactSolver
-from ringwear_par.errors import ComputationError, InputError, RingwearError
+from ringwear_par.errors import ComputationError, InputError, RingwearError, UnfitError
 from ringwear_par.fields import WholeBoundary
 from ringwear_par.history import State, WearHistory, run
 from ringwear_par.info import versions
@@ -76,7 +76,7 @@ def run_case(
     case, checkpoint = on_first_rank(
         comm, lambda: _prepare(path, output, overrides, restart, figure, comm.size)
     )
-    if checkpoint is not None and _is_last(case, checkpoint.state):
+    if checkpoint is not None and case.time.finished(checkpoint.state.step, checkpoint.state.time):
         if comm.rank == 0:
             log.info("%s is complete: nothing to compute", output)
         return _draw(output, figure, comm)
@@ -98,9 +98,12 @@ def run_case(
         history = WearHistory(case, pair, solver, elasticity, boundary)
         recorder = Recorder(history) if comm.rank == 0 else None
         begun = time.perf_counter()
-        state = history.start()
-        if comm.rank == 0 and case.time.scheme == "explicit":
-            _warn_of_instability(history, float(state.contact.pressure.max()))
+        try:
+            state = history.start()
+        except UnfitError as error:
+            raise InputError(*(f"{path}: {fault}" for fault in error.faults)) from error
+        if case.time.scheme == "explicit":
+            _warn_of_instability(history, comm)
         reject_unused_options()
         if checkpoint is not None:
             state = checkpoint.state
@@ -167,10 +170,6 @@ def run_case(
             f"{output} holds them, and the same command with --restart continues"
         )
     return _draw(output, figure, comm)
-
-
-def _is_last(case: Case, state: State) -> bool:
-    return state.time >= case.time.end if case.time.adaptive else state.step == case.time.steps
 
 
 def _progress(case: Case, state: State) -> str:
@@ -362,9 +361,10 @@ def _warn_of_doubts(case: Case, pair: ContactPair, state: State) -> None:
         )  # fmt: skip
 
 
-def _warn_of_instability(history: WearHistory, pressure: float) -> None:
-    limit, step = history.stable_step(pressure), history.case.time.step
-    if step > limit:
+def _warn_of_instability(history: WearHistory, comm: MPI.Comm) -> None:
+    """Warn where explicit steps are too long. Collective on comm."""
+    limit, step = history.stable_step(), history.case.time.step
+    if step > limit and comm.rank == 0:
         log.warning(
             "explicit scheme: time.step = %.6g s is %.3g times its stability limit; the largest "
             "stable step on this mesh is %.6g s (beyond it profiles oscillate, and with p0 > 0 the "

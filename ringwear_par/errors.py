@@ -31,3 +31,7 @@ class InputError(RingwearError):
 
     def __reduce__(self) -> tuple[type["InputError"], tuple[str, ...]]:
         return type(self), self.faults
+
+
+class UnfitError(InputError):
+    """A case whose own numbers do not go together, as only its first solution tells."""

@@ -14,15 +14,15 @@ from operator import sub
 import numpy as np
 
 from ringwear_par import adaptive
-from ringwear_par.case import Case
+from ringwear_par.case import SAME_TIME, Case
 from ringwear_par.contact import ContactSolver, ContactState, WarmStart
-from ringwear_par.errors import ComputationError, InputError
+from ringwear_par.errors import ComputationError, UnfitError
 from ringwear_par.fields import BoundaryFields, WholeBoundary, wants_boundary
 from ringwear_par.geometry import FloatArray
 from ringwear_par.moving import MovingElasticity
 from ringwear_par.pair import BodyCost, ContactPair, join, largest_stable_step
 from ringwear_par.quantity import Quantity, in_time, integral, largest, mean
-from ringwear_par.wear import Sliding, StepWear, UserLaw, averaging, check_user_law
+from ringwear_par.wear import Sliding, StepWear, averaging
 
 
 @dataclass(frozen=True)
@@ -102,6 +102,11 @@ class State:
     boundary: tuple[BoundaryFields, BoundaryFields] | None = None
 
 
+def _same(time: float, *others: float) -> bool:
+    """Tell whether a time is one of others but for round-off."""
+    return any(abs(time - other) <= SAME_TIME * time for other in others)
+
+
 class WearHistory:
     """A case on its contact pair, step by step.
 
@@ -144,6 +149,7 @@ class WearHistory:
         self._take(pair)
         self._zero = np.zeros(line.n)
         self._initial_gap = case.gap_at(line.gap_point)
+        self._most_wear = np.array([0.5 * (ring.z[1] - ring.z[0]) for ring in case.rings])
 
     def _take(self, pair: ContactPair) -> None:
         self.pair = pair
@@ -189,19 +195,26 @@ class WearHistory:
 
     def finished(self, state: State) -> bool:
         """Tell whether a state is the last one of the case."""
-        if self.case.time.adaptive:
-            return state.time >= self.case.time.end
-        return state.step >= self.case.time.steps
+        return self.case.time.finished(state.step, state.time)
 
-    def stable_step(self, pressure: float) -> float:
-        """Return the largest stable step of the explicit scheme, s, at a pressure. Not collective.
+    def stable_step(self) -> float:
+        """Return the largest stable step of the explicit scheme, s. Collective.
 
-        Unworn, at the start, with the largest speed; MPa.
+        Unworn, under the largest load and speed, with the steepest of what laws do in time.
         """
-        at = self.sliding(0.0, largest(self.case.load.omega), self._zero)
-        p = np.full_like(self._zero, pressure)
-        slopes = [law.slope(p, at) for law in self.case.laws if law is not None]
-        return largest_stable_step(self.pair, sum(slopes, self._zero))
+        load = self.case.load
+        contact = self.solver.solve(
+            self._initial_gap,
+            force=None if load.force is None else largest(load.force),
+            approach=None if load.displacement is None else largest(load.displacement),
+        )
+        p = np.full_like(self._zero, contact.pressure.max(initial=0.0))
+        slopes = np.zeros_like(p)
+        for time in (0.0, *self.case.knots):
+            at = self.sliding(time, largest(load.omega), self._zero)
+            every = [law.slope(p, at) for law in self.case.laws if law is not None]
+            slopes = np.maximum(slopes, sum(every, self._zero))
+        return largest_stable_step(self.pair, slopes)
 
     def start(self) -> State:
         """Return the contact before any wear. Collective.
@@ -209,18 +222,13 @@ class WearHistory:
         Raises
         ------
         ComputationError : the contact failed.
-        InputError : a user's law is none, or the bodies interpenetrate too much.
+        UnfitError : the bodies interpenetrate too much.
         """
         try:
             contact = self.contact(0.0, np.zeros((2, len(self._zero))), None)
         except ComputationError as error:
             raise ComputationError(f"step 0 (before any wear): {error}") from error
         self._check_interpenetration()
-        pressure = 3.0 * float(contact.pressure.max()) or 100.0
-        at = self.sliding(0.0, largest(self.case.load.omega), self._zero)
-        for law in self.case.laws:
-            if isinstance(law, UserLaw):
-                check_user_law(law, at, pressure)
         wear, worn = np.zeros((2, len(self._zero))), np.zeros(2)
         balances = self._balances(0.0, wear, worn, 0.0, contact)
         return self._with_boundary(State(0, 0.0, wear, worn, 0.0, contact, balances), None)
@@ -233,7 +241,7 @@ class WearHistory:
         pressed = self.solver.solve(self._initial_gap, force=largest(force))
         if pressed.approach < 0.0:
             e = int(self._initial_gap.argmin())
-            raise InputError(
+            raise UnfitError(
                 f"upper.z, lower.z and contact faces: the undeformed bodies interpenetrate by "
                 f"{overlap:.6g} mm at element {e} (r = {self.pair.line.r[e]:.6g} mm); must be at "
                 f"most the {overlap + pressed.approach:.6g} mm that the load presses them together"
@@ -256,7 +264,7 @@ class WearHistory:
             raise ComputationError(
                 f"step {state.step + 1} (from time {state.time:g} s): {error}"
             ) from error
-        stored = self._stores(after)
+        stored = self.stores(after.step, after.time)
         return self._with_boundary(
             after if after.stored == stored else replace(after, stored=stored), state
         )
@@ -272,17 +280,20 @@ class WearHistory:
 
     def moments(self, before: State, after: State) -> list[float]:
         """Return the times of output strictly between two states."""
-        near = 1e-9 * (after.time - before.time)
-        return [t for t in self.case.output.times if before.time + near < t < after.time - near]
+        return [
+            t
+            for t in self.case.output.times
+            if before.time < t < after.time and not _same(t, before.time, after.time)
+        ]
 
-    def _stores(self, state: State) -> bool:
+    def stores(self, step: int, time: float) -> bool:
+        """Tell whether the case stores a state after so many steps, at a time (s)."""
         output = self.case.output
-        if self.finished(state):
+        if step == 0 or self.case.time.finished(step, time):
             return True
         if output.times:
-            near = 1e-9 * self.case.time.end
-            return any(abs(t - state.time) <= near for t in output.times)
-        return state.step % output.every == 0
+            return any(_same(t, time) for t in output.times)
+        return step % output.every == 0
 
     def _with_boundary(self, state: State, earlier: State | None) -> State:
         """Return a state with the boundary fields that the case wants of it. Collective.
@@ -296,8 +307,8 @@ class WearHistory:
             last = earlier.time if earlier.stored else earlier.stored_before
         before = last
         if output.times:  # those within a step are stored, but not gone on from
-            near = 1e-9 * self.case.time.end
-            before = max((t for t in (0.0, *output.times) if t < state.time - near), default=-1.0)
+            times = (t for t in (0.0, *output.times) if not _same(t, state.time))
+            before = max((t for t in times if t < state.time), default=-1.0)
         elif not self.case.time.adaptive and state.step > 0:
             # a shorter run's last state, from which this one may have been restarted, is forgotten
             before = (state.step - 1) // output.every * output.every * self.case.time.step
@@ -353,18 +364,45 @@ class WearHistory:
             during = self.step_wear(time, omega, state.wear, step)
             contact = self.contact(time, state.wear, during)
             p = contact.pressure
-            depths = during.depths(p) if self._wears else np.zeros_like(state.wear)
+            depths = during.depths(p)
+            volumes = during.volumes(depths, p, self.area)
         else:
             p = state.contact.pressure
             depths = step * self.rates(state.time, omega, state.wear, p)
             contact = self.contact(time, state.wear + depths, None)
-        return self.after(state, time, depths, step * omega * self.torque(p), contact)
+            volumes = depths @ self.area
+        return self.after(state, time, depths, volumes, step * omega * self.torque(p), contact)
 
     def after(
-        self, state: State, time: float, depths: FloatArray, energy: float, contact: ContactState
+        self,
+        state: State,
+        time: float,
+        depths: FloatArray,
+        volumes: FloatArray,
+        energy: float,
+        contact: ContactState,
     ) -> State:
-        """Return the state after a step in which depths (2, n) mm were worn off."""
-        wear, worn = state.wear + depths, state.worn + depths @ self.area
+        """Return the state after a step.
+
+        Parameters
+        ----------
+        depths : (2, n) float, mm, worn off in it.
+        volumes : (2,) float, mm^3, integrals of the rates of the worn volumes over it.
+        energy : N mm, dissipated in it.
+
+        Raises
+        ------
+        ComputationError : contact has reached an end of the contact line that is no edge, or half
+            of a body has been worn off.
+        """
+        wear, worn = state.wear + depths, state.worn + volumes
+        deepest = wear.max(axis=1)
+        if (deepest > self._most_wear).any():
+            body = "lower" if deepest[0] > self._most_wear[0] else "upper"
+            raise ComputationError(
+                f"time {time:g} s: {deepest.max():.4g} mm are worn off {body}, more than half of "
+                "its height"
+            )
         energy = state.energy + energy
         now = self._balances(time, wear, worn, energy, contact)
         return State(

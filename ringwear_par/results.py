@@ -123,8 +123,13 @@ class Recorder:
 
     @property
     def steps(self) -> IntArray:
-        """(stored,) int, numbers of steps made."""
+        """(stored,) int, numbers of steps made; not increasing where there are times of output."""
         return np.array(self._steps, dtype=np.int64)
+
+    @property
+    def rows(self) -> IntArray:
+        """(stored,) int, what the rows are called: by steps made, or numbered at given times."""
+        return np.arange(self.stored) if self._history.case.output.times else self.steps
 
     @property
     def scalars(self) -> dict[str, FloatArray]:
@@ -144,14 +149,14 @@ class Recorder:
         return self._boundary
 
     def arrays(self) -> dict[str, FloatArray]:
-        """Return what is stored so far by variable, ``step`` (the numbers of steps) included."""
+        """Return what is stored so far by variable, ``step`` (what rows are called) included."""
         line, fields = self._history.pair.line, self.fields
         if not self.stored:
             fields = {}
         elif not self.deep:
             fields = {name: table[0] for name, table in fields.items()}
         return {
-            "step": self.steps.astype(float),
+            "step": self.rows.astype(float),
             **self.scalars,
             "r": line.r,
             "width": line.width,
@@ -160,11 +165,10 @@ class Recorder:
 
     def restore(self, checkpoint: "Checkpoint") -> None:
         """Put the stored rows of an interrupted run back, as far as the case still stores them."""
-        output, adaptive = self._history.case.output, self._history.case.time.adaptive
-        steps = checkpoint.steps
-        keep = np.ones(len(steps), dtype=bool)
-        if not (output.times or adaptive):  # the last one of a shorter run may not belong here
-            keep = (steps % output.every == 0) | (steps == self._history.case.time.steps)
+        steps, times = checkpoint.steps, checkpoint.scalars["time"]
+        # the last one of a shorter run may not belong here
+        stores = self._history.stores
+        keep = np.array([stores(int(n), float(t)) for n, t in zip(steps, times, strict=True)])
         self._steps = steps[keep].tolist()
         table = np.array([checkpoint.scalars[name][keep] for name in SCALARS])
         self._scalars = list(map(tuple, table.T.tolist()))
@@ -172,9 +176,10 @@ class Recorder:
             stored = checkpoint.fields[name]
             self._fields[name] = list(stored[keep] if self.deep else stored[None])
         # the last state of a shorter run is not the last one of this run
-        if output.boundary != "last" or self._history.finished(checkpoint.state):
-            left = set(self._steps)
-            self._boundary = [b for b in checkpoint.boundary if b.step in left]
+        last = self._history.case.output.boundary == "last"
+        if not last or self._history.finished(checkpoint.state):
+            left = set(times[keep].tolist())
+            self._boundary = [b for b in checkpoint.boundary if b.time in left]
         self.pending_iterations = checkpoint.pending_iterations + int(
             checkpoint.scalars["contact_iterations"][~keep].sum()
         )
@@ -265,7 +270,11 @@ def _dimension(
 
 
 def _write_history(file: h5py.File, line: ContactLine, recorder: Recorder) -> None:
-    _dimension(file, "step", recorder.steps, "1", "number of time steps made")
+    made = "number of time steps made"
+    timed = not np.array_equal(recorder.rows, recorder.steps)
+    _dimension(file, "step", recorder.rows, "1", "number of the stored state" if timed else made)
+    if timed:
+        _variable(file, "steps_made", recorder.steps, ("step",), "1", made)
     text = "contact element, from the inner edge outwards"
     _dimension(file, "element", np.arange(line.n), "1", text)
     for name, table in recorder.scalars.items():
@@ -399,7 +408,7 @@ def read_checkpoint(path: Path) -> tuple[str, Checkpoint]:
         return str(file.attrs["case"]), Checkpoint(
             state,
             warm,
-            file["step"][:],
+            file["steps_made" if "steps_made" in file else "step"][:],
             {name: file[name][:] for name in SCALARS},
             {name: file[name][:] for name in ALONG if name in file},
             _read_boundary(file),

@@ -22,7 +22,7 @@ from ringwear_par.case import Case, toml_text
 from ringwear_par.contact import ContactSolver
 from ringwear_par.driver import on_first_rank, warn_of_threads
 from ringwear_par.ensemble import RESULTS, TABLE, Row, read_ensemble, write_ensemble
-from ringwear_par.errors import ComputationError, InputError, RingwearError
+from ringwear_par.errors import ComputationError, InputError, RingwearError, UnfitError
 from ringwear_par.history import State, WearHistory, run
 from ringwear_par.info import versions
 from ringwear_par.monitor import Monitor, StopSignals, SweepProgress, duration
@@ -384,9 +384,10 @@ class Bench:
                 self._tally.stepping += time.perf_counter() - begun
         except _StoppedError:
             return None
-        except (_StorageError, InputError):  # an option for PETSc, not the case
-            raise
         except Exception as error:  # of the solver, or of a law that is not ours
+            unfit = isinstance(error, UnfitError)
+            if isinstance(error, _StorageError | InputError) and not unfit:
+                raise  # the disk, or an option for PETSc, not the case
             self._drop_solver()
             reason = str(error) if isinstance(error, RingwearError) else repr(error)
             arrays = recorder.arrays() if recorder is not None else {}
@@ -645,8 +646,8 @@ def _estimate(plan: Plan, ranks_per_case: int, comm: MPI.Intracomm) -> None:
         t2 = time.perf_counter()
 
         def watch(state: State) -> bool:
-            recorder.add(state)
-            return time.perf_counter() - t2 > _TRIAL_SECONDS
+            recorder.add(state)  # adaptive steps grow: what the first ones take says little
+            return not case.time.adaptive and time.perf_counter() - t2 > _TRIAL_SECONDS
 
         state = run(history, state, watch)
     t3 = time.perf_counter()

@@ -388,7 +388,7 @@ def explicit_limit_error(n: int, comm: MPI.Comm) -> float:
     )
     pair, _ = contact_pair(case, comm)
     with ContactSolver(pair.stiffness, pair.line.area, comm) as solver:
-        step = WearHistory(case, pair, solver).stable_step(1.0)
+        step = WearHistory(case, pair, solver).stable_step()
     fastest = 1e-7 * case.friction * OMEGA * float(pair.line.arm.max())  # mm/s per MPa
     wear = step * fastest
     modulus = reference.contact_modulus((case.lower.young, NU))

@@ -18,6 +18,8 @@ from ringwear_par.geometry import FloatArray
 from ringwear_par.quantity import Quantity, Table, knots, value
 
 _MEMORY_ITERATIONS = 60
+#: relative change at which the wear of a step is found, and below which it may stop falling
+_ROUND_OFF, _NOISE = 1e-15, 1e-9
 _POTENTIAL_PANELS = 8
 _GAUSS = tuple(0.5 * v for v in np.polynomial.legendre.leggauss(8))
 
@@ -346,6 +348,13 @@ class NonLocalLaw(ThresholdLaw):
         return None
 
 
+def _guarded(values: FloatArray) -> FloatArray:
+    """Return a view that cannot be written to: a user's law may not change what it is given."""
+    view = values.view()
+    view.flags.writeable = False
+    return view
+
+
 @lru_cache(maxsize=64)
 def _compiled(source: str, name: str) -> dict[str, Any]:
     """Return what the source of a user's law defines. On every rank, once."""
@@ -359,6 +368,7 @@ class UserLaw(_Local):
     """A law from a Python file that defines ``rate(p, at)`` and ``slope(p, at)``.
 
     With ``wear_slope(p, at)`` too, the law remembers worn depth, exactly; ``at`` is a ``Sliding``.
+    A list ``knots`` names times (s) at which the rate jumps or bends, where adaptive steps end.
     Whatever the file does wrong is told with time and element.
 
     Parameters
@@ -376,7 +386,7 @@ class UserLaw(_Local):
         """Return what keeps the file from being a law, "" if nothing does."""
         try:
             names = self._functions
-        except Exception as error:  # whatever a user's code may raise
+        except (Exception, SystemExit) as error:  # whatever a user's code may raise
             return f"cannot be run ({type(error).__name__}: {error}); must be a Python file"
         lacking = [name for name in ("rate", "slope") if not callable(names.get(name))]
         if lacking:
@@ -390,20 +400,31 @@ class UserLaw(_Local):
 
     @property
     def knots(self) -> tuple[float, ...]:
-        """Times at which a parameter's table bends."""
-        return knots(*(q for _, q in self.parameters))
+        """Times at which a parameter's table bends, and those that the file names as ``knots``."""
+        own = {float(time) for time in self._functions.get("knots", ())}
+        return tuple(sorted(own.union(knots(*(q for _, q in self.parameters)))))
 
     @property
     def _functions(self) -> dict[str, Any]:
         return _compiled(self.source, self.file)
 
     def _call(self, name: str, p: FloatArray, at: Sliding) -> FloatArray:
+        if not np.isfinite(p).all():
+            raise ComputationError("contact: pressures are not finite")
         values = {key: value(q, at.time, at.r) for key, q in self.parameters}
         try:
             with np.errstate(all="ignore"):
-                result = self._functions[name](p, replace(at, parameters=values))
+                there = replace(
+                    at,
+                    parameters=values,
+                    r=_guarded(at.r),
+                    speed=_guarded(at.speed),
+                    wear=_guarded(at.wear),
+                    slid=_guarded(at.slid),
+                )
+                result = self._functions[name](_guarded(p), there)
             result = np.array(np.broadcast_to(np.asarray(result, dtype=float), p.shape))
-        except Exception as error:  # whatever a user's code may raise
+        except (Exception, SystemExit) as error:  # whatever a user's code may raise
             raise LawError(
                 f"{self.file}: {name}() failed at time {at.time:g} s: "
                 f"{type(error).__name__}: {error}"
@@ -542,19 +563,23 @@ class StepWear:
         ------
         ComputationError : it does not settle: the rate grows with worn depth too fast.
         """
-        depth = np.zeros_like(p)
+        depth, before = np.zeros_like(p), np.inf
         for _ in range(_MEMORY_ITERATIONS):
             there = replace(at, wear=at.wear + depth)
-            defect = depth - self.step * law.rate(p, there)
-            change = defect / (1.0 - self.step * law.wear_slope(p, there))
-            following = np.maximum(depth - change, 0.0)
-            if (np.abs(following - depth) <= 1e-15 * (at.wear + following)).all():
-                return replace(at, wear=at.wear + following)
-            depth = following
-        e = int(np.abs(change).argmax())
+            rise = 1.0 - self.step * law.wear_slope(p, there)
+            if (rise <= 0.0).any():
+                e = int(rise.argmin())
+                break
+            change = (self.step * law.rate(p, there) - depth) / rise
+            depth = np.maximum(depth + change, 0.0)
+            worst = np.abs(change) / np.maximum(at.wear + depth, 1e-300)
+            e, largest = int(worst.argmax()), float(worst.max())
+            if largest <= _ROUND_OFF or before <= largest <= _NOISE:  # no better than its round-off
+                return replace(at, wear=at.wear + depth)
+            before = largest
         raise ComputationError(
             f"wear law at time {at.time:g} s: the wear of element {e} (r = {at.r[e]:.6g} mm) over "
-            f"a step of {self.step:g} s does not settle; the rate depends on worn depth too much"
+            f"a step of {self.step:g} s does not settle; the rate grows with worn depth too fast"
         )
 
     def _slope(self, law: WearLaw, at: Sliding, p: FloatArray) -> FloatArray:
@@ -571,6 +596,21 @@ class StepWear:
             if law is not None:
                 depths[i] = self._depth(law, self.at[i], self.averages[i], p)
         return depths
+
+    def volumes(self, depths: FloatArray, p: FloatArray, area: FloatArray) -> FloatArray:
+        """Return step times the area integrals of the rates of lower and upper, (2,) mm^3.
+
+        The rates are those at the end of the step, before any average of them; the volumes of the
+        depths are to be the same.
+        """
+        volumes = depths @ area
+        for i, (law, at, average) in enumerate(zip(self.laws, self.at, self.averages, strict=True)):
+            if law is not None and average is not None:
+                volumes[i] = self.step * float(law.rate(average @ p, at) @ area)
+            elif law is not None and law.remembers:
+                end = replace(at, wear=at.wear + depths[i])
+                volumes[i] = self.step * float(law.rate(p, end) @ area)
+        return volumes
 
     def depth(self, p: FloatArray) -> FloatArray:
         """Return the growth of the gap, mm."""

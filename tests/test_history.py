@@ -133,7 +133,7 @@ def test_both_schemes_are_of_first_order_and_meet(stepped):
 
 def test_explicit_limit_separates_smooth_from_oscillating(stepped, paper_pair, comm):
     with ContactSolver(paper_pair[1].stiffness, paper_pair[1].line.area, comm) as solver:
-        limit = WearHistory(*paper_pair, solver).stable_step(1e6)
+        limit = WearHistory(*paper_pair, solver).stable_step()
 
     def roughness(factor):
         _, states = stepped(
@@ -147,7 +147,7 @@ def test_explicit_limit_separates_smooth_from_oscillating(stepped, paper_pair, c
 
 
 def test_implicit_steps_of_any_length_are_smooth(stepped):
-    for step in (0.01, 1.0, 1e3, 1e6):
+    for step in (0.01, 1.0, 1e3, 1e5):
         _, states = stepped(wear_lower=ThresholdLaw(1e-7), time=steps("implicit", step, 20))
         sign = np.diff(states[-1].wear[0])
         assert np.count_nonzero(np.diff(np.sign(sign))) <= 1  # one maximum, in the middle
