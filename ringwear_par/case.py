@@ -176,6 +176,15 @@ class Case:
         """The contact elements of the pair."""
         return contact_line(self.contact, self.mesh, *self.sections)
 
+    @cached_property
+    def smallest_gap_left_out(self) -> float:
+        """Smallest gap (mm) of the undeformed faces that mesh.contact leaves out; inf if none."""
+        (a, b), (inner, outer) = self.contact, self.overlap
+        corners = [r for section in self.sections for r, _ in section.points]
+        r = np.unique(np.clip([*corners, inner, outer], inner, outer))
+        r = r[(r < a) | (r > b)]
+        return float(self.gap_at(r).min()) if len(r) else math.inf
+
     def gap_at(self, r: FloatArray) -> FloatArray:
         """Return the gap (mm) of the undeformed, unworn faces at radii; negative: overlapping."""
         lower, upper = (section.depth(r) for section in self.sections)
@@ -642,6 +651,12 @@ def _check_contact(name: str, case: Case, displacement: Quantity | None) -> None
         faults.append(
             f"{name}: load.displacement = {_told(displacement)}: the undeformed rings "
             f"interpenetrate by {case.interpenetration:g}; must be at least that (mm)"
+        )
+    left = case.smallest_gap_left_out
+    if left < float(case.initial_gap.min()) - CLOSE * max(1.0, case.lower.z[1]):
+        faults.append(
+            f"{name}: mesh.contact = {list(case.contact)}: the undeformed bodies are nearer to "
+            f"each other outside, {left:g} mm, than inside; must take in where they meet first"
         )
     if faults:
         raise InputError(*faults)

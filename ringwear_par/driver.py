@@ -1,5 +1,6 @@
 """``ringwear run``: a case from its file to its result file."""
 
+import json
 import logging
 import os
 import time
@@ -19,6 +20,7 @@ from ringwear_par.errors import ComputationError, InputError, RingwearError, Unf
 from ringwear_par.fields import WholeBoundary
 from ringwear_par.history import State, WearHistory, run
 from ringwear_par.info import versions
+from ringwear_par.laws import law_sources, refuse_bad_laws
 from ringwear_par.monitor import Monitor, Progress, StopSignals
 from ringwear_par.moving import MovingElasticity
 from ringwear_par.options import reject_unused_options
@@ -136,6 +138,7 @@ def run_case(
                 **versions(),
                 **spent,
                 "symmetry_defect": pair.symmetry_defect,
+                "user_laws": json.dumps(law_sources(case)),
             }
 
             def write() -> None:
@@ -261,6 +264,7 @@ def _prepare(
     case = checkpoint = None
     try:
         case = read_case(path, overrides)
+        refuse_bad_laws(case, ranks, str(path))
         check_memory(case, ranks, str(path))
         check_mesh(case, str(path))
     except InputError as error:
@@ -270,6 +274,11 @@ def _prepare(
         there = read_status(output)
         if there is not None and restart and case is not None:
             text, checkpoint = read_checkpoint(output)
+            if checkpoint.user_laws != law_sources(case):
+                raise InputError(
+                    f"{output}: was computed with another wear law in a Python file than there is "
+                    "now; --restart needs the same"
+                )
             _check_same(case, text, checkpoint.state, output)
         elif there is not None and there[0] == "incomplete" and not restart:
             raise InputError(
@@ -352,6 +361,12 @@ def _warn_of_doubts(case: Case, pair: ContactPair, state: State) -> None:
         log.warning(
             "approach or wear of %.3g mm is more than 5 %% of a body's height: small displacements "
             "and the mesh of the unworn rings no longer describe it", moved,
+        )  # fmt: skip
+    if state.contact.approach > case.smallest_gap_left_out:
+        log.warning(
+            "the approach of %.6g mm exceeds the smallest gap, %.6g mm, of the faces that "
+            "mesh.contact leaves out: they may touch there too, which is not computed",
+            state.contact.approach, case.smallest_gap_left_out,
         )  # fmt: skip
     defect = max(state.balances.torque, state.balances.reaction, pair.symmetry_defect)
     if defect > 0.01:

@@ -222,9 +222,10 @@ def check_memory(case: Case, ranks: int, name: str) -> None:
     needed = memory_needed(case, ranks)
     there = float(os.sysconf("SC_PAGE_SIZE")) * os.sysconf("SC_PHYS_PAGES")
     if needed > 0.9 * there:
+        steps = "" if case.time.adaptive else f"time.steps = {case.time.steps}, "
         raise InputError(
-            f"{name}: mesh.contact_elements = {case.mesh.contact_elements}, time.steps = "
-            f"{case.time.steps}, output.every = {case.output.every}: needs about "
+            f"{name}: mesh.contact_elements = {case.mesh.contact_elements}, {steps}"
+            f"output.every = {case.output.every}: needs about "
             f"{needed / 1e9:.3g} GB of memory, this machine has {there / 1e9:.3g} GB; must be less"
         )
 

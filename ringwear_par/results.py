@@ -4,6 +4,7 @@ One process writes, to a temporary name beside the target, flushed and synced, t
 that is there is whole.
 """
 
+import json
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -197,6 +198,7 @@ class Checkpoint:
     boundary: tuple[BoundaryState, ...]
     pending_iterations: int
     seconds: dict[str, float]
+    user_laws: dict[str, str]
 
 
 @dataclass(frozen=True)
@@ -414,6 +416,7 @@ def read_checkpoint(path: Path) -> tuple[str, Checkpoint]:
             _read_boundary(file),
             int(attrs["pending_iterations"]),
             {k: float(v) for k, v in file.attrs.items() if k.startswith("seconds_")},
+            json.loads(str(file.attrs["user_laws"])) if "user_laws" in file.attrs else {},
         )
 
 

@@ -25,6 +25,7 @@ from scipy.stats import qmc
 from ringwear_par.case import Case, find_files, make_case, nearest_key, override, read_keys
 from ringwear_par.errors import InputError
 from ringwear_par.geometry import FloatArray, count_elements
+from ringwear_par.laws import refuse_bad_laws
 from ringwear_par.pair import check_memory, check_mesh, operator_key
 from ringwear_par.schema import BY_PATH, toml_value
 
@@ -241,6 +242,15 @@ def read_study(path: Path, ranks: int = 1) -> Study:
             f"{name}: output.boundary: must be absent from a study and its case; fields on whole "
             "boundaries are stored by ringwear run only"
         )
+    files = [i for i, v in enumerate(names) if v.endswith(".file")]
+    if files:  # relative to the study
+        rows = [
+            tuple(
+                find_files({names[i]: v}, path.parent)[names[i]] if i in files else v
+                for i, v in enumerate(row)
+            )
+            for row in rows
+        ]
     return _checked(path, text, base, names, method, rows, ranks)
 
 
@@ -447,6 +457,7 @@ def _checked(
         keys = _varied_keys(base, parts, row)
         try:
             case = make_case(keys, f"{path}: case {number + 1}", text="")
+            refuse_bad_laws(case, ranks, f"{path}: case {number + 1}")
         except InputError as error:
             bad += 1
             if bad <= _FAULTS_TOLD:
