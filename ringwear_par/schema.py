@@ -288,8 +288,8 @@ def _wear_keys(ring: str) -> list[Key]:
             f"causes {of('length')}", None,
         ),
         Key(
-            f"{table}.file", _text, "a text", "-",
-            "Python file, relative to the case, that defines rate(p, at) and slope(p, at) "
+            f"{table}.file", _text, "the name of a Python file", "-",
+            "relative to the case; it defines rate(p, at) and slope(p, at), see user_law.py "
             f"{of('file')}", None,
         ),
         Key(
@@ -340,7 +340,7 @@ KEYS: tuple[Key, ...] = (
     ),
     Key(
         "time.tolerance", *_number(0.0), "mm",
-        "largest error of wear of one adaptive step", 2.5e-6,
+        "largest estimated error of wear, of both bodies together, of one adaptive step", 2.5e-6,
     ),
     Key("mesh.contact_elements", *_integer(4), "-", "elements of the contact line", 64),
     Key(

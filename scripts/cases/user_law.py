@@ -3,7 +3,8 @@
 ``p`` (n,) is the contact pressure, MPa. ``at`` knows the rest, for the elements of the contact
 line: ``at.r`` (mm), ``at.speed`` (mm/s), ``at.friction``, ``at.time`` (s), ``at.wear`` and
 ``at.slid`` (mm, worn depth and distance slid so far) and ``at.parameters`` of the case file.
-A law whose rate depends on ``at.wear`` should define ``wear_slope(p, at)`` too (1/s).
+A law whose rate depends on ``at.wear`` should define ``wear_slope(p, at)`` too (1/s); one that
+switches with ``at.time`` should name the times in a list ``knots``, which adaptive steps then meet.
 """
 
 from numpy.typing import NDArray
