@@ -177,13 +177,13 @@ class Case:
         return contact_line(self.contact, self.mesh, *self.sections)
 
     @cached_property
-    def smallest_gap_left_out(self) -> float:
-        """Smallest gap (mm) of the undeformed faces that mesh.contact leaves out; inf if none."""
+    def smallest_gaps(self) -> tuple[float, float]:
+        """Smallest gaps (mm) of the undeformed faces in the contact and where mesh.contact cut."""
         (a, b), (inner, outer) = self.contact, self.overlap
         corners = [r for section in self.sections for r, _ in section.points]
-        r = np.unique(np.clip([*corners, inner, outer], inner, outer))
-        r = r[(r < a) | (r > b)]
-        return float(self.gap_at(r).min()) if len(r) else math.inf
+        r = np.unique(np.clip([*corners, a, b, inner, outer], inner, outer))
+        gap, inside = self.gap_at(r), (r >= a) & (r <= b)
+        return float(gap[inside].min()), float(gap[~inside].min(initial=math.inf))
 
     def gap_at(self, r: FloatArray) -> FloatArray:
         """Return the gap (mm) of the undeformed, unworn faces at radii; negative: overlapping."""
@@ -652,8 +652,8 @@ def _check_contact(name: str, case: Case, displacement: Quantity | None) -> None
             f"{name}: load.displacement = {_told(displacement)}: the undeformed rings "
             f"interpenetrate by {case.interpenetration:g}; must be at least that (mm)"
         )
-    left = case.smallest_gap_left_out
-    if left < float(case.initial_gap.min()) - CLOSE * max(1.0, case.lower.z[1]):
+    here, left = case.smallest_gaps
+    if left < here - CLOSE * max(1.0, case.lower.z[1]):
         faults.append(
             f"{name}: mesh.contact = {list(case.contact)}: the undeformed bodies are nearer to "
             f"each other outside, {left:g} mm, than inside; must take in where they meet first"

@@ -362,11 +362,11 @@ def _warn_of_doubts(case: Case, pair: ContactPair, state: State) -> None:
             "approach or wear of %.3g mm is more than 5 %% of a body's height: small displacements "
             "and the mesh of the unworn rings no longer describe it", moved,
         )  # fmt: skip
-    if state.contact.approach > case.smallest_gap_left_out:
+    if state.contact.approach > case.smallest_gaps[1]:
         log.warning(
             "the approach of %.6g mm exceeds the smallest gap, %.6g mm, of the faces that "
             "mesh.contact leaves out: they may touch there too, which is not computed",
-            state.contact.approach, case.smallest_gap_left_out,
+            state.contact.approach, case.smallest_gaps[1],
         )  # fmt: skip
     defect = max(state.balances.torque, state.balances.reaction, pair.symmetry_defect)
     if defect > 0.01:

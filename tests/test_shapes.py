@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from ringwear_par.body import compliance
-from ringwear_par.case import Stepping, read_case
+from ringwear_par.case import Stepping, parse_case, read_case
 from ringwear_par.contact import ContactSolver
 from ringwear_par.errors import InputError
 from ringwear_par.geometry import Mesh, Section, contact_line
@@ -154,3 +154,12 @@ def test_bodies_too_coarse_for_their_corners_are_refused():
     case = with_faces(paper_case(Mesh(8)), upper=CHAMFERED)
     with pytest.raises(InputError, match="at least 12"):
         _ = case.line
+
+
+def test_a_contact_line_that_misses_the_contact_is_refused():
+    """A bump that mesh.contact leaves out would touch first."""
+    bumps = [[28.5, 20.3], [29, 20.0], [29.5, 20.3], [30, 20.3], [30.8, 20.05], [31.5, 20.4]]
+    text = (Path(__file__).parents[1] / "scripts/cases/paper.toml").read_text()
+    with pytest.raises(InputError, match=r"mesh.contact = \[30.1, 31.4\].*nearer.*outside, 0 mm"):
+        parse_case(text, "case.toml", {"upper.profile": bumps, "mesh.contact": [30.1, 31.4]})
+    parse_case(text, "case.toml", {"upper.profile": bumps, "mesh.contact": [28.6, 31.4]})
