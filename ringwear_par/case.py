@@ -323,7 +323,7 @@ def read_case(path: Path, overrides: Sequence[str] = ()) -> Case:
     InputError : all faults, one sentence each.
     """
     try:
-        text = path.read_text(encoding="utf-8")
+        text = path.read_text(encoding="utf-8-sig")
     except OSError as error:
         raise InputError(f"{path}: cannot be read: {error.strerror or error}") from error
     except UnicodeDecodeError as error:
@@ -545,6 +545,10 @@ def _time_faults(name: str, values: Mapping[str, Any]) -> list[str]:
         faults.append(
             f"{name}: output.times: {times[-1]:g} is after the end; must be <= {end:g} (s)"
         )
+    boundary = values.get("output.boundary")
+    late = boundary[-1] if isinstance(boundary, tuple) else 0.0
+    if end is not None and late > end * (1.0 + 1e-12):
+        faults.append(f"{name}: output.boundary: {late:g} is after the end; must be <= {end:g} (s)")
     if times and values["output.every"] != 1:
         faults.append(f"{name}: output.every, output.times: both are given; must be one of them")
     return faults
@@ -573,7 +577,8 @@ def _law_faults(
             )
     if law == "running-in":
         depth, distance = (values.get(f"{table}.{key}") for key in ("depth", "distance"))
-        if (depth is None) == (distance is None):
+        unread = {f"{table}.depth", f"{table}.distance"} & (flat.keys() - values.keys())
+        if (depth is None) == (distance is None) and not unread:
             faults.append(
                 f"{name}: {table}.depth, {table}.distance: one of them must be given (mm)"
             )
@@ -583,7 +588,7 @@ def _law_faults(
                 f"{name}: {table}.k_start = {_told(start)}: must be at least {table}.k = {_told(k)}"
             )
     file = values.get(f"{table}.file")
-    if law == "user" and file is not None:
+    if law == "user" and file is not None and f"{table}.parameters" in values:
         try:
             _user_law(values, table)
         except InputError as error:

@@ -62,7 +62,7 @@ def _parser() -> argparse.ArgumentParser:
     )  # fmt: skip
     run.add_argument(
         "--restart", action="store_true",
-        help="continue RUN.h5 where it was interrupted, or to a larger time.steps",
+        help="continue RUN.h5 where it was interrupted, or to a larger time.steps or time.end",
     )  # fmt: skip
     run.add_argument("--plot", type=Path, metavar="FIG.png", help="draw the history at the end")
 

@@ -34,6 +34,8 @@ from ringwear_par.results import (
 )
 
 log = logging.getLogger(__name__)
+#: fewer elements in contact than this do not resolve it
+_FEW_ELEMENTS = 10
 T = TypeVar("T")
 
 
@@ -153,7 +155,13 @@ def run_case(
             if comm.rank == 0:
                 progress = at_end.enter_context(closing(Progress(state.time, case.time.end)))
             monitor = Monitor(history.finished, recorder, save, signals, comm, progress)
-            state = run(history, state, monitor, monitor.show)
+            try:
+                state = run(history, state, monitor, monitor.show)
+            except ComputationError as error:
+                if monitor.last is None:
+                    raise
+                save(monitor.last)
+                raise ComputationError(f"{error}; {output} holds the steps before it") from error
             save(state)
         if recorder is not None:
             print(summary(case, history.pair, state, recorder))
@@ -367,6 +375,12 @@ def _warn_of_doubts(case: Case, pair: ContactPair, state: State) -> None:
             "the approach of %.6g mm exceeds the smallest gap, %.6g mm, of the faces that "
             "mesh.contact leaves out: they may touch there too, which is not computed",
             state.contact.approach, case.smallest_gaps[1],
+        )  # fmt: skip
+    touching = np.count_nonzero(state.contact.pressure)
+    if 0 < touching < min(_FEW_ELEMENTS, len(state.contact.pressure)):
+        log.warning(
+            "%d of %d elements are in contact at the end: too few to resolve it; mesh.contact = "
+            "[r1, r2] puts them where contact is", touching, len(state.contact.pressure),
         )  # fmt: skip
     defect = max(state.balances.torque, state.balances.reaction, pair.symmetry_defect)
     if defect > 0.01:

@@ -163,13 +163,19 @@ class WearHistory:
         """
         if self._elasticity is None:
             return state
-        shape, assemblies = state.shape, state.assemblies
+        shape = state.shape
         if shape is None:
             shape = np.zeros_like(state.wear)
-        if np.abs(state.wear - shape).max() > self.case.mesh.geometry_tolerance:
-            shape, assemblies = state.wear, assemblies + 1
-        self._follow(shape)
-        return replace(state, shape=shape, assemblies=assemblies)
+        if np.abs(state.wear - shape).max() <= self.case.mesh.geometry_tolerance:
+            self._follow(shape)
+            return replace(state, shape=shape)
+        self._follow(state.wear)
+        # the rates at the start of the next step are to be those of the new elasticity
+        contact = self.contact(state.time, state.wear, None)
+        return replace(
+            state, shape=state.wear, assemblies=state.assemblies + 1, contact=contact,
+            iterations=state.iterations + contact.iterations,
+        )  # fmt: skip
 
     def _follow(self, shape: FloatArray) -> None:
         if self._elasticity is None or np.array_equal(shape, self.shape):
@@ -436,7 +442,7 @@ class WearHistory:
             if is_open and contact.pressure[e] > 0.0:
                 raise ComputationError(
                     f"time {time:g} s: contact has reached the end of mesh.contact at "
-                    f"r = {self.pair.line.edges[e]:g} mm, which must be farther out"
+                    f"r = {self.pair.line.edges[e]:g} mm; must be wider there"
                 )
         given, pushed = self.case.load.force, contact.force
         force = in_time(given, time) if given is not None else 0.0

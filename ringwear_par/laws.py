@@ -10,7 +10,14 @@ from ringwear_par.case import Case, read_case
 from ringwear_par.contact import REPLICATED_LIMIT
 from ringwear_par.errors import ComputationError, InputError
 from ringwear_par.quantity import largest
-from ringwear_par.wear import Sliding, UserLaw, WearLaw, check_user_law, taylor_test
+from ringwear_par.wear import (
+    Sliding,
+    UserLaw,
+    WearLaw,
+    check_user_law,
+    check_user_slope,
+    taylor_test,
+)
 
 _BODIES = ("lower", "upper")
 _ELEMENTS = 60
@@ -29,8 +36,10 @@ def law_sources(case: Case) -> dict[str, str]:
     return {body: law.source for body, law in laws if isinstance(law, UserLaw)}
 
 
-def refuse_bad_laws(case: Case, ranks: int, name: str) -> None:
-    """Refuse users' laws that are none, and what a law does not do. Not collective.
+def refuse_bad_laws(case: Case, ranks: int, name: str, slopes: bool = True) -> None:
+    """Refuse users' laws that are none, or whose slopes are wrong, and what a law does not do.
+
+    Not collective.
 
     Raises
     ------
@@ -44,6 +53,8 @@ def refuse_bad_laws(case: Case, ranks: int, name: str) -> None:
         if isinstance(law, UserLaw):
             try:
                 check_user_law(law, _sliding(case, 0.0, 0.0), pressure)
+                if slopes:
+                    check_user_slope(law, _sliding(case, 0.0, 0.0), pressure)
             except InputError as error:
                 faults += [f"{name}: wear.{body}.file: {fault}" for fault in error.faults]
         if law is not None and law.length and ranks > 1 and case.line.n > REPLICATED_LIMIT:
@@ -71,7 +82,7 @@ def check_laws(path: Path, overrides: Sequence[str]) -> int:
     ComputationError : a user's function failed, or a derivative is not that of its rate.
     """
     case = read_case(path, overrides)
-    refuse_bad_laws(case, 1, str(path))
+    refuse_bad_laws(case, 1, str(path), slopes=False)
     failed = sum(
         _tested(case, body, law) for body, law in zip(_BODIES, case.laws, strict=True) if law
     )

@@ -73,6 +73,8 @@ class Monitor:
         self._saved = time.perf_counter()
         #: the signal that the ranks agreed to stop for, or 0
         self.agreed = 0
+        #: the last state seen, None before the first
+        self.last: State | None = None
 
     @property
     def signal_name(self) -> str:
@@ -86,6 +88,7 @@ class Monitor:
 
     def __call__(self, state: State) -> bool:
         """Return whether to stop after this state. Collective."""
+        self.last = state
         if self._recorder is not None:
             self._recorder.add(state)
         if self._tell is not None:

@@ -207,9 +207,9 @@ def _wear(axes: Any, result: Result, label: str, rows: Sequence[int]) -> None:
         axes.set_ylabel("worn profiles (\N{MICRO SIGN}m): lower < 0 < upper")
     else:
         axes.set_ylabel("wear depth (\N{MICRO SIGN}m)")
-    axes.plot([inner - margin, inner], [0, 0], color="0.4", linewidth=0.8)
+    axes.plot([max(inner - margin, 0.0), inner], [0, 0], color="0.4", linewidth=0.8)
     axes.plot([outer, outer + margin], [0, 0], color="0.4", linewidth=0.8)
-    axes.set_xlim(inner - margin, outer + margin)
+    axes.set_xlim(max(inner - margin, 0.0), outer + margin)
     low, high = axes.get_ylim()
     axes.set_ylim(low - 0.3 * (high - low), high)  # room for the legend
     axes.legend(frameon=False, loc="lower center", ncols=3, columnspacing=1.0)
@@ -219,8 +219,9 @@ def _pressure(axes: Any, result: Result, label: str, rows: Sequence[int]) -> Non
     """Contact pressure along the contact line; the singular edges of the first instant are cut."""
     pressure = _field(result, "pressure")
     highest = float(pressure[list(rows)].max())
-    mean = result.scalars["force"] / result.line.area.sum()
-    top = 3.0 * float(mean[list(rows)].max())
+    touched = (pressure[list(rows)] > 0.0) @ result.line.area  # mm^2
+    mean = result.scalars["force"][list(rows)] / np.where(touched > 0.0, touched, np.inf)
+    top = 3.0 * float(mean.max())
     if highest > top:
         label = f"{label} (peak {highest:.0f} MPa cut)"
     _profiles(axes, result, label, rows, lambda row: pressure[row])

@@ -238,7 +238,13 @@ def write_result(
                     _write_boundary(file.create_group(f"boundary/{name}"), recorder.boundary, i)
             _write_checkpoint(file.create_group("checkpoint"), line, recorder, state, warm)
             file.attrs.update(
-                {"software": SOFTWARE, "case": case.text, "title": case.title, **attributes}
+                {
+                    "software": SOFTWARE,
+                    "case": case.text,
+                    "title": case.title,
+                    "coordinates": "time r width",
+                    **attributes,
+                }
             )
             file.flush()
         with temporary.open("rb+") as handle:

@@ -153,9 +153,12 @@ def _boundary(value: Any) -> str | tuple[float, ...]:
             raise RejectedError
         return value
     number, _ = _number(0.0, ends=True)
-    if not isinstance(value, list):
+    if not isinstance(value, list) or not value:
         raise RejectedError
-    return tuple(sorted({float(number(v)) for v in value}))
+    times = tuple(float(number(v)) for v in value)
+    if any(after <= before for before, after in itertools.pairwise(times)):
+        raise RejectedError
+    return times
 
 
 def _integer(low: int, high: int = 10**12) -> tuple[Reader, str]:
@@ -375,7 +378,8 @@ KEYS: tuple[Key, ...] = (
         "store these fields as often as the histories, or at the last step only", "all",
     ),
     Key(
-        "output.boundary", _boundary, '"none", "last", "all" or a list of times (s)', "-",
+        "output.boundary", _boundary, '"none", "last", "all" or a list of increasing times (s)',
+        "-",
         "stored steps at which displacement and traction of both whole boundaries are stored; "
         "times: the first stored step from each on", "none",
     ),

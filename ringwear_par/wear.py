@@ -18,6 +18,7 @@ from ringwear_par.geometry import FloatArray
 from ringwear_par.quantity import Quantity, Table, knots, value
 
 _MEMORY_ITERATIONS = 60
+_BISECTIONS = 30
 #: relative change at which the wear of a step is found, and below which it may stop falling
 _ROUND_OFF, _NOISE = 1e-15, 1e-9
 _POTENTIAL_PANELS = 8
@@ -423,6 +424,8 @@ class UserLaw(_Local):
                     slid=_guarded(at.slid),
                 )
                 result = self._functions[name](_guarded(p), there)
+            if result is None or np.iscomplexobj(result):
+                raise TypeError(f"it returns {type(result).__name__}, not real numbers")
             result = np.array(np.broadcast_to(np.asarray(result, dtype=float), p.shape))
         except (Exception, SystemExit) as error:  # whatever a user's code may raise
             raise LawError(
@@ -476,7 +479,7 @@ def check_user_law(law: UserLaw, at: Sliding, pressure: float) -> None:
 
     Raises
     ------
-    InputError : it wears without pressure, gives NaN or negative rates, or rates that fall.
+    InputError : it wears without pressure, gives NaN or negative rates, or rates that fall or jump.
     """
     p = np.linspace(0.0, 1.0, 33)[:, None] * np.full_like(at.r, pressure)
     rates = []
@@ -502,6 +505,52 @@ def check_user_law(law: UserLaw, at: Sliding, pressure: float) -> None:
             f"p = {p[i, e]:.6g} and {p[i + 1, e]:.6g} MPa (time {at.time:g} s, element {e}, "
             f"r = {at.r[e]:.6g} mm); must not fall with pressure"
         )
+    jump = _jump(law, at, p[:, 0], table)
+    if jump:
+        raise InputError(jump)
+
+
+def check_user_slope(law: UserLaw, at: Sliding, pressure: float) -> None:
+    """Refuse a user's law whose slope is another one than that of its rate. Not collective.
+
+    Raises
+    ------
+    InputError : it is.
+    """
+    rng = np.random.default_rng(1)
+    tried = pressure * rng.uniform(0.01, 0.99, len(at.r))
+    if not taylor_test(law, at, tried, rng.uniform(-1.0, 1.0, len(at.r))).passed:
+        raise InputError(
+            f"{law.file}: slope() is not the derivative of rate() with respect to p; must be "
+            "(see ringwear laws)"
+        )
+
+
+def _jump(law: UserLaw, at: Sliding, p: FloatArray, rates: FloatArray) -> str:
+    """Return where the rate jumps with pressure, "" if it does not: by bisection of steep pieces.
+
+    Parameters
+    ----------
+    p : (k,) float, MPa, increasing.
+    rates : (k, n) float, mm/s, at these pressures.
+    """
+    e = int(rates[-1].argmax())
+    rise = np.diff(rates[:, e])
+    i = int(rise.argmax())
+    low, high, below, above = p[i], p[i + 1], rates[i, e], rates[i + 1, e]
+    for _ in range(_BISECTIONS):
+        middle = 0.5 * (low + high)
+        rate = law.rate(np.full_like(at.r, middle), at)[e]
+        if rate - below > above - rate:
+            high, above = middle, rate
+        else:
+            low, below = middle, rate
+    if above - below <= 1e-3 * rise[i]:
+        return ""
+    return (
+        f"{law.file}: rate() jumps from {below:g} to {above:g} at p = {low:.6g} MPa "
+        f"(time {at.time:g} s, element {e}, r = {at.r[e]:.6g} mm); must be continuous in p"
+    )
 
 
 def averaging(r: FloatArray, area: FloatArray, length: float) -> FloatArray:
