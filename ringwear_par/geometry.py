@@ -12,10 +12,12 @@ import itertools
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
 from scipy.special import betainc
 
 from ringwear_par.errors import ComputationError, InputError
@@ -30,6 +32,8 @@ Polyline = tuple[tuple[float, float], ...]
 CORNER_ANGLE = math.radians(5.0)
 #: fewest elements of a piece of the contact line
 FEWEST = 4
+#: fewest vertices of about the same curvature that are samples of a smooth face
+_DENSE = 6
 #: grading exponent of the free and held faces towards every corner and contact edge
 CORNER_GRADING = 3.5
 
@@ -94,8 +98,42 @@ class Section:
         return np.array(self.face or [(self.r[0], 0.0), (self.r[1], 0.0)])
 
     def depth(self, r: FloatArray) -> FloatArray:
-        """Return the height z <= 0 (mm) of the contact face at radii (mm)."""
-        return np.interp(r, *self.points.T)
+        """Return the height z (mm) of the contact face at radii (mm).
+
+        On the polyline, or on cubic splines where its points are dense samples of a smooth face.
+        """
+        z = np.interp(r, *self.points.T)
+        for spline in _splines(self.face):
+            inside = (r > spline.x[0]) & (r < spline.x[-1])
+            z = np.where(inside, spline(r), z)
+        return z
+
+
+@lru_cache(maxsize=64)
+def _splines(face: Polyline) -> tuple[CubicSpline, ...]:
+    """Return cubic splines over the dense samples of a face.
+
+    Samples are dense where neighbouring vertices, ``_DENSE`` at least, turn by little and by about
+    the same curvature; straight runs are their own splines.
+    """
+    if len(face) < _DENSE + 2:
+        return ()
+    r, z = np.array(face).T
+    step = np.diff(r)
+    turn = np.diff(np.arctan(np.diff(z) / step))
+    bend = turn / (0.5 * (step[1:] + step[:-1]))  # 1/mm, at the inner vertices
+    low = np.abs(turn) < CORNER_ANGLE
+    alike = np.abs(np.diff(bend)) <= 0.55 * np.maximum(np.abs(bend[1:]), np.abs(bend[:-1]))
+    alike &= low[1:] & low[:-1] & (np.abs(bend[1:]) > 1e-9)
+    splines, start = [], 0
+    for end in [*np.flatnonzero(~alike).tolist(), len(alike)]:
+        if end - start + 1 >= _DENSE:
+            # vertices start+1 to end+1 of the face; to its ends where there is nothing between
+            first = 0 if start == 0 else start + 1
+            last = len(r) if end == len(alike) else end + 2
+            splines.append(CubicSpline(r[first:last], z[first:last]))
+        start = end + 1
+    return tuple(splines)
 
 
 def corners(section: Section) -> list[float]:

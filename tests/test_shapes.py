@@ -13,6 +13,7 @@ from ringwear_par.errors import InputError
 from ringwear_par.geometry import Mesh, Section, contact_line
 from ringwear_par.history import WearHistory, run
 from ringwear_par.pair import contact_pair
+from ringwear_par.reference import contact_modulus
 from ringwear_par.verify import paper_case
 
 CASES = Path(__file__).parents[1] / "scripts" / "cases"
@@ -163,3 +164,37 @@ def test_a_contact_line_that_misses_the_contact_is_refused():
     with pytest.raises(InputError, match=r"mesh.contact = \[30.1, 31.4\].*nearer.*outside, 0 mm"):
         parse_case(text, "case.toml", {"upper.profile": bumps, "mesh.contact": [30.1, 31.4]})
     parse_case(text, "case.toml", {"upper.profile": bumps, "mesh.contact": [28.6, 31.4]})
+
+
+def sampled(f, r):
+    z = f(r) - f(r).max()
+    return Section((r[0], r[-1]), 50.0, tuple(zip(r.tolist(), z.tolist(), strict=True)))
+
+
+def test_dense_samples_of_a_smooth_face_are_splined_and_kinks_stay():
+    r, x = np.linspace(0.0, 3.0, 31), np.linspace(0.0, 3.0, 1001)
+    ball = sampled(lambda r: np.sqrt(400.0 - r * r), r)
+    exact = np.sqrt(400.0 - x * x) - 20.0
+    assert np.abs(ball.depth(x) - exact).max() < 1e-8
+    assert np.abs(np.interp(x, *ball.points.T) - exact).max() > 5e-5
+    roof = sampled(lambda r: -0.02 * np.abs(r - 1.5), r)
+    assert np.array_equal(roof.depth(x), np.interp(x, *roof.points.T))
+    few = sampled(lambda r: np.sqrt(400.0 - r * r), np.linspace(0.0, 3.0, 6))
+    assert np.array_equal(few.depth(x), np.interp(x, *few.points.T))
+    half = sampled(lambda r: -0.05 * np.maximum(r - 1.5, 0.0) ** 2, r)  # flat, then a parabola
+    assert np.abs(half.depth(x) + 0.05 * np.maximum(x - 1.5, 0.0) ** 2).max() < 1e-5
+    assert (half.depth(x[x < 1.4]) == 0.0).all()
+
+
+def test_the_sphere_of_the_case_file_is_that_of_hertz(comm):
+    """200 N on a sphere of 20 mm (see sphere.toml), before any wear."""
+    case = read_case(Path(__file__).parents[1] / "scripts/cases/sphere.toml")
+    pair, _ = contact_pair(case, comm)
+    with ContactSolver(pair.stiffness, pair.line.area, comm) as solver:
+        p = WearHistory(case, pair, solver).start().contact.pressure
+    modulus = contact_modulus(*((b.young, b.poisson) for b in case.rings))
+    a = (0.75 * 200.0 * 20.0 / modulus) ** (1.0 / 3.0)
+    exact = 1.5 * 200.0 / (np.pi * a * a) * np.sqrt(np.maximum(1.0 - (case.line.r / a) ** 2, 0.0))
+    near = case.line.r < 0.9 * a
+    assert np.abs(p - exact)[near].max() < 5e-3 * exact.max()
+    assert p.max() == pytest.approx(exact.max(), rel=2e-3)
