@@ -402,8 +402,8 @@ class WearHistory:
             of a body has been worn off.
         """
         wear, worn = state.wear + depths, state.worn + volumes
-        deepest = wear.max(axis=1)
-        if (deepest > self._most_wear).any():
+        if wear.max() > self._most_wear.min() and (wear.max(axis=1) > self._most_wear).any():
+            deepest = wear.max(axis=1)
             body = "lower" if deepest[0] > self._most_wear[0] else "upper"
             raise ComputationError(
                 f"time {time:g} s: {deepest.max():.4g} mm are worn off {body}, more than half of "

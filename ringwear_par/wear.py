@@ -590,13 +590,15 @@ class StepWear:
     step: float
     averages: tuple[FloatArray | None, ...] = (None, None)
 
-    @cached_property
-    def _each(self) -> list[tuple[WearLaw, Sliding, FloatArray | None]]:
-        return [
-            (law, at, average)
-            for law, at, average in zip(self.laws, self.at, self.averages, strict=True)
-            if law is not None
-        ]
+    #: whether all laws are local, so that ``slope`` is the whole derivative
+    local: bool = field(init=False, repr=False)
+    _each: list[tuple[WearLaw, Sliding, FloatArray | None]] = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        bodies = zip(self.laws, self.at, self.averages, strict=True)
+        each = [(law, at, average) for law, at, average in bodies if law is not None]
+        object.__setattr__(self, "_each", each)
+        object.__setattr__(self, "local", all(a is None for a in self.averages))
 
     def _depth(
         self, law: WearLaw, at: Sliding, average: FloatArray | None, p: FloatArray
@@ -669,18 +671,14 @@ class StepWear:
 
     def slope(self, p: FloatArray) -> FloatArray:
         """Return d depth_e / d p_e, (n,) mm/MPa; of local laws all there is."""
-        parts = [self._slope(law, at, p) for law, at, average in self._each if average is None]
-        parts += [
-            ((average * average.T) * self._slope(law, at, average @ p)).sum(axis=1)
-            for law, at, average in self._each
-            if average is not None
-        ]
-        return _total(parts)
-
-    @cached_property
-    def local(self) -> bool:
-        """Whether all laws are local, so that ``slope`` is the whole derivative."""
-        return all(average is None for average in self.averages)
+        return _total(
+            [
+                self._slope(law, at, p)
+                if average is None
+                else ((average * average.T) * self._slope(law, at, average @ p)).sum(axis=1)
+                for law, at, average in self._each
+            ]
+        )
 
     def derivative(self, p: FloatArray) -> FloatArray:
         """Return d depth / d p, (n, n) mm/MPa."""
@@ -734,7 +732,7 @@ class StepWear:
 
 
 def _total(parts: list[FloatArray]) -> FloatArray:
-    return sum(parts[1:], parts[0])
+    return parts[0] if len(parts) == 1 else parts[0] + parts[1]
 
 
 @dataclass(frozen=True)
