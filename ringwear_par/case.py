@@ -3,7 +3,7 @@
 import difflib
 import math
 import tomllib
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -22,7 +22,8 @@ from ringwear_par.geometry import (
     contact_line,
     contact_pieces,
 )
-from ringwear_par.quantity import Quantity, Table, knots, largest, smallest
+from ringwear_par.law_keys import law_faults, make_law, told
+from ringwear_par.quantity import Quantity, Table, knots, largest
 from ringwear_par.schema import BY_PATH, FIELDS, KEYS, LAWS, TABLES, RejectedError, toml_value
 from ringwear_par.shapes import (
     CLOSE,
@@ -31,27 +32,10 @@ from ringwear_par.shapes import (
     profile_face,
     profile_faults,
 )
-from ringwear_par.wear import (
-    ArchardLaw,
-    NonLocalLaw,
-    PowerLaw,
-    RunningInLaw,
-    TableLaw,
-    ThresholdLaw,
-    UserLaw,
-    WearLaw,
-)
+from ringwear_par.wear import WearLaw
 
 #: times closer than this share of them are one
 SAME_TIME = 1e-12
-_LAW_CLASSES: dict[str, Callable[..., WearLaw]] = {
-    "threshold": ThresholdLaw,
-    "archard": ArchardLaw,
-    "power": PowerLaw,
-    "table": TableLaw,
-    "running-in": RunningInLaw,
-    "non-local": NonLocalLaw,
-}
 _LOADS = {"load.force", "load.pressure", "load.displacement"}
 
 
@@ -445,7 +429,7 @@ def make_case(
     faults += _inconsistencies(name, values)
     faults += _time_faults(whose, values)
     for table in (table for table, worn in wears.items() if worn):
-        faults += _law_faults(whose, table, flat, values)
+        faults += law_faults(whose, table, flat, values)
     faces = _faces(name, values, faults)
     if faults:
         raise InputError(*faults)
@@ -490,13 +474,13 @@ def _inconsistencies(name: str, values: Mapping[str, Any]) -> list[str]:
         if control == "force":
             if displacement is not None:
                 faults.append(
-                    f"{name}: load.displacement = {_told(displacement)}: needs "
+                    f"{name}: load.displacement = {told(displacement)}: needs "
                     'load.control = "displacement"'
                 )
             elif (force is None) == (pressure is None):
                 number = "neither of them is given"
                 if force is not None:
-                    number = f"both are given ({_told(force)} N, {_told(pressure)} MPa)"
+                    number = f"both are given ({told(force)} N, {told(pressure)} MPa)"
                 faults.append(
                     f'{name}: load.force, load.pressure: {number}; control = "force" needs one'
                 )
@@ -509,14 +493,10 @@ def _inconsistencies(name: str, values: Mapping[str, Any]) -> list[str]:
             for key, value in (("force", force), ("pressure", pressure)):
                 if value is not None:
                     faults.append(
-                        f"{name}: load.{key} = {_told(value)}: must be absent where "
+                        f"{name}: load.{key} = {told(value)}: must be absent where "
                         'load.control = "displacement"'
                     )
     return faults
-
-
-def _told(quantity: Quantity | None) -> str:
-    return f"a table to {largest(quantity):g}" if isinstance(quantity, Table) else f"{quantity:g}"
 
 
 def _time_faults(name: str, values: Mapping[str, Any]) -> list[str]:
@@ -552,68 +532,6 @@ def _time_faults(name: str, values: Mapping[str, Any]) -> list[str]:
     if times and values["output.every"] != 1:
         faults.append(f"{name}: output.every, output.times: both are given; must be one of them")
     return faults
-
-
-def _law_faults(
-    name: str, table: str, flat: Mapping[str, Any], values: Mapping[str, Any]
-) -> list[str]:
-    """Return the faults of a body's wear law."""
-    law = values.get(f"{table}.law")
-    if law is None:
-        return []
-    needs, may = LAWS[law]
-    faults = [
-        f"{name}: {table}.{key} is missing: {BY_PATH[f'{table}.{key}'].rule} where {table}.law = "
-        f'"{law}"'
-        for key in needs
-        if f"{table}.{key}" not in flat
-    ]
-    for path in flat:
-        key = path.removeprefix(f"{table}.")
-        if path in BY_PATH and path.startswith(f"{table}.") and key not in ("law", *needs, *may):
-            keys = ", ".join((*needs, *may))
-            faults.append(
-                f'{name}: {path}: has no meaning where {table}.law = "{law}"; must be among {keys}'
-            )
-    if law == "running-in":
-        depth, distance = (values.get(f"{table}.{key}") for key in ("depth", "distance"))
-        unread = {f"{table}.depth", f"{table}.distance"} & (flat.keys() - values.keys())
-        if (depth is None) == (distance is None) and not unread:
-            faults.append(
-                f"{name}: {table}.depth, {table}.distance: one of them must be given (mm)"
-            )
-        k, start = values.get(f"{table}.k"), values.get(f"{table}.k_start")
-        if k is not None and start is not None and smallest(start) < largest(k):
-            faults.append(
-                f"{name}: {table}.k_start = {_told(start)}: must be at least {table}.k = {_told(k)}"
-            )
-    file = values.get(f"{table}.file")
-    if law == "user" and file is not None and f"{table}.parameters" in values:
-        try:
-            _user_law(values, table)
-        except InputError as error:
-            faults += [f"{name}: {table}.file = {toml_value(file)}: {f}" for f in error.faults]
-    return faults
-
-
-def _user_law(values: Mapping[str, Any], table: str) -> UserLaw:
-    """Return the law that a Python file defines.
-
-    Raises
-    ------
-    InputError : the file cannot be read or run, or does not define a law.
-    """
-    path = Path(values[f"{table}.file"])
-    try:
-        source = path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        reason = getattr(error, "strerror", None) or error
-        raise InputError(f"cannot be read ({reason}); must be a Python file") from error
-    law = UserLaw(str(path), source, values[f"{table}.parameters"] or ())
-    missing = law.missing()
-    if missing:
-        raise InputError(missing)
-    return law
 
 
 def _faces(name: str, values: Mapping[str, Any], faults: list[str]) -> dict[str, Polyline]:
@@ -654,7 +572,7 @@ def _check_contact(name: str, case: Case, displacement: Quantity | None) -> None
         faults += [f"{name}: {fault}" for fault in error.faults]
     if displacement is not None and case.interpenetration > largest(displacement):
         faults.append(
-            f"{name}: load.displacement = {_told(displacement)}: the undeformed rings "
+            f"{name}: load.displacement = {told(displacement)}: the undeformed rings "
             f"interpenetrate by {case.interpenetration:g}; must be at least that (mm)"
         )
     here, left = case.smallest_gaps
@@ -674,22 +592,12 @@ def _build(
         r, z, young, poisson = (values[f"{which}.{k}"] for k in ("r", "z", "young", "poisson"))
         return Ring(r, z, young, poisson, grip, faces[which])
 
-    def law(which: str) -> WearLaw | None:
-        table = f"wear.{which}"
-        if not wears[table]:
-            return None
-        name = values[f"{table}.law"]
-        if name == "user":
-            return _user_law(values, table)
-        keys = (key for group in LAWS[name] for key in group)
-        return _LAW_CLASSES[name](**{key: values[f"{table}.{key}"] for key in keys})
-
     case = Case(
         lower=ring("lower", "clamped"),
         upper=ring("upper", values["upper.grip"]),
         friction=values["contact.friction"],
-        wear_lower=law("lower"),
-        wear_upper=law("upper"),
+        wear_lower=make_law("wear.lower", values) if wears["wear.lower"] else None,
+        wear_upper=make_law("wear.upper", values) if wears["wear.upper"] else None,
         load=Load(values["load.omega"], values["load.force"], values["load.displacement"]),
         time=_stepping(values),
         mesh=Mesh(

@@ -23,7 +23,7 @@ from ringwear_par.dense import set_from_options
 from ringwear_par.errors import ComputationError, InputError
 from ringwear_par.geometry import FloatArray
 from ringwear_par.newton import ActiveSetNewton
-from ringwear_par.wear import StepWear
+from ringwear_par.step_wear import StepWear
 
 PREFIX = "contact_"
 #: TAO types on offer; each gives the same answer

@@ -22,7 +22,8 @@ from ringwear_par.geometry import FloatArray
 from ringwear_par.moving import MovingElasticity
 from ringwear_par.pair import BodyCost, ContactPair, join, largest_stable_step
 from ringwear_par.quantity import Quantity, in_time, integral, largest, mean
-from ringwear_par.wear import Sliding, StepWear, averaging
+from ringwear_par.step_wear import StepWear, averaging
+from ringwear_par.wear import Sliding
 
 
 @dataclass(frozen=True)

@@ -7,19 +7,17 @@ import pytest
 from wearing import sliding, step_wear
 
 from ringwear_par.errors import ComputationError, InputError
+from ringwear_par.laws import taylor_test
 from ringwear_par.quantity import Table
+from ringwear_par.step_wear import StepWear, averaging
+from ringwear_par.user_law import UserLaw, check_user_law
 from ringwear_par.wear import (
     ArchardLaw,
     NonLocalLaw,
     PowerLaw,
     RunningInLaw,
-    StepWear,
     TableLaw,
     ThresholdLaw,
-    UserLaw,
-    averaging,
-    check_user_law,
-    taylor_test,
 )
 
 P = np.array([0.0, 10.0, 39.0, 41.0, 100.0])

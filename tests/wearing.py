@@ -2,7 +2,8 @@
 
 import numpy as np
 
-from ringwear_par.wear import Sliding, StepWear
+from ringwear_par.step_wear import StepWear
+from ringwear_par.wear import Sliding
 
 
 def sliding(power, time=0.0, wear=None):
