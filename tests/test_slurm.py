@@ -158,7 +158,7 @@ def test_a_run_at_its_wall_limit_goes_on_by_itself(cluster, tmp_path):
     cluster.signal(job)
     status, step = read_status(tmp_path / "a.h5")
     assert status == "incomplete"
-    cluster.wait(job, lambda _: f"at step {step} of" in cluster.output())
+    cluster.wait(job, lambda _: f"after step {step} (" in cluster.output())
     # and scancel is the end of it
     wait_for_ranks(2, "run", tmp_path / "a.h5")
     time.sleep(0.5)
