@@ -164,7 +164,6 @@ def test_opens_in_xarray(shared_path, comm):
         (["output.boundary=last"], [20]),
         (["output.boundary=[0, 7, 7.5, 19]", "output.every=6"], [0, 12, 20]),
         (["output.boundary=[3.0]"], [3]),
-        (["output.boundary=[30]"], []),
         (["output.boundary=all", "output.every=8"], [0, 8, 16, 20]),
         (["output.boundary=none"], []),
         (["time={scheme='adaptive', end=20, tolerance=1e-5}", "output.times=[5, 9]",
