@@ -1,0 +1,35 @@
+"""The first of the random cases of scripts/random_cases.py: all run, and keep their balances."""
+
+import importlib.util
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+_SPEC = importlib.util.spec_from_file_location(
+    "random_cases", Path(__file__).parent.parent / "scripts/random_cases.py"
+)
+random_cases = importlib.util.module_from_spec(_SPEC)
+sys.modules["random_cases"] = random_cases
+_SPEC.loader.exec_module(random_cases)
+
+
+@pytest.mark.serial
+@pytest.mark.parametrize("number", range(40))
+def test_a_random_case_keeps_its_balances(number):
+    keys, _ = random_cases.random_case(np.random.default_rng((1, number)))
+    state, most = random_cases.compute(keys, f"case {number}")
+    assert random_cases.failure(state) == ""
+    assert most < 500
+
+
+def test_random_cases_are_of_every_sort():
+    drawn = [random_cases.random_case(np.random.default_rng((1, n))) for n in range(200)]
+    sorts = " ".join(sort for _, sort in drawn)
+    for word in ("inside", "equal", "inner overlap", "outer overlap", "chamfer", "profile", "flat",
+                 "threshold", "archard", "power", "table", "running-in", "non-local"):  # fmt: skip
+        assert word in sorts
+    assert {keys["time.scheme"] for keys, _ in drawn} == {"implicit", "adaptive"}
+    assert sum("load.control" in keys for keys, _ in drawn) > 20
+    assert sum(isinstance(keys["load.omega"], list) for keys, _ in drawn) > 20
