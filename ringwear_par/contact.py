@@ -206,11 +206,11 @@ class ContactSolver:
 
     def _gradient(self, tao: PETSc.TAO, x: PETSc.Vec, g: PETSc.Vec) -> None:
         self._a.mult(x, g)
-        more = self._linear
+        gradient = g.getArray()
+        gradient += self._linear
         if self._wear is not None:
             p = x.getArray(readonly=True) / self._own_scale
-            more = more + self._weight * self._wear.depth(p)
-        g.setArray(g.getArray(readonly=True) + more)
+            gradient += self._weight * self._wear.depth(p)
 
     def _objective_gradient(self, tao: PETSc.TAO, x: PETSc.Vec, g: PETSc.Vec) -> float:
         self._a.mult(x, g)
@@ -239,7 +239,7 @@ class ContactSolver:
             if self._wear is not None and full:
                 derivative = self._wear.derivative(q / self._own_scale)
                 dense += self._all_weights[:, None] * derivative / self._scale
-        changed = full or self._full or not np.array_equal(slope, self._slope)
+        changed = full or self._full or bool((slope != self._slope).any())
         self._full = full
         if self._comm.allreduce(changed, MPI.LOR) if self.distributed else changed:
             self._slope = slope

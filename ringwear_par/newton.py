@@ -61,11 +61,16 @@ class ActiveSetNewton:
         gradient = self._evaluate(tao, solution, x)
         for iteration in range(1, limit + 1):
             if iteration <= _PLAIN_ITERATIONS:
-                inside = slice(None) if free.all() else free
-                x[inside] += self._newton_step(tao, solution, gradient[inside], free)
-                gradient = self._evaluate(tao, solution, x)
-                keep = np.where(free, x > 0.0, gradient < 0.0)
-                settled = np.array_equal(keep, free)
+                if free.all():  # the same in fewer operations: most steps of most histories
+                    x += self._newton_step(tao, solution, gradient, free)
+                    gradient = self._evaluate(tao, solution, x)
+                    keep = x > 0.0
+                    settled = bool(keep.all())
+                else:
+                    x[free] += self._newton_step(tao, solution, gradient[free], free)
+                    gradient = self._evaluate(tao, solution, x)
+                    keep = np.where(free, x > 0.0, gradient < 0.0)
+                    settled = bool((keep == free).all())
                 if not settled:
                     x[~keep] = 0.0
                     gradient = self._evaluate(tao, solution, x)
@@ -102,12 +107,12 @@ class ActiveSetNewton:
     def _newton_step(
         self, tao: PETSc.TAO, solution: PETSc.Vec, gradient: FloatArray, free: BoolArray
     ) -> FloatArray:
-        if not free.any():
+        if not len(gradient):
             return np.empty(0)
         hessian = tao.getHessian()[0]
         tao.computeHessian(solution, hessian)
         state = hessian.stateGet()
-        if self._factor is None or state != self._state or not np.array_equal(free, self._free):
+        if self._factor is None or state != self._state or (free != self._free).any():
             block = hessian.getDenseArray(readonly=True)
             self._diagonal = block.diagonal().copy()
             if not free.all():
