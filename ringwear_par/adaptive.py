@@ -87,10 +87,9 @@ def between(history: "WearHistory", state: "State", time: float) -> "State":
 
 
 def _first_step(history: "WearHistory", state: "State") -> float:
-    omega = in_time(history.case.load.omega, state.time)
-    fastest = history.rates(state.time, omega, state.wear, state.contact.pressure).max()
+    fastest = history.fastest(state)
     end, tolerance = history.case.time.end, history.case.time.tolerance
-    return float(min(end, _FIRST_WEAR * tolerance / fastest)) if fastest > 0.0 else end
+    return min(end, _FIRST_WEAR * tolerance / fastest) if fastest > 0.0 else end
 
 
 def _stages(history: "WearHistory", state: "State", end: float) -> tuple["State", float]:

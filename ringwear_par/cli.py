@@ -54,12 +54,8 @@ def _parser() -> argparse.ArgumentParser:
         )
 
     run = command("run", "compute one wear history")
-    run.add_argument("case", type=Path, metavar="CASE.toml", help="case file")
     run.add_argument("-o", "--output", type=Path, required=True, metavar="RUN.h5")
-    run.add_argument(
-        "--set", action="append", default=[], nargs="+", dest="overrides", metavar="KEY=VALUE",
-        help="override a key of the case file, such as load.pressure=50",
-    )  # fmt: skip
+    _add_case(run)
     run.add_argument(
         "--restart", action="store_true",
         help="continue RUN.h5 where it was interrupted, or to a larger time.steps or time.end",
@@ -125,16 +121,20 @@ def _parser() -> argparse.ArgumentParser:
     )  # fmt: skip
 
     laws = command("laws", "print what the wear laws of a case do, and test their derivatives")
-    laws.add_argument("case", type=Path, metavar="CASE.toml", help="case file")
-    laws.add_argument(
-        "--set", action="append", default=[], nargs="+", dest="overrides", metavar="KEY=VALUE",
-        help="override a key of the case file",
-    )  # fmt: skip
+    _add_case(laws)
 
     command("verify", "run the reference solutions; print error and observed order of each")
     info = command("info", "print versions, MPI and PETSc builds, ranks and threads")
     info.add_argument("--schema", action="store_true", help="print every key of the case file")
     return parser
+
+
+def _add_case(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("case", type=Path, metavar="CASE.toml", help="case file")
+    parser.add_argument(
+        "--set", action="extend", default=[], nargs="+", dest="overrides", metavar="KEY=VALUE",
+        help="override a key of the case file, such as load.pressure=50",
+    )  # fmt: skip
 
 
 def _slice(text: str) -> tuple[int, int]:
@@ -148,8 +148,7 @@ def _dispatch(args: argparse.Namespace, comm: Any) -> int:
     if args.command == "run":
         from ringwear_par.driver import run_case
 
-        overrides = [item for group in args.overrides for item in group]
-        return run_case(args.case, args.output, overrides, args.restart, args.plot, comm)
+        return run_case(args.case, args.output, args.overrides, args.restart, args.plot, comm)
     if args.command == "sweep":
         from ringwear_par.sweep import run_sweep
 
@@ -161,8 +160,7 @@ def _dispatch(args: argparse.Namespace, comm: Any) -> int:
         from ringwear_par.driver import on_first_rank
         from ringwear_par.laws import check_laws
 
-        overrides = [item for group in args.overrides for item in group]
-        return on_first_rank(comm, lambda: check_laws(args.case, overrides))
+        return on_first_rank(comm, lambda: check_laws(args.case, args.overrides))
     if args.command == "export":
         from ringwear_par.driver import on_first_rank
         from ringwear_par.export import export

@@ -18,6 +18,7 @@ from ringwear_par.case import Case, parse_case, read_case
 from ringwear_par.contact import ContactSolver
 from ringwear_par.errors import ComputationError, InputError, RingwearError, UnfitError
 from ringwear_par.fields import WholeBoundary
+from ringwear_par.files import check_writable
 from ringwear_par.history import State, WearHistory, run
 from ringwear_par.info import versions
 from ringwear_par.laws import law_sources, refuse_bad_laws
@@ -307,27 +308,6 @@ def _prepare(
     return case, checkpoint
 
 
-def check_writable(path: Path) -> None:
-    """Refuse a file that cannot be written. Not collective.
-
-    Raises
-    ------
-    InputError : the reason, in one sentence.
-    """
-    if path.is_dir():
-        raise InputError(f"{path}: is a folder; must be a file name")
-    if not path.parent.is_dir():
-        raise InputError(f"{path}: its folder {path.parent} does not exist")
-    if path.exists() and not os.access(path, os.W_OK):
-        raise InputError(f"{path}: is write-protected; must be a file that may be replaced")
-    probe = path.with_name(f"{path.name}.tmp{os.getpid()}")
-    try:
-        probe.touch()
-        probe.unlink()
-    except OSError as error:
-        raise InputError(f"{path}: cannot be written: {error.strerror}") from error
-
-
 def _check_same(case: Case, text: str, reached: State, output: Path) -> None:
     stored = parse_case(text, str(output))
     same = replace(stored, time=case.time, title=case.title, text=case.text)
@@ -363,7 +343,7 @@ def warn_of_threads(ranks: int) -> None:
 
 def _warn_of_doubts(case: Case, pair: ContactPair, state: State) -> None:
     """Warn where the answer leaves what the method is made for."""
-    height = min(ring.z[1] - ring.z[0] for ring in (case.lower, case.upper))
+    height = min(ring.z[1] - ring.z[0] for ring in case.rings)
     moved = max(state.contact.approach, float(state.wear.max()))
     if moved > 0.05 * height:
         log.warning(

@@ -1,7 +1,6 @@
 """``ringwear export``: stored results for ParaView (.vtp, .vtu) and for spreadsheets (.csv)."""
 
 import csv
-import os
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass
@@ -10,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from ringwear_par.driver import check_writable
 from ringwear_par.errors import InputError
 from ringwear_par.fields import BoundaryFields, BoundaryState
+from ringwear_par.files import appearing, check_writable
 from ringwear_par.geometry import FloatArray, IntArray
 from ringwear_par.results import ALONG, SCALARS, Result, read_result
 
@@ -228,10 +227,11 @@ def _write_vtk(output: Path, content: Cells) -> None:
         ("PointData", {name: _columns(v) for name, v in content.point_data.items()}),
         ("CellData", {name: _columns(v) for name, v in content.cell_data.items()}),
     ]
-    stem = output.with_name(f".{output.stem}.tmp{os.getpid()}")  # pyevtk appends the ending
-    temporary = stem.with_name(stem.name + output.suffix)
-    try:
-        file = VtkFile(str(stem), VtkPolyData if lines else VtkUnstructuredGrid)
+    with appearing(output) as temporary:
+        # pyevtk appends the ending
+        file = VtkFile(
+            str(temporary.with_suffix("")), VtkPolyData if lines else VtkUnstructuredGrid
+        )
         with closing(file.xml.stream):  # which pyevtk leaves open where it fails
             file.openGrid()
             sizes = {"nlines": count} if lines else {"ncells": count}
@@ -247,9 +247,6 @@ def _write_vtk(output: Path, content: Cells) -> None:
                 for values in arrays.values():
                     file.appendData(values)
             file.save()
-        temporary.replace(output)
-    finally:
-        temporary.unlink(missing_ok=True)
 
 
 def _history_table(result: Result) -> tuple[list[str], Iterable[Sequence[Any]]]:
@@ -284,12 +281,7 @@ def _titled(name: str, unit: str) -> str:
 
 def _write_csv(output: Path, header: Sequence[str], rows: Iterable[Sequence[Any]]) -> None:
     """Write a table by rename; numbers keep all their digits."""
-    temporary = output.with_name(f".{output.stem}.tmp{os.getpid()}{output.suffix}")
-    try:
-        with temporary.open("w", newline="", encoding="utf-8") as file:
-            writer = csv.writer(file, lineterminator="\n")
-            writer.writerow(header)
-            writer.writerows(rows)
-        temporary.replace(output)
-    finally:
-        temporary.unlink(missing_ok=True)
+    with appearing(output) as temporary, temporary.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(header)
+        writer.writerows(rows)

@@ -7,7 +7,7 @@ import numpy as np
 from mpi4py import MPI
 
 from ringwear_par.body import BoundaryResponse, boundary_response, in_case_frame
-from ringwear_par.case import Case
+from ringwear_par.case import SAME_TIME, Case
 from ringwear_par.contact import ContactState
 from ringwear_par.geometry import Contour, FloatArray, IntArray, contour
 from ringwear_par.moving import node_wear
@@ -16,8 +16,6 @@ Which = Literal["lower", "upper"]
 BODIES: tuple[Which, Which] = ("lower", "upper")
 #: faces of a body; their numbers are stored
 FACES = ("free", "contact", "held", "inner_side", "outer_side")
-#: times that differ by less than this share of the end are one
-_CLOSE = 1e-9
 
 
 @dataclass(frozen=True)
@@ -67,7 +65,7 @@ def wants_boundary(case: Case, time: float, finished: bool, before: float) -> bo
     asked = case.output.boundary
     if isinstance(asked, str):
         return asked == "all" or (asked == "last" and finished)
-    near = _CLOSE * case.time.end
+    near = SAME_TIME * time
     return any(before + near < t <= time + near for t in asked)
 
 
@@ -117,7 +115,7 @@ class WholeBoundary:
         self, i: int, contact: ContactState, wear: FloatArray, shape: FloatArray | None
     ) -> BoundaryFields:
         case, which = self._case, BODIES[i]
-        ring = (case.lower, case.upper)[i]
+        ring = case.rings[i]
         plane = (case.lower.z[1], case.upper.z[0])[i]
         unit = self._response(i, shape)
         # unit loads summed: one load is left, that of the case
@@ -150,7 +148,7 @@ class WholeBoundary:
     def _response(self, i: int, shape: FloatArray | None) -> BoundaryResponse:
         """Return the responses of a body whose elements followed (n,) mm of wear. Collective."""
         case, which = self._case, BODIES[i]
-        ring = (case.lower, case.upper)[i]
+        ring = case.rings[i]
         if shape is not None and not shape.any():
             shape = None
         known = self._known.get(which)

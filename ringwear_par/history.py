@@ -22,7 +22,7 @@ from ringwear_par.geometry import FloatArray
 from ringwear_par.moving import MovingElasticity
 from ringwear_par.pair import BodyCost, ContactPair, join, largest_stable_step
 from ringwear_par.quantity import Quantity, in_time, integral, largest, mean
-from ringwear_par.step_wear import StepWear, averaging
+from ringwear_par.step_wear import StepWear, averaged_rate, averaging
 from ringwear_par.wear import Sliding
 
 
@@ -150,6 +150,7 @@ class WearHistory:
         self._take(pair)
         self._zero = np.zeros(line.n)
         self._initial_gap = case.gap_at(line.gap_point)
+        self._open_ends = [e for e, cut in zip((0, -1), case.open_ends, strict=True) if cut]
         self._most_wear = np.array([0.5 * (ring.z[1] - ring.z[0]) for ring in case.rings])
 
     def _take(self, pair: ContactPair) -> None:
@@ -196,9 +197,13 @@ class WearHistory:
         """Return the longest step, s, in which wear stays about the tolerance of the geometry."""
         if self._elasticity is None:
             return np.inf
+        fastest = self.fastest(state)
+        return self.case.mesh.geometry_tolerance / fastest if fastest > 0.0 else np.inf
+
+    def fastest(self, state: State) -> float:
+        """Return the largest rate of wear of either body at a state, mm/s."""
         omega = in_time(self.case.load.omega, state.time)
-        fastest = self.rates(state.time, omega, state.wear, state.contact.pressure).max()
-        return float(self.case.mesh.geometry_tolerance / fastest) if fastest > 0.0 else np.inf
+        return float(self.rates(state.time, omega, state.wear, state.contact.pressure).max())
 
     def finished(self, state: State) -> bool:
         """Tell whether a state is the last one of the case."""
@@ -209,16 +214,11 @@ class WearHistory:
 
         Unworn, under the largest load and speed, with the steepest of what laws do in time.
         """
-        load = self.case.load
-        contact = self.solver.solve(
-            self._initial_gap,
-            force=None if load.force is None else largest(load.force),
-            approach=None if load.displacement is None else largest(load.displacement),
-        )
+        contact = self._pressed(self._initial_gap, largest)
         p = np.full_like(self._zero, contact.pressure.max(initial=0.0))
         slopes = np.zeros_like(p)
         for time in (0.0, *self.case.knots):
-            at = self.sliding(time, largest(load.omega), self._zero)
+            at = self.sliding(time, largest(self.case.load.omega), self._zero)
             every = [law.slope(p, at) for law in self.case.laws if law is not None]
             slopes = np.maximum(slopes, sum(every, self._zero))
         return largest_stable_step(self.pair, slopes)
@@ -242,10 +242,10 @@ class WearHistory:
 
     def _check_interpenetration(self) -> None:
         """Refuse undeformed bodies that overlap by more than the largest force presses them."""
-        force, overlap = self.case.load.force, self.case.interpenetration
-        if force is None or overlap == 0.0:
+        overlap = self.case.interpenetration
+        if self.case.load.force is None or overlap == 0.0:
             return
-        pressed = self.solver.solve(self._initial_gap, force=largest(force))
+        pressed = self._pressed(self._initial_gap, largest)
         if pressed.approach < 0.0:
             e = int(self._initial_gap.argmin())
             raise UnfitError(
@@ -343,24 +343,24 @@ class WearHistory:
         bodies = zip(rates, self.case.laws, wear, self._averages, strict=True)
         for rate, law, worn, average in bodies:
             if law is not None:
-                at = self.sliding(time, omega, worn)
-                felt = p if average is None else average @ p
-                local = law.rate(felt, at)
-                rate[:] = local if average is None else average @ local
+                rate[:] = averaged_rate(law, self.sliding(time, omega, worn), average, p)
         return rates
 
     def contact(self, time: float, wear: FloatArray, during: StepWear | None) -> ContactState:
         """Return the contact at a time, with profiles worn by (2, n) mm. Collective."""
-        load = self.case.load
+        gap = self._initial_gap + wear[0] + wear[1]
+        return self._pressed(gap, lambda q: in_time(q, time), during if self._wears else None)
 
-        def at(quantity: Quantity | None) -> float | None:
-            return None if quantity is None else in_time(quantity, time)
-
+    def _pressed(
+        self, gap: FloatArray, at: Callable[[Quantity], float], during: StepWear | None = None
+    ) -> ContactState:
+        """Return the contact under the load of the case, its table taken ``at``. Collective."""
+        force, displacement = self.case.load.force, self.case.load.displacement
         return self.solver.solve(
-            self._initial_gap + wear[0] + wear[1],
-            force=at(load.force),
-            approach=at(load.displacement),
-            wear=during if self._wears else None,
+            gap,
+            force=None if force is None else at(force),
+            approach=None if displacement is None else at(displacement),
+            wear=during,
         )
 
     def stepped(self, state: State, time: float) -> State:
@@ -439,8 +439,8 @@ class WearHistory:
         ------
         ComputationError : contact has reached an end of the contact line that is no edge.
         """
-        for is_open, e in zip(self.case.open_ends, (0, -1), strict=True):
-            if is_open and contact.pressure[e] > 0.0:
+        for e in self._open_ends:
+            if contact.pressure[e] > 0.0:
                 raise ComputationError(
                     f"time {time:g} s: contact has reached the end of mesh.contact at "
                     f"r = {self.pair.line.edges[e]:g} mm; must be wider there"

@@ -123,7 +123,7 @@ def refuse_bad_laws(case: Case, ranks: int, name: str, slopes: bool = True) -> N
     ------
     InputError : all faults, one sentence each.
     """
-    faults = []
+    faults, n = [], case.mesh.contact_elements
     pressure = _PRESSURE
     if case.load.force is not None:
         pressure = _MEANS * largest(case.load.force) / case.area
@@ -135,9 +135,9 @@ def refuse_bad_laws(case: Case, ranks: int, name: str, slopes: bool = True) -> N
                     check_user_slope(law, _sliding(case, 0.0, 0.0), pressure)
             except InputError as error:
                 faults += [f"{name}: wear.{body}.file: {fault}" for fault in error.faults]
-        if law is not None and law.length and ranks > 1 and case.line.n > REPLICATED_LIMIT:
+        if law is not None and law.length and ranks > 1 and n > REPLICATED_LIMIT:
             faults.append(
-                f"{name}: mesh.contact_elements = {case.line.n}: must be at most "
+                f"{name}: mesh.contact_elements = {n}: must be at most "
                 f'{REPLICATED_LIMIT} on several ranks where wear.{body}.law = "non-local"'
             )
     if faults:

@@ -87,9 +87,7 @@ class MovingElasticity:
         self._case, self._comm = case, comm
         self._moving = [
             None if law is None else _MovingBody(section, ring, case.line, case.mesh)
-            for law, section, ring in zip(
-                case.laws, case.sections, (case.lower, case.upper), strict=True
-            )
+            for law, section, ring in zip(case.laws, case.sections, case.rings, strict=True)
         ]
         self._still: list[Compliance | None] = [None, None]
 
@@ -104,7 +102,7 @@ class MovingElasticity:
         ------
         ComputationError : the wear leaves too little of a body, or a factorisation failed.
         """
-        line, rings = self._case.line, (self._case.lower, self._case.upper)
+        line, rings = self._case.line, self._case.rings
         nodes = [node_wear(line, depth) for depth in worn]
         bodies, new = [], []
         for i, (ring, moving) in enumerate(zip(rings, self._moving, strict=True)):

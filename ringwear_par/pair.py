@@ -90,7 +90,7 @@ class BodyCost:
 
 def operator_key(case: Case) -> Hashable:
     """Return what the operator of a case depends on; equal for cases that can share it."""
-    bodies = ((case.section(ring), ring.poisson, ring.grip) for ring in (case.lower, case.upper))
+    bodies = ((case.section(ring), ring.poisson, ring.grip) for ring in case.rings)
     # the unworn operator is the same whether the elements will follow the wear or not
     unworn = Mesh()
     mesh = replace(
@@ -108,7 +108,7 @@ def assemble_operator(case: Case, comm: MPI.Comm) -> tuple[Operator, BodyCost]:
     """
     bodies = [
         compliance(case.section(ring), case.line, ring.poisson, ring.grip, case.mesh, comm)
-        for ring in (case.lower, case.upper)
+        for ring in case.rings
     ]
     return join_bodies(case.line, bodies), BodyCost.of(bodies)
 
@@ -196,7 +196,7 @@ def memory_needed(case: Case, ranks: int) -> float:
     """
     n = float(case.mesh.contact_elements)
     unknowns = 4.0 * max(
-        count_elements(case.section(r), case.contact, case.mesh) for r in (case.lower, case.upper)
+        count_elements(case.section(r), case.contact, case.mesh) for r in case.rings
     )
     copies = 1.0 if ranks == 1 or has_scalapack() else float(ranks)
     kept = 0.0
@@ -237,7 +237,7 @@ def check_mesh(case: Case, name: str) -> None:
     ------
     InputError : with the smallest length.
     """
-    for ring in (case.lower, case.upper):
+    for ring in case.rings:
         body = contour(case.section(ring), case.line, case.mesh)
         ends = body.nodes[body.elements]
         shortest = float(np.hypot(*(ends[:, 2] - ends[:, 0]).T).min())

@@ -1,7 +1,6 @@
 """Figures from stored results: worn profiles, histories, pressure profiles, deformed sections."""
 
 import math
-import os
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
@@ -14,16 +13,16 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Polygon
 
 from ringwear_par.case import Output, read_keys
-from ringwear_par.driver import check_writable
 from ringwear_par.errors import InputError
 from ringwear_par.export import choose_state
 from ringwear_par.fields import FACES, BoundaryFields
+from ringwear_par.files import appearing, check_writable
 from ringwear_par.geometry import ContactLine, FloatArray, IntArray
 from ringwear_par.moving import node_wear
 from ringwear_par.results import Result, read_result
 from ringwear_par.schema import UNITS
 
-_STYLE: dict[Any, Any] = {
+STYLE: dict[Any, Any] = {
     "font.size": 9.0,
     "axes.titlesize": 9.0,
     "legend.fontsize": 8.0,
@@ -35,7 +34,7 @@ _STYLE: dict[Any, Any] = {
 #: line styles that stay apart in print without colour
 _DASHES = ("-", "--", "-.", ":", (0, (5, 1, 1, 1, 1, 1)))
 _COLUMNS = 3
-_COLOURS = ("#1b4f8a", "#c1440e", "#3a7d44", "#6a4c93", "#444444")
+COLOURS = ("#1b4f8a", "#c1440e", "#3a7d44", "#6a4c93", "#444444")
 
 
 def plot_files(
@@ -88,7 +87,7 @@ def plot_files(
             raise InputError(
                 f"--panels {panels}: {panel!r} must be one of wear, penetration, pressure, section"
             )
-    with matplotlib.rc_context(_STYLE):
+    with matplotlib.rc_context(STYLE):
         columns = min(len(drawings), _COLUMNS)
         lines = -(-len(drawings) // columns)
         # sections have the same scale along both axes and leave room that constrained ones keep
@@ -99,12 +98,8 @@ def plot_files(
         titles = {str(result.attributes["title"]) for result in results} - {""}
         if len(titles) == 1:
             figure.suptitle(titles.pop(), fontsize=8.0)
-        temporary = output.with_name(f".{output.stem}.tmp{os.getpid()}{output.suffix}")
-        try:
+        with appearing(output) as temporary:
             figure.savefig(temporary)
-            temporary.replace(output)
-        finally:
-            temporary.unlink(missing_ok=True)
 
 
 def check_figure(output: Path, stored: Output | None = None) -> None:
@@ -185,7 +180,7 @@ def _profiles(
     time = result.scalars["time"]
     for number, row in enumerate(rows):
         axes.plot(
-            result.line.r, curve(row), color=_COLOURS[number % len(_COLOURS)],
+            result.line.r, curve(row), color=COLOURS[number % len(COLOURS)],
             linestyle=_DASHES[number % len(_DASHES)], label=f"{time[row]:.3g} s",
         )  # fmt: skip
     axes.set_xlabel("distance to axis (mm)")
@@ -201,7 +196,7 @@ def _wear(axes: Any, result: Result, label: str, rows: Sequence[int]) -> None:
     if upper.any():
         for number, row in enumerate(rows):
             axes.plot(
-                result.line.r, 1e3 * upper[row], color=_COLOURS[number % len(_COLOURS)],
+                result.line.r, 1e3 * upper[row], color=COLOURS[number % len(COLOURS)],
                 linestyle=_DASHES[number % len(_DASHES)],
             )  # fmt: skip
         axes.set_ylabel("worn profiles (\N{MICRO SIGN}m): lower < 0 < upper")
@@ -235,7 +230,7 @@ def _penetration(axes: Any, results: Sequence[Result], labels: Sequence[str]) ->
     for number, (result, label) in enumerate(zip(results, labels, strict=True)):
         axes.plot(
             result.scalars["time"], 1e3 * result.scalars["penetration"],
-            color=_COLOURS[number % len(_COLOURS)], linestyle=_DASHES[number % len(_DASHES)],
+            color=COLOURS[number % len(COLOURS)], linestyle=_DASHES[number % len(_DASHES)],
             label=label,
         )  # fmt: skip
     axes.set_xlim(left=0.0)
@@ -315,7 +310,7 @@ def _section(axes: Any, result: Result, label: str) -> None:
     for number, (outline, name) in enumerate(((lower, "lower"), (upper, "upper"))):
         axes.add_patch(
             Polygon(
-                outline, facecolor=(_COLOURS[number], 0.12), edgecolor=_COLOURS[number],
+                outline, facecolor=(COLOURS[number], 0.12), edgecolor=COLOURS[number],
                 linewidth=0.8, label=name,
             )
         )  # fmt: skip

@@ -35,6 +35,13 @@ def averaging(r: FloatArray, area: FloatArray, length: float) -> FloatArray:
     return matrix / matrix.sum(axis=1)[:, None]
 
 
+def averaged_rate(
+    law: WearLaw, at: Sliding, average: FloatArray | None, p: FloatArray
+) -> FloatArray:
+    """Return the rate of wear under a law, (n,) mm/s, with its average if it is non-local."""
+    return law.rate(p, at) if average is None else average @ law.rate(average @ p, at)
+
+
 @dataclass(frozen=True)
 class StepWear:
     """Wear of both bodies over one implicit step, as a function of the pressure at its end.
@@ -67,9 +74,9 @@ class StepWear:
     ) -> FloatArray:
         """Return what one body loses, mm; solves d = step rate(p, wear + d) where it remembers."""
         p = np.maximum(p, 0.0)
-        if average is not None:
-            return self.step * (average @ law.rate(average @ p, at))
-        return self.step * law.rate(p, self._after(law, at, p) if law.remembers else at)
+        if law.remembers:
+            at = self._after(law, at, p)
+        return self.step * averaged_rate(law, at, average, p)
 
     def _after(self, law: WearLaw, at: Sliding, p: FloatArray) -> Sliding:
         """Return the sliding with the depth worn at the end of the step (Newton, from below).

@@ -502,6 +502,6 @@ def _stepping_work(case: Case) -> float:
 
 def _assembly_work(case: Case) -> float:
     """Return about the seconds of a case's boundary elements: n^2 assembly, n^3 factorisation."""
-    rings = (case.lower, case.upper)
+    rings = case.rings
     n = sum(count_elements(case.section(ring), case.contact, case.mesh) for ring in rings)
     return 0.04 * (n / 318.0) ** 2 + 0.006 * (n / 318.0) ** 3

@@ -6,7 +6,6 @@ Sobol sequence or of a grid is no sample of it.
 
 import logging
 import math
-import os
 import re
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
@@ -24,8 +23,9 @@ from scipy.stats import rankdata
 
 from ringwear_par.ensemble import Ensemble, read_ensemble
 from ringwear_par.errors import InputError
+from ringwear_par.files import appearing
 from ringwear_par.geometry import BoolArray, FloatArray, IntArray
-from ringwear_par.plots import _COLOURS, _STYLE, check_figure
+from ringwear_par.plots import COLOURS, STYLE, check_figure
 from ringwear_par.schema import UNITS
 from ringwear_par.study import SAMPLED
 
@@ -160,13 +160,8 @@ def plot_sweep(folder: Path, output: Path) -> None:
     """
     check_figure(output)
     figure = draw_sweep(read_ensemble(folder))
-    temporary = output.with_name(f".{output.stem}.tmp{os.getpid()}{output.suffix}")
-    try:
-        with matplotlib.rc_context(_STYLE):
-            figure.savefig(temporary)
-        temporary.replace(output)
-    finally:
-        temporary.unlink(missing_ok=True)
+    with matplotlib.rc_context(STYLE), appearing(output) as temporary:
+        figure.savefig(temporary)
 
 
 def draw_sweep(ensemble: Ensemble) -> Figure:
@@ -190,7 +185,7 @@ def draw_sweep(ensemble: Ensemble) -> Figure:
     shapes = [
         (len(outputs), len(block)) if len(keys) > 1 else (1, len(outputs)) for block in blocks
     ]
-    with matplotlib.rc_context(_STYLE):
+    with matplotlib.rc_context(STYLE):
         top = max(2.6, 1.5 + 0.3 * len(found[0].keys)) if found else 2.6
         heights = [top]
         for block, (rows, _) in zip(blocks, shapes, strict=True):
@@ -432,8 +427,8 @@ def _draw_histories(axes: Any, ensemble: Ensemble, drawn: IntArray, keys: Sequen
     for number, count in enumerate(ensemble.steps_stored[drawn]):
         axes.plot(
             time[number, :count], 1e3 * depth[number, :count],
-            color=_COLOURS[number % len(_COLOURS)],
-            linestyle=_DASHES[number // len(_COLOURS)],
+            color=COLOURS[number % len(COLOURS)],
+            linestyle=_DASHES[number // len(COLOURS)],
             label=labels[number] if labels else None,
         )  # fmt: skip
     _finish_fan(axes)
@@ -449,7 +444,7 @@ def _draw_fan(axes: Any, ensemble: Ensemble, drawn: IntArray, columns: int) -> N
     cases = _chosen(drawn, _MOST_HISTORIES)
     grid, table, even = _fan_table(ensemble, cases)
     low, lower, median, upper, high = np.nanquantile(table, [0.05, 0.25, 0.5, 0.75, 0.95], axis=0)
-    colour = _COLOURS[0]
+    colour = COLOURS[0]
     by_depth = table[np.argsort(np.nanmax(table, axis=1))]  # the least and the deepest included
     for number, row in enumerate(by_depth[np.linspace(0, len(table) - 1, _SINGLES).astype(int)]):
         axes.plot(
@@ -509,8 +504,8 @@ def _parts(ensemble: Ensemble, cases: IntArray) -> Iterator[slice]:
 def _draw_indices(axes: Any, found: Sensitivity) -> None:
     places = np.arange(len(found.keys), dtype=float)
     for shift, colour, values, widths, label in (
-        (-0.17, _COLOURS[0], found.delta, found.delta_conf, "\N{GREEK SMALL LETTER DELTA}"),
-        (0.17, _COLOURS[1], found.s1, found.s1_conf, "S\N{SUBSCRIPT ONE}"),
+        (-0.17, COLOURS[0], found.delta, found.delta_conf, "\N{GREEK SMALL LETTER DELTA}"),
+        (0.17, COLOURS[1], found.s1, found.s1_conf, "S\N{SUBSCRIPT ONE}"),
     ):
         axes.barh(
             places + shift, values, 0.3, xerr=widths, color=colour, alpha=0.75, label=label,
@@ -581,8 +576,8 @@ def _draw_curves(axes: Any, plan: _Plan, values: FloatArray) -> None:
     x = plan.key.values
     for number, curve in enumerate(plan.curves):
         axes.plot(
-            x[curve], values[curve], color=_COLOURS[number % len(_COLOURS)],
-            linestyle=_DASHES[number // len(_COLOURS)], marker=_MARKERS[number], markersize=4.0,
+            x[curve], values[curve], color=COLOURS[number % len(COLOURS)],
+            linestyle=_DASHES[number // len(COLOURS)], marker=_MARKERS[number], markersize=4.0,
             linewidth=1.0, label=plan.labels[number] if plan.labels else None,
         )  # fmt: skip
     if plan.points is not None and len(plan.points):
@@ -599,7 +594,7 @@ def _draw_band(axes: Any, key: _Key, x: FloatArray, y: FloatArray) -> None:
     all_of_it = np.median([len(part) for part in parts]) < 20
     ends = (0.0, 1.0) if all_of_it else (0.05, 0.95)
     low, middle, high = np.array([np.quantile(part, [ends[0], 0.5, ends[1]]) for part in parts]).T
-    style: dict[str, Any] = {"color": _COLOURS[0], "marker": "o", "markersize": 4.0}
+    style: dict[str, Any] = {"color": COLOURS[0], "marker": "o", "markersize": 4.0}
     median = "median over the others"
     width = "full range" if all_of_it else "5\N{EN DASH}95 %"
     if key.categories:
@@ -610,7 +605,7 @@ def _draw_band(axes: Any, key: _Key, x: FloatArray, y: FloatArray) -> None:
         )  # fmt: skip
     else:
         axes.fill_between(
-            levels, low, high, color=_COLOURS[0], alpha=0.2, linewidth=0.0, label=width
+            levels, low, high, color=COLOURS[0], alpha=0.2, linewidth=0.0, label=width
         )
         axes.plot(levels, middle, label=median, **style)
 
@@ -620,18 +615,18 @@ def _draw_scatter(axes: Any, key: _Key, x: FloatArray, y: FloatArray) -> None:
     aside = np.random.default_rng(_SEED).uniform(-0.2, 0.2, len(x)) if key.categories else 0.0
     many = len(x) > 200
     axes.plot(
-        x + aside, y, color=_COLOURS[0], marker="o", linestyle="none", rasterized=many,
+        x + aside, y, color=COLOURS[0], marker="o", linestyle="none", rasterized=many,
         markersize=float(np.clip(60.0 / math.sqrt(max(len(x), 1)), 1.2, 4.0)),
         markeredgewidth=0.0, alpha=min(0.8, 11.0 / math.sqrt(len(x))) if many else 0.8,
     )  # fmt: skip
     if len(levels) <= _DISCRETE and len(x) >= 5 * len(levels):
         middle = np.array([np.median(y[x == level]) for level in levels])
         style = {"linestyle": "none", "marker": "_", "markersize": 14.0, "markeredgewidth": 1.6}
-        axes.plot(levels, middle, color=_COLOURS[1], label="median", **style)
+        axes.plot(levels, middle, color=COLOURS[1], label="median", **style)
     elif many:
         parts = np.array_split(np.argsort(x, kind="stable"), min(20, len(x) // 50))
         middle = np.array([[np.median(x[part]), np.median(y[part])] for part in parts])
-        axes.plot(*middle.T, color=_COLOURS[1], label="running median")
+        axes.plot(*middle.T, color=COLOURS[1], label="running median")
 
 
 def _set_legend(axes: Any, columns: int, title: str) -> None:

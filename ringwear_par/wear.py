@@ -136,8 +136,37 @@ class LocalLaw:
         return None
 
 
+class _AboveThreshold(LocalLaw):
+    """What laws of the form rise x max(0, p - p0) share; they give the rise."""
+
+    p0: Quantity
+
+    def _rise(self, at: Sliding) -> FloatArray:
+        """Return the slope above the threshold, mm/s/MPa."""
+        raise NotImplementedError
+
+    def _excess(self, p: FloatArray, at: Sliding) -> FloatArray:
+        return np.maximum(p - value(self.p0, at.time, at.r), 0.0)
+
+    def rate(self, p: FloatArray, at: Sliding) -> FloatArray:
+        """Return the rate of wear, mm/s."""
+        return self._rise(at) * self._excess(p, at)
+
+    def slope(self, p: FloatArray, at: Sliding) -> FloatArray:
+        """Return the derivative of the rate with respect to pressure, mm/s/MPa."""
+        return self._rise(at) * (p > value(self.p0, at.time, at.r))
+
+    def potential(self, p: FloatArray, at: Sliding) -> FloatArray:
+        """Return the integral of the rate from 0 to p, MPa mm/s."""
+        return 0.5 * self._rise(at) * self._excess(p, at) ** 2
+
+    def onset(self, at: Sliding) -> float | FloatArray:
+        """Return the pressure, MPa, up to which nothing wears."""
+        return value(self.p0, at.time, at.r)
+
+
 @dataclass(frozen=True)
-class ThresholdLaw(LocalLaw):
+class ThresholdLaw(_AboveThreshold):
     """``k mu max(0, p - p0) V``, eq. (4) of the paper.
 
     Parameters
@@ -155,21 +184,6 @@ class ThresholdLaw(LocalLaw):
 
     def _rise(self, at: Sliding) -> FloatArray:
         return value(self.k, at.time, at.r) * at.power
-
-    def _excess(self, p: FloatArray, at: Sliding) -> FloatArray:
-        return np.maximum(p - value(self.p0, at.time, at.r), 0.0)
-
-    def rate(self, p: FloatArray, at: Sliding) -> FloatArray:
-        """Return the rate of wear, mm/s."""
-        return self._rise(at) * self._excess(p, at)
-
-    def slope(self, p: FloatArray, at: Sliding) -> FloatArray:
-        """Return the derivative of the rate with respect to pressure, mm/s/MPa."""
-        return self._rise(at) * (p > value(self.p0, at.time, at.r))
-
-    def potential(self, p: FloatArray, at: Sliding) -> FloatArray:
-        """Return the integral of the rate from 0 to p, MPa mm/s."""
-        return 0.5 * self._rise(at) * self._excess(p, at) ** 2
 
 
 @dataclass(frozen=True)
@@ -275,7 +289,7 @@ class TableLaw(LocalLaw):
 
 
 @dataclass(frozen=True)
-class RunningInLaw(LocalLaw):
+class RunningInLaw(_AboveThreshold):
     """``k(s) mu max(0, p - p0) V``, k(s) falling from k_start to k with worn depth or distance.
 
     k(s) = k + (k_start - k) exp(-s), s being worn depth / ``depth`` or distance slid / ``distance``
@@ -305,26 +319,14 @@ class RunningInLaw(LocalLaw):
         s = at.wear / self.depth if self.depth is not None else at.slid / (self.distance or 1.0)
         return fall * np.exp(-s)
 
-    def rate(self, p: FloatArray, at: Sliding) -> FloatArray:
-        """Return the rate of wear, mm/s."""
-        excess = np.maximum(p - value(self.p0, at.time, at.r), 0.0)
-        return (value(self.k, at.time, at.r) + self._fresh(at)) * at.power * excess
-
-    def slope(self, p: FloatArray, at: Sliding) -> FloatArray:
-        """Return the derivative of the rate with respect to pressure, mm/s/MPa."""
-        above = p > value(self.p0, at.time, at.r)
-        return (value(self.k, at.time, at.r) + self._fresh(at)) * at.power * above
-
-    def onset(self, at: Sliding) -> float | FloatArray:
-        """Return the pressure, MPa, up to which nothing wears."""
-        return value(self.p0, at.time, at.r)
+    def _rise(self, at: Sliding) -> FloatArray:
+        return (value(self.k, at.time, at.r) + self._fresh(at)) * at.power
 
     def wear_slope(self, p: FloatArray, at: Sliding) -> FloatArray:
         """Return the derivative of the rate with respect to ``at.wear``, 1/s."""
         if self.depth is None:
             return np.zeros_like(p)
-        excess = np.maximum(p - value(self.p0, at.time, at.r), 0.0)
-        return -self._fresh(at) / self.depth * at.power * excess
+        return -self._fresh(at) / self.depth * at.power * self._excess(p, at)
 
 
 @dataclass(frozen=True)

@@ -59,7 +59,7 @@ def timed(comm: MPI.Comm, repeats: int, action: Callable[[], object]) -> float:
 def measure(n: int, repeats: int, comm: MPI.Comm) -> dict[str, float]:
     """Return one row of the table. Collective."""
     case, rules = paper_case(Mesh(n)), quadrature(Mesh().quadrature_tolerance)
-    rings = (case.lower, case.upper)
+    rings = case.rings
     bodies = [contour(case.section(ring), case.line, case.mesh) for ring in rings]
     conditions = [ring_conditions(body, "clamped") for body in bodies]
     unknowns = [number_unknowns(*both) for both in zip(bodies, conditions, strict=True)]

@@ -44,7 +44,7 @@ from ringwear_par.errors import RingwearError
 from ringwear_par.geometry import ContactLine, FloatArray, contour
 from ringwear_par.history import State, WearHistory
 from ringwear_par.pair import ContactPair, contact_pair, largest_stable_step, symmetric
-from ringwear_par.plots import _STYLE
+from ringwear_par.plots import STYLE
 from ringwear_par.reference import EXPLICIT_LIMIT, contact_modulus
 from ringwear_par.wear import ThresholdLaw
 
@@ -79,7 +79,7 @@ def nodal_compliance(case: Case, comm: MPI.Comm) -> FloatArray:
     """Return C, (n, n) mm/MPa, with gaps of elements from their end nodes. Collective."""
     line = case.line
     compliance = np.zeros((line.n, line.n))
-    for ring in (case.lower, case.upper):
+    for ring in case.rings:
         body = contour(case.section(ring), line, case.mesh)
         ends = body.elements[body.contact][:, [0, 2]]
         response = solve_body(
@@ -170,7 +170,7 @@ def rate_per_pressure(case: Case) -> FloatArray:
 
 def formula(case: Case) -> float:
     """Return the explicit limit 1.485 h / (E* kappa V) of a uniform mesh, s, where V is largest."""
-    modulus = contact_modulus(*((ring.young, ring.poisson) for ring in (case.lower, case.upper)))
+    modulus = contact_modulus(*((ring.young, ring.poisson) for ring in case.rings))
     fastest = float(rate_per_pressure(case).max())
     return EXPLICIT_LIMIT * float(case.line.width.mean()) / modulus / fastest
 
@@ -375,12 +375,12 @@ def report_unworn(sizes: tuple[int, ...], comm: MPI.Comm) -> None:
 
 
 _DASHES = ((0, (1, 1)), "-.", "--", "-")
-_COLOURS = {"a": "#c1440e", "b": "#6a4c93", "c": "#1b4f8a"}
+COLOURS = {"a": "#c1440e", "b": "#6a4c93", "c": "#1b4f8a"}
 
 
 def draw(found: Study, path: Path) -> None:
     """Draw the picture. On one rank."""
-    with matplotlib.rc_context(_STYLE):
+    with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=(10.6, 6.9), layout="constrained")
         axes = figure.subplots(2, 3)
         limit = found.limits[N].eigenvalue
@@ -408,10 +408,10 @@ def draw(found: Study, path: Path) -> None:
             found.runs["mid-point", "implicit", LONG, 0.0],
         )
         for ax, same, (name, (run, title)) in zip(axes[0], sames, panels.items(), strict=True):
-            _profiles(ax, run, same, _COLOURS[name])
+            _profiles(ax, run, same, COLOURS[name])
             ax.set_title(f"({name}) {title}", loc="left")
         nodal = found.runs["nodal", "implicit", LONG, 40.0]
-        axes[0, 2].plot(nodal.r[::2], -nodal.wear[-1, ::2], ".", ms=4, color=_COLOURS["b"])
+        axes[0, 2].plot(nodal.r[::2], -nodal.wear[-1, ::2], ".", ms=4, color=COLOURS["b"])
         _pressures(axes[1, 0], panels)
         _unworn(axes[1, 1], nodal.r, found.unworn)
         _limits(axes[1, 2], found.limits)
@@ -444,7 +444,7 @@ def _pressures(ax: Axes, panels: dict[str, tuple[Run, str]]) -> None:
     for name, (run, _) in panels.items():
         mark, width, order = styles[name]
         ax.plot(
-            run.r, run.pressure, mark, ms=3.5, lw=width, zorder=order, color=_COLOURS[name],
+            run.r, run.pressure, mark, ms=3.5, lw=width, zorder=order, color=COLOURS[name],
             label=f"({name})",
         )  # fmt: skip
     ax.set(xlabel="distance to axis (mm)", ylabel="contact pressure (MPa)", ylim=(-5.0, 205.0))
@@ -455,7 +455,7 @@ def _pressures(ax: Axes, panels: dict[str, tuple[Run, str]]) -> None:
 def _unworn(ax: Axes, r: FloatArray, pressures: dict[Gaps, FloatArray]) -> None:
     names: tuple[tuple[Gaps, str], ...] = (("nodal", "b"), ("mid-point", "c"))
     for gaps, name in names:
-        ax.plot(r, pressures[gaps], ".-", ms=4, color=_COLOURS[name], label=f"{gaps} gaps")
+        ax.plot(r, pressures[gaps], ".-", ms=4, color=COLOURS[name], label=f"{gaps} gaps")
     ax.set(xlabel="distance to axis (mm)", ylabel="contact pressure (MPa)")
     ax.set_title(
         "(e) contact pressure before any wear: nodal gaps\nhardly feel alternating pressures",
@@ -478,7 +478,7 @@ def _limits(ax: Axes, limit: dict[int, Limits]) -> None:
     for gaps, name in names:
         measured = [at.measured[gaps] for at in limit.values()]
         values = [at.eigenvalue[gaps] for at in limit.values()]
-        style = {"ls": "none", "color": _COLOURS[name]}
+        style = {"ls": "none", "color": COLOURS[name]}
         ax.loglog(
             n, measured, marker="o", ms=7, mfc="none", label=f"{gaps} gaps, by stepping", **style
         )
@@ -487,10 +487,10 @@ def _limits(ax: Axes, limit: dict[int, Limits]) -> None:
         ax.annotate(
             f"{at.measured['mid-point'] / at.formula:.3f}", (number, at.measured["mid-point"]),
             xytext=(14, 6), textcoords="offset points", ha="center", fontsize=7.5,
-            color=_COLOURS["c"],
+            color=COLOURS["c"],
         )  # fmt: skip
     for name, step, offset in (("a", LONG, (-20, 1)), ("b", SHORT, (-20, -9))):
-        ax.plot(N, step, "*", ms=7, color=_COLOURS[name], zorder=5)
+        ax.plot(N, step, "*", ms=7, color=COLOURS[name], zorder=5)
         ax.annotate(f"({name})", (N, step), xytext=offset, textcoords="offset points")
     ax.set(
         xlabel="number of equal contact elements", ylabel="explicit step (s)",

@@ -125,15 +125,15 @@ def _draw(
     from matplotlib.figure import Figure
     from matplotlib.ticker import NullFormatter
 
-    from ringwear_par.plots import _COLOURS, _STYLE
+    from ringwear_par.plots import COLOURS, STYLE
 
     def written(number: float) -> str:
         return f"{number:.0e}".replace("e-0", "e-")
 
-    with matplotlib.rc_context(_STYLE):
+    with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=(7.4, 3.6), layout="constrained")
         left, right = figure.subplots(1, 2)
-        for pressure, colour in zip(np.unique(load), _COLOURS, strict=False):
+        for pressure, colour in zip(np.unique(load), COLOURS, strict=False):
             x, y = along(p0, k=PAPER_K, load=pressure)
             left.plot(x, y, "o-", ms=4, color=colour, label=f"{pressure:g} MPa")
             fine = np.linspace(0.0, x[-1], 200)
@@ -143,7 +143,7 @@ def _draw(
         left.set_ylim(0.0, 320.0)
         left.set_title(f"k = {written(PAPER_K)} / MPa")
         chosen = np.unique(p0)[::2]
-        for threshold, colour in zip(chosen, _COLOURS, strict=False):
+        for threshold, colour in zip(chosen, COLOURS, strict=False):
             x, y = along(k, p0=threshold, load=PAPER_LOAD)
             right.loglog(x, y, "o-", ms=4, color=colour, label=f"p0 = {threshold:g} MPa")
             right.loglog(x, [steady(v, threshold, PAPER_LOAD) for v in x], ":", color=colour)

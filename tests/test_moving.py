@@ -32,7 +32,7 @@ def fresh(case, worn, comm):
             node_wear(case.line, depth),
         )
         for section, ring, depth in zip(
-            case.sections, (case.lower, case.upper), worn, strict=True
+            case.sections, case.rings, worn, strict=True
         )
     ]  # fmt: skip
 
