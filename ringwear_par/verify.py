@@ -21,7 +21,15 @@ from ringwear_par.assembly import Conditions, load_kernels
 from ringwear_par.body import compliance, ring_conditions, solve_body
 from ringwear_par.case import Case, Load, Output, Ring, Stepping
 from ringwear_par.contact import ContactSolver, ContactState
-from ringwear_par.geometry import ContactLine, FloatArray, Mesh, Section, contact_line, contour
+from ringwear_par.geometry import (
+    ContactLine,
+    FloatArray,
+    Mesh,
+    Polyline,
+    Section,
+    contact_line,
+    contour,
+)
 from ringwear_par.history import Balances, State, WearHistory, run
 from ringwear_par.kernels import ring_kernels
 from ringwear_par.options import reject_unused_options
@@ -492,17 +500,21 @@ def adaptive_checks(comm: MPI.Comm) -> Iterator[Check]:
     yield from growing_checks(comm)
 
 
+def round_face(r: tuple[float, float], radius: float) -> Polyline:
+    """Return the face of a sphere (inner radius 0) or of a torus between two radii, 200 points."""
+    samples = np.linspace(*r, 200)
+    middle = 0.0 if r[0] == 0.0 else 0.5 * sum(r)
+    fall = np.sqrt(radius**2 - (samples - middle) ** 2) - radius
+    return tuple(zip(samples.tolist(), fall.tolist(), strict=True))
+
+
 def growing_checks(comm: MPI.Comm) -> Iterator[Check]:
     """Check the balances of a sphere and a torus that wear while their contact grows."""
     for name, r in (("sphere", (0.0, 3.0)), ("torus", (18.0, 22.0))):
-        samples = np.linspace(*r, 200)
-        middle = 0.0 if r[0] == 0.0 else 0.5 * sum(r)
-        fall = np.sqrt(40.0**2 - (samples - middle) ** 2) - 40.0
-        face = tuple(zip(samples.tolist(), fall.tolist(), strict=True))
         case = replace(
             paper_case(Mesh(48, grading=1.0)),
             lower=Ring((0.0, 30.0), (0.0, 20.0), 2e5, NU, "clamped"),
-            upper=Ring(r, (20.0, 30.0), 2e5, NU, "clamped", face),
+            upper=Ring(r, (20.0, 30.0), 2e5, NU, "clamped", round_face(r, 40.0)),
             wear_lower=None, wear_upper=ThresholdLaw(1e-6), load=Load(1.0, 300.0),
             time=Stepping("adaptive", until=400.0),
         )  # fmt: skip

@@ -4,9 +4,11 @@ Run as ``pytest`` or as ``mpirun -n 2 python -m pytest --with-mpi``.
 """
 
 import os
+import signal
 import sys
 import tempfile
 import time
+from contextlib import contextmanager
 
 import pytest
 
@@ -81,6 +83,27 @@ def comm():
 def shared_path(tmp_path, comm):
     """A folder that is the same on all ranks."""
     return comm.bcast(tmp_path)
+
+
+@pytest.fixture
+def stopped_after(monkeypatch, comm):
+    """Context manager: SIGTERM reaches one rank, the last, after a number of steps of a run."""
+    from ringwear_par import monitor
+
+    call = monitor.Monitor.__call__
+
+    @contextmanager
+    def stopped_after(step):
+        def interrupted(self, state):
+            if state.step == step and comm.rank == comm.size - 1:
+                self._signals.received = signal.SIGTERM
+            return call(self, state)
+
+        with monkeypatch.context() as patch:
+            patch.setattr(monitor.Monitor, "__call__", interrupted)
+            yield
+
+    return stopped_after
 
 
 @pytest.fixture(scope="session")

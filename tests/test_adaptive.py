@@ -8,7 +8,7 @@ import h5py
 import numpy as np
 import pytest
 
-from ringwear_par import adaptive, monitor, results
+from ringwear_par import adaptive, results
 from ringwear_par.case import Load, Output, Stepping
 from ringwear_par.contact import ContactSolver
 from ringwear_par.driver import run_case
@@ -241,22 +241,16 @@ PAPER = "scripts/cases/paper.toml"
 
 @pytest.mark.parametrize("stop", [1, 6])
 @pytest.mark.parametrize("extra", [[], ["output.times=[1, 5, 6.5]"], ["output.profiles=last"]])
-def test_restart_equals_an_uninterrupted_run(shared_path, comm, monkeypatch, stop, extra):
+def test_restart_equals_an_uninterrupted_run(shared_path, comm, stopped_after, stop, extra):
     case = Path(__file__).parent.parent / PAPER
     keys = ["mesh.contact_elements=16", "time.scheme=adaptive", "time.end=50", *extra]
     whole, parts = shared_path / "whole.h5", shared_path / "parts.h5"
     run_case(case, whole, keys, False, None, comm)
-    call = monitor.Monitor.__call__
-
-    def interrupted(self, state):
-        if state.step == stop and comm.rank == comm.size - 1:
-            self._signals.received = 15  # SIGTERM, to one rank only
-        return call(self, state)
-
-    monkeypatch.setattr(monitor.Monitor, "__call__", interrupted)
-    with pytest.raises(ComputationError, match=f"SIGTERM after step {stop} .at .* of 50 s"):
+    with (
+        stopped_after(stop),
+        pytest.raises(ComputationError, match=f"SIGTERM after step {stop} .at .* of 50 s"),
+    ):
         run_case(case, parts, keys, False, None, comm)
-    monkeypatch.undo()
     run_case(case, parts, keys, True, None, comm)
     if comm.rank == 0:
         assert results.read_status(parts)[0] == "complete"

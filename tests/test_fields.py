@@ -7,7 +7,6 @@ import pytest
 import xarray
 from test_results import contents
 
-from ringwear_par import monitor
 from ringwear_par.case import read_case
 from ringwear_par.contact import ContactState
 from ringwear_par.driver import run_case
@@ -193,7 +192,7 @@ def test_which_states_are_stored(overrides, times, shared_path, comm):
         ["output.boundary=all", *MOVING],
     ],
 )
-def test_restart_equals_an_uninterrupted_run(shared_path, comm, monkeypatch, overrides, stop):
+def test_restart_equals_an_uninterrupted_run(shared_path, comm, stopped_after, overrides, stop):
     whole, parts = shared_path / "whole.h5", shared_path / "parts.h5"
     case = shared_path / "case.toml"
     if comm.rank == 0:
@@ -202,17 +201,8 @@ def test_restart_equals_an_uninterrupted_run(shared_path, comm, monkeypatch, ove
     comm.Barrier()
     overrides = ["mesh.contact_elements=16", *overrides]
     run_case(case, whole, overrides, False, None, comm)
-    call = monitor.Monitor.__call__
-
-    def interrupted(self, state):
-        if state.step == stop:
-            self._signals.received = 15
-        return call(self, state)
-
-    monkeypatch.setattr(monitor.Monitor, "__call__", interrupted)
-    with pytest.raises(ComputationError, match="SIGTERM"):
+    with stopped_after(stop), pytest.raises(ComputationError, match="SIGTERM"):
         run_case(case, parts, overrides, False, None, comm)
-    monkeypatch.undo()
     run_case(case, parts, overrides, True, None, comm)
     if comm.rank == 0:
         one, two = contents(whole), contents(parts)

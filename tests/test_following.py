@@ -8,7 +8,6 @@ import h5py
 import numpy as np
 import pytest
 
-from ringwear_par import monitor
 from ringwear_par.case import Load, Ring, Stepping
 from ringwear_par.contact import ContactSolver
 from ringwear_par.driver import run_case
@@ -16,7 +15,7 @@ from ringwear_par.errors import ComputationError, InputError
 from ringwear_par.geometry import Mesh
 from ringwear_par.history import WearHistory, run
 from ringwear_par.pair import contact_pair
-from ringwear_par.verify import paper_case
+from ringwear_par.verify import paper_case, round_face
 from ringwear_par.wear import ThresholdLaw
 
 PAPER = Path(__file__).parent.parent / "scripts/cases/paper.toml"
@@ -67,40 +66,19 @@ def test_tolerance_tends_to_zero(comm):
 
 
 @pytest.mark.parametrize("scheme", ["implicit", "adaptive"])
-def test_restart_equals_an_uninterrupted_run(shared_path, comm, monkeypatch, scheme):
+def test_restart_equals_an_uninterrupted_run(shared_path, comm, stopped_after, scheme):
     keys = ["mesh.contact_elements=16", "time.step=4", "time.steps=20", f"time.scheme={scheme}",
             "mesh.geometry=updated", "mesh.geometry_tolerance=0.001"]  # fmt: skip
     whole, parts = shared_path / "whole.h5", shared_path / "parts.h5"
     run_case(PAPER, whole, keys, False, None, comm)
-    call = monitor.Monitor.__call__
-
-    def interrupted(self, state):
-        if state.step == 9 and comm.rank == comm.size - 1:
-            self._signals.received = 15  # SIGTERM, to one rank only
-        return call(self, state)
-
-    monkeypatch.setattr(monitor.Monitor, "__call__", interrupted)
-    with pytest.raises(ComputationError, match="SIGTERM after step 9"):
+    with stopped_after(9), pytest.raises(ComputationError, match="SIGTERM after step 9"):
         run_case(PAPER, parts, keys, False, None, comm)
-    monkeypatch.undo()
     run_case(PAPER, parts, keys, True, None, comm)
     if comm.rank == 0:
         with h5py.File(whole) as one, h5py.File(parts) as two:
             assert one["checkpoint"].attrs["assemblies"] >= 2
             for name in ("approach", "pressure", "wear_lower", "contact_iterations"):
                 assert np.array_equal(one[name][:], two[name][:]), name
-
-
-def sphere(radius, edge, points=200):
-    """Contact face of a spherical indenter from the axis to an edge, in its own frame."""
-    r = np.linspace(0.0, edge, points)
-    return tuple(zip(r.tolist(), (-(radius - np.sqrt(radius**2 - r**2))).tolist(), strict=True))
-
-
-def torus(radius, edges, points=200):
-    r = np.linspace(*edges, points)
-    z = -(radius - np.sqrt(radius**2 - (r - 0.5 * sum(edges)) ** 2))
-    return tuple(zip(r.tolist(), z.tolist(), strict=True))
 
 
 @pytest.mark.parametrize("geometry", ["fixed", "updated"])
@@ -110,8 +88,8 @@ def test_volume_balance_while_the_contact_grows(comm, shape, geometry):
 
     The indenter wears, the disc does not; they are stiff, so that the worn face is nearly flat.
     """
-    r, face = ((0.0, 3.0), sphere(40.0, 3.0)) if shape == "sphere" else (
-        (18.0, 22.0), torus(40.0, (18.0, 22.0)))  # fmt: skip
+    r = (0.0, 3.0) if shape == "sphere" else (18.0, 22.0)
+    face = round_face(r, 40.0)
     mesh = Mesh(48, grading=1.0, geometry=geometry, geometry_tolerance=0.0005)
     case = paper_case(mesh, stepping=Stepping("adaptive", until=400.0))
     case = replace(

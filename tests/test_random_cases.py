@@ -1,18 +1,8 @@
 """The first of the random cases of scripts/random_cases.py: all run, and keep their balances."""
 
-import importlib.util
-import sys
-from pathlib import Path
-
 import numpy as np
 import pytest
-
-_SPEC = importlib.util.spec_from_file_location(
-    "random_cases", Path(__file__).parent.parent / "scripts/random_cases.py"
-)
-random_cases = importlib.util.module_from_spec(_SPEC)
-sys.modules["random_cases"] = random_cases
-_SPEC.loader.exec_module(random_cases)
+import random_cases
 
 
 @pytest.mark.serial

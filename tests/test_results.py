@@ -70,20 +70,14 @@ def test_only_the_steps_and_fields_asked_for(shared_path, comm):
 @pytest.mark.parametrize("stop", [1, 7, 19])
 @pytest.mark.parametrize("extra", [[], ["time.scheme=explicit", "time.step=0.05"],
                                    ["output.every=6"], ["output.profiles=last"]])  # fmt: skip
-def test_restart_equals_an_uninterrupted_run(shared_path, comm, monkeypatch, stop, extra):
+def test_restart_equals_an_uninterrupted_run(shared_path, comm, stopped_after, stop, extra):
     whole, parts = shared_path / "whole.h5", shared_path / "parts.h5"
     run_case(PAPER, whole, [*SMALL, *extra], False, None, comm)
-    call = monitor.Monitor.__call__
-
-    def interrupted(self, state):
-        if state.step == stop and comm.rank == comm.size - 1:
-            self._signals.received = 15  # SIGTERM, to one rank only
-        return call(self, state)
-
-    monkeypatch.setattr(monitor.Monitor, "__call__", interrupted)
-    with pytest.raises(ComputationError, match=f"SIGTERM after step {stop} of 20"):
+    with (
+        stopped_after(stop),
+        pytest.raises(ComputationError, match=f"SIGTERM after step {stop} of 20"),
+    ):
         run_case(PAPER, parts, [*SMALL, *extra], False, None, comm)
-    monkeypatch.undo()
     if comm.rank == 0:
         assert results.read_status(parts) == ("incomplete", stop)
     with pytest.raises(InputError, match="interrupted after step"):

@@ -1,37 +1,22 @@
 """Ripples of late worn profiles: explicit steps beyond their limit, gaps from nodes, neither."""
 
-import importlib.util
-import sys
-from pathlib import Path
-
 import numpy as np
 import pytest
-
-SCRIPT = Path(__file__).parents[1] / "scripts/step_stability.py"
-
-
-@pytest.fixture(scope="module")
-def script():
-    spec = importlib.util.spec_from_file_location("step_stability", SCRIPT)
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module  # dataclasses look their module up
-    spec.loader.exec_module(module)
-    yield module
-    del sys.modules[spec.name]
+import step_stability as script
 
 
 @pytest.fixture(scope="module")
-def both(script, comm):
+def both(comm):
     """Contact pairs with either gaps."""
     return script.pairs(script.paper(script.N), comm)
 
 
 @pytest.fixture(scope="module")
-def limits(script, comm):
+def limits(comm):
     return {n: script.limits(n, comm) for n in script.SIZES}
 
 
-def test_ripple_is_the_amplitude_of_alternating_wear(script, both):
+def test_ripple_is_the_amplitude_of_alternating_wear(both):
     line = both["nodal"].line
     sign = (-1.0) ** np.arange(line.n)
     cubic = (line.r - 29.0) ** 3 + 5.0 * line.r
@@ -39,7 +24,7 @@ def test_ripple_is_the_amplitude_of_alternating_wear(script, both):
     assert script.ripple(line, cubic) < 1e-9
 
 
-def test_limit_measured_by_stepping_is_that_of_the_eigenvalue_and_of_the_formula(script, limits):
+def test_limit_measured_by_stepping_is_that_of_the_eigenvalue_and_of_the_formula(limits):
     for limit in limits.values():
         for gaps in ("mid-point", "nodal"):  # bisection ends at 0.2 %
             assert limit.measured[gaps] == pytest.approx(limit.eigenvalue[gaps], rel=3e-3)
@@ -49,7 +34,7 @@ def test_limit_measured_by_stepping_is_that_of_the_eigenvalue_and_of_the_formula
     assert ratios == pytest.approx([1.0255, 1.0100, 1.0000, 0.9940], abs=3e-3)
 
 
-def test_explicit_steps_are_stable_below_the_limit_and_not_above(script, both, comm):
+def test_explicit_steps_are_stable_below_the_limit_and_not_above(both, comm):
     case = script.paper(script.N)
     limit = script.formula(case)
     assert 0.75 * limit < script.SHORT < limit < script.LONG < 1.5 * limit
@@ -80,7 +65,7 @@ def test_nodal_gaps_hardly_feel_alternating_pressures(limits):
         assert orders == pytest.approx([order] * 3, abs=0.05)
 
 
-def test_nodal_gaps_spoil_the_unworn_pressure(script, comm):
+def test_nodal_gaps_spoil_the_unworn_pressure(comm):
     errors = []
     for n in (32, 64):
         middle, *nodal = script.pressures_at_29(n, 1.0, comm)
@@ -89,7 +74,7 @@ def test_nodal_gaps_spoil_the_unworn_pressure(script, comm):
     assert errors[1] < 0.5 * errors[0] < 0.3
 
 
-def test_profiles_ripple_for_either_cause_and_not_without(script, both, comm):
+def test_profiles_ripple_for_either_cause_and_not_without(both, comm):
     case = script.paper(script.N)
 
     def ripple(gaps, scheme, step):
@@ -105,7 +90,7 @@ def test_profiles_ripple_for_either_cause_and_not_without(script, both, comm):
     assert ripple("nodal", "explicit", 0.04) < 1.5 * smooth
 
 
-def test_threshold_makes_ripples_dig_too_deep(script, both, comm):
+def test_threshold_makes_ripples_dig_too_deep(both, comm):
     """With p0 > 0 what alternates wears more on average; without only the profile suffers."""
     for gaps, step, too_deep in (("mid-point", script.LONG, 1.05), ("nodal", script.SHORT, 1.3)):
         ratio = {}
@@ -118,7 +103,7 @@ def test_threshold_makes_ripples_dig_too_deep(script, both, comm):
         assert ratio[40.0] > too_deep
 
 
-def test_picture_is_drawn(script, both, limits, comm, shared_path):
+def test_picture_is_drawn(both, limits, comm, shared_path):
     case = script.paper(script.N)
     run = script.worn(case, both["mid-point"], "implicit", 50.0, comm)
     runs = {(*key, p0): run for key in script.RUNS for p0 in (0.0, 40.0)}

@@ -1,29 +1,20 @@
 """Sweeps that are killed, stopped or damaged, and disks and cases that fail."""
 
-import importlib.util
 import os
 import shutil
 import signal
 import subprocess
-import sys
 import time
-from pathlib import Path
 
 import h5py
 import pytest
+import try_faults as faults
 from conftest import SHELL_ENVIRONMENT
 
 from ringwear_par import monitor
 from ringwear_par.errors import ComputationError
 from ringwear_par.sweep import run_sweep
 from ringwear_par.wear import ThresholdLaw
-
-_SPEC = importlib.util.spec_from_file_location(
-    "try_faults", Path(__file__).parents[1] / "scripts" / "try_faults.py"
-)
-faults = importlib.util.module_from_spec(_SPEC)
-sys.modules["try_faults"] = faults
-_SPEC.loader.exec_module(faults)
 
 pytestmark = [
     pytest.mark.serial,

@@ -1,29 +1,17 @@
 """The worked sweep: three numbers on the life, against the steady state of the wear law."""
 
-import importlib.util
-from pathlib import Path
-
 import numpy as np
 import pytest
-
-SCRIPT = Path(__file__).parents[1] / "scripts/sweep_wear_law.py"
-
-
-@pytest.fixture(scope="module")
-def script():
-    spec = importlib.util.spec_from_file_location("sweep_wear_law", SCRIPT)
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+import sweep_wear_law as script
 
 
-def test_life_is_interpolated_and_nan_where_not_reached(script):
+def test_life_is_interpolated_and_nan_where_not_reached():
     time = np.array([[0.0, 1.0, 2.0], [0.0, 1.0, np.nan]])
     depth = script.DEPTH * np.array([[0.0, 0.5, 1.5], [0.0, 0.5, np.nan]])
     assert script.lives(time, depth) == pytest.approx([1.5, np.nan], nan_ok=True)
 
 
-def test_numbers_are_near_those_of_steady_state(script, comm, shared_path):
+def test_numbers_are_near_those_of_steady_state(comm, shared_path):
     numbers = script.study(shared_path / "wear_law", comm)
     assert numbers.keys() == script.NUMBERS.keys()
     steady = {name: entry[0] for name, entry in script.NUMBERS.items()}
