@@ -146,24 +146,24 @@ def _slice(text: str) -> tuple[int, int]:
 
 def _dispatch(args: argparse.Namespace, comm: Any) -> int:
     if args.command == "run":
-        from ringwear_par.driver import run_case
+        from ringwear_par.results.run import run_case
 
         return run_case(args.case, args.output, args.overrides, args.restart, args.plot, comm)
     if args.command == "sweep":
-        from ringwear_par.sweep import run_sweep
+        from ringwear_par.studies.sweep import run_sweep
 
         return run_sweep(
             args.study, args.output, args.ranks_per_case, args.part, args.dry_run,
             args.retry_failed, comm,
         )  # fmt: skip
     if args.command == "laws":
-        from ringwear_par.driver import on_first_rank
-        from ringwear_par.laws import check_laws
+        from ringwear_par.cases.law_trials import check_laws
+        from ringwear_par.parallel import on_first_rank
 
         return on_first_rank(comm, lambda: check_laws(args.case, args.overrides))
     if args.command == "export":
-        from ringwear_par.driver import on_first_rank
-        from ringwear_par.export import export
+        from ringwear_par.parallel import on_first_rank
+        from ringwear_par.results.export import export
 
         told = on_first_rank(
             comm,
@@ -175,12 +175,12 @@ def _dispatch(args: argparse.Namespace, comm: Any) -> int:
             print(told)
         return 0
     if args.command == "plot":
-        from ringwear_par.driver import on_first_rank
-        from ringwear_par.plots import plot_files
+        from ringwear_par.parallel import on_first_rank
+        from ringwear_par.results.figures import plot_files
 
         folders = [path for path in args.results if path.is_dir()]
         if folders:
-            from ringwear_par.sweep_plots import plot_sweep
+            from ringwear_par.studies.figures import plot_sweep
 
             if len(args.results) > 1:
                 raise InputError(f"{folders[0]}: is a folder; must be the only thing to be drawn")
@@ -194,7 +194,7 @@ def _dispatch(args: argparse.Namespace, comm: Any) -> int:
         )
         return 0
     if args.command == "verify":
-        from ringwear_par.verify import verify
+        from ringwear_par.verification.checks import verify
 
         return verify(comm)
     from ringwear_par.info import print_info

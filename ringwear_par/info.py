@@ -14,7 +14,7 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from ringwear_par import __version__
-from ringwear_par.schema import schema
+from ringwear_par.cases.schema import schema
 
 
 def versions() -> dict[str, str]:

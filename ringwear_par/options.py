@@ -5,7 +5,8 @@ import difflib
 
 from petsc4py import PETSc
 
-from ringwear_par import contact, dense
+from ringwear_par.contact import solver as contact
+from ringwear_par.elasticity import solve as dense
 from ringwear_par.errors import InputError
 
 PREFIXES = (dense.PREFIX, contact.PREFIX)

@@ -24,17 +24,17 @@ from statistics import median
 import numpy as np
 from mpi4py import MPI
 
-from ringwear_par.assembly import assemble, number_unknowns
-from ringwear_par.body import compliance, ring_conditions
-from ringwear_par.case import Stepping
-from ringwear_par.contact import ContactSolver
-from ringwear_par.dense import solve_rows
-from ringwear_par.geometry import Mesh, contour
-from ringwear_par.history import WearHistory, run
-from ringwear_par.moving import MovingElasticity
-from ringwear_par.pair import contact_pair
-from ringwear_par.quadrature import quadrature
-from ringwear_par.verify import paper_case
+from ringwear_par.cases.case import Stepping
+from ringwear_par.contact.solver import ContactSolver
+from ringwear_par.elasticity.assembly import assemble, number_dofs
+from ringwear_par.elasticity.body import compliance, ring_conditions
+from ringwear_par.elasticity.mesh import Mesh, boundary_mesh
+from ringwear_par.elasticity.pair import contact_pair
+from ringwear_par.elasticity.quadrature import quadrature
+from ringwear_par.elasticity.solve import solve_rows
+from ringwear_par.elasticity.updated import UpdatedGeometry
+from ringwear_par.history.model import WearHistory, run
+from ringwear_par.verification.checks import paper_case
 
 COLUMNS = (
     "contact_elements", "ranks", "boundary_elements", "unknowns", "kernel_evaluations",
@@ -60,9 +60,9 @@ def measure(n: int, repeats: int, comm: MPI.Comm) -> dict[str, float]:
     """Return one row of the table. Collective."""
     case, rules = paper_case(Mesh(n)), quadrature(Mesh().quadrature_tolerance)
     rings = case.rings
-    bodies = [contour(case.section(ring), case.line, case.mesh) for ring in rings]
+    bodies = [boundary_mesh(case.section(ring), case.line, case.mesh) for ring in rings]
     conditions = [ring_conditions(body, "clamped") for body in bodies]
-    unknowns = [number_unknowns(*both) for both in zip(bodies, conditions, strict=True)]
+    unknowns = [number_dofs(*both) for both in zip(bodies, conditions, strict=True)]
     work = list(zip(bodies, conditions, unknowns, strict=True))
 
     def assembled() -> list:
@@ -102,7 +102,7 @@ def measure(n: int, repeats: int, comm: MPI.Comm) -> dict[str, float]:
             run(wear, wear.start(), lambda _: False)
 
     moving = replace(case, mesh=Mesh(n, geometry="updated"))
-    elasticity = MovingElasticity(moving, comm)
+    elasticity = UpdatedGeometry(moving, comm)
     elasticity.update(np.zeros((2, n)))  # the first assembly is counted above
 
     def updated() -> None:

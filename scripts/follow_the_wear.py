@@ -16,14 +16,15 @@ import numpy as np
 from matplotlib.figure import Figure
 from mpi4py import MPI
 
-from ringwear_par.assembly import load_kernels
-from ringwear_par.case import Case, Stepping
-from ringwear_par.contact import ContactSolver
-from ringwear_par.geometry import FloatArray, Mesh
-from ringwear_par.history import State, WearHistory, run
-from ringwear_par.moving import MovingElasticity
-from ringwear_par.pair import contact_pair
-from ringwear_par.verify import paper_case
+from ringwear_par.arrays import FloatArray
+from ringwear_par.cases.case import Case, Stepping
+from ringwear_par.contact.solver import ContactSolver
+from ringwear_par.elasticity.assembly import load_kernels
+from ringwear_par.elasticity.mesh import Mesh
+from ringwear_par.elasticity.pair import contact_pair
+from ringwear_par.elasticity.updated import UpdatedGeometry
+from ringwear_par.history.model import State, WearHistory, run
+from ringwear_par.verification.checks import paper_case
 
 TOLERANCES = (0.005, 0.002, 0.001)  # mm
 _STEPPING = Stepping("implicit", 1.0, 200)
@@ -54,7 +55,7 @@ def history(case: Case) -> Compared:
     pair, _ = contact_pair(case, MPI.COMM_SELF)
     elasticity = None
     if case.follows_wear:
-        elasticity = MovingElasticity(case, MPI.COMM_SELF)
+        elasticity = UpdatedGeometry(case, MPI.COMM_SELF)
         elasticity.update(np.zeros((2, pair.line.n)))
     with ContactSolver(pair.stiffness, pair.line.area, MPI.COMM_SELF) as solver:
         wear = WearHistory(case, pair, solver, elasticity)

@@ -19,12 +19,12 @@ from collections import Counter
 import numpy as np
 from mpi4py import MPI
 
-from ringwear_par.assembly import load_kernels
-from ringwear_par.case import make_case
-from ringwear_par.contact import ContactSolver
+from ringwear_par.cases.case import make_case
+from ringwear_par.contact.solver import ContactSolver
+from ringwear_par.elasticity.assembly import load_kernels
+from ringwear_par.elasticity.pair import contact_pair
 from ringwear_par.errors import RingwearError
-from ringwear_par.history import State, WearHistory, run
-from ringwear_par.pair import contact_pair
+from ringwear_par.history.model import State, WearHistory, run
 
 #: defects that a case must not exceed, of force, volume, energy and the contact's KKT conditions
 ALLOWED = {"force": 1e-10, "volume": 1e-10, "energy": 1e-10, "residual": 1e-9}

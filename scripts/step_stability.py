@@ -37,16 +37,17 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import NullFormatter, NullLocator
 from mpi4py import MPI
 
-from ringwear_par.body import ring_conditions, solve_body
-from ringwear_par.case import Case, Stepping, read_case
-from ringwear_par.contact import ContactSolver
+from ringwear_par.arrays import FloatArray
+from ringwear_par.cases.case import Case, Stepping, read_case
+from ringwear_par.contact.solver import ContactSolver
+from ringwear_par.elasticity.body import ring_conditions, solve_body
+from ringwear_par.elasticity.mesh import ContactLine, boundary_mesh
+from ringwear_par.elasticity.pair import ContactPair, contact_pair, largest_stable_step, symmetric
 from ringwear_par.errors import RingwearError
-from ringwear_par.geometry import ContactLine, FloatArray, contour
-from ringwear_par.history import State, WearHistory
-from ringwear_par.pair import ContactPair, contact_pair, largest_stable_step, symmetric
-from ringwear_par.plots import STYLE
-from ringwear_par.reference import EXPLICIT_LIMIT, contact_modulus
-from ringwear_par.wear import ThresholdLaw
+from ringwear_par.history.model import State, WearHistory
+from ringwear_par.results.figures import STYLE
+from ringwear_par.verification.reference import EXPLICIT_LIMIT, contact_modulus
+from ringwear_par.wear.law import ThresholdLaw
 
 CASE = Path(__file__).parent / "cases" / "paper.toml"
 #: times of the worn profiles, s: the later ones of the paper
@@ -80,7 +81,7 @@ def nodal_compliance(case: Case, comm: MPI.Comm) -> FloatArray:
     line = case.line
     compliance = np.zeros((line.n, line.n))
     for ring in case.rings:
-        body = contour(case.section(ring), line, case.mesh)
+        body = boundary_mesh(case.section(ring), line, case.mesh)
         ends = body.elements[body.contact][:, [0, 2]]
         response = solve_body(
             body, ring_conditions(body, ring.grip), ring.poisson, case.mesh.quadrature_tolerance,

@@ -64,8 +64,8 @@ def study(folder: Path, comm: MPI.Intracomm) -> dict[str, float]:
     folder : of the results.
     comm : must be COMM_WORLD, with PETSc initialised.
     """
-    from ringwear_par.driver import on_first_rank
-    from ringwear_par.sweep import run_sweep
+    from ringwear_par.parallel import on_first_rank
+    from ringwear_par.studies.sweep import run_sweep
 
     run_sweep(
         STUDY, folder, ranks_per_case=1, part=None, dry_run=False, retry_failed=False, comm=comm
@@ -75,8 +75,8 @@ def study(folder: Path, comm: MPI.Intracomm) -> dict[str, float]:
 
 def _evaluated(folder: Path) -> dict[str, float]:
     """Draw the picture and return the numbers. On one rank."""
-    from ringwear_par.ensemble import read_ensemble
-    from ringwear_par.study import read_study
+    from ringwear_par.studies.dataset import read_ensemble
+    from ringwear_par.studies.designs import read_study
 
     case = read_study(STUDY).case(0)
     sliding = case.friction * case.load.omega * sum(case.contact) / 2  # mm/s
@@ -125,7 +125,7 @@ def _draw(
     from matplotlib.figure import Figure
     from matplotlib.ticker import NullFormatter
 
-    from ringwear_par.plots import COLOURS, STYLE
+    from ringwear_par.results.figures import COLOURS, STYLE
 
     def written(number: float) -> str:
         return f"{number:.0e}".replace("e-0", "e-")

@@ -88,7 +88,7 @@ def shared_path(tmp_path, comm):
 @pytest.fixture
 def stopped_after(monkeypatch, comm):
     """Context manager: SIGTERM reaches one rank, the last, after a number of steps of a run."""
-    from ringwear_par import monitor
+    from ringwear_par.results import progress as monitor
 
     call = monitor.Monitor.__call__
 
@@ -109,9 +109,9 @@ def stopped_after(monkeypatch, comm):
 @pytest.fixture(scope="session")
 def paper_pair(comm):
     """The paper's case at 80 MPa and p0 = 40 MPa, and its contact pair."""
-    from ringwear_par.geometry import Mesh
-    from ringwear_par.pair import contact_pair
-    from ringwear_par.verify import paper_case
+    from ringwear_par.elasticity.mesh import Mesh
+    from ringwear_par.elasticity.pair import contact_pair
+    from ringwear_par.verification.checks import paper_case
 
     case = paper_case(Mesh())
     return case, contact_pair(case, comm)[0]

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 from conftest import SHELL_ENVIRONMENT
 
-from ringwear_par.results import read_status
+from ringwear_par.results.files import read_status
 
 pytestmark = pytest.mark.serial
 PAPER = Path(__file__).parents[1] / "scripts" / "cases" / "paper.toml"
@@ -205,10 +205,10 @@ def test_loaded_code_is_the_code_that_assembles():
     """Otherwise all ranks would compile again, at once, in the middle of the assembly."""
     program = """
 from mpi4py import MPI
-from ringwear_par.assembly import _assemble_rows, load_kernels
-from ringwear_par.geometry import Mesh
-from ringwear_par.pair import contact_pair
-from ringwear_par.verify import paper_case
+from ringwear_par.elasticity.assembly import _assemble_rows, load_kernels
+from ringwear_par.elasticity.mesh import Mesh
+from ringwear_par.elasticity.pair import contact_pair
+from ringwear_par.verification.checks import paper_case
 load_kernels(MPI.COMM_SELF)
 loaded = list(_assemble_rows.signatures)
 contact_pair(paper_case(Mesh(8)), MPI.COMM_SELF)

@@ -2,18 +2,18 @@
 
 import numpy as np
 
-from ringwear_par.step_wear import StepWear
-from ringwear_par.wear import Sliding
+from ringwear_par.wear.increment import WearIncrement
+from ringwear_par.wear.law import LocalState
 
 
 def sliding(power, time=0.0, wear=None):
     """Return the sliding whose mu V is ``power`` (mu = 1)."""
     nothing = np.zeros_like(power)
     r = np.linspace(28.5, 31.5, len(power))
-    return Sliding(time, r, power, 1.0, nothing if wear is None else wear, nothing)
+    return LocalState(time, r, power, 1.0, nothing if wear is None else wear, nothing)
 
 
 def step_wear(laws, power, step):
     """Return the wear of one step under one or two laws."""
     at = sliding(power)
-    return StepWear((*laws, None)[:2], (at, at), step)
+    return WearIncrement((*laws, None)[:2], (at, at), step)

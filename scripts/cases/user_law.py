@@ -9,16 +9,16 @@ switches with ``at.time`` should name the times in a list ``knots``, which adapt
 
 from numpy.typing import NDArray
 
-from ringwear_par.wear import Sliding
+from ringwear_par.wear.law import LocalState
 
 
-def rate(p: NDArray, at: Sliding) -> NDArray:
+def rate(p: NDArray, at: LocalState) -> NDArray:
     """Rate of wear, mm/s; 0 without pressure, and not falling with it."""
     k, p1 = at.parameters["k"], at.parameters["p1"]
     return k * at.friction * at.speed * p * p / (p + p1)
 
 
-def slope(p: NDArray, at: Sliding) -> NDArray:
+def slope(p: NDArray, at: LocalState) -> NDArray:
     """Its derivative with respect to pressure, mm/s/MPa."""
     k, p1 = at.parameters["k"], at.parameters["p1"]
     return k * at.friction * at.speed * p * (p + 2.0 * p1) / (p + p1) ** 2

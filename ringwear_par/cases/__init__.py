@@ -1,0 +1,1 @@
+"""Cases: one wear test each, read from TOML tables."""

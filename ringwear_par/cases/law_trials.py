@@ -1,0 +1,125 @@
+"""Wear laws tried before a case runs, and ``ringwear laws``, which tests their derivatives."""
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from ringwear_par.cases.case import Case, read_case
+from ringwear_par.contact.solver import REPLICATED_LIMIT
+from ringwear_par.errors import ComputationError, InputError
+from ringwear_par.schedules import largest
+from ringwear_par.wear.derivative_test import check_user_slope, taylor_test
+from ringwear_par.wear.law import LocalState, WearLaw
+from ringwear_par.wear.user import UserLaw, check_user_law
+
+_BODIES = ("lower", "upper")
+_ELEMENTS = 60
+#: pressures up to which laws are tried: of ``ringwear laws``, MPa, and in mean pressures of a case
+_PRESSURE = 300.0
+_MEANS = 5.0
+_STEP = 1.0  # s
+_WORN = 1e-3  # mm
+_SHOWN = (0.0, 10.0, 50.0, 100.0, 200.0)
+_MOST_TIMES = 5
+
+
+def law_sources(case: Case) -> dict[str, str]:
+    """Return the texts of the user's own laws by body."""
+    laws = zip(_BODIES, case.laws, strict=True)
+    return {body: law.source for body, law in laws if isinstance(law, UserLaw)}
+
+
+def refuse_bad_laws(case: Case, ranks: int, name: str, slopes: bool = True) -> None:
+    """Refuse users' laws that are none, or whose slopes are wrong, and what a law does not do.
+
+    Not collective.
+
+    Raises
+    ------
+    InputError : all faults, one sentence each.
+    """
+    faults, n = [], case.mesh.contact_elements
+    pressure = _PRESSURE
+    if case.load.force is not None:
+        pressure = _MEANS * largest(case.load.force) / case.area
+    for body, law in zip(_BODIES, case.laws, strict=True):
+        if isinstance(law, UserLaw):
+            try:
+                check_user_law(law, _sliding(case, 0.0, 0.0), pressure)
+                if slopes:
+                    check_user_slope(law, _sliding(case, 0.0, 0.0), pressure)
+            except InputError as error:
+                faults += [f"{name}: wear.{body}.file: {fault}" for fault in error.faults]
+        if law is not None and law.length and ranks > 1 and n > REPLICATED_LIMIT:
+            faults.append(
+                f"{name}: mesh.contact_elements = {n}: must be at most "
+                f'{REPLICATED_LIMIT} on several ranks where wear.{body}.law = "non-local"'
+            )
+    if faults:
+        raise InputError(*faults)
+
+
+def _sliding(case: Case, time: float, worn: float) -> LocalState:
+    """Return sliding along the contact at a time, at the largest speed, or 1 rad/s."""
+    r = np.linspace(*case.contact, _ELEMENTS)
+    speed = (largest(case.load.omega) or 1.0) * r
+    return LocalState(time, r, speed, case.friction, np.full_like(r, worn), speed * _STEP)
+
+
+def check_laws(path: Path, overrides: Sequence[str]) -> int:
+    """Print rates and Taylor tests of a case's laws; return 0 if all passed. On one rank.
+
+    Raises
+    ------
+    InputError : the case, or a user's law that is none.
+    ComputationError : a user's function failed, or a derivative is not that of its rate.
+    """
+    case = read_case(path, overrides)
+    refuse_bad_laws(case, 1, str(path), slopes=False)
+    failed = sum(
+        _tested(case, body, law) for body, law in zip(_BODIES, case.laws, strict=True) if law
+    )
+    for body, law in zip(_BODIES, case.laws, strict=True):
+        if law is None:
+            print(f"{body}: does not wear")
+    if failed:
+        raise ComputationError(
+            f"{path}: {failed} derivative(s) of its wear laws are not those of its rates; the "
+            "order must be 2"
+        )
+    return 0
+
+
+def _tested(case: Case, body: str, law: WearLaw) -> int:
+    """Print what a law does; return how many of its derivatives are wrong."""
+    rng = np.random.default_rng(1)
+    p, direction = rng.uniform(1.0, _PRESSURE, _ELEMENTS), rng.uniform(-1.0, 1.0, _ELEMENTS)
+    fresh = _sliding(case, 0.0, 0.0)
+    rates = [float(law.rate(np.full_like(p, v), fresh).max()) for v in _SHOWN]
+    print(
+        f"{body}: {type(law).__name__}, largest rate at p = "
+        f"{', '.join(f'{q:g}' for q in _SHOWN)} MPa, t = 0, "
+        f"omega = {largest(case.load.omega) or 1.0:g} rad/s: "
+        f"{', '.join(f'{rate:.4g}' for rate in rates)} mm/s"
+    )
+    failed = 0
+    middles = [0.5 * (a + b) for a, b in zip((0.0, *case.knots), case.knots, strict=False)]
+    for time in (0.0, *middles[: _MOST_TIMES - 1]):
+        for worn in (0.0, _WORN):
+            at = _sliding(case, time, worn)
+            for step, what in ((0.0, "rate"), (_STEP, f"wear of an implicit step of {_STEP:g} s")):
+                test = taylor_test(law, at, p, direction, step)
+                said = "ok" if test.passed else "FAIL"
+                order = "none left" if math.isinf(test.order) else f"order {test.order:.2f}"
+                if test.passed and test.order < 1.9:
+                    order += ", as its kinks explain"
+                if not law.rate(p, at).any():
+                    said, order = "-", "no wear, not tested"
+                failed += said == "FAIL"
+                print(
+                    f"  {said:4} derivative of the {what}, t = {time:g} s, {worn:g} mm worn: "
+                    f"Taylor remainder: {order}"
+                )
+    return failed

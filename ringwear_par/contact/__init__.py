@@ -1,0 +1,1 @@
+"""Unilateral contact, eq. (3) of the paper."""

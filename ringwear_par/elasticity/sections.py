@@ -1,0 +1,109 @@
+"""Meridian sections of rings and discs.
+
+Every body is described in its own frame: the contact plane is z = 0, the contact face lies in it or
+below it, and the held face is z = -height. The upper ring is the mirror image of that picture, with
+the same compliance, so one description serves both.
+"""
+
+import itertools
+import math
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Literal
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+
+from ringwear_par.arrays import FloatArray
+from ringwear_par.errors import InputError
+
+#: vertices (r, z) of a face, a tuple so that it can be hashed
+Polyline = tuple[tuple[float, float], ...]
+#: how the held face is held: "clamped" holds u_r too, "platen" leaves it free
+Grip = Literal["clamped", "platen"]
+#: turn of a face (rad) from which on a vertex is a corner rather than a sample of a smooth curve
+CORNER_ANGLE = math.radians(5.0)
+#: fewest vertices of about the same curvature that are samples of a smooth face
+_DENSE = 6
+
+
+@dataclass(frozen=True)
+class Section:
+    """Meridian section in the body's own frame (mm): a rectangle but for its contact face.
+
+    Parameters
+    ----------
+    r : inner and outer radius; inner radius 0 is a solid disc.
+    height : distance from the held face to the contact plane.
+    face : contact face as a polyline of (r, z) from the inner to the outer radius, z <= 0; none is
+        the flat face.
+    """
+
+    r: tuple[float, float]
+    height: float
+    face: Polyline = ()
+
+    def __post_init__(self) -> None:
+        inner, outer = self.r
+        radii, z = [p[0] for p in self.face], [p[1] for p in self.face]
+        sound = not self.face or (
+            (radii[0], radii[-1]) == self.r
+            and all(p < q for p, q in itertools.pairwise(radii))
+            and all(-self.height < v <= 0 for v in z)
+        )
+        if not (0 <= inner < outer and self.height > 0 and sound):
+            raise InputError(
+                f"section r = {self.r}, height = {self.height}, face = {self.face}: "
+                "0 <= inner < outer radius, a positive height and a face over increasing radii "
+                "between contact plane and held face are needed"
+            )
+
+    @property
+    def points(self) -> FloatArray:
+        """(m, 2) mm, vertices of the contact face."""
+        return np.array(self.face or [(self.r[0], 0.0), (self.r[1], 0.0)])
+
+    def depth(self, r: FloatArray) -> FloatArray:
+        """Return the height z (mm) of the contact face at radii (mm).
+
+        On the polyline, or on cubic splines where its points are dense samples of a smooth face.
+        """
+        z = np.interp(r, *self.points.T)
+        for spline in _splines(self.face):
+            inside = (r > spline.x[0]) & (r < spline.x[-1])
+            z = np.where(inside, spline(r), z)
+        return z
+
+
+@lru_cache(maxsize=64)
+def _splines(face: Polyline) -> tuple[CubicSpline, ...]:
+    """Return cubic splines over the dense samples of a face.
+
+    Samples are dense where neighbouring vertices, ``_DENSE`` at least, turn by little and by about
+    the same curvature; straight runs are their own splines.
+    """
+    if len(face) < _DENSE + 2:
+        return ()
+    r, z = np.array(face).T
+    step = np.diff(r)
+    turn = np.diff(np.arctan(np.diff(z) / step))
+    bend = turn / (0.5 * (step[1:] + step[:-1]))  # 1/mm, at the inner vertices
+    low = np.abs(turn) < CORNER_ANGLE
+    alike = np.abs(np.diff(bend)) <= 0.55 * np.maximum(np.abs(bend[1:]), np.abs(bend[:-1]))
+    alike &= low[1:] & low[:-1] & (np.abs(bend[1:]) > 1e-9)
+    splines, start = [], 0
+    for end in [*np.flatnonzero(~alike).tolist(), len(alike)]:
+        if end - start + 1 >= _DENSE:
+            # vertices start+1 to end+1 of the face; to its ends where there is nothing between
+            first = 0 if start == 0 else start + 1
+            last = len(r) if end == len(alike) else end + 2
+            splines.append(CubicSpline(r[first:last], z[first:last]))
+        start = end + 1
+    return tuple(splines)
+
+
+def corners(section: Section) -> list[float]:
+    """Return the radii inside the face where its direction turns by more than CORNER_ANGLE."""
+    along = np.diff(section.points, axis=0)
+    turn = np.abs(np.diff(np.arctan2(along[:, 1], along[:, 0])))
+    return section.points[1:-1, 0][turn > CORNER_ANGLE].tolist()

@@ -1,0 +1,1 @@
+"""Contact and wear stepped in time, section 3 of the paper."""

@@ -1,0 +1,1 @@
+"""What a history leaves: variables, files, figures, tables."""

@@ -1,0 +1,290 @@
+"""``ringwear export``: stored results for ParaView (.vtp, .vtu) and for spreadsheets (.csv)."""
+
+import csv
+from collections.abc import Iterable, Mapping, Sequence
+from contextlib import closing
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ringwear_par.arrays import FloatArray, IntArray
+from ringwear_par.atomic import atomic_write, check_writable
+from ringwear_par.elasticity.recovery import BoundaryFields, BoundaryState
+from ringwear_par.errors import InputError
+from ringwear_par.results.files import ALONG, SCALARS, Result, read_result
+
+SEGMENTS = 72
+_ENDINGS = (".vtp", ".vtu", ".csv")
+
+
+@dataclass(frozen=True)
+class Cells:
+    """What a VTK file holds: points, cells of the same number of points, fields on both.
+
+    Parameters
+    ----------
+    points : (m, 3) float, mm.
+    cells : (c, q) int, points of each cell.
+    point_data, cell_data : by name, (m,), (c,) or with three columns.
+    """
+
+    points: FloatArray
+    cells: IntArray
+    point_data: dict[str, Any]
+    cell_data: dict[str, Any]
+
+
+def export(
+    run: Path,
+    output: Path,
+    time: float | None = None,
+    segments: int | None = None,
+    scale: float | None = None,
+    fields: bool = False,
+) -> str:
+    """Write a result file in another format; return what was written. On one rank.
+
+    Parameters
+    ----------
+    output : its ending chooses: .vtp the contours of both bodies, .vtu their revolved surfaces,
+        .csv a table.
+    time : s, the stored boundary state nearest to it is taken; None: the last. Not for tables.
+    segments : of the revolved surface.
+    scale : factor of the displacements that are added to the points; None: 0.
+    fields : whether the table is that of the contact line rather than of the histories.
+
+    Raises
+    ------
+    InputError : a file or a choice that cannot be, fields that the run has not stored.
+    """
+    check_export(output, time, segments, scale, fields)
+    result = read_result(run)
+    if output.suffix == ".csv":
+        header, rows = _contact_table(result) if fields else _history_table(result)
+        _write_csv(output, header, rows)
+        return f"{output}: {'contact line' if fields else 'histories'}"
+    state = choose_state(result, time)
+    warp = scale or 0.0
+    if output.suffix == ".vtp":
+        content = _both([_contour(body, warp) for body in state.bodies])
+    else:
+        content = _both([_revolved(body, warp, segments or SEGMENTS) for body in state.bodies])
+    _write_vtk(output, content)
+    return (
+        f"{output}: {state.time:g} s (step {state.step}), {len(content.points)} points, "
+        f"{len(content.cells)} cells"
+    )
+
+
+def check_export(
+    output: Path, time: float | None, segments: int | None, scale: float | None, fields: bool
+) -> None:
+    """Refuse what cannot be exported, before anything is read. Not collective.
+
+    Raises
+    ------
+    InputError : the reason, in one sentence.
+    """
+    ending = output.suffix
+    if ending not in _ENDINGS:
+        raise InputError(f"{output}: its ending must be one of {', '.join(_ENDINGS)}")
+    check_writable(output)
+    if fields and ending != ".csv":
+        raise InputError(f"--fields: {output} is no table; must be absent but for .csv")
+    if segments is not None and (ending != ".vtu" or segments < 3):
+        raise InputError(f"--revolve {segments}: must be at least 3, and for .vtu only")
+    for name, value in (("--time", time), ("--scale", scale)):
+        if value is not None and (ending == ".csv" or not np.isfinite(value)):
+            raise InputError(f"{name} {value:g}: must be a number, and for .vtp and .vtu only")
+    if ending != ".csv":
+        try:
+            import pyevtk  # noqa: F401
+        except ImportError as error:
+            raise InputError(
+                f"{output}: needs the Python package pyevtk; pip install 'ringwear-par[export]'"
+            ) from error
+
+
+def choose_state(result: Result, time: float | None) -> BoundaryState:
+    """Return the stored boundary state nearest to a time, the last one for None.
+
+    Raises
+    ------
+    InputError : there is none, or the run does not get there.
+    """
+    states = result.boundary
+    if not states:
+        raise InputError(
+            f"{result.path}: holds no fields on the bodies' boundaries; must be computed with "
+            'output.boundary = "last" or "all", or with times'
+        )
+    if time is None:
+        return states[-1]
+    end = float(result.scalars["time"][-1])
+    if not 0.0 <= time <= end * (1.0 + 1e-9):
+        raise InputError(f"--time {time:g}: must be from 0 to {end:g} s, the end of {result.path}")
+    return min(states, key=lambda state: abs(state.time - time))
+
+
+def _contour(body: BoundaryFields, warp: float) -> Cells:
+    """Return a contour in the plane y = 0: a line of three points for each element."""
+    displacement = body.displacement[:, [0, 2, 1]]  # theta points along y
+    r, z = body.nodes.T
+    points = np.stack([r, np.zeros_like(r), z], axis=1) + warp * displacement
+    return Cells(
+        points,
+        body.elements,
+        {"displacement": displacement},
+        {
+            "traction": body.traction[:, [0, 2, 1]],
+            "pressure": body.pressure,
+            "wear": body.wear,
+            "face": body.face,
+        },
+    )
+
+
+def _revolved(body: BoundaryFields, warp: float, segments: int) -> Cells:
+    """Return the surface of a body: a quadrangle for each element and segment, normals outwards."""
+    ends, elements = np.unique(body.elements[:, [0, 2]], return_inverse=True)
+    first, last = elements.reshape(-1, 2).T
+    m, k = len(ends), len(first)
+    at = 2.0 * np.pi * np.arange(segments) / segments
+    middle = at + np.pi / segments
+    r, z = body.nodes[ends].T
+    position = np.stack([r, z, np.zeros(m)], axis=1)
+    displacement = _cartesian(body.displacement[ends], at)
+    points = _cartesian(position, at) + warp * displacement
+    this = m * np.arange(segments)[:, None]
+    following = m * ((np.arange(segments)[:, None] + 1) % segments)
+    corners = (this + first, following + first, following + last, this + last)
+
+    def everywhere(values: FloatArray | IntArray) -> Any:
+        return np.tile(values, segments)
+
+    return Cells(
+        points,
+        np.stack(corners, axis=-1).reshape(segments * k, 4),
+        {"displacement": displacement},
+        {
+            "traction": _cartesian(body.traction, middle),
+            "pressure": everywhere(body.pressure),
+            "wear": everywhere(body.wear),
+            "face": everywhere(body.face),
+        },
+    )
+
+
+def _cartesian(vectors: FloatArray, angles: FloatArray) -> FloatArray:
+    """Return (segments * m, 3), vectors (m, 3) along r, z, theta turned to angles (segments,)."""
+    c, s = np.cos(angles)[:, None], np.sin(angles)[:, None]
+    r, z, theta = vectors.T
+    turned = (c * r - s * theta, s * r + c * theta, np.broadcast_to(z, (len(angles), len(z))))
+    return np.stack(turned, axis=-1).reshape(-1, 3)
+
+
+def _both(bodies: Sequence[Cells]) -> Cells:
+    """Return both bodies as one, with their numbers (0 lower, 1 upper) as a field."""
+    shift = np.cumsum([0, *(len(body.points) for body in bodies)])
+
+    def joined(name: str, datum: str) -> Any:
+        return np.concatenate([getattr(body, name)[datum] for body in bodies])
+
+    cell_data = {datum: joined("cell_data", datum) for datum in bodies[0].cell_data}
+    counts = [len(body.cells) for body in bodies]
+    return Cells(
+        np.concatenate([body.points for body in bodies]),
+        np.concatenate([body.cells + s for body, s in zip(bodies, shift[:-1], strict=True)]),
+        {datum: joined("point_data", datum) for datum in bodies[0].point_data},
+        {**cell_data, "body": np.repeat(np.arange(len(bodies)), counts)},
+    )
+
+
+def _columns(values: Any) -> Any:
+    """Return what pyevtk takes: an array, or a tuple of contiguous components."""
+    if values.ndim == 1:
+        return np.ascontiguousarray(values)
+    return tuple(np.ascontiguousarray(column) for column in values.T)
+
+
+def _write_vtk(output: Path, content: Cells) -> None:
+    """Write lines to a .vtp or quadrangles to a .vtu file, by rename."""
+    from pyevtk.vtk import VtkFile, VtkPolyData, VtkQuad, VtkUnstructuredGrid
+
+    lines = output.suffix == ".vtp"
+    count, corners = content.cells.shape
+    topology = {
+        "connectivity": content.cells.ravel(),
+        "offsets": corners * np.arange(1, count + 1),
+    }
+    if not lines:
+        topology["types"] = np.full(count, VtkQuad.tid, dtype=np.uint8)
+    groups: list[tuple[str, Mapping[str, Any]]] = [
+        ("Points", {"points": _columns(content.points)}),
+        ("Lines" if lines else "Cells", topology),
+        ("PointData", {name: _columns(v) for name, v in content.point_data.items()}),
+        ("CellData", {name: _columns(v) for name, v in content.cell_data.items()}),
+    ]
+    with atomic_write(output) as temporary:
+        # pyevtk appends the ending
+        file = VtkFile(
+            str(temporary.with_suffix("")), VtkPolyData if lines else VtkUnstructuredGrid
+        )
+        with closing(file.xml.stream):  # which pyevtk leaves open where it fails
+            file.openGrid()
+            sizes = {"nlines": count} if lines else {"ncells": count}
+            file.openPiece(npoints=len(content.points), **sizes)
+            for group, arrays in groups:
+                file.openElement(group)
+                for name, values in arrays.items():
+                    file.addData(name, values)
+                file.closeElement(group)
+            file.closePiece()
+            file.closeGrid()
+            for _, arrays in groups:
+                for values in arrays.values():
+                    file.appendData(values)
+            file.save()
+
+
+def _history_table(result: Result) -> tuple[list[str], Iterable[Sequence[Any]]]:
+    """Return the histories, a row for each stored state."""
+    header = ["step", *(_titled(name, unit) for name, (unit, _) in SCALARS.items())]
+    columns = [result.steps.tolist()]
+    for name in SCALARS:
+        columns.append(result.scalars[name].tolist())
+    return header, zip(*columns, strict=True)
+
+
+def _contact_table(result: Result) -> tuple[list[str], Iterable[Sequence[Any]]]:
+    """Return the contact line, a row for each stored state and element."""
+    names = [name for name in ALONG if name in result.fields]
+    if not names:
+        raise InputError(f"{result.path}: holds no field of the contact line (output.fields)")
+    tables = [np.atleast_2d(result.fields[name]) for name in names]
+    stored, n = tables[0].shape  # one row where the last state's fields are stored only
+    steps, times = result.steps[-stored:], result.scalars["time"][-stored:]
+    header = ["step", "time (s)", "element", "r (mm)"]
+    columns = [
+        np.repeat(steps, n), np.repeat(times, n), np.tile(np.arange(n), stored),
+        np.tile(result.line.r, stored), *(table.ravel() for table in tables),
+    ]  # fmt: skip
+    header += [_titled(name, ALONG[name][0]) for name in names]
+    return header, zip(*(column.tolist() for column in columns), strict=True)
+
+
+def _titled(name: str, unit: str) -> str:
+    return name if unit == "1" else f"{name} ({unit})"
+
+
+def _write_csv(output: Path, header: Sequence[str], rows: Iterable[Sequence[Any]]) -> None:
+    """Write a table by rename; numbers keep all their digits."""
+    with (
+        atomic_write(output) as temporary,
+        temporary.open("w", newline="", encoding="utf-8") as file,
+    ):
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(header)
+        writer.writerows(rows)

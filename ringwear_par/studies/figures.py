@@ -1,0 +1,660 @@
+"""The figure of a sweep, from its stored results: histories as a fan, final values against keys.
+
+Where a design leaves many cases, they are chosen at random, with a fixed seed: every k-th case of a
+Sobol sequence or of a grid is no sample of it.
+"""
+
+import logging
+import math
+import re
+import warnings
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import matplotlib
+import numpy as np
+from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
+from scipy.special import ndtri
+from scipy.stats import rankdata
+
+from ringwear_par.arrays import BoolArray, FloatArray, IntArray
+from ringwear_par.atomic import atomic_write
+from ringwear_par.cases.schema import UNITS
+from ringwear_par.errors import InputError
+from ringwear_par.results.figures import COLOURS, STYLE, check_figure
+from ringwear_par.studies.dataset import Ensemble, read_ensemble
+from ringwear_par.studies.designs import SAMPLED
+
+log = logging.getLogger(__name__)
+
+#: of the values in results.h5, what is drawn of them: factor and label
+_OUTPUTS = {
+    "penetration": (1e3, "penetration (\N{MICRO SIGN}m)"),
+    "worn_volume_lower": (1.0, "worn volume, lower (mm\N{SUPERSCRIPT THREE})"),
+    "worn_volume_upper": (1.0, "worn volume, upper (mm\N{SUPERSCRIPT THREE})"),
+}
+_SENSITIVE = {
+    "penetration": "final penetration",
+    "worn_volume_lower": "final worn volume, lower",
+}
+_MARKERS = ("o", "s", "^", "v", "D", "P", "X", "*")
+_DASHES: tuple[Any, ...] = ("-", "--", ":")
+_GREY = "0.45"
+#: cases drawn one by one, and curves with a legend
+_FEW, _CURVES = 12, 8
+_MOST_HISTORIES, _TIMES, _SINGLES = 2000, 200, 8
+_BLOCK_BYTES = 16e6
+#: keys and values beside each other span so much before their axis is logarithmic
+_LOG_KEY, _LOG_VALUE = 20.0, 100.0
+_COLUMNS, _PANEL, _WIDTH = 4, (2.3, 2.1), 7.2
+_DISCRETE, _MOST_LEVELS = 12, 50
+#: inches of a line of a legend
+_LINE = 0.18
+#: curves of a list show so much of its cases at least, the others as points
+_SHARE = 0.25
+#: sensitivity indices: fewest and most cases, 95 % confidence from so many resamples
+_FEWEST, _MOST, _RESAMPLES, _SEED = 100, 4000, 100, 1
+#: so many cases differ from the others at least, in so many digits
+_FEWEST_DIFFERING, _DIGITS = 20, 12
+
+
+@dataclass(frozen=True)
+class Sensitivity:
+    """Sensitivity indices of one output, with the half-widths of their 95 % confidence intervals.
+
+    Parameters
+    ----------
+    output : "penetration" or "worn_volume_lower", at the last step.
+    keys : the varied keys that are numbers.
+    used, cases : number of cases that the indices follow from, of so many that are done.
+    delta, delta_conf : moment-independent index, (keys,).
+    s1, s1_conf : first-order index, (keys,).
+    """
+
+    output: str
+    keys: tuple[str, ...]
+    used: int
+    cases: int
+    delta: FloatArray
+    delta_conf: FloatArray
+    s1: FloatArray
+    s1_conf: FloatArray
+
+
+@dataclass(frozen=True)
+class _Key:
+    """A varied key of the cases drawn: numbers, or codes of categories; NaN where there is none."""
+
+    name: str
+    values: FloatArray
+    categories: tuple[str, ...]
+
+    @property
+    def label(self) -> str:
+        return _labelled(self.name)
+
+    @property
+    def differs(self) -> bool:
+        return len(np.unique(self.values)) > 1
+
+    @property
+    def logarithmic(self) -> bool:
+        if self.categories or not _spans(self.values, _LOG_KEY):
+            return False
+        known = self.values[np.isfinite(self.values)]  # spread evenly, they stay on a plain axis
+        return bool(np.median(known) < 0.3 * (known.min() + known.max()))
+
+
+@dataclass(frozen=True)
+class _Plan:
+    """How outputs are drawn against a key.
+
+    Parameters
+    ----------
+    key : the key.
+    kind : "curves", "band" or "scatter".
+    curves : cases of each curve, along the key.
+    points : cases that are on none.
+    labels : of the curves, with their points' behind them; () without a legend.
+    title : of the legend.
+    """
+
+    key: _Key
+    kind: str
+    curves: tuple[IntArray, ...] = ()
+    points: IntArray | None = None
+    labels: tuple[str, ...] = ()
+    title: str = ""
+
+    @property
+    def columns(self) -> int:
+        """Number of columns of the legend, as even as may be."""
+        if self.kind != "curves" or not self.labels:
+            return 1
+        most = max(1, min(4, 34 // (max(map(len, self.labels)) + 5)))
+        return -(-len(self.labels) // -(-len(self.labels) // most))
+
+    @property
+    def lines(self) -> int:
+        """Number of lines of the legend."""
+        if self.kind != "curves":
+            return 2 if self.kind == "band" else 1
+        return -(-len(self.labels) // self.columns) + len(self.title.splitlines())
+
+
+def plot_sweep(folder: Path, output: Path) -> None:
+    """Draw a sweep's results. On one rank.
+
+    Parameters
+    ----------
+    folder : of the sweep.
+    output : picture; its ending chooses the format.
+
+    Raises
+    ------
+    InputError : the folder holds no results or no case that is done, or an unknown format.
+    """
+    check_figure(output)
+    figure = draw_sweep(read_ensemble(folder))
+    with matplotlib.rc_context(STYLE), atomic_write(output) as temporary:
+        figure.savefig(temporary)
+
+
+def draw_sweep(ensemble: Ensemble) -> Figure:
+    """Return the figure of a sweep's results. Not collective.
+
+    Raises
+    ------
+    InputError : no case is done.
+    """
+    drawn = _drawn(ensemble)
+    keys = [_key(name, values[drawn]) for name, values in ensemble.varied.items()]
+    keys = [key for key in keys if key.differs] or keys
+    method = str(ensemble.attributes.get("method"))
+    plans = [_plan(key, [other for other in keys if other is not key], method) for key in keys]
+    outputs = ["penetration", "worn_volume_lower"]
+    upper = ensemble.final["worn_volume_upper"][drawn]
+    if np.any(upper[np.isfinite(upper)] != 0.0):
+        outputs.append("worn_volume_upper")
+    found = sensitivity(ensemble)
+    blocks = _blocks(plans)
+    shapes = [
+        (len(outputs), len(block)) if len(keys) > 1 else (1, len(outputs)) for block in blocks
+    ]
+    with matplotlib.rc_context(STYLE):
+        top = max(2.6, 1.5 + 0.3 * len(found[0].keys)) if found else 2.6
+        heights = [top]
+        for block, (rows, _) in zip(blocks, shapes, strict=True):
+            heights.append(_PANEL[1] * rows + 0.3 + _LINE * max(plan.lines for plan in block))
+        width = max(_WIDTH, _PANEL[0] * max((columns for _, columns in shapes), default=0))
+        figure = Figure(figsize=(width, sum(heights) + 0.3), layout="constrained")
+        figure.suptitle(_counts(ensemble), fontsize=9.0)
+        parts: Any = figure.subfigures(len(heights), 1, height_ratios=heights, squeeze=False)[:, 0]
+        _draw_top(parts[0], ensemble, drawn, keys, found)
+        for part, block, shape in zip(parts[1:], blocks, shapes, strict=True):
+            values = {name: ensemble.final[name][drawn] for name in outputs}
+            _draw_block(part, block, values, shape, transposed=len(keys) == 1)
+    return figure
+
+
+def sensitivity(ensemble: Ensemble) -> tuple[Sensitivity, ...]:
+    """Return how the final values depend on the varied keys, from the cases of a sampled design.
+
+    One item an output that varies. None where the design is no sample, and, with a sentence in the
+    log, where SALib is not installed or too few cases are done. The method needs no design of its
+    own: E. Plischke, E. Borgonovo and C. L. Smith, "Global sensitivity measures from given data",
+    European Journal of Operational Research 226 (2013), 536-550. Its confidence is that of
+    resampling; beside it, delta comes out up to about 0.1 too low for a key that matters, and
+    above 0 for one that does not. Always the same for the same results. Not collective.
+    """
+    if ensemble.attributes.get("method") not in SAMPLED:
+        return ()
+    done = _done(ensemble)
+    names, columns = [], []
+    for name, values in ensemble.varied.items():
+        if values.dtype.kind == "f" and len(np.unique(values[done & np.isfinite(values)])) > 1:
+            names.append(name)
+            columns.append(values)
+    if not names:
+        return ()
+    x = np.stack(columns, axis=1)
+    known = done & np.isfinite(x).all(axis=1)
+    found = []
+    for output in _SENSITIVE:
+        y = ensemble.final[output]
+        cases = np.flatnonzero(known & np.isfinite(y))
+        if len(cases) < _FEWEST:
+            log.info(
+                "no sensitivity indices of the %s: %d cases are done, at least %d are needed",
+                _SENSITIVE[output], len(cases), _FEWEST,
+            )  # fmt: skip
+            continue
+        if _differing(y[cases]) < _FEWEST_DIFFERING:
+            log.info(
+                "no sensitivity indices of the %s: it is the same in all cases, or in nearly all",
+                _SENSITIVE[output],
+            )
+            continue
+        chosen = _chosen(cases, _MOST)
+        try:
+            indices = _delta(names, x[chosen], y[chosen])
+        except ImportError:
+            log.warning(
+                "no sensitivity indices: SALib is not installed; "
+                'pip install "ringwear-par[sensitivity]" installs it'
+            )
+            return ()
+        found.append(Sensitivity(output, tuple(names), len(chosen), len(cases), *indices))
+    return tuple(found)
+
+
+def _delta(names: Sequence[str], x: FloatArray, y: FloatArray) -> tuple[FloatArray, ...]:
+    """Return delta, its confidence, S1 and its confidence, by SALib.
+
+    Delta does not change with a monotone function of the output, but SALib's densities on 100
+    points do, and fail for an output that spans decades: it is given normal scores of the ranks.
+    """
+    scores = ndtri((rankdata(_rounded(y)) - 0.5) / len(y))
+    problem = {"num_vars": len(names), "names": list(names)}
+    state = np.random.get_state()  # SALib seeds numpy's own generator
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        import SALib.analyze.delta as salib
+
+        its_numpy = salib.np
+        if not hasattr(np, "trapezoid"):  # SALib 1.5 calls trapz by the name that numpy 2 gave it
+            salib.np = SimpleNamespace(**{**vars(np), "trapezoid": vars(np)["trapz"]})
+        options = {"num_resamples": _RESAMPLES, "seed": _SEED}
+        try:
+            delta = salib.analyze(problem, x, scores, method="delta", **options)
+            first = salib.analyze(problem, x, (y - y.mean()) / y.std(), method="sobol", **options)
+        finally:
+            salib.np = its_numpy
+            np.random.set_state(state)
+    return delta["delta"], delta["delta_conf"], first["S1"], first["S1_conf"]
+
+
+def _rounded(y: FloatArray) -> FloatArray:
+    """Return an output relative to its largest value, without rounding errors."""
+    largest = float(np.abs(y).max())
+    rounded: FloatArray = np.round(y / (largest or 1.0), _DIGITS)
+    return rounded
+
+
+def _differing(y: FloatArray) -> int:
+    """Return the number of cases whose output is not the most frequent one."""
+    return len(y) - int(np.unique(_rounded(y), return_counts=True)[1].max())
+
+
+def _done(ensemble: Ensemble) -> BoolArray:
+    return ensemble.in_study & (np.array(ensemble.status) == "done")
+
+
+def _drawn(ensemble: Ensemble) -> IntArray:
+    """Return the numbers of the cases that are drawn."""
+    drawn = np.flatnonzero(_done(ensemble))
+    if not len(drawn):
+        raise InputError(
+            f"{ensemble.path}: has no case that is done ({_counts(ensemble)}); must have one at "
+            "least"
+        )
+    return drawn
+
+
+def _counts(ensemble: Ensemble) -> str:
+    """Say how many cases there are, and how many of them are not drawn."""
+    status = np.array(ensemble.status)[ensemble.in_study]
+    said = [f"{len(status)} case{'s' if len(status) != 1 else ''}"]
+    for word in ("failed", "incomplete"):
+        count = int((status == word).sum())
+        if count:
+            said.append(f"{count} {word}")
+    return ", ".join(said)
+
+
+def _chosen(cases: IntArray, most: int) -> IntArray:
+    """Return the cases, or so many of them, increasing."""
+    if len(cases) <= most:
+        return cases
+    return np.sort(np.random.default_rng(_SEED).choice(cases, most, replace=False))
+
+
+def _spans(values: FloatArray, ratio: float) -> bool:
+    """Tell whether values ask for a logarithmic axis."""
+    finite = values[np.isfinite(values)]
+    return bool(len(finite) and finite.min() > 0.0 and finite.max() >= ratio * finite.min())
+
+
+def _key(name: str, column: Any) -> _Key:
+    if column.dtype.kind == "f":
+        return _Key(name, column, ())
+    words = list(dict.fromkeys(column))
+    codes = {word: float(i) for i, word in enumerate(words)}
+    values = np.array([codes[word] for word in column])
+    return _Key(name, values, tuple(word or "none" for word in words))
+
+
+def _labelled(name: str) -> str:
+    unit = UNITS.get(name.partition("[")[0], "-")
+    return name if unit in ("-", "1") else f"{name} ({unit})"
+
+
+def _said(key: _Key) -> list[str]:
+    """Return the key's value in each case, as short as its values stay apart."""
+    if key.categories:
+        return [key.categories[int(code)] for code in key.values]
+    values = key.values.tolist()
+    apart = len(set(values))
+    for digits in range(3, 18):
+        said = [_number(v, digits) if math.isfinite(v) else "none" for v in values]
+        if len(set(said)) >= apart:
+            break
+    return said
+
+
+def _number(value: float, digits: int) -> str:
+    return re.sub(r"e([+-])0*", lambda e: "e" + e[1].strip("+"), f"{value:.{digits}g}")
+
+
+def _plan(key: _Key, others: Sequence[_Key], method: str) -> _Plan:
+    """Choose how to draw against a key: in curves as far as its values repeat."""
+    known = np.flatnonzero(np.isfinite(key.values))
+    x = key.values[known]
+    if method in SAMPLED or not len(x):
+        return _Plan(key, "scatter")
+    others = [other for other in others if len(np.unique(other.values[known])) > 1]
+    codes = [np.unique(other.values[known], return_inverse=True)[1] for other in others]
+    groups = np.zeros(len(x), dtype=int)
+    if codes:
+        table = np.stack(codes, axis=1)
+        groups = np.unique(table, axis=0, return_inverse=True)[1].reshape(-1)
+    sizes = np.bincount(groups)
+    repeat = sizes > 1
+    chosen = np.flatnonzero(repeat if repeat.any() else sizes)
+    enough = repeat.any() and sizes[repeat].sum() >= _SHARE * len(x)
+    if len(chosen) > _CURVES or not (enough or method == "grid"):
+        levels = len(np.unique(x))
+        band = method == "grid" or (len(x) >= 3 * levels and levels <= _MOST_LEVELS)
+        return _Plan(key, "band" if band else "scatter")
+    order = np.argsort(x, kind="stable")
+    curves = [known[order[groups[order] == group]] for group in chosen]
+    points = known[~np.isin(groups, chosen)]
+    said = [_said(other) for other in others]
+    labels = [", ".join(words[curve[0]] for words in said) for curve in curves] if said else []
+    if labels and len(points):
+        labels.append("other cases")
+    title = ",\n".join(other.label for other in others)
+    return _Plan(key, "curves", tuple(curves), points, tuple(labels), title)
+
+
+def _blocks(plans: Sequence[_Plan]) -> list[Sequence[_Plan]]:
+    """Return rows of columns, as even as may be."""
+    if not plans:
+        return []
+    columns = -(-len(plans) // -(-len(plans) // _COLUMNS))
+    return [plans[start : start + columns] for start in range(0, len(plans), columns)]
+
+
+def _draw_top(
+    part: Any, ensemble: Ensemble, drawn: IntArray, keys: Sequence[_Key],
+    found: Sequence[Sensitivity],
+) -> None:  # fmt: skip
+    panels = np.atleast_1d(
+        part.subplots(1, 1 + len(found), width_ratios=[1.3, *(1.0 for _ in found)])
+    )
+    if len(drawn) > _FEW:
+        _draw_fan(panels[0], ensemble, drawn, 2 if found else 4)
+    else:
+        _draw_histories(panels[0], ensemble, drawn, keys)
+    for number, (axes, indices) in enumerate(zip(panels[1:], found, strict=True)):
+        _draw_indices(axes, indices)
+        if number:
+            axes.tick_params(labelleft=False)
+
+
+def _draw_histories(axes: Any, ensemble: Ensemble, drawn: IntArray, keys: Sequence[_Key]) -> None:
+    """Draw one line a case."""
+    differ = [key for key in keys if key.differs]
+    labels = [", ".join(words) for words in zip(*map(_said, differ), strict=True)]
+    title = ",\n".join(key.label for key in differ)
+    if len(differ) > 3:
+        labels, title = [ensemble.ids[case] for case in drawn], "case"
+    time, depth = (ensemble.histories(name, drawn) for name in ("time", "penetration"))
+    for number, count in enumerate(ensemble.steps_stored[drawn]):
+        axes.plot(
+            time[number, :count], 1e3 * depth[number, :count],
+            color=COLOURS[number % len(COLOURS)],
+            linestyle=_DASHES[number // len(COLOURS)],
+            label=labels[number] if labels else None,
+        )  # fmt: skip
+    _finish_fan(axes)
+    if labels:
+        axes.legend(
+            frameon=False, loc="center left", bbox_to_anchor=(1.0, 0.5), title=title,
+            title_fontsize=8.0, ncols=1 if len(labels) <= 8 else 2,
+        )  # fmt: skip
+
+
+def _draw_fan(axes: Any, ensemble: Ensemble, drawn: IntArray, columns: int) -> None:
+    """Draw quantile bands, the median and a few cases."""
+    cases = _chosen(drawn, _MOST_HISTORIES)
+    grid, table, even = _fan_table(ensemble, cases)
+    low, lower, median, upper, high = np.nanquantile(table, [0.05, 0.25, 0.5, 0.75, 0.95], axis=0)
+    colour = COLOURS[0]
+    by_depth = table[np.argsort(np.nanmax(table, axis=1))]  # the least and the deepest included
+    for number, row in enumerate(by_depth[np.linspace(0, len(table) - 1, _SINGLES).astype(int)]):
+        axes.plot(
+            grid, row, color=_GREY, linewidth=0.5, alpha=0.7, zorder=1.5,
+            label=None if number else f"{_SINGLES} of the cases",
+        )  # fmt: skip
+    axes.fill_between(
+        grid, low, high, color=colour, alpha=0.16, linewidth=0.0, label="5\N{EN DASH}95 %"
+    )
+    axes.fill_between(
+        grid, lower, upper, color=colour, alpha=0.3, linewidth=0.0, label="25\N{EN DASH}75 %"
+    )
+    axes.plot(grid, median, color=colour, label="median")
+    titles = []
+    if len(cases) < len(drawn):
+        titles.append(f"{len(cases)} of {len(drawn)} cases, chosen at random")
+    if not even:
+        titles.append("quantiles of the cases that last so long")
+    _finish_fan(axes)
+    _set_legend(axes, columns, ",\n".join(titles))
+
+
+def _finish_fan(axes: Any) -> None:
+    axes.set_xlim(0.0, axes.dataLim.x1)
+    axes.set_ylim(bottom=min(0.0, axes.dataLim.y0))
+    axes.set_xlabel("time (s)")
+    axes.set_ylabel(_OUTPUTS["penetration"][1])
+
+
+def _fan_table(ensemble: Ensemble, cases: IntArray) -> tuple[FloatArray, FloatArray, bool]:
+    """Return common times, penetrations (um) at them, (cases, times), and if all last equally.
+
+    Histories that are shorter have NaN.
+    """
+    last = ensemble.steps_stored[cases] - 1
+    ends = np.empty(len(cases))
+    for part in _parts(ensemble, cases):
+        time = ensemble.histories("time", cases[part])
+        ends[part] = time[np.arange(len(time)), last[part]]
+    grid = np.linspace(0.0, ends.max(), _TIMES + 1)
+    table = np.empty((len(cases), len(grid)))
+    for part in _parts(ensemble, cases):
+        time, depth = (ensemble.histories(name, cases[part]) for name in ("time", "penetration"))
+        for number, t, d in zip(range(part.start, part.stop), time, depth, strict=True):
+            stop, end = last[number] + 1, ends[number] * (1.0 + 1e-9)
+            table[number] = 1e3 * np.interp(grid, t[:stop], d[:stop])
+            table[number, grid > end] = np.nan
+    return grid, table, bool(ends.min() >= ends.max() * (1.0 - 1e-9))
+
+
+def _parts(ensemble: Ensemble, cases: IntArray) -> Iterator[slice]:
+    block = max(1, int(_BLOCK_BYTES // (8 * max(1, int(ensemble.steps_stored.max())))))
+    for start in range(0, len(cases), block):
+        yield slice(start, min(start + block, len(cases)))
+
+
+def _draw_indices(axes: Any, found: Sensitivity) -> None:
+    places = np.arange(len(found.keys), dtype=float)
+    for shift, colour, values, widths, label in (
+        (-0.17, COLOURS[0], found.delta, found.delta_conf, "\N{GREEK SMALL LETTER DELTA}"),
+        (0.17, COLOURS[1], found.s1, found.s1_conf, "S\N{SUBSCRIPT ONE}"),
+    ):
+        axes.barh(
+            places + shift, values, 0.3, xerr=widths, color=colour, alpha=0.75, label=label,
+            error_kw={"ecolor": "0.1", "elinewidth": 0.9, "capsize": 2.0},
+        )  # fmt: skip
+    axes.set_yticks(places, found.keys)
+    axes.set_ylim(len(places) - 0.5, -0.5)
+    axes.set_xlim(0.0, 1.04)
+    axes.grid(axis="x", linewidth=0.4, color="0.85")
+    axes.set_axisbelow(True)
+    axes.set_xlabel("index, 95 % confidence")
+    title = f"sensitivity of\n{_SENSITIVE[found.output]}"
+    if found.used < found.cases:
+        title += f"\n({found.used} of {found.cases} cases)"
+    _set_legend(axes, 2, title)
+
+
+def _draw_block(
+    part: Any, plans: Sequence[_Plan], finals: Mapping[str, FloatArray], shape: tuple[int, int],
+    *, transposed: bool,
+) -> None:  # fmt: skip
+    """Draw final values against keys: one column a key and one row an output, or transposed."""
+    share = ("none", "none") if transposed else ("col", "row")
+    panels = part.subplots(*shape, squeeze=False, sharex=share[0], sharey=share[1])
+    panels = panels.T if transposed else panels
+    for row, (output, final) in enumerate(finals.items()):
+        factor, label = _OUTPUTS[output]
+        values = factor * final
+        for column, plan in enumerate(plans):
+            axes = panels[row, column]
+            _draw_panel(axes, plan, values, legend=row == 0)
+            if row == len(panels) - 1 or transposed:
+                axes.set_xlabel(plan.key.label)
+            if column == 0:
+                axes.set_ylabel(f"final {label}" if output == "penetration" else label)
+        if _spans(values, _LOG_VALUE):
+            for axes in panels[row]:
+                axes.set_yscale("log")
+            _set_decades(panels[row, 0].yaxis, values)
+    if not transposed:
+        part.align_ylabels(panels[:, 0])
+
+
+def _draw_panel(axes: Any, plan: _Plan, values: FloatArray, *, legend: bool) -> None:
+    """Draw an output against a key."""
+    key = plan.key
+    if key.logarithmic:
+        axes.set_xscale("log")
+        _set_decades(axes.xaxis, key.values)
+    known = np.isfinite(key.values) & np.isfinite(values)
+    if plan.kind == "curves":
+        _draw_curves(axes, plan, values)
+    elif plan.kind == "band" and known.any():
+        _draw_band(axes, key, key.values[known], values[known])
+    else:
+        _draw_scatter(axes, key, key.values[known], values[known])
+    if legend and axes.get_legend_handles_labels()[0]:
+        _set_legend(axes, plan.columns, plan.title)
+    if key.categories:
+        _set_categories(axes, key.categories)
+    elif not key.logarithmic:
+        wide = np.abs(key.values[known]).max(initial=0.0) >= 1e4
+        axes.locator_params(axis="x", nbins=3 if wide else 5)
+
+
+def _draw_curves(axes: Any, plan: _Plan, values: FloatArray) -> None:
+    """Draw one curve for each combination of the other keys."""
+    x = plan.key.values
+    for number, curve in enumerate(plan.curves):
+        axes.plot(
+            x[curve], values[curve], color=COLOURS[number % len(COLOURS)],
+            linestyle=_DASHES[number // len(COLOURS)], marker=_MARKERS[number], markersize=4.0,
+            linewidth=1.0, label=plan.labels[number] if plan.labels else None,
+        )  # fmt: skip
+    if plan.points is not None and len(plan.points):
+        axes.plot(
+            x[plan.points], values[plan.points], color=_GREY, marker=".", linestyle="none",
+            label="other cases", zorder=1.5,
+        )  # fmt: skip
+
+
+def _draw_band(axes: Any, key: _Key, x: FloatArray, y: FloatArray) -> None:
+    """Draw the median over the other keys, and what lies between."""
+    levels = np.unique(x)
+    parts = [y[x == level] for level in levels]
+    all_of_it = np.median([len(part) for part in parts]) < 20
+    ends = (0.0, 1.0) if all_of_it else (0.05, 0.95)
+    low, middle, high = np.array([np.quantile(part, [ends[0], 0.5, ends[1]]) for part in parts]).T
+    style: dict[str, Any] = {"color": COLOURS[0], "marker": "o", "markersize": 4.0}
+    median = "median over the others"
+    width = "full range" if all_of_it else "5\N{EN DASH}95 %"
+    if key.categories:
+        bars = np.array([middle - low, high - middle])
+        axes.errorbar(
+            levels, middle, yerr=bars, linestyle="none", capsize=3.0, linewidth=1.0,
+            label=f"{median},\n{width}", **style,
+        )  # fmt: skip
+    else:
+        axes.fill_between(
+            levels, low, high, color=COLOURS[0], alpha=0.2, linewidth=0.0, label=width
+        )
+        axes.plot(levels, middle, label=median, **style)
+
+
+def _draw_scatter(axes: Any, key: _Key, x: FloatArray, y: FloatArray) -> None:
+    levels = np.unique(x)
+    aside = np.random.default_rng(_SEED).uniform(-0.2, 0.2, len(x)) if key.categories else 0.0
+    many = len(x) > 200
+    axes.plot(
+        x + aside, y, color=COLOURS[0], marker="o", linestyle="none", rasterized=many,
+        markersize=float(np.clip(60.0 / math.sqrt(max(len(x), 1)), 1.2, 4.0)),
+        markeredgewidth=0.0, alpha=min(0.8, 11.0 / math.sqrt(len(x))) if many else 0.8,
+    )  # fmt: skip
+    if len(levels) <= _DISCRETE and len(x) >= 5 * len(levels):
+        middle = np.array([np.median(y[x == level]) for level in levels])
+        style = {"linestyle": "none", "marker": "_", "markersize": 14.0, "markeredgewidth": 1.6}
+        axes.plot(levels, middle, color=COLOURS[1], label="median", **style)
+    elif many:
+        parts = np.array_split(np.argsort(x, kind="stable"), min(20, len(x) // 50))
+        middle = np.array([[np.median(x[part]), np.median(y[part])] for part in parts])
+        axes.plot(*middle.T, color=COLOURS[1], label="running median")
+
+
+def _set_legend(axes: Any, columns: int, title: str) -> None:
+    """Set a legend above the panel, where it covers nothing."""
+    legend = axes.legend(
+        frameon=False, loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=columns, title=title,
+        title_fontsize=8.0, columnspacing=1.0, handlelength=1.8, borderaxespad=0.2,
+    )  # fmt: skip
+    legend.get_title().set_multialignment("center")
+
+
+def _set_categories(axes: Any, categories: Sequence[str]) -> None:
+    every = -(-len(categories) // 12)
+    places = range(0, len(categories), every)
+    words = [categories[i] for i in places]
+    axes.set_xticks(list(places), words)
+    axes.set_xlim(-0.6, len(categories) - 0.4)
+    if sum(len(word) + 2 for word in words) > 34:
+        axes.tick_params(axis="x", rotation=35.0)
+        for text in axes.get_xticklabels():
+            text.set_horizontalalignment("right")
+
+
+def _set_decades(axis: Any, values: FloatArray) -> None:
+    """Label more than the decades of a logarithmic axis that has few of them."""
+    finite = values[np.isfinite(values)]
+    decades = math.log10(float(finite.max()) / float(finite.min()))
+    if decades < 2.5:
+        axis.set_major_locator(LogLocator(subs=(1.0, 3.0)))
+        axis.set_major_formatter(FuncFormatter(lambda value, _: _number(value, 6)))
+        axis.set_minor_locator(NullLocator())

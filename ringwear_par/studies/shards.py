@@ -1,0 +1,239 @@
+"""What a sweep has computed, case by case, while it is at work: one SQLite file a team.
+
+A case is done once its row is committed. A process that is killed leaves a file that SQLite mends
+by itself; what a power failure can take is what was committed in the last second.
+"""
+
+import fcntl
+import json
+import sqlite3
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+
+from ringwear_par.arrays import FloatArray
+from ringwear_par.errors import ComputationError, InputError
+from ringwear_par.results.files import ALONG
+
+FOLDER = "shards"
+_SYNC_SECONDS = 1.0
+#: how long to wait for processes of a killed sweep to end
+_BUSY_SECONDS = 5.0
+_COLUMNS = "id, toml, status, error, seconds, imbalance, layout, data"
+
+
+@dataclass(frozen=True)
+class Record:
+    """A case and its history.
+
+    Parameters
+    ----------
+    id : of the case.
+    toml : the case's text.
+    status : "done", "failed" or "incomplete".
+    error : reason of a failure, "" without one.
+    seconds : wall time of the case, assembly excluded.
+    imbalance : worst balance or KKT residual of its steps (0 where it has no history).
+    arrays : variables by name: histories (steps,), fields (steps, elements) or (elements,), ``r``
+        and ``width`` (elements,), ``step`` (steps,).
+    """
+
+    id: str
+    toml: str
+    status: str
+    error: str
+    seconds: float
+    imbalance: float
+    arrays: dict[str, FloatArray]
+
+
+@lru_cache(maxsize=256)
+def _layout(text: str) -> dict[str, tuple[int, ...]]:
+    return {name: tuple(shape) for name, shape in json.loads(text).items()}
+
+
+def _unpacked(layout: str, data: bytes) -> dict[str, FloatArray]:
+    values, arrays, start = np.frombuffer(data), {}, 0
+    for name, shape in _layout(layout).items():
+        size = int(np.prod(shape))
+        arrays[name] = values[start : start + size].reshape(shape)
+        start += size
+    return arrays
+
+
+def _connect(path: Path) -> sqlite3.Connection:
+    connection = sqlite3.connect(path, timeout=_BUSY_SECONDS, isolation_level=None)
+    # one process a file: its index needs no memory shared with others, which not all disks offer
+    connection.execute("PRAGMA locking_mode=EXCLUSIVE")
+    return connection
+
+
+class Shard:
+    """The file that a team writes its cases to; a context manager.
+
+    Parameters
+    ----------
+    path : made if it is not there.
+
+    Raises
+    ------
+    ComputationError : the file cannot be written.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        with self._told():
+            self._connection = _connect(path)
+            self._connection.execute("PRAGMA journal_mode=WAL")
+            self._connection.execute("PRAGMA synchronous=NORMAL")
+            self._connection.execute(
+                "CREATE TABLE IF NOT EXISTS cases (id TEXT PRIMARY KEY, toml TEXT, status TEXT, "
+                "error TEXT, seconds REAL, imbalance REAL, layout TEXT, data BLOB)"
+            )
+        self._synced = time.monotonic()
+
+    @contextmanager
+    def _told(self) -> Iterator[None]:
+        try:
+            yield
+        except sqlite3.Error as error:
+            raise ComputationError(f"{self.path}: cannot be written: {error}") from error
+
+    def add(self, record: Record) -> None:
+        """Store a case for good.
+
+        Raises
+        ------
+        ComputationError : the disk.
+        """
+        layout = json.dumps({name: array.shape for name, array in record.arrays.items()})
+        data = b"".join(
+            np.asarray(array, dtype=float).tobytes() for array in record.arrays.values()
+        )
+        with self._told():
+            self._connection.execute(
+                f"INSERT OR REPLACE INTO cases ({_COLUMNS}) VALUES (?, ?, ?, ?, ?, ?, ?, ?)",
+                (
+                    record.id, record.toml, record.status, record.error, record.seconds,
+                    record.imbalance, layout, data,
+                ),
+            )  # fmt: skip
+            if time.monotonic() - self._synced > _SYNC_SECONDS:
+                self._connection.execute("PRAGMA wal_checkpoint")
+                self._synced = time.monotonic()
+
+    def close(self) -> None:
+        """Bring everything to the disk."""
+        with self._told():
+            self._connection.close()
+
+    def __enter__(self) -> "Shard":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+
+@dataclass(frozen=True)
+class Entry:
+    """What is known of a stored case without reading its history.
+
+    Parameters
+    ----------
+    status : "done", "failed" or "incomplete".
+    rows, elements : stored steps and contact elements.
+    fields : the fields along the contact line that are stored.
+    deep : whether they are stored at every stored step.
+    path : the file that holds it.
+    """
+
+    status: str
+    rows: int
+    elements: int
+    fields: tuple[str, ...]
+    deep: bool
+    path: Path
+
+
+def read_index(path: Path) -> dict[str, Entry] | None:
+    """Return the cases of a shard by id; None if it is damaged. Not collective.
+
+    Raises
+    ------
+    ComputationError : it is in use, or cannot be read.
+    """
+    if path.stat().st_size == 0:
+        return None
+    try:
+        connection = _connect(path)
+        try:
+            if connection.execute("PRAGMA quick_check").fetchone()[0] != "ok":
+                return None
+            if not connection.execute("SELECT 1 FROM sqlite_master WHERE name='cases'").fetchone():
+                return {}  # killed before its first case
+            rows = connection.execute("SELECT id, status, layout FROM cases").fetchall()
+        finally:
+            connection.close()
+    except sqlite3.OperationalError as error:
+        raise ComputationError(f"{path}: cannot be read: {error}") from error
+    except sqlite3.DatabaseError:
+        return None
+    return {identity: _entry(status, layout, path) for identity, status, layout in rows}
+
+
+def _entry(status: str, layout: str, path: Path) -> Entry:
+    shapes = _layout(layout)
+    fields = tuple(name for name in ALONG if name in shapes)
+    deep = any(len(shapes[name]) == 2 for name in fields)
+    return Entry(status, shapes.get("time", (0,))[0], shapes.get("r", (0,))[0], fields, deep, path)
+
+
+def read_records(path: Path, ids: Sequence[str]) -> Iterator[Record]:
+    """Yield some cases of a shard. Not collective."""
+    connection = _connect(path)
+    try:
+        for identity in ids:
+            row = connection.execute(
+                f"SELECT {_COLUMNS} FROM cases WHERE id = ?", (identity,)
+            ).fetchone()
+            identity, toml, status, error, seconds, imbalance, layout, data = row
+            arrays = _unpacked(layout, data)
+            yield Record(identity, toml, status, error, seconds, imbalance, arrays)
+    finally:
+        connection.close()
+
+
+@contextmanager
+def locked(folder: Path, part: str) -> Iterator[None]:
+    """Hold a sweep's folder, or one slice of it, for this process. Call on one rank.
+
+    Parameters
+    ----------
+    folder : of the sweep.
+    part : name of the slice, "" for the whole, which excludes every slice.
+
+    Raises
+    ------
+    InputError : another sweep is at work there.
+    """
+    with (folder / "lock").open("a") as whole, (folder / f"lock{part}").open("a") as own:
+        _lock(whole, fcntl.LOCK_SH if part else fcntl.LOCK_EX, folder)
+        if part:
+            _lock(own, fcntl.LOCK_EX, folder)
+        yield
+
+
+def _lock(file: object, kind: int, folder: Path) -> None:
+    try:
+        fcntl.flock(file.fileno(), kind | fcntl.LOCK_NB)  # type: ignore[attr-defined]
+    except BlockingIOError:
+        raise InputError(
+            f"{folder}: another sweep is at work in this folder; wait for its end, or use another"
+        ) from None
+    except OSError as error:
+        raise InputError(f"{folder}: its disk cannot lock files: {error.strerror}") from error

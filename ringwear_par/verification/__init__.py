@@ -1,0 +1,1 @@
+"""Exact solutions, and what is computed beside them."""

@@ -1,0 +1,80 @@
+"""Exact and converged solutions, for tests and ``ringwear verify``. Units: mm, N, MPa, s."""
+
+import math
+
+import numpy as np
+
+from ringwear_par.arrays import FloatArray
+
+#: rigid flat annulus a/b on a half-space: F / (2 E* b delta), and p(mid) / p(mean)
+ANNULUS = {
+    0.25: (0.99783289, 0.60987),
+    0.5: (0.98101790, 0.62600),
+    0.75: (0.92126984, 0.63400),
+    0.9: (0.82102978, 0.63615),
+}
+#: exponent of the pressure at a frictionless 90-degree corner on a half-plane, nu = 0.3, by E2/E1
+EDGE_EXPONENT = {
+    1.0: -0.2260, 2.0: -0.3103, 5.0: -0.4005, 10.0: -0.4443, 100.0: -0.4937, math.inf: -0.5,
+}  # fmt: skip
+#: decay exp(-L kappa omega E* t) to the steady state, rigid annulus a/b = 0.5, two lowest L
+DECAY_FORCE = (2.749, 4.963)
+DECAY_APPROACH = (0.5747, 2.853)
+#: explicit limit on uniform constant elements: wear per step < this x h p / E*
+EXPLICIT_LIMIT = 1.485
+#: paper's rings, unworn, 50 MPa mean pressure (28274.334 N), top clamped, mu = 0.1: an independent
+#: finite element solution; pressures by radius
+PAPER_APPROACH = 0.0365486
+PAPER_TORQUE = 84908.2
+PAPER_PRESSURE = {30.0: 34.392, 28.6: 85.388, 31.4: 84.186}
+
+
+def contact_modulus(*bodies: tuple[float, float]) -> float:
+    """Return E* (MPa) of bodies given as (E, nu): 1/E* = Sum (1 - nu^2)/E."""
+    return 1.0 / sum((1.0 - nu * nu) / young for young, nu in bodies)
+
+
+def lame_displacement(
+    r: FloatArray, a: float, b: float, inner: float, outer: float, young: float, nu: float
+) -> FloatArray:
+    """Return u_r (mm) of a ring a < r < b in plane strain under inner and outer pressure (MPa)."""
+    big_a = (inner * a * a - outer * b * b) / (b * b - a * a)
+    big_b = (inner - outer) * a * a * b * b / (b * b - a * a)
+    return (1.0 + nu) / young * ((1.0 - 2.0 * nu) * big_a * r + big_b / r)
+
+
+def polar_moment(a: float, b: float) -> float:
+    """Return J (mm^4) of a ring a < r < b."""
+    return 0.5 * math.pi * (b**4 - a**4)
+
+
+def flat_cylinder_force(modulus: float, a: float, approach: float) -> float:
+    """Return the force (N) of a rigid flat cylinder of radius a on a half-space."""
+    return 2.0 * modulus * a * approach
+
+
+def flat_cylinder_pressure(a: float, r: FloatArray) -> FloatArray:
+    """Return the mean of p over the rings between radii r (mm), relative to F / (pi a^2)."""
+    return -np.diff(np.sqrt(1.0 - (r / a) ** 2)) * a * a / np.diff(r**2)
+
+
+def hertz(modulus: float, radius: float, approach: float) -> tuple[float, float, float]:
+    """Return force (N), contact radius (mm) and largest pressure (MPa) of a rigid sphere."""
+    force = 4.0 / 3.0 * modulus * math.sqrt(radius) * approach**1.5
+    a = math.sqrt(radius * approach)
+    return force, a, 1.5 * force / (math.pi * a * a)
+
+
+def cone_force(modulus: float, slope: float, approach: float) -> float:
+    """Return the force (N) of a rigid cone whose flank has that slope (tangent) to the plane."""
+    return 2.0 * modulus * approach**2 / (math.pi * slope)
+
+
+def reissner_sagoci_torque(shear: float, a: float, angle: float) -> float:
+    """Return the torque (N mm) that turns a disc of radius a on a half-space by an angle (rad)."""
+    return 16.0 / 3.0 * shear * a**3 * angle
+
+
+def steady_constant(force: float, p0: float, a: float, b: float) -> float:
+    """Return c (N/mm) of the steady pressure p0 + c/r at constant force in full contact."""
+    return (force - math.pi * p0 * (b * b - a * a)) / (2.0 * math.pi * (b - a))

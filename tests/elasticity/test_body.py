@@ -1,0 +1,182 @@
+"""Bodies: exact fields, orders of convergence, symmetry, the factorisations, the ranks."""
+
+import os
+
+import numpy as np
+import pytest
+from petsc4py import PETSc
+
+from ringwear_par.elasticity.body import boundary_response, compliance, in_case_frame
+from ringwear_par.elasticity.mesh import Mesh, contact_line
+from ringwear_par.elasticity.sections import Section
+from ringwear_par.elasticity.solve import has_scalapack
+from ringwear_par.verification import checks as verify
+
+LOWER = Section((20.0, 40.0), 20.0)
+UPPER = Section((28.5, 31.5), 20.0)
+CONTACT = (28.5, 31.5)
+
+
+def condensed(section, mesh, comm, grip="clamped"):
+    return compliance(section, contact_line(CONTACT, mesh), 0.3, grip, mesh, comm)
+
+
+def test_rigid_modes_close():
+    assert verify.closure_error() < 1e-12
+
+
+def test_linear_fields_are_exact_but_for_quadrature(comm):
+    assert verify.bar_error(16, comm) < 1e-6
+    assert verify.lame_error(64, comm) < 1e-6
+
+
+def test_torsion_converges_with_order_two(comm):
+    coarse, fine = (verify.torsion_error(n, comm) for n in (16, 32))
+    assert np.log2(coarse / fine) > 1.8
+
+
+@pytest.mark.parametrize("section", [LOWER, UPPER])
+def test_defects_vanish_with_the_mesh(section, comm):
+    symmetry, force, torque = [], [], []
+    for n in (16, 32, 64):
+        body = condensed(section, Mesh(n), comm)
+        line = contact_line(CONTACT, Mesh(n))
+        weighted = line.area[:, None] * body.normal
+        symmetry.append(np.abs(weighted - weighted.T).max() / np.abs(weighted).max())
+        force.append(np.abs(body.force_reaction / line.area - 1).max())
+        torque.append(np.abs(body.torque_reaction / (line.area * line.arm) - 1).max())
+    for defects in (symmetry, force, torque):
+        assert defects[0] > 1.8 * defects[1] > 1.8**2 * defects[2]
+    assert max(symmetry[2], force[2], torque[2]) < 1e-3
+
+
+def test_alternating_pressure_has_compliance(comm):
+    """No checkerboard mode: the smallest eigenvalue falls like 1/n, as it does for exact C."""
+    smallest = []
+    for n in (32, 64):
+        mesh = Mesh(n, grading=1.0)
+        body = condensed(LOWER, mesh, comm)
+        sign = (-1.0) ** np.arange(n)
+        smallest.append((sign @ body.normal @ sign) / n)
+        spectrum = np.linalg.eigvals(body.normal).real
+        assert spectrum.min() > 0.9 * 0.7424 * 0.91 * 3.0 / n  # 0.7424 h/E* on a half-plane
+    assert smallest[0] / smallest[1] == pytest.approx(2.0, rel=0.05)
+
+
+def test_clamped_is_stiffer_than_platen(comm):
+    clamped, platen = (condensed(UPPER, Mesh(32), comm, grip) for grip in ("clamped", "platen"))
+    mean = [float(body.normal.mean()) for body in (clamped, platen)]
+    assert mean[0] < mean[1] < 1.05 * mean[0]
+
+
+def test_same_compliance_on_any_number_of_ranks(comm):
+    from mpi4py import MPI
+
+    body = condensed(LOWER, Mesh(32), comm)
+    alone = condensed(LOWER, Mesh(32), MPI.COMM_SELF)
+    for name in ("normal", "torsion", "force_reaction", "torque_reaction"):
+        a, b = getattr(body, name), getattr(alone, name)
+        assert np.abs(a - b).max() <= 1e-11 * np.abs(b).max()
+    again = condensed(LOWER, Mesh(32), comm)
+    assert np.array_equal(again.normal, body.normal)
+    assert np.array_equal(again.torsion, body.torsion)
+
+
+@pytest.mark.mpi(min_size=2)
+def test_redundant_and_distributed_factorisations_agree(comm):
+    if not has_scalapack():
+        pytest.skip("this PETSc has no ScaLAPACK")
+    options = PETSc.Options()
+    distributed = condensed(LOWER, Mesh(32), comm)
+    options["bem_pc_type"] = "redundant"
+    try:
+        redundant = condensed(LOWER, Mesh(32), comm)
+    finally:
+        del options["bem_pc_type"]
+    for name in ("normal", "torsion", "force_reaction", "torque_reaction"):
+        a, b = getattr(redundant, name), getattr(distributed, name)
+        assert np.abs(a - b).max() <= 1e-10 * np.abs(b).max()
+
+
+def test_no_rank_holds_a_whole_matrix(comm):
+    from ringwear_par.elasticity.assembly import assemble, number_dofs
+    from ringwear_par.elasticity.body import ring_conditions
+    from ringwear_par.elasticity.mesh import boundary_mesh
+    from ringwear_par.elasticity.quadrature import quadrature
+
+    body = boundary_mesh(LOWER, contact_line(CONTACT, Mesh(16)), Mesh(16))
+    conditions = ring_conditions(body, "clamped")
+    rows = assemble(body, conditions, number_dofs(body, conditions), 0.3, quadrature(1e-6), comm)
+    for system in (rows.normal, rows.torsion):
+        local, n = system.matrix.shape
+        assert comm.allreduce(local) == n
+        assert abs(local - n / comm.size) <= 0.1 * n
+        assert system.start == sum(comm.allgather(local)[: comm.rank])
+
+
+def resident_megabytes():
+    with open("/proc/self/statm") as file:
+        return int(file.read().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 1e6
+
+
+def test_memory_stays_flat(comm):
+    """Over 100 solves and contact solvers; a TAO that is not freed is 160 to 280 kB."""
+    from ringwear_par.contact.solver import ContactSolver
+
+    def once():
+        body = condensed(LOWER, Mesh(32), comm)
+        line = contact_line(CONTACT, Mesh(32))
+        weighted = line.area[:, None] * body.normal
+        with ContactSolver(0.5 * (weighted + weighted.T), line.area, comm) as solver:
+            solver.solve(np.zeros(32), force=1.0)
+
+    for _ in range(20):
+        once()
+    before = resident_megabytes()
+    for _ in range(100):
+        once()
+    assert resident_megabytes() - before < 4.0
+
+
+@pytest.mark.parametrize("section", [LOWER, UPPER])
+def test_the_whole_boundary_in_both_frames(section, comm):
+    mesh = Mesh(24)
+    line = contact_line(CONTACT, mesh)
+    response = boundary_response(section, line, 0.3, "clamped", mesh, comm)
+    body = response.body
+    condensed_body = condensed(section, mesh, comm)
+    middle = body.elements[body.contact, 1]
+    assert np.array_equal(-response.displacement[middle, 1], condensed_body.normal)
+    assert np.array_equal(response.displacement[middle, 2], condensed_body.torsion)
+    assert not response.displacement[body.elements[body.held].ravel()].any()
+    assert np.array_equal(response.traction[body.contact, 1], -np.eye(24))
+    assert np.array_equal(response.traction[body.contact, 2], np.eye(24))
+    free = np.setdiff1d(np.arange(len(body.elements)), [*body.contact, *body.held])
+    assert not response.traction[free].any()
+    # equilibrium along z and about the axis, by area and moment of every element
+    first, last = body.nodes[body.elements[:, 0]], body.nodes[body.elements[:, 2]]
+    length = np.hypot(*(last - first).T)
+    area = np.pi * (first[:, 0] + last[:, 0]) * length
+    assert np.abs(area @ response.traction[:, 1] / line.area).max() < 5e-3
+    lower = in_case_frame(response, "lower", 20.0)
+    upper = in_case_frame(response, "upper", 20.0)
+    assert np.array_equal(lower.displacement, response.displacement)
+    assert np.array_equal(lower.body.nodes[:, 1] + upper.body.nodes[:, 1], np.full(
+        len(body.nodes), 40.0))  # fmt: skip
+    assert np.array_equal(upper.displacement[:, 0], response.displacement[:, 0])
+    assert np.array_equal(upper.displacement[:, 1], -response.displacement[:, 1])
+    assert np.array_equal(upper.traction[upper.body.contact, 1], np.eye(24))  # pushed up
+    assert np.array_equal(upper.traction[upper.body.contact, 2], -np.eye(24))  # held back
+    for shown in (lower.body, upper.body):  # outward normals to the right: of the contact, up, down
+        along = np.diff(shown.nodes[shown.elements[shown.contact]][:, [0, 2], 0], axis=1)
+        assert (along < 0).all() == (shown is lower.body)
+
+
+def test_pressure_on_a_slope_keeps_its_force(comm):
+    face = ((28.5, -0.3), (30.0, 0.0), (31.5, -0.5))
+    section = Section((28.5, 31.5), 20.0, face)
+    mesh = Mesh(48)
+    line = contact_line(CONTACT, mesh, section)
+    body = compliance(section, line, 0.3, "clamped", mesh, comm)
+    assert body.force_reaction == pytest.approx(line.area, rel=1e-3)
+    assert body.torque_reaction == pytest.approx(line.area * line.arm, rel=1e-3)

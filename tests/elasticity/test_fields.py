@@ -1,0 +1,237 @@
+"""Fields on whole boundaries: equilibrium, bodies that meet, exact fields, what is stored when."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import xarray
+from stored import contents
+
+from ringwear_par.cases.case import read_case
+from ringwear_par.contact.solver import ContactState
+from ringwear_par.elasticity.pair import assemble_operator, join
+from ringwear_par.elasticity.recovery import FACES, WholeBoundary
+from ringwear_par.elasticity.updated import UpdatedGeometry
+from ringwear_par.errors import ComputationError
+from ringwear_par.results.files import read_checkpoint, read_result
+from ringwear_par.results.run import run_case
+
+CASES = Path(__file__).parents[2] / "scripts" / "cases"
+FIELDS = CASES / "fields.toml"
+SMALL = ["mesh.contact_elements=16", "time.steps=20", "output.boundary=all"]
+#: elements that follow the wear often
+MOVING = ["mesh.geometry=updated", "mesh.geometry_tolerance=0.001", "wear.lower.k=1e-6"]
+
+
+def contact_of(fields):
+    """Elements of the contact line by increasing radius, and their middle nodes."""
+    elements = np.flatnonzero(fields.face == FACES.index("contact"))
+    middle = fields.elements[elements, 1]
+    order = np.argsort(fields.nodes[middle, 0])
+    return elements[order], middle[order]
+
+
+def weights(fields):
+    """Area and moment of every element about the axis, mm^2 and mm^3."""
+    a, b = (fields.nodes[fields.elements[:, i]] for i in (0, 2))
+    length = np.hypot(*(b - a).T)
+    ra, rb = a[:, 0], b[:, 0]
+    return np.pi * (ra + rb) * length, 2 * np.pi / 3 * length * (ra**2 + ra * rb + rb**2)
+
+
+@pytest.mark.parametrize(
+    ("case", "overrides"),
+    [
+        ("fields.toml", []),
+        ("chamfer.toml", ["output.boundary=all", "time.steps=4", "output.every=2"]),
+        ("fields.toml", ["wear.upper={law='threshold', k=1e-8}", "upper.grip=platen"]),
+        ("fields.toml", MOVING),
+    ],
+)
+def test_equilibrium_and_bodies_that_meet(case, overrides, shared_path, comm):
+    path = shared_path / "run.h5"
+    run_case(CASES / case, path, overrides, False, None, comm)
+    problem = read_case(CASES / case, overrides)
+    result = read_result(path)
+    shape = read_checkpoint(path)[1].state.shape
+    if shape is None:
+        operator, _ = assemble_operator(problem, comm)
+    else:
+        assert shape.max() > 0.005
+        operator, _ = UpdatedGeometry(problem, comm).update(shape)
+    if comm.rank > 0:
+        return
+    line, pair = problem.line, join(problem, operator)
+    normal = operator.normal[0] / problem.lower.young + operator.normal[1] / problem.upper.young
+    assert [b.time for b in result.boundary] == result.scalars["time"].tolist()
+    for row, state in enumerate(result.boundary):
+        force, torque = result.scalars["force"][row], result.scalars["torque"][row]
+        for sign, body in zip((1, -1), state.bodies, strict=True):
+            area, moment = weights(body)
+            held = body.face == FACES.index("held")
+            assert abs(area @ body.traction[:, 1]) < 1e-4 * force
+            assert abs(moment @ body.traction[:, 2]) < 1e-4 * torque
+            assert (area * body.traction[:, 1])[held].sum() == pytest.approx(sign * force, rel=1e-4)
+            assert (moment * body.traction[:, 2])[held].sum() == pytest.approx(
+                -sign * torque, rel=1e-4
+            )
+            assert not body.traction[np.isin(body.face, (0, 3, 4))].any()
+            assert not body.displacement[body.elements[held], 2].any()
+        p = result.fields["pressure"][row]
+        height = []
+        for body in state.bodies:
+            elements, middle = contact_of(body)
+            assert np.array_equal(body.pressure[elements], p)
+            assert body.nodes[middle, 0] == pytest.approx(line.r, rel=1e-14)
+            height.append(body.nodes[middle, 1] + body.displacement[middle, 1])
+        gap = height[1] - height[0]
+        if shape is not None and row < len(result.boundary) - 1:
+            continue  # with other elements
+        # what the symmetric part of the compliance leaves out is all that is between
+        left_out = normal @ p - pair.stiffness @ p / line.area
+        assert np.abs(gap - result.fields["gap"][row] - left_out).max() < 1e-12
+        assert np.abs(gap[p > 0]).max() < 1e-3 * result.scalars["approach"][row]
+        assert (result.fields["gap"][row][p > 0] < 1e-9).all()
+
+
+def test_bars_shorten_as_they_should(comm):
+    """Equal tubes without Poisson's effect under uniform pressure: u_z is linear, exactly."""
+    tube = [f"{ring}.{key}" for ring in ("lower", "upper")
+            for key in ("r=[20.0,40.0]", "young=1e4", "poisson=0")]  # fmt: skip
+    case = read_case(CASES / "paper.toml", [*SMALL, *tube])
+    strain = 80.0 / 1e4
+    p, area = np.full(16, 80.0), float(case.line.area.sum())
+    contact = ContactState(p, 0.0 * p, 40.0 * strain, 80.0 * area, 0, 0.0)
+    lower, upper = WholeBoundary(case, comm).fields(contact, np.zeros((2, 16)))
+    for body in (lower, upper):
+        # the held top comes down by the approach: both are one bar, held at z = 0
+        expected = -strain * body.nodes[:, 1]
+        assert body.displacement[:, 1] == pytest.approx(expected, abs=1e-6 * 40 * strain)
+        assert np.abs(body.displacement[:, 0]).max() < 1e-6 * strain * 40
+    assert lower.traction[lower.face == 2, 1] == pytest.approx(80.0, rel=1e-4)
+    assert upper.traction[upper.face == 2, 1] == pytest.approx(-80.0, rel=1e-4)
+    # lower is dragged along by the upper body's rotation, upper held back
+    assert lower.traction[lower.face == 1] == pytest.approx(np.tile([0, -80.0, 8.0], (16, 1)))
+    assert upper.traction[upper.face == 1] == pytest.approx(np.tile([0, 80.0, -8.0], (16, 1)))
+    assert (lower.displacement[contact_of(lower)[1], 2] > 0).all()
+    assert (upper.displacement[contact_of(upper)[1], 2] < 0).all()
+
+
+def test_responses_follow_the_shape(comm):
+    case = read_case(FIELDS, ["mesh.contact_elements=16"])
+    p = np.full(16, 80.0)
+    contact = ContactState(p, 0.0 * p, 0.1, 80.0 * float(case.line.area.sum()), 0, 0.0)
+    whole, worn = WholeBoundary(case, comm), np.zeros((2, 16))
+    unworn = whole.fields(contact, worn, worn)[0]
+    worn[0] = 0.5
+    moved = whole.fields(contact, worn, worn)[0]
+    again = whole.fields(contact, 0.0 * worn, 0.0 * worn)[0]
+    fixed = whole.fields(contact, worn)[0]
+    assert np.array_equal(unworn.displacement, again.displacement)
+    assert np.abs(moved.displacement - unworn.displacement).max() > 1e-4
+    # elements that stay: only what is shown has moved
+    assert np.array_equal(fixed.nodes, moved.nodes)
+    assert fixed.displacement == pytest.approx(unworn.displacement, abs=1e-12)
+
+
+def test_opens_in_xarray(shared_path, comm):
+    path = shared_path / "run.h5"
+    run_case(FIELDS, path, ["mesh.contact_elements=16"], False, None, comm)
+    if comm.rank > 0:
+        return
+    for body in ("lower", "upper"):
+        with xarray.open_dataset(path, group=f"boundary/{body}", engine="h5netcdf") as data:
+            sizes = dict(data.sizes)
+            assert sizes["time"] == 5
+            assert sizes["corner"] == 3
+            assert sizes["node"] == 2 * sizes["element"]  # closed contours
+            assert list(data.time.values) == [0.0, 10.0, 50.0, 100.0, 200.0]
+            for name in ("r", "z", "displacement_r", "displacement_z", "displacement_theta"):
+                assert data[name].dims == ("time", "node")
+            for name in ("traction_r", "traction_z", "traction_theta", "pressure", "wear"):
+                assert data[name].dims == ("time", "element")
+            assert data.nodes.dims == ("element", "corner")
+            assert all(v.attrs["units"] and v.attrs["long_name"] for v in data.variables.values())
+            assert float(data.wear.max()) > 0 or body == "upper"
+    with xarray.open_dataset(path, engine="h5netcdf") as data:
+        assert dict(data.sizes) == {"step": 5, "element": 16}
+
+
+@pytest.mark.parametrize(
+    ("overrides", "times"),
+    [
+        (["output.boundary=last"], [20]),
+        (["output.boundary=[0, 7, 7.5, 19]", "output.every=6"], [0, 12, 20]),
+        (["output.boundary=[3.0]"], [3]),
+        (["output.boundary=all", "output.every=8"], [0, 8, 16, 20]),
+        (["output.boundary=none"], []),
+        (["time={scheme='adaptive', end=20, tolerance=1e-5}", "output.times=[5, 9]",
+          "output.boundary=[4, 10]"], [5, 20]),
+    ],
+)  # fmt: skip
+def test_which_states_are_stored(overrides, times, shared_path, comm):
+    path = shared_path / "run.h5"
+    case = CASES / ("fields.toml" if "adaptive" in overrides[0] else "paper.toml")
+    if case.name == "fields.toml":
+        overrides = ["time.end=20", *overrides[1:]]
+    run_case(case, path, [*SMALL[:1], *(SMALL[1:2] if case.name == "paper.toml" else []),
+                          *overrides], False, None, comm)  # fmt: skip
+    if comm.rank == 0:
+        assert [state.time for state in read_result(path).boundary] == times
+
+
+@pytest.mark.parametrize("stop", [2, 5])
+@pytest.mark.parametrize(
+    "overrides",
+    [
+        ["output.boundary=all"],
+        ["output.boundary=last"],
+        ["output.boundary=[40, 110]"],
+        ["output.times=[10, 50, 100]"],
+        ["output.boundary=[1, 10, 20, 30, 40, 50]", "output.every=3"],
+        ["output.boundary=all", *MOVING],
+    ],
+)
+def test_restart_equals_an_uninterrupted_run(shared_path, comm, stopped_after, overrides, stop):
+    whole, parts = shared_path / "whole.h5", shared_path / "parts.h5"
+    case = shared_path / "case.toml"
+    if comm.rank == 0:
+        text = FIELDS.read_text()
+        case.write_text(text if "times" in overrides[0] else text.replace("times =", "# times ="))
+    comm.Barrier()
+    overrides = ["mesh.contact_elements=16", *overrides]
+    run_case(case, whole, overrides, False, None, comm)
+    with stopped_after(stop), pytest.raises(ComputationError, match="SIGTERM"):
+        run_case(case, parts, overrides, False, None, comm)
+    run_case(case, parts, overrides, True, None, comm)
+    if comm.rank == 0:
+        one, two = contents(whole), contents(parts)
+        assert one.keys() == two.keys()
+        assert "boundary/upper/displacement_z" in one
+        for name, value in one.items():
+            assert np.array_equal(value, two[name]), name
+
+
+def test_a_longer_history_has_another_last_state(shared_path, comm):
+    path = shared_path / "run.h5"
+    words = ["mesh.contact_elements=16", "output.boundary=last", "output.every=6"]
+    run_case(CASES / "paper.toml", path, [*words, "time.steps=8"], False, None, comm)
+    run_case(CASES / "paper.toml", path, [*words, "time.steps=10"], True, None, comm)
+    if comm.rank == 0:
+        assert [state.step for state in read_result(path).boundary] == [10]
+
+
+def test_the_same_on_any_number_of_ranks(shared_path, comm):
+    from mpi4py import MPI
+
+    path = shared_path / "run.h5"
+    run_case(FIELDS, path, ["mesh.contact_elements=16"], False, None, comm)
+    if comm.rank > 0:
+        return
+    alone = shared_path / "alone.h5"
+    run_case(FIELDS, alone, ["mesh.contact_elements=16"], False, None, MPI.COMM_SELF)
+    for one, other in zip(read_result(path).boundary, read_result(alone).boundary, strict=True):
+        for a, b in zip(one.bodies, other.bodies, strict=True):
+            for name in ("displacement", "traction", "nodes"):
+                x, y = getattr(a, name), getattr(b, name)
+                assert np.abs(x - y).max() <= 1e-9 * np.abs(y).max()

@@ -1,0 +1,201 @@
+"""Chamfers, profiles and partial overlap: pressures, symmetry, contact that spreads with wear."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ringwear_par.cases.case import Stepping, parse_case, read_case
+from ringwear_par.contact.solver import ContactSolver
+from ringwear_par.elasticity.body import compliance
+from ringwear_par.elasticity.mesh import Mesh, contact_line
+from ringwear_par.elasticity.pair import contact_pair
+from ringwear_par.elasticity.sections import Section
+from ringwear_par.errors import InputError
+from ringwear_par.history.model import WearHistory, run
+from ringwear_par.verification.checks import paper_case
+from ringwear_par.verification.reference import contact_modulus
+
+CASES = Path(__file__).parents[2] / "scripts" / "cases"
+CHAMFERED = ((28.5, -0.1), (28.6, 0.0), (31.4, 0.0), (31.5, -0.1))
+
+
+def states_of(case, comm):
+    pair, _ = contact_pair(case, comm)
+    states = []
+    with ContactSolver(pair.stiffness, pair.line.area, comm) as solver:
+        history = WearHistory(case, pair, solver)
+        states.append(history.start())
+        run(history, states[0], lambda state: states.append(state))
+    return pair, states
+
+
+def with_faces(case, lower=(), upper=()):
+    return replace(
+        case, lower=replace(case.lower, face=lower), upper=replace(case.upper, face=upper)
+    )
+
+
+def test_symmetry_and_equilibrium_of_a_chamfered_ring_converge(comm):
+    section = Section((28.5, 31.5), 20.0, CHAMFERED)
+    symmetry, force, torque = [], [], []
+    for n in (32, 64, 128):
+        mesh = Mesh(n)
+        line = contact_line(section.r, mesh, section)
+        body = compliance(section, line, 0.3, "clamped", mesh, comm)
+        weighted = line.area[:, None] * body.normal
+        symmetry.append(np.abs(weighted - weighted.T).max() / np.abs(weighted).max())
+        force.append(np.abs(body.force_reaction / line.area - 1).max())
+        torque.append(np.abs(body.torque_reaction / (line.area * line.arm) - 1).max())
+    for defects in (symmetry, force, torque):
+        assert defects[0] > 1.6 * defects[1] > 1.6**2 * defects[2]
+    assert max(symmetry[2], force[2], torque[2]) < 1e-3
+
+
+def test_faces_that_are_flat_change_nothing(comm):
+    case = paper_case(Mesh(32), pressure=50.0)
+    plain, _ = contact_pair(case, comm)
+    straight = with_faces(case, ((20.0, 0.0), (30.0, 0.0), (40.0, 0.0)), ((28.5, 0.0), (31.5, 0.0)))
+    same, _ = contact_pair(straight, comm)
+    assert np.array_equal(same.stiffness, plain.stiffness)
+    assert np.array_equal(same.line.edges, plain.line.edges)
+
+
+def test_pressure_is_continuous_in_a_vanishing_chamfer(comm):
+    """On the flat part, and the force of given approach is within what the chamfer takes off."""
+    case = paper_case(Mesh(96), pressure=50.0)
+    case = replace(case, time=Stepping("implicit", 1.0, 1))
+    approach = []
+    for c in (0.0, 0.01, 0.05, 0.2):
+        face = ((28.5, -c), (28.5 + c, 0.0), (31.5 - c, 0.0), (31.5, -c)) if c else ()
+        _, states = states_of(with_faces(case, upper=face), comm)
+        approach.append(states[0].contact.approach)
+    softening = np.diff(approach)
+    assert (softening > 0).all()
+    assert softening[0] < 0.02 * approach[0]
+
+
+def test_a_shift_of_both_faces_changes_little(comm):
+    """Shallow parallel slopes: the gap is closed along z, the slope counts to second order."""
+    case = paper_case(Mesh(32), pressure=50.0)
+    flat, _ = states_of(replace(case, time=Stepping("implicit", 1.0, 1)), comm)
+    slope = 0.01
+    tilted = with_faces(
+        case,
+        ((20.0, -slope * 20.0), (40.0, 0.0)),
+        ((28.5, 0.0), (31.5, -slope * 3.0)),
+    )
+    assert np.ptp(tilted.initial_gap) < 1e-12
+    pair, _ = contact_pair(tilted, comm)
+    change = np.abs(pair.stiffness - flat.stiffness).max() / np.abs(flat.stiffness).max()
+    assert 1e-4 < change < 0.03
+
+
+def test_chamfers_come_into_contact_as_wear_proceeds(comm):
+    case = read_case(CASES / "chamfer.toml", ["wear.lower.p0=0", "time.steps=100"])
+    pair, states = states_of(case, comm)
+    reach = [pair.line.edges[:-1][s.contact.pressure > 0].min() for s in states]
+    assert reach[0] > 28.6 - 1e-3  # nearly the flat part alone, but for its deformation
+    assert reach[-1] < 28.6 - 5e-3
+    assert (np.diff(reach) <= 0).all()
+    worst = states[-1].balances
+    assert worst.force <= 1e-10
+    assert worst.volume <= 1e-12
+    assert 0 < worst.energy <= 1e-10
+    assert max(worst.torque, worst.reaction) <= 1e-4
+    gap = states[-1].contact.gap
+    assert gap.min() > -1e-9
+    assert np.abs(gap[states[-1].contact.pressure > 0]).max() < 1e-9
+
+
+def test_partly_overlapping_rings(comm):
+    case = read_case(CASES / "overlap.toml")
+    assert case.contact == (38.0, 40.0)
+    assert case.open_ends == (False, False)
+    pair, states = states_of(case, comm)
+    assert pair.symmetry_defect < 1e-3
+    # the inner edge digs in, the free end of the lower ring lifts off
+    assert (states[0].contact.pressure > 0).tolist() == [True] * 62 + [False] * 2
+    last = states[-1]
+    assert last.balances.worst <= 1e-9
+    assert max(last.balances.torque, last.balances.reaction) <= 1e-4
+
+
+def test_a_sphere_wears_where_it_slides(comm):
+    case = read_case(CASES / "sphere.toml", ["mesh.contact_elements=48", "time.steps=20"])
+    assert case.open_ends == (False, True)
+    modulus = 0.5 * 210e3 / (1 - 0.09)
+    hertz = (0.75 * 200.0 * 20.0 / modulus) ** (1 / 3)
+    pair, states = states_of(case, comm)
+    touching = pair.line.edges[1:][states[0].contact.pressure > 0].max()
+    assert touching == pytest.approx(hertz, abs=pair.line.width.max())
+    wear = states[-1].wear[1]
+    inside = states[-1].contact.pressure > 0
+    assert pair.line.edges[1:][inside].max() > touching
+    assert wear[0] < wear.max()
+    assert not wear[~inside].any()
+    assert states[-1].balances.worst <= 1e-9
+
+
+def test_clearance_is_closed_before_there_is_pressure(comm):
+    case = paper_case(Mesh(32), pressure=50.0)
+    _, touching = states_of(replace(case, time=Stepping("implicit", 1.0, 2)), comm)
+    apart = replace(
+        case,
+        upper=replace(case.upper, z=(20.05, 40.05)),
+        time=Stepping("implicit", 1.0, 2),
+    )
+    _, states = states_of(apart, comm)
+    for one, other in zip(states, touching, strict=True):
+        assert one.contact.approach == pytest.approx(other.contact.approach + 0.05, rel=1e-10)
+        assert one.contact.pressure == pytest.approx(other.contact.pressure, rel=1e-8)
+
+
+def test_bodies_too_coarse_for_their_corners_are_refused():
+    case = with_faces(paper_case(Mesh(8)), upper=CHAMFERED)
+    with pytest.raises(InputError, match="at least 12"):
+        _ = case.line
+
+
+def test_a_contact_line_that_misses_the_contact_is_refused():
+    """A bump that mesh.contact leaves out would touch first."""
+    bumps = [[28.5, 20.3], [29, 20.0], [29.5, 20.3], [30, 20.3], [30.8, 20.05], [31.5, 20.4]]
+    text = (Path(__file__).parents[2] / "scripts/cases/paper.toml").read_text()
+    with pytest.raises(InputError, match=r"mesh.contact = \[30.1, 31.4\].*nearer.*outside, 0 mm"):
+        parse_case(text, "case.toml", {"upper.profile": bumps, "mesh.contact": [30.1, 31.4]})
+    parse_case(text, "case.toml", {"upper.profile": bumps, "mesh.contact": [28.6, 31.4]})
+
+
+def sampled(f, r):
+    z = f(r) - f(r).max()
+    return Section((r[0], r[-1]), 50.0, tuple(zip(r.tolist(), z.tolist(), strict=True)))
+
+
+def test_dense_samples_of_a_smooth_face_are_splined_and_kinks_stay():
+    r, x = np.linspace(0.0, 3.0, 31), np.linspace(0.0, 3.0, 1001)
+    ball = sampled(lambda r: np.sqrt(400.0 - r * r), r)
+    exact = np.sqrt(400.0 - x * x) - 20.0
+    assert np.abs(ball.depth(x) - exact).max() < 1e-8
+    assert np.abs(np.interp(x, *ball.points.T) - exact).max() > 5e-5
+    roof = sampled(lambda r: -0.02 * np.abs(r - 1.5), r)
+    assert np.array_equal(roof.depth(x), np.interp(x, *roof.points.T))
+    few = sampled(lambda r: np.sqrt(400.0 - r * r), np.linspace(0.0, 3.0, 6))
+    assert np.array_equal(few.depth(x), np.interp(x, *few.points.T))
+    half = sampled(lambda r: -0.05 * np.maximum(r - 1.5, 0.0) ** 2, r)  # flat, then a parabola
+    assert np.abs(half.depth(x) + 0.05 * np.maximum(x - 1.5, 0.0) ** 2).max() < 1e-5
+    assert (half.depth(x[x < 1.4]) == 0.0).all()
+
+
+def test_the_sphere_of_the_case_file_is_that_of_hertz(comm):
+    """200 N on a sphere of 20 mm (see sphere.toml), before any wear."""
+    case = read_case(Path(__file__).parents[2] / "scripts/cases/sphere.toml")
+    pair, _ = contact_pair(case, comm)
+    with ContactSolver(pair.stiffness, pair.line.area, comm) as solver:
+        p = WearHistory(case, pair, solver).start().contact.pressure
+    modulus = contact_modulus(*((b.young, b.poisson) for b in case.rings))
+    a = (0.75 * 200.0 * 20.0 / modulus) ** (1.0 / 3.0)
+    exact = 1.5 * 200.0 / (np.pi * a * a) * np.sqrt(np.maximum(1.0 - (case.line.r / a) ** 2, 0.0))
+    near = case.line.r < 0.9 * a
+    assert np.abs(p - exact)[near].max() < 5e-3 * exact.max()
+    assert p.max() == pytest.approx(exact.max(), rel=2e-3)

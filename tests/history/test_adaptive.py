@@ -1,0 +1,262 @@
+"""Adaptive steps: counts, accuracy, order, schedules, times of output, memory, restarts."""
+
+import itertools
+from dataclasses import replace
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+
+from ringwear_par.cases.case import Load, Output, Stepping
+from ringwear_par.contact.solver import ContactSolver
+from ringwear_par.errors import ComputationError
+from ringwear_par.history import sdirk2 as adaptive
+from ringwear_par.history.model import WearHistory, run
+from ringwear_par.results import files as results
+from ringwear_par.results.run import run_case
+from ringwear_par.schedules import Table, integral
+from ringwear_par.verification.checks import OMEGA
+from ringwear_par.wear.law import NonLocalLaw, PowerLaw, RunningInLaw, ThresholdLaw
+
+FORCE = 45238.934
+LAW = ThresholdLaw(1e-7, 40.0)
+
+
+def until(end, tolerance=2e-6):
+    return Stepping("adaptive", until=end, tolerance=tolerance)
+
+
+@pytest.fixture
+def stepped(paper_pair, comm):
+    """Function that runs the paper's case with parts replaced: history, states, those shown."""
+
+    def stepped(**parts):
+        case, pair = replace(paper_pair[0], **parts), paper_pair[1]
+        shown = []
+        with ContactSolver(pair.stiffness, pair.line.area, comm) as solver:
+            history = WearHistory(case, pair, solver)
+            states = [history.start()]
+            run(history, states[0], lambda state: states.append(state), shown.append)
+        return history, states, shown
+
+    return stepped
+
+
+@pytest.mark.parametrize("p0", [0.0, 40.0])
+def test_the_papers_case_in_few_steps(stepped, p0):
+    """200 s within 0.01 um everywhere in 20 steps, 2000 s in 30, at the default tolerance."""
+    law = ThresholdLaw(1e-7, p0)
+    for end, most in ((200.0, 20), (2000.0, 30)):
+        _, states, _ = stepped(time=Stepping("adaptive", until=end), wear_lower=law)
+        _, exact, _ = stepped(time=until(end, 1e-9), wear_lower=law)
+        last = states[-1]
+        assert last.time == end
+        assert last.step <= most
+        assert np.abs(last.wear - exact[-1].wear).max() <= 1e-5
+        assert abs(last.contact.approach - exact[-1].contact.approach) <= 1e-5
+        assert last.balances.worst <= 1e-9
+        assert last.balances.volume <= 1e-12
+        assert last.balances.energy <= 1e-12
+
+
+def test_stages_are_of_second_order(stepped, paper_pair, comm):
+    """Steps of equal length from a state that has left the singular transient behind."""
+    case, pair = paper_pair
+    case = replace(case, wear_lower=ThresholdLaw(1e-7), time=until(40.0, 1e-8))
+    with ContactSolver(pair.stiffness, pair.line.area, comm) as solver:
+        history = WearHistory(case, pair, solver)
+        start = run(history, history.start(), lambda _: False)
+
+        def wear(number):
+            state = start
+            for i in range(number):
+                state = adaptive.between(history, state, 40.0 + 160.0 * (i + 1) / number)
+            return state.wear[0]
+
+        exact = wear(256)
+        errors = [np.abs(wear(n) - exact).max() for n in (8, 16, 32)]
+    orders = np.log2(np.array(errors[:-1]) / errors[1:])
+    assert (orders > 1.7).all(), orders
+
+
+def test_a_smaller_tolerance_is_more_accurate(stepped):
+    _, exact, _ = stepped(time=until(200.0, 1e-9))
+    errors = []
+    for tolerance in (1e-4, 1e-5, 1e-6, 1e-7):
+        _, states, _ = stepped(time=until(200.0, tolerance))
+        errors.append(np.abs(states[-1].wear - exact[-1].wear).max())
+    assert errors[0] > 4 * errors[2] > 16 * errors[3] / 2
+    assert errors[2] < 5e-6
+
+
+def test_wear_never_falls(stepped):
+    _, states, _ = stepped(wear_upper=ThresholdLaw(1e-8), time=until(300.0))
+    for before, after in itertools.pairwise(states):
+        assert (after.wear >= before.wear).all()
+
+
+def test_times_of_output_are_as_accurate_and_change_nothing(stepped):
+    times = (0.3, 20.0, 20.5, 117.0)
+    _, plain, _ = stepped(time=until(200.0))
+    _, states, shown = stepped(time=until(200.0), output=Output(times=times))
+    assert [s.time for s in states] == pytest.approx([s.time for s in plain], rel=1e-9)
+    assert states[-1].wear == pytest.approx(plain[-1].wear, rel=1e-9)
+    assert [s.stored for s in states] == [True] + [False] * (len(states) - 2) + [True]
+    assert [s.time for s in shown] == list(times)
+    assert all(s.stored for s in shown)
+    for state in shown:
+        _, exact, _ = stepped(time=until(state.time, 1e-9))
+        assert np.abs(state.wear - exact[-1].wear).max() <= 1e-5
+        assert state.contact.pressure == pytest.approx(exact[-1].contact.pressure, rel=0.03)
+        assert state.balances.worst <= 1e-9
+
+
+def test_times_of_output_of_fixed_steps(stepped):
+    times = (0.5, 7.0, 9.99)
+    _, states, shown = stepped(time=Stepping("implicit", 1.0, 10), output=Output(times=times))
+    assert [s.time for s in shown] == [0.5, 9.99]
+    assert [s.time for s in states if s.stored] == [0.0, 7.0, 10.0]
+
+
+SCHEMES = {
+    "adaptive": until(100.0),
+    "implicit": Stepping("implicit", 2.0, 50),
+    "explicit": Stepping("explicit", 0.02, 5000),
+}
+
+
+@pytest.mark.parametrize("scheme", ["adaptive", "implicit"])
+def test_no_wear_without_contact_or_sliding(stepped, scheme):
+    """Stops, unloading to nothing, loading again."""
+    omega = Table((0.0, 20.0, 20.1, 40.0, 40.1), (OMEGA, OMEGA, 0.0, 0.0, OMEGA))
+    force = Table((0.0, 60.0, 61.0, 80.0, 81.0), (FORCE, FORCE, 0.0, 0.0, 1.5 * FORCE))
+    law = ThresholdLaw(1e-7)
+    _, states, _ = stepped(
+        load=Load(omega, force), time=SCHEMES[scheme], wear_lower=law, wear_upper=law
+    )
+    assert states[-1].time == pytest.approx(100.0)
+    assert states[-1].balances.worst <= 1e-9
+    assert states[-1].balances.energy <= 1e-12  # of both bodies
+    for before, after in itertools.pairwise(states):
+        still = integral(omega, before.time, after.time) == 0.0
+        loose = before.time >= 61.0 and after.time <= 80.0
+        if still or loose:
+            assert np.array_equal(before.wear, after.wear)
+            assert after.energy == before.energy
+        if loose:
+            assert not after.contact.pressure.any()
+            assert after.contact.gap.min() >= -1e-15
+        force_now = np.interp(after.time, force.x, force.y)
+        assert after.contact.force == pytest.approx(force_now, rel=1e-10)
+    if scheme == "adaptive":  # steps end where tables bend
+        assert {20.0, 20.1, 40.0, 40.1, 60.0, 61.0, 80.0, 81.0} <= {s.time for s in states}
+    worn = [np.interp(t, [s.time for s in states], [s.wear[0].max() for s in states])
+            for t in (60.0, 80.0, 100.0)]  # fmt: skip
+    assert worn[0] > 0
+    assert worn[1] == pytest.approx(worn[0], rel=0.05)
+    assert worn[2] > 1.1 * worn[1]
+
+
+def test_sliding_distance_of_fixed_steps_is_exact(stepped):
+    """Pulses of omega far shorter than a step wear as much as their angle says (p0 = 0)."""
+    pulses = Table((0.0, 10.0, 10.1, 10.2, 10.3), (0.0, 0.0, 50.0, 50.0, 0.0))
+    law, angle = ThresholdLaw(1e-13), 50.0 * 0.2
+    history, states, _ = stepped(
+        load=Load(pulses, FORCE), time=Stepping("implicit", 4.0, 5), wear_lower=law
+    )
+    # so little wear leaves the pressure alone
+    p, line = states[0].contact.pressure, history.pair.line
+    assert states[-1].wear[0] == pytest.approx(1e-14 * p * line.arm * angle, rel=1e-3)
+
+
+def test_displacement_that_comes_and_goes(stepped):
+    down = Table((0.0, 20.0, 40.0, 60.0), (0.0, 0.05, 0.0, 0.06))
+    _, states, _ = stepped(
+        load=Load(OMEGA, displacement=down), time=until(60.0), wear_lower=ThresholdLaw(1e-7)
+    )
+    by_time = {s.time: s for s in states}
+    assert not by_time[0.0].contact.pressure.any()
+    assert not by_time[40.0].contact.pressure.any()  # lifted off
+    assert by_time[20.0].contact.force > 0
+    assert by_time[40.0].contact.gap.min() > 0
+    assert states[-1].contact.approach == 0.06
+    assert states[-1].balances.worst <= 1e-9
+
+
+def test_a_coefficient_switched_on_and_off(stepped):
+    """As an electrode's potential does; against the same history put together of parts."""
+    k = Table((0.0, 50.0, 50.01, 150.0, 150.01), (1e-7, 1e-7, 0.0, 0.0, 1e-7))
+    _, states, _ = stepped(time=until(200.0), wear_lower=ThresholdLaw(k, 0.0))
+    _, whole, _ = stepped(time=until(100.0), wear_lower=ThresholdLaw(1e-7, 0.0))
+    assert states[-1].wear[0] == pytest.approx(whole[-1].wear[0], abs=2e-5)
+    resting = [s for s in states if 50.01 <= s.time <= 150.0]
+    assert all(np.array_equal(s.wear, resting[0].wear) for s in resting)
+
+
+@pytest.mark.parametrize(
+    "law",
+    [
+        PowerLaw(2e-10, 1.7, 1.2),
+        RunningInLaw(5e-8, 4e-7, 20.0, depth=0.002),
+        RunningInLaw(5e-8, 4e-7, 20.0, distance=3000.0),
+        NonLocalLaw(1e-7, 40.0, length=0.2),
+    ],
+)
+def test_other_laws_converge_to_the_same_from_all_schemes(stepped, law):
+    _, exact, _ = stepped(time=until(60.0, 1e-8), wear_lower=law)
+    _, coarse, _ = stepped(time=until(60.0), wear_lower=law)
+    size = exact[-1].wear.max()
+    assert np.abs(coarse[-1].wear - exact[-1].wear).max() <= max(1e-5, 2e-3 * size)
+    errors = []
+    for number in (50, 100):
+        _, fixed, _ = stepped(time=Stepping("implicit", 60.0 / number, number), wear_lower=law)
+        errors.append(np.abs(fixed[-1].wear - exact[-1].wear).max())
+        assert fixed[-1].balances.worst <= 1e-9
+    assert errors[1] < 0.75 * errors[0] or errors[1] < 2e-5
+    assert errors[1] < 0.02 * size
+
+
+def test_similarity(stepped):
+    """Only kappa omega t enters: twice k and half the time, or half omega and twice the time."""
+    _, one, _ = stepped(time=until(100.0), wear_lower=ThresholdLaw(1e-7, 40.0))
+    _, two, _ = stepped(time=until(50.0), wear_lower=ThresholdLaw(2e-7, 40.0))
+    _, three, _ = stepped(
+        time=until(200.0), wear_lower=ThresholdLaw(1e-7, 40.0), load=Load(0.5 * OMEGA, FORCE)
+    )
+    assert two[-1].wear == pytest.approx(one[-1].wear, rel=1e-9)
+    assert three[-1].wear == pytest.approx(one[-1].wear, rel=1e-7)
+
+
+def test_a_tolerance_that_cannot_be_met_is_told(stepped, monkeypatch):
+    def never(*_):
+        raise ComputationError("contact: no")
+
+    monkeypatch.setattr(adaptive, "_stages", never)
+    with pytest.raises(ComputationError, match=r"step 1 \(from time 0 s\).*contact: no"):
+        stepped(time=until(10.0))
+
+
+PAPER = "scripts/cases/paper.toml"
+
+
+@pytest.mark.parametrize("stop", [1, 6])
+@pytest.mark.parametrize("extra", [[], ["output.times=[1, 5, 6.5]"], ["output.profiles=last"]])
+def test_restart_equals_an_uninterrupted_run(shared_path, comm, stopped_after, stop, extra):
+    case = Path(__file__).parents[2] / PAPER
+    keys = ["mesh.contact_elements=16", "time.scheme=adaptive", "time.end=50", *extra]
+    whole, parts = shared_path / "whole.h5", shared_path / "parts.h5"
+    run_case(case, whole, keys, False, None, comm)
+    with (
+        stopped_after(stop),
+        pytest.raises(ComputationError, match=f"SIGTERM after step {stop} .at .* of 50 s"),
+    ):
+        run_case(case, parts, keys, False, None, comm)
+    run_case(case, parts, keys, True, None, comm)
+    if comm.rank == 0:
+        assert results.read_status(parts)[0] == "complete"
+        with h5py.File(whole) as one, h5py.File(parts) as two:
+            names = [name for name in one if isinstance(one[name], h5py.Dataset)]
+            assert len(names) > 15
+            for name in names:
+                assert np.array_equal(one[name][:], two[name][:]), name

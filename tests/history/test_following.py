@@ -1,0 +1,140 @@
+"""Histories whose elements follow the wear: against a fixed mesh, restarts, ranks, balances."""
+
+import itertools
+from dataclasses import replace
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+
+from ringwear_par.cases.case import Load, Ring, Stepping
+from ringwear_par.contact.solver import ContactSolver
+from ringwear_par.elasticity.mesh import Mesh
+from ringwear_par.elasticity.pair import contact_pair
+from ringwear_par.errors import ComputationError, InputError
+from ringwear_par.history.model import WearHistory, run
+from ringwear_par.results.run import run_case
+from ringwear_par.verification.checks import paper_case, round_face
+from ringwear_par.wear.law import ThresholdLaw
+
+PAPER = Path(__file__).parents[2] / "scripts/cases/paper.toml"
+UPDATED = Mesh(24, geometry="updated", geometry_tolerance=0.003)
+
+
+def states(case, comm):
+    pair, _ = contact_pair(case, comm)
+    with ContactSolver(pair.stiffness, pair.line.area, comm) as solver:
+        history, seen = WearHistory(case, pair, solver), []
+        start = history.start()
+        run(history, start, lambda state: seen.append(state))
+        return history, [start, *seen]
+
+
+@pytest.mark.parametrize("scheme", [Stepping("implicit", 4.0, 50), Stepping("adaptive", until=200)])
+def test_following_changes_little_and_keeps_the_balances(comm, scheme):
+    case = paper_case(UPDATED, p0=(0.0, 0.0), k=(1e-7, 2e-8), stepping=scheme)
+    history, moved = states(case, comm)
+    _, fixed = states(replace(case, mesh=replace(UPDATED, geometry="fixed")), comm)
+    assert moved[-1].assemblies >= 4
+    assert history.following.kernel_evaluations > 0
+    assert fixed[-1].assemblies == 0
+    last = moved[-1]
+    assert last.balances.worst <= 1e-9
+    assert last.balances.volume <= 1e-12
+    assert last.balances.energy <= 1e-12
+    difference = last.contact.approach - fixed[-1].contact.approach
+    assert 1e-6 < abs(difference) < 1e-4  # mm, of 20 um of wear
+    inner = slice(5, -5)
+    ratio = (last.contact.pressure / fixed[-1].contact.pressure)[inner]
+    assert np.abs(ratio - 1.0).max() < 1e-3
+    for before, after in itertools.pairwise(moved):  # about the tolerance behind
+        assert np.abs(before.wear - after.shape).max() <= 0.003
+        assert (
+            np.abs(after.wear - after.shape).max() <= 0.003 + np.abs(after.wear - before.wear).max()
+        )
+
+
+def test_tolerance_tends_to_zero(comm):
+    case = paper_case(UPDATED, p0=(0.0, None), stepping=Stepping("implicit", 5.0, 40))
+    approach = {}
+    for tolerance in (0.008, 0.004, 0.0002):
+        mesh = replace(UPDATED, geometry_tolerance=tolerance)
+        approach[tolerance] = states(replace(case, mesh=mesh), comm)[1][-1].contact.approach
+    errors = [abs(approach[t] - approach[0.0002]) for t in (0.008, 0.004)]
+    assert errors[1] < 0.75 * errors[0]
+
+
+@pytest.mark.parametrize("scheme", ["implicit", "adaptive"])
+def test_restart_equals_an_uninterrupted_run(shared_path, comm, stopped_after, scheme):
+    keys = ["mesh.contact_elements=16", "time.step=4", "time.steps=20", f"time.scheme={scheme}",
+            "mesh.geometry=updated", "mesh.geometry_tolerance=0.001"]  # fmt: skip
+    whole, parts = shared_path / "whole.h5", shared_path / "parts.h5"
+    run_case(PAPER, whole, keys, False, None, comm)
+    with stopped_after(9), pytest.raises(ComputationError, match="SIGTERM after step 9"):
+        run_case(PAPER, parts, keys, False, None, comm)
+    run_case(PAPER, parts, keys, True, None, comm)
+    if comm.rank == 0:
+        with h5py.File(whole) as one, h5py.File(parts) as two:
+            assert one["checkpoint"].attrs["assemblies"] >= 2
+            for name in ("approach", "pressure", "wear_lower", "contact_iterations"):
+                assert np.array_equal(one[name][:], two[name][:]), name
+
+
+@pytest.mark.parametrize("geometry", ["fixed", "updated"])
+@pytest.mark.parametrize("shape", ["sphere", "torus"])
+def test_volume_balance_while_the_contact_grows(comm, shape, geometry):
+    """And what is worn off is what the disc would cut from the sphere or torus, but for elasticity.
+
+    The indenter wears, the disc does not; they are stiff, so that the worn face is nearly flat.
+    """
+    r = (0.0, 3.0) if shape == "sphere" else (18.0, 22.0)
+    face = round_face(r, 40.0)
+    mesh = Mesh(48, grading=1.0, geometry=geometry, geometry_tolerance=0.0005)
+    case = paper_case(mesh, stepping=Stepping("adaptive", until=400.0))
+    case = replace(
+        case,
+        lower=Ring((0.0, 30.0), (0.0, 20.0), 2e6, 0.3, "clamped"),
+        upper=Ring(r, (20.0, 30.0), 2e6, 0.3, "clamped", face),
+        wear_lower=None, wear_upper=ThresholdLaw(2e-6),
+        load=Load(1.0, 300.0),
+    )  # fmt: skip
+    history, seen = states(case, comm)
+    touching = [int((s.contact.pressure > 0).sum()) for s in seen]
+    assert touching[-1] > touching[0] + 3
+    assert all(b >= a for a, b in itertools.pairwise(touching))
+    last = seen[-1]
+    assert last.balances.volume <= 1e-10
+    assert last.balances.energy <= 1e-10
+    assert last.balances.force <= 1e-10
+    line = history.pair.line
+    # the cut that has the same volume: how deep is it, and does it reach as far as the contact?
+    depth = np.interp(line.r, *zip(*face, strict=True))
+    cut = np.maximum(depth - np.linspace(-0.1, 0.0, 4001)[:, None], 0.0) @ line.area
+    deepest = -float(np.interp(last.worn[1], cut[::-1], np.linspace(-0.1, 0.0, 4001)[::-1]))
+    assert last.wear[1].max() == pytest.approx(deepest, rel=0.15)
+    if geometry == "updated":
+        assert last.assemblies >= 1
+
+
+def test_bodies_that_interpenetrate_too_much(comm):
+    """A load that presses by more explains it; one that does not is refused."""
+    case = paper_case(Mesh(16))
+    pressed = states(replace(case, time=Stepping("implicit", 1.0, 1)), comm)[1][0].contact.approach
+    for overlap, fine in ((0.5 * pressed, True), (1.5 * pressed, False)):
+        lower = replace(case.lower, z=(0.0, 20.0 + overlap))
+        one = replace(case, lower=lower, time=Stepping("implicit", 1.0, 1))
+        if fine:
+            approach = states(one, comm)[1][0].contact.approach
+            assert approach == pytest.approx(
+                0.5 * pressed, rel=5e-3
+            )  # a lower ring a little higher
+        else:
+            with pytest.raises(InputError, match=r"interpenetrate by 0\.087\d+ mm at element 0"):
+                states(one, comm)
+
+
+def test_contact_that_reaches_an_open_end_is_told(comm):
+    mesh = Mesh(16, contact=(29.0, 31.5))
+    with pytest.raises(ComputationError, match=r"reached the end of mesh.contact at r = 29 mm"):
+        states(replace(paper_case(mesh), time=Stepping("implicit", 1.0, 1)), comm)

@@ -1,0 +1,210 @@
+"""Wear histories: balances, steady laws, schemes, stability, ranks."""
+
+import itertools
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from ringwear_par.cases.case import Load, Stepping
+from ringwear_par.contact.solver import ContactSolver
+from ringwear_par.history.model import WearHistory, run
+from ringwear_par.wear.law import ThresholdLaw
+
+
+@pytest.fixture
+def stepped(paper_pair, comm):
+    """Function that runs the paper's case with some parts replaced and returns all states."""
+
+    def stepped(pair=None, limit=10_000, **parts):
+        case = replace(paper_pair[0], **parts)
+        pair = pair or paper_pair[1]
+        with ContactSolver(pair.stiffness, pair.line.area, comm, limit) as solver:
+            history = WearHistory(case, pair, solver)
+            states = [history.start()]
+            run(history, states[0], lambda state: states.append(state))
+        return history, states
+
+    return stepped
+
+
+def steps(scheme, step, number):
+    return Stepping(scheme, step, number)
+
+
+@pytest.mark.parametrize("scheme", ["implicit", "explicit"])
+def test_balances_at_every_step(stepped, scheme):
+    step = 1.0 if scheme == "implicit" else 0.1
+    history, states = stepped(wear_lower=ThresholdLaw(1e-7), time=steps(scheme, step, 100))
+    worst = states[-1].balances
+    assert worst.force <= 1e-10
+    assert worst.volume <= 1e-12
+    assert 0 < worst.energy <= 1e-10
+    assert 0 < worst.torque <= 1e-4  # of the boundary elements: they vanish with the mesh
+    assert 0 < worst.reaction <= 1e-4
+    assert worst.residual <= 1e-9
+    # recomputed from the states themselves
+    line, case = history.pair.line, history.case
+    energy = 0.0
+    for before, after in itertools.pairwise(states):
+        p = (after if scheme == "implicit" else before).contact.pressure
+        energy += step * case.friction * case.load.omega * (line.area * line.arm) @ p
+        assert line.area @ after.contact.pressure == pytest.approx(case.load.force, rel=1e-10)
+        assert line.area @ after.wear[0] == pytest.approx(1e-7 * energy, rel=1e-10)
+
+
+def test_first_contact_has_no_wear(stepped):
+    _, states = stepped(time=steps("implicit", 1.0, 1))
+    assert not states[0].wear.any()
+    assert states[0].energy == 0.0
+    assert states[1].step == 1
+
+
+def test_twenty_steps_nearly_serve_for_two_hundred(stepped):
+    """The worn volume, to 0.02 % at p0 = 0 and 0.4 % at 40 MPa; the penetrations of figure 2."""
+    for p0, depth, tolerance in ((0.0, 18.2, 2e-4), (40.0, 9.7, 4e-3)):
+        volumes, depths = [], []
+        for number in (20, 200):
+            history, states = stepped(
+                wear_lower=ThresholdLaw(1e-7, p0), time=steps("implicit", 200.0 / number, number)
+            )
+            volumes.append(history.worn_volumes(states[-1].wear)[0])
+            depths.append(states[-1].contact.approach - states[0].contact.approach)
+        assert volumes[0] == pytest.approx(volumes[1], rel=tolerance)
+        assert 1e3 * depths[1] == pytest.approx(
+            depth, abs=0.05
+        )  # um; the paper's curves end near 18, 10
+
+
+def test_steady_pressure_at_2000_s(stepped):
+    history, states = stepped(wear_lower=ThresholdLaw(1e-7), time=steps("implicit", 5.0, 400))
+    line, case = history.pair.line, history.case
+    c = case.load.force / (2 * np.pi * 3.0)
+    p = states[-1].contact.pressure
+    assert np.abs(p * line.r / c - 1)[1:-1].max() < 1e-3
+    rate = (states[-1].contact.approach - states[-2].contact.approach) / 5.0
+    assert rate == pytest.approx(case.friction * 1e-7 * case.load.omega * c, rel=1e-4)
+
+
+def test_both_bodies_wear(stepped):
+    laws = ThresholdLaw(1e-7), ThresholdLaw(3e-7)
+    _, states = stepped(wear_lower=laws[0], wear_upper=laws[1], time=steps("implicit", 1.0, 20))
+    lower, upper = states[-1].wear
+    assert upper == pytest.approx(3 * lower, rel=1e-12)
+    _, alone = stepped(wear_lower=ThresholdLaw(4e-7), time=steps("implicit", 1.0, 20))
+    assert alone[-1].wear[0] == pytest.approx(lower + upper, rel=1e-9)
+    assert states[-1].balances.energy < 1e-10
+
+
+def test_fixed_approach_unloads(stepped):
+    load = Load(85 / 24, displacement=0.0585)
+    _, states = stepped(load=load, wear_lower=ThresholdLaw(1e-7), time=steps("implicit", 20.0, 50))
+    forces = [state.contact.force for state in states]
+    assert all(a > b > 0 for a, b in itertools.pairwise(forces))
+    assert all(state.contact.approach == 0.0585 for state in states)
+    # with a threshold, what is left everywhere is the threshold
+    _, states = stepped(load=load, time=steps("implicit", 1e4, 50))
+    assert states[-1].contact.pressure.max() == pytest.approx(40.0, rel=1e-3)
+
+
+def test_both_schemes_are_of_first_order_and_meet(stepped):
+    """Against a fine run, at 20 s on a coarse mesh, where explicit steps are stable."""
+    from ringwear_par.elasticity.mesh import Mesh
+    from ringwear_par.elasticity.pair import contact_pair
+    from ringwear_par.verification.checks import paper_case
+
+    case = paper_case(Mesh(16, grading=1.0), p0=(0.0, None))
+    from mpi4py import MPI
+
+    pair, _ = contact_pair(case, MPI.COMM_SELF)
+
+    def wear(scheme, number):
+        _, states = stepped(
+            pair, wear_lower=ThresholdLaw(1e-7), time=steps(scheme, 20.0 / number, number)
+        )
+        return states[-1].wear[0]
+
+    exact = 2 * wear("implicit", 3200) - wear("implicit", 1600)
+    for scheme in ("implicit", "explicit"):
+        errors = [np.abs(wear(scheme, n) - exact).max() for n in (40, 80, 160)]
+        orders = np.log2(np.array(errors[:-1]) / errors[1:])
+        assert orders == pytest.approx([1, 1], abs=0.15)
+
+
+def test_explicit_limit_separates_smooth_from_oscillating(stepped, paper_pair, comm):
+    with ContactSolver(paper_pair[1].stiffness, paper_pair[1].line.area, comm) as solver:
+        limit = WearHistory(*paper_pair, solver).stable_step()
+
+    def roughness(factor):
+        _, states = stepped(
+            wear_lower=ThresholdLaw(1e-7), time=steps("explicit", factor * limit, 400)
+        )
+        p = states[-1].contact.pressure
+        return np.abs(np.diff(p, 2)).max() / p.mean()
+
+    assert roughness(0.98) < 0.1
+    assert roughness(1.05) > 1.0
+
+
+def test_implicit_steps_of_any_length_are_smooth(stepped):
+    for step in (0.01, 1.0, 1e2, 5e3):
+        _, states = stepped(wear_lower=ThresholdLaw(1e-7), time=steps("implicit", step, 20))
+        sign = np.diff(states[-1].wear[0])
+        assert np.count_nonzero(np.diff(np.sign(sign))) <= 1  # one maximum, in the middle
+        assert states[-1].balances.force <= 1e-10
+
+
+def test_no_wear_without_law_or_sliding(stepped, paper_pair):
+    omega0 = Load(0.0, force=paper_pair[0].load.force)
+    for parts in ({"wear_lower": None}, {"load": omega0}):
+        _, states = stepped(time=steps("implicit", 1.0, 5), **parts)
+        assert not states[-1].wear.any()
+        assert states[-1].contact.approach == pytest.approx(states[0].contact.approach, rel=1e-12)
+
+
+def test_same_history_on_any_number_of_ranks(stepped, comm):
+    """Replicated and distributed, and twice: bitwise on the same ranks."""
+    _, states = stepped(time=steps("implicit", 1.0, 10))
+    _, again = stepped(time=steps("implicit", 1.0, 10))
+    assert np.array_equal(states[-1].wear, again[-1].wear)
+    assert states[-1].contact.approach == again[-1].contact.approach
+    _, shared = stepped(limit=0, time=steps("implicit", 1.0, 10))
+    assert shared[-1].wear[0] == pytest.approx(states[-1].wear[0], rel=1e-9)
+    from mpi4py import MPI
+
+    from ringwear_par.elasticity.pair import contact_pair
+
+    history, states = stepped(time=steps("implicit", 1.0, 10))
+    alone, _ = contact_pair(history.case, MPI.COMM_SELF)
+    _, single = stepped(alone, time=steps("implicit", 1.0, 10))
+    assert states[-1].contact.approach == pytest.approx(single[-1].contact.approach, rel=1e-9)
+    assert states[-1].wear[0] == pytest.approx(single[-1].wear[0], rel=1e-9)
+    assert states[-1].contact.pressure == pytest.approx(single[-1].contact.pressure, rel=1e-9)
+    assert states[-1].energy == pytest.approx(single[-1].energy, rel=1e-9)
+
+
+def test_torque_of_uniform_pressure_and_of_the_steady_state(stepped, paper_pair):
+    history, states = stepped(wear_lower=ThresholdLaw(1e-7), time=steps("implicit", 40.0, 200))
+    uniform = np.full(history.pair.line.n, 80.0)
+    exact = 0.1 * 80.0 * 2 * np.pi / 3 * (31.5**3 - 28.5**3)
+    assert history.torque(uniform) == pytest.approx(exact, rel=1e-13)
+    # p = c/r: the friction force acts at the mean radius
+    steady = history.torque(states[-1].contact.pressure)
+    assert steady == pytest.approx(0.1 * history.case.load.force * 30.0, rel=1e-6)
+
+
+def test_twist_of_the_upper_ring_alone(paper_pair, comm):
+    """On a rigid lower body, traction proportional to r turns a hollow cylinder by T h/(G J)."""
+    from dataclasses import replace
+
+    from ringwear_par.elasticity.pair import contact_pair
+    from ringwear_par.verification.reference import polar_moment
+
+    case = replace(paper_pair[0], lower=replace(paper_pair[0].lower, young=1e15))
+    pair, _ = contact_pair(case, comm)
+    line = pair.line
+    torque = (line.area * line.arm) @ line.r
+    angle = torque * 20.0 / (case.upper.young / 2.6 * polar_moment(28.5, 31.5))
+    assert pair.twist @ line.r == pytest.approx(
+        angle * (line.area @ line.r) / line.area.sum(), rel=1e-3
+    )

@@ -1,0 +1,148 @@
+"""Figures: drawn from files alone, with axes that say what they show."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ringwear_par.errors import InputError
+from ringwear_par.results.run import run_case
+
+pytestmark = pytest.mark.serial
+PAPER = Path(__file__).parents[2] / "scripts" / "cases" / "paper.toml"
+
+
+@pytest.fixture(scope="module")
+def runs(tmp_path_factory, comm):
+    folder = tmp_path_factory.mktemp("runs")
+    paths = [folder / "p0_0.h5", folder / "p0_40.h5", folder / "lean.h5"]
+    extra = [
+        ["wear.lower.p0=0", "wear.upper.k=1e-8"],
+        [],
+        ["output.fields=['gap']", "output.every=7"],
+    ]
+    for path, overrides in zip(paths, extra, strict=True):
+        overrides = ["mesh.contact_elements=16", "time.steps=20", *overrides]
+        run_case(PAPER, path, overrides, False, None, comm)
+    return paths
+
+
+@pytest.mark.parametrize("panels", ["wear,penetration", "pressure", "penetration,pressure,wear"])
+@pytest.mark.parametrize("ending", [".png", ".pdf", ".svg"])
+def test_every_panel_and_format(runs, tmp_path, panels, ending):
+    from ringwear_par.results.figures import plot_files
+
+    output = tmp_path / f"figure{ending}"
+    plot_files(runs[:2], output, panels, "1,10,20")
+    assert output.stat().st_size > 3000
+    assert list(tmp_path.iterdir()) == [output]
+    if ending == ".svg":
+        text = output.read_text()
+        assert text.count("<path") > 10
+
+
+def test_what_is_drawn_is_what_is_stored(runs, tmp_path, monkeypatch):
+    from matplotlib.figure import Figure
+
+    from ringwear_par.results.figures import plot_files
+    from ringwear_par.results.files import read_result
+
+    figures = []
+    monkeypatch.setattr(Figure, "savefig", lambda self, path: (figures.append(self), path.touch()))
+    plot_files(runs[:2], tmp_path / "a.png", "wear,penetration,pressure", "1,20", runs[1:2])
+    wear, penetration, pressure = figures[0].axes
+    result = read_result(runs[1])
+    assert wear.lines[1].get_ydata() == pytest.approx(-1e3 * result.fields["wear_lower"][20])
+    assert pressure.lines[0].get_ydata() == pytest.approx(result.fields["pressure"][1])
+    assert pressure.lines[0].get_xdata() == pytest.approx(result.line.r)
+    assert penetration.lines[1].get_ydata() == pytest.approx(1e3 * result.scalars["penetration"])
+    assert penetration.lines[1].get_xdata() == pytest.approx(result.scalars["time"])
+    assert wear.get_ylabel() == "wear depth (\N{MICRO SIGN}m)"
+    assert pressure.get_ylabel() == "contact pressure (MPa)"
+    assert penetration.get_xlabel() == "time (s)"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "match"),
+    [
+        (("wear", "3,99"), "'99' is not a stored step"),
+        (("wear", "x"), "'x' is not a stored step"),
+        (("temperature", ""), "must be one of wear, penetration, pressure"),
+    ],
+)
+def test_wrong_requests(runs, tmp_path, arguments, match):
+    from ringwear_par.results.figures import plot_files
+
+    with pytest.raises(InputError, match=match):
+        plot_files(runs[:1], tmp_path / "a.png", *arguments)
+    assert not list(tmp_path.iterdir())
+
+
+def test_wrong_files(runs, tmp_path):
+    from ringwear_par.results.figures import plot_files
+
+    with pytest.raises(InputError, match="does not hold pressure"):
+        plot_files([runs[2]], tmp_path / "a.png", "pressure")
+    with pytest.raises(InputError, match="its ending must be one of"):
+        plot_files(runs, tmp_path / "a.docx")
+    with pytest.raises(InputError, match="does not exist"):
+        plot_files([tmp_path / "none.h5"], tmp_path / "a.png")
+    with pytest.raises(InputError, match="not a result file"):
+        plot_files([PAPER], tmp_path / "a.png")
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("case", ["fields", "sphere"])
+def test_deformed_sections(tmp_path, comm, monkeypatch, case):
+    from matplotlib.figure import Figure
+
+    from ringwear_par.results.figures import plot_files
+    from ringwear_par.results.files import read_result
+
+    run = tmp_path / "run.h5"
+    words = ["mesh.contact_elements=16", "output.boundary=last"]
+    words += ["wear.upper={law='threshold', k=1e-8}"] if case == "fields" else ["time.steps=2"]
+    run_case(PAPER.with_name(f"{case}.toml"), run, words, False, None, comm)
+    plot_files([run], tmp_path / "a.png", "section,pressure")
+    assert (tmp_path / "a.png").stat().st_size > 3000
+    figures = []
+    monkeypatch.setattr(Figure, "savefig", lambda self, path: (figures.append(self), path.touch()))
+    plot_files([run], tmp_path / "b.png", "section")
+    axes = figures[0].axes[0]
+    assert axes.get_aspect() == 1.0
+    assert "mm" in axes.get_xlabel()
+    shown = [patch.get_xy()[:-1] for patch in axes.patches]
+    state = read_result(run).boundary[-1]
+    for drawn, body in zip(shown, state.bodies, strict=False):
+        assert drawn == pytest.approx(body.nodes)
+    # magnified, they touch under pressure and overlap nowhere on the contact line
+    height = []
+    for outline, body in zip(shown[2:], state.bodies, strict=True):
+        middle = body.elements[body.face == 1, 1]
+        height.append(outline[middle[body.nodes[middle, 0].argsort()], 1])
+    gap = height[1] - height[0]
+    size = 40.0 if case == "fields" else 16.0
+    assert abs(gap.min()) < 1e-12
+    if case == "fields":
+        assert np.abs(gap).max() < 2e-3 * size
+    (colours,) = axes.collections
+    p = state.bodies[0].pressure[state.bodies[0].face == 1]
+    assert np.array_equal(np.sort(np.asarray(colours.get_array())), np.sort(p))
+
+
+def test_magnification_is_round():
+    from ringwear_par.results.figures import magnification
+
+    assert magnification(0.0, 40.0) == 1.0
+    assert magnification(0.04, 40.0) == 100.0
+    assert magnification(0.013, 40.0) == 200.0  # nearest to 308 in logarithms
+    assert magnification(5.0, 40.0) == 1.0
+    assert magnification(20.0, 40.0) == pytest.approx(0.2)
+
+
+def test_sections_need_boundary_fields(runs, tmp_path):
+    from ringwear_par.results.figures import plot_files
+
+    with pytest.raises(InputError, match=r"holds no fields .* output\.boundary"):
+        plot_files(runs[:1], tmp_path / "a.png", "section")
+    assert not list(tmp_path.iterdir())

@@ -1,0 +1,212 @@
+"""Result files: opened by xarray, restarted exactly, never half there."""
+
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+import xarray
+from stored import contents
+
+from ringwear_par.errors import ComputationError, InputError
+from ringwear_par.results import files as results
+from ringwear_par.results import progress as monitor
+from ringwear_par.results import run as driver
+from ringwear_par.results.run import run_case
+
+PAPER = Path(__file__).parents[2] / "scripts" / "cases" / "paper.toml"
+SMALL = ["mesh.contact_elements=16", "time.steps=20"]
+
+
+def test_opens_in_xarray(shared_path, comm):
+    path = shared_path / "run.h5"
+    assert run_case(PAPER, path, SMALL, False, None, comm) == 0
+    if comm.rank > 0:
+        return
+    with xarray.open_dataset(path, engine="h5netcdf") as data:
+        assert dict(data.sizes) == {"step": 21, "element": 16}
+        for name in ("pressure", "gap", "wear_lower", "wear_upper"):
+            assert data[name].dims == ("step", "element")
+        for name in results.SCALARS:
+            assert data[name].dims == ("step",)
+        assert all(v.attrs["units"] and v.attrs["long_name"] for v in data.data_vars.values())
+        assert data.time.values == pytest.approx(np.arange(21.0))
+        assert data.penetration[0] == 0
+        assert float(data.force[-1]) == pytest.approx(45238.934, rel=1e-8)
+        assert (data.r.values[1:] > data.r.values[:-1]).all()
+        assert float(data.width.sum()) == pytest.approx(3.0)
+        assert data.contact_iterations.dtype.kind == "i"
+        assert int(data.contact_iterations.min()) >= 1
+        assert data.attrs["status"] == "complete"
+        assert data.attrs["ranks"] == comm.size
+        for name in ("assembly", "factorisation", "stepping", "output"):
+            assert data.attrs[f"seconds_{name}"] >= 0
+        assert "[lower]" in data.attrs["case"]
+        volume = (2 * np.pi * data.r * data.width * data.wear_lower).sum("element")
+        assert volume.values == pytest.approx(data.worn_volume_lower.values, rel=1e-12)
+    assert [p.name for p in path.parent.iterdir()] == ["run.h5"]
+
+
+def test_only_the_steps_and_fields_asked_for(shared_path, comm):
+    path = shared_path / "run.h5"
+    run_case(
+        PAPER, path, [*SMALL, "output.every=8", "output.fields=['pressure']"], False, None, comm
+    )
+    if comm.rank == 0:
+        with xarray.open_dataset(path, engine="h5netcdf") as data:
+            assert list(data.step.values) == [0, 8, 16, 20]
+            assert list(data.time.values) == [0, 8, 16, 20]
+            assert "gap" not in data
+            assert int(data.contact_iterations.sum()) >= 20
+
+
+@pytest.mark.parametrize("stop", [1, 7, 19])
+@pytest.mark.parametrize("extra", [[], ["time.scheme=explicit", "time.step=0.05"],
+                                   ["output.every=6"], ["output.profiles=last"]])  # fmt: skip
+def test_restart_equals_an_uninterrupted_run(shared_path, comm, stopped_after, stop, extra):
+    whole, parts = shared_path / "whole.h5", shared_path / "parts.h5"
+    run_case(PAPER, whole, [*SMALL, *extra], False, None, comm)
+    with (
+        stopped_after(stop),
+        pytest.raises(ComputationError, match=f"SIGTERM after step {stop} of 20"),
+    ):
+        run_case(PAPER, parts, [*SMALL, *extra], False, None, comm)
+    if comm.rank == 0:
+        assert results.read_status(parts) == ("incomplete", stop)
+    with pytest.raises(InputError, match="interrupted after step"):
+        run_case(PAPER, parts, [*SMALL, *extra], False, None, comm)
+    run_case(PAPER, parts, [*SMALL, *extra], True, None, comm)
+    if comm.rank == 0:
+        one, two = contents(whole), contents(parts)
+        assert one.keys() == two.keys()
+        for name, value in one.items():
+            assert np.array_equal(value, two[name]), name
+        assert results.read_status(parts) == ("complete", 20)
+
+
+def test_a_longer_history_extends_a_complete_one(shared_path, comm):
+    whole, parts = shared_path / "whole.h5", shared_path / "parts.h5"
+    run_case(PAPER, whole, [*SMALL, "time.steps=30"], False, None, comm)
+    run_case(PAPER, parts, SMALL, False, None, comm)
+    assert run_case(PAPER, parts, SMALL, True, None, comm) == 0  # nothing to do
+    run_case(PAPER, parts, [*SMALL, "time.steps=30"], True, None, comm)
+    if comm.rank == 0:
+        one, two = contents(whole), contents(parts)
+        assert all(np.array_equal(value, two[name]) for name, value in one.items())
+
+
+def test_restart_with_fewer_steps_is_refused(shared_path, comm):
+    path = shared_path / "run.h5"
+    run_case(PAPER, path, SMALL, False, None, comm)
+    with pytest.raises(InputError, match=r"holds 20 steps, time\.steps = 10"):
+        run_case(PAPER, path, [*SMALL, "time.steps=10"], True, None, comm)
+
+
+def test_a_complete_run_is_drawn_without_computing(shared_path, comm):
+    path, figure = shared_path / "run.h5", shared_path / "run.png"
+    run_case(PAPER, path, SMALL, False, None, comm)
+    before = contents(path) if comm.rank == 0 else {}
+    assert run_case(PAPER, path, SMALL, True, figure, comm) == 0
+    if comm.rank == 0:
+        assert figure.exists()
+        assert all(np.array_equal(v, contents(path)[k]) for k, v in before.items())
+
+
+@pytest.mark.mpi(min_size=2)
+def test_a_signal_during_the_meeting_stops_all_ranks_at_the_same_step(
+    shared_path, comm, monkeypatch
+):
+    """Rank 0 gets its signal while it waits for the others inside the meeting after step 5."""
+    import os
+    import signal
+    import time
+
+    call = monitor.Monitor.__call__
+
+    def late(self, state):
+        if state.step == 5 and comm.rank > 0:
+            time.sleep(0.5)
+        if state.step == 5 and comm.rank == 0:
+            signal.setitimer(signal.ITIMER_REAL, 0.2)
+        return call(self, state)
+
+    if comm.rank == 0:
+        signal.signal(signal.SIGALRM, lambda *_: os.kill(os.getpid(), signal.SIGUSR1))
+    monkeypatch.setattr(monitor.Monitor, "__call__", late)
+    path = shared_path / "run.h5"
+    with pytest.raises(ComputationError, match=r"SIGUSR1 after step [56] of 20"):
+        run_case(PAPER, path, SMALL, False, None, comm)
+    if comm.rank == 0:
+        assert results.read_status(path)[0] == "incomplete"
+
+
+def test_restart_of_another_case_is_refused(shared_path, comm):
+    path = shared_path / "run.h5"
+    run_case(PAPER, path, SMALL, False, None, comm)
+    with pytest.raises(InputError, match="holds another case"):
+        run_case(PAPER, path, [*SMALL, "wear.lower.k=2e-7"], True, None, comm)
+
+
+def test_checkpoints_are_written_on_the_way(shared_path, comm, monkeypatch):
+    seen = []
+    write = driver.write_result
+
+    def spy(path, *args):
+        write(path, *args)
+        seen.append(results.read_status(path))
+
+    monkeypatch.setattr(driver, "write_result", spy)
+    monkeypatch.setattr(monitor, "CHECKPOINT_SECONDS", 0.0)
+    run_case(PAPER, shared_path / "run.h5", SMALL, False, None, comm)
+    if comm.rank == 0:
+        assert seen[0] == ("incomplete", 1)
+        assert seen[-1] == ("complete", 20)
+        assert len(seen) == 20
+
+
+def test_a_failed_checkpoint_does_not_end_the_run(shared_path, comm, monkeypatch, caplog):
+    write, calls = driver.write_result, []
+
+    def failing(*args):
+        calls.append(1)
+        if len(calls) < 20:
+            raise OSError(28, "No space left on device", "run.h5")
+        write(*args)
+
+    monkeypatch.setattr(driver, "write_result", failing)
+    monkeypatch.setattr(monitor, "CHECKPOINT_SECONDS", 0.0)
+    run_case(PAPER, shared_path / "run.h5", SMALL, False, None, comm)
+    if comm.rank == 0:
+        assert results.read_status(shared_path / "run.h5") == ("complete", 20)
+        assert "No space left on device" in caplog.text
+
+
+def test_a_failed_last_write_is_an_error_on_all_ranks(shared_path, comm, monkeypatch):
+    def failing(*args):
+        raise OSError(28, "No space left on device", "run.h5")
+
+    monkeypatch.setattr(driver, "write_result", failing)
+    with pytest.raises(ComputationError, match=r"run.h5: No space left on device"):
+        run_case(PAPER, shared_path / "run.h5", SMALL, False, None, comm)
+    assert not list(shared_path.glob("*"))
+
+
+@pytest.mark.parametrize("kind", ["text", "hdf5", "folder", "nowhere"])
+def test_outputs_that_are_not_ours_are_refused(shared_path, comm, kind):
+    path = shared_path / "run.h5"
+    if comm.rank == 0:
+        if kind == "text":
+            path.write_text("precious")
+        elif kind == "hdf5":
+            h5py.File(path, "w").close()
+        elif kind == "folder":
+            path.mkdir()
+    comm.Barrier()
+    if kind == "nowhere":
+        path = shared_path / "no" / "run.h5"
+    before = sorted(shared_path.rglob("*"))
+    match = {"folder": "is a folder", "nowhere": "does not exist"}.get(kind, "not a result file")
+    with pytest.raises(InputError, match=match):
+        run_case(PAPER, path, SMALL, False, None, comm)
+    comm.Barrier()
+    assert sorted(shared_path.rglob("*")) == before

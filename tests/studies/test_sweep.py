@@ -1,0 +1,258 @@
+"""Sweeps: the numbers of single runs, one assembly for many cases, extension and resumption."""
+
+import csv
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+
+from ringwear_par.errors import ComputationError, InputError
+from ringwear_par.results.files import ALONG, SCALARS
+from ringwear_par.results.run import run_case
+from ringwear_par.studies import sweep
+from ringwear_par.studies.dataset import read_ensemble
+
+CASE = (Path(__file__).parents[2] / "scripts/cases/paper.toml").read_text()
+CASE = CASE.replace("steps = 200", "steps = 20\n\n[mesh]\ncontact_elements = 16")
+STUDY = """
+[vary]
+"wear.lower.k" = { log = [1e-8, 1e-6], count = 3 }
+"upper.young" = { values = [5e4, 1e5] }
+"upper.r" = { values = [[28.5, 31.5], [28, 32]] }
+[design]
+method = "grid"
+"""
+
+
+@pytest.fixture
+def write(shared_path, comm):
+    def written(text, case=CASE):
+        path = shared_path / "study.toml"
+        if comm.rank == 0:
+            (shared_path / "paper.toml").write_text(case)
+            path.write_text('case = "paper.toml"\n' + text)
+        comm.Barrier()
+        return path
+
+    return written
+
+
+def swept(study, folder, comm, ranks_per_case=1, part=None, retry=False):
+    status = sweep.run_sweep(study, folder, ranks_per_case, part, False, retry, comm)
+    comm.Barrier()
+    return status
+
+
+def table(folder):
+    with (folder / "cases.csv").open(newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def variables(folder):
+    with h5py.File(folder / "results.h5") as file:
+        return {name: file[name][()] for name in file if name != "seconds"}
+
+
+def same(one, other):
+    assert one.keys() == other.keys()
+    for name, values in one.items():
+        assert np.array_equal(values, other[name], equal_nan=values.dtype.kind == "f"), name
+
+
+def test_equals_single_runs(write, shared_path, comm):
+    """To 1e-12: assembly on all ranks and on one sum in another order, histories do not."""
+    folder, run = shared_path / "out", shared_path / "run.h5"
+    assert swept(write(STUDY), folder, comm) == 0
+    found, rows = variables(folder), table(folder)
+    assert [row["status"] for row in rows] == ["done"] * 12
+    for i in (0, 5, 10):
+        (text,) = [t.decode() for t in found["case_toml"][[i]]]
+        if comm.rank == 0:
+            (shared_path / "one.toml").write_text(text)
+        comm.Barrier()
+        run_case(shared_path / "one.toml", run, [], False, None, comm)
+        comm.Barrier()
+        with h5py.File(run) as file:
+            for name in (*SCALARS, *ALONG, "r", "width"):
+                if name == "contact_iterations":
+                    continue
+                values = file[name][()]
+                gap = 1e-12 * max(np.abs(values).max(), 1e-3 if name == "gap" else 0.0)
+                assert found[name][i] == pytest.approx(values, rel=1e-12, abs=gap), name
+        assert float(rows[i]["penetration"]) == found["penetration"][i, -1]
+        comm.Barrier()
+
+
+def test_opens_lazily_in_xarray_with_coordinates(write, shared_path, comm):
+    import xarray
+
+    swept(write(STUDY), shared_path / "out", comm)
+    with xarray.open_dataset(shared_path / "out" / "results.h5", engine="h5netcdf") as data:
+        assert data.pressure.dims == ("case", "step", "element")
+        assert data.pressure._in_memory is False
+        assert {"wear.lower.k", "upper.young", "upper.r"} <= set(data.pressure.coords)
+        first = data.isel(case=0)
+        assert float(first["wear.lower.k"]) == 1e-8
+        assert data.sel(case=str(first.case.values)).penetration[-1] == first.penetration[-1]
+        assert data.pressure.attrs["units"] == "MPa"
+        assert list(data.step.values) == list(range(21))
+
+
+def test_fifty_geometries_cost_fifty_assemblies(write, shared_path, comm, monkeypatch):
+    study = write(
+        '[vary]\n"upper.r[1]" = { linear = [30.5, 32.5], count = 50 }\n'
+        '"wear.lower.p0" = { linear = [0, 60], count = 20 }\n'
+        '"time.steps" = { values = [2] }\n'
+    )
+    assembled = []
+    original = sweep.assemble_operator
+    monkeypatch.setattr(
+        sweep, "assemble_operator",
+        lambda case, team: (assembled.append(case.upper.r), original(case, team))[1],
+    )  # fmt: skip
+    swept(study, shared_path / "out", comm)
+    everywhere = [r for part in comm.allgather(assembled) for r in part]
+    assert len(everywhere) == 50
+    assert len(set(everywhere)) == 50
+    assert len(table(shared_path / "out")) == 1000
+
+
+def test_different_sizes_are_padded(write, shared_path, comm):
+    study = write(
+        '[vary]\n"mesh.contact_elements" = { values = [8, 16] }\n'
+        '"time.steps" = { values = [3, 7] }\n"output.profiles" = { values = ["last"] }\n'
+    )
+    swept(study, shared_path / "out", comm)
+    found = variables(shared_path / "out")
+    assert found["pressure"].shape == (4, 16)
+    assert list(found["elements"]) == [8, 8, 16, 16]
+    assert list(found["steps_stored"]) == [4, 8, 4, 8]
+    for i, (rows, n) in enumerate(zip(found["steps_stored"], found["elements"], strict=True)):
+        assert np.isfinite(found["penetration"][i, :rows]).all()
+        assert np.isnan(found["penetration"][i, rows:]).all()
+        assert np.isfinite(found["pressure"][i, :n]).all()
+        assert np.isnan(found["pressure"][i, n:]).all()
+        assert found["final_penetration"][i] == found["penetration"][i, rows - 1]
+
+
+def test_again_recomputes_nothing_and_changes_nothing(write, shared_path, comm, monkeypatch):
+    study, folder = write(STUDY), shared_path / "out"
+    swept(study, folder, comm)
+    before, rows = variables(folder), table(folder)
+    monkeypatch.setattr(sweep.WearHistory, "start", None)  # any case would fail
+    swept(study, folder, comm)
+    same(before, variables(folder))
+    assert table(folder) == rows
+
+
+def test_changed_study_keeps_what_is_the_same(write, shared_path, comm):
+    folder = shared_path / "out"
+    swept(write(STUDY), folder, comm)
+    before = {row["case"]: row for row in table(folder)}
+    comm.Barrier()
+    swept(write(STUDY.replace("[5e4, 1e5]", "[1e5, 2e5]")), folder, comm)
+    after = table(folder)
+    assert [row["in_study"] for row in after] == ["yes"] * 12 + ["no"] * 6
+    kept = [row for row in after if row["case"] in before]
+    assert len(kept) == 12
+    for row in kept:
+        vanished = row["upper.young"] == "50000.0"
+        assert row == {**before[row["case"]], "in_study": "no" if vanished else "yes"}
+    assert read_ensemble(folder).in_study.sum() == 12
+
+
+def test_a_longer_sobol_study_extends_a_shorter_one(write, shared_path, comm):
+    text = (
+        '[vary]\n"wear.lower.k" = { log = [1e-8, 1e-6] }\n"load.pressure" = { linear = [50, 90] }\n'
+        '[design]\nmethod = "sobol"\ncount = 6\nseed = 4\n'
+    )
+    folder = shared_path / "out"
+    swept(write(text), folder, comm)
+    before = table(folder)
+    comm.Barrier()
+    swept(write(text.replace("count = 6", "count = 11")), folder, comm)
+    assert table(folder)[:6] == before
+    assert len(table(folder)) == 11
+
+
+def test_slices_and_merging_equal_the_whole(write, shared_path, comm):
+    study = write(STUDY)
+    swept(study, shared_path / "whole", comm)
+    for part in ((3, 3), (1, 3), (2, 3)):
+        swept(study, shared_path / "sliced", comm, part=part)
+        assert not (shared_path / "sliced" / "results.h5").exists()
+    swept(study, shared_path / "sliced", comm)
+    same(variables(shared_path / "whole"), variables(shared_path / "sliced"))
+
+
+@pytest.mark.mpi(min_size=2)
+def test_teams_of_ranks(write, shared_path, comm):
+    study = write(STUDY)
+    swept(study, shared_path / "ones", comm)
+    swept(study, shared_path / "team", comm, ranks_per_case=comm.size)
+    one, team = variables(shared_path / "ones"), variables(shared_path / "team")
+    for name in ("penetration", "worn_volume_lower", "torque"):
+        assert team[name] == pytest.approx(one[name], rel=1e-12, abs=1e-15)
+
+
+def test_sizes_that_do_not_divide_are_refused(write, shared_path, comm):
+    m = comm.size + 1
+    with pytest.raises(InputError, match=rf"{m}: {comm.size} ranks do not divide into teams"):
+        swept(write(STUDY), shared_path / "out", comm, ranks_per_case=m)
+    assert not (shared_path / "out").exists()
+
+
+def test_a_failed_case_is_a_row_and_the_others_go_on(write, shared_path, comm, monkeypatch):
+    from ringwear_par.wear.law import ThresholdLaw
+
+    original = ThresholdLaw.rate
+
+    def rate(self, p, power):
+        if abs(self.k - 1e-7) < 1e-12:
+            raise RuntimeError("this law blows up")
+        return original(self, p, power)
+
+    monkeypatch.setattr(ThresholdLaw, "rate", rate)
+    folder = shared_path / "out"
+    with pytest.raises(ComputationError, match="4 of 12 cases failed"):
+        swept(write(STUDY), folder, comm)
+    comm.Barrier()
+    rows = table(folder)
+    assert [row["status"] for row in rows] == ["done"] * 4 + ["failed"] * 4 + ["done"] * 4
+    assert "this law blows up" in rows[5]["error"]
+    comm.Barrier()
+    monkeypatch.setattr(ThresholdLaw, "rate", original)
+    with pytest.raises(ComputationError, match="4 of 12 cases failed"):
+        swept(write(STUDY), folder, comm)  # failures are results as well
+    comm.Barrier()
+    assert swept(write(STUDY), folder, comm, retry=True) == 0
+    assert all(row["status"] == "done" for row in table(folder))
+
+
+def test_an_operator_that_fails_fails_its_cases_only(write, shared_path, comm, monkeypatch):
+    original = sweep.assemble_operator
+
+    def assemble(case, team):
+        if case.upper.r[0] == 28.0:
+            raise ComputationError("the factorisation failed")
+        return original(case, team)
+
+    monkeypatch.setattr(sweep, "assemble_operator", assemble)
+    with pytest.raises(ComputationError, match="6 of 12 cases failed"):
+        swept(write(STUDY), shared_path / "out", comm)
+    comm.Barrier()
+    failed = [row for row in table(shared_path / "out") if row["status"] == "failed"]
+    assert {row["upper.r"] for row in failed} == {"[28, 32]"}
+    assert {row["error"] for row in failed} == {"the factorisation failed"}
+
+
+def test_a_dry_run_writes_nothing(write, shared_path, comm, capsys):
+    sweep.run_sweep(write(STUDY), shared_path / "out", 1, None, True, False, comm)
+    comm.Barrier()
+    assert not (shared_path / "out").exists()
+    if comm.rank == 0:
+        told = capsys.readouterr().out
+        assert "12 cases" in told
+        assert "2 distinct operator(s)" in told
+        assert "estimate for 12 cases" in told

@@ -1,0 +1,352 @@
+"""Sweeps that are killed, stopped or damaged, and disks and cases that fail."""
+
+import os
+import shutil
+import signal
+import subprocess
+import time
+
+import h5py
+import pytest
+import try_faults as faults
+from conftest import SHELL_ENVIRONMENT
+
+from ringwear_par.errors import ComputationError
+from ringwear_par.results import progress as monitor
+from ringwear_par.studies.sweep import run_sweep
+from ringwear_par.wear.law import ThresholdLaw
+
+pytestmark = [
+    pytest.mark.serial,
+    pytest.mark.skipif(not shutil.which("mpirun"), reason="no mpirun"),
+]
+#: cases of the short study, and of the long one
+SHORT, LONG = 60, 10
+
+
+def sweep(study, output, *words, ranks=2, patience=100):
+    process = start(study, output, *words, ranks=ranks)
+    try:
+        stdout, stderr = process.communicate(timeout=patience)
+    finally:
+        if process.poll() is None:
+            end(process)
+    return subprocess.CompletedProcess(process.args, process.returncode, stdout, stderr)
+
+
+def start(study, output, *words, ranks=2):
+    return subprocess.Popen(
+        [*faults.command(study, output, ranks), *map(str, words)],
+        env=SHELL_ENVIRONMENT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+    )  # fmt: skip
+
+
+def end(process):
+    """Kill what is left of a sweep that we started."""
+    family = faults.children(process.pid)
+    if process.poll() is None:
+        for pid in (process.pid, *family):
+            faults.kill(pid, signal.SIGKILL)
+    process.communicate(timeout=60)
+    faults.wait_for_end(family)
+
+
+def until(condition, process=None, patience=60.0):
+    limit = time.monotonic() + patience
+    while not condition():
+        assert time.monotonic() < limit, "waited in vain"
+        assert process is None or process.poll() is None, process.communicate()
+        time.sleep(0.02)
+
+
+def sentences(text):
+    return [line for line in text.splitlines() if line.startswith("ringwear: ")]
+
+
+def statuses(output):
+    with h5py.File(output / "results.h5", "r") as file:
+        return file.attrs["status"], list(file["status"].asstr()[:]), list(file["error"].asstr()[:])
+
+
+def kept(before, output, but=()):
+    """Whether cases were not computed again."""
+    after = faults.seconds_by_id(output)
+    return all(after[i] == seconds for i, seconds in before.items() if i not in but)
+
+
+@pytest.fixture(scope="module")
+def short(tmp_path_factory):
+    """A study of a second, and its folder of results."""
+    folder = tmp_path_factory.mktemp("short")
+    study = faults.write_study(folder, count=6, steps=60, elements=(16, 24))
+    faults.run_reference(study, folder / "reference", 2, SHELL_ENVIRONMENT)
+    return study, folder / "reference"
+
+
+@pytest.fixture(scope="module")
+def long(tmp_path_factory):
+    """A study of few, long cases, and its folder of results."""
+    folder = tmp_path_factory.mktemp("long")
+    study = faults.write_study(folder, count=2, steps=6000, elements=(16,))
+    faults.run_reference(study, folder / "reference", 2, SHELL_ENVIRONMENT)
+    return study, folder / "reference"
+
+
+def test_killed_sweeps_go_on(tmp_path):
+    study = faults.write_study(tmp_path, count=12)
+    trials = faults.run_trials(study, tmp_path, 3, 2, 7, SHELL_ENVIRONMENT)
+    assert [trial.faults for trial in trials] == [()] * 3
+
+
+@pytest.fixture
+def small_disk(tmp_path):
+    """A disk of 2 MB."""
+    disk = tmp_path / "disk"
+    disk.mkdir()
+    mount = ["mount", "-t", "tmpfs", "-o", "size=2m", "tmpfs", str(disk)]
+    if os.geteuid() or not shutil.which("mount"):
+        pytest.skip("only root may mount a small disk")
+    if subprocess.run(mount, capture_output=True, timeout=20, check=False).returncode:
+        pytest.skip("mounting a small disk is not allowed here")
+    try:
+        yield disk
+    finally:
+        subprocess.run(["umount", "-l", str(disk)], timeout=20, check=True)
+
+
+def test_full_disk(small_disk, short):
+    study, reference = short
+    result = sweep(study, small_disk / "out")
+    assert result.returncode == 1
+    told = sentences(result.stderr)
+    assert len([line for line in told if "the same command goes on" in line]) == 1, told
+    assert "Traceback" not in result.stderr
+    before = faults.done_before(small_disk / "out")
+    more = ["mount", "-o", "remount,size=64m", str(small_disk)]
+    subprocess.run(more, timeout=20, check=True)
+    result = sweep(study, small_disk / "out")
+    assert result.returncode == 0, result.stderr
+    assert before
+    assert kept(before, small_disk / "out")
+    assert not faults.differences(small_disk / "out", reference)
+
+
+@pytest.mark.parametrize("ranks_per_case", [1, 2])
+def test_disk_full_from_the_start(small_disk, short, ranks_per_case):
+    (small_disk / "out").mkdir()
+    with pytest.raises(OSError, match="space"):
+        (small_disk / "filler").write_bytes(bytes(4_000_000))
+    words = "--ranks-per-case", ranks_per_case
+    result = sweep(short[0], small_disk / "out", *words, patience=40)
+    assert result.returncode == 1
+    assert len(sentences(result.stderr)) == 1
+    assert "Traceback" not in result.stderr
+
+
+def test_case_that_raises(tmp_path, short, monkeypatch, comm):
+    study, _ = short
+    true_rate = ThresholdLaw.rate
+
+    def rate(self, p, power):
+        if self.p0 == 20.0 and self.k > 9e-7:
+            raise RuntimeError("no such\nmaterial")
+        return true_rate(self, p, power)
+
+    def run(retry):
+        return run_sweep(study, tmp_path / "out", 1, None, False, retry, comm)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(ThresholdLaw, "rate", rate)
+        with pytest.raises(ComputationError, match=f"^2 of {SHORT} cases failed; .*cases.csv"):
+            run(False)
+    whole, status, error = statuses(tmp_path / "out")
+    assert whole == "complete"
+    assert (status.count("failed"), status.count("done")) == (2, SHORT - 2)
+    assert set(error) == {"", "RuntimeError('no such\\nmaterial')"}
+    before = faults.done_before(tmp_path / "out")
+    with pytest.raises(ComputationError, match=f"^2 of {SHORT} cases failed"):
+        run(False)  # a failed case is not tried again by itself
+    assert kept(before, tmp_path / "out")
+    bad = {row["case"] for row in faults.table(tmp_path / "out") if row["status"] == "failed"}
+    assert run(True) == 0
+    assert kept(before, tmp_path / "out", but=bad)
+    assert statuses(tmp_path / "out")[1:] == (["done"] * SHORT, [""] * SHORT)
+
+
+def test_cases_that_never_converge(tmp_path, short):
+    study, reference = short
+    result = sweep(study, tmp_path / "out", "--", "-contact_tao_max_it", "1")
+    assert result.returncode == 1
+    assert "Traceback" not in result.stderr
+    _, status, error = statuses(tmp_path / "out")
+    failed = status.count("failed")
+    assert failed
+    assert f"{failed} of {SHORT} cases failed" in sentences(result.stderr)[-1]
+    assert all(bool(e) == (s == "failed") for s, e in zip(status, error, strict=True))
+    result = sweep(study, tmp_path / "out", "--retry-failed")
+    assert result.returncode == 0, result.stderr
+    assert not faults.differences(tmp_path / "out", reference)
+
+
+def test_zero_displacement_and_load(tmp_path):
+    study = faults.write_study(tmp_path, count=2, steps=10, elements=(16,))
+    base = tmp_path / "paper.toml"
+    text = base.read_text(encoding="utf-8").replace('"force"', '"displacement"')
+    lines = [line for line in text.splitlines() if not line.startswith("pressure =")]
+    base.write_text("\n".join(lines).replace("[load]", "[load]\ndisplacement = 1e-12") + "\n")
+    result = sweep(study, tmp_path / "out")
+    assert "Traceback" not in result.stderr
+    if result.returncode != 2:  # else refused as input
+        _, status, error = statuses(tmp_path / "out")
+        assert set(status) <= {"done", "failed"}
+        assert all(bool(e) == (s == "failed") for s, e in zip(status, error, strict=True))
+
+
+def test_damaged_results(tmp_path, short):
+    study, reference = short
+    output = tmp_path / "out"
+    shutil.copytree(reference, output)
+    results = output / "results.h5"
+    os.truncate(results, results.stat().st_size // 2)
+    result = sweep(study, output)
+    assert result.returncode == 0, result.stderr
+    (told,) = [line for line in sentences(result.stderr) if "is damaged" in line]
+    assert "results.damaged.h5" in told
+    (output / "results.damaged.h5").unlink()
+    assert not faults.differences(output, reference)
+
+
+def test_dry_run_changes_nothing(tmp_path, short):
+    study, reference = short
+    output = tmp_path / "out"
+    shutil.copytree(reference, output)
+    os.truncate(output / "results.h5", 1000)
+    assert sweep(study, output, "--dry-run").returncode == 0
+    assert (output / "results.h5").exists()
+
+
+def test_damaged_shard(tmp_path, long):
+    study, reference = long
+    output = tmp_path / "out"
+    process = start(study, output)
+    try:
+        until(lambda: len(faults.done_before(output)) > 2, process)
+    finally:
+        end(process)
+    shard = sorted((output / "shards").glob("*.sqlite"))[0]
+    for path in shard.parent.glob(f"{shard.name}-*"):
+        path.unlink()
+    with shard.open("ab") as file:
+        file.truncate(shard.stat().st_size // 2)
+        file.write(b"nonsense" * 100)
+    with shard.open("rb+") as file:
+        file.write(b"no database any more")
+    result = sweep(study, output)
+    assert result.returncode == 0, result.stderr
+    (told,) = [line for line in sentences(result.stderr) if "is damaged" in line]
+    aside = shard.with_suffix(".damaged")
+    assert f"kept as {aside.name}" in told
+    found = list(output.rglob(aside.name))
+    for path in found:
+        path.unlink()
+    if (output / "shards").exists():
+        (output / "shards").rmdir()
+    assert not faults.differences(output, reference)
+    assert found, "not kept after all"
+
+
+@pytest.mark.parametrize("where", ["/proc/no", "/sys/no", "/dev/null"])
+def test_folder_that_cannot_be_written(short, where):
+    result = sweep(short[0], where)
+    assert result.returncode == 2, result.stderr
+    assert len(sentences(result.stderr)) == 1
+    assert "Traceback" not in result.stderr
+
+
+def test_two_sweeps_in_one_folder(tmp_path, long):
+    study, reference = long
+    output = tmp_path / "out"
+    process = start(study, output)
+    try:
+        until(lambda: any((output / "shards").glob("*.sqlite")), process)
+        second = sweep(study, output, ranks=0)
+        assert second.returncode == 2, second.stderr
+        (told,) = sentences(second.stderr)
+        assert "another sweep is at work" in told
+        _, stderr = process.communicate(timeout=100)
+        assert process.returncode == 0, stderr
+    finally:
+        end(process) if process.poll() is None else None
+    assert not faults.differences(output, reference)
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGUSR1])
+def test_signal_to_one_rank(tmp_path, long, number):
+    study, reference = long
+    output = tmp_path / "out"
+    process = start(study, output)
+    try:
+        until(lambda: len(faults.done_before(output)) > 1, process)
+        time.sleep(0.2)
+        faults.kill(faults.children(process.pid)[-1], number)
+        _, stderr = process.communicate(timeout=100)
+    finally:
+        end(process) if process.poll() is None else None
+    assert process.returncode == 1, stderr
+    assert "Traceback" not in stderr
+    assert f"stopped by {signal.Signals(number).name}, incomplete" in sentences(stderr)[-1]
+    assert (output / "STOPPED").exists()
+    whole, status, _ = statuses(output)
+    assert whole == "incomplete"
+    inflight = sorted(path.stem for path in (output / "inflight").glob("*.h5"))
+    assert inflight
+    with h5py.File(output / "results.h5", "r") as file:
+        steps = dict(zip(file["case"].asstr()[:], file["steps_stored"][:], strict=True))
+    assert all(1 < steps[identity] < 6001 for identity in inflight)
+    assert status.count("done") + len(inflight) < LONG
+    before = faults.done_before(output)
+    result = sweep(study, output)
+    assert result.returncode == 0, result.stderr
+    assert kept(before, output)
+    assert not faults.differences(output, reference)
+
+
+def test_no_checkpoint_is_left(tmp_path, monkeypatch, comm):
+    study = faults.write_study(tmp_path, count=2, steps=30, elements=(16,))
+    monkeypatch.setattr(monitor, "CHECKPOINT_SECONDS", 0.001)
+    assert run_sweep(study, tmp_path / "out", 1, None, False, False, comm) == 0
+    assert not (tmp_path / "out" / "inflight").exists()
+
+
+def test_steps_that_differ_stay_named_so(tmp_path, comm):
+    study = faults.write_study(tmp_path, count=2, steps=30, elements=(16,))
+    text = study.read_text(encoding="utf-8")
+    study.write_text(text.replace("[design]", '"output.every" = { values = [1, 10] }\n[design]'))
+    assert run_sweep(study, tmp_path / "out", 1, None, False, False, comm) == 0
+    shutil.copytree(tmp_path / "out", tmp_path / "first")
+    assert run_sweep(study, tmp_path / "out", 1, None, False, False, comm) == 0
+    assert not faults.differences(tmp_path / "out", tmp_path / "first")
+
+
+def test_changed_study(tmp_path, short):
+    study, reference = short
+    output = tmp_path / "out"
+    shutil.copytree(reference, output)
+    for path in (study, study.with_name("paper.toml")):
+        shutil.copy(path, tmp_path)
+    changed = tmp_path / study.name
+    text = changed.read_text(encoding="utf-8")
+    changed.write_text(text.replace("[0, 20, 40, 60, 70]", "[0, 20, 40, 55]"), encoding="utf-8")
+    before = faults.done_before(output)
+    result = sweep(changed, output)
+    assert result.returncode == 0, result.stderr
+    assert f"{SHORT * 3 // 5} of {SHORT * 4 // 5} cases are there already" in result.stderr
+    rows = faults.table(output)
+    assert len(rows) == SHORT + SHORT // 5
+    assert kept(before, output)
+    assert all(row["status"] == "done" for row in rows)
+    gone = {row["wear.lower.p0"] for row in rows if row["in_study"] == "no"}
+    assert {float(value) for value in gone} == {60.0, 70.0}
+    assert sum(row["in_study"] == "no" for row in rows) == SHORT * 2 // 5
+    assert sweep(study, output).returncode == 0  # and back: nothing is lost
+    assert kept(before, output)

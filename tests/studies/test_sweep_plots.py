@@ -1,0 +1,377 @@
+"""The figure of a sweep: what is drawn is what is stored, and indices of models that have them."""
+
+import itertools
+import logging
+import sys
+import time
+import warnings
+
+import numpy as np
+import pytest
+from scipy.stats import qmc
+
+from ringwear_par.errors import InputError
+from ringwear_par.results.files import SCALARS
+from ringwear_par.studies.dataset import Ensemble, Row, read_ensemble, write_ensemble
+from ringwear_par.studies.figures import draw_sweep, plot_sweep, sensitivity
+from ringwear_par.studies.shards import Entry, Record
+
+pytestmark = pytest.mark.serial
+
+
+def write(
+    folder, names, rows, penetration, method="grid", lower=None, upper=None, steps=None,
+    step=None, status=None, in_study=None,
+):  # fmt: skip
+    """Write a sweep whose penetrations grow linearly to given final values (mm)."""
+    count = len(rows)
+    lower = np.zeros(count) if lower is None else lower
+    upper = np.zeros(count) if upper is None else upper
+    steps = [10] * count if steps is None else steps
+    step = [2.0] * count if step is None else step
+    status = ["done"] * count if status is None else status
+    in_study = [True] * count if in_study is None else in_study
+    folder.mkdir(exist_ok=True)
+
+    def fetch(part):
+        for row in part:
+            n = int(row.id, 16)
+            share = np.arange(steps[n] + 1) / steps[n]
+            arrays = {name: np.zeros(steps[n] + 1) for name in SCALARS}
+            arrays["time"] = step[n] * np.arange(steps[n] + 1.0)
+            arrays["penetration"] = penetration[n] * share
+            arrays["worn_volume_lower"] = lower[n] * share
+            arrays["worn_volume_upper"] = upper[n] * share
+            arrays.update(step=np.arange(steps[n] + 1.0), r=np.ones(4), width=np.ones(4))
+            yield Record(
+                id=row.id, toml="", status=status[n], error="", seconds=0.1, imbalance=0.0,
+                arrays=arrays,
+            )  # fmt: skip
+
+    cases = [
+        Row(
+            id=f"{n:016x}", values=tuple(row), toml="", in_study=in_study[n],
+            entry=Entry(status[n], steps[n] + 1, 4, (), False, folder / "none"),
+        )
+        for n, row in enumerate(rows)
+    ]  # fmt: skip
+    write_ensemble(folder, names, cases, fetch, {"method": method, "study": ""})
+    return read_ensemble(folder)
+
+
+def sample(keys, count, seed=3):
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # a Sobol sample of another number than a power of 2
+        return qmc.Sobol(len(keys), seed=seed).random(count)
+
+
+KEYS = ("load.pressure", "load.omega", "upper.r[1]")
+
+
+def ishigami(u):
+    x = np.pi * (2.0 * u - 1.0)
+    first = np.sin(x[:, 0])
+    return first + 7.0 * np.sin(x[:, 1]) ** 2 + 0.1 * x[:, 2] ** 4 * first + 5.0
+
+
+def linear(u):
+    return u @ [1.0, 2.0, 3.0]
+
+
+@pytest.mark.parametrize(
+    ("model", "exact"),
+    [(ishigami, (0.3139, 0.4424, 0.0)), (linear, np.array([1.0, 4.0, 9.0]) / 14.0)],
+)
+def test_first_order_indices_of_known_models(tmp_path, model, exact):
+    u = sample(KEYS, 2048)
+    ensemble = write(tmp_path, KEYS, u, model(u), "sobol", lower=u[:, 0] ** 2)
+    depth, volume = sensitivity(ensemble)
+    assert depth.output == "penetration"
+    assert volume.output == "worn_volume_lower"
+    assert depth.keys == KEYS
+    assert (depth.used, depth.cases) == (2048, 2048)
+    # classes of the key, and a resample of the cases, add less than 0.01
+    assert (np.abs(depth.s1 - exact) <= depth.s1_conf + 0.01).all()
+    assert (depth.s1_conf < 0.05).all()
+    assert volume.s1 == pytest.approx([1.0, 0.0, 0.0], abs=0.03)
+    assert volume.delta[0] > 0.8
+    assert (volume.delta[1:] < 0.1).all()
+
+
+def test_moment_independent_index_of_a_sum(tmp_path):
+    """Of x + y, both uniform, it is 1/3: half the mean area between a square and a triangle."""
+    u = sample(KEYS[:2], 4096)
+    (found,) = sensitivity(write(tmp_path, KEYS[:2], u, u.sum(axis=1), "sobol"))
+    assert found.delta == pytest.approx([1 / 3, 1 / 3], abs=0.06)
+    assert found.s1 == pytest.approx([0.5, 0.5], abs=0.03)
+
+
+def test_indices_of_an_output_that_spans_decades(tmp_path):
+    """A monotone function leaves delta as it is; SALib's own estimate here is 70."""
+    u = sample(KEYS, 1024)
+    depth = 10.0 ** (6.0 * u[:, 0]) * (1.0 + u[:, 1])
+    (wide,) = sensitivity(write(tmp_path / "a", KEYS, u, depth, "sobol"))
+    (narrow,) = sensitivity(write(tmp_path / "b", KEYS, u, np.log(depth), "sobol"))
+    assert wide.delta == pytest.approx(narrow.delta)
+    assert 0.7 < wide.delta[0] < 1.0
+    assert (wide.delta[1:] < 0.1).all()
+
+
+def test_indices_do_not_depend_on_units_nor_touch_the_random_state(tmp_path):
+    u = sample(KEYS, 256)
+    small = write(tmp_path / "a", KEYS, u, 1e-9 * linear(u), "sobol")
+    large = write(tmp_path / "b", KEYS, u, 1e9 * linear(u), "sobol")
+    np.random.seed(7)
+    expected = np.random.random()
+    np.random.seed(7)
+    (one,), (other,), (again,) = map(sensitivity, (small, large, small))
+    assert np.random.random() == expected
+    for name in ("delta", "delta_conf", "s1", "s1_conf"):
+        assert getattr(one, name) == pytest.approx(getattr(other, name), rel=1e-6)
+        assert (getattr(one, name) == getattr(again, name)).all()
+
+
+def test_indices_follow_from_done_cases_and_numbers_only(tmp_path):
+    u = sample(KEYS, 512)
+    bad = np.arange(512) % 4 == 0
+    depth = np.where(bad, 1e3, u[:, 0])
+    rows = [(p, "implicit" if o < 0.5 else "explicit", 30.0) for p, o, _ in u]
+    ensemble = write(
+        tmp_path, ("load.pressure", "time.scheme", "upper.r[1]"), rows, depth, "random",
+        status=["failed" if b else "done" for b in bad],
+    )  # fmt: skip
+    (found,) = sensitivity(ensemble)
+    assert found.keys == ("load.pressure",)
+    assert (found.used, found.cases) == (384, 384)
+    assert found.s1[0] == pytest.approx(1.0, abs=0.05)
+
+
+@pytest.mark.parametrize(
+    ("count", "depth", "said"),
+    [
+        (99, lambda u: u[:, 0], "99 cases are done, at least 100 are needed"),
+        (128, lambda u: 0.0 * u[:, 0], "penetration: it is the same in all cases, or in nearly"),
+        (128, lambda u: 1.0 + 1e-14 * u[:, 0], "penetration: it is the same in all cases, or in"),
+        (128, lambda u: np.arange(len(u)) % 9 == 5.0, "penetration: it is the same in all cases"),
+    ],
+)
+def test_no_indices_with_a_reason(tmp_path, caplog, count, depth, said):
+    u = sample(KEYS, count)
+    ensemble = write(tmp_path, KEYS, u, depth(u), "sobol")
+    with caplog.at_level(logging.INFO):
+        assert sensitivity(ensemble) == ()
+    assert said in caplog.text
+    assert len(draw_sweep(ensemble).axes) == 1 + 2 * 3
+
+
+def test_no_indices_without_salib(tmp_path, caplog, monkeypatch):
+    u = sample(KEYS, 128)
+    ensemble = write(tmp_path, KEYS, u, linear(u), "sobol")
+    monkeypatch.setitem(sys.modules, "SALib.analyze.delta", None)
+    assert sensitivity(ensemble) == ()
+    (record,) = caplog.records
+    assert record.levelname == "WARNING"
+    assert 'pip install "ringwear-par[sensitivity]"' in record.message
+    assert len(draw_sweep(ensemble).axes) == 1 + 2 * 3
+
+
+def test_no_indices_of_a_grid(tmp_path, caplog):
+    rows = list(itertools.product(range(1, 13), range(1, 13)))
+    with caplog.at_level(logging.INFO):
+        assert sensitivity(write(tmp_path, KEYS[:2], rows, np.arange(144.0))) == ()
+    assert not caplog.records
+
+
+def test_indices_are_drawn(tmp_path):
+    u = sample(KEYS, 128)
+    ensemble = write(tmp_path, KEYS, u, linear(u), "latin-hypercube", lower=u[:, 1])
+    depth, _ = sensitivity(ensemble)
+    panel, other = draw_sweep(ensemble).axes[1:3]
+    assert [bar.get_width() for bar in panel.containers[1]] == pytest.approx(depth.delta)
+    assert [bar.get_width() for bar in panel.containers[3]] == pytest.approx(depth.s1)
+    assert [text.get_text() for text in panel.get_yticklabels()] == list(KEYS)
+    assert "penetration" in panel.get_legend().get_title().get_text()
+    assert "worn volume" in other.get_legend().get_title().get_text()
+
+
+def test_curves_of_a_grid(tmp_path):
+    pressures, factors = [20.0, 40.0, 80.0], [1e-9, 1e-8, 1e-7]
+    rows = list(itertools.product(pressures, factors))
+    p, k = np.array(rows).T
+    names = ("load.pressure", "wear.lower.k")
+    ensemble = write(tmp_path, names, rows, 1e-3 * p + 1e5 * k, lower=p * k)
+    fan, *panels = draw_sweep(ensemble).axes
+    assert len(fan.lines) == 9
+    assert fan.lines[4].get_ydata() == pytest.approx(
+        1e3 * (0.04 + 1e-3) * np.arange(11) / 10, rel=1e-9
+    )
+    assert fan.lines[4].get_label() == "40, 1e-8"
+    against_p, against_k, volume_p, volume_k = panels
+    assert [line.get_label() for line in against_p.lines] == ["1e-9", "1e-8", "1e-7"]
+    for line, factor in zip(against_p.lines, factors, strict=True):
+        assert list(line.get_xdata()) == pressures
+        assert line.get_ydata() == pytest.approx(np.array(pressures) + 1e8 * factor)
+    for line, pressure in zip(volume_k.lines, pressures, strict=True):
+        assert list(line.get_xdata()) == factors
+        assert line.get_ydata() == pytest.approx(pressure * np.array(factors))
+    assert against_p.get_legend().get_title().get_text() == "wear.lower.k (1/MPa)"
+    assert against_p.get_ylabel() == "final penetration (\N{MICRO SIGN}m)"
+    assert volume_p.get_ylabel() == "worn volume, lower (mm\N{SUPERSCRIPT THREE})"
+    assert volume_p.get_xlabel() == "load.pressure (MPa)"
+    assert volume_k.get_xlabel() == "wear.lower.k (1/MPa)"
+    assert (against_p.get_xscale(), against_k.get_xscale()) == ("linear", "log")
+    assert (against_p.get_yscale(), volume_p.get_yscale()) == ("linear", "log")
+
+
+def test_band_of_a_larger_grid(tmp_path):
+    rows = list(itertools.product([1.0, 2.0, 3.0], range(4), ["implicit", "explicit"], [5.0, 6.0]))
+    depth = np.array([a + 0.1 * b + 0.01 * d for a, b, _, d in rows])
+    names = ("load.pressure", "load.omega", "time.scheme", "upper.r[1]")
+    figure = draw_sweep(write(tmp_path, names, rows, depth))
+    assert figure.get_suptitle() == "48 cases"
+    pressure, omega = figure.axes[1:3]
+    scheme = figure.axes[7]
+    assert list(pressure.lines[0].get_xdata()) == [1.0, 2.0, 3.0]
+    for x, y in zip(*pressure.lines[0].get_data(), strict=True):
+        mine = 1e3 * depth[[row[0] == x for row in rows]]
+        assert y == pytest.approx(np.median(mine))
+        low, high = (f(pressure.collections[0].get_paths()[0].vertices[:, 1]) for f in (min, max))
+        assert low <= mine.min()
+        assert high >= mine.max()
+    assert [text.get_text() for text in scheme.get_xticklabels()] == ["implicit", "explicit"]
+    assert omega.get_legend_handles_labels()[1] == ["full range", "median over the others"]
+
+
+def test_other_cases_than_done_ones_are_counted_not_drawn(tmp_path):
+    rows = [(float(n),) for n in range(1, 8)]
+    status = ["done", "failed", "done", "incomplete", "done", "done", "failed"]
+    ensemble = write(
+        tmp_path, ("load.omega",), rows, np.arange(7.0) + 1.0, status=status,
+        in_study=[True, True, True, True, True, False, False],
+    )  # fmt: skip
+    figure = draw_sweep(ensemble)
+    assert figure.get_suptitle() == "5 cases, 1 failed, 1 incomplete"
+    fan, depth, _ = figure.axes
+    assert [line.get_label() for line in fan.lines] == ["1", "3", "5"]
+    assert list(depth.lines[0].get_xdata()) == [1.0, 3.0, 5.0]
+    assert depth.lines[0].get_ydata() == pytest.approx([1e3, 3e3, 5e3])
+
+
+def test_fan_of_histories_with_different_steps(tmp_path):
+    count = 101
+    steps = [10 + n % 5 for n in range(count)]
+    depth = 1e-3 * np.arange(1.0, count + 1)
+    ensemble = write(
+        tmp_path, ("load.omega",), [(n,) for n in range(count)], depth, "list", steps=steps,
+        step=[60.0 / n for n in steps],
+    )  # fmt: skip
+    fan = draw_sweep(ensemble).axes[0]
+    time, median = fan.lines[-1].get_data()
+    assert fan.lines[-1].get_label() == "median"
+    assert time[-1] == pytest.approx(60.0)
+    assert median == pytest.approx(51.0 * time / 60.0)
+    for band, ends in zip(fan.collections, ((6.0, 96.0), (26.0, 76.0)), strict=True):
+        x, y = band.get_paths()[0].vertices.T
+        last = y[np.isclose(x, 60.0)]
+        assert (last.min(), last.max()) == pytest.approx(ends)
+    assert fan.get_legend().get_title().get_text() == ""
+
+
+def test_fan_of_histories_that_end_apart(tmp_path):
+    """Half of the cases end early: from then on the quantiles are those of the others."""
+    depth = np.array([1e-3, 3e-3] * 10)
+    steps = [5, 10] * 10
+    ensemble = write(
+        tmp_path, ("load.omega",), [(n,) for n in range(20)], depth, "list", steps=steps
+    )
+    fan = draw_sweep(ensemble).axes[0]
+    time, median = fan.lines[-1].get_data()
+    late = time > 10.0 + 1e-9
+    assert median[late] == pytest.approx(3.0 * time[late] / 20.0)
+    assert median[~late] == pytest.approx((time / 10.0 + 3.0 * time / 20.0)[~late] / 2.0)
+    assert "last so long" in fan.get_legend().get_title().get_text()
+
+
+def test_lists(tmp_path):
+    """One key at a time from a base case: the curve of each, the rest as points."""
+    rows = [(40.0, 1.0), (20.0, 1.0), (60.0, 1.0), (40.0, 2.0), (40.0, 3.0)]
+    names = ("load.pressure", "load.omega")
+    pressure, omega = draw_sweep(write(tmp_path, names, rows, np.arange(5.0), "list")).axes[1:3]
+    assert list(pressure.lines[0].get_xdata()) == [20.0, 40.0, 60.0]
+    assert list(pressure.lines[0].get_ydata()) == [1e3, 0.0, 2e3]
+    assert list(pressure.lines[1].get_ydata()) == [3e3, 4e3]
+    assert list(omega.lines[0].get_xdata()) == [1.0, 2.0, 3.0]
+    scattered = np.random.default_rng(1).random((30, 2))
+    panel = draw_sweep(write(tmp_path / "b", names, scattered, np.arange(30.0), "list")).axes[1]
+    assert list(panel.lines[0].get_xdata()) == list(scattered[:, 0])
+    assert panel.lines[0].get_linestyle() == "None"
+
+
+def test_scatter_of_categories_and_missing_values(tmp_path):
+    rows = [("implicit" if n % 2 else "explicit", None if n < 5 else n + 1.0) for n in range(50)]
+    names = ("time.scheme", "load.pressure")
+    figure = draw_sweep(write(tmp_path, names, rows, np.arange(50.0), "random"))
+    scheme, pressure, below, _ = figure.axes[1:]
+    assert [text.get_text() for text in below.get_xticklabels()] == ["explicit", "implicit"]
+    assert np.abs(scheme.lines[0].get_xdata() - np.arange(50) % 2).max() <= 0.2
+    assert list(scheme.lines[1].get_ydata()) == [24e3, 25e3]
+    assert list(pressure.lines[0].get_xdata()) == [n + 1.0 for n in range(5, 50)]
+
+
+def test_upper_ring_that_wears_and_many_keys(tmp_path):
+    names = (*KEYS, "contact.friction", "lower.young")
+    u = sample(names, 20)
+    figure = draw_sweep(write(tmp_path, names, u, u[:, 0], "sobol", upper=u[:, 1]))
+    assert len(figure.axes) == 1 + 3 * 5
+    columns = {round(axes.get_position().x0, 2) for axes in figure.axes}
+    assert len(columns) <= 4
+    assert sum("upper (mm" in axes.get_ylabel() for axes in figure.axes) == 2
+
+
+@pytest.mark.parametrize("ending", [".png", ".pdf", ".svg"])
+def test_one_case_in_every_format(tmp_path, ending):
+    write(tmp_path / "a", ("time.scheme",), [("implicit",)], [1e-3])
+    output = tmp_path / f"sweep{ending}"
+    plot_sweep(tmp_path / "a", output)
+    assert output.stat().st_size > 3000
+    assert sorted(tmp_path.iterdir()) == sorted([tmp_path / "a", output])
+
+
+def test_wrong_requests(tmp_path):
+    write(tmp_path, KEYS[:1], [(1.0,), (2.0,)], [1.0, 1.0], status=["failed", "incomplete"])
+    before = sorted(tmp_path.iterdir())
+    with pytest.raises(InputError, match=r"no case that is done \(2 cases, 1 failed, 1 incompl"):
+        plot_sweep(tmp_path, tmp_path / "a.png")
+    with pytest.raises(InputError, match="its ending must be one of"):
+        plot_sweep(tmp_path, tmp_path / "a.docx")
+    with pytest.raises(InputError, match="does not exist"):
+        plot_sweep(tmp_path / "none", tmp_path / "a.png")
+    assert sorted(tmp_path.iterdir()) == before
+
+
+def test_many_cases_are_drawn_from_a_part_of_their_histories(tmp_path, monkeypatch):
+    count = 20000
+    u = sample(KEYS, count)
+    write(tmp_path / "a", KEYS, u, linear(u), "sobol", steps=[20] * count)
+    read = []
+    histories = Ensemble.histories
+
+    def counted(self, name, cases):
+        table = histories(self, name, cases)
+        read.append((name, len(cases), table.nbytes))
+        return table
+
+    monkeypatch.setattr(Ensemble, "histories", counted)
+    monkeypatch.setattr("ringwear_par.sweep_plots._BLOCK_BYTES", 2e5)
+    started = time.monotonic()
+    plot_sweep(tmp_path / "a", tmp_path / "a.png")
+    assert time.monotonic() - started < 60.0
+    assert sum(cases for name, cases, _ in read if name == "penetration") == 2000
+    assert {name for name, _, _ in read} == {"time", "penetration"}
+    assert max(size for _, _, size in read) <= 2e5
+    figure = draw_sweep(read_ensemble(tmp_path / "a"))
+    fan, indices = figure.axes[:2]
+    assert "2000 of 20000 cases" in fan.get_legend().get_title().get_text()
+    assert "(4000 of 20000 cases)" in indices.get_legend().get_title().get_text()
+    median = fan.lines[-1].get_ydata()[-1]
+    assert median == pytest.approx(1e3 * np.median(linear(u)), rel=0.03)

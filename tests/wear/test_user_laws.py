@@ -1,0 +1,178 @@
+"""Laws from a user's file: what they may not do, and what becomes of a run if they do."""
+
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+
+from ringwear_par.cases.law_trials import check_laws
+from ringwear_par.errors import ComputationError, InputError
+from ringwear_par.results.run import run_case
+from ringwear_par.studies.sweep import run_sweep
+
+PAPER = Path(__file__).parents[2] / "scripts/cases/paper.toml"
+GOOD = """
+def rate(p, at): return 1e-8 * at.speed * p
+def slope(p, at): return 1e-8 * at.speed + 0 * p
+"""
+#: three times the rate of good
+TRIPLE = GOOD.replace("1e-8", "3e-8")
+BASE = ["mesh.contact_elements=16", "time.scheme=adaptive", "time.end=20", "wear.lower.law=user"]
+
+
+@pytest.fixture
+def law(shared_path, comm):
+    """Function that writes a law's file and returns the overrides that name it."""
+
+    def law(source, name="law.py"):
+        path = shared_path / name
+        if comm.rank == 0:
+            path.write_text(source)
+        comm.Barrier()
+        return [*BASE, f"wear.lower.file={path}"]
+
+    return law
+
+
+@pytest.mark.parametrize(
+    ("source", "words"),
+    [
+        (GOOD.replace("def rate(p, at): return", "def rate(p, at):\n  p -= 20.0\n  return"),
+         r"wear.lower.file: .*rate\(\) failed at time 0 s: ValueError.*read-only"),
+        ("raise SystemExit(0)", r"wear.lower.file = .*cannot be run \(SystemExit"),
+        ("def rate(p, at): return p", r"does not define slope"),
+        (GOOD.replace("* p\n", "* p * float('nan')\n"), r"gives nan as rate at time 0 s, element"),
+        (GOOD.replace("* at.speed * p", "* (p - 30)"), r"gives -3e-07 as rate at time 0 s"),
+        (GOOD.replace("* at.speed * p", "* p * (500 - p)"), r"falls from"),
+    ],
+)  # fmt: skip
+def test_bad_laws_are_refused_before_work(law, shared_path, comm, source, words):
+    with pytest.raises(InputError, match=words):
+        run_case(PAPER, shared_path / "run.h5", law(source), False, None, comm)
+    assert not (shared_path / "run.h5").exists()
+
+
+def test_a_law_that_fails_during_work_is_told_with_time_and_element(law, shared_path, comm):
+    late = "import numpy as np\n" + GOOD.replace(
+        "1e-8 * at.speed * p", "np.where(at.time > 5, -1.0, 1e-8 * at.speed * p)"
+    )
+    words = r"rate\(\) gives -1 as rate at time [\d.]+ s, element \d+ \(r = "
+    with pytest.raises(ComputationError, match=words):
+        run_case(PAPER, shared_path / "run.h5", law(late), False, None, comm)
+
+
+def test_what_is_stored_is_not_what_a_law_was_given(law, shared_path, comm):
+    run_case(PAPER, shared_path / "run.h5", law(GOOD), False, None, comm)
+    if comm.rank == 0:
+        with h5py.File(shared_path / "run.h5") as file:
+            area = 2 * np.pi * file["r"][:] * file["width"][:]
+            assert file["pressure"][:] @ area == pytest.approx(file["force"][:], rel=1e-9)
+
+
+def test_restart_wants_the_same_law(law, shared_path, comm):
+    output, keys = shared_path / "run.h5", law(GOOD)
+    run_case(PAPER, output, keys, False, None, comm)
+    law(TRIPLE)
+    with pytest.raises(InputError, match="another wear law in a Python file"):
+        run_case(PAPER, output, [*keys, "time.end=40"], True, None, comm)
+    law(GOOD)
+    assert run_case(PAPER, output, [*keys, "time.end=40"], True, None, comm) == 0
+
+
+def test_wear_that_grows_too_fast_with_itself_is_told(law, shared_path, comm):
+    """Fixed steps say so; adaptive ones become smaller until half of the body is gone."""
+    growing = """
+def rate(p, at): return 1e-8 * at.speed * p * (1 + at.wear / 1e-3)
+def slope(p, at): return 1e-8 * at.speed * (1 + at.wear / 1e-3) + 0 * p
+def wear_slope(p, at): return 1e-8 * at.speed * p / 1e-3
+"""
+    fixed = [k for k in law(growing) if not k.startswith("time")]
+    fixed += ["time.scheme=implicit", "time.step=50", "time.steps=2"]
+    with pytest.raises(ComputationError, match="grows with worn depth too fast"):
+        run_case(PAPER, shared_path / "a.h5", fixed, False, None, comm)
+    with pytest.raises(ComputationError, match="worn off lower, more than half of its height"):
+        run_case(PAPER, shared_path / "a.h5", [*law(growing), "time.end=2000"], False, None, comm)
+
+
+def test_round_off_of_a_memory_law_does_not_matter(law, shared_path, comm):
+    noisy = """
+import numpy as np
+def k(at): return 1e-8 * at.speed * (1 + np.exp(-at.wear / 1e-3))
+def rate(p, at): return k(at) * p * (1 + 1e-13 * np.sin(1e9 * at.wear))
+def slope(p, at): return k(at) + 0 * p
+def wear_slope(p, at): return -1e-8 * at.speed * p * np.exp(-at.wear / 1e-3) / 1e-3
+"""
+    for scheme in ("implicit", "adaptive"):
+        keys = [k for k in law(noisy) if not k.startswith("time")]
+        keys += [f"time.scheme={scheme}", "time.step=1", "time.steps=20"]
+        assert run_case(PAPER, shared_path / f"{scheme}.h5", keys, False, None, comm) == 0
+
+
+def test_a_file_may_name_its_own_knots(law, shared_path, comm):
+    """A pulse that one long step would pass over."""
+    pulse = GOOD.replace("return 1e-8", "return (10 < at.time <= 100) * 1e-8")
+    for source, wears in ((pulse, False), (pulse + "knots = [10.0, 10.001, 100.0, 100.001]", True)):
+        output = shared_path / f"{wears}.h5"
+        run_case(PAPER, output, [*law(source), "time.end=2000"], False, None, comm)
+        if comm.rank == 0:
+            with h5py.File(output) as file:
+                assert (file["worn_volume_lower"][-1] > 1.0) == wears
+
+
+def test_a_refused_case_is_a_row_of_its_sweep(shared_path, comm):
+    """Undeformed bodies that overlap more than one of two loads explains."""
+    if comm.rank == 0:
+        base = PAPER.read_text().replace("z = [20.0, 40.0]", "z = [19.95, 39.95]")
+        (shared_path / "base.toml").write_text(base.replace("steps = 200", "steps = 3"))
+        (shared_path / "study.toml").write_text(
+            'case = "base.toml"\n[vary]\n"load.pressure" = { values = [20, 150] }\n'
+            '"mesh.contact_elements" = { values = [16] }\n'
+        )
+    comm.Barrier()
+    with pytest.raises(ComputationError, match="1 of 2 cases failed"):
+        run_sweep(shared_path / "study.toml", shared_path / "out", 1, None, False, False, comm)
+    if comm.rank == 0:
+        rows = (shared_path / "out/cases.csv").read_text().splitlines()[1:]
+        assert sorted("done" in row for row in rows) == [False, True]
+        assert any("interpenetrate by 0.05 mm" in row for row in rows)
+
+
+@pytest.mark.serial
+def test_laws_finds_a_wrong_slope_but_not_kinks(law, shared_path, comm, capsys):
+    case = PAPER.parent / "user_law.toml"
+    assert check_laws(case, []) == 0
+    assert check_laws(PAPER.parent / "table.toml", []) == 0
+    wrong = law("def rate(p, at): return 1e-9 * p**1.5\ndef slope(p, at): return 1.4e-9 * p**0.5\n")
+    with pytest.raises(ComputationError, match="4 derivative"):
+        check_laws(PAPER, [k for k in wrong if not k.startswith("time")])
+    points = [[20.0 * i, 1e-9 * i * i] for i in range(3000)]
+    assert check_laws(PAPER, ["wear.lower.law=table", f"wear.lower.table={points}"]) == 0
+    assert "as its kinks explain" in capsys.readouterr().out
+    check_laws(PAPER, ["load.omega=[[0, 0], [1, 0]]", "wear.lower.p0=1000"])
+    assert "not tested" in capsys.readouterr().out
+
+
+def test_energy_of_schedules(shared_path, comm):
+    """Force and speed grow in proportion to time, and nothing wears."""
+    keys = ["mesh.contact_elements=16", "time.scheme=adaptive", "time.end=100", "wear.lower.k=0",
+            "load.omega=[[0, 0], [100, 1]]", "load.pressure=[[0, 0], [100, 80]]"]  # fmt: skip
+    run_case(PAPER, shared_path / "run.h5", keys, False, None, comm)
+    if comm.rank == 0:
+        with h5py.File(shared_path / "run.h5") as file:
+            exact = file["torque"][-1] * 100.0 / 3.0
+            assert file["dissipated_energy"][-1] == pytest.approx(exact, rel=1e-3)
+            assert len(file["time"]) < 60
+
+
+def test_times_of_output_are_stored_once_and_named_once(shared_path, comm):
+    output = shared_path / "run.h5"
+    keys = ["mesh.contact_elements=16", "time.scheme=adaptive", "time.end=300",
+            "output.times=[0.001, 0.5, 1, 100]"]  # fmt: skip
+    run_case(PAPER, output, keys, False, None, comm)
+    run_case(PAPER, output, [*keys, "time.end=1000"], True, None, comm)
+    if comm.rank == 0:
+        with h5py.File(output) as file:
+            assert file["time"][:].tolist() == [0, 0.001, 0.5, 1, 100, 1000]
+            assert file["step"][:].tolist() == [0, 1, 2, 3, 4, 5]
+            assert (np.diff(file["steps_made"][:]) >= 0).all()

@@ -1,0 +1,164 @@
+"""Wear laws: values, derivatives by Taylor remainders, implicit steps with memory and averages."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from wearing import sliding, step_wear
+
+from ringwear_par.errors import ComputationError, InputError
+from ringwear_par.schedules import Table
+from ringwear_par.wear.derivative_test import taylor_test
+from ringwear_par.wear.increment import WearIncrement, averaging
+from ringwear_par.wear.law import (
+    ArchardLaw,
+    NonLocalLaw,
+    PowerLaw,
+    RunningInLaw,
+    TableLaw,
+    ThresholdLaw,
+)
+from ringwear_par.wear.user import UserLaw, check_user_law
+
+P = np.array([0.0, 10.0, 39.0, 41.0, 100.0])
+POWER = np.array([1.0, 2.0, 3.0, 4.0, 5.0])
+USER = """
+import numpy as np
+
+def rate(p, at):
+    k = at.parameters["k"] * (1.0 + np.exp(-at.wear / 0.01))
+    return k * at.friction * at.speed * np.log1p(p / 50.0)
+
+def slope(p, at):
+    k = at.parameters["k"] * (1.0 + np.exp(-at.wear / 0.01))
+    return k * at.friction * at.speed / (50.0 + p)
+
+def wear_slope(p, at):
+    k = -at.parameters["k"] * np.exp(-at.wear / 0.01) / 0.01
+    return k * at.friction * at.speed * np.log1p(p / 50.0)
+"""
+LAWS = {
+    "threshold": ThresholdLaw(1e-7, 40.0),
+    "threshold, table in time": ThresholdLaw(Table((0.0, 9.0), (1e-7, 4e-7)), 40.0),
+    "threshold, profile": ThresholdLaw(Table((28.0, 32.0), (1e-7, 4e-7), "r"), 40.0),
+    "archard": ArchardLaw(1e-8),
+    "power": PowerLaw(1e-9, 2.5, 0.7),
+    "table": TableLaw(((0.0, 0.0), (50.0, 1e-6), (210.0, 8e-6), (400.0, 9e-6))),
+    "running-in, depth": RunningInLaw(1e-7, 5e-7, 40.0, depth=2e-5),
+    "running-in, distance": RunningInLaw(1e-7, 5e-7, 40.0, distance=3.0),
+    "non-local": NonLocalLaw(1e-7, 40.0, length=0.8),
+    "user": UserLaw("law.py", USER, (("k", 1e-7),)),
+}
+
+
+def test_threshold_law_is_equation_4():
+    rate = ThresholdLaw(1e-7, 40.0).rate(P, sliding(POWER))
+    assert rate == pytest.approx([0, 0, 0, 4e-7, 3e-5])
+    assert ThresholdLaw(1e-7).per_energy(0.1) == 1e-7
+    assert ThresholdLaw(1e-7, 1.0).per_energy(0.1) is None
+    assert ArchardLaw(1e-7).per_energy(0.1) == pytest.approx(1e-6)
+
+
+def test_parameters_follow_time_and_radius():
+    at = sliding(POWER, time=4.5)
+    in_time = ThresholdLaw(Table((0.0, 9.0), (1e-7, 3e-7)), 40.0)
+    assert in_time.rate(P, at) == pytest.approx(2 * ThresholdLaw(1e-7, 40.0).rate(P, at))
+    along = ThresholdLaw(Table((28.5, 31.5), (0.0, 1e-7), "r"))
+    assert along.rate(P, at) == pytest.approx(np.linspace(0, 1e-7, 5) * POWER * P)
+    assert in_time.knots == (9.0,)
+    assert along.knots == ()
+
+
+def test_running_in_falls_with_distance_and_depth():
+    law = RunningInLaw(1e-7, 5e-7, distance=3.0)
+    at = sliding(POWER)
+    assert law.rate(P, at) == pytest.approx(5e-7 * POWER * P)
+    law = RunningInLaw(1e-7, 5e-7, depth=1e-3)
+    worn = sliding(POWER, wear=np.full(5, 1e-3))
+    assert law.rate(P, worn) == pytest.approx((1 + 4 / np.e) * 1e-7 * POWER * P)
+
+
+@pytest.mark.parametrize("law", LAWS.values(), ids=LAWS)
+@pytest.mark.parametrize("step", [0.0, 3.0])
+@pytest.mark.parametrize("worn", [0.0, 1e-5])
+def test_taylor_remainders(law, step, worn):
+    """Of the rate, and of the wear over an implicit step, memory included."""
+    pressure = P + 5.0  # away from the kinks, where one-sided slopes are all there is
+    at = sliding(POWER, time=2.0, wear=np.full(5, worn))
+    direction = np.array([0.3, -0.2, 0.1, 0.2, -0.5])
+    test = taylor_test(law, at, pressure, direction, step)
+    assert test.passed, test
+
+
+def test_a_wrong_derivative_is_found():
+    wrong = UserLaw("law.py", USER.replace("/ (50.0 + p)", "/ (51.0 + p)"), (("k", 1e-7),))
+    assert not taylor_test(wrong, sliding(POWER), P + 5.0, np.ones(5)).passed
+
+
+@pytest.mark.parametrize("law", LAWS.values(), ids=LAWS)
+def test_the_potential_is_the_integral_of_the_depth(law):
+    """By central differences of area sums, which all laws' potentials share."""
+    pressure, direction = P + 5.0, np.array([0.3, -0.2, 0.1, 0.2, -0.5])
+    at = sliding(POWER, time=2.0)
+    area = np.array([1.0, 1.5, 2.0, 1.2, 0.7])
+    average = averaging(at.r, area, law.length) if law.length else None
+    step = WearIncrement((law, ThresholdLaw(5e-7, 70.0)), (at, at), 3.0, (average, None))
+    h = 1e-3
+    up, down = (area @ step.potential(pressure + s * h * direction) for s in (1, -1))
+    exact = area @ (step.depth(pressure) * direction)
+    assert (up - down) / (2 * h) == pytest.approx(exact, rel=1e-6)
+
+
+def test_memory_is_solved_for_exactly():
+    """The wear of a step at the rate that belongs to the worn depth at its end."""
+    law, at, step = RunningInLaw(1e-7, 9e-7, depth=1e-6), sliding(POWER), 50.0
+    depth = WearIncrement((law, None), (at, at), step).depth(P)
+    end = sliding(POWER, wear=depth)
+    assert depth == pytest.approx(step * law.rate(P, end), rel=1e-13, abs=1e-30)
+
+
+def test_averages_keep_constants_and_volumes():
+    r = np.linspace(28.5, 31.5, 40) ** 2 / 30.0
+    area = 2 * np.pi * r * np.gradient(r)
+    average = averaging(r, area, 0.4)
+    assert average.sum(axis=1) == pytest.approx(np.ones(40), abs=1e-13)
+    assert area @ average == pytest.approx(area, rel=1e-12)
+    assert np.linalg.eigvalsh(area[:, None] * average).min() > -1e-12 * area.max()
+    assert averaging(r, area, 1e-6) == pytest.approx(np.eye(40), abs=1e-12)
+
+
+def test_non_local_becomes_local():
+    at = sliding(POWER)
+    local, other = ThresholdLaw(1e-7, 40.0), NonLocalLaw(1e-7, 40.0, length=1e-4)
+    average = averaging(at.r, np.ones(5), other.length)
+    step = WearIncrement((other, None), (at, at), 2.0, (average, None))
+    assert step.depth(P) == pytest.approx(step_wear((local,), POWER, 2.0).depth(P))
+
+
+@pytest.mark.parametrize(
+    ("body", "words"),
+    [
+        ("return 1e-7 * (p - 40.0)", "gives -4e-06 as rate at time 0 s, element 0"),
+        ("return p * np.nan", "gives nan as rate"),
+        ("return 1e-7 * p + 1e-6", "without pressure"),
+        ("return 1e-7 * p * np.exp(-p / 30.0)", "falls from"),
+        ("return at.temperature", "AttributeError"),
+    ],
+)
+def test_what_is_no_law_is_told(body, words):
+    source = f"import numpy as np\ndef rate(p, at): {body}\ndef slope(p, at): return 0 * p\n"
+    with pytest.raises(InputError, match=words.replace("(", r"\(")) as told:
+        check_user_law(UserLaw("mine.py", source), sliding(POWER), 100.0)
+    assert str(told.value).startswith("mine.py: rate()")
+
+
+def test_a_falling_slope_is_told_during_work():
+    source = "def rate(p, at): return 1e-7 * p\ndef slope(p, at): return -1e-7 + 0 * p\n"
+    with pytest.raises(ComputationError, match=r"slope\(\) gives -1e-07.*must not fall"):
+        UserLaw("mine.py", source).slope(P, sliding(POWER))
+
+
+def test_a_file_without_a_law():
+    assert "does not define slope" in UserLaw("a.py", "def rate(p, at): return p").missing()
+    assert "cannot be run (SyntaxError" in UserLaw("a.py", "def").missing()
+    assert UserLaw(str(Path("a.py")), USER).missing() == ""
