@@ -21,7 +21,7 @@ from ringwear_par.contact.solver import ContactSolver
 from ringwear_par.elasticity.pair import BodyCost, ContactPair, largest_stable_step
 from ringwear_par.elasticity.updated import UpdatedGeometry
 from ringwear_par.errors import ComputationError, UnfitError
-from ringwear_par.history.pairs import assemble, updated_geometry
+from ringwear_par.history.pairs import assemble, updated_geometry, young
 from ringwear_par.history.state import Start, State
 from ringwear_par.schedules import in_time, integral, largest, stack
 from ringwear_par.wear.catalogue import stack_laws
@@ -103,8 +103,7 @@ class WearModel:
                 solver.destroy()
 
     def _take(self, pair: ContactPair) -> None:
-        lower, upper = self.case.rings
-        self.compliance = pair.compliance((lower.young, upper.young))
+        self.compliance = pair.compliance(young(self.case))
         # what balances take from the pressure: friction torque / mu, reactions of both bodies
         self._sums = np.vstack(
             [self._moment, self.compliance.force_reaction, self.compliance.torque_reaction]
@@ -182,7 +181,7 @@ class WearModel:
             return
         pair = self._geometry.update(shape)
         self._take(pair)
-        self._solvers[0].set_matrix(self.compliance.matrix)
+        self._solvers[0].set_compliance(self.compliance.matrix)
         self._followed, self.following = shape, self.following + pair.cost
 
     # -- contact, eq. (3) --------------------------------------------------------------------------

@@ -27,8 +27,9 @@ from ringwear_par.cases.case import Case, find_files, make_case, nearest_key, ov
 from ringwear_par.cases.law_trials import refuse_bad_laws
 from ringwear_par.cases.schema import BY_PATH, toml_value
 from ringwear_par.elasticity.mesh import count_elements
-from ringwear_par.elasticity.pair import check_memory, check_mesh, operator_key
 from ringwear_par.errors import InputError
+from ringwear_par.history.limits import check_memory, check_mesh
+from ringwear_par.history.pairs import operator_key
 
 METHODS = ("grid", "sobol", "latin-hypercube", "random", "list")
 SAMPLED = ("sobol", "latin-hypercube", "random")

@@ -19,15 +19,11 @@ from mpi4py import MPI
 from ringwear_par.cases.case import Case, toml_text
 from ringwear_par.contact.solver import ContactSolver
 from ringwear_par.elasticity.assembly import load_kernels
-from ringwear_par.elasticity.pair import (
-    ContactPair,
-    Operator,
-    assemble_operator,
-    join,
-    memory_needed,
-)
+from ringwear_par.elasticity.pair import ContactCompliance, ContactPair
 from ringwear_par.errors import ComputationError, InputError, RingwearError, UnfitError
+from ringwear_par.history.limits import memory_needed
 from ringwear_par.history.model import State, WearHistory, run
+from ringwear_par.history.pairs import assemble, operator_key, young
 from ringwear_par.info import versions
 from ringwear_par.options import reject_unused_options
 from ringwear_par.parallel import on_first_rank
@@ -312,9 +308,9 @@ class Worker:
         self._shard: Shard | None = None
         self._options_checked = False
         self._group = -1
-        self._operator: Operator | None = None
+        self._operator: ContactPair | None = None
         self._setting: tuple[int, float, float] | None = None
-        self._pair: ContactPair | None = None
+        self._pair: ContactCompliance | None = None
         self._solver: ContactSolver | None = None
 
     def __enter__(self) -> "Worker":
@@ -401,7 +397,7 @@ class Worker:
             seconds = time.perf_counter() - started
             reason = " ".join(reason.split())
             return Record(identity, text, "failed", reason, seconds, 0.0, arrays)
-        if case.follows_wear:  # the solver's stiffness is that of a worn shape
+        if case.follows_wear:  # the solver's compliance is that of a worn shape
             self._drop_solver()
         if interrupted:
             return None
@@ -466,10 +462,10 @@ class Worker:
             self._drop_solver()
             if group != self._group or self._operator is None:
                 self._group, self._operator = -1, None
-                self._operator = self._find_operator(group, place)
+                self._operator = self._find_operator(group, place, case)
                 self._group = group
-            self._pair = join(case, self._operator)
-            self._solver = ContactSolver(self._pair.stiffness, self._pair.line.area, self._team)
+            self._pair = self._operator.compliance(young(case))
+            self._solver = ContactSolver(self._pair.matrix, self._pair.line.area, self._team)
             self._setting = setting
             if self._tally.operators and not self._options_checked:
                 reject_unused_options()  # by now everything has looked for its own
@@ -477,7 +473,7 @@ class Worker:
         self._solver.cold_start()
         return self._solver
 
-    def _find_operator(self, group: int, place: int) -> Operator:
+    def _find_operator(self, group: int, place: int, case: Case) -> ContactPair:
         """Return a group's operator: the team that has its first case provides it."""
         plan, team = self._plan, self._team
         if place == 0 and not plan.together:
@@ -502,7 +498,7 @@ class Worker:
         if reason:
             raise ComputationError(reason)
         self._tally.waiting += time.perf_counter() - t0
-        return _load_operator(path)
+        return _load_operator(path, case)
 
     def _drop_solver(self) -> None:
         if self._solver is not None:
@@ -523,7 +519,7 @@ def _provide_operator(plan: Plan, group: int, comm: MPI.Comm, tally: Timings) ->
     t0 = time.perf_counter()
     path, reason, stacked = plan.store.operator(group), "", None
     try:
-        operator, _ = assemble_operator(plan.study.case(plan.todo[group][0]), comm)
+        operator = assemble(plan.study.case(plan.todo[group][0]), comm)
         rest = (operator.twist, operator.force_reaction, operator.torque_reaction)
         stacked = np.concatenate([operator.normal, np.stack(rest, axis=1)], axis=1)
     except InputError:
@@ -550,11 +546,12 @@ def _provide_operator(plan: Plan, group: int, comm: MPI.Comm, tally: Timings) ->
     tally.assembly += time.perf_counter() - t0
 
 
-def _load_operator(path: Path) -> Operator:
+def _load_operator(path: Path, case: Case) -> ContactPair:
     """Map a file of two stacked (n + 3, n) matrices; a node holds it once."""
     stacked = np.load(path, mmap_mode="r")
     n = stacked.shape[2]
-    return Operator(stacked[:, :n], stacked[:, n], stacked[:, n + 1], stacked[:, n + 2])
+    parts = stacked[:, :n], stacked[:, n], stacked[:, n + 1], stacked[:, n + 2]
+    return ContactPair(case.line, *parts, operator_key(case))
 
 
 def _merge(plan: Plan, counts: tuple[int, int, int], computed: int, ranks: int) -> None:
@@ -642,10 +639,10 @@ def _estimate(plan: Plan, ranks_per_case: int, comm: MPI.Intracomm) -> None:
     group, number = left[0], plan.todo[left[0]][0]
     case = study.case(number)
     t0 = time.perf_counter()
-    operator, _ = assemble_operator(case, MPI.COMM_SELF)
+    operator = assemble(case, MPI.COMM_SELF)
     t1 = time.perf_counter()
-    pair = join(case, operator)
-    with ContactSolver(pair.stiffness, pair.line.area, MPI.COMM_SELF) as solver:
+    pair = operator.compliance(young(case))
+    with ContactSolver(pair.matrix, pair.line.area, MPI.COMM_SELF) as solver:
         history = WearHistory(case, pair, solver)
         recorder = Recorder(history)
         state = history.start()
