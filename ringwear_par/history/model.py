@@ -16,8 +16,9 @@ import numpy as np
 from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.case import SAME_TIME, Case
 from ringwear_par.contact.solver import ContactSolver, ContactState, WarmStart
+from ringwear_par.elasticity.boundary_fields import BoundaryFields
 from ringwear_par.elasticity.pair import BodyCost, ContactPair, join, largest_stable_step
-from ringwear_par.elasticity.recovery import BoundaryFields, WholeBoundary, wants_boundary
+from ringwear_par.elasticity.recovery import WholeBoundary, wants_boundary
 from ringwear_par.elasticity.updated import UpdatedGeometry
 from ringwear_par.errors import ComputationError, UnfitError
 from ringwear_par.history import sdirk2 as adaptive

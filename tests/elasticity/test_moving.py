@@ -8,9 +8,9 @@ import pytest
 
 from ringwear_par.cases.case import read_case
 from ringwear_par.elasticity.body import compliance
-from ringwear_par.elasticity.mesh import Mesh, contact_line
+from ringwear_par.elasticity.mesh import Mesh, contact_line, node_wear
 from ringwear_par.elasticity.pair import assemble_operator
-from ringwear_par.elasticity.updated import UpdatedGeometry, moving_parts, node_wear
+from ringwear_par.elasticity.updated import UpdatedGeometry, moving_parts
 from ringwear_par.errors import ComputationError
 from ringwear_par.verification.checks import paper_case
 from ringwear_par.wear.law import ThresholdLaw
