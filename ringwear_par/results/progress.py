@@ -15,7 +15,7 @@ from tqdm import tqdm
 
 from ringwear_par.errors import ComputationError
 from ringwear_par.history.model import State
-from ringwear_par.results.files import Recorder
+from ringwear_par.results.recorder import Recorder
 
 log = logging.getLogger(__name__)
 

@@ -6,7 +6,7 @@ import os
 import time
 from collections.abc import Sequence
 from contextlib import ExitStack, closing
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
@@ -25,14 +25,11 @@ from ringwear_par.history.pairs import assemble, boundary_recovery, updated_geom
 from ringwear_par.info import versions
 from ringwear_par.options import reject_unused_options
 from ringwear_par.parallel import on_first_rank
-from ringwear_par.results.files import (
-    Checkpoint,
-    Recorder,
-    read_checkpoint,
-    read_status,
-    write_result,
-)
+from ringwear_par.results.checkpoints import restored, take
+from ringwear_par.results.files import open_result, read_status, write_result
 from ringwear_par.results.progress import Monitor, Progress, StopSignals
+from ringwear_par.results.recorder import Recorder
+from ringwear_par.results.result import Result
 
 log = logging.getLogger(__name__)
 #: fewer elements in contact than this do not resolve it
@@ -55,10 +52,11 @@ def run_case(
     ComputationError : the contact failed, or the result could not be written.
     """
     started = time.perf_counter()
-    case, checkpoint = on_first_rank(
+    case, stored = on_first_rank(
         comm, lambda: _prepare(path, output, overrides, restart, figure, comm.size)
     )
-    if checkpoint is not None and case.time.finished(checkpoint.state.step, checkpoint.state.time):
+    reached = None if stored is None else restored(stored)
+    if reached is not None and case.time.finished(reached[0].step, reached[0].time):
         if comm.rank == 0:
             log.info("%s is complete: nothing to compute", output)
         return _draw(output, figure, comm)
@@ -87,15 +85,15 @@ def run_case(
         if case.time.scheme == "explicit":
             _warn_of_instability(history, comm)
         reject_unused_options()
-        if checkpoint is not None:
-            state = checkpoint.state
-            history.resume(state, checkpoint.warm)
-        if recorder is not None and checkpoint is None:
+        if reached is not None:
+            state, warm = reached
+            history.resume(state, warm)
+        if recorder is not None and stored is None:
             recorder.add(state)
-        elif recorder is not None and checkpoint is not None:
-            recorder.restore(checkpoint)
+        elif recorder is not None and stored is not None:
+            recorder.restore(stored)
             log.info("continuing %s after step %d (%g s)", output, state.step, state.time)
-        before = checkpoint.seconds if checkpoint is not None else {}
+        before = stored.attributes if stored is not None else {}
         seconds = {
             "seconds_assembly": cost.seconds_assembly,
             "seconds_factorisation": cost.seconds_solution,
@@ -111,7 +109,7 @@ def run_case(
             seconds["seconds_factorisation"] = cost.seconds_solution + moving.seconds_solution
             following = moving.seconds_assembly + moving.seconds_solution
             seconds["seconds_stepping"] = t0 - begun - seconds["seconds_output"] - following
-            spent = {name: value + before.get(name, 0.0) for name, value in seconds.items()}
+            spent = {name: value + float(before.get(name, 0.0)) for name, value in seconds.items()}
             attributes = {
                 "status": "complete" if history.finished(state) else "incomplete",
                 "ranks": comm.size,
@@ -123,7 +121,9 @@ def run_case(
 
             def write() -> None:
                 assert recorder is not None
-                write_result(output, case, pair.line, recorder, state, warm, attributes)
+                checkpoint = take(state, warm, recorder.pending_iterations)
+                balances = asdict(state.balances)
+                write_result(output, recorder.result(attributes, balances, checkpoint))
 
             on_first_rank(comm, write)
             seconds["seconds_output"] += time.perf_counter() - t0
@@ -178,7 +178,7 @@ def _draw(output: Path, figure: Path | None, comm: MPI.Comm) -> int:
 
 def summary(case: Case, pair: ContactCompliance, state: State, recorder: Recorder) -> str:
     """Return the end of a run in a few lines, balances included. Not collective."""
-    scalars, last = recorder.scalars, recorder.stored - 1
+    scalars, last = recorder.histories, recorder.stored - 1
     balances, p = state.balances, state.contact.pressure
     lower, upper = 1e3 * state.wear.max(axis=1)
     energy_holds = any(law is not None and law.per_energy(case.friction) for law in case.laws)
@@ -244,10 +244,10 @@ def _prepare(
     restart: bool,
     figure: Path | None,
     ranks: int,
-) -> tuple[Case, Checkpoint | None]:
+) -> tuple[Case, Result | None]:
     """Read and check all that a run needs, before any work. On one rank."""
     faults: list[str] = []
-    case = checkpoint = None
+    case = stored = None
     try:
         case = read_case(path, overrides)
         refuse_bad_laws(case, ranks, str(path))
@@ -259,13 +259,13 @@ def _prepare(
         check_writable(output)
         there = read_status(output)
         if there is not None and restart and case is not None:
-            text, checkpoint = read_checkpoint(output)
-            if checkpoint.user_laws != law_sources(case):
+            stored = open_result(output)
+            if json.loads(str(stored.attributes.get("user_laws", "{}"))) != law_sources(case):
                 raise InputError(
                     f"{output}: was computed with another wear law in a Python file than there is "
                     "now; --restart needs the same"
                 )
-            _check_same(case, text, checkpoint.state, output)
+            _check_same(case, stored, output)
         elif there is not None and there[0] == "incomplete" and not restart:
             raise InputError(
                 f"{output}: holds a run that was interrupted after step {there[1]}; "
@@ -282,11 +282,11 @@ def _prepare(
             faults += error.faults
     if faults or case is None:
         raise InputError(*faults)
-    return case, checkpoint
+    return case, stored
 
 
-def _check_same(case: Case, text: str, reached: State, output: Path) -> None:
-    stored = parse_case(text, str(output))
+def _check_same(case: Case, result: Result, output: Path) -> None:
+    stored, (reached, _) = parse_case(result.case, str(output)), restored(result)
     same = replace(stored, time=case.time, title=case.title, text=case.text)
     longer = replace(stored.time, steps=case.time.steps, until=case.time.until)
     growing = "time.end" if case.time.adaptive else "time.steps"

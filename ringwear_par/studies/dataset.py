@@ -18,7 +18,7 @@ from ringwear_par.arrays import BoolArray, FloatArray, IntArray
 from ringwear_par.cases.case import read_keys
 from ringwear_par.cases.schema import BY_PATH, toml_value
 from ringwear_par.errors import InputError
-from ringwear_par.results.files import ALONG, SCALARS
+from ringwear_par.results.variables import HISTORIES, LINE, PROFILES
 from ringwear_par.studies.designs import path_of, value_of
 from ringwear_par.studies.shards import Entry, Record
 
@@ -147,21 +147,20 @@ def _write_histories(
     steps = max((entry.rows for entry in entries), default=1) or 1
     elements = max((entry.elements for entry in entries), default=1) or 1
     deep = any(entry.deep for entry in entries)
-    fields = [name for name in ALONG if any(name in entry.fields for entry in entries)]
-    shapes: dict[str, tuple[int, ...]] = dict.fromkeys(SCALARS, (steps,))
+    fields = [name for name in PROFILES if any(name in entry.fields for entry in entries)]
+    shapes: dict[str, tuple[int, ...]] = dict.fromkeys(HISTORIES, (steps,))
     shapes.update(dict.fromkeys(("r", "width"), (elements,)))
     shapes.update(dict.fromkeys(fields, (steps, elements) if deep else (elements,)))
     _make_scales(file, rows, steps, elements)
     about = {
-        **SCALARS,
-        "r": ("mm", "radius of the element's mid-point"),
-        "width": ("mm", "radial length of the element"),
-        **(ALONG if deep else {k: (u, f"{t}, at the last step") for k, (u, t) in ALONG.items()}),
+        **HISTORIES,
+        **LINE,
+        **{name: PROFILES[name] if deep else PROFILES[name].at_last_step() for name in fields},
     }
-    dims = {1: ("step",), 2: ("step", "element")}
     for name, shape in shapes.items():
-        kind = ("step",) if name in SCALARS else dims[2] if len(shape) == 2 else ("element",)
-        _make(file, name, (count, *shape), ("case", *kind), *about[name])
+        told = about[name]
+        dims = ("case", *told.dimensions)
+        _make(file, name, (count, *shape), dims, told.unit, told.meaning)
     scalars = {
         "seconds": np.full(count, np.nan),
         "imbalance": np.full(count, np.nan),
@@ -195,7 +194,7 @@ def _write_histories(
             for name, array in arrays.items():
                 if name == "step":
                     common = _common(common, array)
-                elif deep and array.ndim == 1 and name in ALONG:
+                elif deep and array.ndim == 1 and name in PROFILES:
                     tables[name][i, stored - 1, : len(array)] = array
                 else:
                     tables[name][(i, *map(slice, array.shape))] = array
@@ -285,8 +284,9 @@ def _write_columns(
         _make(file, name, (n,), ("case",), *about[name], kind=kind)
         file[name][:] = values
     for name, column in zip(FINAL, finals.T, strict=True):
-        unit, text = SCALARS[name]
-        _make(file, f"final_{name}", (n,), ("case",), unit, f"{text}, at the last stored step")
+        told = HISTORIES[name]
+        text = f"{told.meaning}, at the last stored step"
+        _make(file, f"final_{name}", (n,), ("case",), told.unit, text)
         file[f"final_{name}"][:] = column
     for name, words, text in (
         ("status", status, "done, failed or incomplete"),
@@ -324,7 +324,7 @@ def read_entries(path: Path) -> dict[str, Entry] | None:
             ids, status = file["case"].asstr()[:], file["status"].asstr()[:]
             stored, elements = file["steps_stored"][:], file["elements"][:]
             begun = ~np.isnan(file["seconds"][:])
-            fields = tuple(name for name in ALONG if name in file)
+            fields = tuple(name for name in PROFILES if name in file)
             deep = any(file[name].ndim == 3 for name in fields)
     except (OSError, KeyError, RuntimeError):
         return None
@@ -354,13 +354,13 @@ def read_records(path: Path, ids: Sequence[str]) -> Iterator[Record]:
         imbalance = column("imbalance")
         steps = file["step"][:].astype(float)
         common = file["step"].attrs["long_name"] == _COMMON_STEPS
-        names = [name for name in (*SCALARS, "r", "width", *ALONG) if name in file]
+        names = [name for name in (*HISTORIES, "r", "width", *PROFILES) if name in file]
         tables = {name: column(name) for name in names}
         for i in range(len(wanted)):
             s, e = slice(stored[i]), slice(elements[i])
             arrays = {"step": steps[s]} if common else {}
             for name, table in tables.items():
-                if name in SCALARS:
+                if name in HISTORIES:
                     arrays[name] = table[i, s]
                 else:
                     arrays[name] = table[i, s, e] if table.ndim == 3 else table[i, e]

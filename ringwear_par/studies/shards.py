@@ -18,7 +18,7 @@ import numpy as np
 
 from ringwear_par.arrays import FloatArray
 from ringwear_par.errors import ComputationError, InputError
-from ringwear_par.results.files import ALONG
+from ringwear_par.results.variables import PROFILES
 
 FOLDER = "shards"
 _SYNC_SECONDS = 1.0
@@ -188,7 +188,7 @@ def read_index(path: Path) -> dict[str, Entry] | None:
 
 def _entry(status: str, layout: str, path: Path) -> Entry:
     shapes = _layout(layout)
-    fields = tuple(name for name in ALONG if name in shapes)
+    fields = tuple(name for name in PROFILES if name in shapes)
     deep = any(len(shapes[name]) == 2 for name in fields)
     return Entry(status, shapes.get("time", (0,))[0], shapes.get("r", (0,))[0], fields, deep, path)
 

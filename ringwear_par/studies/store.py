@@ -14,7 +14,8 @@ from pathlib import Path
 import h5py
 
 from ringwear_par.errors import InputError
-from ringwear_par.results.files import ALONG, SCALARS, read_result
+from ringwear_par.results.files import open_result
+from ringwear_par.results.variables import PROFILES
 from ringwear_par.studies import dataset as ensemble
 from ringwear_par.studies import shards
 from ringwear_par.studies.dataset import RESULTS, Row
@@ -156,7 +157,7 @@ _NOTHING = Entry("", 0, 0, (), False, Path())
 def _interrupted(path: Path) -> Entry | None:
     try:
         with h5py.File(path, "r") as file:
-            fields = tuple(name for name in ALONG if name in file)
+            fields = tuple(name for name in PROFILES if name in file)
             deep = any(file[name].ndim == 2 for name in fields)
             return Entry("incomplete", len(file["time"]), len(file["r"]), fields, deep, path)
     except (OSError, KeyError, RuntimeError):
@@ -164,13 +165,13 @@ def _interrupted(path: Path) -> Entry | None:
 
 
 def _interrupted_record(path: Path) -> Record:
-    result = read_result(path)
+    result = open_result(path)
     arrays = {
-        "step": result.steps.astype(float),
-        **{name: result.scalars[name] for name in SCALARS},
+        "step": result.step.astype(float),
+        **result.histories,
         "r": result.line.r,
         "width": result.line.width,
-        **result.fields,
+        **result.profiles,
     }
     seconds, worst = (float(result.attributes[k]) for k in ("seconds_stepping", "imbalance"))
     return Record(

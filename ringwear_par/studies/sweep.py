@@ -10,7 +10,7 @@ import resource
 import signal
 import time
 from contextlib import ExitStack, suppress
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
@@ -27,8 +27,11 @@ from ringwear_par.history.pairs import assemble, operator_key, young
 from ringwear_par.info import versions
 from ringwear_par.options import reject_unused_options
 from ringwear_par.parallel import on_first_rank
-from ringwear_par.results.files import Checkpoint, Recorder, read_checkpoint, write_result
+from ringwear_par.results.checkpoints import restored, take
+from ringwear_par.results.files import open_result, write_result
 from ringwear_par.results.progress import Monitor, StopSignals, SweepProgress, duration
+from ringwear_par.results.recorder import Recorder
+from ringwear_par.results.result import Result
 from ringwear_par.results.run import warn_of_threads
 from ringwear_par.studies.dataset import RESULTS, TABLE, Row, read_ensemble, write_ensemble
 from ringwear_par.studies.designs import Study, read_study
@@ -409,16 +412,16 @@ class Worker:
         self, identity: str, history: WearHistory, solver: ContactSolver, recorder: Recorder
     ) -> tuple[bool, float]:
         """Run a history; return whether a signal interrupted it, and its worst balance."""
-        case, team = history.case, self._team
+        team = self._team
         begun = time.perf_counter()
         state = history.start()
-        checkpoint = self._checkpoint(identity)
-        if checkpoint is None:
+        stored = self._stored(identity)
+        if stored is None:
             recorder.add(state)
         else:
-            state = checkpoint.state
-            history.resume(state, checkpoint.warm)
-            recorder.restore(checkpoint)
+            state, warm = restored(stored)
+            history.resume(state, warm)
+            recorder.restore(stored)
 
         def save(state: State) -> None:
             warm = solver.warm()
@@ -429,10 +432,10 @@ class Worker:
                 "seconds_stepping": time.perf_counter() - begun,
                 "imbalance": state.balances.worst,
             }
-            path, line = self._plan.store.inflight(identity), history.pair.line
-            on_first_rank(
-                team, lambda: write_result(path, case, line, recorder, state, warm, attributes)
-            )
+            path = self._plan.store.inflight(identity)
+            checkpoint = take(state, warm, recorder.pending_iterations)
+            result = recorder.result(attributes, asdict(state.balances), checkpoint)
+            on_first_rank(team, lambda: write_result(path, result))
 
         monitor = Monitor(history.finished, recorder, save, self._signals, team, self._progress)
         state = run(history, state, monitor, monitor.show)
@@ -444,13 +447,13 @@ class Worker:
             return True, state.balances.worst
         return False, state.balances.worst
 
-    def _checkpoint(self, identity: str) -> Checkpoint | None:
+    def _stored(self, identity: str) -> Result | None:
         if identity not in self._plan.interrupted:
             return None
 
-        def read() -> Checkpoint | None:
-            with suppress(OSError, KeyError, ValueError, RuntimeError):
-                return read_checkpoint(self._plan.store.inflight(identity))[1]
+        def read() -> Result | None:
+            with suppress(InputError):
+                return open_result(self._plan.store.inflight(identity))
             return None
 
         return on_first_rank(self._team, read)
@@ -659,7 +662,7 @@ def _estimate(plan: Plan, ranks_per_case: int, comm: MPI.Intracomm) -> None:
     assembly = (t1 - t0) * study.assembly[left].sum() / study.assembly[group]
     cases = [n for g in left for n in plan.todo[g]]
     steps = stepping * study.work[cases].sum() / study.work[number]
-    tables = (*recorder.scalars.values(), *recorder.fields.values())
+    tables = (*recorder.histories.values(), *recorder.profiles.values())
     size = sum(table.nbytes for table in tables)
     memory = _BARE_BYTES + max(
         memory_needed(study.case(plan.todo[g][0]), ranks_per_case) for g in left

@@ -45,18 +45,20 @@ def test_what_is_drawn_is_what_is_stored(runs, tmp_path, monkeypatch):
     from matplotlib.figure import Figure
 
     from ringwear_par.results.figures import plot_files
-    from ringwear_par.results.files import read_result
+    from ringwear_par.results.files import open_result
 
     figures = []
-    monkeypatch.setattr(Figure, "savefig", lambda self, path: (figures.append(self), path.touch()))
+    monkeypatch.setattr(
+        Figure, "savefig", lambda self, path, **_: (figures.append(self), path.touch())
+    )
     plot_files(runs[:2], tmp_path / "a.png", "wear,penetration,pressure", "1,20", runs[1:2])
     wear, penetration, pressure = figures[0].axes
-    result = read_result(runs[1])
-    assert wear.lines[1].get_ydata() == pytest.approx(-1e3 * result.fields["wear_lower"][20])
-    assert pressure.lines[0].get_ydata() == pytest.approx(result.fields["pressure"][1])
+    result = open_result(runs[1])
+    assert wear.lines[1].get_ydata() == pytest.approx(-1e3 * result.profiles["wear_lower"][20])
+    assert pressure.lines[0].get_ydata() == pytest.approx(result.profiles["pressure"][1])
     assert pressure.lines[0].get_xdata() == pytest.approx(result.line.r)
-    assert penetration.lines[1].get_ydata() == pytest.approx(1e3 * result.scalars["penetration"])
-    assert penetration.lines[1].get_xdata() == pytest.approx(result.scalars["time"])
+    assert penetration.lines[1].get_ydata() == pytest.approx(1e3 * result.histories["penetration"])
+    assert penetration.lines[1].get_xdata() == pytest.approx(result.histories["time"])
     assert wear.get_ylabel() == "wear depth (\N{MICRO SIGN}m)"
     assert pressure.get_ylabel() == "contact pressure (MPa)"
     assert penetration.get_xlabel() == "time (s)"
@@ -97,7 +99,7 @@ def test_deformed_sections(tmp_path, comm, monkeypatch, case):
     from matplotlib.figure import Figure
 
     from ringwear_par.results.figures import plot_files
-    from ringwear_par.results.files import read_result
+    from ringwear_par.results.files import open_result
 
     run = tmp_path / "run.h5"
     words = ["mesh.contact_elements=16", "output.boundary=last"]
@@ -106,13 +108,15 @@ def test_deformed_sections(tmp_path, comm, monkeypatch, case):
     plot_files([run], tmp_path / "a.png", "section,pressure")
     assert (tmp_path / "a.png").stat().st_size > 3000
     figures = []
-    monkeypatch.setattr(Figure, "savefig", lambda self, path: (figures.append(self), path.touch()))
+    monkeypatch.setattr(
+        Figure, "savefig", lambda self, path, **_: (figures.append(self), path.touch())
+    )
     plot_files([run], tmp_path / "b.png", "section")
     axes = figures[0].axes[0]
     assert axes.get_aspect() == 1.0
     assert "mm" in axes.get_xlabel()
     shown = [patch.get_xy()[:-1] for patch in axes.patches]
-    state = read_result(run).boundary[-1]
+    state = open_result(run).boundary[-1]
     for drawn, body in zip(shown, state.bodies, strict=False):
         assert drawn == pytest.approx(body.nodes)
     # magnified, they touch under pressure and overlap nowhere on the contact line

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from ringwear_par.errors import ComputationError, InputError
-from ringwear_par.results.files import ALONG, SCALARS
 from ringwear_par.results.run import run_case
+from ringwear_par.results.variables import HISTORIES, PROFILES
 from ringwear_par.studies import sweep
 from ringwear_par.studies.dataset import read_ensemble
 
@@ -74,7 +74,7 @@ def test_equals_single_runs(write, shared_path, comm):
         run_case(shared_path / "one.toml", run, [], False, None, comm)
         comm.Barrier()
         with h5py.File(run) as file:
-            for name in (*SCALARS, *ALONG, "r", "width"):
+            for name in (*HISTORIES, *PROFILES, "r", "width"):
                 if name == "contact_iterations":
                     continue
                 values = file[name][()]

@@ -11,7 +11,7 @@ import pytest
 from scipy.stats import qmc
 
 from ringwear_par.errors import InputError
-from ringwear_par.results.files import SCALARS
+from ringwear_par.results.variables import HISTORIES
 from ringwear_par.studies.dataset import Ensemble, Row, read_ensemble, write_ensemble
 from ringwear_par.studies.figures import draw_sweep, plot_sweep, sensitivity
 from ringwear_par.studies.shards import Entry, Record
@@ -37,7 +37,7 @@ def write(
         for row in part:
             n = int(row.id, 16)
             share = np.arange(steps[n] + 1) / steps[n]
-            arrays = {name: np.zeros(steps[n] + 1) for name in SCALARS}
+            arrays = {name: np.zeros(steps[n] + 1) for name in HISTORIES}
             arrays["time"] = step[n] * np.arange(steps[n] + 1.0)
             arrays["penetration"] = penetration[n] * share
             arrays["worn_volume_lower"] = lower[n] * share
