@@ -7,7 +7,7 @@ import pytest
 import xarray
 from stored import contents
 
-from ringwear_par.cases.case import read_case
+from ringwear_par.cases.reading import read_case
 from ringwear_par.contact.solver import ContactState
 from ringwear_par.elasticity.pair import assemble_operator, join
 from ringwear_par.elasticity.recovery import FACES, WholeBoundary
