@@ -15,8 +15,9 @@ import h5py
 import numpy as np
 
 from ringwear_par.arrays import BoolArray, FloatArray, IntArray
-from ringwear_par.cases.case import read_keys
-from ringwear_par.cases.schema import BY_PATH, toml_value
+from ringwear_par.cases.keys import read_keys
+from ringwear_par.cases.schema import BY_PATH
+from ringwear_par.cases.text import toml_value
 from ringwear_par.errors import InputError
 from ringwear_par.results.variables import HISTORIES, LINE, PROFILES
 from ringwear_par.studies.designs import path_of, value_of

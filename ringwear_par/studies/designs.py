@@ -23,9 +23,13 @@ import numpy as np
 from scipy.stats import qmc
 
 from ringwear_par.arrays import FloatArray
-from ringwear_par.cases.case import Case, find_files, make_case, nearest_key, override, read_keys
+from ringwear_par.cases.case import Case
+from ringwear_par.cases.keys import find_files, override, read_keys
 from ringwear_par.cases.law_trials import refuse_bad_laws
-from ringwear_par.cases.schema import BY_PATH, toml_value
+from ringwear_par.cases.reading import make_case
+from ringwear_par.cases.schema import BY_PATH
+from ringwear_par.cases.suggestions import nearest_key
+from ringwear_par.cases.text import read_text, toml_value
 from ringwear_par.elasticity.mesh import count_elements
 from ringwear_par.errors import InputError
 from ringwear_par.history.limits import check_memory, check_mesh
@@ -62,7 +66,7 @@ class Variation:
     @property
     def whole(self) -> bool:
         """Whether only whole numbers will do."""
-        return self.index is None and BY_PATH[self.path].allowed.startswith("a whole number")
+        return self.index is None and BY_PATH[self.path].kind == "whole"
 
     def grid(self) -> list[Any]:
         """Return the values of a grid."""
@@ -138,7 +142,7 @@ def case_id(case_keys: Mapping[str, Any]) -> str:
         if value != BY_PATH[path].default:
             content[path] = value
         if path.startswith("wear.") and path.endswith(".file"):  # what it says, not where it is
-            content[path] = Path(case_keys[path]).read_text(encoding="utf-8")
+            content[path] = read_text(Path(case_keys[path]))
     return hashlib.sha256(json.dumps(content, default=repr).encode()).hexdigest()[:16]
 
 
@@ -158,7 +162,7 @@ def path_of(name: str) -> str:
 
 def _has_entry(name: str) -> bool:
     path, index = _split(name)
-    return not isinstance(index, int) or "two increasing numbers" in BY_PATH[path].allowed
+    return not isinstance(index, int) or BY_PATH[path].kind == "pair"
 
 
 def value_of(case_keys: Mapping[str, Any], name: str) -> Any:
@@ -196,7 +200,7 @@ def read_study(path: Path, ranks: int = 1) -> Study:
     ------
     InputError : all faults of the study file together, or those of its first bad cases.
     """
-    text = _text(path)
+    text = read_text(path)
     try:
         tables = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
@@ -214,9 +218,7 @@ def read_study(path: Path, ranks: int = 1) -> Study:
     else:
         base_path = path.parent / base_name
         try:
-            base = find_files(read_keys(_text(base_path)), base_path.parent)
-        except tomllib.TOMLDecodeError as error:
-            faults.append(f"{base_path}: is not valid TOML: {error}")
+            base = find_files(read_keys(read_text(base_path), str(base_path)), base_path.parent)
         except InputError as error:
             faults += error.faults
     vary, design = tables.get("vary", {}), tables.get("design", {})
@@ -254,15 +256,6 @@ def read_study(path: Path, ranks: int = 1) -> Study:
             for row in rows
         ]
     return _checked(path, text, base, names, method, rows, ranks)
-
-
-def _text(path: Path) -> str:
-    try:
-        return path.read_text(encoding="utf-8")
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read: {error.strerror or error}") from error
-    except UnicodeDecodeError as error:
-        raise InputError(f"{path}: is not a text file in UTF-8") from error
 
 
 def _design_faults(name: str, design: Mapping[str, Any], method: str) -> list[str]:
@@ -406,7 +399,7 @@ def _drawn(
 def _listed(path: Path, file: str) -> tuple[tuple[str, ...], list[tuple[Any, ...]]]:
     """Return the varied keys and rows of a CSV file."""
     table = path.parent / file
-    lines = [line for line in csv.reader(_text(table).splitlines()) if line]
+    lines = [line for line in csv.reader(read_text(table).splitlines()) if line]
     if len(lines) < 2:
         raise InputError(f"{table}: has no cases; must be a line of case keys and one line a case")
     names = tuple(cell.strip() for cell in lines[0])

@@ -16,7 +16,8 @@ from pathlib import Path
 import numpy as np
 from mpi4py import MPI
 
-from ringwear_par.cases.case import Case, toml_text
+from ringwear_par.cases.case import Case
+from ringwear_par.cases.text import toml_text
 from ringwear_par.contact.solver import ContactSolver
 from ringwear_par.elasticity.assembly import load_kernels
 from ringwear_par.elasticity.pair import ContactCompliance, ContactPair
