@@ -5,6 +5,7 @@ import os
 import numpy as np
 
 from ringwear_par.cases.case import Case
+from ringwear_par.cases.law_trials import refuse_bad_laws
 from ringwear_par.elasticity.mesh import boundary_mesh, count_elements
 from ringwear_par.elasticity.solve import has_scalapack
 from ringwear_par.errors import InputError
@@ -35,6 +36,28 @@ def memory_needed(case: Case, ranks: int) -> float:
         rows = 1.0 if case.output.boundary == "last" else case.stored_rows
         history += 2.0 * 15.0 * unknowns / 4.0 * rows
     return 8.0 * ((1.25 + kept + 1.25 * copies) * unknowns**2 + ranks * shared + history)
+
+
+def check_case(case: Case, ranks: int, name: str) -> None:
+    """Refuse a case that cannot be computed, as far as that can be told before. Not collective.
+
+    Raises
+    ------
+    InputError : all faults, one sentence each.
+    """
+    faults: list[str] = []
+    for check in (
+        lambda: refuse_bad_laws(case, name),
+        lambda: check_ranks(case, ranks, name),
+        lambda: check_memory(case, ranks, name),
+        lambda: check_mesh(case, name),
+    ):
+        try:
+            check()
+        except InputError as error:
+            faults += error.faults
+    if faults:
+        raise InputError(*faults)
 
 
 def check_memory(case: Case, ranks: int, name: str) -> None:

@@ -50,12 +50,14 @@ class WearModel:
         self.cases = (cases,) if isinstance(cases, Case) else tuple(cases)
         self.case, self.comm = self.cases[0], comm
         case, several = self.case, not isinstance(cases, Case)
+        given = pair is not None
         self._geometry: UpdatedGeometry | None = None
         if case.follows_wear:
             self._geometry = updated_geometry(case, comm)
             if pair is None:
                 pair = self._geometry.update(np.zeros((2, case.line.n)))
-        self.pair = assemble(case, comm) if pair is None else pair
+        #: the pair as it was before any wear; whether it was assembled elsewhere
+        self.pair, self.given_pair = assemble(case, comm) if pair is None else pair, given
         #: what following the wear took so far, and how often it was done
         self.following, self.updates = BodyCost(), 0
         self.line = line = self.pair.line
@@ -86,7 +88,7 @@ class WearModel:
         self._take(self.pair)
         #: the wear that the present elasticity is of
         self._followed = np.zeros((2, *self._shape))
-        self._lent = solver is not None
+        self._lent, self._warm = solver is not None, None
         if solver is not None:
             solver.cold_start()
             self._solvers = [solver]
@@ -98,6 +100,7 @@ class WearModel:
         return self
 
     def __exit__(self, *_: object) -> None:
+        self._warm = self._solvers[0].warm()
         if not self._lent:
             for solver in self._solvers:
                 solver.destroy()
@@ -153,8 +156,8 @@ class WearModel:
         return start.state
 
     def warm(self) -> WarmStart:
-        """Return where the next contact solution starts. Collective."""
-        return self._solvers[0].warm()
+        """Return where the next contact solution starts, after the end too. Collective."""
+        return self._solvers[0].warm() if self._warm is None else self._warm
 
     # -- elements that follow the wear -------------------------------------------------------------
 
@@ -311,8 +314,9 @@ class WearModel:
         Unworn, under the largest load and speed, with the steepest of what laws do in time.
         """
         case, solver = self.case, self._solvers[0]
+        warm = solver.warm()
         p = np.full_like(self.area, _pressed(solver, case, self._initial_gap).pressure.max())
-        solver.cold_start()
+        solver.warm_start(warm)
         zero = np.zeros_like(p)
         slopes = zero
         for time in (0.0, *case.breakpoints):

@@ -14,10 +14,9 @@ if TYPE_CHECKING:
     import h5py
 
     from ringwear_par.contact.solver import WarmStart
-    from ringwear_par.history.model import State
+    from ringwear_par.history.state import Progress, Start, State
     from ringwear_par.results.result import Result
 
-_NUMBERS = ("step", "time", "energy", "iterations", "next_step", "rejected", "assemblies")
 _BODY = Variable("body", ("body",), "1", "0 lower, 1 upper", integer=True)
 _ARRAYS = (
     Variable("wear", ("body", "element"), "mm", "wear depth"),
@@ -46,11 +45,25 @@ class Checkpoint:
     arrays: Mapping[str, FloatArray]
 
 
-def take(state: "State", warm: "WarmStart", pending_iterations: int) -> Checkpoint:
-    """Return the checkpoint of a state."""
+def take(
+    state: "State", progress: "Progress", warm: "WarmStart", updates: int, pending_iterations: int
+) -> Checkpoint:
+    """Return the checkpoint of a state.
+
+    Parameters
+    ----------
+    updates : how often the elements were assembled anew to follow the wear.
+    pending_iterations : of the contact solver since the last stored state.
+    """
     contact = state.contact
-    numbers = {name: getattr(state, name) for name in _NUMBERS}
-    numbers |= {
+    numbers = {
+        "step": progress.steps,
+        "time": state.time,
+        "energy": state.energy,
+        "iterations": progress.iterations,
+        "next_step": progress.next_step,
+        "rejected": progress.rejected,
+        "assemblies": updates,
         "approach": contact.approach,
         "force": contact.force,
         "pending_iterations": pending_iterations,
@@ -71,35 +84,36 @@ def take(state: "State", warm: "WarmStart", pending_iterations: int) -> Checkpoi
     return Checkpoint(numbers, arrays)
 
 
-def restored(result: "Result") -> tuple["State", "WarmStart"]:
-    """Return the state that a stored history goes on from, and the contact solver's start.
+def restored(result: "Result") -> "Start":
+    """Return where a stored history goes on.
 
     Raises
     ------
-    InputError : the history was stored without.
+    InputError : it was stored without.
     """
     from ringwear_par.contact.solver import ContactState, WarmStart
-    from ringwear_par.history.model import Balances, State
+    from ringwear_par.history.state import Progress, Start, State
 
     if result.checkpoint is None:
         raise InputError(f"{result.name}: holds no state to go on from; must be one of a run")
     numbers, arrays = result.checkpoint.numbers, result.checkpoint.arrays
-    time, last = float(numbers["time"]), float(result.histories["time"][-1])
     contact = ContactState(
         arrays["pressure"], arrays["gap"], float(numbers["approach"]), float(numbers["force"]),
         0, 0.0,
     )  # fmt: skip
     state = State(
-        int(numbers["step"]), time, arrays["wear"], arrays["worn"], float(numbers["energy"]),
-        contact, Balances(**result.balances), int(numbers["iterations"]),
-        float(numbers["next_step"]), int(numbers["rejected"]), arrays.get("shape"),
-        int(numbers["assemblies"]), stored=last == time, stored_before=last,
+        float(numbers["time"]), arrays["wear"], arrays["worn"], float(numbers["energy"]),
+        contact, arrays.get("shape"),
+    )  # fmt: skip
+    progress = Progress(
+        int(numbers["step"]), float(numbers["next_step"]), int(numbers["rejected"]),
+        int(numbers["iterations"]),
     )  # fmt: skip
     warm = WarmStart(
         arrays["warm_scaled_pressure"], arrays["warm_rate"], arrays["warm_gap"],
         float(numbers["warm_approach"]), float(numbers["warm_force"]),
     )  # fmt: skip
-    return state, warm
+    return Start(state, progress, warm, int(numbers["assemblies"]))
 
 
 def write_checkpoint(group: "h5py.Group", checkpoint: Checkpoint) -> None:

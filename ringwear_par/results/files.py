@@ -100,6 +100,12 @@ def read_status(path: Path) -> tuple[str, int] | None:
     )
 
 
+def read_error(path: Path) -> str:
+    """Return why the run in a result file failed, "" if it did not. Not collective."""
+    with h5py.File(path, "r") as file:
+        return str(file.attrs.get("error", ""))
+
+
 def open_result(path: str | Path) -> Result:
     """Read a result file. Not collective.
 

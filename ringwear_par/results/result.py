@@ -1,5 +1,6 @@
 """A result: the history of a case, just computed or read from its file."""
 
+import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -50,6 +51,7 @@ class Result:
     attributes : of the file: ``case`` (its TOML text), ``title``, ``status``, ``version``, ...
     checkpoint : what a run goes on from, None where the result was made without.
     path : of its file, None for a result in memory.
+    comm : of the ranks that have it in memory, None where it was read or sent.
     """
 
     line: ContactLine
@@ -61,6 +63,7 @@ class Result:
     attributes: Mapping[str, Any]
     checkpoint: "Checkpoint | None" = None
     path: Path | None = None
+    comm: Any = None
 
     @property
     def case(self) -> str:
@@ -80,6 +83,22 @@ class Result:
             for name, value in self.attributes.items()
             if name.startswith(_BALANCE)
         }
+
+    @property
+    def doubts(self) -> tuple[str, ...]:
+        """What makes the answer doubtful though it was computed, a sentence each."""
+        return tuple(json.loads(self.attributes.get("doubts", "[]")))
+
+    @property
+    def user_laws(self) -> dict[str, str]:
+        """Texts of the users' own laws by body."""
+        return dict(json.loads(self.attributes.get("user_laws", "{}")))
+
+    def summary(self) -> str:
+        """Return the result in a few lines, what can be wrong with it first."""
+        from ringwear_par.results.summary import summary
+
+        return summary(self)
 
     def variables(self) -> list[tuple[Variable, Any]]:
         """Return every variable on the contact line and in time, with its values."""
@@ -116,7 +135,9 @@ class Result:
         return dataset.set_coords(COORDINATES)
 
     def save(self, path: str | Path) -> None:
-        """Write the result's file. Not collective: call on one rank.
+        """Write the result's file.
+
+        Where several ranks have simulated it, all of them call this, and the first writes.
 
         Raises
         ------
@@ -126,11 +147,20 @@ class Result:
         from ringwear_par.results.files import write_result
 
         path = Path(path)
-        check_writable(path)
-        try:
-            write_result(path, self)
-        except OSError as error:
-            raise ComputationError(f"{path}: {error.strerror or error}") from error
+
+        def write() -> None:
+            check_writable(path)
+            try:
+                write_result(path, self)
+            except OSError as error:
+                raise ComputationError(f"{path}: {error.strerror or error}") from error
+
+        if self.comm is None:
+            write()
+        else:
+            from ringwear_par.parallel import on_first_rank
+
+            on_first_rank(self.comm, write)
 
 
 def balance_attributes(balances: Mapping[str, float]) -> dict[str, float]:

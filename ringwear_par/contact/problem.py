@@ -1,0 +1,1 @@
+from ringwear_par.contact.solver import ContactState, WarmStart  # noqa
