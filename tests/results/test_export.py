@@ -147,7 +147,7 @@ def test_tables(runs, tmp_path):
         "step", "time (s)", "element", "r (mm)", "pressure (MPa)", "gap (mm)",
         "wear_lower (mm)", "wear_upper (mm)",
     ]  # fmt: skip
-    assert len(rows) == 16 * len(result.steps)
+    assert len(rows) == 16 * len(result.step)
     assert [float(row[4]) for row in rows] == result.profiles["pressure"].ravel().tolist()
     export(runs / "plain.h5", tmp_path / "a.csv", fields=True)
     header, *rows = table(tmp_path / "a.csv")

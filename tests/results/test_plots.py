@@ -41,18 +41,12 @@ def test_every_panel_and_format(runs, tmp_path, panels, ending):
         assert text.count("<path") > 10
 
 
-def test_what_is_drawn_is_what_is_stored(runs, tmp_path, monkeypatch):
-    from matplotlib.figure import Figure
-
-    from ringwear_par.results.figures import plot_files
+def test_what_is_drawn_is_what_is_stored(runs):
+    from ringwear_par.results.figures import plot
     from ringwear_par.results.files import open_result
 
-    figures = []
-    monkeypatch.setattr(
-        Figure, "savefig", lambda self, path, **_: (figures.append(self), path.touch())
-    )
-    plot_files(runs[:2], tmp_path / "a.png", "wear,penetration,pressure", "1,20", runs[1:2])
-    wear, penetration, pressure = figures[0].axes
+    figure = plot(runs[:2], "wear,penetration,pressure", "1,20", runs[1:2])
+    wear, penetration, pressure = figure.axes
     result = open_result(runs[1])
     assert wear.lines[1].get_ydata() == pytest.approx(-1e3 * result.profiles["wear_lower"][20])
     assert pressure.lines[0].get_ydata() == pytest.approx(result.profiles["pressure"][1])
@@ -95,10 +89,8 @@ def test_wrong_files(runs, tmp_path):
 
 
 @pytest.mark.parametrize("case", ["fields", "sphere"])
-def test_deformed_sections(tmp_path, comm, monkeypatch, case):
-    from matplotlib.figure import Figure
-
-    from ringwear_par.results.figures import plot_files
+def test_deformed_sections(tmp_path, comm, case):
+    from ringwear_par.results.figures import plot, plot_files
     from ringwear_par.results.files import open_result
 
     run = tmp_path / "run.h5"
@@ -107,12 +99,7 @@ def test_deformed_sections(tmp_path, comm, monkeypatch, case):
     run_case(PAPER.with_name(f"{case}.toml"), run, words, False, None, comm)
     plot_files([run], tmp_path / "a.png", "section,pressure")
     assert (tmp_path / "a.png").stat().st_size > 3000
-    figures = []
-    monkeypatch.setattr(
-        Figure, "savefig", lambda self, path, **_: (figures.append(self), path.touch())
-    )
-    plot_files([run], tmp_path / "b.png", "section")
-    axes = figures[0].axes[0]
+    axes = plot(run, ["section"]).axes[0]
     assert axes.get_aspect() == 1.0
     assert "mm" in axes.get_xlabel()
     shown = [patch.get_xy()[:-1] for patch in axes.patches]
@@ -150,3 +137,38 @@ def test_sections_need_boundary_fields(runs, tmp_path):
     with pytest.raises(InputError, match=r"holds no fields .* output\.boundary"):
         plot_files(runs[:1], tmp_path / "a.png", "section")
     assert not list(tmp_path.iterdir())
+
+
+def test_results_and_files_are_drawn_alike(runs, tmp_path):
+    from ringwear_par.results.figures import plot, save_figure
+    from ringwear_par.results.files import open_result
+
+    first, second = map(open_result, runs[:2])
+    sources = [[first, str(runs[1])], [runs[0], second], runs[:2]]
+    drawn = []
+    for number, several in enumerate(sources):
+        figure = plot(several, ["wear", "penetration"], profiles_of=several[1:])
+        assert len(figure.axes) == 2
+        drawn.append(tmp_path / f"{number}.png")
+        save_figure(figure, drawn[-1])
+    assert len({path.read_bytes() for path in drawn}) == 1
+    alone = [plot(source, "penetration").axes[0] for source in (first, runs[0], str(runs[0]))]
+    assert all(
+        np.array_equal(axes.lines[0].get_ydata(), 1e3 * first.histories["penetration"])
+        for axes in alone
+    )
+    with pytest.raises(InputError, match="must be one of the result files to be drawn"):
+        plot([first], profiles_of=[second])
+
+
+def test_results_without_a_file_have_a_name(runs):
+    from dataclasses import replace
+
+    from ringwear_par.results.figures import plot
+    from ringwear_par.results.files import open_result
+
+    several = [replace(open_result(path), path=None) for path in (*runs[:1], runs[0], runs[2])]
+    labels = [text.get_text() for text in plot(several, "penetration").axes[0].get_legend().texts]
+    assert labels == ["result 1", "result 2", "result 3"]
+    with pytest.raises(InputError, match="result in memory: does not hold pressure"):
+        plot(several[2], "pressure")

@@ -13,6 +13,7 @@ from ringwear_par.results import files as results
 from ringwear_par.results import progress as monitor
 from ringwear_par.results import run as driver
 from ringwear_par.results.run import run_case
+from ringwear_par.results.variables import HISTORIES
 
 PAPER = Path(__file__).parents[2] / "scripts" / "cases" / "paper.toml"
 SMALL = ["mesh.contact_elements=16", "time.steps=20"]
@@ -27,7 +28,7 @@ def test_opens_in_xarray(shared_path, comm):
         assert dict(data.sizes) == {"step": 21, "element": 16}
         for name in ("pressure", "gap", "wear_lower", "wear_upper"):
             assert data[name].dims == ("step", "element")
-        for name in results.SCALARS:
+        for name in HISTORIES:
             assert data[name].dims == ("step",)
         assert all(v.attrs["units"] and v.attrs["long_name"] for v in data.data_vars.values())
         assert data.time.values == pytest.approx(np.arange(21.0))
