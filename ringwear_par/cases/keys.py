@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 
 from ringwear_par.cases.faults import LOADS, unread_keys
-from ringwear_par.cases.schema import BY_PATH, LAWS, TABLES
+from ringwear_par.cases.laws import law_keys
+from ringwear_par.cases.schema import BY_PATH, TABLES
 from ringwear_par.errors import InputError
 
 #: keys that exclude each other: an overriding one takes the place of the others
@@ -111,9 +112,8 @@ def override(keys: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, A
     keys = {path: value for path, value in keys.items() if changes.get(path, value) is not None}
     changes = {path: value for path, value in changes.items() if value is not None}
     for table in ("wear.lower", "wear.upper"):
-        law = changes.get(f"{table}.law")
-        if isinstance(law, str) and law in LAWS:
-            known = {f"{table}.{key}" for key in ("law", *LAWS[law][0], *LAWS[law][1])}
+        known = {f"{table}.{key}" for key in law_keys(changes.get(f"{table}.law"))}
+        if known:
             keys = {p: v for p, v in keys.items() if not p.startswith(f"{table}.") or p in known}
     for group in _ALTERNATIVES:
         if not group.isdisjoint(changes):
@@ -121,7 +121,9 @@ def override(keys: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, A
     if changes.keys() >= _FIXED_STEPS:  # they say the end of an adaptive history too
         keys.pop("time.end", None)
     merged = {**keys, **changes}
-    lost = unread_keys(merged).keys() - unread_keys(keys).keys() - changes.keys()
+    lost = unread_keys(merged).keys() - changes.keys()
+    if lost:  # what the file gave in vain is for it to be told
+        lost -= unread_keys(keys).keys()
     return {path: value for path, value in merged.items() if path not in lost}
 
 

@@ -34,6 +34,12 @@ def told(quantity: Quantity | None) -> str:
     return f"a table to {largest(quantity):g}" if isinstance(quantity, Table) else f"{quantity:g}"
 
 
+def law_keys(law: Any) -> tuple[str, ...]:
+    """Return the keys that the table of a law may have; none where it is no law."""
+    known = isinstance(law, str) and law in LAWS
+    return ("law", *LAWS[law][0], *LAWS[law][1]) if known else ()
+
+
 def law_faults(
     name: str, table: str, flat: Mapping[str, Any], values: Mapping[str, Any]
 ) -> list[str]:

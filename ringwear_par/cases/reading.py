@@ -102,18 +102,18 @@ def _read_values(keys: Mapping[str, Any], origin: Origin) -> tuple[dict[str, Any
     faults: list[str] = []
     values: dict[str, Any] = {}
     for path, value in keys.items():
-        said = f"{origin.of(path)}{path}"
-        if path in BY_PATH:
-            key = BY_PATH[path]
+        key = BY_PATH.get(path)
+        if key is not None:
             try:
                 values[path] = key.read(value)
             except RejectedError as reason:
-                why = f" ({reason})" if str(reason) else ""
-                faults.append(f"{said} = {shortened(value)}: {key.rule}{why}")
+                why = f"{key.rule} ({reason})" if str(reason) else key.rule
+                faults.append(f"{origin.of(path)}{path} = {shortened(value)}: {why}")
         elif path in TABLES:
-            faults.append(f"{said} = {shortened(value)}: must be a table, [{path}]")
+            said = f"{path} = {shortened(value)}"
+            faults.append(f"{origin.of(path)}{said}: must be a table, [{path}]")
         else:
-            faults.append(f"{said}: unknown key{nearest_key(path)}")
+            faults.append(f"{origin.of(path)}{path}: unknown key{nearest_key(path)}")
     for key in KEYS:
         if key.path not in keys:
             if key.default is not ...:
