@@ -1,8 +1,8 @@
 """Wear histories of ring-on-ring and ring-on-disc tests by boundary elements, on MPI and PETSc.
 
-Rooms follow the paper (Serre, Bonnet and Pradeilles-Duval 2001): ``elasticity`` eq. (5), ``contact``
-(3), ``wear`` (4), ``history`` section 3; around them ``cases``, ``results``, ``studies`` and
-``verification``. Units: mm, N, MPa, s, rad; energies N mm.
+Rooms follow the paper (Serre, Bonnet and Pradeilles-Duval 2001): ``elasticity`` eq. (5),
+``contact`` (3), ``wear`` (4), ``history`` section 3; around them ``cases``, ``results``,
+``studies`` and ``verification``. Units: mm, N, MPa, s, rad; energies N mm.
 
     import ringwear_par as rw
 

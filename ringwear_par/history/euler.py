@@ -48,6 +48,8 @@ def backward(model: WearModel, state: State, end: float) -> Step:
 def _judged(model: WearModel, state: State, after: State, change: FloatArray) -> Step:
     """Return a step with its errors, the rates of wear (2, ..., n) having changed by so much."""
     half = 0.5 * (after.time - state.time)
-    powers = [in_time(model.omega, s.time) * model.torque(s.contact.pressure) for s in (state, after)]
+    before, then = (
+        in_time(model.omega, s.time) * model.torque(s.contact.pressure) for s in (state, after)
+    )
     wear_error = half * np.abs(change.sum(axis=0)).max(axis=-1)
-    return Step(after, wear_error, half * abs(powers[1] - powers[0]), np.maximum(*powers))
+    return Step(after, wear_error, half * abs(then - before), np.maximum(before, then))

@@ -241,9 +241,7 @@ class WearModel:
             time, self._r, column(omega) * arm, self.friction, wear, column(angle) * arm
         )
 
-    def increment(
-        self, time: float, omega: float, wear: FloatArray, step: float
-    ) -> WearIncrement:
+    def increment(self, time: float, omega: float, wear: FloatArray, step: float) -> WearIncrement:
         """Return the wear of an implicit step that ends at a time, from wear (2, ..., n) mm on."""
         lower = self.local_state(time, omega, wear[0])
         upper = self.local_state(time, omega, wear[1]) if self.laws[1] is not None else lower

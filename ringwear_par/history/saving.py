@@ -1,4 +1,4 @@
-"""What of a history is saved: at which steps and times, and where whole boundaries are asked for."""
+"""What of a history is saved: which steps and times, and where whole boundaries are asked for."""
 
 from ringwear_par.cases.case import SAME_TIME, Case
 

@@ -20,6 +20,7 @@ from ringwear_par.history.saving import stores, times_within
 from ringwear_par.history.schemes import Scheme, Step
 from ringwear_par.history.snapshots import Observer, Snapshot
 from ringwear_par.history.state import Progress, Start, State
+from ringwear_par.parallel import together
 
 #: scheme and step control of each ``time.scheme``
 METHODS: dict[str, tuple[Scheme, Callable[[Case, Progress], Control]]] = {
@@ -65,7 +66,8 @@ def simulate(
         control = make_control(case, Progress() if start is None else start.progress)
         show = _Showing(observers, model, control)
         if start is None:
-            state = model.initial()
+            with together(comm):
+                state = model.initial()
             show(state, None, state.contact.iterations)
         else:
             state = model.resume(start)
@@ -74,7 +76,8 @@ def simulate(
                 state = model.update_geometry(state)
                 end = control.end(model, state)
                 try:
-                    step = scheme(model, state, end)
+                    with together(comm):
+                        step = scheme(model, state, end)
                 except ComputationError as error:
                     control.failed(error)
                     continue
@@ -82,7 +85,8 @@ def simulate(
                 if not control.accepts(step):
                     continue
                 for time in times_within(case, state.time, end):
-                    within = scheme(model, state, time)
+                    with together(comm):
+                        within = scheme(model, state, time)
                     show(within.state, within, within.state.contact.iterations, passing=True)
             state = step.state
             show(state, step, control.progress.iterations - before)

@@ -62,4 +62,3 @@ class Start:
     progress: Progress
     warm: WarmStart
     updates: int = 0
-

@@ -12,7 +12,7 @@ from ringwear_par.arrays import FloatArray, IntArray
 from ringwear_par.atomic import check_writable
 from ringwear_par.elasticity.boundary_fields import BoundaryState
 from ringwear_par.elasticity.mesh import ContactLine
-from ringwear_par.errors import ComputationError, InputError
+from ringwear_par.errors import ComputationError, InputError, RingwearError
 from ringwear_par.results.variables import (
     COORDINATES,
     ELEMENT,
@@ -161,6 +161,20 @@ class Result:
             from ringwear_par.parallel import on_first_rank
 
             on_first_rank(self.comm, write)
+
+
+@dataclass(frozen=True)
+class FailedResult:
+    """A case that could not be computed, among others that could.
+
+    Parameters
+    ----------
+    case : its TOML text.
+    error : why; an InputError or a ComputationError.
+    """
+
+    case: str
+    error: RingwearError
 
 
 def balance_attributes(balances: Mapping[str, float]) -> dict[str, float]:

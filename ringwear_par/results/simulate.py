@@ -13,7 +13,9 @@ from ringwear_par.results.recorder import Recorder
 from ringwear_par.results.result import Result
 
 
-def simulate(case: Case, comm: MPI.Comm | None = None, *, pair: ContactPair | None = None) -> Result:
+def simulate(
+    case: Case, comm: MPI.Comm | None = None, *, pair: ContactPair | None = None
+) -> Result:
     """Return the wear history of a case.
 
     Collective on comm, the world's where none is given; the same on all ranks.

@@ -47,8 +47,7 @@ def _made(keys: dict[str, Any], reached: Any) -> str:
     scheme, steps = keys.get("time.scheme", "implicit"), int(reached["step"])
     if scheme == "adaptive":
         return (
-            f"{steps} adaptive steps (and {reached['rejected']} repeated) to "
-            f"{reached['time']:g} s"
+            f"{steps} adaptive steps (and {reached['rejected']} repeated) to {reached['time']:g} s"
         )
     return f"{steps} of {keys['time.steps']} {scheme} steps of {keys['time.step']:g} s"
 
@@ -56,11 +55,13 @@ def _made(keys: dict[str, Any], reached: Any) -> str:
 def _trust(result: "Result") -> list[str]:
     """Return what a history was held against, the worst of all its steps."""
     off, attributes = result.balances, result.attributes
-    identity = f", volume against energy {off['energy']:.1e}" if attributes["energy_identity"] else ""
+    identity = (
+        f", volume against energy {off['energy']:.1e}" if attributes["energy_identity"] else ""
+    )
     return [
         f"worst of all steps: contact (KKT) {off['residual']:.1e}, force {off['force']:.1e}, "
         f"worn profiles against integrated rates {off['volume']:.1e}{identity}",
-        f"errors of the boundary elements, which vanish with the mesh: force on the fixed faces "
+        "errors of the boundary elements, which vanish with the mesh: force on the fixed faces "
         f"{off['reaction']:.1e}, torque on them {off['torque']:.1e}, "
         f"symmetry {attributes['symmetry_defect']:.1e}",
         f"estimated error of wear of a time step: {1e3 * off['step_error']:.1e} um at most",

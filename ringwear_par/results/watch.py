@@ -41,7 +41,7 @@ class StopSignals:
 
 
 class Watch:
-    """Observer in which ranks meet after every step: is it time for a checkpoint, or to stop?
+    """Observer in which ranks meet after every step, for a checkpoint or to stop.
 
     Parameters
     ----------

@@ -48,7 +48,7 @@ def weights(fields):
 )
 def test_equilibrium_and_bodies_that_meet(case, overrides, shared_path, comm):
     path = shared_path / "run.h5"
-    run_case(CASES / case, path, overrides, False, None, comm)
+    run_case(CASES / case, path, overrides, comm=comm)
     problem = read_case(CASES / case, overrides)
     result = open_result(path)
     shape = result.checkpoint.arrays.get("shape")
@@ -136,7 +136,7 @@ def test_responses_follow_the_shape(comm):
 
 def test_opens_in_xarray(shared_path, comm):
     path = shared_path / "run.h5"
-    run_case(FIELDS, path, ["mesh.contact_elements=16"], False, None, comm)
+    run_case(FIELDS, path, ["mesh.contact_elements=16"], comm=comm)
     if comm.rank > 0:
         return
     for body in ("lower", "upper"):
@@ -177,7 +177,7 @@ def test_which_states_are_stored(overrides, times, shared_path, comm):
     if case.name == "fields.toml":
         overrides = ["time.end=20", *overrides[1:]]
     run_case(case, path, [*SMALL[:1], *(SMALL[1:2] if case.name == "paper.toml" else []),
-                          *overrides], False, None, comm)  # fmt: skip
+                          *overrides], comm=comm)  # fmt: skip
     if comm.rank == 0:
         assert [state.time for state in open_result(path).boundary] == times
 
@@ -202,10 +202,10 @@ def test_restart_equals_an_uninterrupted_run(shared_path, comm, stopped_after, o
         case.write_text(text if "times" in overrides[0] else text.replace("times =", "# times ="))
     comm.Barrier()
     overrides = ["mesh.contact_elements=16", *overrides]
-    run_case(case, whole, overrides, False, None, comm)
+    run_case(case, whole, overrides, comm=comm)
     with stopped_after(stop), pytest.raises(ComputationError, match="SIGTERM"):
-        run_case(case, parts, overrides, False, None, comm)
-    run_case(case, parts, overrides, True, None, comm)
+        run_case(case, parts, overrides, comm=comm)
+    run_case(case, parts, overrides, comm=comm, restart=True)
     if comm.rank == 0:
         one, two = contents(whole), contents(parts)
         assert one.keys() == two.keys()
@@ -217,8 +217,8 @@ def test_restart_equals_an_uninterrupted_run(shared_path, comm, stopped_after, o
 def test_a_longer_history_has_another_last_state(shared_path, comm):
     path = shared_path / "run.h5"
     words = ["mesh.contact_elements=16", "output.boundary=last", "output.every=6"]
-    run_case(CASES / "paper.toml", path, [*words, "time.steps=8"], False, None, comm)
-    run_case(CASES / "paper.toml", path, [*words, "time.steps=10"], True, None, comm)
+    run_case(CASES / "paper.toml", path, [*words, "time.steps=8"], comm=comm)
+    run_case(CASES / "paper.toml", path, [*words, "time.steps=10"], comm=comm, restart=True)
     if comm.rank == 0:
         assert [state.step for state in open_result(path).boundary] == [10]
 
@@ -227,11 +227,11 @@ def test_the_same_on_any_number_of_ranks(shared_path, comm):
     from mpi4py import MPI
 
     path = shared_path / "run.h5"
-    run_case(FIELDS, path, ["mesh.contact_elements=16"], False, None, comm)
+    run_case(FIELDS, path, ["mesh.contact_elements=16"], comm=comm)
     if comm.rank > 0:
         return
     alone = shared_path / "alone.h5"
-    run_case(FIELDS, alone, ["mesh.contact_elements=16"], False, None, MPI.COMM_SELF)
+    run_case(FIELDS, alone, ["mesh.contact_elements=16"], comm=MPI.COMM_SELF)
     for one, other in zip(open_result(path).boundary, open_result(alone).boundary, strict=True):
         for a, b in zip(one.bodies, other.bodies, strict=True):
             for name in ("displacement", "traction", "nodes"):

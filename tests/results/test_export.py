@@ -32,11 +32,11 @@ RANKS = [
 @pytest.fixture(scope="module")
 def runs(tmp_path_factory, comm):
     folder = tmp_path_factory.mktemp("runs")
-    run_case(CASES / "fields.toml", folder / "run.h5", SMALL, False, None, comm)
+    run_case(CASES / "fields.toml", folder / "run.h5", SMALL, comm=comm)
     words = [*SMALL, "output.boundary=none", "output.profiles=last"]
-    run_case(CASES / "fields.toml", folder / "plain.h5", words, False, None, comm)
+    run_case(CASES / "fields.toml", folder / "plain.h5", words, comm=comm)
     words = [*SMALL, "output.boundary=last", "time.steps=2"]
-    run_case(CASES / "sphere.toml", folder / "axis.h5", words, False, None, comm)
+    run_case(CASES / "sphere.toml", folder / "axis.h5", words, comm=comm)
     return folder
 
 

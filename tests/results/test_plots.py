@@ -23,7 +23,7 @@ def runs(tmp_path_factory, comm):
     ]
     for path, overrides in zip(paths, extra, strict=True):
         overrides = ["mesh.contact_elements=16", "time.steps=20", *overrides]
-        run_case(PAPER, path, overrides, False, None, comm)
+        run_case(PAPER, path, overrides, comm=comm)
     return paths
 
 
@@ -96,7 +96,7 @@ def test_deformed_sections(tmp_path, comm, case):
     run = tmp_path / "run.h5"
     words = ["mesh.contact_elements=16", "output.boundary=last"]
     words += ["wear.upper={law='threshold', k=1e-8}"] if case == "fields" else ["time.steps=2"]
-    run_case(PAPER.with_name(f"{case}.toml"), run, words, False, None, comm)
+    run_case(PAPER.with_name(f"{case}.toml"), run, words, comm=comm)
     plot_files([run], tmp_path / "a.png", "section,pressure")
     assert (tmp_path / "a.png").stat().st_size > 3000
     axes = plot(run, ["section"]).axes[0]

@@ -54,7 +54,7 @@ def computed(shared_path, comm, monkeypatch):
         path, written = shared_path / "run.h5", []
         with monkeypatch.context() as patch:
             patch.setattr(driver, "write_result", lambda *a: (written.append(a[1]), write(*a)))
-            run_case(CASES / case, path, words, False, None, comm)
+            run_case(CASES / case, path, words, comm=comm)
         return path, written[-1] if written else None
 
     return run
