@@ -217,9 +217,9 @@ class WearHistory:
         contact = self._pressed(self._initial_gap, largest)
         p = np.full_like(self._zero, contact.pressure.max(initial=0.0))
         slopes = np.zeros_like(p)
-        for time in (0.0, *self.case.knots):
+        for time in (0.0, *self.case.breakpoints):
             at = self.sliding(time, largest(self.case.load.omega), self._zero)
-            every = [law.slope(p, at) for law in self.case.laws if law is not None]
+            every = [law.d_rate_dp(p, at) for law in self.case.laws if law is not None]
             slopes = np.maximum(slopes, sum(every, self._zero))
         return largest_stable_step(self.pair, slopes)
 

@@ -42,7 +42,7 @@ def advance(history: "WearHistory", state: "State") -> "State":
     ComputationError : no step, however small, succeeds.
     """
     time = history.case.time
-    limit = next((t for t in history.case.knots if t > state.time), time.end)
+    limit = next((t for t in history.case.breakpoints if t > state.time), time.end)
     step = min(state.next_step or _first_step(history, state), history.longest_step(state))
     rejected, iterations, failure = state.rejected, 0, ""
     while True:

@@ -21,6 +21,7 @@ from ringwear_par.elasticity.pair import ContactPair, check_memory, check_mesh, 
 from ringwear_par.elasticity.recovery import WholeBoundary
 from ringwear_par.elasticity.updated import UpdatedGeometry
 from ringwear_par.errors import ComputationError, InputError, UnfitError
+from ringwear_par.history.limits import check_ranks
 from ringwear_par.history.model import State, WearHistory, run
 from ringwear_par.info import versions
 from ringwear_par.options import reject_unused_options
@@ -250,7 +251,8 @@ def _prepare(
     case = checkpoint = None
     try:
         case = read_case(path, overrides)
-        refuse_bad_laws(case, ranks, str(path))
+        refuse_bad_laws(case, str(path))
+        check_ranks(case, ranks, str(path))
         check_memory(case, ranks, str(path))
         check_mesh(case, str(path))
     except InputError as error:

@@ -10,7 +10,7 @@ from ringwear_par.cases.case import parse_case, parse_overrides, read_case, toml
 from ringwear_par.cases.schema import KEYS, schema
 from ringwear_par.elasticity.pair import check_memory, check_mesh, operator_key
 from ringwear_par.errors import InputError
-from ringwear_par.wear.law import ThresholdLaw
+from ringwear_par.wear.threshold import ThresholdLaw
 
 PAPER = Path(__file__).parents[2] / "scripts" / "cases" / "paper.toml"
 TEXT = PAPER.read_text()

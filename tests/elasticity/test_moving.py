@@ -13,7 +13,7 @@ from ringwear_par.elasticity.pair import assemble_operator
 from ringwear_par.elasticity.updated import UpdatedGeometry, moving_parts, node_wear
 from ringwear_par.errors import ComputationError
 from ringwear_par.verification.checks import paper_case
-from ringwear_par.wear.law import ThresholdLaw
+from ringwear_par.wear.threshold import ThresholdLaw
 
 CASES = Path(__file__).parents[2] / "scripts" / "cases"
 

@@ -9,7 +9,7 @@ import pytest
 from ringwear_par.cases.case import Load, Stepping
 from ringwear_par.contact.solver import ContactSolver
 from ringwear_par.history.model import WearHistory, run
-from ringwear_par.wear.law import ThresholdLaw
+from ringwear_par.wear.threshold import ThresholdLaw
 
 
 @pytest.fixture
