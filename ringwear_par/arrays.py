@@ -10,9 +10,12 @@ IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
 
 
-def column(number: Any) -> Any:
-    """Return numbers of histories so that they multiply fields: a float itself, (B,) as (B, 1)."""
-    return number[..., None] if isinstance(number, np.ndarray) and number.ndim else number
+def columns(numbers: Any) -> Any:
+    """Return numbers of histories so that they go with (..., n) fields: (B,) as (B, 1).
+
+    The number of a single history, and what has columns already, stay as they are.
+    """
+    return numbers[:, None] if isinstance(numbers, np.ndarray) and numbers.ndim == 1 else numbers
 
 
 def inner(weights: FloatArray, values: FloatArray) -> Any:

@@ -227,7 +227,7 @@ class ContactSolver:
         """Return what wear adds to the Hessian's diagonal."""
         if self._wear is None:
             return np.zeros_like(self._slope)
-        return self._wear.slope(q / self._own_scale) * self._slope_weight
+        return self._wear.d_depth_dp(q / self._own_scale) * self._slope_weight
 
     def _hessian(self, tao: PETSc.TAO, x: PETSc.Vec, h: PETSc.Mat, _: PETSc.Mat) -> None:
         q = x.getArray(readonly=True)
@@ -237,7 +237,7 @@ class ContactSolver:
             dense = h.getDenseArray()
             dense[:] = self._a.getDenseArray(readonly=True)
             if self._wear is not None and full:
-                derivative = self._wear.derivative(q / self._own_scale)
+                derivative = self._wear.jacobian(q / self._own_scale)
                 dense += self._all_weights[:, None] * derivative / self._scale
         changed = full or self._full or bool((slope != self._slope).any())
         self._full = full

@@ -3,7 +3,7 @@
 from mpi4py import MPI
 
 from ringwear_par.cases.case import Case
-from ringwear_par.elasticity.recovery import BoundaryState
+from ringwear_par.elasticity.boundary_fields import BoundaryState
 from ringwear_par.history.pairs import boundary_recovery
 from ringwear_par.history.saving import times_within, wants_boundary
 from ringwear_par.history.snapshots import Snapshot

@@ -8,7 +8,7 @@ rate.
 
 import numpy as np
 
-from ringwear_par.arrays import FloatArray, column
+from ringwear_par.arrays import FloatArray, columns
 from ringwear_par.history.model import WearModel
 from ringwear_par.history.schemes import Step, advanced
 from ringwear_par.history.state import State
@@ -21,7 +21,7 @@ def forward(model: WearModel, state: State, end: float) -> Step:
     omega = mean(model.omega, state.time, end)
     p = state.contact.pressure
     rates = model.rates(state.time, omega, state.wear, p)
-    depths, volumes = column(length) * rates, length * model.integrals(rates)
+    depths, volumes = columns(length) * rates, length * model.integrals(rates)
     wear = state.wear + depths
     contact = model.contact(end, wear)
     energy = length * omega * model.torque(p)
@@ -37,12 +37,13 @@ def backward(model: WearModel, state: State, end: float) -> Step:
     during = model.increment(end, omega, state.wear, length)
     contact = model.contact(end, state.wear, during)
     p = contact.pressure
-    depths, volumes = during.depths(p), during.volumes(p, model.area)
+    depths = during.depths(p)
+    volumes = during.volumes(depths, p, model.area)
     energy = length * omega * model.torque(p)
     after = advanced(model, state, end, depths, volumes, energy, contact)
     now = in_time(model.omega, state.time)
     rates = model.rates(state.time, now, state.wear, state.contact.pressure)
-    return _judged(model, state, after, depths / column(length) - rates)
+    return _judged(model, state, after, depths / columns(length) - rates)
 
 
 def _judged(model: WearModel, state: State, after: State, change: FloatArray) -> Step:

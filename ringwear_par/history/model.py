@@ -14,7 +14,7 @@ from dataclasses import fields, replace
 import numpy as np
 from mpi4py import MPI
 
-from ringwear_par.arrays import FloatArray, column, inner
+from ringwear_par.arrays import FloatArray, columns, inner
 from ringwear_par.cases.case import Case
 from ringwear_par.contact.problem import ContactState, WarmStart
 from ringwear_par.contact.solver import ContactSolver
@@ -24,9 +24,9 @@ from ringwear_par.errors import ComputationError, UnfitError
 from ringwear_par.history.pairs import assemble, updated_geometry, young
 from ringwear_par.history.state import Start, State
 from ringwear_par.schedules import in_time, integral, largest, stack
-from ringwear_par.wear.catalogue import stack_laws
 from ringwear_par.wear.increment import WearIncrement, averaged_rate, averaging
 from ringwear_par.wear.law import LocalState
+from ringwear_par.wear.law import stack as stack_laws
 
 
 class WearModel:
@@ -238,7 +238,7 @@ class WearModel:
         """Return what laws may know of a body, its wear being (..., n) mm, at speed omega."""
         angle, arm = integral(self.omega, 0.0, time), self._arm
         return LocalState(
-            time, self._r, column(omega) * arm, self.friction, wear, column(angle) * arm
+            time, self._r, columns(omega) * arm, self.friction, wear, columns(angle) * arm
         )
 
     def increment(self, time: float, omega: float, wear: FloatArray, step: float) -> WearIncrement:

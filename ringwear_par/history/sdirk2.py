@@ -12,7 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ringwear_par.arrays import column, inner
+from ringwear_par.arrays import columns, inner
 from ringwear_par.history.model import WearModel
 from ringwear_par.history.schemes import Step, advanced
 from ringwear_par.history.state import State
@@ -50,15 +50,15 @@ def step(model: WearModel, state: State, end: float) -> Step:
         iterations=stage.iterations + contact.iterations,
         residual=np.maximum(stage.residual, contact.residual),
     )
-    volumes = _SHARE * first.volumes(stage.pressure, model.area)
-    volumes += last.volumes(contact.pressure, model.area)
+    volumes = _SHARE * first.volumes(worn_first, stage.pressure, model.area)
+    volumes += last.volumes(worn_last, contact.pressure, model.area)
     energy = length * inner(_WEIGHTS, powers)
     depths = _SHARE * worn_first + worn_last
     after = advanced(model, state, end, depths, volumes, energy, contact)
 
     k0 = model.rates(state.time, speeds[0], state.wear, pressures[0])
     defect = (
-        _DEFECT[0] * column(length) * k0
+        _DEFECT[0] * columns(length) * k0
         + (_DEFECT[1] * worn_first + _DEFECT[2] * worn_last) / GAMMA
     ).sum(axis=0)
     if defect.any():

@@ -32,7 +32,7 @@ from ringwear_par.cases.suggestions import nearest_key
 from ringwear_par.cases.text import read_text, toml_value
 from ringwear_par.elasticity.mesh import count_elements
 from ringwear_par.errors import InputError
-from ringwear_par.history.limits import check_memory, check_mesh
+from ringwear_par.history.limits import check_memory, check_mesh, check_ranks
 from ringwear_par.history.pairs import operator_key
 
 METHODS = ("grid", "sobol", "latin-hypercube", "random", "list")
@@ -452,7 +452,8 @@ def _checked(
         keys = _varied_keys(base, parts, row)
         try:
             case = make_case(keys, f"{path}: case {number + 1}", text="")
-            refuse_bad_laws(case, ranks, f"{path}: case {number + 1}")
+            refuse_bad_laws(case, f"{path}: case {number + 1}")
+            check_ranks(case, ranks, f"{path}: case {number + 1}")
         except InputError as error:
             bad += 1
             if bad <= _FAULTS_TOLD:

@@ -29,7 +29,7 @@ from ringwear_par.history.model import Balances, State, WearHistory, run
 from ringwear_par.history.pairs import contact_compliance
 from ringwear_par.options import reject_unused_options
 from ringwear_par.verification import reference
-from ringwear_par.wear.law import ThresholdLaw
+from ringwear_par.wear.threshold import ThresholdLaw
 
 SIZES = (32, 64, 128)
 NU = 0.3

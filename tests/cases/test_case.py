@@ -12,7 +12,7 @@ from ringwear_par.cases.text import toml_text
 from ringwear_par.errors import InputError
 from ringwear_par.history.limits import check_memory, check_mesh
 from ringwear_par.history.pairs import operator_key
-from ringwear_par.wear.law import ThresholdLaw
+from ringwear_par.wear.threshold import ThresholdLaw
 
 PAPER = Path(__file__).parents[2] / "scripts" / "cases" / "paper.toml"
 TEXT = PAPER.read_text()

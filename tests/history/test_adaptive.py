@@ -20,7 +20,10 @@ from ringwear_par.results import files as results
 from ringwear_par.results.run import run_case
 from ringwear_par.schedules import Table, integral
 from ringwear_par.verification.checks import OMEGA
-from ringwear_par.wear.law import NonLocalLaw, PowerLaw, RunningInLaw, ThresholdLaw
+from ringwear_par.wear.non_local import NonLocalLaw
+from ringwear_par.wear.power import PowerLaw
+from ringwear_par.wear.running_in import RunningInLaw
+from ringwear_par.wear.threshold import ThresholdLaw
 
 FORCE = 45238.934
 LAW = ThresholdLaw(1e-7, 40.0)

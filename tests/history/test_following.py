@@ -14,7 +14,7 @@ from ringwear_par.errors import ComputationError, InputError
 from ringwear_par.history.trace import trace
 from ringwear_par.results.run import run_case
 from ringwear_par.verification.checks import paper_case, round_face
-from ringwear_par.wear.law import ThresholdLaw
+from ringwear_par.wear.threshold import ThresholdLaw
 
 PAPER = Path(__file__).parents[2] / "scripts/cases/paper.toml"
 UPDATED = Mesh(24, geometry="updated", geometry_tolerance=0.003)

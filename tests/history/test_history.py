@@ -11,7 +11,7 @@ from ringwear_par.contact.solver import ContactSolver
 from ringwear_par.history.model import WearModel
 from ringwear_par.history.pairs import assemble, young
 from ringwear_par.history.trace import trace
-from ringwear_par.wear.law import ThresholdLaw
+from ringwear_par.wear.threshold import ThresholdLaw
 
 
 @pytest.fixture

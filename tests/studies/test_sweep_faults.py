@@ -14,7 +14,7 @@ from conftest import SHELL_ENVIRONMENT
 from ringwear_par.errors import ComputationError
 from ringwear_par.results import progress as monitor
 from ringwear_par.studies.sweep import run_sweep
-from ringwear_par.wear.law import ThresholdLaw
+from ringwear_par.wear.threshold import ThresholdLaw
 
 pytestmark = [
     pytest.mark.serial,

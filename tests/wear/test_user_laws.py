@@ -41,7 +41,7 @@ def law(shared_path, comm):
         (GOOD.replace("def rate(p, at): return", "def rate(p, at):\n  p -= 20.0\n  return"),
          r"wear.lower.file: .*rate\(\) failed at time 0 s: ValueError.*read-only"),
         ("raise SystemExit(0)", r"wear.lower.file = .*cannot be run \(SystemExit"),
-        ("def rate(p, at): return p", r"does not define slope"),
+        ("def slope(p, at): return p", r"does not define rate; must define rate\(p, at\)"),
         (GOOD.replace("* p\n", "* p * float('nan')\n"), r"gives nan as rate at time 0 s, element"),
         (GOOD.replace("* at.speed * p", "* (p - 30)"), r"gives -3e-07 as rate at time 0 s"),
         (GOOD.replace("* at.speed * p", "* p * (500 - p)"), r"falls from"),
