@@ -81,6 +81,7 @@ class WearModel:
             self.friction, self.omega = case.friction, load.omega
             self.force, self.displacement = load.force, load.displacement
             self.laws, self._shape = case.laws, (line.n,)
+        self._wears = any(law is not None for law in self.laws)
         self._averages = tuple(
             averaging(line.r, line.area, law.length) if law is not None and law.length else None
             for law in self.laws

@@ -4,7 +4,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ringwear_par.cases.text import read_keys
+from ringwear_par.cases.keys import read_keys
 
 if TYPE_CHECKING:
     from ringwear_par.results.result import Result
