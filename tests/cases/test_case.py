@@ -251,7 +251,7 @@ def test_missing_file():
 
 
 def test_a_wear_table_needs_its_coefficient():
-    told = faults(TEXT + "\n[wear.upper]\np0 = 3.0\n")
+    told = faults(TEXT + '\n[wear.upper]\nlaw = "threshold"\np0 = 3.0\n')
     assert len(told) == 1
     assert told[0].startswith("case.toml: wear.upper.k is missing: must be a finite number >= 0")
 

@@ -17,7 +17,7 @@ def runs(tmp_path_factory, comm):
     folder = tmp_path_factory.mktemp("runs")
     paths = [folder / "p0_0.h5", folder / "p0_40.h5", folder / "lean.h5"]
     extra = [
-        ["wear.lower.p0=0", "wear.upper.k=1e-8"],
+        ["wear.lower.p0=0", "wear.upper.law=threshold", "wear.upper.k=1e-8"],
         [],
         ["output.fields=['gap']", "output.every=7"],
     ]

@@ -88,7 +88,9 @@ def test_a_history_has_the_same_numbers_alone_and_among_others(laws):
             assert np.array_equal(depths[:, i], own)
             volumes = together.volumes(depths, p, AREA)[:, i]
             assert np.array_equal(volumes, increment.volumes(own, p[i], AREA))
-            for name in ("depth", "d_depth_dp", "jacobian", "potential"):
+            # quadrature of a rate alone takes long, and is the same for all laws with memory
+            slow = () if laws is LAWS["user"] else ("potential",)
+            for name in ("depth", "d_depth_dp", "jacobian", *slow):
                 of_all, of_one = getattr(together, name)(p)[i], getattr(increment, name)(p[i])
                 assert np.array_equal(of_all, of_one), name
             change = np.cos(p)
@@ -150,9 +152,8 @@ def test_a_history_that_does_not_settle_is_named():
     growing = "def rate(p, at): return at.parameters['k'] * p * (1 + at.wear / 1e-3)\n"
     laws = [UserLaw("a.py", growing, (("k", k),)) for k in (1e-9, 1e-9, 1e-3, 1e-9, 1e-9)]
     together, _, p = increments(laws)
-    with pytest.raises(
-        ComputationError, match="time 1.3 s: the wear of history 2, element .* 1.1 s"
-    ):
+    words = r"time 1\.3 s: the wear of history 2, element \d+ .* step of 1\.1 s does not settle"
+    with pytest.raises(ComputationError, match=words):
         together.depth(p)
 
 
