@@ -197,10 +197,16 @@ def _dispatch(args: argparse.Namespace, comm: Any) -> int:
         from ringwear_par.verification.checks import verify
 
         return verify(comm)
+    if args.schema:
+        from ringwear_par.cases.schema import schema
+
+        if comm.rank == 0:
+            print(schema())
+        return 0
     from ringwear_par.info import print_info
 
     if comm.rank == 0:
-        print_info(args.schema, comm)
+        print_info(comm)
     return 0
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from ringwear_par.cases.case import Case, read_case
-from ringwear_par.contact.solver import REPLICATED_LIMIT
+from ringwear_par.contact.problem import REPLICATED_LIMIT
 from ringwear_par.errors import ComputationError, InputError
 from ringwear_par.schedules import largest
 from ringwear_par.wear.derivative_test import check_user_slope, taylor_test

@@ -15,7 +15,8 @@ import numpy as np
 
 from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.case import SAME_TIME, Case
-from ringwear_par.contact.solver import ContactSolver, ContactState, WarmStart
+from ringwear_par.contact.problem import ContactState, WarmStart
+from ringwear_par.contact.solver import ContactSolver
 from ringwear_par.elasticity.pair import BodyCost, ContactCompliance, largest_stable_step
 from ringwear_par.elasticity.recovery import BoundaryFields, BoundaryRecovery
 from ringwear_par.elasticity.updated import UpdatedGeometry

@@ -16,7 +16,7 @@ import numpy as np
 
 from ringwear_par.arrays import FloatArray, IntArray
 from ringwear_par.cases.case import Case
-from ringwear_par.contact.solver import ContactState, WarmStart
+from ringwear_par.contact.problem import ContactState, WarmStart
 from ringwear_par.elasticity.mesh import ContactLine
 from ringwear_par.elasticity.recovery import BODIES, FACES, BoundaryFields, BoundaryState
 from ringwear_par.errors import InputError
