@@ -20,7 +20,8 @@ def versions() -> dict[str, str]:
     import numpy
     import scipy
     from mpi4py import MPI
-    from petsc4py import PETSc
+
+    from ringwear_par.petsc import PETSc
 
     return {
         "version": __version__,
@@ -44,7 +45,7 @@ def _optional(package: str) -> str:
 
 def print_info(comm: "MPI.Comm") -> None:
     """Print versions, builds, ranks and threads. On one rank."""
-    from petsc4py import PETSc
+    from ringwear_par.petsc import PETSc
 
     print(f"ringwear-par {__version__} in {os.path.dirname(__file__)}, Python {sys.executable}")
     for name, value in versions().items():

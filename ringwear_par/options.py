@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 from ringwear_par.errors import InputError
 
 if TYPE_CHECKING:
-    from petsc4py import PETSc
+    from ringwear_par.petsc import PETSc
 
 #: of the boundary element systems and of the contact problem
 BEM_PREFIX, CONTACT_PREFIX = "bem_", "contact_"
@@ -20,7 +20,7 @@ def set_from_options(solver: "PETSc.KSP | PETSc.TAO", prefix: str) -> None:
     ------
     InputError : PETSc does not accept a value.
     """
-    from petsc4py import PETSc
+    from ringwear_par.petsc import PETSc
 
     try:
         solver.setFromOptions()
@@ -33,7 +33,7 @@ def set_from_options(solver: "PETSc.KSP | PETSc.TAO", prefix: str) -> None:
 
 def _was_used(name: str) -> bool:
     # PetscOptionsUsed has no petsc4py call before 3.19
-    from petsc4py import PETSc
+    from ringwear_par.petsc import PETSc
 
     used = ctypes.c_int(0)
     ctypes.CDLL(PETSc.__file__).PetscOptionsUsed(None, name.encode(), ctypes.byref(used))
@@ -49,7 +49,7 @@ def reject_unused_options() -> None:
     ------
     InputError : one sentence for each option.
     """
-    from petsc4py import PETSc
+    from ringwear_par.petsc import PETSc
 
     ours = (BEM_PREFIX, CONTACT_PREFIX)
     names = [name for name in PETSc.Options().getAll() if name.startswith(ours)]

@@ -12,10 +12,10 @@ over if the sets cycle is Bertsekas' projected Newton method, SIAM J. Control Op
 import math
 
 import numpy as np
-from petsc4py import PETSc
 from scipy.linalg.lapack import dpotrf, dpotrs
 
 from ringwear_par.arrays import BoolArray, FloatArray
+from ringwear_par.petsc import PETSc
 
 _PLAIN_ITERATIONS = 25
 _ROUND_OFF = 1e-13

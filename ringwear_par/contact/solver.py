@@ -11,7 +11,6 @@ from weakref import WeakSet
 
 import numpy as np
 from mpi4py import MPI
-from petsc4py import PETSc
 
 from ringwear_par.arrays import FloatArray
 from ringwear_par.contact.approach import ApproachSearch, Trial
@@ -25,6 +24,7 @@ from ringwear_par.contact.problem import (
 )
 from ringwear_par.errors import ComputationError, InputError, RingwearError
 from ringwear_par.options import CONTACT_PREFIX, set_from_options
+from ringwear_par.petsc import PETSc
 from ringwear_par.wear.increment import WearIncrement
 
 #: TAO types on offer; each gives the same answer

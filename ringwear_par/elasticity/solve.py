@@ -7,12 +7,12 @@ every rank factorise a copy of the whole.
 
 import numpy as np
 from mpi4py import MPI
-from petsc4py import PETSc
 
 from ringwear_par.arrays import FloatArray
 from ringwear_par.elasticity.assembly import Rows
 from ringwear_par.errors import ComputationError
 from ringwear_par.options import BEM_PREFIX, set_from_options
+from ringwear_par.petsc import PETSc
 
 #: largest residual of a row, relative to the sum of its terms
 RESIDUAL_TOLERANCE = 1e-9
