@@ -219,9 +219,14 @@ def _verify(args: argparse.Namespace, comm: Any) -> None:
 
 
 def _info(args: argparse.Namespace, comm: Any) -> None:
+    if args.schema:
+        from ringwear_par.cases.schema import schema
+
+        print(schema())
+        return
     from ringwear_par.info import print_info
 
-    print_info(args.schema, comm)
+    print_info(comm)
 
 
 _COMMANDS = {

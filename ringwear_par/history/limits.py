@@ -6,7 +6,7 @@ import numpy as np
 
 from ringwear_par.cases.case import Case
 from ringwear_par.cases.law_trials import refuse_bad_laws
-from ringwear_par.contact.solver import REPLICATED_LIMIT
+from ringwear_par.contact.problem import REPLICATED_LIMIT
 from ringwear_par.elasticity.mesh import boundary_mesh, count_elements
 from ringwear_par.elasticity.solve import has_scalapack
 from ringwear_par.errors import InputError

@@ -91,7 +91,7 @@ def restored(result: "Result") -> "Start":
     ------
     InputError : it was stored without.
     """
-    from ringwear_par.contact.solver import ContactState, WarmStart
+    from ringwear_par.contact.problem import ContactState, WarmStart
     from ringwear_par.history.state import Progress, Start, State
 
     if result.checkpoint is None:

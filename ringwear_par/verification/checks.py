@@ -18,7 +18,8 @@ from scipy.linalg import eigh
 
 from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.case import Case, Load, Output, Ring, Stepping
-from ringwear_par.contact.solver import ContactSolver, ContactState
+from ringwear_par.contact.problem import ContactState
+from ringwear_par.contact.solver import ContactSolver
 from ringwear_par.elasticity.assembly import BoundaryConditions, load_kernels
 from ringwear_par.elasticity.body import Body, boundary_conditions, compliance, solve_body
 from ringwear_par.elasticity.kernels import ring_kernels
