@@ -25,8 +25,7 @@ from ringwear_par.history.pairs import assemble, updated_geometry, young
 from ringwear_par.history.state import Start, State
 from ringwear_par.schedules import in_time, integral, largest, stack
 from ringwear_par.wear.increment import WearIncrement, averaged_rate, averaging
-from ringwear_par.wear.law import LocalState
-from ringwear_par.wear.law import stack as stack_laws
+from ringwear_par.wear.law import LocalState, stack_laws
 
 
 class WearModel:
