@@ -1,0 +1,148 @@
+"""The variables of results: one table that recorder, files, tables and ensembles read.
+
+Depths of wear are losses, so never negative: downward for lower, upward for upper.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class Variable:
+    """What an array of a result is called, runs over, is measured in and means.
+
+    Parameters
+    ----------
+    name : in files and in Python.
+    dimensions : names of its axes; a variable named as its only dimension is its coordinate.
+    unit : "1" for none.
+    meaning : the ``long_name`` of files.
+    integer : whether its values are whole numbers.
+    """
+
+    name: str
+    dimensions: tuple[str, ...]
+    unit: str
+    meaning: str
+    integer: bool = False
+
+    @property
+    def dtype(self) -> np.dtype:
+        """Type of its values in memory and in files."""
+        return np.dtype(np.int64 if self.integer else np.float64)
+
+    @property
+    def attributes(self) -> dict[str, str]:
+        """What files say of it."""
+        return {"units": self.unit, "long_name": self.meaning}
+
+    def at_last_step(self) -> "Variable":
+        """Return the variable of the last stored step alone."""
+        rest = tuple(name for name in self.dimensions if name != "step")
+        return replace(self, dimensions=rest, meaning=f"{self.meaning}, at the last step")
+
+
+def _table(*variables: Variable) -> dict[str, Variable]:
+    return {variable.name: variable for variable in variables}
+
+
+#: coordinate of the stored states, where they are named by the steps made ...
+STEP = Variable("step", ("step",), "1", "number of time steps made", integer=True)
+#: ... and where they are numbered, since states at times of output repeat a number of steps
+STATE_NUMBER = replace(STEP, meaning="number of the stored state")
+#: beside STATE_NUMBER only
+STEPS_MADE = replace(STEP, name="steps_made")
+ELEMENT = Variable(
+    "element", ("element",), "1", "contact element, from the inner edge outwards", integer=True
+)
+#: ends of the contact elements, in the group "line"
+EDGE = Variable("edge", ("edge",), "1", "end of a contact element", integer=True)
+EDGES = Variable("edges", ("edge",), "mm", "radius of the end of a contact element")
+
+#: the contact line
+LINE = _table(
+    Variable("r", ("element",), "mm", "radius of the element's mid-point"),
+    Variable("width", ("element",), "mm", "radial length of the element"),
+)
+#: numbers at each stored state
+HISTORIES = _table(
+    Variable("time", ("step",), "s", "time"),
+    Variable("approach", ("step",), "mm", "downward displacement of the upper ring's top"),
+    Variable("penetration", ("step",), "mm", "penetration depth: approach since the start"),
+    Variable("force", ("step",), "N", "axial contact force"),
+    Variable("torque", ("step",), "N mm", "friction torque"),
+    Variable("twist", ("step",), "mm", "area mean of the circumferential displacement jump"),
+    Variable("worn_volume_lower", ("step",), "mm3", "volume lost by the lower ring"),
+    Variable("worn_volume_upper", ("step",), "mm3", "volume lost by the upper ring"),
+    Variable("dissipated_energy", ("step",), "N mm", "energy dissipated by friction"),
+    Variable(
+        "contact_iterations", ("step",), "1",
+        "iterations of the contact solver since the last stored step", integer=True,
+    ),
+)  # fmt: skip
+#: fields along the contact line at each stored state, or at the last one (``at_last_step``)
+PROFILES = _table(
+    Variable("pressure", ("step", "element"), "MPa", "contact pressure"),
+    Variable("gap", ("step", "element"), "mm", "gap between the deformed profiles"),
+    Variable("wear_lower", ("step", "element"), "mm", "wear depth of the lower ring, downward"),
+    Variable("wear_upper", ("step", "element"), "mm", "wear depth of the upper ring, upward"),
+)
+#: coordinates of the result file that are no dimensions
+COORDINATES = ("time", *LINE)
+
+# -- groups boundary/lower and boundary/upper ------------------------------------------------------
+# dimensions of their own: those of the contact line have other sizes
+
+BOUNDARY_DIMENSIONS = _table(
+    Variable(
+        "boundary_step", ("boundary_step",), "1", "number of the stored boundary state",
+        integer=True,
+    ),
+    Variable("boundary_node", ("boundary_node",), "1", "node of the boundary", integer=True),
+    Variable(
+        "boundary_element", ("boundary_element",), "1",
+        "element of the boundary; its outward normal lies to the right of its direction",
+        integer=True,
+    ),
+    Variable(
+        "corner", ("corner",), "1", "first, middle and last node of an element", integer=True
+    ),
+)  # fmt: skip
+BOUNDARY_TIME = replace(HISTORIES["time"], dimensions=("boundary_step",))
+BOUNDARY_STEPS_MADE = replace(STEPS_MADE, dimensions=("boundary_step",))
+#: nodes of the elements, and the face that each belongs to: the same at all times
+BOUNDARY_MESH = _table(
+    Variable("nodes", ("boundary_element", "corner"), "1", "nodes of the element", integer=True),
+    Variable("face", ("boundary_element",), "1", "face of the body", integer=True),
+)
+
+
+def _components(
+    name: str, axes: tuple[str, ...], dimension: str, unit: str, meaning: str
+) -> tuple[Variable, ...]:
+    return tuple(
+        Variable(name.format(axis), ("boundary_step", dimension), unit, meaning.format(axis))
+        for axis in axes
+    )
+
+
+_AXES = ("r", "z", "theta")
+#: variables of the columns of each array of BoundaryFields
+BOUNDARY_FIELDS: dict[str, tuple[Variable, ...]] = {
+    "nodes": _components(
+        "{}", _AXES[:2], "boundary_node", "mm", "{} of the worn, undeformed body"
+    ),
+    "displacement": _components(
+        "displacement_{}", _AXES, "boundary_node", "mm", "displacement along {}"
+    ),
+    "traction": _components(
+        "traction_{}", _AXES, "boundary_element", "MPa", "traction along {}"
+    ),
+    "pressure": _components(
+        "pressure", ("",), "boundary_element", "MPa", "contact pressure, 0 elsewhere"
+    ),
+    "wear": _components(
+        "wear", ("",), "boundary_element", "mm", "wear depth, 0 off the contact"
+    ),
+}  # fmt: skip
