@@ -15,6 +15,7 @@ from tqdm import tqdm
 
 from ringwear_par.errors import ComputationError
 from ringwear_par.history.model import State
+from ringwear_par.parallel import PeerError
 from ringwear_par.results.files import Recorder
 
 log = logging.getLogger(__name__)
@@ -86,19 +87,37 @@ class Monitor:
         if self._recorder is not None:
             self._recorder.add(state)
 
+    def fail(self) -> None:
+        """Let the other ranks, which come to their meeting after this step, know of a failure.
+
+        Collective: where one rank calls this, the others call the monitor, or this as well.
+        """
+        self._meet(0, False, failed=True)
+
+    def _meet(self, received: int, due: bool, *, failed: bool) -> tuple[int, bool, bool]:
+        """Return the worst of what the ranks say. Collective."""
+        if self._comm.size == 1:
+            return received, due, failed
+        said = np.array([received, due, failed], dtype=np.int64)
+        self._comm.Allreduce(MPI.IN_PLACE, said, MPI.MAX)
+        return int(said[0]), bool(said[1]), bool(said[2])
+
     def __call__(self, state: State) -> bool:
-        """Return whether to stop after this state. Collective."""
+        """Return whether to stop after this state. Collective.
+
+        Raises
+        ------
+        PeerError : another rank has failed.
+        """
         self.last = state
         if self._recorder is not None:
             self._recorder.add(state)
         if self._tell is not None:
             self._tell(state)
-        received = self._signals.received
-        due = self._comm.rank == 0 and time.perf_counter() - self._saved > CHECKPOINT_SECONDS
-        if self._comm.size > 1:
-            request = np.array([received, due], dtype=np.int64)
-            self._comm.Allreduce(MPI.IN_PLACE, request, MPI.MAX)
-            received, due = int(request[0]), bool(request[1])
+        late = self._comm.rank == 0 and time.perf_counter() - self._saved > CHECKPOINT_SECONDS
+        received, due, failed = self._meet(self._signals.received, late, failed=False)
+        if failed:
+            raise PeerError("another rank has failed")
         self.agreed = received
         if due and not received and not self._finished(state):
             try:

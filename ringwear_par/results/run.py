@@ -25,6 +25,7 @@ from ringwear_par.history.model import State, WearHistory, run
 from ringwear_par.info import versions
 from ringwear_par.options import reject_unused_options
 from ringwear_par.parallel import on_first_rank
+from ringwear_par.results.doubts import Doubt, doubts, instability
 from ringwear_par.results.files import (
     Checkpoint,
     Recorder,
@@ -35,8 +36,6 @@ from ringwear_par.results.files import (
 from ringwear_par.results.progress import Monitor, Progress, StopSignals
 
 log = logging.getLogger(__name__)
-#: fewer elements in contact than this do not resolve it
-_FEW_ELEMENTS = 10
 
 
 def run_case(
@@ -84,8 +83,7 @@ def run_case(
             state = history.start()
         except UnfitError as error:
             raise InputError(*(f"{path}: {fault}" for fault in error.faults)) from error
-        if case.time.scheme == "explicit":
-            _warn_of_instability(history, comm)
+        _warn(instability(history), comm)
         reject_unused_options()
         if checkpoint is not None:
             state = checkpoint.state
@@ -150,7 +148,7 @@ def run_case(
                     f"{case.mesh.geometry_tolerance:g} mm): {moving.kernel_evaluations} kernel "
                     f"evaluations, {moving.seconds_assembly + moving.seconds_solution:.3f} s"
                 )
-            _warn_of_doubts(case, history.pair, state)
+            _warn(doubts(case, history.pair, state), comm)
             start_up = max(seconds_since_start() - (time.perf_counter() - started), 0.0)
             print(_times(seconds, start_up, loading, cost.kernel_evaluations))
     if not history.finished(state):
@@ -318,42 +316,7 @@ def warn_of_threads(ranks: int) -> None:
         )  # fmt: skip
 
 
-def _warn_of_doubts(case: Case, pair: ContactPair, state: State) -> None:
-    """Warn where the answer leaves what the method is made for."""
-    height = min(ring.z[1] - ring.z[0] for ring in case.rings)
-    moved = max(state.contact.approach, float(state.wear.max()))
-    if moved > 0.05 * height:
-        log.warning(
-            "approach or wear of %.3g mm is more than 5 %% of a body's height: small displacements "
-            "and the mesh of the unworn rings no longer describe it", moved,
-        )  # fmt: skip
-    if state.contact.approach > case.smallest_gaps[1]:
-        log.warning(
-            "the approach of %.6g mm exceeds the smallest gap, %.6g mm, of the faces that "
-            "mesh.contact leaves out: they may touch there too, which is not computed",
-            state.contact.approach, case.smallest_gaps[1],
-        )  # fmt: skip
-    touching = np.count_nonzero(state.contact.pressure)
-    if 0 < touching < min(_FEW_ELEMENTS, len(state.contact.pressure)):
-        log.warning(
-            "%d of %d elements are in contact at the end: too few to resolve it; mesh.contact = "
-            "[r1, r2] puts them where contact is", touching, len(state.contact.pressure),
-        )  # fmt: skip
-    defect = max(state.balances.torque, state.balances.reaction, pair.symmetry_defect)
-    if defect > 0.01:
-        log.warning(
-            "the boundary elements' own balances are wrong by %.2g: a finer mesh "
-            "(mesh.contact_elements) or thicker bodies are needed", defect,
-        )  # fmt: skip
-
-
-def _warn_of_instability(history: WearHistory, comm: MPI.Comm) -> None:
-    """Warn where explicit steps are too long. Collective on comm."""
-    limit, step = history.stable_step(), history.case.time.step
-    if step > limit and comm.rank == 0:
-        log.warning(
-            "explicit scheme: time.step = %.6g s is %.3g times its stability limit; the largest "
-            "stable step on this mesh is %.6g s (beyond it profiles oscillate, and with p0 > 0 the "
-            "wear is too large)",
-            step, step / limit, limit,
-        )  # fmt: skip
+def _warn(found: Sequence[Doubt], comm: MPI.Comm) -> None:
+    if comm.rank == 0:
+        for doubt in found:
+            log.warning("%s", doubt.text)

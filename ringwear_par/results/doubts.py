@@ -1,0 +1,104 @@
+"""What makes an answer doubtful though it was computed: said by ``run``, flagged by ``sweep``."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+
+from ringwear_par.cases.case import Case
+from ringwear_par.elasticity.pair import ContactPair
+from ringwear_par.history.model import State, WearHistory
+
+#: fewer elements in contact than this do not resolve it
+_FEW_ELEMENTS = 10
+#: largest approach or wear, in heights of a body, that small displacements describe
+_MOST_MOVED = 0.05
+#: largest defect of the boundary elements' own balances
+_MOST_DEFECT = 0.01
+#: between the flags of one case
+_SEPARATOR = ", "
+
+
+@dataclass(frozen=True)
+class Doubt:
+    """One reason to doubt an answer.
+
+    Parameters
+    ----------
+    flag : short name, of letters and underscores.
+    text : the whole sentence.
+    """
+
+    flag: str
+    text: str
+
+
+def doubts(case: Case, pair: ContactPair, state: State) -> tuple[Doubt, ...]:
+    """Return where the last state of a case leaves what the method is made for. Not collective."""
+    found = []
+    height = min(ring.z[1] - ring.z[0] for ring in case.rings)
+    moved = max(state.contact.approach, float(state.wear.max()))
+    if moved > _MOST_MOVED * height:
+        found.append(
+            Doubt(
+                "large_displacement",
+                f"approach or wear of {moved:.3g} mm is more than 5 % of a body's height: small "
+                "displacements and the mesh of the unworn rings no longer describe it",
+            )
+        )
+    if state.contact.approach > case.smallest_gaps[1]:
+        found.append(
+            Doubt(
+                "contact_beyond_mesh",
+                f"the approach of {state.contact.approach:.6g} mm exceeds the smallest gap, "
+                f"{case.smallest_gaps[1]:.6g} mm, of the faces that mesh.contact leaves out: they "
+                "may touch there too, which is not computed",
+            )
+        )
+    touching, n = np.count_nonzero(state.contact.pressure), len(state.contact.pressure)
+    if 0 < touching < min(_FEW_ELEMENTS, n):
+        found.append(
+            Doubt(
+                "few_elements_in_contact",
+                f"{touching} of {n} elements are in contact at the end: too few to resolve it; "
+                "mesh.contact = [r1, r2] puts them where contact is",
+            )
+        )
+    defect = max(state.balances.torque, state.balances.reaction, pair.symmetry_defect)
+    if defect > _MOST_DEFECT:
+        found.append(
+            Doubt(
+                "coarse_mesh",
+                f"the boundary elements' own balances are wrong by {defect:.2g}: a finer mesh "
+                "(mesh.contact_elements) or thicker bodies are needed",
+            )
+        )
+    return tuple(found)
+
+
+def instability(history: WearHistory) -> tuple[Doubt, ...]:
+    """Return whether explicit steps are too long. Collective on the history's communicator."""
+    case = history.case
+    if case.time.scheme != "explicit":
+        return ()
+    limit, step = history.stable_step(), case.time.step
+    if step <= limit:
+        return ()
+    return (
+        Doubt(
+            "unstable_explicit_step",
+            f"explicit scheme: time.step = {step:.6g} s is {step / limit:.3g} times its stability "
+            f"limit; the largest stable step on this mesh is {limit:.6g} s (beyond it profiles "
+            "oscillate, and with p0 > 0 the wear is too large)",
+        ),
+    )
+
+
+def join_flags(flags: Iterable[str]) -> str:
+    """Return the flags of a case as files store them."""
+    return _SEPARATOR.join(flags)
+
+
+def split_flags(text: str) -> tuple[str, ...]:
+    """Return the flags that a file stores of a case."""
+    return tuple(text.split(_SEPARATOR)) if text else ()
