@@ -27,13 +27,12 @@ from mpi4py import MPI
 from ringwear_par.cases.case import Stepping
 from ringwear_par.contact.solver import ContactSolver
 from ringwear_par.elasticity.assembly import assemble, number_dofs
-from ringwear_par.elasticity.body import compliance, ring_conditions
+from ringwear_par.elasticity.body import boundary_conditions, compliance
 from ringwear_par.elasticity.mesh import Mesh, boundary_mesh
-from ringwear_par.elasticity.pair import contact_pair
 from ringwear_par.elasticity.quadrature import quadrature
 from ringwear_par.elasticity.solve import solve_rows
-from ringwear_par.elasticity.updated import UpdatedGeometry
 from ringwear_par.history.model import WearHistory, run
+from ringwear_par.history.pairs import bodies, contact_compliance, updated_geometry
 from ringwear_par.verification.checks import paper_case
 
 COLUMNS = (
@@ -60,10 +59,10 @@ def measure(n: int, repeats: int, comm: MPI.Comm) -> dict[str, float]:
     """Return one row of the table. Collective."""
     case, rules = paper_case(Mesh(n)), quadrature(Mesh().quadrature_tolerance)
     rings = case.rings
-    bodies = [boundary_mesh(case.section(ring), case.line, case.mesh) for ring in rings]
-    conditions = [ring_conditions(body, "clamped") for body in bodies]
-    unknowns = [number_dofs(*both) for both in zip(bodies, conditions, strict=True)]
-    work = list(zip(bodies, conditions, unknowns, strict=True))
+    meshes = [boundary_mesh(case.section(ring), case.line, case.mesh) for ring in rings]
+    conditions = [boundary_conditions(boundary, "clamped") for boundary in meshes]
+    dofs = [number_dofs(*both) for both in zip(meshes, conditions, strict=True)]
+    work = list(zip(meshes, conditions, dofs, strict=True))
 
     def assembled() -> list:
         return [assemble(*parts, 0.3, rules, comm) for parts in work]
@@ -79,34 +78,32 @@ def measure(n: int, repeats: int, comm: MPI.Comm) -> dict[str, float]:
     systems.clear()
     both = timed(
         comm, repeats,
-        lambda: [
-            compliance(case.section(r), case.line, 0.3, "clamped", case.mesh, comm) for r in rings
-        ],
+        lambda: [compliance(body, case.line, case.mesh, comm) for body in bodies(case)],
     )  # fmt: skip
-    pair, _ = contact_pair(case, comm)
+    pair = contact_compliance(case, comm)
     flat = np.zeros(n)
 
     def first_contact() -> None:
-        with ContactSolver(pair.stiffness, pair.line.area, comm) as solver:
+        with ContactSolver(pair.matrix, pair.line.area, comm) as solver:
             solver.solve(flat, force=case.load.force)
 
     def history(replicated_limit: int) -> None:
-        with ContactSolver(pair.stiffness, pair.line.area, comm, replicated_limit) as solver:
+        with ContactSolver(pair.matrix, pair.line.area, comm, replicated_limit) as solver:
             wear = WearHistory(case, pair, solver)
             run(wear, wear.start(), lambda _: False)
 
     def adaptive() -> None:
         stepping = Stepping("adaptive", until=200.0)
-        with ContactSolver(pair.stiffness, pair.line.area, comm) as solver:
+        with ContactSolver(pair.matrix, pair.line.area, comm) as solver:
             wear = WearHistory(replace(case, time=stepping), pair, solver)
             run(wear, wear.start(), lambda _: False)
 
     moving = replace(case, mesh=Mesh(n, geometry="updated"))
-    elasticity = UpdatedGeometry(moving, comm)
+    elasticity = updated_geometry(moving, comm)
     elasticity.update(np.zeros((2, n)))  # the first assembly is counted above
 
     def updated() -> None:
-        with ContactSolver(pair.stiffness, pair.line.area, comm) as solver:
+        with ContactSolver(pair.matrix, pair.line.area, comm) as solver:
             wear = WearHistory(moving, pair, solver, elasticity)
             run(wear, wear.start(), lambda _: False)
 
@@ -119,8 +116,8 @@ def measure(n: int, repeats: int, comm: MPI.Comm) -> dict[str, float]:
         zip(
             COLUMNS,
             (
-                n, comm.size, sum(len(body.elements) for body in bodies), sum(sizes), evaluations,
-                assembly, 1e9 * assembly * comm.size / evaluations, solution,
+                n, comm.size, sum(len(boundary.elements) for boundary in meshes), sum(sizes),
+                evaluations, assembly, 1e9 * assembly * comm.size / evaluations, solution,
                 1e-9 * flops / solution, both,
                 1e3 * contact, stepping, shared, 5.0 * stepping, grown, followed, peak,
             ),

@@ -21,9 +21,8 @@ from ringwear_par.cases.case import Case, Stepping
 from ringwear_par.contact.solver import ContactSolver
 from ringwear_par.elasticity.assembly import load_kernels
 from ringwear_par.elasticity.mesh import Mesh
-from ringwear_par.elasticity.pair import contact_pair
-from ringwear_par.elasticity.updated import UpdatedGeometry
 from ringwear_par.history.model import State, WearHistory, run
+from ringwear_par.history.pairs import contact_compliance, updated_geometry
 from ringwear_par.verification.checks import paper_case
 
 TOLERANCES = (0.005, 0.002, 0.001)  # mm
@@ -52,12 +51,12 @@ class Compared:
 
 def history(case: Case) -> Compared:
     """Run a case and keep what is compared; the first assembly is not in its time."""
-    pair, _ = contact_pair(case, MPI.COMM_SELF)
+    pair = contact_compliance(case, MPI.COMM_SELF)
     elasticity = None
     if case.follows_wear:
-        elasticity = UpdatedGeometry(case, MPI.COMM_SELF)
+        elasticity = updated_geometry(case, MPI.COMM_SELF)
         elasticity.update(np.zeros((2, pair.line.n)))
-    with ContactSolver(pair.stiffness, pair.line.area, MPI.COMM_SELF) as solver:
+    with ContactSolver(pair.matrix, pair.line.area, MPI.COMM_SELF) as solver:
         wear = WearHistory(case, pair, solver, elasticity)
         started = time.perf_counter()
         states = [wear.start()]

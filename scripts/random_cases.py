@@ -22,9 +22,9 @@ from mpi4py import MPI
 from ringwear_par.cases.case import make_case
 from ringwear_par.contact.solver import ContactSolver
 from ringwear_par.elasticity.assembly import load_kernels
-from ringwear_par.elasticity.pair import contact_pair
 from ringwear_par.errors import RingwearError
 from ringwear_par.history.model import State, WearHistory, run
+from ringwear_par.history.pairs import contact_compliance
 
 #: defects that a case must not exceed, of force, volume, energy and the contact's KKT conditions
 ALLOWED = {"force": 1e-10, "volume": 1e-10, "energy": 1e-10, "residual": 1e-9}
@@ -165,7 +165,7 @@ def failure(state: State) -> str:
 def compute(keys: dict, name: str) -> tuple[State, int]:
     """Run a case; return its last state and the most TAO iterations of a step."""
     case = make_case(keys, name)
-    pair, _ = contact_pair(case, MPI.COMM_SELF)
+    pair = contact_compliance(case, MPI.COMM_SELF)
     most = 0
 
     def watch(state: State) -> bool:
@@ -173,7 +173,7 @@ def compute(keys: dict, name: str) -> tuple[State, int]:
         most = max(most, state.contact.iterations)
         return False
 
-    with ContactSolver(pair.stiffness, pair.line.area, MPI.COMM_SELF) as solver:
+    with ContactSolver(pair.matrix, pair.line.area, MPI.COMM_SELF) as solver:
         history = WearHistory(case, pair, solver)
         return run(history, history.start(), watch), most
 

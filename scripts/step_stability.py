@@ -40,11 +40,12 @@ from mpi4py import MPI
 from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.case import Case, Stepping, read_case
 from ringwear_par.contact.solver import ContactSolver
-from ringwear_par.elasticity.body import ring_conditions, solve_body
+from ringwear_par.elasticity.body import boundary_conditions, solve_body
 from ringwear_par.elasticity.mesh import ContactLine, boundary_mesh
-from ringwear_par.elasticity.pair import ContactPair, contact_pair, largest_stable_step, symmetric
+from ringwear_par.elasticity.pair import ContactCompliance, largest_stable_step, symmetric
 from ringwear_par.errors import RingwearError
 from ringwear_par.history.model import State, WearHistory
+from ringwear_par.history.pairs import contact_compliance
 from ringwear_par.results.figures import STYLE
 from ringwear_par.verification.reference import EXPLICIT_LIMIT, contact_modulus
 from ringwear_par.wear.law import ThresholdLaw
@@ -81,29 +82,29 @@ def nodal_compliance(case: Case, comm: MPI.Comm) -> FloatArray:
     line = case.line
     compliance = np.zeros((line.n, line.n))
     for ring in case.rings:
-        body = boundary_mesh(case.section(ring), line, case.mesh)
-        ends = body.elements[body.contact][:, [0, 2]]
+        boundary = boundary_mesh(case.section(ring), line, case.mesh)
+        ends = boundary.elements[boundary.contact][:, [0, 2]]
         response = solve_body(
-            body, ring_conditions(body, ring.grip), ring.poisson, case.mesh.quadrature_tolerance,
-            ends.ravel(), body.held, comm,
+            boundary, boundary_conditions(boundary, ring.grip), ring.poisson,
+            case.mesh.quadrature_tolerance, ends.ravel(), boundary.fixed, comm,
         )  # fmt: skip
         compliance -= response.displacement[:, 1].reshape(line.n, 2, line.n).mean(1) / ring.young
     return compliance
 
 
-def pairs(case: Case, comm: MPI.Comm) -> dict[Gaps, ContactPair]:
+def pairs(case: Case, comm: MPI.Comm) -> dict[Gaps, ContactCompliance]:
     """Return the contact pair with either gaps. Collective."""
-    right, _ = contact_pair(case, comm)
+    right = contact_compliance(case, comm)
     nodal = symmetric(case.line, nodal_compliance(case, comm))
-    return {"mid-point": right, "nodal": replace(right, stiffness=nodal)}
+    return {"mid-point": right, "nodal": replace(right, matrix=nodal)}
 
 
-def softness(pair: ContactPair) -> tuple[float, float, float]:
+def softness(pair: ContactCompliance) -> tuple[float, float, float]:
     """Return smallest and largest eigenvalue of C and its value for +-1, mm/MPa (area norm)."""
     root = np.sqrt(pair.line.area)
-    values = np.linalg.eigvalsh(pair.stiffness / (root[:, None] * root))
+    values = np.linalg.eigvalsh(pair.matrix / (root[:, None] * root))
     sign = (-1.0) ** np.arange(pair.line.n)
-    alternating = float(sign @ pair.stiffness @ sign / pair.line.area.sum())
+    alternating = float(sign @ pair.matrix @ sign / pair.line.area.sum())
     return float(values[0]), float(values[-1]), alternating
 
 
@@ -139,12 +140,12 @@ class Run:
     ripples: FloatArray
 
 
-def worn(case: Case, pair: ContactPair, scheme: Scheme, step: float, comm: MPI.Comm) -> Run:
+def worn(case: Case, pair: ContactCompliance, scheme: Scheme, step: float, comm: MPI.Comm) -> Run:
     """Wear a case in equal steps, s, that divide TIMES. Collective."""
     last = round(TIMES[-1] / step)
     case = replace(case, time=Stepping(scheme, step, last))
     stored = {round(time / step) for time in TIMES}
-    with ContactSolver(pair.stiffness, pair.line.area, comm) as solver:
+    with ContactSolver(pair.matrix, pair.line.area, comm) as solver:
         history = WearHistory(case, pair, solver)
         state = history.start()
         approach, profiles = state.contact.approach, []
@@ -185,7 +186,7 @@ def grows(history: WearHistory, state: State, step: float, n_steps: int = 60) ->
     pair = history.pair
     sign = (-1.0) ** np.arange(pair.line.n)
     bump = np.zeros_like(state.wear)
-    bump[0] = 1e-2 * (pair.stiffness @ sign) / pair.line.area
+    bump[0] = 1e-2 * (pair.matrix @ sign) / pair.line.area
     changed = replace(
         state,
         wear=state.wear + bump,
@@ -202,13 +203,13 @@ def grows(history: WearHistory, state: State, step: float, n_steps: int = 60) ->
     return sizes[-1] > sizes[-6]
 
 
-def measured_limit(pair: ContactPair, case: Case, guess: float, comm: MPI.Comm) -> float:
+def measured_limit(pair: ContactCompliance, case: Case, guess: float, comm: MPI.Comm) -> float:
     """Return the largest step, s, at which explicit stepping damps a change of wear. Collective.
 
     By bisection to 0.2 %, from a worn state with all in contact; p0 = 0.
     """
     case = replace(case, time=Stepping("explicit", guess, 1))
-    with ContactSolver(pair.stiffness, pair.line.area, comm) as solver:
+    with ContactSolver(pair.matrix, pair.line.area, comm) as solver:
         implicit = WearHistory(replace(case, time=Stepping("implicit", 100.0, 1)), pair, solver)
         state = implicit.advance(implicit.start())
         history = WearHistory(case, pair, solver)
@@ -252,9 +253,9 @@ def limits(n: int, comm: MPI.Comm) -> Limits:
     )
 
 
-def unworn(pair: ContactPair, case: Case, comm: MPI.Comm) -> FloatArray:
+def unworn(pair: ContactCompliance, case: Case, comm: MPI.Comm) -> FloatArray:
     """Return the pressure before any wear, (n,) MPa. Collective."""
-    with ContactSolver(pair.stiffness, pair.line.area, comm) as solver:
+    with ContactSolver(pair.matrix, pair.line.area, comm) as solver:
         return WearHistory(case, pair, solver).start().contact.pressure
 
 
@@ -280,7 +281,7 @@ def pressures_at_29(n: int, grading: float, comm: MPI.Comm) -> list[float]:
     profiles = [
         unworn(both["mid-point"], case, comm),
         unworn(both["nodal"], case, comm),
-        bilateral(case, both["nodal"].stiffness),
+        bilateral(case, both["nodal"].matrix),
         bilateral(case, collocated),
     ]
     return [float(np.interp(29.0, case.line.r, p)) for p in profiles]

@@ -108,10 +108,10 @@ def stopped_after(monkeypatch, comm):
 
 @pytest.fixture(scope="session")
 def paper_pair(comm):
-    """The paper's case at 80 MPa and p0 = 40 MPa, and its contact pair."""
+    """The paper's case at 80 MPa and p0 = 40 MPa, and the compliance of its contact."""
     from ringwear_par.elasticity.mesh import Mesh
-    from ringwear_par.elasticity.pair import contact_pair
+    from ringwear_par.history.pairs import contact_compliance
     from ringwear_par.verification.checks import paper_case
 
     case = paper_case(Mesh())
-    return case, contact_pair(case, comm)[0]
+    return case, contact_compliance(case, comm)

@@ -136,7 +136,7 @@ class ContactSolver:
         self._upper.set(PETSc.INFINITY)
         self._g, self._scratch = self._x.duplicate(), self._x.duplicate()
         self._scale = np.ones(n)
-        self.set_stiffness(stiffness)
+        self.set_compliance(stiffness)
         self._tao = self._make_tao(tao_type)
         self.tao_type = tao_type
 
@@ -149,7 +149,7 @@ class ContactSolver:
         self._rate = self._first_rate  # d pressure / d approach
         self._last: tuple[FloatArray, float, float] | None = None  # gap, approach, force
 
-    def set_stiffness(self, stiffness: FloatArray) -> None:
+    def set_compliance(self, stiffness: FloatArray) -> None:
         """Take another stiffness of the same contact line; the warm start stays. Collective.
 
         Parameters

@@ -33,13 +33,13 @@ class BoundaryConditions(NamedTuple):
 
     Parameters
     ----------
-    held : (k, 3) bool, displacement zero on the element, traction unknown.
+    fixed : (k, 3) bool, displacement zero on the element, traction unknown.
     load : (k, 3) int, right-hand side that holds the element's known traction, -1 for none.
     traction : (k, 3) float, MPa, that known traction.
     n_loads : number of right-hand sides.
     """
 
-    held: BoolArray
+    fixed: BoolArray
     load: IntArray
     traction: FloatArray
     n_loads: int
@@ -100,22 +100,22 @@ class Assembly:
     kernel_evaluations: int
 
 
-def number_dofs(body: BoundaryMesh, conditions: BoundaryConditions) -> DofMap:
+def number_dofs(boundary: BoundaryMesh, conditions: BoundaryConditions) -> DofMap:
     """Return the numbering of the unknowns. Not collective."""
-    elements, held = body.elements, conditions.held
-    fixed = np.zeros((len(body.nodes), 3), dtype=bool)
+    elements, fixed = boundary.elements, conditions.fixed
+    known = np.zeros((len(boundary.nodes), 3), dtype=bool)
     for local in range(3):
-        fixed[elements[:, local]] |= held
-    on_axis = body.nodes[:, 0] == 0.0
-    fixed[np.ix_(on_axis, [0, 2])] = True
-    collocated = ~fixed
-    collocated[elements[:, 1]] |= held
+        known[elements[:, local]] |= fixed
+    on_axis = boundary.nodes[:, 0] == 0.0
+    known[np.ix_(on_axis, [0, 2])] = True
+    collocated = ~known
+    collocated[elements[:, 1]] |= fixed
     equation = np.full(collocated.shape, -1)
     for block in (slice(0, 2), slice(2, 3)):
         rows = np.cumsum(collocated[:, block]).reshape(-1, block.stop - block.start) - 1
         equation[:, block] = np.where(collocated[:, block], rows, -1)
-    displacement = np.where(fixed, -1, equation)
-    traction = np.where(held, equation[elements[:, 1]], -1)
+    displacement = np.where(known, -1, equation)
+    traction = np.where(fixed, equation[elements[:, 1]], -1)
     return DofMap(equation, displacement, traction)
 
 
@@ -255,9 +255,9 @@ def _integrate(
 def _assemble_rows(
     first_node: int,
     last_node: int,
-    body: BoundaryMesh,
+    boundary: BoundaryMesh,
     conditions: BoundaryConditions,
-    unknowns: DofMap,
+    dofs: DofMap,
     moving: Moving,
     moved: bool,
     poisson: float,
@@ -270,8 +270,8 @@ def _assemble_rows(
 
     The integrals added are those that move with the geometry, or those that do not.
     """
-    elements, load = body.elements, conditions.load
-    displacement, traction = unknowns.displacement, unknowns.traction
+    elements, load = boundary.elements, conditions.load
+    displacement, traction = dofs.displacement, dofs.traction
     h, g, own = np.empty((5, 3)), np.empty(5), np.empty(5)
     work = np.empty((3, _MAX_PARTS))
     # a node's rows are gathered here, side by side, and copied once into the column-major matrices
@@ -292,7 +292,7 @@ def _assemble_rows(
                 if elements[e, c] == p:
                     at = c
             evaluations += _integrate(
-                body.nodes, p, elements[e, 0], elements[e, 2], at, poisson, rules,
+                boundary.nodes, p, elements[e, 0], elements[e, 2], at, poisson, rules,
                 h, g, own, work,
             )  # fmt: skip
             for pair in range(5):
@@ -310,9 +310,9 @@ def _assemble_rows(
             if column >= 0:
                 lines[_FORCE[pair], column] += own[pair]
         for k in range(3):
-            if unknowns.equation[p, k] >= 0:
+            if dofs.equation[p, k] >= 0:
                 system = 0 if k < 2 else 1
-                row = unknowns.equation[p, k] - starts[system]
+                row = dofs.equation[p, k] - starts[system]
                 matrix, right = matrices[system], loads[system]
                 for column in range(matrix.shape[1]):
                     matrix[row, column] += lines[k, column]
@@ -329,15 +329,15 @@ def load_kernels(comm: MPI.Comm) -> None:
 
     def load() -> None:
         mesh = Mesh(4)
-        body = boundary_mesh(Section((1.0, 2.0), 1.0), contact_line((1.0, 2.0), mesh), mesh)
-        k = len(body.elements)
+        boundary = boundary_mesh(Section((1.0, 2.0), 1.0), contact_line((1.0, 2.0), mesh), mesh)
+        k = len(boundary.elements)
         nothing = BoundaryConditions(
             np.zeros((k, 3), bool), np.full((k, 3), -1), np.zeros((k, 3)), 0
         )
-        still = Moving(np.zeros(len(body.nodes), bool), np.zeros(k, bool))
+        still = Moving(np.zeros(len(boundary.nodes), bool), np.zeros(k, bool))
         unused = np.zeros((2, 2), order="F")  # an empty one would be row-major too
         _assemble_rows(
-            0, 0, body, nothing, number_dofs(body, nothing), still, False, 0.0,
+            0, 0, boundary, nothing, number_dofs(boundary, nothing), still, False, 0.0,
             quadrature(0.1),
             np.zeros(2, dtype=np.int64), (unused, unused), (unused, unused),
         )  # fmt: skip
@@ -350,9 +350,9 @@ def load_kernels(comm: MPI.Comm) -> None:
 
 
 def assemble(
-    body: BoundaryMesh,
+    boundary: BoundaryMesh,
     conditions: BoundaryConditions,
-    unknowns: DofMap,
+    dofs: DofMap,
     poisson: float,
     rules: Quadrature,
     comm: MPI.Comm,
@@ -369,17 +369,17 @@ def assemble(
     moving : what moves, if only a part is to be assembled: what stays, or with ``base`` what moves.
     base : the part that stays, to a copy of which the other is added.
     """
-    n_nodes = len(body.nodes)
+    n_nodes = len(boundary.nodes)
     moved = base is not None or moving is None
     if moving is None:
-        moving = Moving(np.ones(n_nodes, bool), np.ones(len(body.elements), bool))
+        moving = Moving(np.ones(n_nodes, bool), np.ones(len(boundary.elements), bool))
     share = [rank * n_nodes // comm.size for rank in range(comm.size + 1)]
     mine = slice(share[comm.rank], share[comm.rank + 1])
     starts = np.zeros(2, dtype=np.int64)
     matrices: list[FloatArray] = []
     loads: list[FloatArray] = []
     for system, block in enumerate((slice(0, 2), slice(2, 3))):
-        collocated = unknowns.equation[:, block] >= 0
+        collocated = dofs.equation[:, block] >= 0
         starts[system] = np.count_nonzero(collocated[: mine.start])
         if base is not None:
             before = base.normal if system == 0 else base.torsion
@@ -391,7 +391,7 @@ def assemble(
         loads.append(np.zeros((rows, conditions.n_loads), order="F"))
 
     evaluations = _assemble_rows(
-        mine.start, mine.stop, body, conditions, unknowns, moving, moved, poisson, rules, starts,
+        mine.start, mine.stop, boundary, conditions, dofs, moving, moved, poisson, rules, starts,
         (matrices[0], matrices[1]), (loads[0], loads[1]),
     )  # fmt: skip
     normal, torsion = (Rows(matrices[i], loads[i], int(starts[i])) for i in (0, 1))

@@ -26,6 +26,24 @@ from ringwear_par.elasticity.solve import solve_rows
 
 
 @dataclass(frozen=True)
+class Body:
+    """An elastic body of revolution in contact, fixed at the face away from it.
+
+    Parameters
+    ----------
+    section : meridian section, mm, in the body's own frame.
+    young : MPa, Young's modulus.
+    poisson : Poisson's ratio.
+    grip : how the face away from the contact is fixed.
+    """
+
+    section: Section
+    young: float
+    poisson: float
+    grip: Grip
+
+
+@dataclass(frozen=True)
 class Response:
     """Boundary values for each load, on every rank.
 
@@ -52,9 +70,9 @@ class Compliance:
     ----------
     normal : (n, n) float, mm/MPa; approach of element i under unit pressure on element j.
     torsion : (n, n) float, mm/MPa; circumferential displacement under unit shear.
-    force_reaction : (n,) float, mm^2; axial force on the held face per unit pressure. Equilibrium
+    force_reaction : (n,) float, mm^2; axial force on the fixed face per unit pressure. Equilibrium
         asks for the contact element's area.
-    torque_reaction : (n,) float, mm^3; torque on the held face per unit shear.
+    torque_reaction : (n,) float, mm^3; torque on the fixed face per unit shear.
     response : the work and the times.
     """
 
@@ -65,29 +83,30 @@ class Compliance:
     response: Response
 
 
-def ring_conditions(body: BoundaryMesh, grip: Grip) -> BoundaryConditions:
-    """Return the conditions of a ring: held face, one right-hand side per contact element.
+def boundary_conditions(boundary: BoundaryMesh, grip: Grip) -> BoundaryConditions:
+    """Return those of a body in contact: fixed face, one right-hand side per contact element.
 
     Right-hand side j is unit pressure (normal system) and unit circumferential traction (torsion)
     on contact element j, both per area projected on the contact plane: the tractions are along z
     and theta whatever the slope of the element, dr/ds as large as the pressure, so that the force
-    is area times pressure. "clamped" holds u_r, u_z and u_theta, "platen" leaves u_r free of
+    is area times pressure. "clamped" fixes u_r, u_z and u_theta, "platen" leaves u_r free of
     traction.
     """
-    k, n = len(body.elements), len(body.contact)
-    held = np.zeros((k, 3), dtype=bool)
-    held[body.held] = [grip == "clamped", True, True]
+    k, n = len(boundary.elements), len(boundary.contact)
+    fixed = np.zeros((k, 3), dtype=bool)
+    fixed[boundary.fixed] = [grip == "clamped", True, True]
     load = np.full((k, 3), -1)
     traction = np.zeros((k, 3))
-    load[body.contact, 1:] = np.arange(n)[:, None]
-    along = body.nodes[body.elements[body.contact, 2]] - body.nodes[body.elements[body.contact, 0]]
+    load[boundary.contact, 1:] = np.arange(n)[:, None]
+    ends = boundary.nodes[boundary.elements[boundary.contact]]
+    along = ends[:, 2] - ends[:, 0]
     projected = np.abs(along[:, 0]) / np.hypot(*along.T)
-    traction[body.contact, 1:] = projected[:, None] * [-1.0, 1.0]
-    return BoundaryConditions(held, load, traction, n)
+    traction[boundary.contact, 1:] = projected[:, None] * [-1.0, 1.0]
+    return BoundaryConditions(fixed, load, traction, n)
 
 
 def solve_body(
-    body: BoundaryMesh,
+    boundary: BoundaryMesh,
     conditions: BoundaryConditions,
     poisson: float,
     tolerance: float,
@@ -99,16 +118,16 @@ def solve_body(
 
     Collective on comm.
     """
-    unknowns = number_dofs(body, conditions)
+    dofs = number_dofs(boundary, conditions)
     started = time.perf_counter()
-    rows = assemble(body, conditions, unknowns, poisson, quadrature(tolerance), comm)
+    rows = assemble(boundary, conditions, dofs, poisson, quadrature(tolerance), comm)
     seconds = time.perf_counter() - started
-    return solve_assembled(rows, unknowns, nodes, elements, seconds, comm)
+    return solve_assembled(rows, dofs, nodes, elements, seconds, comm)
 
 
 def solve_assembled(
     rows: Assembly,
-    unknowns: DofMap,
+    dofs: DofMap,
     nodes: IntArray,
     elements: IntArray,
     seconds: float,
@@ -126,8 +145,8 @@ def solve_assembled(
         x, start = solve_rows(system, comm)
         for c in components:
             for target, column in (
-                (displacement, unknowns.displacement[nodes, c]),
-                (traction, unknowns.traction[elements, c]),
+                (displacement, dofs.displacement[nodes, c]),
+                (traction, dofs.traction[elements, c]),
             ):
                 local = column - start
                 here = (column >= 0) & (local >= 0) & (local < len(x))
@@ -147,21 +166,19 @@ class BoundaryResponse:
 
     Parameters
     ----------
-    body : the boundary elements.
+    boundary : the boundary elements.
     displacement : (m, 3, n) float, mm/MPa, of every node in r, z and theta.
     traction : (k, 3, n) float, MPa/MPa, on every element, the loads included.
     """
 
-    body: BoundaryMesh
+    boundary: BoundaryMesh
     displacement: FloatArray
     traction: FloatArray
 
 
 def boundary_response(
-    section: Section,
+    body: Body,
     line: ContactLine,
-    poisson: float,
-    grip: Grip,
     mesh: Mesh,
     comm: MPI.Comm,
     worn: FloatArray | None = None,
@@ -170,15 +187,15 @@ def boundary_response(
 
     Collective on comm. ``worn`` is that of ``boundary_mesh``.
     """
-    body = boundary_mesh(section, line, mesh, worn)
-    conditions = ring_conditions(body, grip)
-    nodes, elements = np.arange(len(body.nodes)), np.arange(len(body.elements))
+    boundary = boundary_mesh(body.section, line, mesh, worn)
+    conditions = boundary_conditions(boundary, body.grip)
+    nodes, elements = np.arange(len(boundary.nodes)), np.arange(len(boundary.elements))
     response = solve_body(
-        body, conditions, poisson, mesh.quadrature_tolerance, nodes, elements, comm
+        boundary, conditions, body.poisson, mesh.quadrature_tolerance, nodes, elements, comm
     )
     e, c = np.nonzero(conditions.load >= 0)
     response.traction[e, c, conditions.load[e, c]] += conditions.traction[e, c]
-    return BoundaryResponse(body, response.displacement, response.traction)
+    return BoundaryResponse(boundary, response.displacement, response.traction)
 
 
 def in_case_frame(
@@ -193,24 +210,22 @@ def in_case_frame(
     upper body change sign too. Multiplied by 1/E (displacements), p (r, z) and mu p (theta) and
     summed over the loads, these are the fields of the case.
     """
-    body, nodes = response.body, response.body.nodes.copy()
+    boundary, nodes = response.boundary, response.boundary.nodes.copy()
     if which == "lower":
         nodes[:, 1] += plane
-        return replace(response, body=body._replace(nodes=nodes))
+        return replace(response, boundary=boundary._replace(nodes=nodes))
     nodes[:, 1] = plane - nodes[:, 1]
     signs = np.array([1.0, -1.0, -1.0])[None, :, None]
     return BoundaryResponse(
-        body._replace(nodes=nodes, elements=body.elements[:, ::-1].copy()),
+        boundary._replace(nodes=nodes, elements=boundary.elements[:, ::-1].copy()),
         signs * response.displacement,
         signs * response.traction,
     )
 
 
 def compliance(
-    section: Section,
+    body: Body,
     line: ContactLine,
-    poisson: float,
-    grip: Grip,
     mesh: Mesh,
     comm: MPI.Comm,
     worn: FloatArray | None = None,
@@ -221,23 +236,23 @@ def compliance(
     the end nodes would give pressures of alternating sign almost no displacement. ``worn`` is that
     of ``boundary_mesh``.
     """
-    body = boundary_mesh(section, line, mesh, worn)
+    boundary = boundary_mesh(body.section, line, mesh, worn)
     response = solve_body(
-        body, ring_conditions(body, grip), poisson, mesh.quadrature_tolerance,
-        body.elements[body.contact, 1], body.held, comm,
+        boundary, boundary_conditions(boundary, body.grip), body.poisson, mesh.quadrature_tolerance,
+        boundary.elements[boundary.contact, 1], boundary.fixed, comm,
     )  # fmt: skip
-    return condense(body, response)
+    return condense(boundary, response)
 
 
-def condense(body: BoundaryMesh, response: Response) -> Compliance:
+def condense(boundary: BoundaryMesh, response: Response) -> Compliance:
     """Return the compliance of a solved body. Not collective.
 
     Parameters
     ----------
-    response : displacements at the contact elements' mid-points, tractions of the held elements.
+    response : displacements at the contact elements' mid-points, tractions of the fixed elements.
     """
-    inner = body.nodes[body.elements[body.held, 0], 0]
-    outer = body.nodes[body.elements[body.held, 2], 0]
+    inner = boundary.nodes[boundary.elements[boundary.fixed, 0], 0]
+    outer = boundary.nodes[boundary.elements[boundary.fixed, 2], 0]
     area = np.pi * (outer**2 - inner**2)
     moment = 2.0 * np.pi / 3.0 * (outer**3 - inner**3)
     return Compliance(

@@ -19,7 +19,7 @@ from ringwear_par.errors import ComputationError, InputError
 
 #: fewest elements of a piece of the contact line
 FEWEST = 4
-#: grading exponent of the free and held faces towards every corner and contact edge
+#: grading exponent of the free and fixed faces towards every corner and contact edge
 CORNER_GRADING = 3.5
 
 
@@ -107,14 +107,14 @@ class BoundaryMesh(NamedTuple):
     elements : (k, 3) int, first, middle and last node of each element; the outward normal lies to
         the right of the direction of travel.
     contact : (n,) int, elements of the contact line, by increasing radius.
-    held : (h,) int, elements of the held face.
+    fixed : (h,) int, elements of the fixed face.
     inner_side, outer_side : int arrays, elements of the free cylindrical faces.
     """
 
     nodes: FloatArray
     elements: IntArray
     contact: IntArray
-    held: IntArray
+    fixed: IntArray
     inner_side: IntArray
     outer_side: IntArray
 
@@ -219,10 +219,10 @@ def _between(section: Section, a: float, b: float) -> FloatArray:
 
 
 def _faces(section: Section, contact: tuple[float, float], mesh: Mesh) -> list[_Face]:
-    """Return the pieces counter-clockwise, from the inner end of the held face.
+    """Return the pieces counter-clockwise, from the inner end of the fixed face.
 
-    Element numbers on the free and held faces follow ``mesh.contact_elements``, so that one number
-    refines everything: half of it on faces that end at a contact edge and on the held face, a
+    Element numbers on the free and fixed faces follow ``mesh.contact_elements``, so that one number
+    refines everything: half of it on faces that end at a contact edge and on the fixed face, a
     quarter on the other sides, and as many on the flats beside the contact as their length asks.
     The piece "contact" has but its number of elements; its nodes are the contact line's.
     """
@@ -250,7 +250,7 @@ def _faces(section: Section, contact: tuple[float, float], mesh: Mesh) -> list[_
         return np.array(ends)
 
     faces = [
-        _Face("held", straight((inner, base), (outer, base)), near, (axis, g)),
+        _Face("fixed", straight((inner, base), (outer, base)), near, (axis, g)),
         _Face(
             "outer_side", straight((outer, base), (outer, z_outer)),
             near if b == outer else far, (g, g),
@@ -342,5 +342,5 @@ def boundary_mesh(
         return np.flatnonzero(names == name)
 
     return BoundaryMesh(
-        nodes, elements, of("contact")[::-1].copy(), of("held"), of("inner_side"), of("outer_side")
+        nodes, elements, of("contact")[::-1].copy(), of("fixed"), of("inner_side"), of("outer_side")
     )

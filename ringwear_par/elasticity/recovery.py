@@ -7,16 +7,14 @@ import numpy as np
 from mpi4py import MPI
 
 from ringwear_par.arrays import FloatArray, IntArray
-from ringwear_par.cases.case import SAME_TIME, Case
-from ringwear_par.contact.solver import ContactState
-from ringwear_par.elasticity.body import BoundaryResponse, boundary_response, in_case_frame
-from ringwear_par.elasticity.mesh import BoundaryMesh, boundary_mesh
+from ringwear_par.elasticity.body import Body, BoundaryResponse, boundary_response, in_case_frame
+from ringwear_par.elasticity.mesh import BoundaryMesh, ContactLine, Mesh, boundary_mesh
 from ringwear_par.elasticity.updated import node_wear
 
 Which = Literal["lower", "upper"]
 BODIES: tuple[Which, Which] = ("lower", "upper")
 #: faces of a body; their numbers are stored
-FACES = ("free", "contact", "held", "inner_side", "outer_side")
+FACES = ("free", "contact", "fixed", "inner_side", "outer_side")
 
 
 @dataclass(frozen=True)
@@ -29,7 +27,7 @@ class BoundaryFields:
     elements : (k, 3) int, first, middle and last node; the outward normal lies to the right.
     face : (k,) int, index in FACES.
     displacement : (m, 3) float, mm, along r, z and theta, elastic but for the approach: the upper
-        body's u_z includes the descent of its held top.
+        body's u_z includes the descent of its fixed top.
     traction : (k, 3) float, MPa, along r, z and theta, per area of the boundary, constant on each
         element. On the contact line it is that of pressure and friction, both per area projected
         on the contact plane.
@@ -54,40 +52,40 @@ class BoundaryState:
     bodies: tuple[BoundaryFields, BoundaryFields]
 
 
-def wants_boundary(case: Case, time: float, finished: bool, before: float) -> bool:
-    """Tell whether the case asks for the boundary fields of a stored state.
-
-    Parameters
-    ----------
-    time : s, of the state.
-    finished : whether it is the last.
-    before : s, time of the stored state before it; negative: there is none.
-    """
-    asked = case.output.boundary
-    if isinstance(asked, str):
-        return asked == "all" or (asked == "last" and finished)
-    near = SAME_TIME * time
-    return any(before + near < t <= time + near for t in asked)
-
-
-class WholeBoundary:
-    """The boundary fields of a case, for any contact solution, wear and elasticity.
+class BoundaryRecovery:
+    """The boundary fields of two bodies, for any contact solution, wear and elasticity.
 
     Responses to unit loads are solved for when first needed, and anew for a body whose elements
     have moved.
 
     Parameters
     ----------
-    case : the case.
+    bodies : lower and upper.
+    line : contact elements.
+    mesh : discretisation.
+    planes : mm, height of the contact plane of lower and upper in the frame of the case.
     comm : communicator of the collective methods; every rank keeps the responses.
     """
 
-    def __init__(self, case: Case, comm: MPI.Comm) -> None:
-        self._case, self._comm = case, comm
+    def __init__(
+        self,
+        bodies: tuple[Body, Body],
+        line: ContactLine,
+        mesh: Mesh,
+        planes: tuple[float, float],
+        comm: MPI.Comm,
+    ) -> None:
+        self._bodies, self._line, self._mesh, self._planes = bodies, line, mesh, planes
+        self._comm = comm
         self._known: dict[Which, tuple[FloatArray | None, BoundaryResponse]] = {}
 
     def fields(
-        self, contact: ContactState, wear: FloatArray, shape: FloatArray | None = None
+        self,
+        pressure: FloatArray,
+        approach: float,
+        friction: float,
+        wear: FloatArray,
+        shape: FloatArray | None = None,
     ) -> tuple[BoundaryFields, BoundaryFields]:
         """Return the fields of lower and upper. Collective on comm, the same on all ranks.
 
@@ -99,7 +97,9 @@ class WholeBoundary:
 
         Parameters
         ----------
-        contact : its solution.
+        pressure : (n,) float, MPa, of the contact solution.
+        approach : mm, likewise.
+        friction : mu.
         wear : (2, n) float, mm, wear of lower and upper, which lowers the nodes shown.
         shape : (2, n) float, mm, wear that the elastic bodies have followed; None: none.
 
@@ -108,33 +108,41 @@ class WholeBoundary:
         ComputationError : the wear leaves too little of a body, or a factorisation failed.
         """
         lower, upper = (
-            self._body(i, contact, wear[i], None if shape is None else shape[i]) for i in (0, 1)
+            self._of_body(
+                i, pressure, approach, friction, wear[i], None if shape is None else shape[i]
+            )
+            for i in (0, 1)
         )
         return lower, upper
 
-    def _body(
-        self, i: int, contact: ContactState, wear: FloatArray, shape: FloatArray | None
+    def _of_body(
+        self,
+        i: int,
+        p: FloatArray,
+        approach: float,
+        friction: float,
+        wear: FloatArray,
+        shape: FloatArray | None,
     ) -> BoundaryFields:
-        case, which = self._case, BODIES[i]
-        ring = case.rings[i]
-        plane = (case.lower.z[1], case.upper.z[0])[i]
+        which, young = BODIES[i], self._bodies[i].young
         unit = self._response(i, shape)
         # unit loads summed: one load is left, that of the case
-        p, shear = contact.pressure, case.friction * contact.pressure
+        shear = friction * p
         displacement, traction = (
             np.concatenate([loads[:, :2] @ p, loads[:, 2:] @ shear], axis=1)
             for loads in (unit.displacement, unit.traction)
         )
-        shown = _worn_contour(case, i, wear)
+        shown = self._worn_boundary(i, wear)
         # the same force on elements that wear has tilted, and so lengthened, since the reference
-        traction[shown.contact] *= (_lengths(unit.body) / _lengths(shown))[shown.contact, None]
+        longer = (_lengths(unit.boundary) / _lengths(shown))[shown.contact, None]
+        traction[shown.contact] *= longer
         response = in_case_frame(
-            BoundaryResponse(shown, displacement[..., None] / ring.young, traction[..., None]),
-            which, plane,
+            BoundaryResponse(shown, displacement[..., None] / young, traction[..., None]),
+            which, self._planes[i],
         )  # fmt: skip
         moved = response.displacement[..., 0].copy()
         if which == "upper":
-            moved[:, 1] -= contact.approach
+            moved[:, 1] -= approach
         elements = len(shown.elements)
         pressure, depth = np.zeros(elements), np.zeros(elements)
         pressure[shown.contact], depth[shown.contact] = p, wear
@@ -142,30 +150,40 @@ class WholeBoundary:
         for name in FACES[1:]:
             face[getattr(shown, name)] = FACES.index(name)
         return BoundaryFields(
-            response.body.nodes, response.body.elements, face, moved, response.traction[..., 0],
-            pressure, depth,
+            response.boundary.nodes, response.boundary.elements, face, moved,
+            response.traction[..., 0], pressure, depth,
         )  # fmt: skip
 
     def _response(self, i: int, shape: FloatArray | None) -> BoundaryResponse:
         """Return the responses of a body whose elements followed (n,) mm of wear. Collective."""
-        case, which = self._case, BODIES[i]
-        ring = case.rings[i]
+        which = BODIES[i]
         if shape is not None and not shape.any():
             shape = None
         known = self._known.get(which)
         # the shape is the same on all ranks, and so is the decision
         if known is None or not _same(known[0], shape):
-            worn = None if shape is None else node_wear(case.line, shape)
+            worn = None if shape is None else node_wear(self._line, shape)
             self._known.pop(which, None)  # not two at a time
-            response = boundary_response(
-                case.sections[i], case.line, ring.poisson, ring.grip, case.mesh, self._comm, worn
-            )
+            response = boundary_response(self._bodies[i], self._line, self._mesh, self._comm, worn)
             known = self._known[which] = (None if shape is None else shape.copy(), response)
         return known[1]
 
+    def _worn_boundary(self, i: int, wear: FloatArray) -> BoundaryMesh:
+        """Return the boundary elements of a body after (n,) mm of wear, in its own frame.
 
-def _lengths(body: BoundaryMesh) -> FloatArray:
-    ends = body.nodes[body.elements]
+        Mid-points of contact elements lie where gaps are taken, on the worn face.
+        """
+        section, line = self._bodies[i].section, self._line
+        boundary = boundary_mesh(section, line, self._mesh, node_wear(line, wear))
+        nodes = boundary.nodes.copy()
+        middle = boundary.elements[boundary.contact, 1]
+        nodes[middle, 0] = line.gap_point
+        nodes[middle, 1] = section.depth(line.gap_point) - wear
+        return boundary._replace(nodes=nodes)
+
+
+def _lengths(boundary: BoundaryMesh) -> FloatArray:
+    ends = boundary.nodes[boundary.elements]
     return np.hypot(*(ends[:, 2] - ends[:, 0]).T)
 
 
@@ -173,17 +191,3 @@ def _same(one: FloatArray | None, other: FloatArray | None) -> bool:
     if one is None or other is None:
         return one is other
     return np.array_equal(one, other)
-
-
-def _worn_contour(case: Case, i: int, wear: FloatArray) -> BoundaryMesh:
-    """Return the boundary elements of a body after (n,) mm of wear, in its own frame.
-
-    Mid-points of contact elements lie where gaps are taken, on the worn face.
-    """
-    section, line = case.sections[i], case.line
-    body = boundary_mesh(section, line, case.mesh, node_wear(line, wear))
-    nodes = body.nodes.copy()
-    middle = body.elements[body.contact, 1]
-    nodes[middle, 0] = line.gap_point
-    nodes[middle, 1] = section.depth(line.gap_point) - wear
-    return body._replace(nodes=nodes)

@@ -1,8 +1,8 @@
 """Meridian sections of rings and discs.
 
 Every body is described in its own frame: the contact plane is z = 0, the contact face lies in it or
-below it, and the held face is z = -height. The upper ring is the mirror image of that picture, with
-the same compliance, so one description serves both.
+below it, and the fixed face is z = -height. The upper ring is the mirror image of that picture,
+with the same compliance, so one description serves both.
 """
 
 import itertools
@@ -19,7 +19,7 @@ from ringwear_par.errors import InputError
 
 #: vertices (r, z) of a face, a tuple so that it can be hashed
 Polyline = tuple[tuple[float, float], ...]
-#: how the held face is held: "clamped" holds u_r too, "platen" leaves it free
+#: how the fixed face is gripped: "clamped" fixes u_r too, "platen" leaves it free
 Grip = Literal["clamped", "platen"]
 #: turn of a face (rad) from which on a vertex is a corner rather than a sample of a smooth curve
 CORNER_ANGLE = math.radians(5.0)
@@ -34,7 +34,7 @@ class Section:
     Parameters
     ----------
     r : inner and outer radius; inner radius 0 is a solid disc.
-    height : distance from the held face to the contact plane.
+    height : distance from the fixed face to the contact plane.
     face : contact face as a polyline of (r, z) from the inner to the outer radius, z <= 0; none is
         the flat face.
     """
@@ -55,7 +55,7 @@ class Section:
             raise InputError(
                 f"section r = {self.r}, height = {self.height}, face = {self.face}: "
                 "0 <= inner < outer radius, a positive height and a face over increasing radii "
-                "between contact plane and held face are needed"
+                "between contact plane and fixed face are needed"
             )
 
     @property

@@ -11,17 +11,17 @@ import numpy as np
 from mpi4py import MPI
 
 from ringwear_par.arrays import FloatArray
-from ringwear_par.cases.case import Case, Ring
 from ringwear_par.elasticity.assembly import Assembly, Moving, assemble, number_dofs
 from ringwear_par.elasticity.body import (
+    Body,
     Compliance,
+    boundary_conditions,
     compliance,
     condense,
-    ring_conditions,
     solve_assembled,
 )
 from ringwear_par.elasticity.mesh import ContactLine, Mesh, boundary_mesh
-from ringwear_par.elasticity.pair import BodyCost, Operator, join_bodies
+from ringwear_par.elasticity.pair import ContactPair, join_bodies, pair_key
 from ringwear_par.elasticity.quadrature import quadrature
 from ringwear_par.elasticity.sections import Section
 
@@ -52,21 +52,21 @@ def moving_parts(section: Section, line: ContactLine, mesh: Mesh) -> Moving:
 class _MovingBody:
     """One body that wears: its base, and the compliance for any wear of it."""
 
-    def __init__(self, section: Section, ring: Ring, line: ContactLine, mesh: Mesh) -> None:
-        self._section, self._ring, self._line, self._mesh = section, ring, line, mesh
-        self._moving = moving_parts(section, line, mesh)
-        body = boundary_mesh(section, line, mesh)
+    def __init__(self, body: Body, line: ContactLine, mesh: Mesh) -> None:
+        self._body, self._line, self._mesh = body, line, mesh
+        self._moving = moving_parts(body.section, line, mesh)
+        boundary = boundary_mesh(body.section, line, mesh)
         # which values are unknown, and where they stand, does not change with the wear
-        self._unknowns = number_dofs(body, ring_conditions(body, ring.grip))
+        self._dofs = number_dofs(boundary, boundary_conditions(boundary, body.grip))
         self._rules = quadrature(mesh.quadrature_tolerance)
         self._base: Assembly | None = None
 
     def compliance(self, worn: FloatArray, comm: MPI.Comm) -> Compliance:
         """Return the compliance after (n+1,) mm of wear at the line's nodes. Collective on comm."""
         started = time.perf_counter()
-        body = boundary_mesh(self._section, self._line, self._mesh, worn)
-        conditions = ring_conditions(body, self._ring.grip)
-        arguments = body, conditions, self._unknowns, self._ring.poisson, self._rules, comm
+        boundary = boundary_mesh(self._body.section, self._line, self._mesh, worn)
+        conditions = boundary_conditions(boundary, self._body.grip)
+        arguments = boundary, conditions, self._dofs, self._body.poisson, self._rules, comm
         evaluations = 0
         if self._base is None:
             self._base = assemble(*arguments, self._moving)
@@ -74,58 +74,66 @@ class _MovingBody:
         rows = assemble(*arguments, self._moving, self._base)
         rows = Assembly(rows.normal, rows.torsion, rows.kernel_evaluations + evaluations)
         seconds = time.perf_counter() - started
-        middle = body.elements[body.contact, 1]
-        response = solve_assembled(rows, self._unknowns, middle, body.held, seconds, comm)
-        return condense(body, response)
+        middle = boundary.elements[boundary.contact, 1]
+        response = solve_assembled(rows, self._dofs, middle, boundary.fixed, seconds, comm)
+        return condense(boundary, response)
 
 
 class UpdatedGeometry:
-    """The operator of a case for any wear of its bodies.
+    """The contact pair of two bodies for any wear of them.
 
-    The state are matrices that do not depend on the wear, so that an operator is the same whatever
+    The state are matrices that do not depend on the wear, so that a pair is the same whatever
     updates came before.
 
     Parameters
     ----------
-    case : the case; its bodies with wear laws move.
+    bodies : lower and upper.
+    wears : which of them wear, and so move.
+    line : contact elements.
+    mesh : discretisation.
     comm : communicator of the collective methods; each rank keeps its rows of the matrices.
     """
 
-    def __init__(self, case: Case, comm: MPI.Comm) -> None:
-        self._case, self._comm = case, comm
+    def __init__(
+        self,
+        bodies: tuple[Body, Body],
+        wears: tuple[bool, bool],
+        line: ContactLine,
+        mesh: Mesh,
+        comm: MPI.Comm,
+    ) -> None:
+        self._bodies, self._line, self._mesh, self._comm = bodies, line, mesh, comm
+        self._key = pair_key(bodies, (float(line.edges[0]), float(line.edges[-1])), mesh)
         self._moving = [
-            None if law is None else _MovingBody(section, ring, case.line, case.mesh)
-            for law, section, ring in zip(case.laws, case.sections, case.rings, strict=True)
+            _MovingBody(body, line, mesh) if moves else None
+            for body, moves in zip(bodies, wears, strict=True)
         ]
         self._still: list[Compliance | None] = [None, None]
 
-    def update(self, worn: FloatArray) -> tuple[Operator, BodyCost]:
-        """Return the operator after wear, and what this update took. Collective on comm.
+    def update(self, worn: FloatArray) -> ContactPair:
+        """Return the pair after wear, its cost being that of this update. Collective on comm.
 
         Parameters
         ----------
-        worn : (2, n) float, mm >= 0, wear of the elements of lower and upper, as in State.
+        worn : (2, n) float, mm >= 0, wear of the elements of lower and upper.
 
         Raises
         ------
         ComputationError : the wear leaves too little of a body, or a factorisation failed.
         """
-        line, rings = self._case.line, self._case.rings
-        nodes = [node_wear(line, depth) for depth in worn]
-        bodies, new = [], []
-        for i, (ring, moving) in enumerate(zip(rings, self._moving, strict=True)):
+        nodes = [node_wear(self._line, depth) for depth in worn]
+        compliances, new = [], []
+        for i, (body, moving) in enumerate(zip(self._bodies, self._moving, strict=True)):
             if moving is not None:
-                body = moving.compliance(nodes[i], self._comm)
-                new.append(body)
+                known = moving.compliance(nodes[i], self._comm)
+                new.append(known)
             else:
-                known = self._still[i]
-                if known is None:
-                    known = compliance(
-                        self._case.sections[i], line, ring.poisson, ring.grip, self._case.mesh,
-                        self._comm,
-                    )  # fmt: skip
-                    self._still[i] = known
-                    new.append(known)
-                body = known
-            bodies.append(body)
-        return join_bodies(line, bodies), BodyCost.of(new)
+                still = self._still[i]
+                if still is None:
+                    still = compliance(body, self._line, self._mesh, self._comm)
+                    self._still[i] = still
+                    new.append(still)
+                known = still
+            compliances.append(known)
+        key = (self._key, worn.tobytes()) if worn.any() else self._key
+        return join_bodies(self._line, compliances, key, new)

@@ -16,11 +16,13 @@ import numpy as np
 from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.case import SAME_TIME, Case
 from ringwear_par.contact.solver import ContactSolver, ContactState, WarmStart
-from ringwear_par.elasticity.pair import BodyCost, ContactPair, join, largest_stable_step
-from ringwear_par.elasticity.recovery import BoundaryFields, WholeBoundary, wants_boundary
+from ringwear_par.elasticity.pair import BodyCost, ContactCompliance, largest_stable_step
+from ringwear_par.elasticity.recovery import BoundaryFields, BoundaryRecovery
 from ringwear_par.elasticity.updated import UpdatedGeometry
 from ringwear_par.errors import ComputationError, UnfitError
 from ringwear_par.history import sdirk2 as adaptive
+from ringwear_par.history.pairs import updated_geometry, young
+from ringwear_par.history.saving import wants_boundary
 from ringwear_par.schedules import Quantity, in_time, integral, largest, mean
 from ringwear_par.wear.increment import WearIncrement, averaged_rate, averaging
 from ringwear_par.wear.law import LocalState
@@ -35,8 +37,8 @@ class Balances:
     Parameters
     ----------
     force : contact pressure against the applied force (0 at given displacement).
-    torque : torque on the held faces against the friction torque, the worse of both bodies.
-    reaction : axial force on the held faces against that of the contact pressure, likewise.
+    torque : torque on the fixed faces against the friction torque, the worse of both bodies.
+    reaction : axial force on the fixed faces against that of the contact pressure, likewise.
     volume : worn volume of the profiles against the time integral of its rate.
     energy : worn volume against k times the dissipated energy, where p0 = 0 (else 0).
     residual : KKT residual of the contact solution.
@@ -114,9 +116,9 @@ class WearHistory:
     Parameters
     ----------
     case : the case.
-    pair : its contact pair.
+    pair : the compliance of its contact.
     solver : contact solver of the pair; its communicator is that of the collective methods. Where
-        ``mesh.geometry`` is "updated" it is given another stiffness as wear goes on.
+        ``mesh.geometry`` is "updated" it is given another compliance as wear goes on.
     elasticity : of the moving elements, if the caller has it already.
     boundary : makes the whole-boundary fields that the case asks for; None: there are none.
     """
@@ -124,21 +126,21 @@ class WearHistory:
     def __init__(
         self,
         case: Case,
-        pair: ContactPair,
+        pair: ContactCompliance,
         solver: ContactSolver,
         elasticity: UpdatedGeometry | None = None,
-        boundary: WholeBoundary | None = None,
+        boundary: BoundaryRecovery | None = None,
     ) -> None:
         self.case, self.solver = case, solver
         self._boundary = boundary
         line = pair.line
         self._elasticity = elasticity
         if elasticity is None and case.follows_wear:
-            self._elasticity = UpdatedGeometry(case, solver.comm)
+            self._elasticity = updated_geometry(case, solver.comm)
         #: the wear that the present elasticity is of
         self.shape = np.zeros((2, line.n))
         #: what following it took so far
-        self.following = BodyCost(0, 0.0, 0.0)
+        self.following = BodyCost()
         self._r, self._arm, self.area = line.r, line.arm, line.area
         self._moment = self.area * self._arm  # torque per unit shear
         self._laws = case.laws
@@ -153,7 +155,7 @@ class WearHistory:
         self._open_ends = [e for e, cut in zip((0, -1), case.open_ends, strict=True) if cut]
         self._most_wear = np.array([0.5 * (ring.z[1] - ring.z[0]) for ring in case.rings])
 
-    def _take(self, pair: ContactPair) -> None:
+    def _take(self, pair: ContactCompliance) -> None:
         self.pair = pair
         # what balances take from the pressure: friction torque / mu, reactions of both bodies
         self._sums = np.vstack([self._moment, pair.force_reaction, pair.torque_reaction])
@@ -182,10 +184,10 @@ class WearHistory:
     def _follow(self, shape: FloatArray) -> None:
         if self._elasticity is None or np.array_equal(shape, self.shape):
             return
-        operator, cost = self._elasticity.update(shape)
-        self._take(join(self.case, operator))
-        self.solver.set_stiffness(self.pair.stiffness)
-        self.shape, self.following = shape, self.following + cost
+        pair = self._elasticity.update(shape)
+        self._take(pair.compliance(young(self.case)))
+        self.solver.set_compliance(self.pair.matrix)
+        self.shape, self.following = shape, self.following + pair.cost
 
     def resume(self, state: State, warm: WarmStart) -> None:
         """Go on from a stored state as if it had just been computed. Collective."""
@@ -321,7 +323,10 @@ class WearHistory:
             before = (state.step - 1) // output.every * output.every * self.case.time.step
         fields = None
         if state.stored and wants_boundary(self.case, state.time, self.finished(state), before):
-            fields = self._boundary.fields(state.contact, state.wear, state.shape)
+            fields = self._boundary.fields(
+                state.contact.pressure, state.contact.approach, self.case.friction, state.wear,
+                state.shape,
+            )  # fmt: skip
         return replace(state, stored_before=last, boundary=fields)
 
     # -- what schemes are made of ------------------------------------------------------------------

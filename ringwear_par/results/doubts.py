@@ -1,12 +1,11 @@
 """What makes an answer doubtful though it was computed: said by ``run``, flagged by ``sweep``."""
 
-from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
 
 from ringwear_par.cases.case import Case
-from ringwear_par.elasticity.pair import ContactPair
+from ringwear_par.elasticity.pair import ContactCompliance
 from ringwear_par.history.model import State, WearHistory
 
 #: fewer elements in contact than this do not resolve it
@@ -15,8 +14,6 @@ _FEW_ELEMENTS = 10
 _MOST_MOVED = 0.05
 #: largest defect of the boundary elements' own balances
 _MOST_DEFECT = 0.01
-#: between the flags of one case
-_SEPARATOR = ", "
 
 
 @dataclass(frozen=True)
@@ -33,7 +30,7 @@ class Doubt:
     text: str
 
 
-def doubts(case: Case, pair: ContactPair, state: State) -> tuple[Doubt, ...]:
+def doubts(case: Case, elasticity: ContactCompliance, state: State) -> tuple[Doubt, ...]:
     """Return where the last state of a case leaves what the method is made for. Not collective."""
     found = []
     height = min(ring.z[1] - ring.z[0] for ring in case.rings)
@@ -64,7 +61,7 @@ def doubts(case: Case, pair: ContactPair, state: State) -> tuple[Doubt, ...]:
                 "mesh.contact = [r1, r2] puts them where contact is",
             )
         )
-    defect = max(state.balances.torque, state.balances.reaction, pair.symmetry_defect)
+    defect = max(state.balances.torque, state.balances.reaction, elasticity.symmetry_defect)
     if defect > _MOST_DEFECT:
         found.append(
             Doubt(
@@ -92,13 +89,3 @@ def instability(history: WearHistory) -> tuple[Doubt, ...]:
             "oscillate, and with p0 > 0 the wear is too large)",
         ),
     )
-
-
-def join_flags(flags: Iterable[str]) -> str:
-    """Return the flags of a case as files store them."""
-    return _SEPARATOR.join(flags)
-
-
-def split_flags(text: str) -> tuple[str, ...]:
-    """Return the flags that a file stores of a case."""
-    return tuple(text.split(_SEPARATOR)) if text else ()

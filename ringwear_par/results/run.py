@@ -17,11 +17,11 @@ from ringwear_par.cases.case import Case, parse_case, read_case
 from ringwear_par.cases.law_trials import law_sources, refuse_bad_laws
 from ringwear_par.contact.solver import ContactSolver
 from ringwear_par.elasticity.assembly import load_kernels
-from ringwear_par.elasticity.pair import ContactPair, check_memory, check_mesh, contact_pair, join
-from ringwear_par.elasticity.recovery import WholeBoundary
-from ringwear_par.elasticity.updated import UpdatedGeometry
+from ringwear_par.elasticity.pair import ContactCompliance
 from ringwear_par.errors import ComputationError, InputError, UnfitError
+from ringwear_par.history.limits import check_memory, check_mesh
 from ringwear_par.history.model import State, WearHistory, run
+from ringwear_par.history.pairs import assemble, boundary_recovery, updated_geometry, young
 from ringwear_par.info import versions
 from ringwear_par.options import reject_unused_options
 from ringwear_par.parallel import on_first_rank
@@ -69,13 +69,13 @@ def run_case(
     loading = time.perf_counter() - t0
     elasticity = None
     if case.follows_wear:
-        elasticity = UpdatedGeometry(case, comm)
-        operator, cost = elasticity.update(np.zeros((2, case.line.n)))
-        pair = join(case, operator)
+        elasticity = updated_geometry(case, comm)
+        unworn = elasticity.update(np.zeros((2, case.line.n)))
     else:
-        pair, cost = contact_pair(case, comm)
-    with ContactSolver(pair.stiffness, pair.line.area, comm) as solver:
-        boundary = None if case.output.boundary == "none" else WholeBoundary(case, comm)
+        unworn = assemble(case, comm)
+    pair, cost = unworn.compliance(young(case)), unworn.cost
+    with ContactSolver(pair.matrix, pair.line.area, comm) as solver:
+        boundary = None if case.output.boundary == "none" else boundary_recovery(case, comm)
         history = WearHistory(case, pair, solver, elasticity, boundary)
         recorder = Recorder(history) if comm.rank == 0 else None
         begun = time.perf_counter()
@@ -174,7 +174,7 @@ def _draw(output: Path, figure: Path | None, comm: MPI.Comm) -> int:
     return 0
 
 
-def summary(case: Case, pair: ContactPair, state: State, recorder: Recorder) -> str:
+def summary(case: Case, pair: ContactCompliance, state: State, recorder: Recorder) -> str:
     """Return the end of a run in a few lines, balances included. Not collective."""
     scalars, last = recorder.scalars, recorder.stored - 1
     balances, p = state.balances, state.contact.pressure
@@ -209,7 +209,7 @@ def summary(case: Case, pair: ContactPair, state: State, recorder: Recorder) -> 
             else "energy (this law: no identity), "
         )
         + f"contact (KKT) {balances.residual:.1e}",
-        "defects of the boundary elements, which vanish with the mesh: torque on the held faces "
+        "defects of the boundary elements, which vanish with the mesh: torque on the fixed faces "
         f"{balances.torque:.1e}, force on them {balances.reaction:.1e}, "
         f"symmetry {pair.symmetry_defect:.1e}",
     ]

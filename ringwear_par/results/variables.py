@@ -4,6 +4,7 @@ Depths of wear are losses, so never negative: downward for lower, upward for upp
 """
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -28,7 +29,7 @@ class Variable:
     integer: bool = False
 
     @property
-    def dtype(self) -> np.dtype:
+    def dtype(self) -> "np.dtype[Any]":
         """Type of its values in memory and in files."""
         return np.dtype(np.int64 if self.integer else np.float64)
 

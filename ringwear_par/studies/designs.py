@@ -1,25 +1,139 @@
-"""Designs: the rows of a study, drawn from its varied keys or listed in a table."""
+"""Study files: a base case, the keys that vary, and the design that draws rows of values."""
 
 import csv
 import itertools
+import json
 import math
 import tomllib
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from ringwear_par.cases.case import nearest_key
+from ringwear_par.cases.case import find_files, nearest_key, read_keys
 from ringwear_par.cases.schema import BY_PATH, toml_value
 from ringwear_par.errors import InputError
-from ringwear_par.studies.variations import Variation, has_entry, is_whole, path_of
+from ringwear_par.studies.variations import Variation, has_entry, is_whole, path_of, read_variations
 
 METHODS = ("grid", "sobol", "latin-hypercube", "random", "list")
 SAMPLED = ("sobol", "latin-hypercube", "random")
 _MOST_CASES = 10**7
 #: faults of a table told one by one
 _FAULTS_TOLD = 5
+
+
+@dataclass(frozen=True)
+class Draft:
+    """A study whose cases have not been looked at yet.
+
+    Parameters
+    ----------
+    name : what messages call it.
+    text : the TOML text of the study.
+    base : dotted keys and raw values of the base case.
+    names : the varied keys, as the study names them.
+    method : of the design.
+    rows : one tuple of raw values a case, in the order of ``names``.
+    """
+
+    name: str
+    text: str
+    base: Mapping[str, Any]
+    names: tuple[str, ...]
+    method: str
+    rows: Sequence[tuple[Any, ...]]
+
+
+def read_draft(source: Path | str | Mapping[str, Any]) -> Draft:
+    """Read a study: its name or its tables. Not collective.
+
+    Raises
+    ------
+    InputError : its faults, those of single cases excepted.
+    """
+    if isinstance(source, Mapping):
+        name, folder, tables = "study", Path(), dict(source)
+        text = _tables_text(tables)
+    else:
+        path = Path(source)
+        name, folder, text = str(path), path.parent, read_text(path)
+        try:
+            tables = tomllib.loads(text)
+        except tomllib.TOMLDecodeError as error:
+            raise InputError(f"{path}: is not valid TOML: {error}") from error
+    faults = [
+        f"{name}: {key}: unknown key; must be one of case, vary, design"
+        for key in tables.keys() - {"case", "vary", "design"}
+    ]
+    base = _read_base(name, folder, tables, isinstance(source, Mapping), faults)
+    vary, design = tables.get("vary", {}), tables.get("design", {})
+    for key, table in (("vary", vary), ("design", design)):
+        if not isinstance(table, Mapping):
+            faults.append(f"{name}: {key} = {toml_value(table)}: must be a table, [{key}]")
+            raise InputError(*faults)
+    method = design.get("method", "grid")
+    if method not in METHODS:
+        faults.append(
+            f"{name}: design.method = {toml_value(method)}: must be one of {', '.join(METHODS)}"
+        )
+        raise InputError(*faults)
+    faults += design_faults(name, design, method)
+    variations = read_variations(name, vary, method, faults)
+    if faults:
+        raise InputError(*faults)
+    if method == "list":
+        names, rows = listed_rows(folder / design["file"])
+    else:
+        names = tuple(v.name for v in variations)
+        rows = drawn_rows(name, variations, method, design)
+    if base.get("output.boundary", "none") != "none" or "output.boundary" in names:
+        raise InputError(
+            f"{name}: output.boundary: must be absent from a study and its case; fields on whole "
+            "boundaries are stored by ringwear run only"
+        )
+    files = [i for i, v in enumerate(names) if v.endswith(".file")]
+    if files:  # relative to the study
+        rows = [
+            tuple(
+                find_files({names[i]: v}, folder)[names[i]] if i in files else v
+                for i, v in enumerate(row)
+            )
+            for row in rows
+        ]
+    return Draft(name, text, base, names, method, rows)
+
+
+def _read_base(
+    name: str, folder: Path, tables: Mapping[str, Any], in_python: bool, faults: list[str]
+) -> dict[str, Any]:
+    """Return the dotted keys of the base case, and add what is wrong with it to the faults."""
+    base = tables.get("case")
+    if in_python and isinstance(base, Mapping):
+        return find_files(read_keys(_tables_text(base)), folder)
+    if isinstance(base, Path):
+        base = str(base)
+    if not isinstance(base, str):
+        said = "is missing" if base is None else f"= {toml_value(base)}"
+        faults.append(f"{name}: case {said}: must be the name of a case file, relative to this one")
+        return {}
+    path = folder / base
+    try:
+        return find_files(read_keys(read_text(path)), path.parent)
+    except tomllib.TOMLDecodeError as error:
+        faults.append(f"{path}: is not valid TOML: {error}")
+    except InputError as error:
+        faults += error.faults
+    return {}
+
+
+def _tables_text(tables: Mapping[str, Any]) -> str:
+    """Return the TOML text of tables given in Python, names of files as they are."""
+    return "".join(
+        f"{json.dumps(name)} = {toml_value(str(value) if isinstance(value, Path) else value)}\n"
+        for name, value in tables.items()
+    )
 
 
 def read_text(path: Path) -> str:
@@ -30,7 +144,7 @@ def read_text(path: Path) -> str:
     InputError : it cannot be read, or is no text in UTF-8.
     """
     try:
-        return path.readread_text(encoding="utf-8")
+        return path.read_text(encoding="utf-8")
     except OSError as error:
         raise InputError(f"{path}: cannot be read: {error.strerror or error}") from error
     except UnicodeDecodeError as error:

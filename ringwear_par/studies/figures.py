@@ -26,8 +26,8 @@ from ringwear_par.atomic import atomic_write
 from ringwear_par.cases.schema import UNITS
 from ringwear_par.errors import InputError
 from ringwear_par.results.figures import COLOURS, STYLE, check_figure
-from ringwear_par.studies.dataset import Ensemble, read_ensemble
 from ringwear_par.studies.designs import SAMPLED
+from ringwear_par.studies.ensemble import Ensemble, read_ensemble
 
 log = logging.getLogger(__name__)
 

@@ -14,9 +14,9 @@ from pathlib import Path
 import h5py
 
 from ringwear_par.errors import InputError
-from ringwear_par.results.files import ALONG, SCALARS, read_result
-from ringwear_par.studies import dataset as ensemble
-from ringwear_par.studies import shards
+from ringwear_par.results.files import read_result
+from ringwear_par.results.variables import HISTORIES, PROFILES
+from ringwear_par.studies import dataset, shards
 from ringwear_par.studies.dataset import RESULTS, Row
 from ringwear_par.studies.shards import Entry, Record
 
@@ -94,7 +94,7 @@ class Store:
         notes = []
         results = self.folder / RESULTS
         if results.exists():
-            found = ensemble.read_entries(results)
+            found = dataset.read_entries(results)
             if found is None:
                 aside = results.with_name("results.damaged.h5")
                 if mend:
@@ -137,7 +137,7 @@ class Store:
             if path.suffix == ".sqlite":
                 yield from shards.read_records(path, ids)
             elif path.name == RESULTS:
-                yield from ensemble.read_records(path, ids)
+                yield from dataset.read_records(path, ids)
             else:
                 yield _interrupted_record(path)
 
@@ -150,15 +150,16 @@ class Store:
                 (self.folder / name).rmdir()
 
 
-_NOTHING = Entry("", 0, 0, (), False, Path())
+_NOTHING = Entry("", 0, 0, (), False, Path(), "")
 
 
 def _interrupted(path: Path) -> Entry | None:
     try:
         with h5py.File(path, "r") as file:
-            fields = tuple(name for name in ALONG if name in file)
+            fields = tuple(name for name in PROFILES if name in file)
             deep = any(file[name].ndim == 2 for name in fields)
-            return Entry("incomplete", len(file["time"]), len(file["r"]), fields, deep, path)
+            stored, elements, version = len(file["time"]), len(file["r"]), file.attrs["version"]
+            return Entry("incomplete", stored, elements, fields, deep, path, str(version))
     except (OSError, KeyError, RuntimeError):
         return None
 
@@ -167,12 +168,12 @@ def _interrupted_record(path: Path) -> Record:
     result = read_result(path)
     arrays = {
         "step": result.steps.astype(float),
-        **{name: result.scalars[name] for name in SCALARS},
+        **{name: result.scalars[name] for name in HISTORIES},
         "r": result.line.r,
         "width": result.line.width,
         **result.fields,
     }
-    seconds, worst = (float(result.attributes[k]) for k in ("seconds_stepping", "imbalance"))
-    return Record(
-        path.stem, str(result.attributes["case"]), "incomplete", "", seconds, worst, arrays
-    )
+    about = result.attributes
+    seconds, worst = (float(about[name]) for name in ("seconds_stepping", "imbalance"))
+    text, version = str(about["case"]), str(about["version"])
+    return Record(path.stem, text, "incomplete", "", seconds, worst, arrays, version)

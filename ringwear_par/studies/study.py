@@ -1,4 +1,4 @@
-"""Study files: a base case, the keys that vary, and the design that draws cases from them.
+"""Studies: every case made once, checked, known by its content, and grouped by operator.
 
 A case is known by its content: its id does not depend on the study it belongs to, on the order of
 its keys or on how a number is written, so that a study may grow, shrink or change and the cases
@@ -8,7 +8,6 @@ that stay the same keep their results.
 import hashlib
 import json
 import pickle
-import tomllib
 from collections import defaultdict
 from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -19,19 +18,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ringwear_par.arrays import FloatArray
-from ringwear_par.cases.case import Case, find_files, make_case, read_keys, toml_text
+from ringwear_par.cases.case import Case, make_case, toml_text
 from ringwear_par.cases.law_trials import refuse_bad_laws
-from ringwear_par.cases.schema import BY_PATH, toml_value
+from ringwear_par.cases.schema import BY_PATH
 from ringwear_par.elasticity.mesh import count_elements
 from ringwear_par.errors import InputError
-from ringwear_par.studies.designs import (
-    METHODS,
-    design_faults,
-    drawn_rows,
-    listed_rows,
-    read_text,
-)
-from ringwear_par.studies.variations import read_variations, split_key, varied_keys
+from ringwear_par.studies.designs import Draft, read_draft
+from ringwear_par.studies.variations import split_key, varied_keys
 
 if TYPE_CHECKING:
     from mpi4py import MPI
@@ -87,18 +80,6 @@ class Study:
         return [split_key(name) for name in self.names]
 
 
-@dataclass(frozen=True)
-class _Draft:
-    """A study whose cases have not been looked at yet; parameters as in Study."""
-
-    name: str
-    text: str
-    base: Mapping[str, Any]
-    names: tuple[str, ...]
-    method: str
-    rows: Sequence[tuple[Any, ...]]
-
-
 @dataclass
 class _Checked:
     """What is known of a stretch of a draft's rows, each list with one item a good case.
@@ -142,8 +123,9 @@ def read_study(source: Path | str | Mapping[str, Any], ranks_per_case: int = 1) 
     ------
     InputError : all faults of the study together, or those of its first bad cases.
     """
-    draft = _read_draft(source)
-    return _complete(draft, [_check_rows(draft, 0, len(draft.rows), ranks_per_case)], ranks_per_case)
+    draft = read_draft(source)
+    every = _check_rows(draft, 0, len(draft.rows), ranks_per_case)
+    return _complete(draft, [every], ranks_per_case)
 
 
 def read_study_together(
@@ -155,7 +137,7 @@ def read_study_together(
     """
     from ringwear_par.parallel import on_first_rank, together
 
-    draft = on_first_rank(comm, lambda: _read_draft(source))
+    draft = on_first_rank(comm, lambda: read_draft(source))
     first, last = (len(draft.rows) * i // comm.size for i in (comm.rank, comm.rank + 1))
     with together(comm):
         mine = _check_rows(draft, first, last, ranks_per_case)
@@ -165,93 +147,6 @@ def read_study_together(
         if stretches is not None:
             study = _complete(draft, stretches, ranks_per_case)
     return study
-
-
-def _read_draft(source: Path | str | Mapping[str, Any]) -> _Draft:
-    if isinstance(source, Mapping):
-        name, folder, tables = "study", Path(), dict(source)
-        text = _study_text(tables)
-    else:
-        path = Path(source)
-        name, folder, text = str(path), path.parent, read_text(path)
-        try:
-            tables = tomllib.loads(text)
-        except tomllib.TOMLDecodeError as error:
-            raise InputError(f"{path}: is not valid TOML: {error}") from error
-    faults = [
-        f"{name}: {key}: unknown key; must be one of case, vary, design"
-        for key in tables.keys() - {"case", "vary", "design"}
-    ]
-    base = _read_base(name, folder, tables, isinstance(source, Mapping), faults)
-    vary, design = tables.get("vary", {}), tables.get("design", {})
-    for key, table in (("vary", vary), ("design", design)):
-        if not isinstance(table, Mapping):
-            faults.append(f"{name}: {key} = {toml_value(table)}: must be a table, [{key}]")
-            raise InputError(*faults)
-    method = design.get("method", "grid")
-    if method not in METHODS:
-        faults.append(
-            f"{name}: design.method = {toml_value(method)}: must be one of {', '.join(METHODS)}"
-        )
-        raise InputError(*faults)
-    faults += design_faults(name, design, method)
-    variations = read_variations(name, vary, method, faults)
-    if faults:
-        raise InputError(*faults)
-    if method == "list":
-        names, rows = listed_rows(folder / design["file"])
-    else:
-        names = tuple(v.name for v in variations)
-        rows = drawn_rows(name, variations, method, design)
-    if base.get("output.boundary", "none") != "none" or "output.boundary" in names:
-        raise InputError(
-            f"{name}: output.boundary: must be absent from a study and its case; fields on whole "
-            "boundaries are stored by ringwear run only"
-        )
-    files = [i for i, v in enumerate(names) if v.endswith(".file")]
-    if files:  # relative to the study
-        rows = [
-            tuple(
-                find_files({names[i]: v}, folder)[names[i]] if i in files else v
-                for i, v in enumerate(row)
-            )
-            for row in rows
-        ]
-    return _Draft(name, text, base, names, method, rows)
-
-
-def _read_base(
-    name: str, folder: Path, tables: Mapping[str, Any], in_python: bool, faults: list[str]
-) -> dict[str, Any]:
-    """Return the dotted keys of the base case, and add what is wrong with it to the faults."""
-    base = tables.get("case")
-    if in_python and isinstance(base, Mapping):
-        return find_files(read_keys(_nested_text(base)), folder)
-    if in_python and isinstance(base, Path):
-        base = str(base)
-    if not isinstance(base, str):
-        said = "is missing" if base is None else f"= {toml_value(base)}"
-        faults.append(f"{name}: case {said}: must be the name of a case file, relative to this one")
-        return {}
-    path = folder / base
-    try:
-        return find_files(read_keys(read_text(path)), path.parent)
-    except tomllib.TOMLDecodeError as error:
-        faults.append(f"{path}: is not valid TOML: {error}")
-    except InputError as error:
-        faults += error.faults
-    return {}
-
-
-def _nested_text(tables: Mapping[str, Any]) -> str:
-    return "".join(f"{json.dumps(name)} = {toml_value(value)}\n" for name, value in tables.items())
-
-
-def _study_text(tables: Mapping[str, Any]) -> str:
-    """Return the TOML text of a study given as tables, paths as they are."""
-    return _nested_text(
-        {name: str(value) if isinstance(value, Path) else value for name, value in tables.items()}
-    )
 
 
 def case_id(case_keys: Mapping[str, Any]) -> str:
@@ -271,9 +166,10 @@ def case_id(case_keys: Mapping[str, Any]) -> str:
     return hashlib.sha256(json.dumps(content, default=repr).encode()).hexdigest()[:16]
 
 
-def _check_rows(draft: _Draft, first: int, last: int, ranks: int) -> _Checked:
+def _check_rows(draft: Draft, first: int, last: int, ranks: int) -> _Checked:
     """Make every case of a stretch of the rows once, and look what is wrong with them."""
-    from ringwear_par.elasticity.pair import check_memory, check_mesh, operator_key
+    from ringwear_par.history.limits import check_memory, check_mesh
+    from ringwear_par.history.pairs import operator_key
 
     parts = [split_key(name) for name in draft.names]
     found = _Checked([], [], [], [], [], [], {}, {}, [], 0)
@@ -308,7 +204,7 @@ def _check_rows(draft: _Draft, first: int, last: int, ranks: int) -> _Checked:
     return found
 
 
-def _complete(draft: _Draft, stretches: Sequence[_Checked], ranks: int) -> Study:
+def _complete(draft: Draft, stretches: Sequence[_Checked], ranks: int) -> Study:
     """Join stretches of checked rows: refuse bad ones, drop repetitions, and group by operator."""
     number: dict[str, int] = {}
     rows: list[tuple[Any, ...]] = []
@@ -346,14 +242,14 @@ def _complete(draft: _Draft, stretches: Sequence[_Checked], ranks: int) -> Study
 
 
 def _refuse(
-    draft: _Draft,
+    draft: Draft,
     stretches: Sequence[_Checked],
     largest: Mapping[Hashable, Case],
     operator_faults: Mapping[Hashable, tuple[str, ...]],
     ranks: int,
 ) -> None:
     """Raise what is wrong with the cases of a study, if anything."""
-    from ringwear_par.elasticity.pair import check_memory
+    from ringwear_par.history.limits import check_memory
 
     faults: list[str] = []
     told = 0

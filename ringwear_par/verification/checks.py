@@ -20,12 +20,13 @@ from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.case import Case, Load, Output, Ring, Stepping
 from ringwear_par.contact.solver import ContactSolver, ContactState
 from ringwear_par.elasticity.assembly import BoundaryConditions, load_kernels
-from ringwear_par.elasticity.body import compliance, ring_conditions, solve_body
+from ringwear_par.elasticity.body import Body, boundary_conditions, compliance, solve_body
 from ringwear_par.elasticity.kernels import ring_kernels
 from ringwear_par.elasticity.mesh import ContactLine, Mesh, boundary_mesh, contact_line
-from ringwear_par.elasticity.pair import contact_pair, symmetric
+from ringwear_par.elasticity.pair import symmetric
 from ringwear_par.elasticity.sections import Polyline, Section
 from ringwear_par.history.model import Balances, State, WearHistory, run
+from ringwear_par.history.pairs import contact_compliance
 from ringwear_par.options import reject_unused_options
 from ringwear_par.verification import reference
 from ringwear_par.wear.law import ThresholdLaw
@@ -111,24 +112,24 @@ def _hollow(n: int) -> tuple[Section, ContactLine]:
 def bar_error(n: int, comm: MPI.Comm) -> float:
     """Return the error of u_z on top of a bar with free sides under uniform pressure."""
     section, line = _hollow(n)
-    body = compliance(section, line, NU, "platen", Mesh(n), comm)
+    body = compliance(Body(section, 1.0, NU, "platen"), line, Mesh(n), comm)
     return float(np.abs(body.normal.sum(axis=1) / section.height - 1.0).max())
 
 
 def lame_error(n: int, comm: MPI.Comm) -> float:
     """Return the error of u_r on the bore of a ring between two smooth planes, both pressures."""
     (section, line), inner, outer = _hollow(n), 3.0, 1.0
-    body = boundary_mesh(section, line, Mesh(n))
-    k = len(body.elements)
-    held = np.zeros((k, 3), dtype=bool)
-    held[np.concatenate([body.held, body.contact]), 1] = True
-    held[body.held, 2] = True
+    boundary = boundary_mesh(section, line, Mesh(n))
+    k = len(boundary.elements)
+    fixed = np.zeros((k, 3), dtype=bool)
+    fixed[np.concatenate([boundary.fixed, boundary.contact]), 1] = True
+    fixed[boundary.fixed, 2] = True
     load, traction = np.full((k, 3), -1), np.zeros((k, 3))
-    for side, value in ((body.inner_side, inner), (body.outer_side, -outer)):
+    for side, value in ((boundary.inner_side, inner), (boundary.outer_side, -outer)):
         load[side, 0], traction[side, 0] = 0, value
-    conditions = BoundaryConditions(held, load, traction, 1)
-    bore = body.elements[body.inner_side, 1]
-    response = solve_body(body, conditions, NU, 1e-8, bore, body.inner_side, comm)
+    conditions = BoundaryConditions(fixed, load, traction, 1)
+    bore = boundary.elements[boundary.inner_side, 1]
+    response = solve_body(boundary, conditions, NU, 1e-8, bore, boundary.inner_side, comm)
     exact = reference.lame_displacement(np.array(20.0), 20.0, 40.0, inner, outer, 1.0, NU)
     return float(np.abs(response.displacement[:, 0, 0] / exact - 1.0).max())
 
@@ -136,11 +137,11 @@ def lame_error(n: int, comm: MPI.Comm) -> float:
 def torsion_error(n: int, comm: MPI.Comm) -> float:
     """Return the error of u_theta on top of a hollow cylinder, traction proportional to r."""
     section, line = _hollow(n)
-    body = boundary_mesh(section, line, Mesh(n))
-    conditions = ring_conditions(body, "clamped")
-    middle = body.elements[body.contact, 1]
-    response = solve_body(body, conditions, NU, 1e-8, middle, body.contact, comm)
-    r = body.nodes[middle, 0]
+    boundary = boundary_mesh(section, line, Mesh(n))
+    conditions = boundary_conditions(boundary, "clamped")
+    middle = boundary.elements[boundary.contact, 1]
+    response = solve_body(boundary, conditions, NU, 1e-8, middle, boundary.contact, comm)
+    r = boundary.nodes[middle, 0]
     torque, shear = 1.0, 0.5 / (1.0 + NU)
     twist = torque / (shear * reference.polar_moment(20.0, 40.0))
     u = response.displacement[:, 2] @ (shear * twist * r)
@@ -165,11 +166,12 @@ class _Indentation:
 def _indentation(a: float, big_r: float, n: int, comm: MPI.Comm) -> _Indentation:
     contact, mesh = (a, 1.0), Mesh(n, grading=_GRADED)
     line = contact_line(contact, mesh)
-    body = compliance(Section((0.0, big_r), big_r), line, NU, "clamped", mesh, comm)
+    disc = Body(Section((0.0, big_r), big_r), 1.0, NU, "clamped")
+    unit = compliance(disc, line, mesh, comm)
     m = line.area
-    stiffness = symmetric(line, body.normal)
-    p = np.linalg.solve(stiffness, m)
-    shear = np.linalg.solve(_symmetric(m, body.torsion), m * line.arm)
+    normal = symmetric(line, unit.normal)
+    p = np.linalg.solve(normal, m)
+    shear = np.linalg.solve(_symmetric(m, unit.torsion), m * line.arm)
     worn = np.diag(m * line.arm)
     free = np.linalg.svd(m[None, :])[2][1:].T  # pressures that change, at constant force
     modulus = reference.contact_modulus((1.0, NU))
@@ -178,8 +180,8 @@ def _indentation(a: float, big_r: float, n: int, comm: MPI.Comm) -> _Indentation
         pressure_at(line, p, 0.5 * (a + 1.0)) * float(m.sum() / (m @ p)),
         _first_error(line, p) if a == 0.0 else math.nan,
         float((m * line.arm) @ shear),
-        eigh(free.T @ worn @ free, free.T @ stiffness @ free, eigvals_only=True)[:2] / modulus,
-        eigh(worn, stiffness, eigvals_only=True)[:2] / modulus,
+        eigh(free.T @ worn @ free, free.T @ normal @ free, eigvals_only=True)[:2] / modulus,
+        eigh(worn, normal, eigvals_only=True)[:2] / modulus,
     )
 
 
@@ -268,8 +270,8 @@ def _indented(profile: FloatArray, approach: float, big_r: float, n: int,
         0.1, None, None, Load(0.0, displacement=approach), _PAPER_STEPPING,
         Mesh(n, grading=1.0), Output(),
     )  # fmt: skip
-    pair, _ = contact_pair(case, comm)
-    with ContactSolver(pair.stiffness, pair.line.area, comm) as solver:
+    pair = contact_compliance(case, comm)
+    with ContactSolver(pair.matrix, pair.line.area, comm) as solver:
         return pair.line, WearHistory(case, pair, solver).start().contact
 
 
@@ -349,8 +351,8 @@ def paper_checks(comm: MPI.Comm) -> Iterator[Check]:
     values: list[list[float]] = []
     for n in sizes:
         case = paper_case(Mesh(n), pressure=50.0)
-        pair, _ = contact_pair(case, comm)
-        with ContactSolver(pair.stiffness, pair.line.area, comm) as solver:
+        pair = contact_compliance(case, comm)
+        with ContactSolver(pair.matrix, pair.line.area, comm) as solver:
             history = WearHistory(case, pair, solver)
             contact = history.start().contact
         p = contact.pressure
@@ -369,8 +371,8 @@ def paper_checks(comm: MPI.Comm) -> Iterator[Check]:
 def edge_error(ratio: float, comm: MPI.Comm) -> float:
     """Return the error (absolute) of the edge exponent for E2/E1, from 0.003 to 0.03 mm."""
     young = 10e3 * min(ratio, 1e9)
-    pair, _ = contact_pair(paper_case(Mesh(128, grading=4.0), young=young), comm)
-    p = np.linalg.solve(pair.stiffness, pair.line.area)
+    pair = contact_compliance(paper_case(Mesh(128, grading=4.0), young=young), comm)
+    p = np.linalg.solve(pair.matrix, pair.line.area)
     s = (pair.line.r - pair.line.edges[0]) / 3.0
     near = (s > 1e-3) & (s < 1e-2)
     slope = np.polyfit(np.log(s[near]), np.log(p[near]), 1)[0]
@@ -388,8 +390,8 @@ def explicit_limit_error(n: int, comm: MPI.Comm) -> float:
         lower=replace(case.lower, r=(290.0, 310.0)),
         upper=replace(case.upper, r=(298.5, 301.5)),
     )
-    pair, _ = contact_pair(case, comm)
-    with ContactSolver(pair.stiffness, pair.line.area, comm) as solver:
+    pair = contact_compliance(case, comm)
+    with ContactSolver(pair.matrix, pair.line.area, comm) as solver:
         step = WearHistory(case, pair, solver).stable_step()
     fastest = 1e-7 * case.friction * OMEGA * float(pair.line.arm.max())  # mm/s per MPa
     wear = step * fastest
@@ -402,8 +404,8 @@ def wear_checks(comm: MPI.Comm) -> Iterator[Check]:
     n, long = 64, Stepping("implicit", 40.0, 200)
 
     def history(case: Case) -> tuple[WearHistory, State, State]:
-        pair, _ = contact_pair(case, comm)
-        with ContactSolver(pair.stiffness, pair.line.area, comm) as solver:
+        pair = contact_compliance(case, comm)
+        with ContactSolver(pair.matrix, pair.line.area, comm) as solver:
             wear = WearHistory(case, pair, solver)
             before = run(
                 WearHistory(replace(case, time=replace(case.time, steps=case.time.steps - 1)),
@@ -455,9 +457,9 @@ def wear_checks(comm: MPI.Comm) -> Iterator[Check]:
 def adaptive_checks(comm: MPI.Comm) -> Iterator[Check]:
     """Compare adaptive histories with steady laws, similarity, balances and their own limit."""
     n = 64
-    pair, _ = contact_pair(paper_case(Mesh(n)), comm)
+    pair = contact_compliance(paper_case(Mesh(n)), comm)
     line = pair.line
-    with ContactSolver(pair.stiffness, line.area, comm) as solver:
+    with ContactSolver(pair.matrix, line.area, comm) as solver:
 
         def last(case: Case, end: float, tolerance: float = 2.5e-6) -> State:
             solver.cold_start()
@@ -512,8 +514,8 @@ def growing_checks(comm: MPI.Comm) -> Iterator[Check]:
             wear_lower=None, wear_upper=ThresholdLaw(1e-6), load=Load(1.0, 300.0),
             time=Stepping("adaptive", until=400.0),
         )  # fmt: skip
-        pair, _ = contact_pair(case, comm)
-        with ContactSolver(pair.stiffness, pair.line.area, comm) as solver:
+        pair = contact_compliance(case, comm)
+        with ContactSolver(pair.matrix, pair.line.area, comm) as solver:
             history = WearHistory(case, pair, solver)
             before = history.start()
             after = run(history, before, lambda _: False)

@@ -8,8 +8,9 @@ import pytest
 
 from ringwear_par.cases.case import parse_case, parse_overrides, read_case, toml_text
 from ringwear_par.cases.schema import KEYS, schema
-from ringwear_par.elasticity.pair import check_memory, check_mesh, operator_key
 from ringwear_par.errors import InputError
+from ringwear_par.history.limits import check_memory, check_mesh
+from ringwear_par.history.pairs import operator_key
 from ringwear_par.wear.law import ThresholdLaw
 
 PAPER = Path(__file__).parents[2] / "scripts" / "cases" / "paper.toml"

@@ -26,7 +26,7 @@ def problem(paper_pair):
     for i in range(N):
         parts[i, edges[i] : edges[i + 1]] = 1.0
     line = ContactLine(pair.line.edges[edges])
-    return line, parts @ pair.stiffness @ parts.T
+    return line, parts @ pair.matrix @ parts.T
 
 
 def gaps(n):
@@ -175,7 +175,7 @@ def test_unknown_tao_type_is_refused(problem, comm):
 
 def test_warm_steps_take_one_iteration(paper_pair, comm):
     case, pair = paper_pair
-    with ContactSolver(pair.stiffness, pair.line.area, comm) as solver:
+    with ContactSolver(pair.matrix, pair.line.area, comm) as solver:
         gap = np.zeros(pair.line.n)
         wear = step_wear((case.wear_lower,), case.friction * case.load.omega * pair.line.arm, 1.0)
         counts = []

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from petsc4py import PETSc
 
-from ringwear_par.elasticity.body import boundary_response, compliance, in_case_frame
+from ringwear_par.elasticity.body import Body, boundary_response, compliance, in_case_frame
 from ringwear_par.elasticity.mesh import Mesh, contact_line
 from ringwear_par.elasticity.sections import Section
 from ringwear_par.elasticity.solve import has_scalapack
@@ -18,7 +18,7 @@ CONTACT = (28.5, 31.5)
 
 
 def condensed(section, mesh, comm, grip="clamped"):
-    return compliance(section, contact_line(CONTACT, mesh), 0.3, grip, mesh, comm)
+    return compliance(Body(section, 1.0, 0.3, grip), contact_line(CONTACT, mesh), mesh, comm)
 
 
 def test_rigid_modes_close():
@@ -100,12 +100,12 @@ def test_redundant_and_distributed_factorisations_agree(comm):
 
 def test_no_rank_holds_a_whole_matrix(comm):
     from ringwear_par.elasticity.assembly import assemble, number_dofs
-    from ringwear_par.elasticity.body import ring_conditions
+    from ringwear_par.elasticity.body import boundary_conditions
     from ringwear_par.elasticity.mesh import boundary_mesh
     from ringwear_par.elasticity.quadrature import quadrature
 
     body = boundary_mesh(LOWER, contact_line(CONTACT, Mesh(16)), Mesh(16))
-    conditions = ring_conditions(body, "clamped")
+    conditions = boundary_conditions(body, "clamped")
     rows = assemble(body, conditions, number_dofs(body, conditions), 0.3, quadrature(1e-6), comm)
     for system in (rows.normal, rows.torsion):
         local, n = system.matrix.shape
@@ -142,16 +142,16 @@ def test_memory_stays_flat(comm):
 def test_the_whole_boundary_in_both_frames(section, comm):
     mesh = Mesh(24)
     line = contact_line(CONTACT, mesh)
-    response = boundary_response(section, line, 0.3, "clamped", mesh, comm)
-    body = response.body
+    response = boundary_response(Body(section, 1.0, 0.3, "clamped"), line, mesh, comm)
+    body = response.boundary
     condensed_body = condensed(section, mesh, comm)
     middle = body.elements[body.contact, 1]
     assert np.array_equal(-response.displacement[middle, 1], condensed_body.normal)
     assert np.array_equal(response.displacement[middle, 2], condensed_body.torsion)
-    assert not response.displacement[body.elements[body.held].ravel()].any()
+    assert not response.displacement[body.elements[body.fixed].ravel()].any()
     assert np.array_equal(response.traction[body.contact, 1], -np.eye(24))
     assert np.array_equal(response.traction[body.contact, 2], np.eye(24))
-    free = np.setdiff1d(np.arange(len(body.elements)), [*body.contact, *body.held])
+    free = np.setdiff1d(np.arange(len(body.elements)), [*body.contact, *body.fixed])
     assert not response.traction[free].any()
     # equilibrium along z and about the axis, by area and moment of every element
     first, last = body.nodes[body.elements[:, 0]], body.nodes[body.elements[:, 2]]
@@ -161,15 +161,18 @@ def test_the_whole_boundary_in_both_frames(section, comm):
     lower = in_case_frame(response, "lower", 20.0)
     upper = in_case_frame(response, "upper", 20.0)
     assert np.array_equal(lower.displacement, response.displacement)
-    assert np.array_equal(lower.body.nodes[:, 1] + upper.body.nodes[:, 1], np.full(
+    assert np.array_equal(lower.boundary.nodes[:, 1] + upper.boundary.nodes[:, 1], np.full(
         len(body.nodes), 40.0))  # fmt: skip
     assert np.array_equal(upper.displacement[:, 0], response.displacement[:, 0])
     assert np.array_equal(upper.displacement[:, 1], -response.displacement[:, 1])
-    assert np.array_equal(upper.traction[upper.body.contact, 1], np.eye(24))  # pushed up
-    assert np.array_equal(upper.traction[upper.body.contact, 2], -np.eye(24))  # held back
-    for shown in (lower.body, upper.body):  # outward normals to the right: of the contact, up, down
+    assert np.array_equal(upper.traction[upper.boundary.contact, 1], np.eye(24))  # pushed up
+    assert np.array_equal(upper.traction[upper.boundary.contact, 2], -np.eye(24))  # held back
+    for shown in (
+        lower.boundary,
+        upper.boundary,
+    ):  # outward normals to the right: of the contact, up, down
         along = np.diff(shown.nodes[shown.elements[shown.contact]][:, [0, 2], 0], axis=1)
-        assert (along < 0).all() == (shown is lower.body)
+        assert (along < 0).all() == (shown is lower.boundary)
 
 
 def test_pressure_on_a_slope_keeps_its_force(comm):
@@ -177,6 +180,6 @@ def test_pressure_on_a_slope_keeps_its_force(comm):
     section = Section((28.5, 31.5), 20.0, face)
     mesh = Mesh(48)
     line = contact_line(CONTACT, mesh, section)
-    body = compliance(section, line, 0.3, "clamped", mesh, comm)
+    body = compliance(Body(section, 1.0, 0.3, "clamped"), line, mesh, comm)
     assert body.force_reaction == pytest.approx(line.area, rel=1e-3)
     assert body.torque_reaction == pytest.approx(line.area * line.arm, rel=1e-3)

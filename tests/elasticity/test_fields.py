@@ -8,11 +8,9 @@ import xarray
 from stored import contents
 
 from ringwear_par.cases.case import read_case
-from ringwear_par.contact.solver import ContactState
-from ringwear_par.elasticity.pair import assemble_operator, join
-from ringwear_par.elasticity.recovery import FACES, WholeBoundary
-from ringwear_par.elasticity.updated import UpdatedGeometry
+from ringwear_par.elasticity.recovery import FACES
 from ringwear_par.errors import ComputationError
+from ringwear_par.history.pairs import assemble, boundary_recovery, updated_geometry, young
 from ringwear_par.results.files import read_checkpoint, read_result
 from ringwear_par.results.run import run_case
 
@@ -55,28 +53,30 @@ def test_equilibrium_and_bodies_that_meet(case, overrides, shared_path, comm):
     result = read_result(path)
     shape = read_checkpoint(path)[1].state.shape
     if shape is None:
-        operator, _ = assemble_operator(problem, comm)
+        pair = assemble(problem, comm)
     else:
         assert shape.max() > 0.005
-        operator, _ = UpdatedGeometry(problem, comm).update(shape)
+        pair = updated_geometry(problem, comm).update(shape)
     if comm.rank > 0:
         return
-    line, pair = problem.line, join(problem, operator)
-    normal = operator.normal[0] / problem.lower.young + operator.normal[1] / problem.upper.young
+    line, compliance = problem.line, pair.compliance(young(problem))
+    normal = pair.normal[0] / problem.lower.young + pair.normal[1] / problem.upper.young
     assert [b.time for b in result.boundary] == result.scalars["time"].tolist()
     for row, state in enumerate(result.boundary):
         force, torque = result.scalars["force"][row], result.scalars["torque"][row]
         for sign, body in zip((1, -1), state.bodies, strict=True):
             area, moment = weights(body)
-            held = body.face == FACES.index("held")
+            fixed = body.face == FACES.index("fixed")
             assert abs(area @ body.traction[:, 1]) < 1e-4 * force
             assert abs(moment @ body.traction[:, 2]) < 1e-4 * torque
-            assert (area * body.traction[:, 1])[held].sum() == pytest.approx(sign * force, rel=1e-4)
-            assert (moment * body.traction[:, 2])[held].sum() == pytest.approx(
+            assert (area * body.traction[:, 1])[fixed].sum() == pytest.approx(
+                sign * force, rel=1e-4
+            )
+            assert (moment * body.traction[:, 2])[fixed].sum() == pytest.approx(
                 -sign * torque, rel=1e-4
             )
             assert not body.traction[np.isin(body.face, (0, 3, 4))].any()
-            assert not body.displacement[body.elements[held], 2].any()
+            assert not body.displacement[body.elements[fixed], 2].any()
         p = result.fields["pressure"][row]
         height = []
         for body in state.bodies:
@@ -88,7 +88,7 @@ def test_equilibrium_and_bodies_that_meet(case, overrides, shared_path, comm):
         if shape is not None and row < len(result.boundary) - 1:
             continue  # with other elements
         # what the symmetric part of the compliance leaves out is all that is between
-        left_out = normal @ p - pair.stiffness @ p / line.area
+        left_out = normal @ p - compliance.matrix @ p / line.area
         assert np.abs(gap - result.fields["gap"][row] - left_out).max() < 1e-12
         assert np.abs(gap[p > 0]).max() < 1e-3 * result.scalars["approach"][row]
         assert (result.fields["gap"][row][p > 0] < 1e-9).all()
@@ -100,11 +100,12 @@ def test_bars_shorten_as_they_should(comm):
             for key in ("r=[20.0,40.0]", "young=1e4", "poisson=0")]  # fmt: skip
     case = read_case(CASES / "paper.toml", [*SMALL, *tube])
     strain = 80.0 / 1e4
-    p, area = np.full(16, 80.0), float(case.line.area.sum())
-    contact = ContactState(p, 0.0 * p, 40.0 * strain, 80.0 * area, 0, 0.0)
-    lower, upper = WholeBoundary(case, comm).fields(contact, np.zeros((2, 16)))
+    recovery = boundary_recovery(case, comm)
+    lower, upper = recovery.fields(
+        np.full(16, 80.0), 40.0 * strain, case.friction, np.zeros((2, 16))
+    )
     for body in (lower, upper):
-        # the held top comes down by the approach: both are one bar, held at z = 0
+        # the fixed top comes down by the approach: both are one bar, fixed at z = 0
         expected = -strain * body.nodes[:, 1]
         assert body.displacement[:, 1] == pytest.approx(expected, abs=1e-6 * 40 * strain)
         assert np.abs(body.displacement[:, 0]).max() < 1e-6 * strain * 40
@@ -119,14 +120,13 @@ def test_bars_shorten_as_they_should(comm):
 
 def test_responses_follow_the_shape(comm):
     case = read_case(FIELDS, ["mesh.contact_elements=16"])
-    p = np.full(16, 80.0)
-    contact = ContactState(p, 0.0 * p, 0.1, 80.0 * float(case.line.area.sum()), 0, 0.0)
-    whole, worn = WholeBoundary(case, comm), np.zeros((2, 16))
-    unworn = whole.fields(contact, worn, worn)[0]
+    contact = np.full(16, 80.0), 0.1, case.friction
+    whole, worn = boundary_recovery(case, comm), np.zeros((2, 16))
+    unworn = whole.fields(*contact, worn, worn)[0]
     worn[0] = 0.5
-    moved = whole.fields(contact, worn, worn)[0]
-    again = whole.fields(contact, 0.0 * worn, 0.0 * worn)[0]
-    fixed = whole.fields(contact, worn)[0]
+    moved = whole.fields(*contact, worn, worn)[0]
+    again = whole.fields(*contact, 0.0 * worn, 0.0 * worn)[0]
+    fixed = whole.fields(*contact, worn)[0]
     assert np.array_equal(unworn.displacement, again.displacement)
     assert np.abs(moved.displacement - unworn.displacement).max() > 1e-4
     # elements that stay: only what is shown has moved

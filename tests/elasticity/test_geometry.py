@@ -41,7 +41,7 @@ def check_contour(body, section, line):
     assert np.hypot(*(last - first).T).min() > 0.0
     assert np.array_equal(first[body.contact, 0], line.edges[1:])
     assert np.array_equal(last[body.contact, 0], line.edges[:-1])
-    assert body.nodes[body.elements[body.held].ravel(), 1] == pytest.approx(-section.height)
+    assert body.nodes[body.elements[body.fixed].ravel(), 1] == pytest.approx(-section.height)
     following = np.roll(body.elements[:, 0], -1)
     if section.r[0] > 0:
         assert np.array_equal(body.elements[:, 2], following)
@@ -80,7 +80,7 @@ def test_a_worn_contour_loses_what_is_worn(section, contact):
             lost += 0.5 * abs(wall[0, 0] - wall[2, 0]) * worn[end]
     assert enclosed(fresh) - enclosed(body) == pytest.approx(lost, rel=1e-10)
     moved = np.abs(fresh.nodes - body.nodes).max(axis=1) > 0
-    assert not moved[fresh.elements[fresh.held].ravel()].any()
+    assert not moved[fresh.elements[fresh.fixed].ravel()].any()
     assert np.array_equal(boundary_mesh(section, line, mesh, 0.0 * worn).nodes, fresh.nodes)
 
 

@@ -9,9 +9,9 @@ import pytest
 from ringwear_par.cases.case import read_case
 from ringwear_par.elasticity.body import compliance
 from ringwear_par.elasticity.mesh import Mesh, contact_line
-from ringwear_par.elasticity.pair import assemble_operator
-from ringwear_par.elasticity.updated import UpdatedGeometry, moving_parts, node_wear
+from ringwear_par.elasticity.updated import moving_parts, node_wear
 from ringwear_par.errors import ComputationError
+from ringwear_par.history.pairs import assemble, bodies, updated_geometry
 from ringwear_par.verification.checks import paper_case
 from ringwear_par.wear.law import ThresholdLaw
 
@@ -27,14 +27,9 @@ def agree(one, other, tolerance=1e-12):
 def fresh(case, worn, comm):
     """Normal compliance of both bodies from ordinary assemblies of the worn contours."""
     return [
-        compliance(
-            section, case.line, ring.poisson, ring.grip, case.mesh, comm,
-            node_wear(case.line, depth),
-        )
-        for section, ring, depth in zip(
-            case.sections, case.rings, worn, strict=True
-        )
-    ]  # fmt: skip
+        compliance(body, case.line, case.mesh, comm, node_wear(case.line, depth))
+        for body, depth in zip(bodies(case), worn, strict=True)
+    ]
 
 
 @pytest.fixture(scope="module")
@@ -48,60 +43,61 @@ def cases():
 @pytest.mark.parametrize("which", range(4))
 def test_an_update_is_a_fresh_assembly(cases, which, comm):
     case = cases[which]
-    moving = UpdatedGeometry(case, comm)
+    moving = updated_geometry(case, comm)
     n = case.line.n
-    unworn, _ = moving.update(np.zeros((2, n)))
-    agree(unworn, assemble_operator(case, comm)[0])
+    unworn = moving.update(np.zeros((2, n)))
+    agree(unworn, assemble(case, comm))
+    assert unworn.key == assemble(case, comm).key
     x = np.linspace(0.0, 1.0, n)
     worn = np.stack([0.03 + 0.02 * np.cos(5 * x), 0.01 + 0.02 * x**2])
     worn[[law is None for law in case.laws]] = 0.0
-    operator, cost = moving.update(worn)
-    assert cost.kernel_evaluations > 0
-    bodies = fresh(case, worn, comm)
-    for i, body in enumerate(bodies):
-        assert np.abs(operator.normal[i] - body.normal).max() <= 1e-12 * np.abs(body.normal).max()
+    pair = moving.update(worn)
+    assert pair.cost.kernel_evaluations > 0
+    assert pair.key != unworn.key
+    for i, body in enumerate(fresh(case, worn, comm)):
+        assert np.abs(pair.normal[i] - body.normal).max() <= 1e-12 * np.abs(body.normal).max()
         twist = case.line.area @ body.torsion
-        assert np.abs(operator.twist[i] - twist).max() <= 1e-12 * np.abs(twist).max()
+        assert np.abs(pair.twist[i] - twist).max() <= 1e-12 * np.abs(twist).max()
         for name in ("force_reaction", "torque_reaction"):
-            a, b = getattr(operator, name)[i], getattr(body, name)
+            a, b = getattr(pair, name)[i], getattr(body, name)
             assert np.abs(a - b).max() <= 1e-12 * np.abs(b).max()
-    change = np.abs(operator.normal - unworn.normal).max() / np.abs(unworn.normal).max()
+    change = np.abs(pair.normal - unworn.normal).max() / np.abs(unworn.normal).max()
     assert 1e-4 < change < 0.2
     # no memory of what came before, and the same again to the last bit
-    agree(moving.update(np.zeros((2, n)))[0], unworn, 0.0)
-    agree(moving.update(worn)[0], operator, 0.0)
+    agree(moving.update(np.zeros((2, n))), unworn, 0.0)
+    agree(moving.update(worn), pair, 0.0)
 
 
 def test_updates_cost_less_than_assemblies(cases, comm):
     case = replace(cases[0], wear_upper=None)
-    full = assemble_operator(case, comm)[1].kernel_evaluations
-    moving = UpdatedGeometry(case, comm)
+    full = assemble(case, comm).cost.kernel_evaluations
+    moving = updated_geometry(case, comm)
     zero = np.zeros((2, case.line.n))
-    first = moving.update(zero)[1].kernel_evaluations
-    again = moving.update(zero)[1].kernel_evaluations
+    first = moving.update(zero).cost.kernel_evaluations
+    again = moving.update(zero).cost.kernel_evaluations
     assert first == full
     assert again < 0.5 * full
 
 
 def test_the_bodies_without_wear_law_do_not_move(cases, comm):
     case = replace(cases[0], wear_lower=None, wear_upper=None)
-    moving = UpdatedGeometry(case, comm)
+    moving = updated_geometry(case, comm)
     ones = np.full((2, case.line.n), 0.1)
-    operator, _ = moving.update(ones)
-    agree(operator, assemble_operator(case, comm)[0])
-    assert moving.update(ones)[1].kernel_evaluations == 0
+    pair = moving.update(ones)
+    agree(pair, assemble(case, comm))
+    assert moving.update(ones).cost.kernel_evaluations == 0
 
 
 def test_uniform_wear_is_a_lower_ring(comm):
     """Worn all over by h, the upper ring is one that is h shorter."""
     case = paper_case(Mesh(48), p0=(None, 0.0))
     h = 0.5
-    moving = UpdatedGeometry(case, comm)
-    operator, _ = moving.update(np.full((2, case.line.n), h))
+    moving = updated_geometry(case, comm)
+    pair = moving.update(np.full((2, case.line.n), h))
     shorter = replace(case, upper=replace(case.upper, z=(20.0, 40.0 - h)))
-    exact, _ = assemble_operator(shorter, comm)
-    softer = np.abs(exact.normal[1] - assemble_operator(case, comm)[0].normal[1]).max()
-    assert np.abs(operator.normal[1] - exact.normal[1]).max() < 2e-3 * softer
+    exact = assemble(shorter, comm)
+    softer = np.abs(exact.normal[1] - assemble(case, comm).normal[1]).max()
+    assert np.abs(pair.normal[1] - exact.normal[1]).max() < 2e-3 * softer
 
 
 def test_wear_at_the_nodes():
@@ -130,6 +126,6 @@ def test_what_moves(cases):
 
 def test_wear_through_half_a_body_is_an_error(comm):
     case = replace(paper_case(Mesh(16)), wear_lower=ThresholdLaw(1e-7))
-    moving = UpdatedGeometry(case, comm)
+    moving = updated_geometry(case, comm)
     with pytest.raises(ComputationError, match=r"wear of 10.* more than half of the height"):
         moving.update(np.full((2, 16), 10.5))

@@ -34,7 +34,7 @@ def stepped(paper_pair, comm):
     def stepped(**parts):
         case, pair = replace(paper_pair[0], **parts), paper_pair[1]
         shown = []
-        with ContactSolver(pair.stiffness, pair.line.area, comm) as solver:
+        with ContactSolver(pair.matrix, pair.line.area, comm) as solver:
             history = WearHistory(case, pair, solver)
             states = [history.start()]
             run(history, states[0], lambda state: states.append(state), shown.append)
@@ -64,7 +64,7 @@ def test_stages_are_of_second_order(stepped, paper_pair, comm):
     """Steps of equal length from a state that has left the singular transient behind."""
     case, pair = paper_pair
     case = replace(case, wear_lower=ThresholdLaw(1e-7), time=until(40.0, 1e-8))
-    with ContactSolver(pair.stiffness, pair.line.area, comm) as solver:
+    with ContactSolver(pair.matrix, pair.line.area, comm) as solver:
         history = WearHistory(case, pair, solver)
         start = run(history, history.start(), lambda _: False)
 

@@ -11,9 +11,9 @@ import pytest
 from ringwear_par.cases.case import Load, Ring, Stepping
 from ringwear_par.contact.solver import ContactSolver
 from ringwear_par.elasticity.mesh import Mesh
-from ringwear_par.elasticity.pair import contact_pair
 from ringwear_par.errors import ComputationError, InputError
 from ringwear_par.history.model import WearHistory, run
+from ringwear_par.history.pairs import contact_compliance
 from ringwear_par.results.run import run_case
 from ringwear_par.verification.checks import paper_case, round_face
 from ringwear_par.wear.law import ThresholdLaw
@@ -23,8 +23,8 @@ UPDATED = Mesh(24, geometry="updated", geometry_tolerance=0.003)
 
 
 def states(case, comm):
-    pair, _ = contact_pair(case, comm)
-    with ContactSolver(pair.stiffness, pair.line.area, comm) as solver:
+    pair = contact_compliance(case, comm)
+    with ContactSolver(pair.matrix, pair.line.area, comm) as solver:
         history, seen = WearHistory(case, pair, solver), []
         start = history.start()
         run(history, start, lambda state: seen.append(state))

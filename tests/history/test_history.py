@@ -19,7 +19,7 @@ def stepped(paper_pair, comm):
     def stepped(pair=None, limit=10_000, **parts):
         case = replace(paper_pair[0], **parts)
         pair = pair or paper_pair[1]
-        with ContactSolver(pair.stiffness, pair.line.area, comm, limit) as solver:
+        with ContactSolver(pair.matrix, pair.line.area, comm, limit) as solver:
             history = WearHistory(case, pair, solver)
             states = [history.start()]
             run(history, states[0], lambda state: states.append(state))
@@ -110,13 +110,13 @@ def test_fixed_approach_unloads(stepped):
 def test_both_schemes_are_of_first_order_and_meet(stepped):
     """Against a fine run, at 20 s on a coarse mesh, where explicit steps are stable."""
     from ringwear_par.elasticity.mesh import Mesh
-    from ringwear_par.elasticity.pair import contact_pair
+    from ringwear_par.history.pairs import contact_compliance
     from ringwear_par.verification.checks import paper_case
 
     case = paper_case(Mesh(16, grading=1.0), p0=(0.0, None))
     from mpi4py import MPI
 
-    pair, _ = contact_pair(case, MPI.COMM_SELF)
+    pair = contact_compliance(case, MPI.COMM_SELF)
 
     def wear(scheme, number):
         _, states = stepped(
@@ -132,7 +132,7 @@ def test_both_schemes_are_of_first_order_and_meet(stepped):
 
 
 def test_explicit_limit_separates_smooth_from_oscillating(stepped, paper_pair, comm):
-    with ContactSolver(paper_pair[1].stiffness, paper_pair[1].line.area, comm) as solver:
+    with ContactSolver(paper_pair[1].matrix, paper_pair[1].line.area, comm) as solver:
         limit = WearHistory(*paper_pair, solver).stable_step()
 
     def roughness(factor):
@@ -172,10 +172,10 @@ def test_same_history_on_any_number_of_ranks(stepped, comm):
     assert shared[-1].wear[0] == pytest.approx(states[-1].wear[0], rel=1e-9)
     from mpi4py import MPI
 
-    from ringwear_par.elasticity.pair import contact_pair
+    from ringwear_par.history.pairs import contact_compliance
 
     history, states = stepped(time=steps("implicit", 1.0, 10))
-    alone, _ = contact_pair(history.case, MPI.COMM_SELF)
+    alone = contact_compliance(history.case, MPI.COMM_SELF)
     _, single = stepped(alone, time=steps("implicit", 1.0, 10))
     assert states[-1].contact.approach == pytest.approx(single[-1].contact.approach, rel=1e-9)
     assert states[-1].wear[0] == pytest.approx(single[-1].wear[0], rel=1e-9)
@@ -197,11 +197,11 @@ def test_twist_of_the_upper_ring_alone(paper_pair, comm):
     """On a rigid lower body, traction proportional to r turns a hollow cylinder by T h/(G J)."""
     from dataclasses import replace
 
-    from ringwear_par.elasticity.pair import contact_pair
+    from ringwear_par.history.pairs import contact_compliance
     from ringwear_par.verification.reference import polar_moment
 
     case = replace(paper_pair[0], lower=replace(paper_pair[0].lower, young=1e15))
-    pair, _ = contact_pair(case, comm)
+    pair = contact_compliance(case, comm)
     line = pair.line
     torque = (line.area * line.arm) @ line.r
     angle = torque * 20.0 / (case.upper.young / 2.6 * polar_moment(28.5, 31.5))

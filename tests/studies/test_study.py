@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from ringwear_par.errors import InputError
-from ringwear_par.studies.designs import case_id, read_study
+from ringwear_par.studies.study import case_id, read_study
 
 CASE = (Path(__file__).parents[2] / "scripts/cases/paper.toml").read_text()
 GRID = """

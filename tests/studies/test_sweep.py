@@ -11,7 +11,7 @@ from ringwear_par.errors import ComputationError, InputError
 from ringwear_par.results.files import ALONG, SCALARS
 from ringwear_par.results.run import run_case
 from ringwear_par.studies import sweep
-from ringwear_par.studies.dataset import read_ensemble
+from ringwear_par.studies.ensemble import read_ensemble
 
 CASE = (Path(__file__).parents[2] / "scripts/cases/paper.toml").read_text()
 CASE = CASE.replace("steps = 200", "steps = 20\n\n[mesh]\ncontact_elements = 16")
@@ -106,9 +106,9 @@ def test_fifty_geometries_cost_fifty_assemblies(write, shared_path, comm, monkey
         '"time.steps" = { values = [2] }\n'
     )
     assembled = []
-    original = sweep.assemble_operator
+    original = sweep.assemble
     monkeypatch.setattr(
-        sweep, "assemble_operator",
+        sweep, "assemble",
         lambda case, team: (assembled.append(case.upper.r), original(case, team))[1],
     )  # fmt: skip
     swept(study, shared_path / "out", comm)
@@ -231,14 +231,14 @@ def test_a_failed_case_is_a_row_and_the_others_go_on(write, shared_path, comm, m
 
 
 def test_an_operator_that_fails_fails_its_cases_only(write, shared_path, comm, monkeypatch):
-    original = sweep.assemble_operator
+    original = sweep.assemble
 
     def assemble(case, team):
         if case.upper.r[0] == 28.0:
             raise ComputationError("the factorisation failed")
         return original(case, team)
 
-    monkeypatch.setattr(sweep, "assemble_operator", assemble)
+    monkeypatch.setattr(sweep, "assemble", assemble)
     with pytest.raises(ComputationError, match="6 of 12 cases failed"):
         swept(write(STUDY), shared_path / "out", comm)
     comm.Barrier()

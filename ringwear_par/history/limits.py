@@ -1,0 +1,74 @@
+"""What a case may ask for before any of it is computed: memory, and lengths above round-off."""
+
+import os
+
+import numpy as np
+
+from ringwear_par.cases.case import Case
+from ringwear_par.elasticity.mesh import boundary_mesh, count_elements
+from ringwear_par.elasticity.solve import has_scalapack
+from ringwear_par.errors import InputError
+
+
+def memory_needed(case: Case, ranks: int) -> float:
+    """Return an estimate of the bytes that a run needs on all ranks together.
+
+    The (r, z) system of the larger body (two unknowns a node, two nodes an element) with its
+    factor, which every rank holds where there is no ScaLAPACK; the torsion system; the right-hand
+    sides; where elements follow the wear, what stays of the matrices of each body that wears; on
+    every rank the compliance and its copies, and the responses of whole boundaries where their
+    fields are asked for; on one the history.
+    """
+    n = float(case.mesh.contact_elements)
+    unknowns = 4.0 * max(
+        count_elements(case.section(r), case.contact, case.mesh) for r in case.rings
+    )
+    copies = 1.0 if ranks == 1 or has_scalapack() else float(ranks)
+    kept = 0.0
+    if case.mesh.geometry == "updated":
+        kept = 1.25 * sum(law is not None for law in case.laws)
+    history, shared = len(case.output.fields) * n * case.stored_rows, 8.0 * n**2
+    if case.output.boundary != "none":
+        # displacements of two nodes an element and its traction, of both bodies and n loads
+        shared += 2.0 * 9.0 * n * unknowns / 4.0
+        # what is stored of them; an element has six coordinates, six displacements and more
+        rows = 1.0 if case.output.boundary == "last" else case.stored_rows
+        history += 2.0 * 15.0 * unknowns / 4.0 * rows
+    return 8.0 * ((1.25 + kept + 1.25 * copies) * unknowns**2 + ranks * shared + history)
+
+
+def check_memory(case: Case, ranks: int, name: str) -> None:
+    """Refuse what this machine cannot hold, as if all ranks were on it. Not collective.
+
+    Raises
+    ------
+    InputError : with the memory needed and the memory there is.
+    """
+    needed = memory_needed(case, ranks)
+    there = float(os.sysconf("SC_PAGE_SIZE")) * os.sysconf("SC_PHYS_PAGES")
+    if needed > 0.9 * there:
+        steps = "" if case.time.adaptive else f"time.steps = {case.time.steps}, "
+        raise InputError(
+            f"{name}: mesh.contact_elements = {case.mesh.contact_elements}, {steps}"
+            f"output.every = {case.output.every}: needs about "
+            f"{needed / 1e9:.3g} GB of memory, this machine has {there / 1e9:.3g} GB; must be less"
+        )
+
+
+def check_mesh(case: Case, name: str) -> None:
+    """Refuse a mesh whose smallest elements drown in round-off. Not collective.
+
+    Raises
+    ------
+    InputError : with the smallest length.
+    """
+    for ring in case.rings:
+        boundary = boundary_mesh(case.section(ring), case.line, case.mesh)
+        ends = boundary.nodes[boundary.elements]
+        shortest = float(np.hypot(*(ends[:, 2] - ends[:, 0]).T).min())
+        if shortest < 1e-11 * ring.r[1]:
+            raise InputError(
+                f"{name}: mesh.grading = {case.mesh.grading:g} with mesh.contact_elements = "
+                f"{case.mesh.contact_elements}: the shortest element of this geometry is "
+                f"{shortest:.1e} mm; must be at least {1e-11 * ring.r[1]:.1e} mm"
+            )
