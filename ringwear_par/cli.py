@@ -77,6 +77,11 @@ def _parser() -> argparse.ArgumentParser:
         "--retry-failed", action="store_true", help="compute failed cases again as well"
     )
     sweep.add_argument(
+        "--mix-versions", action="store_true",
+        help="go on where another version of this program has computed cases; the variable version "
+        "tells them apart",
+    )  # fmt: skip
+    sweep.add_argument(
         "--dry-run", action="store_true",
         help="count cases and operators, estimate memory and time; write nothing",
     )  # fmt: skip
@@ -154,7 +159,7 @@ def _dispatch(args: argparse.Namespace, comm: Any) -> int:
 
         return run_sweep(
             args.study, args.output, args.ranks_per_case, args.part, args.dry_run,
-            args.retry_failed, comm,
+            args.retry_failed, comm, args.mix_versions,
         )  # fmt: skip
     if args.command == "laws":
         from ringwear_par.cases.law_trials import check_laws

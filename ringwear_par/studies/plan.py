@@ -147,12 +147,13 @@ def make_plan(study: Study, request: Request, held: ExitStack | None) -> Plan:
     mine = _slice(study, part)
     ended = {"done"} if request.retry_failed else {"done", "failed"}
     status = [entries[i].status if i in entries else "" for i in study.ids]
-    kept = [entries[study.ids[n]] for n in mine if status[n] in ended]
+    kept = [entries[study.ids[n]] for n in sorted(mine) if status[n] in ended]
     todo = tuple(
         tuple(n for n in group if n in mine and status[n] not in ended) for group in study.groups
     )
     if not request.mix_versions:
-        _refuse_other_versions(folder, kept, any(todo))
+        others = [entries[i] for i, word in zip(study.ids, status, strict=True) if word in ended]
+        _refuse_other_versions(folder, others, any(todo))
     plan = Plan(
         request,
         study,

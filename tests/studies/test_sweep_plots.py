@@ -11,7 +11,7 @@ import pytest
 from scipy.stats import qmc
 
 from ringwear_par.errors import InputError
-from ringwear_par.results.files import SCALARS
+from ringwear_par.results.variables import HISTORIES
 from ringwear_par.studies.dataset import Row, write_ensemble
 from ringwear_par.studies.ensemble import Ensemble, read_ensemble
 from ringwear_par.studies.figures import draw_sweep, plot_sweep, sensitivity
@@ -38,7 +38,7 @@ def write(
         for row in part:
             n = int(row.id, 16)
             share = np.arange(steps[n] + 1) / steps[n]
-            arrays = {name: np.zeros(steps[n] + 1) for name in SCALARS}
+            arrays = {name: np.zeros(steps[n] + 1) for name in HISTORIES}
             arrays["time"] = step[n] * np.arange(steps[n] + 1.0)
             arrays["penetration"] = penetration[n] * share
             arrays["worn_volume_lower"] = lower[n] * share
@@ -46,13 +46,13 @@ def write(
             arrays.update(step=np.arange(steps[n] + 1.0), r=np.ones(4), width=np.ones(4))
             yield Record(
                 id=row.id, toml="", status=status[n], error="", seconds=0.1, imbalance=0.0,
-                arrays=arrays,
+                arrays=arrays, version="1",
             )  # fmt: skip
 
     cases = [
         Row(
             id=f"{n:016x}", values=tuple(row), toml="", in_study=in_study[n],
-            entry=Entry(status[n], steps[n] + 1, 4, (), False, folder / "none"),
+            entry=Entry(status[n], steps[n] + 1, 4, (), False, folder / "none", "1"),
         )
         for n, row in enumerate(rows)
     ]  # fmt: skip
