@@ -258,8 +258,8 @@ def test_all_teams_have_to_fit_into_the_machine(write, tmp_path, monkeypatch):
 
     assert planned(2).memory_needed() == pytest.approx(0.8 * machine)
     assert planned(4, 2).memory_needed() == pytest.approx(0.8 * machine)
+    monkeypatch.setattr(plan, "memory_needed", lambda case, ranks: 0.125 * machine * ranks)
     with pytest.raises(InputError, match=r"8 teams of 1 rank need about .* GB of memory at once"):
-        monkeypatch.setattr(plan, "memory_needed", lambda case, ranks: 0.125 * machine * ranks)
         planned(8)
     monkeypatch.setattr(plan, "memory_needed", lambda case, ranks: 0.4 * machine)
     # fewer operators than teams: all ranks assemble each of them
