@@ -19,7 +19,7 @@ from collections import Counter
 import numpy as np
 from mpi4py import MPI
 
-from ringwear_par.cases.case import make_case
+from ringwear_par.cases.reading import make_case
 from ringwear_par.contact.solver import ContactSolver
 from ringwear_par.elasticity.assembly import load_kernels
 from ringwear_par.errors import RingwearError

@@ -38,7 +38,8 @@ from matplotlib.ticker import NullFormatter, NullLocator
 from mpi4py import MPI
 
 from ringwear_par.arrays import FloatArray
-from ringwear_par.cases.case import Case, Stepping, read_case
+from ringwear_par.cases.case import Case, Stepping
+from ringwear_par.cases.reading import read_case
 from ringwear_par.contact.solver import ContactSolver
 from ringwear_par.elasticity.body import boundary_conditions, solve_body
 from ringwear_par.elasticity.mesh import ContactLine, boundary_mesh

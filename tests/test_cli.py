@@ -55,6 +55,8 @@ def test_run_plot_and_status_0(tmp_path, ranks):
     [
         (["nowhere.toml", "-o", "a.h5"], "nowhere.toml: cannot be read"),
         ([PAPER, "-o", "a.h5", "--set", "lower.young=-1"], "lower.young = -1"),
+        ([PAPER, "-o", "a.h5", "--set", "wear.lower.K=1"], "did you mean wear.lower.k?"),
+        ([PAPER, "-o", "a.h5", "--set", "time.tolerance=1e-5"], 'needs time.scheme = "adaptive"'),
         ([PAPER, "-o", "no/a.h5"], "its folder no does not exist"),
         ([PAPER, "-o", "taken.h5"], "not a result file of ringwear"),
         ([PAPER, "-o", "a.h5", "--plot", "no/a.png"], "its folder no does not exist"),

@@ -1,35 +1,24 @@
-"""Case files: TOML tables read into frozen dataclasses, every fault reported at once."""
+"""A case: one wear test, complete and consistent, as frozen dataclasses."""
 
-import difflib
 import math
-import tomllib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
-from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
 
 from ringwear_par.arrays import FloatArray
-from ringwear_par.cases.laws import law_faults, make_law, told
-from ringwear_par.cases.schema import BY_PATH, FIELDS, KEYS, LAWS, TABLES, RejectedError, toml_value
-from ringwear_par.elasticity.mesh import ContactLine, Mesh, contact_line, contact_pieces
-from ringwear_par.elasticity.profiles import (
-    CLOSE,
-    chamfer_face,
-    chamfer_faults,
-    profile_face,
-    profile_faults,
-)
+from ringwear_par.cases.schema import FIELDS
+from ringwear_par.elasticity.mesh import ContactLine, Mesh, contact_line
+from ringwear_par.elasticity.profiles import CLOSE
 from ringwear_par.elasticity.sections import Grip, Polyline, Section
 from ringwear_par.errors import InputError
-from ringwear_par.schedules import Quantity, Table, knots, largest
+from ringwear_par.schedules import Quantity, knots
 from ringwear_par.wear.law import WearLaw
 
 #: times closer than this share of them are one
 SAME_TIME = 1e-12
-_LOADS = {"load.force", "load.pressure", "load.displacement"}
 
 
 @dataclass(frozen=True)
@@ -109,7 +98,8 @@ class Case:
 
     Parameters
     ----------
-    text : the TOML text as run, overrides included.
+    text : the TOML text as run, overrides included, which reads back to this case; "" for a case
+        that was constructed and not read.
     """
 
     lower: Ring
@@ -236,397 +226,22 @@ class Case:
         """Meridian sections of lower and upper, each in its own frame."""
         return self.section(self.lower), self.section(self.upper)
 
+    def replace(self, changes: Mapping[str, Any] | Sequence[str]) -> "Case":
+        """Return a copy with some keys changed, checked like any case. Not collective.
 
-def _flatten(tables: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
-    flat: dict[str, Any] = {}
-    for name, value in tables.items():
-        path = f"{prefix}{name}"
-        if isinstance(value, dict) and path not in BY_PATH:
-            flat.update(_flatten(value, f"{path}."))
-            if not value and path not in TABLES:  # unknown, and to be told so
-                flat[path] = value
-        else:
-            flat[path] = value
-    return flat
+        Parameters
+        ----------
+        changes : as the overrides of ``read_case``.
 
+        Raises
+        ------
+        InputError : all faults, one sentence each; or this case has no text that tells its keys.
+        """
+        from ringwear_par.cases.reading import parse_case
 
-def toml_text(flat: Mapping[str, Any]) -> str:
-    """Return a TOML text with these dotted keys."""
-    tables: dict[str, list[str]] = {"": []}
-    for path, value in flat.items():
-        table, _, name = path.rpartition(".")
-        tables.setdefault(table, []).append(f"{name} = {toml_value(value)}")
-    blocks = [
-        "\n".join(([f"[{table}]"] if table else []) + lines)
-        for table, lines in tables.items()
-        if lines
-    ]
-    return "\n\n".join(blocks) + "\n"
-
-
-def read_keys(text: str) -> dict[str, Any]:
-    """Return the dotted keys and raw values of a case's TOML text."""
-    return _flatten(tomllib.loads(text))
-
-
-def parse_overrides(overrides: Sequence[str]) -> dict[str, Any]:
-    """Return dotted keys and values of ``--set a.b=value`` options.
-
-    Raises
-    ------
-    InputError : an option without "=".
-    """
-    values: dict[str, Any] = {}
-    faults = []
-    for item in overrides:
-        path, equals, text = item.partition("=")
-        if not equals or not path.strip():
-            faults.append(f"--set {item}: must be KEY=VALUE, such as load.pressure=50")
-            continue
-        try:
-            values[path.strip()] = tomllib.loads(f"value = {text}")["value"]
-        except tomllib.TOMLDecodeError:
-            values[path.strip()] = text.strip()
-    if faults:
-        raise InputError(*faults)
-    return values
-
-
-def read_case(path: Path, overrides: Sequence[str] = ()) -> Case:
-    """Read a case file and its overrides. Not collective.
-
-    Raises
-    ------
-    InputError : all faults, one sentence each.
-    """
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read: {error.strerror or error}") from error
-    except UnicodeDecodeError as error:
-        raise InputError(f"{path}: is not a text file in UTF-8") from error
-    return parse_case(text, str(path), parse_overrides(overrides), path.parent)
-
-
-def parse_case(
-    text: str,
-    name: str,
-    overrides: Mapping[str, Any] | None = None,
-    folder: Path | None = None,
-) -> Case:
-    """Make a case of a TOML text; ``name`` is what messages call it. Not collective.
-
-    Files that it names are looked for in ``folder``; the case's own text then has them in full.
-
-    Raises
-    ------
-    InputError : all faults, one sentence each.
-    """
-    try:
-        flat = read_keys(text)
-    except tomllib.TOMLDecodeError as error:
-        raise InputError(f"{name}: is not valid TOML: {error}") from error
-    origin = dict.fromkeys(flat, f"{name}: ")
-    found = find_files(flat, folder) if folder is not None else flat
-    if not overrides:
-        return make_case(found, name, origin, text if found == flat else None)
-    overrides = _flatten(overrides)
-    origin.update(dict.fromkeys(overrides, "--set "))
-    found = override(found, find_files(overrides, Path()))
-    return make_case(found, f"{name} with --set", origin)
-
-
-def find_files(flat: Mapping[str, Any], folder: Path) -> dict[str, Any]:
-    """Return dotted keys with the files that they name in full, relative ones from a folder."""
-    files = {f"wear.{ring}.file" for ring in ("lower", "upper")}
-    return {
-        path: str((folder / value).resolve()) if path in files and isinstance(value, str) else value
-        for path, value in flat.items()
-    }
-
-
-def override(flat: Mapping[str, Any], overrides: Mapping[str, Any]) -> dict[str, Any]:
-    """Return dotted keys with some of them replaced.
-
-    A new load takes the place of the old one; keys without meaning for a new law of wear go;
-    ``wear.lower.parameters.NAME`` is one entry of that table.
-    """
-    overrides = dict(overrides)
-    for table in ("wear.lower.parameters", "wear.upper.parameters"):
-        named = {p: v for p, v in overrides.items() if p.startswith(f"{table}.")}
-        if named:
-            before = overrides.get(table, flat.get(table))
-            entries = dict(before) if isinstance(before, dict) else {}
-            for path, value in named.items():
-                entries[path.removeprefix(f"{table}.")] = value
-                del overrides[path]
-            overrides[table] = entries
-    for table in ("wear.lower", "wear.upper"):
-        law = overrides.get(f"{table}.law")
-        if isinstance(law, str) and law in LAWS:
-            known = {f"{table}.{key}" for key in ("law", *LAWS[law][0], *LAWS[law][1])}
-            flat = {p: v for p, v in flat.items() if not p.startswith(f"{table}.") or p in known}
-    if not _LOADS.isdisjoint(overrides):
-        flat = {path: value for path, value in flat.items() if path not in _LOADS}
-    return {**flat, **overrides}
-
-
-def make_case(
-    flat: Mapping[str, Any],
-    name: str,
-    origin: Mapping[str, str] | None = None,
-    text: str | None = None,
-) -> Case:
-    """Make a case of dotted keys and raw values. Not collective.
-
-    Parameters
-    ----------
-    flat : dotted keys and values, as TOML gives them.
-    name : what messages call the case.
-    origin : what messages begin with where a key does not come from ``name``.
-    text : the case's TOML text, if it is not to be made of the keys.
-
-    Raises
-    ------
-    InputError : all faults, one sentence each.
-    """
-    origin, own = origin or {}, f"{name}: "
-    faults: list[str] = []
-    values: dict[str, Any] = {}
-    for path, value in flat.items():
-        if path in BY_PATH:
-            key = BY_PATH[path]
-            try:
-                values[path] = key.read(value)
-            except RejectedError as reason:
-                told = f" ({reason})" if str(reason) else ""
-                faults.append(
-                    f"{origin.get(path, own)}{path} = {_shortened(value)}: {key.rule}{told}"
-                )
-        elif path in TABLES:
-            said = f"{origin.get(path, own)}{path} = {toml_value(value)}"
-            faults.append(f"{said}: must be a table, [{path}]")
-        else:
-            faults.append(f"{origin.get(path, own)}{path}: unknown key{nearest_key(path)}")
-    wears = {
-        f"wear.{ring}": any(p.startswith(f"wear.{ring}") for p in flat)
-        for ring in ("lower", "upper")
-    }
-    whose = name.removesuffix(" with --set")
-    for key in KEYS:
-        if key.path not in flat:
-            if key.default is not ...:
-                values[key.path] = key.default
-            else:
-                faults.append(f"{whose}: {key.path} is missing: {key.rule}")
-    faults += _inconsistencies(name, values)
-    faults += _time_faults(whose, values)
-    for table in (table for table, worn in wears.items() if worn):
-        faults += law_faults(whose, table, flat, values)
-    faces = _faces(name, values, faults)
-    if faults:
-        raise InputError(*faults)
-    case = _build(values, wears, faces, toml_text(flat) if text is None else text)
-    _check_contact(name, case, values["load.displacement"])
-    return case
-
-
-def _shortened(value: Any) -> str:
-    text = toml_value(value)
-    return text if len(text) <= 120 else f"{text[:80]} ... {text[-20:]}"
-
-
-def nearest_key(path: str) -> str:
-    """Return a hint at the known key nearest to an unknown one."""
-    near = difflib.get_close_matches(path, BY_PATH, n=1, cutoff=0.6)
-    return f" (did you mean {near[0]}?)" if near else ""
-
-
-def _inconsistencies(name: str, values: Mapping[str, Any]) -> list[str]:
-    """Return the faults of keys that are right by themselves but not together."""
-    faults = []
-    if {"lower.r", "upper.r"} <= values.keys():
-        lower, upper = values["lower.r"], values["upper.r"]
-        if max(lower[0], upper[0]) >= min(lower[1], upper[1]):
-            faults.append(
-                f"{name}: upper.r = {list(upper)} and lower.r = {list(lower)}: the rings do not "
-                "overlap; their radii must have an interval in common (mm)"
+        if not self.text or parse_case(self.text, "case") != self:
+            raise InputError(
+                "case: its text does not tell its keys, for it was constructed or changed as a "
+                "dataclass; replace needs a case that read_case or replace returned"
             )
-        elif values.get("mesh.contact") is not None:
-            low, high = values["mesh.contact"]
-            a, b = max(lower[0], upper[0]), min(lower[1], upper[1])
-            if low >= b or high <= a:
-                faults.append(
-                    f"{name}: mesh.contact = [{low:g}, {high:g}]: must have an interval in common "
-                    f"with [{a:g}, {b:g}], where the bodies face each other (mm)"
-                )
-    control = values.get("load.control")
-    if values.keys() >= _LOADS:
-        force, pressure = values["load.force"], values["load.pressure"]
-        displacement = values["load.displacement"]
-        if control == "force":
-            if displacement is not None:
-                faults.append(
-                    f"{name}: load.displacement = {told(displacement)}: needs "
-                    'load.control = "displacement"'
-                )
-            elif (force is None) == (pressure is None):
-                number = "neither of them is given"
-                if force is not None:
-                    number = f"both are given ({told(force)} N, {told(pressure)} MPa)"
-                faults.append(
-                    f'{name}: load.force, load.pressure: {number}; control = "force" needs one'
-                )
-        elif control == "displacement":
-            if displacement is None:
-                faults.append(
-                    f"{name}: load.displacement is missing: must be a finite number > 0 (mm) where "
-                    'load.control = "displacement"'
-                )
-            for key, value in (("force", force), ("pressure", pressure)):
-                if value is not None:
-                    faults.append(
-                        f"{name}: load.{key} = {told(value)}: must be absent where "
-                        'load.control = "displacement"'
-                    )
-    return faults
-
-
-def _time_faults(name: str, values: Mapping[str, Any]) -> list[str]:
-    """Return the faults of the time steps and the times of output."""
-    needed = {"time.scheme", "time.step", "time.steps", "time.end", "output.times", "output.every"}
-    if not needed <= values.keys():
-        return []
-    faults = []
-    scheme, end = values["time.scheme"], values["time.end"]
-    fixed = {key: values[key] for key in ("time.step", "time.steps")}
-    missing = [key for key, value in fixed.items() if value is None]
-    if scheme == "adaptive":
-        if end is None and missing:
-            faults.append(f"{name}: time.end is missing: {BY_PATH['time.end'].rule}")
-    else:
-        faults += [
-            f'{name}: {key} is missing: {BY_PATH[key].rule} where time.scheme = "{scheme}"'
-            for key in missing
-        ]
-        if end is not None:
-            faults.append(f'{name}: time.end = {end:g}: needs time.scheme = "adaptive"')
-    if end is None and not missing:
-        end = fixed["time.step"] * fixed["time.steps"]
-    times = values["output.times"]
-    if times and end is not None and times[-1] > end * (1.0 + 1e-12):
-        faults.append(
-            f"{name}: output.times: {times[-1]:g} is after the end; must be <= {end:g} (s)"
-        )
-    boundary = values.get("output.boundary")
-    late = boundary[-1] if isinstance(boundary, tuple) else 0.0
-    if end is not None and late > end * (1.0 + 1e-12):
-        faults.append(f"{name}: output.boundary: {late:g} is after the end; must be <= {end:g} (s)")
-    if times and values["output.every"] != 1:
-        faults.append(f"{name}: output.every, output.times: both are given; must be one of them")
-    return faults
-
-
-def _faces(name: str, values: Mapping[str, Any], faults: list[str]) -> dict[str, Polyline]:
-    """Return the contact faces of lower and upper in their own frames; add to the faults."""
-    faces: dict[str, Polyline] = {"lower": (), "upper": ()}
-    for ring in faces:
-        profile, chamfer = values.get(f"{ring}.profile"), values.get(f"{ring}.chamfer")
-        if profile is not None and chamfer is not None:
-            faults.append(
-                f"{name}: {ring}.chamfer, {ring}.profile: both are given; must be one or the other"
-            )
-            continue
-        if not {f"{ring}.r", f"{ring}.z"} <= values.keys():
-            continue
-        r, z = values[f"{ring}.r"], values[f"{ring}.z"]
-        found: list[str] = []
-        if chamfer is not None:
-            inner, outer = chamfer
-            if inner is None:  # one number is for the corners that there are
-                inner = outer if r[0] > 0 else 0.0
-            found = chamfer_faults((inner, outer), r, z)
-            if not found:
-                faces[ring] = chamfer_face((inner, outer), r)
-        if profile is not None:
-            found = profile_faults(ring, profile, r, z)
-            if not found:
-                faces[ring] = profile_face(ring, profile, r, z)
-        faults += [f"{name}: {ring}.{fault}" for fault in found]
-    return faces
-
-
-def _check_contact(name: str, case: Case, displacement: Quantity | None) -> None:
-    """Raise where the contact line of a case that is complete cannot be."""
-    faults = []
-    try:
-        contact_pieces(case.contact, case.mesh, *case.sections)
-    except InputError as error:
-        faults += [f"{name}: {fault}" for fault in error.faults]
-    if displacement is not None and case.interpenetration > largest(displacement):
-        faults.append(
-            f"{name}: load.displacement = {told(displacement)}: the undeformed rings "
-            f"interpenetrate by {case.interpenetration:g}; must be at least that (mm)"
-        )
-    here, left = case.smallest_gaps if any(case.open_ends) else (0.0, math.inf)
-    if left < here - CLOSE * max(1.0, case.lower.z[1]):
-        faults.append(
-            f"{name}: mesh.contact = {list(case.contact)}: the undeformed bodies are nearer to "
-            f"each other outside, {left:g} mm, than inside; must take in where they meet first"
-        )
-    if faults:
-        raise InputError(*faults)
-
-
-def _build(
-    values: Mapping[str, Any], wears: Mapping[str, bool], faces: Mapping[str, Polyline], text: str
-) -> Case:
-    def ring(which: str, grip: Grip) -> Ring:
-        r, z, young, poisson = (values[f"{which}.{k}"] for k in ("r", "z", "young", "poisson"))
-        return Ring(r, z, young, poisson, grip, faces[which])
-
-    case = Case(
-        lower=ring("lower", "clamped"),
-        upper=ring("upper", values["upper.grip"]),
-        friction=values["contact.friction"],
-        wear_lower=make_law("wear.lower", values) if wears["wear.lower"] else None,
-        wear_upper=make_law("wear.upper", values) if wears["wear.upper"] else None,
-        load=Load(values["load.omega"], values["load.force"], values["load.displacement"]),
-        time=_stepping(values),
-        mesh=Mesh(
-            values["mesh.contact_elements"],
-            values["mesh.grading"],
-            values["mesh.quadrature_tolerance"],
-            values["mesh.contact"],
-            values["mesh.geometry"],
-            values["mesh.geometry_tolerance"],
-        ),
-        output=Output(
-            values["output.every"],
-            values["output.fields"],
-            values["output.profiles"],
-            values["output.times"] or (),
-            values["output.boundary"],
-        ),
-        title=values["title"],
-        text=text,
-    )
-    if values["load.pressure"] is not None:
-        pressure, area = values["load.pressure"], case.area
-        force: Quantity = (
-            Table(pressure.x, tuple(area * p for p in pressure.y))
-            if isinstance(pressure, Table)
-            else pressure * area
-        )
-        case = replace(case, load=Load(case.load.omega, force))
-    return case
-
-
-def _stepping(values: Mapping[str, Any]) -> Stepping:
-    scheme, step, steps = (values[f"time.{key}"] for key in ("scheme", "step", "steps"))
-    if scheme != "adaptive":
-        return Stepping(scheme, step, steps)
-    end = values["time.end"]
-    return Stepping(
-        scheme, until=step * steps if end is None else end, tolerance=values["time.tolerance"]
-    )
+        return parse_case(self.text, "case", changes)

@@ -6,7 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
-from ringwear_par.cases.case import Case, read_case
+from ringwear_par.cases.case import Case
+from ringwear_par.cases.reading import read_case
 from ringwear_par.contact.solver import REPLICATED_LIMIT
 from ringwear_par.errors import ComputationError, InputError
 from ringwear_par.schedules import largest

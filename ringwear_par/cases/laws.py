@@ -4,7 +4,8 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-from ringwear_par.cases.schema import BY_PATH, LAWS, toml_value
+from ringwear_par.cases.schema import BY_PATH, LAWS
+from ringwear_par.cases.text import read_text, toml_value
 from ringwear_par.errors import InputError
 from ringwear_par.schedules import Quantity, Table, largest, smallest
 from ringwear_par.wear.law import (
@@ -31,6 +32,12 @@ _LAW_CLASSES: dict[str, Callable[..., WearLaw]] = {
 def told(quantity: Quantity | None) -> str:
     """Return a quantity as messages tell it."""
     return f"a table to {largest(quantity):g}" if isinstance(quantity, Table) else f"{quantity:g}"
+
+
+def law_keys(law: Any) -> tuple[str, ...]:
+    """Return the keys that the table of a law may have; none where it is no law."""
+    known = isinstance(law, str) and law in LAWS
+    return ("law", *LAWS[law][0], *LAWS[law][1]) if known else ()
 
 
 def law_faults(
@@ -83,12 +90,7 @@ def _user_law(values: Mapping[str, Any], table: str) -> UserLaw:
     InputError : the file cannot be read or run, or does not define a law.
     """
     path = Path(values[f"{table}.file"])
-    try:
-        source = path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        reason = getattr(error, "strerror", None) or error
-        raise InputError(f"cannot be read ({reason}); must be a Python file") from error
-    law = UserLaw(str(path), source, values[f"{table}.parameters"] or ())
+    law = UserLaw(str(path), read_text(path), values[f"{table}.parameters"] or ())
     missing = law.missing()
     if missing:
         raise InputError(missing)

@@ -11,7 +11,6 @@ from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
 import numpy as np
-from scipy.special import betainc
 
 from ringwear_par.arrays import FloatArray, IntArray
 from ringwear_par.elasticity.sections import Section, corners
@@ -125,6 +124,8 @@ def graded(start: float, end: float, n: int, first: float, last: float) -> Float
     Element sizes fall like ``t^(first-1)`` and ``(1-t)^(last-1)`` of the element number t in
     (0, 1) (incomplete beta function), so that doubling n splits every element smoothly.
     """
+    from scipy.special import betainc  # slow to import, and reading a case needs no mesh
+
     x = start + (end - start) * betainc(first, last, np.arange(n + 1) / n)
     x[0], x[-1] = start, end  # exactly: faces share their ends
     return x

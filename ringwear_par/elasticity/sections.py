@@ -9,13 +9,15 @@ import itertools
 import math
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
-from scipy.interpolate import CubicSpline
 
 from ringwear_par.arrays import FloatArray
 from ringwear_par.errors import InputError
+
+if TYPE_CHECKING:
+    from scipy.interpolate import CubicSpline
 
 #: vertices (r, z) of a face, a tuple so that it can be hashed
 Polyline = tuple[tuple[float, float], ...]
@@ -76,7 +78,7 @@ class Section:
 
 
 @lru_cache(maxsize=64)
-def _splines(face: Polyline) -> tuple[CubicSpline, ...]:
+def _splines(face: Polyline) -> tuple["CubicSpline", ...]:
     """Return cubic splines over the dense samples of a face.
 
     Samples are dense where neighbouring vertices, ``_DENSE`` at least, turn by little and by about
@@ -84,6 +86,8 @@ def _splines(face: Polyline) -> tuple[CubicSpline, ...]:
     """
     if len(face) < _DENSE + 2:
         return ()
+    from scipy.interpolate import CubicSpline  # slow to import, and most faces need none
+
     r, z = np.array(face).T
     step = np.diff(r)
     turn = np.diff(np.arctan(np.diff(z) / step))

@@ -14,7 +14,8 @@ from matplotlib.patches import Polygon
 
 from ringwear_par.arrays import FloatArray, IntArray
 from ringwear_par.atomic import atomic_write, check_writable
-from ringwear_par.cases.case import Output, read_keys
+from ringwear_par.cases.case import Output
+from ringwear_par.cases.keys import read_keys
 from ringwear_par.cases.schema import UNITS
 from ringwear_par.elasticity.mesh import ContactLine
 from ringwear_par.elasticity.recovery import FACES, BoundaryFields

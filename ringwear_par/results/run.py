@@ -13,8 +13,9 @@ import numpy as np
 from mpi4py import MPI
 
 from ringwear_par.atomic import check_writable
-from ringwear_par.cases.case import Case, parse_case, read_case
+from ringwear_par.cases.case import Case
 from ringwear_par.cases.law_trials import law_sources, refuse_bad_laws
+from ringwear_par.cases.reading import parse_case, read_case
 from ringwear_par.contact.solver import ContactSolver
 from ringwear_par.elasticity.assembly import load_kernels
 from ringwear_par.elasticity.pair import ContactCompliance

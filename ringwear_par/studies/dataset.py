@@ -16,8 +16,9 @@ import h5py
 import numpy as np
 
 from ringwear_par.arrays import FloatArray
-from ringwear_par.cases.case import read_keys
-from ringwear_par.cases.schema import BY_PATH, toml_value
+from ringwear_par.cases.keys import read_keys
+from ringwear_par.cases.schema import BY_PATH
+from ringwear_par.cases.text import toml_value
 from ringwear_par.results.variables import ELEMENT, HISTORIES, LINE, PROFILES, Variable
 from ringwear_par.studies.shards import UNKNOWN_VERSION, Entry, Record, join_flags, split_flags
 from ringwear_par.studies.variations import path_of, value_of

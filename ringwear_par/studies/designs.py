@@ -12,8 +12,10 @@ from typing import Any
 
 import numpy as np
 
-from ringwear_par.cases.case import find_files, nearest_key, read_keys
-from ringwear_par.cases.schema import BY_PATH, toml_value
+from ringwear_par.cases.keys import find_files, flatten, override, read_keys
+from ringwear_par.cases.schema import BY_PATH
+from ringwear_par.cases.suggestions import nearest_key
+from ringwear_par.cases.text import read_text, toml_value
 from ringwear_par.errors import InputError
 from ringwear_par.studies.variations import Variation, has_entry, is_whole, path_of, read_variations
 
@@ -54,14 +56,14 @@ def read_draft(source: Path | str | Mapping[str, Any]) -> Draft:
     InputError : its faults, those of single cases excepted.
     """
     if isinstance(source, Mapping):
-        name, folder, tables = "study", Path(), dict(source)
-        text = _tables_text(tables)
+        name, folder, tables = "study", Path(), _plain(source)
+        text = "".join(f"{toml_value(key)} = {toml_value(v)}\n" for key, v in tables.items())
     else:
         path = Path(source)
         name, folder, text = str(path), path.parent, read_text(path)
         try:
             tables = tomllib.loads(text)
-        except tomllib.TOMLDecodeError as error:
+        except ValueError as error:  # of TOML, or a whole number too long for Python
             raise InputError(f"{path}: is not valid TOML: {error}") from error
     faults = [
         f"{name}: {key}: unknown key; must be one of case, vary, design"
@@ -70,7 +72,7 @@ def read_draft(source: Path | str | Mapping[str, Any]) -> Draft:
     base = _read_base(name, folder, tables, isinstance(source, Mapping), faults)
     vary, design = tables.get("vary", {}), tables.get("design", {})
     for key, table in (("vary", vary), ("design", design)):
-        if not isinstance(table, Mapping):
+        if not isinstance(table, dict):
             faults.append(f"{name}: {key} = {toml_value(table)}: must be a table, [{key}]")
             raise InputError(*faults)
     method = design.get("method", "grid")
@@ -105,50 +107,35 @@ def read_draft(source: Path | str | Mapping[str, Any]) -> Draft:
     return Draft(name, text, base, names, method, rows)
 
 
+def _plain(tables: Mapping[str, Any]) -> dict[str, Any]:
+    """Return tables of Python with the values that TOML would give."""
+
+    def plain(value: Any) -> Any:
+        if isinstance(value, Mapping):
+            return dict(value)
+        return value.tolist() if isinstance(value, np.ndarray | np.generic) else str(value)
+
+    found: dict[str, Any] = json.loads(json.dumps(dict(tables), default=plain))
+    return found
+
+
 def _read_base(
     name: str, folder: Path, tables: Mapping[str, Any], in_python: bool, faults: list[str]
 ) -> dict[str, Any]:
     """Return the dotted keys of the base case, and add what is wrong with it to the faults."""
     base = tables.get("case")
-    if in_python and isinstance(base, Mapping):
-        return find_files(read_keys(_tables_text(base)), folder)
-    if isinstance(base, Path):
-        base = str(base)
-    if not isinstance(base, str):
-        said = "is missing" if base is None else f"= {toml_value(base)}"
-        faults.append(f"{name}: case {said}: must be the name of a case file, relative to this one")
-        return {}
-    path = folder / base
     try:
-        return find_files(read_keys(read_text(path)), path.parent)
-    except tomllib.TOMLDecodeError as error:
-        faults.append(f"{path}: is not valid TOML: {error}")
+        if in_python and isinstance(base, dict):
+            return override({}, find_files(flatten(base, f"{name}: case"), folder))
+        if isinstance(base, str):
+            path = folder / base
+            return find_files(read_keys(read_text(path), str(path)), path.parent)
     except InputError as error:
         faults += error.faults
+        return {}
+    said = "is missing" if base is None else f"= {toml_value(base)}"
+    faults.append(f"{name}: case {said}: must be the name of a case file, relative to this one")
     return {}
-
-
-def _tables_text(tables: Mapping[str, Any]) -> str:
-    """Return the TOML text of tables given in Python, names of files as they are."""
-    return "".join(
-        f"{json.dumps(name)} = {toml_value(str(value) if isinstance(value, Path) else value)}\n"
-        for name, value in tables.items()
-    )
-
-
-def read_text(path: Path) -> str:
-    """Return what a file says.
-
-    Raises
-    ------
-    InputError : it cannot be read, or is no text in UTF-8.
-    """
-    try:
-        return path.read_text(encoding="utf-8")
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read: {error.strerror or error}") from error
-    except UnicodeDecodeError as error:
-        raise InputError(f"{path}: is not a text file in UTF-8") from error
 
 
 def design_faults(name: str, design: Mapping[str, Any], method: str) -> list[str]:
@@ -244,5 +231,5 @@ def listed_rows(table: Path) -> tuple[tuple[str, ...], list[tuple[Any, ...]]]:
 def _cell(text: str) -> Any:
     try:
         return tomllib.loads(f"value = {text}")["value"]
-    except tomllib.TOMLDecodeError:
+    except ValueError:
         return text

@@ -18,9 +18,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ringwear_par.arrays import FloatArray
-from ringwear_par.cases.case import Case, make_case, toml_text
+from ringwear_par.cases.case import Case
 from ringwear_par.cases.law_trials import refuse_bad_laws
+from ringwear_par.cases.reading import make_case
 from ringwear_par.cases.schema import BY_PATH
+from ringwear_par.cases.text import read_text, toml_text
 from ringwear_par.elasticity.mesh import count_elements
 from ringwear_par.errors import InputError
 from ringwear_par.studies.designs import Draft, read_draft
@@ -162,7 +164,7 @@ def case_id(case_keys: Mapping[str, Any]) -> str:
         if value != BY_PATH[path].default:
             content[path] = value
         if path.startswith("wear.") and path.endswith(".file"):  # what it says, not where it is
-            content[path] = Path(case_keys[path]).read_text(encoding="utf-8")
+            content[path] = read_text(Path(case_keys[path]))
     return hashlib.sha256(json.dumps(content, default=repr).encode()).hexdigest()[:16]
 
 

@@ -18,8 +18,8 @@ from typing import Any
 
 from mpi4py import MPI
 
-from ringwear_par.cases.case import toml_text
 from ringwear_par.cases.law_trials import refuse_bad_laws
+from ringwear_par.cases.text import toml_text
 from ringwear_par.elasticity.assembly import load_kernels
 from ringwear_par.errors import ComputationError, InputError, RingwearError
 from ringwear_par.info import versions

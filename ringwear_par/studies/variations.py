@@ -8,8 +8,10 @@ from typing import Any, Literal
 import numpy as np
 
 from ringwear_par.arrays import FloatArray
-from ringwear_par.cases.case import nearest_key, override
-from ringwear_par.cases.schema import BY_PATH, toml_value
+from ringwear_par.cases.keys import override
+from ringwear_par.cases.schema import BY_PATH
+from ringwear_par.cases.suggestions import nearest_key
+from ringwear_par.cases.text import toml_value
 
 
 @dataclass(frozen=True)
@@ -36,7 +38,7 @@ class Variation:
     @property
     def whole(self) -> bool:
         """Whether only whole numbers will do."""
-        return self.index is None and BY_PATH[self.path].allowed.startswith("a whole number")
+        return self.index is None and BY_PATH[self.path].kind == "whole"
 
     def grid(self) -> list[Any]:
         """Return the values of a grid."""
@@ -75,7 +77,7 @@ def path_of(name: str) -> str:
 def has_entry(name: str) -> bool:
     """Tell whether a varied key that is named as an entry of a pair is one."""
     path, index = split_key(name)
-    return not isinstance(index, int) or "two increasing numbers" in BY_PATH[path].allowed
+    return not isinstance(index, int) or BY_PATH[path].kind == "pair"
 
 
 def value_of(case_keys: Mapping[str, Any], name: str) -> Any:

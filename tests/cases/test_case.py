@@ -6,8 +6,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ringwear_par.cases.case import parse_case, parse_overrides, read_case, toml_text
+from ringwear_par.cases.reading import parse_case, read_case
 from ringwear_par.cases.schema import KEYS, schema
+from ringwear_par.cases.text import toml_text
 from ringwear_par.errors import InputError
 from ringwear_par.history.limits import check_memory, check_mesh
 from ringwear_par.history.pairs import operator_key
@@ -19,7 +20,7 @@ TEXT = PAPER.read_text()
 
 def faults(text=TEXT, *overrides):
     with pytest.raises(InputError) as caught:
-        parse_case(text, "case.toml", parse_overrides(overrides))
+        parse_case(text, "case.toml", overrides)
     assert caught.value.exit_status == 2
     return list(caught.value.faults)
 

@@ -7,7 +7,7 @@ import pytest
 import xarray
 from stored import contents
 
-from ringwear_par.cases.case import read_case
+from ringwear_par.cases.reading import read_case
 from ringwear_par.elasticity.recovery import FACES
 from ringwear_par.errors import ComputationError
 from ringwear_par.history.pairs import assemble, boundary_recovery, updated_geometry, young

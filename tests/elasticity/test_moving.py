@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ringwear_par.cases.case import read_case
+from ringwear_par.cases.reading import read_case
 from ringwear_par.elasticity.body import compliance
 from ringwear_par.elasticity.mesh import Mesh, contact_line
 from ringwear_par.elasticity.updated import moving_parts, node_wear

@@ -6,7 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ringwear_par.cases.case import Stepping, parse_case, read_case
+from ringwear_par.cases.case import Stepping
+from ringwear_par.cases.reading import parse_case, read_case
 from ringwear_par.contact.solver import ContactSolver
 from ringwear_par.elasticity.body import Body, compliance
 from ringwear_par.elasticity.mesh import Mesh, contact_line

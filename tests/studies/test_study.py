@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from swept import write_study
 
-from ringwear_par.cases.case import make_case
+from ringwear_par.cases.reading import make_case
 from ringwear_par.errors import InputError
 from ringwear_par.studies import plan
 from ringwear_par.studies import study as studies
@@ -95,6 +95,29 @@ def test_list_from_a_table(write, shared_path):
     assert study.rows == ((50, [28, 32], "implicit"), (60.5, [28.5, 31.5], "explicit"))
     assert study.case(1).time.scheme == "explicit"
     assert len(study.groups) == 2
+
+
+def test_a_byte_order_mark_is_no_part_of_a_text(tmp_path):
+    """Excel and some editors write one: in the study, its base case and its list."""
+    for name, text in (
+        ("paper.toml", CASE),
+        ("study.toml", 'case = "paper.toml"\ndesign = { method = "list", file = "rows.csv" }\n'),
+        ("rows.csv", "load.pressure,wear.lower.k\n50,1e-7\n60,2e-7\n"),
+    ):
+        (tmp_path / name).write_text(text, encoding="utf-8-sig")
+    study = read_study(tmp_path / "study.toml")
+    assert study.names == ("load.pressure", "wear.lower.k")
+    assert study.rows == ((50, 1e-7), (60, 2e-7))
+
+
+def test_schemes_vary_and_each_has_the_keys_that_it_knows(shared_path, comm):
+    """A base case says the tolerance of the adaptive ones and the step of the others."""
+    adaptive = CASE.replace('"implicit"', '"adaptive"') + "tolerance = 1e-5\n"
+    text = '[vary]\n"time.scheme" = { values = ["implicit", "adaptive"] }\n'
+    study = read_study(write_study(shared_path, comm, text, adaptive))
+    assert [study.case(n).time.end for n in (0, 1)] == [200.0, 200.0]
+    assert study.case(1).time.tolerance == 1e-5
+    assert "time.tolerance" not in study.keys(0)
 
 
 def test_id_follows_content_only():

@@ -1,0 +1,250 @@
+"""What is wrong with a case: keys that nothing reads, and keys that do not go together."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from ringwear_par.cases.case import SAME_TIME, Case
+from ringwear_par.cases.laws import law_faults, told
+from ringwear_par.cases.schema import BY_PATH
+from ringwear_par.cases.text import shortened
+from ringwear_par.elasticity.mesh import contact_pieces
+from ringwear_par.elasticity.profiles import (
+    CLOSE,
+    chamfer_face,
+    chamfer_faults,
+    profile_face,
+    profile_faults,
+)
+from ringwear_par.elasticity.sections import Polyline
+from ringwear_par.errors import InputError
+from ringwear_par.schedules import Quantity, largest
+
+#: the loads: one of them must be given
+LOADS = frozenset({"load.force", "load.pressure", "load.displacement"})
+
+
+@dataclass(frozen=True)
+class Origin:
+    """Where the keys of a case come from, as messages tell it.
+
+    Parameters
+    ----------
+    name : the file, or what else the case is called.
+    overrides : dotted keys that were set over its own.
+    setting : what set them.
+    """
+
+    name: str
+    overrides: frozenset[str] = frozenset()
+    setting: str = "--set"
+
+    def of(self, path: str) -> str:
+        """Return how a sentence about one key begins."""
+        return f"{self.setting} " if path in self.overrides else f"{self.name}: "
+
+    @property
+    def whole(self) -> str:
+        """What the case is called with all that was set."""
+        return f"{self.name} with {self.setting}" if self.overrides else self.name
+
+
+def joint_faults(origin: Origin, keys: Mapping[str, Any], values: Mapping[str, Any]) -> list[str]:
+    """Return the faults of keys that may be right by themselves but not together.
+
+    Parameters
+    ----------
+    keys : dotted keys and raw values, as given.
+    values : what was read of them, and defaults; without those that are wrong by themselves.
+    """
+    faults = [
+        f"{origin.of(path)}{path} = {shortened(keys[path])}: {why}"
+        for path, why in unread_keys(keys).items()
+    ]
+    faults += _overlap_faults(origin.whole, values)
+    faults += _load_faults(origin.whole, values)
+    faults += _time_faults(origin.name, values)
+    for table in ("wear.lower", "wear.upper"):
+        if has_table(keys, table):
+            faults += law_faults(origin.name, table, keys, values)
+    return faults
+
+
+def has_table(keys: Mapping[str, Any], table: str) -> bool:
+    """Tell whether any key of a table is given."""
+    return any(path.startswith(f"{table}.") for path in keys)
+
+
+def unread_keys(keys: Mapping[str, Any]) -> dict[str, str]:
+    """Return the given keys that nothing would read beside the others, and what each must be.
+
+    Parameters
+    ----------
+    keys : dotted keys and raw values, which may be wrong.
+    """
+
+    def given(path: str) -> Any:
+        return keys.get(path, BY_PATH[path].default)
+
+    unread = {
+        "mesh.geometry_tolerance": (
+            given("mesh.geometry") == "fixed",
+            'needs mesh.geometry = "updated"',
+        ),
+        "output.every": ("output.times" in keys, "must be absent beside output.times"),
+        "output.profiles": (
+            given("output.fields") == [],
+            "must be absent where output.fields is empty",
+        ),
+    }
+    if given("time.scheme") == "adaptive":
+        for path in ("time.step", "time.steps"):
+            unread[path] = "time.end" in keys, "must be absent beside time.end"
+    elif given("time.scheme") in ("implicit", "explicit"):
+        for path in ("time.end", "time.tolerance"):
+            unread[path] = True, 'needs time.scheme = "adaptive"'
+    return {path: rule for path, (so, rule) in unread.items() if so and path in keys}
+
+
+def _overlap_faults(name: str, values: Mapping[str, Any]) -> list[str]:
+    """Return the faults of radii."""
+    faults = []
+    if {"lower.r", "upper.r"} <= values.keys():
+        lower, upper = values["lower.r"], values["upper.r"]
+        if max(lower[0], upper[0]) >= min(lower[1], upper[1]):
+            faults.append(
+                f"{name}: upper.r = {list(upper)} and lower.r = {list(lower)}: the rings do not "
+                "overlap; their radii must have an interval in common (mm)"
+            )
+        elif values.get("mesh.contact") is not None:
+            low, high = values["mesh.contact"]
+            a, b = max(lower[0], upper[0]), min(lower[1], upper[1])
+            if low >= b or high <= a:
+                faults.append(
+                    f"{name}: mesh.contact = [{low:g}, {high:g}]: must have an interval in common "
+                    f"with [{a:g}, {b:g}], where the bodies face each other (mm)"
+                )
+    return faults
+
+
+def _load_faults(name: str, values: Mapping[str, Any]) -> list[str]:
+    """Return the faults of what presses."""
+    faults = []
+    control = values.get("load.control")
+    if values.keys() >= LOADS:
+        force, pressure = values["load.force"], values["load.pressure"]
+        displacement = values["load.displacement"]
+        if control == "force":
+            if displacement is not None:
+                faults.append(
+                    f"{name}: load.displacement = {told(displacement)}: needs "
+                    'load.control = "displacement"'
+                )
+            elif (force is None) == (pressure is None):
+                number = "neither of them is given"
+                if force is not None:
+                    number = f"both are given ({told(force)} N, {told(pressure)} MPa)"
+                faults.append(
+                    f'{name}: load.force, load.pressure: {number}; control = "force" needs one'
+                )
+        elif control == "displacement":
+            if displacement is None:
+                faults.append(
+                    f"{name}: load.displacement is missing: must be a finite number > 0 (mm) where "
+                    'load.control = "displacement"'
+                )
+            for key, value in (("force", force), ("pressure", pressure)):
+                if value is not None:
+                    faults.append(
+                        f"{name}: load.{key} = {told(value)}: must be absent where "
+                        'load.control = "displacement"'
+                    )
+    return faults
+
+
+def _time_faults(name: str, values: Mapping[str, Any]) -> list[str]:
+    """Return the faults of the time steps and the times of output."""
+    needed = {"time.scheme", "time.step", "time.steps", "time.end", "output.times"}
+    if not needed <= values.keys():
+        return []
+    faults = []
+    scheme, end = values["time.scheme"], values["time.end"]
+    fixed = {key: values[key] for key in ("time.step", "time.steps")}
+    missing = [key for key, value in fixed.items() if value is None]
+    if scheme == "adaptive":
+        if end is None and missing:
+            faults.append(f"{name}: time.end is missing: {BY_PATH['time.end'].rule}")
+    else:
+        faults += [
+            f'{name}: {key} is missing: {BY_PATH[key].rule} where time.scheme = "{scheme}"'
+            for key in missing
+        ]
+    if end is None and not missing:
+        end = fixed["time.step"] * fixed["time.steps"]
+    times = values["output.times"]
+    if times and end is not None and times[-1] > end * (1.0 + SAME_TIME):
+        faults.append(
+            f"{name}: output.times: {times[-1]:g} is after the end; must be <= {end:g} (s)"
+        )
+    boundary = values.get("output.boundary")
+    late = boundary[-1] if isinstance(boundary, tuple) else 0.0
+    if end is not None and late > end * (1.0 + SAME_TIME):
+        faults.append(f"{name}: output.boundary: {late:g} is after the end; must be <= {end:g} (s)")
+    return faults
+
+
+def contact_faces(name: str, values: Mapping[str, Any], faults: list[str]) -> dict[str, Polyline]:
+    """Return the contact faces of lower and upper in their own frames; add to the faults."""
+    faces: dict[str, Polyline] = {"lower": (), "upper": ()}
+    for ring in faces:
+        profile, chamfer = values.get(f"{ring}.profile"), values.get(f"{ring}.chamfer")
+        if profile is not None and chamfer is not None:
+            faults.append(
+                f"{name}: {ring}.chamfer, {ring}.profile: both are given; must be one or the other"
+            )
+            continue
+        if not {f"{ring}.r", f"{ring}.z"} <= values.keys():
+            continue
+        r, z = values[f"{ring}.r"], values[f"{ring}.z"]
+        found: list[str] = []
+        if chamfer is not None:
+            inner, outer = chamfer
+            if inner is None:  # one number is for the corners that there are
+                inner = outer if r[0] > 0 else 0.0
+            found = chamfer_faults((inner, outer), r, z)
+            if not found:
+                faces[ring] = chamfer_face((inner, outer), r)
+        if profile is not None:
+            found = profile_faults(ring, profile, r, z)
+            if not found:
+                faces[ring] = profile_face(ring, profile, r, z)
+        faults += [f"{name}: {ring}.{fault}" for fault in found]
+    return faces
+
+
+def check_contact(name: str, case: Case, displacement: Quantity | None) -> None:
+    """Refuse a case that is complete but whose contact line cannot be.
+
+    Raises
+    ------
+    InputError : all faults, one sentence each.
+    """
+    faults = []
+    try:
+        contact_pieces(case.contact, case.mesh, *case.sections)
+    except InputError as error:
+        faults += [f"{name}: {fault}" for fault in error.faults]
+    if displacement is not None and case.interpenetration > largest(displacement):
+        faults.append(
+            f"{name}: load.displacement = {told(displacement)}: the undeformed rings "
+            f"interpenetrate by {case.interpenetration:g}; must be at least that (mm)"
+        )
+    here, left = case.smallest_gaps if any(case.open_ends) else (0.0, math.inf)
+    if left < here - CLOSE * max(1.0, case.lower.z[1]):
+        faults.append(
+            f"{name}: mesh.contact = {list(case.contact)}: the undeformed bodies are nearer to "
+            f"each other outside, {left:g} mm, than inside; must take in where they meet first"
+        )
+    if faults:
+        raise InputError(*faults)

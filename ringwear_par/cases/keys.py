@@ -1,0 +1,142 @@
+"""Dotted keys of a case: out of TOML or a dict, and some of them set anew."""
+
+import tomllib
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ringwear_par.cases.faults import LOADS, unread_keys
+from ringwear_par.cases.laws import law_keys
+from ringwear_par.cases.schema import BY_PATH, TABLES
+from ringwear_par.errors import InputError
+
+#: keys that exclude each other: an overriding one takes the place of the others
+_ALTERNATIVES = (
+    LOADS,
+    frozenset({"upper.chamfer", "upper.profile"}),
+    frozenset({"output.every", "output.times"}),
+)
+_FIXED_STEPS = frozenset({"time.step", "time.steps"})
+
+
+def read_keys(text: str, name: str = "case") -> dict[str, Any]:
+    """Return the dotted keys and raw values of a case's TOML text.
+
+    Raises
+    ------
+    InputError : it is no TOML.
+    """
+    try:
+        return flatten(tomllib.loads(text), name)
+    except ValueError as error:  # of TOML, or a whole number too long for Python
+        raise InputError(f"{name}: is not valid TOML: {error}") from error
+
+
+def parse_overrides(overrides: Sequence[str]) -> dict[str, Any]:
+    """Return dotted keys and values of ``--set a.b=value`` options.
+
+    Raises
+    ------
+    InputError : an option without "=".
+    """
+    values: dict[str, Any] = {}
+    faults = []
+    for item in overrides:
+        path, equals, text = item.partition("=")
+        if not equals or not path.strip():
+            faults.append(f"--set {item}: must be KEY=VALUE, such as load.pressure=50")
+            continue
+        try:
+            values[path.strip()] = tomllib.loads(f"value = {text}")["value"]
+        except ValueError:
+            values[path.strip()] = text.strip()
+    if faults:
+        raise InputError(*faults)
+    return values
+
+
+def flatten(tables: Mapping[str, Any], name: str) -> dict[str, Any]:
+    """Return dotted keys and plain values of nested tables that messages call ``name``."""
+    flat: dict[str, Any] = {}
+    twice = []
+    for path, value in _entries(tables, ""):
+        if path in flat:
+            twice.append(f"{name}: {path}: is given twice, in a table and by its dotted name")
+        flat[path] = value
+    if twice:
+        raise InputError(*twice)
+    return flat
+
+
+def _entries(tables: Mapping[str, Any], prefix: str) -> Iterator[tuple[str, Any]]:
+    for name, value in tables.items():
+        path = f"{prefix}{name}"
+        if isinstance(value, Mapping) and path not in BY_PATH:
+            yield from _entries(value, f"{path}.")
+            if not value and path not in TABLES:  # unknown, and to be told so
+                yield path, value
+        else:
+            yield path, _plain(value)
+
+
+def _plain(value: Any) -> Any:
+    """Return a value of a dict as TOML would give it."""
+    if isinstance(value, np.generic | np.ndarray):
+        return value.tolist()
+    if isinstance(value, Mapping):
+        return {str(name): _plain(entry) for name, entry in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(entry) for entry in value]
+    return str(value) if isinstance(value, Path) else value
+
+
+def find_files(keys: Mapping[str, Any], folder: Path) -> dict[str, Any]:
+    """Return dotted keys with the files that they name in full, relative ones from a folder."""
+    files = {f"wear.{ring}.file" for ring in ("lower", "upper")}
+    return {
+        path: str((folder / value).resolve()) if path in files and isinstance(value, str) else value
+        for path, value in keys.items()
+    }
+
+
+def override(keys: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
+    """Return dotted keys with some of them replaced.
+
+    A new load takes the place of the old one, as do other keys that exclude each other; keys that
+    had a meaning and have none any more (of another law, scheme or geometry) go. None takes a key
+    away. ``wear.lower.parameters.NAME`` is one entry of that table.
+    """
+    changes = _with_parameters(keys, changes)
+    keys = {path: value for path, value in keys.items() if changes.get(path, value) is not None}
+    changes = {path: value for path, value in changes.items() if value is not None}
+    for table in ("wear.lower", "wear.upper"):
+        known = {f"{table}.{key}" for key in law_keys(changes.get(f"{table}.law"))}
+        if known:
+            keys = {p: v for p, v in keys.items() if not p.startswith(f"{table}.") or p in known}
+    for group in _ALTERNATIVES:
+        if not group.isdisjoint(changes):
+            keys = {path: value for path, value in keys.items() if path not in group}
+    if changes.keys() >= _FIXED_STEPS:  # they say the end of an adaptive history too
+        keys.pop("time.end", None)
+    merged = {**keys, **changes}
+    lost = unread_keys(merged).keys() - changes.keys()
+    if lost:  # what the file gave in vain is for it to be told
+        lost -= unread_keys(keys).keys()
+    return {path: value for path, value in merged.items() if path not in lost}
+
+
+def _with_parameters(keys: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
+    """Return changes of which those of single parameters are one of their whole table."""
+    changes = dict(changes)
+    for table in ("wear.lower.parameters", "wear.upper.parameters"):
+        named = {path: v for path, v in changes.items() if path.startswith(f"{table}.")}
+        if named:
+            before = changes.get(table, keys.get(table))
+            entries = dict(before) if isinstance(before, dict) else {}
+            for path, value in named.items():
+                entries[path.removeprefix(f"{table}.")] = value
+                del changes[path]
+            changes[table] = {name: value for name, value in entries.items() if value is not None}
+    return changes

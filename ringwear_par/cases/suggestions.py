@@ -1,0 +1,118 @@
+"""The known key that is nearest to an unknown one."""
+
+import difflib
+from collections.abc import Iterable
+
+from ringwear_par.cases.schema import BY_PATH
+
+#: what users call the last parts of keys, in small letters without "_" and "-"
+_ALIASES: dict[str, tuple[str, ...]] = {
+    "angularspeed": ("omega",),
+    "angularvelocity": ("omega",),
+    "axialforce": ("force",),
+    "coefficient": ("friction", "k"),
+    "coefficientoffriction": ("friction",),
+    "cof": ("friction",),
+    "contactpressure": ("pressure",),
+    "diameter": ("r",),
+    "dt": ("step",),
+    "duration": ("end",),
+    "e": ("young",),
+    "elasticmodulus": ("young",),
+    "elements": ("contact_elements",),
+    "endtime": ("end",),
+    "f": ("force", "friction"),
+    "fn": ("force",),
+    "height": ("z",),
+    "indentation": ("displacement",),
+    "load": ("force",),
+    "meanpressure": ("pressure",),
+    "method": ("scheme",),
+    "mode": ("control",),
+    "model": ("law",),
+    "modulus": ("young",),
+    "mu": ("friction",),
+    "n": ("force", "contact_elements"),
+    "name": ("title",),
+    "nelements": ("contact_elements",),
+    "normalforce": ("force",),
+    "nsteps": ("steps",),
+    "nu": ("poisson",),
+    "numberofsteps": ("steps",),
+    "p": ("pressure",),
+    "poissonratio": ("poisson",),
+    "poissonsratio": ("poisson",),
+    "radii": ("r",),
+    "radius": ("r",),
+    "rotation": ("omega",),
+    "rotationalspeed": ("omega",),
+    "rpm": ("omega",),
+    "slidingspeed": ("omega",),
+    "speed": ("omega",),
+    "stiffness": ("young",),
+    "tend": ("end",),
+    "thickness": ("z",),
+    "threshold": ("p0",),
+    "timestep": ("step",),
+    "tol": ("tolerance",),
+    "totaltime": ("end",),
+    "u": ("displacement",),
+    "until": ("end",),
+    "v": ("omega",),
+    "velocity": ("omega",),
+    "wearcoefficient": ("k",),
+    "wearrate": ("k",),
+    "youngmodulus": ("young",),
+    "youngsmodulus": ("young",),
+}
+#: least likeness of last parts in one table, of last parts of one or two letters, and elsewhere
+_NEAR, _NEAR_SHORT, _NEAR_ELSEWHERE = 0.6, 0.5, 0.75
+
+
+def nearest_key(path: str) -> str:
+    """Return a hint at the known key nearest to an unknown one, "" where none is near.
+
+    Last parts are compared first, and those of the same table before all others.
+    """
+    table, _, last = path.rpartition(".")
+    there = [known for known in BY_PATH if known.rpartition(".")[0] == table]
+    near = _near(last, there, _NEAR if len(last) > 2 else _NEAR_SHORT)
+    if not near:
+        near = [known for known in BY_PATH if _plain(known, ".") == _plain(path, ".")]
+    if not near:
+        near = _in_table(table, _near(last, BY_PATH, _NEAR_ELSEWHERE))
+    return f" (did you mean {' or '.join(near)}?)" if near else ""
+
+
+def _plain(name: str, more: str = "") -> str:
+    """Return a name in small letters, without separators."""
+    return "".join(c for c in name.lower() if c not in "_-" + more)
+
+
+def _last(path: str) -> str:
+    return path.rpartition(".")[2]
+
+
+def _near(last: str, paths: Iterable[str], least: float) -> list[str]:
+    """Return the paths whose last part is this one, has it as another name, or is most like it."""
+    own = _plain(last)
+    by_name: dict[str, list[str]] = {}
+    for path in paths:
+        by_name.setdefault(_plain(_last(path)), []).append(path)
+    if own in by_name:
+        return by_name[own]
+    for alias in _ALIASES.get(own, ()):
+        if _plain(alias) in by_name:
+            return by_name[_plain(alias)]
+    likest = difflib.get_close_matches(own, by_name, n=1, cutoff=least)
+    return by_name[likest[0]] if likest else []
+
+
+def _in_table(table: str, paths: list[str]) -> list[str]:
+    """Return those of some paths whose table is most like this one."""
+
+    def likeness(path: str) -> float:
+        return difflib.SequenceMatcher(a=table.lower(), b=path.rpartition(".")[0]).ratio()
+
+    best = max(map(likeness, paths), default=0.0)
+    return [path for path in paths if likeness(path) == best]

@@ -1,0 +1,253 @@
+"""What the keys of a case file may hold: how values are read, and what messages say of them."""
+
+import itertools
+import math
+from collections.abc import Callable
+from typing import Any, Literal, NamedTuple
+
+from ringwear_par.schedules import Quantity, Table
+
+#: a schedule is a number or a table in time, a quantity these or a profile along the radius
+Kind = Literal[
+    "number", "whole", "schedule", "quantity", "pair", "chamfer", "points", "times", "choice",
+    "names", "text", "parameters",
+]  # fmt: skip
+Reader = Callable[[Any], Any]
+
+
+class RejectedError(Exception):
+    """A value that its key does not allow, perhaps with the reason."""
+
+
+class Values(NamedTuple):
+    """The values of a key.
+
+    Parameters
+    ----------
+    kind : what they are.
+    read : takes a raw value, as TOML gives it, and returns what a case holds.
+    allowed : what messages say after "must be".
+    """
+
+    kind: Kind
+    read: Reader
+    allowed: str
+
+
+def is_number(value: Any) -> bool:
+    """Tell whether a value is a number that a double can hold, NaN and infinities included."""
+    whole = isinstance(value, int) and not isinstance(value, bool)
+    return isinstance(value, float) or (whole and abs(value) < 10**300)
+
+
+def _is_finite(value: Any) -> bool:
+    return is_number(value) and math.isfinite(value)
+
+
+def number(low: float, high: float = math.inf, *, ends: bool = False) -> Values:
+    """Return the numbers between two, perhaps themselves included."""
+
+    def read(value: Any) -> float:
+        if not _is_finite(value):
+            raise RejectedError
+        if not (low < value < high or (ends and value in (low, high))):
+            raise RejectedError
+        return float(value)
+
+    if high == math.inf:
+        allowed = f"a finite number {'>=' if ends else '>'} {low:g}"
+    elif ends:
+        allowed = f"a number from {low:g} to {high:g}"
+    else:
+        allowed = f"a number > {low:g} and < {high:g}"
+    return Values("number", read, allowed)
+
+
+def whole(low: int, high: int = 10**12) -> Values:
+    """Return the whole numbers from one to another."""
+
+    def read(value: Any) -> int:
+        if isinstance(value, float) and value.is_integer():
+            value = int(value)
+        if not isinstance(value, int) or isinstance(value, bool) or not low <= value <= high:
+            raise RejectedError
+        return value
+
+    return Values("whole", read, f"a whole number from {low} to {high:g}")
+
+
+def _points(value: Any, read: Reader) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    """Return abscissae, which must increase, and values of a list of pairs."""
+    if not isinstance(value, list) or not value:
+        raise RejectedError
+    for pair in value:
+        if not isinstance(pair, list) or len(pair) != 2 or not _is_finite(pair[0]):
+            raise RejectedError
+    x = tuple(float(pair[0]) for pair in value)
+    for before, after in itertools.pairwise(x):
+        if after <= before:
+            raise RejectedError(f"{after:g} after {before:g}: the first of each pair must increase")
+    return x, tuple(read(pair[1]) for pair in value)
+
+
+def schedule(low: float, *, ends: bool = False) -> Values:
+    """Return numbers and tables in time, whose values may be ``low`` itself."""
+    constant, entry = number(low, ends=ends), number(low, ends=True)
+
+    def read(value: Any) -> Quantity:
+        if isinstance(value, list):
+            return Table(*_points(value, entry.read))
+        return float(constant.read(value))
+
+    zero = "" if ends else f" >= {low:g}"
+    told = f"or a table [[t, value{zero}], ...] in time, t in s and increasing"
+    return Values("schedule", read, f"{constant.allowed}, {told}")
+
+
+def quantity(low: float, *, ends: bool = False) -> Values:
+    """Return numbers, tables in time and profiles along the radius."""
+    in_time, constant = schedule(low, ends=ends), number(low, ends=ends)
+
+    def read(value: Any) -> Quantity:
+        if isinstance(value, dict):
+            if set(value) != {"r"}:
+                raise RejectedError
+            return Table(*_points(value["r"], constant.read), "r")
+        return in_time.read(value)
+
+    told = "or a profile { r = [[r, value], ...] }, r in mm and increasing"
+    return Values("quantity", read, f"{in_time.allowed}, {told}")
+
+
+def parameters() -> Values:
+    """Return tables of named quantities."""
+
+    def read(value: Any) -> tuple[tuple[str, Quantity], ...]:
+        if not isinstance(value, dict):
+            raise RejectedError
+        return tuple((name, entry.read(v)) for name, v in value.items())
+
+    entry = quantity(-math.inf)
+    told = "a table of numbers, tables in time or profiles in r"
+    return Values("parameters", read, told)
+
+
+def rates() -> Values:
+    """Return tables of a rate that begin with [0, 0] and do not fall."""
+
+    def read(value: Any) -> tuple[tuple[float, float], ...]:
+        x, y = _points(value, number(0.0, ends=True).read)
+        if len(x) < 2 or (x[0], y[0]) != (0.0, 0.0):
+            raise RejectedError("it must have two points at least and begin with [0, 0]")
+        for before, after in itertools.pairwise(y):
+            if after < before:
+                raise RejectedError(f"rate {after:g} after {before:g}: rates must not fall")
+        return tuple(zip(x, y, strict=True))
+
+    told = "a table [[p V, rate], ...] from [0, 0], p V increasing and rates not falling"
+    return Values("points", read, told)
+
+
+def _increasing(value: Any, read: Reader) -> tuple[float, ...]:
+    if not isinstance(value, list) or not value:
+        raise RejectedError
+    found = tuple(float(read(v)) for v in value)
+    if any(after <= before for before, after in itertools.pairwise(found)):
+        raise RejectedError
+    return found
+
+
+def times() -> Values:
+    """Return lists of increasing times, s, after the start."""
+    return Values(
+        "times",
+        lambda value: _increasing(value, number(0.0).read),
+        "a list of increasing numbers > 0",
+    )
+
+
+def which_times(*names: str) -> Values:
+    """Return lists of increasing times, s, and names for some of them."""
+
+    def read(value: Any) -> str | tuple[float, ...]:
+        if isinstance(value, str):
+            if value not in names:
+                raise RejectedError
+            return value
+        return _increasing(value, number(0.0, ends=True).read)
+
+    told = ", ".join(f'"{name}"' for name in names)
+    return Values("times", read, f"{told} or a list of increasing times (s)")
+
+
+def pair(low: float) -> Values:
+    """Return two increasing numbers."""
+
+    def read(value: Any) -> tuple[float, float]:
+        if not isinstance(value, list) or len(value) != 2:
+            raise RejectedError
+        if not all(_is_finite(v) and v >= low for v in value) or not value[0] < value[1]:
+            raise RejectedError
+        return float(value[0]), float(value[1])
+
+    told = "two increasing numbers" + (f" >= {low:g}" if low > -math.inf else "")
+    return Values("pair", read, told)
+
+
+def chamfer() -> Values:
+    """Return [inner, outer], or one number for both (inner None: none on a solid disc)."""
+
+    def read(value: Any) -> tuple[float | None, float]:
+        both = value if isinstance(value, list) else [value, value]
+        if len(both) != 2 or not all(_is_finite(v) and v >= 0 for v in both):
+            raise RejectedError
+        return (float(both[0]) if both is value else None), float(both[1])
+
+    return Values("chamfer", read, "a number >= 0, or two of them: [inner, outer]")
+
+
+def profile() -> Values:
+    """Return polylines."""
+
+    def read(value: Any) -> tuple[tuple[float, float], ...]:
+        if not isinstance(value, list) or len(value) < 2:
+            raise RejectedError
+        for point in value:
+            if not isinstance(point, list) or len(point) != 2 or not all(map(_is_finite, point)):
+                raise RejectedError
+        return tuple((float(r), float(z)) for r, z in value)
+
+    return Values("points", read, "at least 2 points [r, z] of finite numbers")
+
+
+def choice(*names: str) -> Values:
+    """Return one of some names."""
+
+    def read(value: Any) -> str:
+        if value not in names:
+            raise RejectedError
+        return str(value)
+
+    return Values("choice", read, " or ".join(f'"{name}"' for name in names))
+
+
+def some_of(*names: str) -> Values:
+    """Return lists of some names, in the order of these."""
+
+    def read(value: Any) -> tuple[str, ...]:
+        if not isinstance(value, list) or not all(v in names for v in value):
+            raise RejectedError
+        return tuple(name for name in names if name in value)
+
+    return Values("names", read, "a list of " + ", ".join(f'"{name}"' for name in names))
+
+
+def text(allowed: str = "a text") -> Values:
+    """Return texts that can be written to a file."""
+
+    def read(value: Any) -> str:
+        if not isinstance(value, str) or any("\ud800" <= c <= "\udfff" for c in value):
+            raise RejectedError
+        return value
+
+    return Values("text", read, allowed)

@@ -1,0 +1,226 @@
+"""Cases from files, dicts and overrides: the same checks, and nothing that is given in vain."""
+
+import math
+import subprocess
+import sys
+import tomllib
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import pytest
+from conftest import SHELL_ENVIRONMENT
+
+from ringwear_par.cases.keys import read_keys
+from ringwear_par.cases.reading import parse_case, read_case
+from ringwear_par.errors import InputError
+
+CASES = Path(__file__).parents[2] / "scripts" / "cases"
+PAPER = CASES / "paper.toml"
+TEXT = PAPER.read_text()
+TABLES = tomllib.loads(TEXT)
+FILES = sorted(p for p in CASES.glob("*.toml") if "lower" in tomllib.loads(p.read_text()))
+ADAPTIVE = TEXT.replace('"implicit"', '"adaptive"')
+BOTH = ADAPTIVE + "end = 20.0\n"
+
+
+def faults(source, overrides=()):
+    read = read_case if isinstance(source, dict) else partial(parse_case, name="case.toml")
+    with pytest.raises(InputError) as caught:
+        read(source, overrides=overrides)
+    return list(caught.value.faults)
+
+
+@pytest.mark.parametrize("path", FILES, ids=[path.stem for path in FILES])
+def test_a_dict_is_as_good_as_a_file(path, monkeypatch):
+    monkeypatch.chdir(CASES)  # files that a dict names are relative to the current folder
+    text = path.read_text()
+    from_file = read_case(path)
+    assert read_case(str(path)) == from_file
+    for source in (tomllib.loads(text), read_keys(text)):
+        case = read_case(source)
+        assert case == from_file
+        monkeypatch.chdir("/")
+        assert parse_case(case.text, "again") == from_file
+        assert case.replace({}) == from_file
+        monkeypatch.chdir(CASES)
+
+
+def test_values_of_numpy_are_numbers():
+    changes = {
+        "load.pressure": np.float32(50),
+        "lower": {"r": np.array([20, 41]), "z": (0, 20)},
+        "mesh.contact_elements": np.int64(32),
+        "upper.profile": np.array([[28.5, 20.0], [30.0, 20.1], [31.5, 20.0]]),
+        "load.omega": [(0, 1), (np.float64(5), 2)],
+    }
+    case = read_case(PAPER, changes)
+    assert case.load.force == pytest.approx(50 * case.area, rel=1e-15)
+    assert case.lower.r == (20.0, 41.0)
+    assert case.mesh.contact_elements == 32
+    assert case.upper.face == pytest.approx(np.array([[28.5, 0], [30, -0.1], [31.5, 0]]), abs=1e-14)
+    assert parse_case(case.text, "again") == case
+    texts = ["load.pressure=50", "lower.r=[20, 41]", "mesh.contact_elements=32",
+             "upper.profile=[[28.5, 20], [30, 20.1], [31.5, 20]]",
+             "load.omega=[[0, 1], [5, 2]]"]  # fmt: skip
+    assert read_case(PAPER, texts) == case
+
+
+def test_faults_of_a_dict_are_told_like_those_of_a_file():
+    tables = {**TABLES, "lower": {**TABLES["lower"], "young": -1}, "contact": {}}
+    assert faults(tables) == [
+        "case: lower.young = -1: must be a finite number > 0 (MPa)",
+        "case: contact.friction is missing: must be a finite number >= 0",
+    ]
+    told = faults(TABLES, {"lower.r": np.array([50.0, 60.0]), "load.pressure": math.nan})
+    assert told[0] == "override load.pressure = nan: " + faults(TEXT, ["load.pressure=nan"])[
+        0
+    ].removeprefix("--set load.pressure = nan: ")
+    assert told[1].startswith("case with override: upper.r = [28.5, 31.5] and lower.r = [50.0")
+    assert faults({**TABLES, "load.pressure": 3.0}) == [
+        "case: load.pressure: is given twice, in a table and by its dotted name"
+    ]
+
+
+def test_entries_of_a_law_by_their_dotted_names():
+    case = read_case(CASES / "user_law.toml", {"wear.lower.parameters.p1": 90})
+    assert dict(case.wear_lower.parameters)["p1"] == 90
+    assert dict(case.wear_lower.parameters)["k"] == 2e-7
+    more = {**read_keys(case.text), "wear.lower.parameters.p1": 30.0}
+    assert dict(read_case(more).wear_lower.parameters) == {
+        **dict(case.wear_lower.parameters),
+        "p1": 30.0,
+    }
+
+
+def test_replace_is_a_changed_and_checked_copy():
+    case = read_case(PAPER)
+    changed = case.replace({"load.pressure": 50, "wear": {"lower.k": 2e-7}})
+    assert case == read_case(PAPER)
+    assert changed == read_case(PAPER, ["load.pressure=50", "wear.lower.k=2e-7"])
+    assert changed == case.replace(["load.pressure=50", "wear.lower.k=2e-7"])
+    assert changed.replace({"load.pressure": 80.0, "wear.lower.k": 1e-7}) == case
+    pushed = case.replace({"load.control": "displacement", "load.displacement": 0.05})
+    assert (pushed.load.force, pushed.load.displacement) == (None, 0.05)
+    with pytest.raises(InputError, match=r"^override load.omega = -1: must be"):
+        case.replace({"load.omega": -1})
+    assert case.replace({"wear.lower": {"law": None, "k": None, "p0": None}}).wear_lower is None
+    assert case.replace({"title": None}).title == ""
+
+
+def test_replace_wants_the_text_to_tell_the_case():
+    case = read_case(PAPER)
+    for other in (replace(case, friction=0.2), replace(case, text="")):
+        with pytest.raises(InputError, match="its text does not tell its keys"):
+            other.replace({"load.pressure": 50})
+
+
+@pytest.mark.parametrize("title", ["\x7f", "\x00", "a\ud800b"])
+def test_titles_that_toml_cannot_write(title):
+    if title.isascii():
+        case = read_case(TABLES, {"title": title})
+        assert parse_case(case.text, "again").title == title
+    else:
+        assert "must be a text" in faults(TABLES, {"title": title})[0]
+
+
+def test_a_whole_number_that_python_does_not_read():
+    assert "not valid TOML" in faults(TEXT.replace("10e3", "1" + "0" * 5000))[0]
+    assert "lower.young = " in faults(TEXT, ["lower.young=1" + "0" * 5000])[0]
+
+
+def test_a_byte_order_mark_is_no_part_of_a_text(tmp_path):
+    path = tmp_path / "case.toml"
+    path.write_text(TEXT, encoding="utf-8-sig")
+    assert path.read_bytes()[:3] == b"\xef\xbb\xbf"
+    case = read_case(path)
+    assert case == read_case(PAPER)
+    assert case.text == TEXT
+    law = (CASES / "user_law.py").read_text()
+    (tmp_path / "user_law.py").write_text(law, encoding="utf-8-sig")
+    path.write_text((CASES / "user_law.toml").read_text(), encoding="utf-8-sig")
+    assert read_case(path).wear_lower.source == law
+
+
+def test_no_text_at_all(tmp_path):
+    path = tmp_path / "case.toml"
+    path.write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(InputError, match=r"case.toml: is not a text file in UTF-8"):
+        read_case(path)
+    with pytest.raises(InputError, match=r"cannot be read: Is a directory"):
+        read_case(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("text", "overrides", "words"),
+    [
+        (BOTH, [], ["time.step = 1.0: must be absent beside time.end", "time.steps = 200"]),
+        (BOTH, ["mesh.grading=2"], ["time.step = 1.0: must be absent", "time.steps = 200"]),
+        (ADAPTIVE, ["time.end=20", "time.steps=3"], ["--set time.steps = 3: must be absent"]),
+        (TEXT + "tolerance = 1e-5\n", [],
+         ['case.toml: time.tolerance = 1e-05: needs time.scheme = "adaptive"']),
+        (TEXT, ["time.tolerance=1e-5"],
+         ['--set time.tolerance = 1e-05: needs time.scheme = "adaptive"']),
+        (TEXT, ["time.scheme=explicit", "time.tolerance=1e-5"], ["--set time.tolerance"]),
+        (TEXT, ["time.end=20"], ['--set time.end = 20: needs time.scheme = "adaptive"']),
+        (TEXT, ["mesh.geometry_tolerance=0.01"],
+         ['--set mesh.geometry_tolerance = 0.01: needs mesh.geometry = "updated"']),
+        (TEXT + "[output]\ntimes = [5]\nevery = 1\n", [],
+         ["case.toml: output.every = 1: must be absent beside output.times"]),
+        (TEXT, ["output.profiles=last", "output.fields=[]"],
+         ['output.profiles = "last": must be absent where output.fields is empty']),
+    ],
+)  # fmt: skip
+def test_keys_that_nothing_reads_are_refused(text, overrides, words):
+    for told, said in zip(faults(text, overrides), words, strict=True):
+        assert said in told
+
+
+@pytest.mark.parametrize(
+    ("text", "overrides", "same"),
+    [
+        # README: the end of an adaptive history is that of the fixed steps, or its own
+        (TEXT, ["time.scheme=adaptive"], None),
+        (TEXT, ["time.scheme=adaptive", "time.end=20"], BOTH.replace("step", "# step")),
+        (ADAPTIVE, ["time.end=20"], BOTH.replace("step", "# step")),
+        (BOTH.replace("step", "# step"), ["time.step=1.0", "time.steps=200"], ADAPTIVE),
+        # what the file says for the other scheme, geometry or output goes
+        (BOTH + "tolerance = 1e-5\n", ["time.scheme=implicit"], TEXT),
+        (TEXT + '[mesh]\ngeometry = "updated"\ngeometry_tolerance = 0.01\n',
+         ["mesh.geometry=fixed"], TEXT),
+        (TEXT + "[output]\ntimes = [5]\n", ["output.every=3"], TEXT + "[output]\nevery = 3\n"),
+        (TEXT + "[output]\nevery = 3\n", ["output.times=[5]"], TEXT + "[output]\ntimes = [5]\n"),
+        (TEXT + '[output]\nprofiles = "last"\n', ["output.fields=[]"],
+         TEXT + "[output]\nfields = []\n"),
+        (TEXT.replace("[contact]", "chamfer = 0.1\n[contact]"),
+         ["upper.profile=[[28.5, 20], [31.5, 21]]"],
+         TEXT.replace("[contact]", "profile = [[28.5, 20], [31.5, 21]]\n[contact]")),
+    ],
+)  # fmt: skip
+def test_an_override_takes_with_it_what_has_no_meaning_then(text, overrides, same):
+    case = parse_case(text, "case.toml", overrides)
+    if same is None:
+        assert case.time.adaptive
+        assert case.time.end == 200.0
+    else:
+        assert case == parse_case(same, "same")
+    assert parse_case(case.text, "stored") == case
+
+
+@pytest.mark.serial
+def test_reading_a_case_starts_neither_mpi_nor_petsc_nor_compiled_code():
+    """Nor the parts of scipy, slow to import, that only meshes and profiles need."""
+    program = f"""
+import sys
+from ringwear_par.cases.reading import read_case
+case = read_case({str(PAPER)!r}, {{"load.pressure": 50}})
+assert case.replace({{"wear.lower.k": 2e-7}}).load == case.load
+heavy = ("mpi4py.MPI", "petsc4py.PETSc", "numba", "h5py", "matplotlib", "scipy")
+print([name for name in heavy if name in sys.modules])
+read_case({str(CASES / "sphere.toml")!r})
+print([name for name in heavy[:-1] if name in sys.modules])
+"""
+    result = subprocess.run([sys.executable, "-c", program], env=SHELL_ENVIRONMENT,
+                            capture_output=True, text=True, timeout=100, check=False)  # fmt: skip
+    assert result.stdout == "[]\n[]\n", result.stderr

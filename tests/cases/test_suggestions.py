@@ -1,0 +1,52 @@
+"""What is suggested for a key that there is not: its last part counts before its table."""
+
+import pytest
+
+from ringwear_par.cases import suggestions
+from ringwear_par.cases.schema import KEYS
+from ringwear_par.cases.suggestions import nearest_key
+
+
+@pytest.mark.parametrize(
+    ("path", "near"),
+    [
+        ("wear.lower.K", "wear.lower.k"),
+        ("lower.nu", "lower.poisson"),
+        ("contact.mu", "contact.friction"),
+        ("lower.E", "lower.young"),
+        ("upper.Youngs_modulus", "upper.young"),
+        ("load.rpm", "load.omega"),
+        ("load.speed", "load.omega"),
+        ("rpm", "load.omega"),
+        ("load.N", "load.force"),
+        ("load.normal_force", "load.force"),
+        ("load.p", "load.pressure"),
+        ("time.dt", "time.step"),
+        ("time.t_end", "time.end"),
+        ("mesh.elements", "mesh.contact_elements"),
+        ("mesh.contactelements", "mesh.contact_elements"),
+        ("wear.lower.coefficient", "wear.lower.k"),
+        ("contact.coefficient", "contact.friction"),
+        ("lower.yung", "lower.young"),
+        ("lowr.young", "lower.young"),
+        ("wear.lower.q0", "wear.lower.p0"),
+        ("lower.k", "wear.lower.k"),
+        ("contact.pressure", "load.pressure"),
+        ("load_pressure", "load.pressure"),
+        ("young", "lower.young or upper.young"),
+    ],
+)
+def test_near_keys(path, near):
+    assert nearest_key(path) == f" (did you mean {near}?)"
+
+
+@pytest.mark.parametrize("path", ["lower.material", "wear.lower.q", "oops.x", "lower.colour", "a"])
+def test_nothing_is_near(path):
+    assert nearest_key(path) == ""
+
+
+def test_other_names_are_of_keys():
+    last = {key.path.rpartition(".")[2] for key in KEYS}
+    meant = {name for names in suggestions._ALIASES.values() for name in names}
+    assert meant <= last
+    assert not suggestions._ALIASES.keys() & (last - {"n"})
