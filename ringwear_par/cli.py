@@ -83,6 +83,11 @@ def _parser() -> argparse.ArgumentParser:
         "--retry-failed", action="store_true", help="compute failed cases again as well"
     )
     sweep.add_argument(
+        "--mix-versions", action="store_true",
+        help="go on where another version of this program has computed cases; the variable version "
+        "tells them apart",
+    )  # fmt: skip
+    sweep.add_argument(
         "--dry-run", action="store_true",
         help="count cases and operators, estimate memory and time; write nothing",
     )  # fmt: skip
@@ -164,7 +169,7 @@ def _sweep(args: argparse.Namespace, comm: Any) -> None:
 
     run_sweep(
         args.study, args.output, args.ranks_per_case, args.part, args.dry_run,
-        args.retry_failed, comm,
+        args.retry_failed, comm, args.mix_versions,
     )  # fmt: skip
 
 

@@ -43,7 +43,8 @@ def test_import_directions():
 def test_what_starts_neither_mpi_nor_petsc_nor_compiled_code(words, stored):
     program = (
         "import sys\nimport ringwear_par as rw\ncase, study, run, folder = sys.argv[1:]\n"
-        f"{words}\nheavy = [name for name in {HEAVY} if name in sys.modules]\nassert not heavy, heavy"
+        f"{words}\nheavy = [name for name in {HEAVY} if name in sys.modules]\n"
+        "assert not heavy, heavy"
     )
     result = run(program, *stored)
     assert result.returncode == 0, result.stderr
