@@ -176,7 +176,7 @@ def test_sizes_that_do_not_divide_are_refused(write, shared_path, comm):
 
 
 def test_a_failed_case_is_a_row_and_the_others_go_on(write, shared_path, comm, monkeypatch):
-    from ringwear_par.wear.law import ThresholdLaw
+    from ringwear_par.wear.threshold import ThresholdLaw
 
     original = ThresholdLaw.rate
 

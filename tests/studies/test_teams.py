@@ -10,7 +10,7 @@ from swept import table, write_study
 from ringwear_par.errors import ComputationError
 from ringwear_par.studies import operators
 from ringwear_par.studies.sweep import sweep
-from ringwear_par.wear.law import ThresholdLaw
+from ringwear_par.wear.threshold import ThresholdLaw
 
 pytestmark = pytest.mark.mpi(min_size=2)
 #: of the twelve cases, those with one of three coefficients
