@@ -1,7 +1,74 @@
 """Wear histories of ring-on-ring and ring-on-disc tests by boundary elements, on MPI and PETSc.
 
-Modules follow the paper (Serre, Bonnet and Pradeilles-Duval 2001): schema, case, geometry, kernels,
-quadrature, assembly, body, pair, contact, wear, history. Units: mm, N, MPa, s, rad; energies N mm.
+Rooms follow the paper (Serre, Bonnet and Pradeilles-Duval 2001): ``elasticity`` eq. (5),
+``contact`` (3), ``wear`` (4), ``history`` section 3; around them ``cases``, ``results``,
+``studies`` and ``verification``. Units: mm, N, MPa, s, rad; energies N mm.
+
+    import ringwear_par as rw
+
+    case = rw.read_case("paper.toml", {"load.pressure": 50})
+    result = rw.simulate(case)
+    data = result.to_xarray()
+
+The names below are loaded when they are first used; neither the import nor reading a case, opening
+a result or drawing it starts MPI, PETSc or compiled code.
 """
 
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
 __version__ = "0.1.0"
+
+if TYPE_CHECKING:
+    from ringwear_par.cases.case import Case
+    from ringwear_par.cases.reading import read_case
+    from ringwear_par.elasticity.pair import ContactPair
+    from ringwear_par.errors import ComputationError, InputError
+    from ringwear_par.history.pairs import assemble
+    from ringwear_par.results.figures import plot
+    from ringwear_par.results.files import open_result
+    from ringwear_par.results.result import FailedResult, Result
+    from ringwear_par.results.simulate import simulate
+    from ringwear_par.studies.ensemble import open_ensemble
+    from ringwear_par.studies.many import simulate_all
+    from ringwear_par.studies.study import Study, read_study
+    from ringwear_par.studies.sweep import sweep
+    from ringwear_par.wear.law import LocalState, WearLaw
+
+_PUBLIC = {
+    "Case": "cases.case",
+    "ComputationError": "errors",
+    "ContactPair": "elasticity.pair",
+    "FailedResult": "results.result",
+    "InputError": "errors",
+    "LocalState": "wear.law",
+    "Result": "results.result",
+    "Study": "studies.study",
+    "WearLaw": "wear.law",
+    "assemble": "history.pairs",
+    "open_ensemble": "studies.ensemble",
+    "open_result": "results.files",
+    "plot": "results.figures",
+    "read_case": "cases.reading",
+    "read_study": "studies.study",
+    "simulate": "results.simulate",
+    "simulate_all": "studies.many",
+    "sweep": "studies.sweep",
+}
+__all__ = [
+    "Case", "ComputationError", "ContactPair", "FailedResult", "InputError", "LocalState",
+    "Result", "Study", "WearLaw", "assemble", "open_ensemble", "open_result", "plot", "read_case",
+    "read_study", "simulate", "simulate_all", "sweep",
+]  # fmt: skip
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _PUBLIC:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    value = getattr(import_module(f"{__name__}.{_PUBLIC[name]}"), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *_PUBLIC})

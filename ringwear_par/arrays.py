@@ -1,8 +1,28 @@
 """Array types that the package's functions take and return."""
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
+
+
+def columns(numbers: Any) -> Any:
+    """Return numbers of histories so that they go with (..., n) fields: (B,) as (B, 1).
+
+    The number of a single history, and what has columns already, stay as they are.
+    """
+    return numbers[:, None] if isinstance(numbers, np.ndarray) and numbers.ndim == 1 else numbers
+
+
+def inner(weights: FloatArray, values: FloatArray) -> Any:
+    """Return the sums of weights (n,) times values (..., n): a float, or an array (...).
+
+    Each history is summed by itself, so that its digits do not depend on its companions.
+    """
+    if values.ndim == 1:
+        return float(weights @ values)
+    return np.array([inner(weights, each) for each in values])

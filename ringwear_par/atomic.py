@@ -8,6 +8,15 @@ from pathlib import Path
 from ringwear_par.errors import InputError
 
 
+def temporary_name(path: Path) -> Path:
+    """Return the name beside a file that it has until it is whole.
+
+    Its ending is not that of the file, so that who looks for files by their ending finds whole
+    ones only; what writes by the ending must be told the format.
+    """
+    return path.with_name(f"{path.name}.tmp{os.getpid()}")
+
+
 def check_writable(path: Path) -> None:
     """Refuse a file that cannot be written. Not collective.
 
@@ -21,7 +30,7 @@ def check_writable(path: Path) -> None:
         raise InputError(f"{path}: its folder {path.parent} does not exist")
     if path.exists() and not os.access(path, os.W_OK):
         raise InputError(f"{path}: is write-protected; must be a file that may be replaced")
-    probe = path.with_name(f"{path.name}.tmp{os.getpid()}")
+    probe = temporary_name(path)
     try:
         probe.touch()
         probe.unlink()
@@ -31,13 +40,20 @@ def check_writable(path: Path) -> None:
 
 @contextmanager
 def atomic_write(path: Path) -> Iterator[Path]:
-    """Give a temporary name beside a file, of the same ending, that becomes the file at the end.
+    """Give a temporary name to write to, which becomes the file at the end. Not collective.
 
-    Not collective. Nothing is left of it after an error.
+    What was written is on the disk before it replaces the file; nothing is left of it after an
+    error.
+
+    Raises
+    ------
+    OSError : the disk or the folder.
     """
-    temporary = path.with_name(f".{path.stem}.tmp{os.getpid()}{path.suffix}")
+    temporary = temporary_name(path)
     try:
         yield temporary
+        with temporary.open("rb+") as file:
+            os.fsync(file.fileno())
         temporary.replace(path)
     finally:
         temporary.unlink(missing_ok=True)

@@ -19,6 +19,8 @@ from ringwear_par.errors import InputError, RingwearError
 
 #: how long a rank that fails waits for the others to fail alike
 GRACE_SECONDS = 10.0
+#: what plot draws if it is not told
+PANELS = "wear,penetration"
 
 EPILOG = """\
 Everything after -- goes to PETSc's options: -bem_... for the boundary element systems,
@@ -60,6 +62,10 @@ def _parser() -> argparse.ArgumentParser:
         "--restart", action="store_true",
         help="continue RUN.h5 where it was interrupted, or to a larger time.steps or time.end",
     )  # fmt: skip
+    run.add_argument(
+        "--overwrite", action="store_true",
+        help="replace what RUN.h5 holds, an interrupted run too",
+    )  # fmt: skip
     run.add_argument("--plot", type=Path, metavar="FIG.png", help="draw the history at the end")
 
     sweep = command("sweep", "compute every case of a study, or go on with it")
@@ -90,16 +96,16 @@ def _parser() -> argparse.ArgumentParser:
     plot.add_argument("results", type=Path, nargs="+", metavar="RUN.h5 or DIR")
     plot.add_argument("-o", "--output", type=Path, required=True, metavar="FIG.png")
     plot.add_argument(
-        "--panels", default="wear,penetration", metavar="LIST",
-        help="any of wear, penetration, pressure, section, in this order (default: %(default)s)",
+        "--panels", metavar="LIST",
+        help=f"any of wear, penetration, pressure, section, in this order (default: {PANELS})",
     )  # fmt: skip
     plot.add_argument(
-        "--steps", default="", metavar="LIST",
+        "--steps", metavar="LIST",
         help="steps whose profiles are drawn, such as 1,50,100 (default: first and quarters)",
     )  # fmt: skip
 
     plot.add_argument(
-        "--profiles-of", type=Path, nargs="+", default=[], metavar="RUN.h5",
+        "--profiles-of", type=Path, nargs="+", metavar="RUN.h5",
         help="draw the profiles of these files only (default: of all)",
     )  # fmt: skip
 
@@ -149,64 +155,89 @@ def _slice(text: str) -> tuple[int, int]:
     return int(first), int(last)
 
 
-def _dispatch(args: argparse.Namespace, comm: Any) -> int:
-    if args.command == "run":
-        from ringwear_par.results.run import run_case
+def _run(args: argparse.Namespace, comm: Any) -> None:
+    from ringwear_par.results.run import run_case
 
-        return run_case(args.case, args.output, args.overrides, args.restart, args.plot, comm)
-    if args.command == "sweep":
-        from ringwear_par.studies.sweep import run_sweep
+    run_case(
+        args.case, args.output, args.overrides, comm=comm, restart=args.restart,
+        overwrite=args.overwrite, figure=args.plot,
+    )  # fmt: skip
 
-        return run_sweep(
-            args.study, args.output, args.ranks_per_case, args.part, args.dry_run,
-            args.retry_failed, comm, args.mix_versions,
-        )  # fmt: skip
-    if args.command == "laws":
-        from ringwear_par.cases.law_trials import check_laws
-        from ringwear_par.parallel import on_first_rank
 
-        return on_first_rank(comm, lambda: check_laws(args.case, args.overrides))
-    if args.command == "export":
-        from ringwear_par.parallel import on_first_rank
-        from ringwear_par.results.export import export
+def _sweep(args: argparse.Namespace, comm: Any) -> None:
+    from ringwear_par.studies.sweep import run_sweep
 
-        told = on_first_rank(
-            comm,
-            lambda: export(
-                args.result, args.output, args.time, args.revolve, args.scale, args.fields
-            ),
-        )
-        if comm.rank == 0:
-            print(told)
-        return 0
-    if args.command == "plot":
-        from ringwear_par.parallel import on_first_rank
+    run_sweep(
+        args.study, args.output, comm, ranks_per_case=args.ranks_per_case, part=args.part,
+        retry_failed=args.retry_failed, mix_versions=args.mix_versions, dry_run=args.dry_run,
+    )  # fmt: skip
+
+
+def _plot(args: argparse.Namespace, comm: Any) -> None:
+    from ringwear_par.parallel import on_first_rank
+
+    folders = [path for path in args.results if path.is_dir()]
+    if not folders:
         from ringwear_par.results.figures import plot_files
 
-        folders = [path for path in args.results if path.is_dir()]
-        if folders:
-            from ringwear_par.studies.figures import plot_sweep
-
-            if len(args.results) > 1:
-                raise InputError(f"{folders[0]}: is a folder; must be the only thing to be drawn")
-            on_first_rank(comm, lambda: plot_sweep(folders[0], args.output))
-            return 0
+        panels, steps = args.panels or PANELS, args.steps or ""
         on_first_rank(
             comm,
-            lambda: plot_files(
-                args.results, args.output, args.panels, args.steps, args.profiles_of
-            ),
+            lambda: plot_files(args.results, args.output, panels, steps, args.profiles_of or ()),
         )
-        return 0
-    if args.command == "verify":
-        from ringwear_par.verification.checks import verify
+        return
+    from ringwear_par.studies.figures import plot_sweep
 
-        return verify(comm)
+    if len(args.results) > 1:
+        raise InputError(f"{folders[0]}: is a folder; must be the only thing to be drawn")
+    for name in ("panels", "steps", "profiles_of"):
+        if getattr(args, name) is not None:
+            raise InputError(
+                f"--{name.replace('_', '-')}: must be absent where {folders[0]}, a folder, is "
+                "drawn; it is for result files"
+            )
+    on_first_rank(comm, lambda: plot_sweep(folders[0], args.output))
+
+
+def _export(args: argparse.Namespace, comm: Any) -> None:
+    from ringwear_par.parallel import on_first_rank
+    from ringwear_par.results.export import export
+
+    told = on_first_rank(
+        comm,
+        lambda: export(args.result, args.output, args.time, args.revolve, args.scale, args.fields),
+    )
+    print(told)
+
+
+def _laws(args: argparse.Namespace, comm: Any) -> None:
+    from ringwear_par.cases.law_trials import check_laws
+    from ringwear_par.parallel import on_first_rank
+
+    on_first_rank(comm, lambda: check_laws(args.case, args.overrides))
+
+
+def _verify(args: argparse.Namespace, comm: Any) -> None:
+    from ringwear_par.verification.checks import verify
+
+    verify(comm)
+
+
+def _info(args: argparse.Namespace, comm: Any) -> None:
+    if args.schema:
+        from ringwear_par.cases.schema import schema
+
+        print(schema())
+        return
     from ringwear_par.info import print_info
 
-    if comm.rank == 0:
-        print_info(args.schema, comm)
-    return 0
+    print_info(comm)
+
+
+_COMMANDS = {
+    "run": _run, "sweep": _sweep, "plot": _plot, "export": _export, "laws": _laws,
+    "verify": _verify, "info": _info,
+}  # fmt: skip
 
 
 def _check_launch(size: int) -> None:
@@ -254,9 +285,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         _check_launch(comm.size)
         # Python's own handling of signals: checkpoints on SIGTERM, quiet ends of pipes
         petsc4py.init(["ringwear", "-no_signal_handler", *words[cut + 1 :]])
-        status = _dispatch(args, comm)
+        _COMMANDS[args.command](args, comm)
         sys.stdout.flush()
-        return status
+        return 0
     except RingwearError as error:
         alike = _others_come(together)
         if comm.rank == 0 or not alike:

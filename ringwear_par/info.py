@@ -4,21 +4,25 @@ import os
 import platform
 import sys
 from importlib.metadata import PackageNotFoundError, version
-
-import h5py
-import mpi4py
-import numba
-import numpy
-import scipy
-from mpi4py import MPI
-from petsc4py import PETSc
+from typing import TYPE_CHECKING
 
 from ringwear_par import __version__
-from ringwear_par.cases.schema import schema
+
+if TYPE_CHECKING:
+    from mpi4py import MPI
 
 
 def versions() -> dict[str, str]:
     """Return the versions that a result file records."""
+    import h5py
+    import mpi4py
+    import numba
+    import numpy
+    import scipy
+    from mpi4py import MPI
+
+    from ringwear_par.petsc import PETSc
+
     return {
         "version": __version__,
         "python_version": platform.python_version(),
@@ -39,11 +43,10 @@ def _optional(package: str) -> str:
         return "not installed"
 
 
-def print_info(with_schema: bool, comm: MPI.Comm) -> None:
-    """Print versions, builds, ranks and threads, or the case keys. On one rank."""
-    if with_schema:
-        print(schema())
-        return
+def print_info(comm: "MPI.Comm") -> None:
+    """Print versions, builds, ranks and threads. On one rank."""
+    from ringwear_par.petsc import PETSc
+
     print(f"ringwear-par {__version__} in {os.path.dirname(__file__)}, Python {sys.executable}")
     for name, value in versions().items():
         print(f"  {name.replace('_', ' ')}: {value}")

@@ -1,19 +1,40 @@
-"""PETSc options with our prefixes that nobody used are errors."""
+"""PETSc options: a prefix for each kind of solver; those with our prefixes must be used."""
 
 import ctypes
 import difflib
+from typing import TYPE_CHECKING
 
-from petsc4py import PETSc
-
-from ringwear_par.contact import solver as contact
-from ringwear_par.elasticity import solve as dense
 from ringwear_par.errors import InputError
 
-PREFIXES = (dense.PREFIX, contact.PREFIX)
+if TYPE_CHECKING:
+    from ringwear_par.petsc import PETSc
+
+#: of the boundary element systems and of the contact problem
+BEM_PREFIX, CONTACT_PREFIX = "bem_", "contact_"
+
+
+def set_from_options(solver: "PETSc.KSP | PETSc.TAO", prefix: str) -> None:
+    """Let a solver read its PETSc options. Collective on the solver.
+
+    Raises
+    ------
+    InputError : PETSc does not accept a value.
+    """
+    from ringwear_par.petsc import PETSc
+
+    try:
+        solver.setFromOptions()
+    except PETSc.Error as error:
+        raise InputError(
+            f"-{prefix}... options: PETSc does not accept one of them (error {error.ierr}); types "
+            "must be among those of this PETSc"
+        ) from error
 
 
 def _was_used(name: str) -> bool:
     # PetscOptionsUsed has no petsc4py call before 3.19
+    from ringwear_par.petsc import PETSc
+
     used = ctypes.c_int(0)
     ctypes.CDLL(PETSc.__file__).PetscOptionsUsed(None, name.encode(), ctypes.byref(used))
     return bool(used.value & 0xFF)
@@ -28,7 +49,10 @@ def reject_unused_options() -> None:
     ------
     InputError : one sentence for each option.
     """
-    names = [name for name in PETSc.Options().getAll() if name.startswith(PREFIXES)]
+    from ringwear_par.petsc import PETSc
+
+    ours = (BEM_PREFIX, CONTACT_PREFIX)
+    names = [name for name in PETSc.Options().getAll() if name.startswith(ours)]
     unused = [name for name in names if not _was_used(name)]
     if unused:
         raise InputError(
@@ -42,9 +66,9 @@ def reject_unused_options() -> None:
 
 def _nearest(name: str) -> str:
     known = [
-        f"{contact.PREFIX}tao_type", f"{contact.PREFIX}tao_monitor", f"{contact.PREFIX}tao_view",
-        f"{contact.PREFIX}ksp_type", f"{contact.PREFIX}pc_type", f"{contact.PREFIX}ksp_rtol",
-        f"{dense.PREFIX}ksp_type", f"{dense.PREFIX}ksp_view", f"{dense.PREFIX}pc_type",
+        f"{CONTACT_PREFIX}tao_type", f"{CONTACT_PREFIX}tao_monitor", f"{CONTACT_PREFIX}tao_view",
+        f"{CONTACT_PREFIX}ksp_type", f"{CONTACT_PREFIX}pc_type", f"{CONTACT_PREFIX}ksp_rtol",
+        f"{BEM_PREFIX}ksp_type", f"{BEM_PREFIX}ksp_view", f"{BEM_PREFIX}pc_type",
     ]  # fmt: skip
     near = difflib.get_close_matches(name, known, n=1, cutoff=0.8)
     return f" (did you mean -{near[0]}?)" if near else ""

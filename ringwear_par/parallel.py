@@ -1,9 +1,12 @@
 """What ranks do together: one acts for all, errors reach all alike."""
 
 import logging
+import os
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, TypeVar
+
+import numpy as np
 
 from ringwear_par.errors import ComputationError, RingwearError
 
@@ -12,10 +15,6 @@ if TYPE_CHECKING:
 
 log = logging.getLogger(__name__)
 T = TypeVar("T")
-
-
-class PeerError(ComputationError):
-    """Another rank has failed; ``together`` raises its error in place of this one."""
 
 
 def on_first_rank(comm: "MPI.Comm", action: Callable[[], T]) -> T:
@@ -28,7 +27,7 @@ def on_first_rank(comm: "MPI.Comm", action: Callable[[], T]) -> T:
             if comm.size == 1 and not isinstance(error, RingwearError | OSError):
                 raise
             result = _as_ours(error)
-            if result is not error and not isinstance(error, OSError):
+            if not isinstance(error, RingwearError | OSError):
                 log.exception("an error that should not be")
     result = comm.bcast(result)
     if isinstance(result, RingwearError):
@@ -41,21 +40,24 @@ def together(comm: "MPI.Comm") -> Iterator[None]:
     """Run a block on all ranks; if it fails on any of them, raise that error on all.
 
     Collective on comm. Of several errors that of the lowest rank is raised; one that is not ours
-    reaches the others as a ComputationError. A rank that fails does not enter what is collective in
-    the rest of the block: there must be nothing, or it must join the others there in its own way.
+    reaches the others as a ComputationError. Nothing in the rest of a block may wait for a rank
+    that has failed in it.
     """
+    if comm.size == 1:
+        yield
+        return
     own: Exception | None = None
     try:
         yield
     except Exception as error:
-        if comm.size == 1:
-            raise
         own = error
-    if comm.size > 1:
-        every = [e for e in comm.allgather(own and _as_ours(own)) if e is not None]
-        if every:
-            every.sort(key=lambda error: isinstance(error, PeerError))  # consequences come last
-            raise every[0] from own
+    from mpi4py import MPI
+
+    failed = np.array([own is not None], dtype=np.int32)
+    comm.Allreduce(MPI.IN_PLACE, failed, MPI.MAX)
+    if failed[0]:
+        errors = comm.allgather(None if own is None else _as_ours(own))
+        raise next(error for error in errors if error is not None) from own
 
 
 def _as_ours(error: Exception) -> RingwearError:
@@ -64,4 +66,16 @@ def _as_ours(error: Exception) -> RingwearError:
         return error
     if isinstance(error, OSError):
         return ComputationError(f"{error.filename or 'output'}: {error.strerror or error}")
-    return ComputationError(repr(error))
+    return ComputationError(f"{type(error).__name__}: {error}")
+
+
+def warn_of_threads(ranks: int) -> None:
+    """Warn where BLAS threads and ranks are more than the cores. On one rank."""
+    cores = os.cpu_count() or 1
+    names = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS")
+    threads = next((int(os.environ[n]) for n in names if os.environ.get(n, "").isdigit()), cores)
+    if ranks > 1 and threads > 1 and threads * ranks > cores:
+        log.warning(
+            "%d ranks with up to %d BLAS threads each on %d cores: set OPENBLAS_NUM_THREADS=1",
+            ranks, threads, cores,
+        )  # fmt: skip

@@ -1,8 +1,12 @@
-"""Quantities of a case: numbers, tables in time, or profiles along the radius."""
+"""Quantities of a case: numbers, tables in time, or profiles along the radius; stacks of them.
 
+Times are a number, or an array for many histories at once; values have its shape.
+"""
+
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Literal
+from typing import Any, Literal, overload
 
 import numpy as np
 
@@ -24,70 +28,180 @@ class Table:
     y: tuple[float, ...]
     axis: Literal["t", "r"] = "t"
 
+    @overload
+    def __call__(self, x: float) -> float: ...
+    @overload
+    def __call__(self, x: FloatArray) -> FloatArray: ...
     def __call__(self, x: float | FloatArray) -> float | FloatArray:
         """Return the value at x."""
         y = np.interp(x, self.x, self.y)
-        return float(y) if np.ndim(x) == 0 else y
+        return y if isinstance(x, np.ndarray) else float(y)
 
     @cached_property
     def _areas(self) -> FloatArray:
         x, y = np.array(self.x), np.array(self.y)
         return np.concatenate([[0.0], np.cumsum(0.5 * (y[1:] + y[:-1]) * np.diff(x))])
 
-    def integral(self, x: float) -> float:
+    @overload
+    def integral(self, x: float) -> float: ...
+    @overload
+    def integral(self, x: FloatArray) -> FloatArray: ...
+    def integral(self, x: float | FloatArray) -> float | FloatArray:
         """Return the integral from the first x of the table."""
+        if isinstance(x, np.ndarray):
+            i = np.maximum(np.searchsorted(self.x, x, side="right") - 1, 0)
+            first, y = np.array(self.x)[i], np.array(self.y)[i]
+            inside = self._areas[i] + 0.5 * (y + self(x)) * (x - first)
+            return np.where(x <= self.x[0], self.y[0] * (x - self.x[0]), inside)
         if x <= self.x[0]:
             return self.y[0] * (x - self.x[0])
-        i = int(np.searchsorted(self.x, x, side="right")) - 1
-        return float(self._areas[i] + 0.5 * (self.y[i] + float(self(x))) * (x - self.x[i]))
+        j = int(np.searchsorted(self.x, x, side="right")) - 1
+        return float(self._areas[j] + 0.5 * (self.y[j] + self(x)) * (x - self.x[j]))
 
 
-Quantity = float | Table
+@dataclass(frozen=True)
+class Stacked:
+    """A quantity for each of B histories, whose times are (B,), or a column (B, 1).
+
+    Parameters
+    ----------
+    each : the B quantities, numbers or tables.
+    """
+
+    each: tuple[float | Table, ...]
+
+    @cached_property
+    def numbers(self) -> FloatArray | None:
+        """(B,) the quantities, where they are all numbers."""
+        return None if any(isinstance(q, Table) for q in self.each) else np.array(self.each)
+
+    def value(self, time: float | FloatArray, r: FloatArray | None) -> FloatArray:
+        """Return (B,) values at times (B,); (B, 1) at a column, (B, n) where one is a profile."""
+        column = np.ndim(time) > 1
+        if self.numbers is not None:
+            return self.numbers[:, None] if column else self.numbers
+        times = np.broadcast_to(np.ravel(time), len(self.each)).tolist()
+        values = [value(q, t, r) for q, t in zip(self.each, times, strict=True)]
+        return np.array(np.broadcast_arrays(*map(np.atleast_1d, values)) if column else values)
 
 
-def value(quantity: Quantity, time: float, r: FloatArray | None = None) -> float | FloatArray:
-    """Return a quantity at a time (s), and at radii (mm) where it is a profile."""
-    if not isinstance(quantity, Table):
-        return quantity
-    if quantity.axis == "t":
-        return quantity(time)
-    if r is None:
-        raise ValueError("a profile along the radius has no value without one")
-    return quantity(r)
+Quantity = float | Table | Stacked
 
 
-def in_time(quantity: Quantity, time: float) -> float:
-    """Return a number or a table in time at a time (s)."""
+def value(
+    quantity: Quantity, time: float | FloatArray, r: FloatArray | None = None
+) -> float | FloatArray:
+    """Return a quantity at a time (s), and at radii (mm) where it is a profile.
+
+    Parameters
+    ----------
+    time : a number, or (B, 1) of B histories, whose elements the value goes with.
+    r : (n,) float.
+    """
+    if isinstance(quantity, Table):
+        if quantity.axis == "t":
+            return quantity(time)
+        if r is None:
+            raise ValueError("a profile along the radius has no value without one")
+        return quantity(r)
+    return quantity.value(time, r) if isinstance(quantity, Stacked) else quantity
+
+
+@overload
+def in_time(quantity: Quantity, time: float) -> float: ...
+@overload
+def in_time(quantity: Quantity, time: FloatArray) -> FloatArray: ...
+def in_time(quantity: Quantity, time: float | FloatArray) -> float | FloatArray:
+    """Return a number or a table in time at a time (s); (B,) values at (B,) times."""
+    if isinstance(time, np.ndarray):
+        return np.array(np.broadcast_to(value(quantity, time), time.shape))
     return float(value(quantity, time))
 
 
-def integral(quantity: Quantity, start: float, end: float) -> float:
-    """Return the time integral of a number or a table in time."""
+@overload
+def integral(quantity: Quantity, start: float, end: float) -> float: ...
+@overload
+def integral(quantity: Quantity, start: float | FloatArray, end: FloatArray) -> FloatArray: ...
+def integral(
+    quantity: Quantity, start: float | FloatArray, end: float | FloatArray
+) -> float | FloatArray:
+    """Return the time integral of a number or a table in time; (B,) up to (B,) ends."""
     if isinstance(quantity, Table):
         return quantity.integral(end) - quantity.integral(start)
+    if isinstance(quantity, Stacked):
+        return _of_each(integral, quantity, start, end)
     return quantity * (end - start)
 
 
-def mean(quantity: Quantity, start: float, end: float) -> float:
-    """Return the mean over an interval of time; a number itself, to the last bit."""
+@overload
+def mean(quantity: Quantity, start: float, end: float) -> float: ...
+@overload
+def mean(quantity: Quantity, start: float | FloatArray, end: FloatArray) -> FloatArray: ...
+def mean(
+    quantity: Quantity, start: float | FloatArray, end: float | FloatArray
+) -> float | FloatArray:
+    """Return the mean over an interval of time, (B,) up to (B,) ends; a number is its own."""
     if isinstance(quantity, Table):
-        return integral(quantity, start, end) / (end - start)
-    return quantity
+        return (quantity.integral(end) - quantity.integral(start)) / (end - start)
+    if isinstance(quantity, Stacked):
+        return _of_each(mean, quantity, start, end)
+    return np.full(end.shape, quantity) if isinstance(end, np.ndarray) else quantity
+
+
+def _of_each(
+    function: Callable[[Quantity, float, float], float],
+    stacked: Stacked,
+    start: float | FloatArray,
+    end: float | FloatArray,
+) -> FloatArray:
+    """Return (B,) what a function makes of each quantity between its own times."""
+    count = len(stacked.each)
+    starts, ends = (np.broadcast_to(t, count).tolist() for t in (start, end))
+    return np.array([function(*each) for each in zip(stacked.each, starts, ends, strict=True)])
 
 
 def largest(quantity: Quantity) -> float:
     """Return the largest value that a quantity takes."""
+    if isinstance(quantity, Stacked):
+        return max(map(largest, quantity.each))
     return max(quantity.y) if isinstance(quantity, Table) else quantity
 
 
 def smallest(quantity: Quantity) -> float:
     """Return the smallest value that a quantity takes."""
+    if isinstance(quantity, Stacked):
+        return min(map(smallest, quantity.each))
     return min(quantity.y) if isinstance(quantity, Table) else quantity
 
 
-def knots(*quantities: Quantity | None) -> tuple[float, ...]:
+def told(quantity: Quantity) -> str:
+    """Return a quantity as messages and summaries tell it."""
+    if isinstance(quantity, Stacked):
+        return f"{len(quantity.each)} numbers or tables to {largest(quantity):g}"
+    return f"a table to {largest(quantity):g}" if isinstance(quantity, Table) else f"{quantity:g}"
+
+
+def breakpoints(*quantities: Quantity | None) -> tuple[float, ...]:
     """Return the times at which the slope of any of some quantities jumps, increasing."""
-    times = {
-        x for q in quantities if isinstance(q, Table) and q.axis == "t" for x in q.x if x > 0.0
-    }
+    times: set[float] = set()
+    for q in quantities:
+        if isinstance(q, Stacked):
+            times.update(breakpoints(*q.each))
+        elif isinstance(q, Table) and q.axis == "t":
+            times.update(x for x in q.x if x > 0.0)
     return tuple(sorted(times))
+
+
+def stack(quantities: Sequence[float | Table]) -> Quantity:
+    """Return one quantity for some histories; equal ones stay as they are."""
+    first = quantities[0]
+    return first if all(q == first for q in quantities) else Stacked(tuple(quantities))
+
+
+def history(quantity: Any, i: int) -> Any:
+    """Return what one of B histories has of a stack, or of an array (B, 1) or (B, n)."""
+    if isinstance(quantity, Stacked):
+        return quantity.each[i]
+    if isinstance(quantity, np.ndarray) and quantity.ndim > 1:
+        return quantity[i] if quantity.shape[-1] > 1 else quantity[i, 0]
+    return quantity

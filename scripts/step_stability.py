@@ -49,7 +49,7 @@ from ringwear_par.history.model import State, WearHistory
 from ringwear_par.history.pairs import contact_compliance
 from ringwear_par.results.figures import STYLE
 from ringwear_par.verification.reference import EXPLICIT_LIMIT, contact_modulus
-from ringwear_par.wear.law import ThresholdLaw
+from ringwear_par.wear.threshold import ThresholdLaw
 
 CASE = Path(__file__).parent / "cases" / "paper.toml"
 #: times of the worn profiles, s: the later ones of the paper

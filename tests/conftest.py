@@ -88,19 +88,19 @@ def shared_path(tmp_path, comm):
 @pytest.fixture
 def stopped_after(monkeypatch, comm):
     """Context manager: SIGTERM reaches one rank, the last, after a number of steps of a run."""
-    from ringwear_par.results import progress as monitor
+    from ringwear_par.results import watch
 
-    call = monitor.Monitor.__call__
+    call = watch.Watch.__call__
 
     @contextmanager
     def stopped_after(step):
-        def interrupted(self, state):
-            if state.step == step and comm.rank == comm.size - 1:
+        def interrupted(self, snapshot):
+            if snapshot.progress.steps == step and comm.rank == comm.size - 1:
                 self._signals.received = signal.SIGTERM
-            return call(self, state)
+            return call(self, snapshot)
 
         with monkeypatch.context() as patch:
-            patch.setattr(monitor.Monitor, "__call__", interrupted)
+            patch.setattr(watch.Watch, "__call__", interrupted)
             yield
 
     return stopped_after
@@ -108,10 +108,10 @@ def stopped_after(monkeypatch, comm):
 
 @pytest.fixture(scope="session")
 def paper_pair(comm):
-    """The paper's case at 80 MPa and p0 = 40 MPa, and the compliance of its contact."""
+    """The paper's case at 80 MPa and p0 = 40 MPa, and its contact pair."""
     from ringwear_par.elasticity.mesh import Mesh
-    from ringwear_par.history.pairs import contact_compliance
+    from ringwear_par.history.pairs import assemble
     from ringwear_par.verification.checks import paper_case
 
     case = paper_case(Mesh())
-    return case, contact_compliance(case, comm)
+    return case, assemble(case, comm)

@@ -2,8 +2,8 @@
 
 import numpy as np
 
+from ringwear_par.wear import LocalState
 from ringwear_par.wear.increment import WearIncrement
-from ringwear_par.wear.law import LocalState
 
 
 def sliding(power, time=0.0, wear=None):

@@ -14,8 +14,8 @@ from ringwear_par.elasticity.mesh import ContactLine, Mesh, contact_line
 from ringwear_par.elasticity.profiles import CLOSE
 from ringwear_par.elasticity.sections import Grip, Polyline, Section
 from ringwear_par.errors import InputError
-from ringwear_par.schedules import Quantity, knots
-from ringwear_par.wear.law import WearLaw
+from ringwear_par.schedules import Quantity, breakpoints
+from ringwear_par.wear.law import Law, WearLaw, complete
 
 #: times closer than this share of them are one
 SAME_TIME = 1e-12
@@ -177,9 +177,13 @@ class Case:
         return self.lower, self.upper
 
     @property
-    def laws(self) -> tuple[WearLaw | None, WearLaw | None]:
-        """Wear laws of lower and upper."""
-        return self.wear_lower, self.wear_upper
+    def laws(self) -> tuple[Law | None, Law | None]:
+        """Wear laws of lower and upper, complete."""
+        lower, upper = self.wear_lower, self.wear_upper
+        return (
+            None if lower is None else complete(lower),
+            None if upper is None else complete(upper),
+        )
 
     @property
     def area(self) -> float:
@@ -193,12 +197,12 @@ class Case:
         return self.mesh.geometry == "updated" and any(law is not None for law in self.laws)
 
     @cached_property
-    def knots(self) -> tuple[float, ...]:
+    def breakpoints(self) -> tuple[float, ...]:
         """Times at which a schedule or a parameter bends, s: adaptive steps end there."""
         load = self.load
-        inside = {*knots(load.omega, load.force, load.displacement)}
+        inside = {*breakpoints(load.omega, load.force, load.displacement)}
         for law in self.laws:
-            inside.update(law.knots if law is not None else ())
+            inside.update(law.breakpoints if law is not None else ())
         found: list[float] = []
         for time in sorted(t for t in inside if t < self.time.end):
             if not found or time - found[-1] > SAME_TIME * time:
@@ -208,7 +212,9 @@ class Case:
     @property
     def about_steps(self) -> float:
         """About how many steps it takes, an adaptive one counting as several fixed ones."""
-        return 100.0 + 20.0 * len(self.knots) if self.time.adaptive else float(self.time.steps)
+        return (
+            100.0 + 20.0 * len(self.breakpoints) if self.time.adaptive else float(self.time.steps)
+        )
 
     @property
     def stored_rows(self) -> float:

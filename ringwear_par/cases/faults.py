@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from ringwear_par.cases.case import SAME_TIME, Case
-from ringwear_par.cases.laws import law_faults, told
+from ringwear_par.cases.laws import law_faults
 from ringwear_par.cases.schema import BY_PATH
 from ringwear_par.cases.text import shortened
 from ringwear_par.elasticity.mesh import contact_pieces
@@ -19,7 +19,7 @@ from ringwear_par.elasticity.profiles import (
 )
 from ringwear_par.elasticity.sections import Polyline
 from ringwear_par.errors import InputError
-from ringwear_par.schedules import Quantity, largest
+from ringwear_par.schedules import Quantity, largest, told
 
 #: the loads: one of them must be given
 LOADS = frozenset({"load.force", "load.pressure", "load.displacement"})

@@ -112,7 +112,7 @@ def override(keys: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, A
     keys = {path: value for path, value in keys.items() if changes.get(path, value) is not None}
     changes = {path: value for path, value in changes.items() if value is not None}
     for table in ("wear.lower", "wear.upper"):
-        known = {f"{table}.{key}" for key in law_keys(changes.get(f"{table}.law"))}
+        known = law_keys(table, changes.get(f"{table}.law"))
         if known:
             keys = {p: v for p, v in keys.items() if not p.startswith(f"{table}.") or p in known}
     for group in _ALTERNATIVES:

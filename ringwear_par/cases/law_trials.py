@@ -1,5 +1,6 @@
 """Wear laws tried before a case runs, and ``ringwear laws``, which tests their derivatives."""
 
+import itertools
 import math
 from collections.abc import Sequence
 from pathlib import Path
@@ -8,11 +9,15 @@ import numpy as np
 
 from ringwear_par.cases.case import Case
 from ringwear_par.cases.reading import read_case
-from ringwear_par.contact.solver import REPLICATED_LIMIT
 from ringwear_par.errors import ComputationError, InputError
 from ringwear_par.schedules import largest
-from ringwear_par.wear.derivative_test import check_user_slope, taylor_test
-from ringwear_par.wear.law import LocalState, WearLaw
+from ringwear_par.wear.derivative_test import (
+    Remainders,
+    check_user_slope,
+    taylor_test,
+    taylor_test_parameter,
+)
+from ringwear_par.wear.law import Law, LocalState
 from ringwear_par.wear.user import UserLaw, check_user_law
 
 _BODIES = ("lower", "upper")
@@ -32,8 +37,8 @@ def law_sources(case: Case) -> dict[str, str]:
     return {body: law.source for body, law in laws if isinstance(law, UserLaw)}
 
 
-def refuse_bad_laws(case: Case, ranks: int, name: str, slopes: bool = True) -> None:
-    """Refuse users' laws that are none, or whose slopes are wrong, and what a law does not do.
+def refuse_bad_laws(case: Case, name: str, slopes: bool = True) -> None:
+    """Refuse users' laws that are none, or whose slopes are wrong.
 
     Not collective.
 
@@ -41,7 +46,7 @@ def refuse_bad_laws(case: Case, ranks: int, name: str, slopes: bool = True) -> N
     ------
     InputError : all faults, one sentence each.
     """
-    faults, n = [], case.mesh.contact_elements
+    faults: list[str] = []
     pressure = _PRESSURE
     if case.load.force is not None:
         pressure = _MEANS * largest(case.load.force) / case.area
@@ -53,11 +58,6 @@ def refuse_bad_laws(case: Case, ranks: int, name: str, slopes: bool = True) -> N
                     check_user_slope(law, _sliding(case, 0.0, 0.0), pressure)
             except InputError as error:
                 faults += [f"{name}: wear.{body}.file: {fault}" for fault in error.faults]
-        if law is not None and law.length and ranks > 1 and n > REPLICATED_LIMIT:
-            faults.append(
-                f"{name}: mesh.contact_elements = {n}: must be at most "
-                f'{REPLICATED_LIMIT} on several ranks where wear.{body}.law = "non-local"'
-            )
     if faults:
         raise InputError(*faults)
 
@@ -78,7 +78,7 @@ def check_laws(path: Path, overrides: Sequence[str]) -> int:
     ComputationError : a user's function failed, or a derivative is not that of its rate.
     """
     case = read_case(path, overrides)
-    refuse_bad_laws(case, 1, str(path), slopes=False)
+    refuse_bad_laws(case, str(path), slopes=False)
     failed = sum(
         _tested(case, body, law) for body, law in zip(_BODIES, case.laws, strict=True) if law
     )
@@ -93,34 +93,41 @@ def check_laws(path: Path, overrides: Sequence[str]) -> int:
     return 0
 
 
-def _tested(case: Case, body: str, law: WearLaw) -> int:
+def _tested(case: Case, body: str, law: Law) -> int:
     """Print what a law does; return how many of its derivatives are wrong."""
     rng = np.random.default_rng(1)
     p, direction = rng.uniform(1.0, _PRESSURE, _ELEMENTS), rng.uniform(-1.0, 1.0, _ELEMENTS)
     fresh = _sliding(case, 0.0, 0.0)
     rates = [float(law.rate(np.full_like(p, v), fresh).max()) for v in _SHOWN]
     print(
-        f"{body}: {type(law).__name__}, largest rate at p = "
+        f"{body}: {law.describe()}\n  largest rate at p = "
         f"{', '.join(f'{q:g}' for q in _SHOWN)} MPa, t = 0, "
         f"omega = {largest(case.load.omega) or 1.0:g} rad/s: "
         f"{', '.join(f'{rate:.4g}' for rate in rates)} mm/s"
     )
     failed = 0
-    middles = [0.5 * (a + b) for a, b in zip((0.0, *case.knots), case.knots, strict=False)]
+    middles = [0.5 * (a + b) for a, b in itertools.pairwise((0.0, *case.breakpoints))]
     for time in (0.0, *middles[: _MOST_TIMES - 1]):
         for worn in (0.0, _WORN):
             at = _sliding(case, time, worn)
             for step, what in ((0.0, "rate"), (_STEP, f"wear of an implicit step of {_STEP:g} s")):
-                test = taylor_test(law, at, p, direction, step)
-                said = "ok" if test.passed else "FAIL"
-                order = "none left" if math.isinf(test.order) else f"order {test.order:.2f}"
-                if test.passed and test.order < 1.9:
-                    order += ", as its kinks explain"
-                if not law.rate(p, at).any():
-                    said, order = "-", "no wear, not tested"
-                failed += said == "FAIL"
-                print(
-                    f"  {said:4} derivative of the {what}, t = {time:g} s, {worn:g} mm worn: "
-                    f"Taylor remainder: {order}"
-                )
+                test = taylor_test(law, at, p, direction, step) if law.rate(p, at).any() else None
+                failed += _told(test, f"derivative of the {what}, t = {time:g} s, {worn:g} mm worn")
+        for name in law.numeric:
+            # memory is worth something only where something is worn
+            test = taylor_test_parameter(law, at, p, name) if law.rate(p, at).any() else None
+            what = f"derivative of the rate with respect to {name}"
+            failed += _told(test, f"{what}, t = {time:g} s, {_WORN:g} mm worn")
     return failed
+
+
+def _told(test: Remainders | None, what: str) -> bool:
+    """Print the result of a test, None where nothing wears; return whether it failed."""
+    if test is None:
+        print(f"  {'-':4} {what}: Taylor remainder: no wear, not tested")
+        return False
+    order = "none left" if math.isinf(test.order) else f"order {test.order:.2f}"
+    if test.passed and test.order < 1.9:
+        order += ", as its kinks explain"
+    print(f"  {'ok' if test.passed else 'FAIL':4} {what}: Taylor remainder: {order}")
+    return not test.passed

@@ -1,7 +1,9 @@
 """The keys of a case file: one list that reading, messages and ``info --schema`` follow."""
 
+import itertools
 import math
 import textwrap
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -9,6 +11,7 @@ from ringwear_par.cases.text import toml_value
 from ringwear_par.cases.values import (
     Kind,
     Reader,
+    Values,
     chamfer,
     choice,
     number,
@@ -24,20 +27,10 @@ from ringwear_par.cases.values import (
     which_times,
     whole,
 )
+from ringwear_par.wear.catalogue import LAWS
+from ringwear_par.wear.parameters import Parameter, parameters_of
 
 FIELDS = ("pressure", "gap", "wear_lower", "wear_upper")
-
-
-#: laws of wear, with the keys that each needs and those that it may have
-LAWS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
-    "threshold": (("k",), ("p0",)),
-    "archard": (("k",), ()),
-    "power": (("k", "m"), ("n",)),
-    "table": (("table",), ()),
-    "running-in": (("k", "k_start"), ("p0", "depth", "distance")),
-    "non-local": (("k", "length"), ("p0",)),
-    "user": (("file",), ("parameters",)),
-}
 
 
 @dataclass(frozen=True)
@@ -80,62 +73,46 @@ def _ring_keys(ring: str, name: str) -> list[Key]:
     ]  # fmt: skip
 
 
+def _values(parameter: Parameter) -> Values:
+    """Return the values that a law's parameter may have."""
+    if parameter.kind == "quantity":
+        return quantity(parameter.low, ends=parameter.ends)
+    if parameter.kind == "number":
+        return number(parameter.low, parameter.high, ends=parameter.ends)
+    if parameter.kind == "rates":
+        return rates()
+    return text("the name of a Python file") if parameter.kind == "file" else parameters()
+
+
 def _wear_keys(ring: str) -> list[Key]:
+    """Return the keys of a body's wear: ``law``, and what the laws declare."""
     table = f"wear.{ring}"
+    formulas = "; ".join(f"{name}: {law.formula.rstrip(',')}" for name, law in LAWS.items())
+    meaning = f"rate of wear of {ring}: {formulas}; no table [{table}]: does not wear"
+    keys = [Key(f"{table}.law", *choice(*LAWS), "-", meaning, None)]
+    declared = [parameters_of(law) for law in LAWS.values()]
+    for name in dict.fromkeys(itertools.chain(*declared)):
+        users = {law: own[name] for law, own in zip(LAWS, declared, strict=True) if name in own}
+        keys.append(_wear_key(f"{table}.{name}", users))
+    return keys
 
-    def of(name: str) -> str:
-        users = [law for law, (needs, may) in LAWS.items() if name in needs + may]
-        return f"(law = {' or '.join(users)})"
 
-    return [
-        Key(
-            f"{table}.law", *choice(*LAWS), "-",
-            f"rate of wear of {ring}: threshold: k mu max(0, p - p0) V; archard: k p V; power: "
-            "k p^m V^n; table: of rate against p V; running-in: threshold, k falling from k_start; "
-            "non-local: threshold, averaged over a length; user: a Python file; no table "
-            f"[{table}]: does not wear",
-            "threshold",
-        ),
-        Key(
-            f"{table}.k", *quantity(0.0, ends=True), "1/MPa",
-            "wear coefficient (power: mm/s at p = 1 MPa, V = 1 mm/s) " + of("k"), None,
-        ),
-        Key(
-            f"{table}.p0", *quantity(0.0, ends=True), "MPa", f"threshold pressure {of('p0')}", 0.0
-        ),
-        Key(f"{table}.m", *number(1.0, 10.0, ends=True), "1", f"exponent of p {of('m')}", None),
-        Key(f"{table}.n", *number(0.0, 10.0), "1", f"exponent of V {of('n')}", 1.0),
-        Key(
-            f"{table}.table", *rates(), "MPa mm/s and mm/s",
-            f"rate of wear; beyond its end the last slope goes on {of('table')}", None,
-        ),
-        Key(
-            f"{table}.k_start", *quantity(0.0, ends=True), "1/MPa",
-            f"wear coefficient at the start, k or larger {of('k_start')}", None,
-        ),
-        Key(
-            f"{table}.depth", *number(0.0), "mm",
-            f"worn depth over which k_start - k falls by the factor e {of('depth')}", None,
-        ),
-        Key(
-            f"{table}.distance", *number(0.0), "mm",
-            f"distance slid over which it does, instead of depth {of('distance')}", None,
-        ),
-        Key(
-            f"{table}.length", *number(0.0), "mm",
-            "standard deviation of the Gaussian average of the pressure, and of the wear that it "
-            f"causes {of('length')}", None,
-        ),
-        Key(
-            f"{table}.file", *text("the name of a Python file"), "-",
-            "relative to the case; it defines rate(p, at) and slope(p, at), see user_law.py "
-            f"{of('file')}", None,
-        ),
-        Key(
-            f"{table}.parameters", *parameters(), "-",
-            f"what at.parameters holds {of('parameters')}", None,
-        ),
-    ]  # fmt: skip
+def _wear_key(path: str, users: Mapping[str, Parameter]) -> Key:
+    """Return the key of a parameter from the declarations of the laws that have it.
+
+    Keys are read before their law is known: what is allowed must be the same for all of them.
+    """
+    first, *others = users.values()
+    values = _values(first)
+    if any(_values(other).allowed != values.allowed for other in others):
+        raise ValueError(f"{path}: must allow the same in all laws that have it")
+    meaning = first.meaning + "".join(
+        f" ({law}: {other.meaning}, {other.unit})"
+        for law, other in users.items()
+        if (other.meaning, other.unit) != (first.meaning, first.unit)
+    )
+    default = None if first.default in (..., ()) else first.default
+    return Key(path, *values, first.unit, f"{meaning} (law = {' or '.join(users)})", default)
 
 
 KEYS: tuple[Key, ...] = (

@@ -12,10 +12,10 @@ over if the sets cycle is Bertsekas' projected Newton method, SIAM J. Control Op
 import math
 
 import numpy as np
-from petsc4py import PETSc
 from scipy.linalg.lapack import dpotrf, dpotrs
 
 from ringwear_par.arrays import BoolArray, FloatArray
+from ringwear_par.petsc import PETSc
 
 _PLAIN_ITERATIONS = 25
 _ROUND_OFF = 1e-13
@@ -34,60 +34,64 @@ class ActiveSetNewton:
         self._diagonal: FloatArray | float = 1.0
         self._state = -1
         self._monitored = False
+        self._forget()
+
+    def _forget(self) -> None:
+        self._x, self._g, self._hessian = PETSc.Vec(), PETSc.Vec(), PETSc.Mat()
 
     def setUp(self, tao: PETSc.TAO) -> None:
-        """Look whether somebody watches."""
+        """Take the TAO's vectors and its Hessian; look whether somebody watches."""
+        self._x, self._g = tao.getSolution(), tao.getGradient()[0]
+        self._hessian = tao.getHessian()[0]
         self._monitored = PETSc.Options(tao.getOptionsPrefix()).hasName("tao_monitor")
 
     def destroy(self, tao: PETSc.TAO) -> None:
-        """Forget the factor."""
-        self._factor = None
-        self._state = -1
+        """Forget the factor, and what is the TAO's."""
+        self._factor, self._state = None, -1
+        self._forget()
 
     def solve(self, tao: PETSc.TAO) -> None:
         """Minimise from the solution vector's present value.
 
         At the end the TAO's gradient vector holds the gradient at the solution.
         """
-        solution = tao.getSolution()
-        self._vector = tao.getGradient()[0]
-        x = solution.getArray(readonly=True).copy()
+        x = self._x.getArray(readonly=True).copy()
         free = x > 0.0
         tolerance = tao.getTolerances()[0]
         limit = tao.getMaximumIterations()
         if not free.any():
-            free = self._evaluate(tao, solution, np.zeros_like(x)) < 0.0
+            free = self._evaluate(tao, np.zeros_like(x)) < 0.0
         x[~free] = 0.0
-        gradient = self._evaluate(tao, solution, x)
+        gradient = self._evaluate(tao, x)
         for iteration in range(1, limit + 1):
             if iteration <= _PLAIN_ITERATIONS:
                 if free.all():  # the same in fewer operations: most steps of most histories
-                    x += self._newton_step(tao, solution, gradient, free)
-                    gradient = self._evaluate(tao, solution, x)
+                    x += self._newton_step(tao, gradient, free)
+                    gradient = self._evaluate(tao, x)
                     keep = x > 0.0
                     settled = bool(keep.all())
                 else:
-                    x[free] += self._newton_step(tao, solution, gradient[free], free)
-                    gradient = self._evaluate(tao, solution, x)
+                    x[free] += self._newton_step(tao, gradient[free], free)
+                    gradient = self._evaluate(tao, x)
                     keep = np.where(free, x > 0.0, gradient < 0.0)
                     settled = bool((keep == free).all())
                 if not settled:
                     x[~keep] = 0.0
-                    gradient = self._evaluate(tao, solution, x)
+                    gradient = self._evaluate(tao, x)
                     free = keep
             else:
                 x = np.maximum(x, 0.0)
-                gradient = self._evaluate(tao, solution, x)
+                gradient = self._evaluate(tao, x)
                 free = (x > 0.0) | (gradient < 0.0)
                 step = np.zeros_like(x)
-                step[free] = self._newton_step(tao, solution, gradient[free], free)
-                x, gradient = self._search(tao, solution, x, gradient, step)
+                step[free] = self._newton_step(tao, gradient[free], free)
+                x, gradient = self._search(tao, x, gradient, step)
                 settled = bool((gradient[x == 0.0] >= 0.0).all())
                 free = x > 0.0
             defect = np.minimum(gradient, x * self._diagonal)
             residual = math.sqrt(defect @ defect)
             if self._monitored:
-                tao.monitor(iteration, tao.computeObjective(solution), residual)
+                tao.monitor(iteration, tao.computeObjective(self._x), residual)
             # where wear makes the diagonal large, round-off in x is more than the tolerance in g
             if settled and (
                 residual <= tolerance
@@ -99,18 +103,16 @@ class ActiveSetNewton:
         tao.setIterationNumber(limit)
         tao.setConvergedReason(PETSc.TAO.Reason.DIVERGED_MAXITS)
 
-    def _evaluate(self, tao: PETSc.TAO, solution: PETSc.Vec, x: FloatArray) -> FloatArray:
-        solution.setArray(x)
-        tao.computeGradient(solution, self._vector)
-        return self._vector.getArray(readonly=True).copy()
+    def _evaluate(self, tao: PETSc.TAO, x: FloatArray) -> FloatArray:
+        self._x.setArray(x)
+        tao.computeGradient(self._x, self._g)
+        return self._g.getArray(readonly=True).copy()
 
-    def _newton_step(
-        self, tao: PETSc.TAO, solution: PETSc.Vec, gradient: FloatArray, free: BoolArray
-    ) -> FloatArray:
+    def _newton_step(self, tao: PETSc.TAO, gradient: FloatArray, free: BoolArray) -> FloatArray:
         if not len(gradient):
             return np.empty(0)
-        hessian = tao.getHessian()[0]
-        tao.computeHessian(solution, hessian)
+        hessian = self._hessian
+        tao.computeHessian(self._x, hessian)
         state = hessian.stateGet()
         if self._factor is None or state != self._state or (free != self._free).any():
             block = hessian.getDenseArray(readonly=True)
@@ -139,7 +141,6 @@ class ActiveSetNewton:
     def _search(
         self,
         tao: PETSc.TAO,
-        solution: PETSc.Vec,
         x: FloatArray,
         gradient: FloatArray,
         step: FloatArray,
@@ -152,7 +153,7 @@ class ActiveSetNewton:
         length = 1.0
         while True:
             trial = np.maximum(x + length * step, 0.0)
-            after = self._evaluate(tao, solution, trial)
+            after = self._evaluate(tao, trial)
             way = trial - x
             before, slope = float(gradient @ way), float(after @ way)
             if slope <= -1e-8 * before or length < 1e-10:

@@ -345,3 +345,18 @@ def boundary_mesh(
     return BoundaryMesh(
         nodes, elements, of("contact")[::-1].copy(), of("fixed"), of("inner_side"), of("outer_side")
     )
+
+
+def node_wear(line: ContactLine, worn: FloatArray) -> FloatArray:
+    """Return (n+1,) mm, the wear at the line's nodes from (n,) that of its elements.
+
+    Linear between the gap points; at the ends extrapolated, but not below the last element's own.
+    """
+    if line.n == 1:
+        return np.repeat(worn, 2)
+    x, r = line.gap_point, line.edges
+    nodes = np.interp(r, x, worn)
+    for end, a, b in ((0, 0, 1), (-1, -1, -2)):
+        slope = (worn[a] - worn[b]) / (x[a] - x[b])
+        nodes[end] = max(worn[a] + slope * (r[end] - x[a]), worn[a], 0.0)
+    return nodes

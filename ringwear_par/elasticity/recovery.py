@@ -1,55 +1,12 @@
 """Displacement and traction on the whole boundaries of both bodies, from a contact solution."""
 
-from dataclasses import dataclass
-from typing import Literal
-
 import numpy as np
 from mpi4py import MPI
 
-from ringwear_par.arrays import FloatArray, IntArray
+from ringwear_par.arrays import FloatArray
 from ringwear_par.elasticity.body import Body, BoundaryResponse, boundary_response, in_case_frame
-from ringwear_par.elasticity.mesh import BoundaryMesh, ContactLine, Mesh, boundary_mesh
-from ringwear_par.elasticity.updated import node_wear
-
-Which = Literal["lower", "upper"]
-BODIES: tuple[Which, Which] = ("lower", "upper")
-#: faces of a body; their numbers are stored
-FACES = ("free", "contact", "fixed", "inner_side", "outer_side")
-
-
-@dataclass(frozen=True)
-class BoundaryFields:
-    """Fields on the boundary of one body, in the frame of the case.
-
-    Parameters
-    ----------
-    nodes : (m, 2) float, mm, r and z of the worn, undeformed body.
-    elements : (k, 3) int, first, middle and last node; the outward normal lies to the right.
-    face : (k,) int, index in FACES.
-    displacement : (m, 3) float, mm, along r, z and theta, elastic but for the approach: the upper
-        body's u_z includes the descent of its fixed top.
-    traction : (k, 3) float, MPa, along r, z and theta, per area of the boundary, constant on each
-        element. On the contact line it is that of pressure and friction, both per area projected
-        on the contact plane.
-    pressure, wear : (k,) float, MPa and mm, 0 off the contact line.
-    """
-
-    nodes: FloatArray
-    elements: IntArray
-    face: IntArray
-    displacement: FloatArray
-    traction: FloatArray
-    pressure: FloatArray
-    wear: FloatArray
-
-
-@dataclass(frozen=True)
-class BoundaryState:
-    """Fields on the boundaries of lower and upper after ``step`` steps, at ``time`` (s)."""
-
-    step: int
-    time: float
-    bodies: tuple[BoundaryFields, BoundaryFields]
+from ringwear_par.elasticity.boundary_fields import BODIES, FACES, BoundaryFields, Which
+from ringwear_par.elasticity.mesh import BoundaryMesh, ContactLine, Mesh, boundary_mesh, node_wear
 
 
 class BoundaryRecovery:

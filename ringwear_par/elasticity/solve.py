@@ -7,13 +7,13 @@ every rank factorise a copy of the whole.
 
 import numpy as np
 from mpi4py import MPI
-from petsc4py import PETSc
 
 from ringwear_par.arrays import FloatArray
 from ringwear_par.elasticity.assembly import Rows
-from ringwear_par.errors import ComputationError, InputError
+from ringwear_par.errors import ComputationError
+from ringwear_par.options import BEM_PREFIX, set_from_options
+from ringwear_par.petsc import PETSc
 
-PREFIX = "bem_"
 #: largest residual of a row, relative to the sum of its terms
 RESIDUAL_TOLERANCE = 1e-9
 
@@ -51,14 +51,14 @@ def solve_rows(rows: Rows, comm: MPI.Comm) -> tuple[FloatArray, int]:
     padded[:, :n_loads] = rows.loads
     loads = _matrix(padded, (PETSc.DECIDE, columns), comm)
     ksp = PETSc.KSP().create(comm)
-    ksp.setOptionsPrefix(PREFIX)
+    ksp.setOptionsPrefix(BEM_PREFIX)
     ksp.setOperators(matrix)
     ksp.setType("preonly")
     pc = ksp.getPC()
     pc.setType("lu" if comm.size == 1 or has_scalapack() else "redundant")
     owned = [matrix, loads, ksp, pc]
     try:
-        set_from_options(ksp, PREFIX)
+        set_from_options(ksp, BEM_PREFIX)
         block_cyclic = comm.size > 1 and pc.getType() == "lu"
         if block_cyclic:
             distributed = PETSc.Mat()
@@ -129,22 +129,6 @@ def _check_residual(rows: Rows, x: FloatArray, start: int, comm: MPI.Comm) -> No
     if not worst <= RESIDUAL_TOLERANCE:
         raise ComputationError(
             f"boundary element system: relative residual {worst:.1e} is above "
-            f"{RESIDUAL_TOLERANCE:.0e} (KSP and PC of -{PREFIX} options must solve, not only "
+            f"{RESIDUAL_TOLERANCE:.0e} (KSP and PC of -{BEM_PREFIX} options must solve, not only "
             "precondition)"
         )
-
-
-def set_from_options(solver: PETSc.KSP | PETSc.TAO, prefix: str) -> None:
-    """Let a solver read its PETSc options. Collective on the solver.
-
-    Raises
-    ------
-    InputError : PETSc does not accept a value.
-    """
-    try:
-        solver.setFromOptions()
-    except PETSc.Error as error:
-        raise InputError(
-            f"-{prefix}... options: PETSc does not accept one of them (error {error.ierr}); types "
-            "must be among those of this PETSc"
-        ) from error

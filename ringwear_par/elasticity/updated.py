@@ -20,25 +20,10 @@ from ringwear_par.elasticity.body import (
     condense,
     solve_assembled,
 )
-from ringwear_par.elasticity.mesh import ContactLine, Mesh, boundary_mesh
+from ringwear_par.elasticity.mesh import ContactLine, Mesh, boundary_mesh, node_wear
 from ringwear_par.elasticity.pair import ContactPair, join_bodies, pair_key
 from ringwear_par.elasticity.quadrature import quadrature
 from ringwear_par.elasticity.sections import Section
-
-
-def node_wear(line: ContactLine, worn: FloatArray) -> FloatArray:
-    """Return (n+1,) mm, the wear at the line's nodes from (n,) that of its elements.
-
-    Linear between the gap points; at the ends extrapolated, but not below the last element's own.
-    """
-    if line.n == 1:
-        return np.repeat(worn, 2)
-    x, r = line.gap_point, line.edges
-    nodes = np.interp(r, x, worn)
-    for end, a, b in ((0, 0, 1), (-1, -1, -2)):
-        slope = (worn[a] - worn[b]) / (x[a] - x[b])
-        nodes[end] = max(worn[a] + slope * (r[end] - x[a]), worn[a], 0.0)
-    return nodes
 
 
 def moving_parts(section: Section, line: ContactLine, mesh: Mesh) -> Moving:

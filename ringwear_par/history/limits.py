@@ -5,6 +5,8 @@ import os
 import numpy as np
 
 from ringwear_par.cases.case import Case
+from ringwear_par.cases.law_trials import refuse_bad_laws
+from ringwear_par.contact.problem import REPLICATED_LIMIT
 from ringwear_par.elasticity.mesh import boundary_mesh, count_elements
 from ringwear_par.elasticity.solve import has_scalapack
 from ringwear_par.errors import InputError
@@ -35,6 +37,53 @@ def memory_needed(case: Case, ranks: int) -> float:
         rows = 1.0 if case.output.boundary == "last" else case.stored_rows
         history += 2.0 * 15.0 * unknowns / 4.0 * rows
     return 8.0 * ((1.25 + kept + 1.25 * copies) * unknowns**2 + ranks * shared + history)
+
+
+def check_ranks(case: Case, ranks: int, name: str) -> None:
+    """Refuse a non-local law in a contact problem that ranks would share. Not collective.
+
+    Parameters
+    ----------
+    ranks : of the case.
+    name : what messages call the case.
+
+    Raises
+    ------
+    InputError : one sentence a body.
+    """
+    elements = case.mesh.contact_elements
+    if ranks == 1 or elements <= REPLICATED_LIMIT:
+        return
+    faults = [
+        f"{name}: mesh.contact_elements = {elements}: must be at most {REPLICATED_LIMIT} on "
+        f"several ranks where wear.{body}.law averages over a length"
+        for body, law in zip(("lower", "upper"), case.laws, strict=True)
+        if law is not None and law.length
+    ]
+    if faults:
+        raise InputError(*faults)
+
+
+def check_case(case: Case, ranks: int, name: str) -> None:
+    """Refuse a case that cannot be computed, as far as that can be told before. Not collective.
+
+    Raises
+    ------
+    InputError : all faults, one sentence each.
+    """
+    faults: list[str] = []
+    for check in (
+        lambda: refuse_bad_laws(case, name),
+        lambda: check_ranks(case, ranks, name),
+        lambda: check_memory(case, ranks, name),
+        lambda: check_mesh(case, name),
+    ):
+        try:
+            check()
+        except InputError as error:
+            faults += error.faults
+    if faults:
+        raise InputError(*faults)
 
 
 def check_memory(case: Case, ranks: int, name: str) -> None:

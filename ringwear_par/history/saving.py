@@ -1,6 +1,26 @@
-"""What of a history is saved."""
+"""What of a history is saved: which steps and times, and where whole boundaries are asked for."""
 
 from ringwear_par.cases.case import SAME_TIME, Case
+
+
+def _same(time: float, *others: float) -> bool:
+    """Tell whether a time is one of others but for round-off."""
+    return any(abs(time - other) <= SAME_TIME * time for other in others)
+
+
+def stores(case: Case, step: int, time: float) -> bool:
+    """Tell whether a case stores its state after so many steps, at a time (s)."""
+    output = case.output
+    if step == 0 or case.time.finished(step, time):
+        return True
+    if output.times:
+        return any(_same(t, time) for t in output.times)
+    return step % output.every == 0
+
+
+def times_within(case: Case, start: float, end: float) -> list[float]:
+    """Return the times of output strictly between two times, s."""
+    return [t for t in case.output.times if start < t < end and not _same(t, start, end)]
 
 
 def wants_boundary(case: Case, time: float, finished: bool, before: float) -> bool:

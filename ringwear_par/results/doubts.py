@@ -4,9 +4,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ringwear_par.cases.case import Case
-from ringwear_par.elasticity.pair import ContactCompliance
-from ringwear_par.history.model import State, WearHistory
+from ringwear_par.history.balances import Balances
+from ringwear_par.history.model import WearModel
+from ringwear_par.history.state import State
 
 #: fewer elements in contact than this do not resolve it
 _FEW_ELEMENTS = 10
@@ -30,9 +30,14 @@ class Doubt:
     text: str
 
 
-def doubts(case: Case, elasticity: ContactCompliance, state: State) -> tuple[Doubt, ...]:
-    """Return where the last state of a case leaves what the method is made for. Not collective."""
-    found = []
+def doubts(model: WearModel, state: State, balances: Balances) -> tuple[Doubt, ...]:
+    """Return where the last state of a case leaves what the method is made for. Not collective.
+
+    Parameters
+    ----------
+    balances : the worst of its history.
+    """
+    found, case = [], model.case
     height = min(ring.z[1] - ring.z[0] for ring in case.rings)
     moved = max(state.contact.approach, float(state.wear.max()))
     if moved > _MOST_MOVED * height:
@@ -61,7 +66,7 @@ def doubts(case: Case, elasticity: ContactCompliance, state: State) -> tuple[Dou
                 "mesh.contact = [r1, r2] puts them where contact is",
             )
         )
-    defect = max(state.balances.torque, state.balances.reaction, elasticity.symmetry_defect)
+    defect = max(balances.torque, balances.reaction, model.compliance.symmetry_defect)
     if defect > _MOST_DEFECT:
         found.append(
             Doubt(
@@ -73,12 +78,12 @@ def doubts(case: Case, elasticity: ContactCompliance, state: State) -> tuple[Dou
     return tuple(found)
 
 
-def instability(history: WearHistory) -> tuple[Doubt, ...]:
-    """Return whether explicit steps are too long. Collective on the history's communicator."""
-    case = history.case
+def instability(model: WearModel) -> tuple[Doubt, ...]:
+    """Return whether explicit steps are too long. Collective."""
+    case = model.case
     if case.time.scheme != "explicit":
         return ()
-    limit, step = history.stable_step(), case.time.step
+    limit, step = model.stable_step(), case.time.step
     if step <= limit:
         return ()
     return (

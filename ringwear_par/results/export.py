@@ -11,9 +11,11 @@ import numpy as np
 
 from ringwear_par.arrays import FloatArray, IntArray
 from ringwear_par.atomic import atomic_write, check_writable
-from ringwear_par.elasticity.recovery import BoundaryFields, BoundaryState
+from ringwear_par.elasticity.boundary_fields import BoundaryFields, BoundaryState
 from ringwear_par.errors import InputError
-from ringwear_par.results.files import ALONG, SCALARS, Result, read_result
+from ringwear_par.results.files import result_of
+from ringwear_par.results.result import Result
+from ringwear_par.results.variables import HISTORIES, PROFILES, Variable
 
 SEGMENTS = 72
 _ENDINGS = (".vtp", ".vtu", ".csv")
@@ -37,14 +39,14 @@ class Cells:
 
 
 def export(
-    run: Path,
+    run: Result | str | Path,
     output: Path,
     time: float | None = None,
     segments: int | None = None,
     scale: float | None = None,
     fields: bool = False,
 ) -> str:
-    """Write a result file in another format; return what was written. On one rank.
+    """Write a result, or that of a file, in another format; return what was written. On one rank.
 
     Parameters
     ----------
@@ -60,7 +62,7 @@ def export(
     InputError : a file or a choice that cannot be, fields that the run has not stored.
     """
     check_export(output, time, segments, scale, fields)
-    result = read_result(run)
+    result = result_of(run)
     if output.suffix == ".csv":
         header, rows = _contact_table(result) if fields else _history_table(result)
         _write_csv(output, header, rows)
@@ -117,14 +119,14 @@ def choose_state(result: Result, time: float | None) -> BoundaryState:
     states = result.boundary
     if not states:
         raise InputError(
-            f"{result.path}: holds no fields on the bodies' boundaries; must be computed with "
+            f"{result.name}: holds no fields on the bodies' boundaries; must be computed with "
             'output.boundary = "last" or "all", or with times'
         )
     if time is None:
         return states[-1]
-    end = float(result.scalars["time"][-1])
+    end = float(result.histories["time"][-1])
     if not 0.0 <= time <= end * (1.0 + 1e-9):
-        raise InputError(f"--time {time:g}: must be from 0 to {end:g} s, the end of {result.path}")
+        raise InputError(f"--time {time:g}: must be from 0 to {end:g} s, the end of {result.name}")
     return min(states, key=lambda state: abs(state.time - time))
 
 
@@ -211,7 +213,7 @@ def _columns(values: Any) -> Any:
 
 def _write_vtk(output: Path, content: Cells) -> None:
     """Write lines to a .vtp or quadrangles to a .vtu file, by rename."""
-    from pyevtk.vtk import VtkFile, VtkPolyData, VtkQuad, VtkUnstructuredGrid
+    from pyevtk.vtk import VtkFile, VtkFileType, VtkQuad
 
     lines = output.suffix == ".vtp"
     count, corners = content.cells.shape
@@ -228,10 +230,9 @@ def _write_vtk(output: Path, content: Cells) -> None:
         ("CellData", {name: _columns(v) for name, v in content.cell_data.items()}),
     ]
     with atomic_write(output) as temporary:
-        # pyevtk appends the ending
-        file = VtkFile(
-            str(temporary.with_suffix("")), VtkPolyData if lines else VtkUnstructuredGrid
-        )
+        # pyevtk would append an ending
+        kind = VtkFileType("PolyData" if lines else "UnstructuredGrid", "")
+        file = VtkFile(str(temporary), kind)
         with closing(file.xml.stream):  # which pyevtk leaves open where it fails
             file.openGrid()
             sizes = {"nlines": count} if lines else {"ncells": count}
@@ -251,32 +252,30 @@ def _write_vtk(output: Path, content: Cells) -> None:
 
 def _history_table(result: Result) -> tuple[list[str], Iterable[Sequence[Any]]]:
     """Return the histories, a row for each stored state."""
-    header = ["step", *(_titled(name, unit) for name, (unit, _) in SCALARS.items())]
-    columns = [result.steps.tolist()]
-    for name in SCALARS:
-        columns.append(result.scalars[name].tolist())
-    return header, zip(*columns, strict=True)
+    header = ["step", *map(_titled, HISTORIES.values())]
+    columns = [result.step, *(result.histories[name] for name in HISTORIES)]
+    return header, zip(*(column.tolist() for column in columns), strict=True)
 
 
 def _contact_table(result: Result) -> tuple[list[str], Iterable[Sequence[Any]]]:
     """Return the contact line, a row for each stored state and element."""
-    names = [name for name in ALONG if name in result.fields]
+    names = [name for name in PROFILES if name in result.profiles]
     if not names:
-        raise InputError(f"{result.path}: holds no field of the contact line (output.fields)")
-    tables = [np.atleast_2d(result.fields[name]) for name in names]
+        raise InputError(f"{result.name}: holds no field of the contact line (output.fields)")
+    tables = [np.atleast_2d(result.profiles[name]) for name in names]
     stored, n = tables[0].shape  # one row where the last state's fields are stored only
-    steps, times = result.steps[-stored:], result.scalars["time"][-stored:]
+    steps, times = result.step[-stored:], result.histories["time"][-stored:]
     header = ["step", "time (s)", "element", "r (mm)"]
     columns = [
         np.repeat(steps, n), np.repeat(times, n), np.tile(np.arange(n), stored),
         np.tile(result.line.r, stored), *(table.ravel() for table in tables),
     ]  # fmt: skip
-    header += [_titled(name, ALONG[name][0]) for name in names]
+    header += [_titled(PROFILES[name]) for name in names]
     return header, zip(*(column.tolist() for column in columns), strict=True)
 
 
-def _titled(name: str, unit: str) -> str:
-    return name if unit == "1" else f"{name} ({unit})"
+def _titled(variable: Variable) -> str:
+    return variable.name if variable.unit == "1" else f"{variable.name} ({variable.unit})"
 
 
 def _write_csv(output: Path, header: Sequence[str], rows: Iterable[Sequence[Any]]) -> None:

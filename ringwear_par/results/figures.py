@@ -1,7 +1,7 @@
 """Figures from stored results: worn profiles, histories, pressure profiles, deformed sections."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -17,12 +17,14 @@ from ringwear_par.atomic import atomic_write, check_writable
 from ringwear_par.cases.case import Output
 from ringwear_par.cases.keys import read_keys
 from ringwear_par.cases.schema import UNITS
-from ringwear_par.elasticity.mesh import ContactLine
-from ringwear_par.elasticity.recovery import FACES, BoundaryFields
-from ringwear_par.elasticity.updated import node_wear
+from ringwear_par.elasticity.boundary_fields import FACES, BoundaryFields
+from ringwear_par.elasticity.mesh import ContactLine, node_wear
 from ringwear_par.errors import InputError
 from ringwear_par.results.export import choose_state
-from ringwear_par.results.files import Result, read_result
+from ringwear_par.results.files import result_of
+from ringwear_par.results.result import Result
+
+Source = Result | str | Path
 
 STYLE: dict[Any, Any] = {
     "font.size": 9.0,
@@ -39,6 +41,35 @@ _COLUMNS = 3
 COLOURS = ("#1b4f8a", "#c1440e", "#3a7d44", "#6a4c93", "#444444")
 
 
+def plot(
+    results: Source | Sequence[Source],
+    panels: str | Sequence[str] = "wear,penetration",
+    steps: str = "",
+    profiles_of: Sequence[Source] = (),
+) -> Figure:
+    """Return the panels of one or more results side by side. Not collective.
+
+    Profiles (``wear``, ``pressure``) and deformed sections (``section``, the last one stored) are
+    drawn of every result, one panel each; the histories of all of them share a panel
+    (``penetration``).
+
+    Parameters
+    ----------
+    results : a result or a result file, or several.
+    panels : names, in a list or separated by commas.
+    steps : comma-separated step numbers of the profiles; "" for the first step and four quarters.
+    profiles_of : those of the results whose profiles and sections are drawn; () for all.
+
+    Raises
+    ------
+    InputError : a file that is not a result, an unknown panel, a step not stored.
+    """
+    sources = [results] if isinstance(results, Result | str | Path) else list(results)
+    names = panels.split(",") if isinstance(panels, str) else list(panels)
+    with matplotlib.rc_context(STYLE):
+        return _drawn_panels([_place(s) for s in sources], names, steps, map(_place, profiles_of))
+
+
 def plot_files(
     paths: Sequence[Path],
     output: Path,
@@ -46,62 +77,82 @@ def plot_files(
     steps: str = "",
     profiles_of: Sequence[Path] = (),
 ) -> None:
-    """Draw the panels of one or more result files side by side. On one rank.
-
-    Profiles (``wear``, ``pressure``) and deformed sections (``section``, the last one stored) are
-    drawn of every file, one panel each; the histories of all files share a panel
-    (``penetration``).
+    """Write a picture of one or more result files, see ``plot``. On one rank.
 
     Parameters
     ----------
-    paths : result files.
-    output : picture; its ending chooses the format.
-    panels : comma-separated names.
-    steps : comma-separated step numbers of the profiles; "" for the first step and four quarters.
-    profiles_of : those of the files whose profiles and sections are drawn; () for all.
+    output : its ending chooses the format.
 
     Raises
     ------
-    InputError : a file that is not a result, an unknown panel or format, a step not stored.
+    InputError : what ``plot`` refuses, or another format.
     """
     check_figure(output)
-    results = [read_result(path) for path in paths]
-    for path in profiles_of:
-        if path not in paths:
-            raise InputError(f"--profiles-of {path}: must be one of the result files to be drawn")
+    save_figure(plot(paths, panels, steps, profiles_of), output)
+
+
+def save_figure(figure: Figure, output: Path) -> None:
+    """Write a picture by rename, in the format of its ending. On one rank.
+
+    Raises
+    ------
+    OSError : the disk or the folder.
+    """
+    with matplotlib.rc_context(STYLE), atomic_write(output) as temporary:
+        figure.savefig(temporary, format=output.suffix[1:].lower())
+
+
+def _place(source: Source) -> Result | Path:
+    return Path(source) if isinstance(source, str) else source
+
+
+def _drawn_panels(
+    sources: Sequence[Result | Path],
+    panels: Sequence[str],
+    steps: str,
+    profiles_of: Iterable[Result | Path],
+) -> Figure:
+    results = [result_of(source) for source in sources]
+    chosen = list(profiles_of)
+    for source in chosen:
+        if source not in sources:
+            name = source.name if isinstance(source, Result) else source
+            raise InputError(f"--profiles-of {name}: must be one of the result files to be drawn")
     labels = _labels(results)
+    profiled = [
+        (result, label)
+        for source, result, label in zip(sources, results, labels, strict=True)
+        if not chosen or source in chosen
+    ]
     drawings: list[Callable[..., None]] = []
-    for panel in panels.split(","):
+    for panel in panels:
         if panel == "penetration":
             drawings.append(partial(_penetration, results=results, labels=labels))
         elif panel in ("wear", "pressure"):
             profile = _wear if panel == "wear" else _pressure
-            for result, label in zip(results, labels, strict=True):
-                if not profiles_of or result.path in profiles_of:
-                    rows = _rows(result, steps)
-                    drawings.append(partial(profile, result=result, label=label, rows=rows))
+            for result, label in profiled:
+                rows = _rows(result, steps)
+                drawings.append(partial(profile, result=result, label=label, rows=rows))
         elif panel == "section":
-            for result, label in zip(results, labels, strict=True):
-                if not profiles_of or result.path in profiles_of:
-                    choose_state(result, None)  # refuses a file without
-                    drawings.append(partial(_section, result=result, label=label))
+            for result, label in profiled:
+                choose_state(result, None)  # refuses a file without
+                drawings.append(partial(_section, result=result, label=label))
         else:
             raise InputError(
-                f"--panels {panels}: {panel!r} must be one of wear, penetration, pressure, section"
+                f"--panels {','.join(panels)}: {panel!r} must be one of wear, penetration, "
+                "pressure, section"
             )
-    with matplotlib.rc_context(STYLE):
-        columns = min(len(drawings), _COLUMNS)
-        lines = -(-len(drawings) // columns)
-        # sections have the same scale along both axes and leave room that constrained ones keep
-        layout: Any = "compressed" if set(panels.split(",")) == {"section"} else "constrained"
-        figure = Figure(figsize=(3.6 * columns, 3.3 * lines), layout=layout)
-        for number, draw in enumerate(drawings):
-            draw(figure.add_subplot(lines, columns, number + 1))
-        titles = {str(result.attributes["title"]) for result in results} - {""}
-        if len(titles) == 1:
-            figure.suptitle(titles.pop(), fontsize=8.0)
-        with atomic_write(output) as temporary:
-            figure.savefig(temporary)
+    columns = min(len(drawings), _COLUMNS)
+    lines = -(-len(drawings) // columns)
+    # sections have the same scale along both axes and leave room that constrained ones keep
+    layout: Any = "compressed" if set(panels) == {"section"} else "constrained"
+    figure = Figure(figsize=(3.6 * columns, 3.3 * lines), layout=layout)
+    for number, draw in enumerate(drawings):
+        draw(figure.add_subplot(lines, columns, number + 1))
+    titles = {str(result.attributes["title"]) for result in results} - {""}
+    if len(titles) == 1:
+        figure.suptitle(titles.pop(), fontsize=8.0)
+    return figure
 
 
 def check_figure(output: Path, stored: Output | None = None) -> None:
@@ -127,16 +178,16 @@ def check_figure(output: Path, stored: Output | None = None) -> None:
 
 
 def _rows(result: Result, steps: str) -> list[int]:
-    stored, last = result.steps, int(result.steps[-1])
+    stored, last = result.step, int(result.step[-1])
     if not steps:
-        time = result.scalars["time"]
+        time = result.histories["time"]
         wished = (time[min(1, len(time) - 1)], *(time[-1] * q / 4 for q in (1, 2, 3, 4)))
         return sorted({int(np.abs(time - t).argmin()) for t in wished})
     rows = []
     for word in steps.split(","):
         if not word.strip().isdecimal() or int(word) not in stored:
             raise InputError(
-                f"--steps {steps}: {word!r} is not a stored step of {result.path}; "
+                f"--steps {steps}: {word!r} is not a stored step of {result.name}; "
                 f"must be among 0..{last} as stored (output.every)"
             )
         rows.append(int(np.flatnonzero(stored == int(word))[0]))
@@ -144,26 +195,29 @@ def _rows(result: Result, steps: str) -> list[int]:
 
 
 def _field(result: Result, name: str) -> Any:
-    if name not in result.fields:
+    if name not in result.profiles:
         raise InputError(
-            f"{result.path}: does not hold {name}; output.fields of its case left it out"
+            f"{result.name}: does not hold {name}; output.fields of its case left it out"
         )
-    if result.fields[name].ndim == 1:
+    if result.profiles[name].ndim == 1:
         raise InputError(
-            f"{result.path}: holds {name} of the last step only; must be computed with "
+            f"{result.name}: holds {name} of the last step only; must be computed with "
             'output.profiles = "all"'
         )
-    return result.fields[name]
+    return result.profiles[name]
 
 
 def _labels(results: Sequence[Result]) -> list[str]:
     """Name each result by what sets its case apart, or by its file where that is too much."""
-    cases = [read_keys(str(result.attributes["case"])) for result in results]
+    cases = [read_keys(result.case) for result in results]
     paths = [
         path for path in UNITS if path != "title" and len({str(c.get(path)) for c in cases}) > 1
     ]
     if not 1 <= len(paths) <= 2 or any(path not in case for path in paths for case in cases):
-        return [result.path.stem for result in results]
+        return [
+            f"result {number}" if result.path is None else result.path.stem
+            for number, result in enumerate(results, 1)
+        ]
     names = [path.rpartition(".")[2] for path in paths]
     units = [f" {UNITS[path]}" if UNITS[path] not in ("-", "1") else "" for path in paths]
     return [
@@ -179,7 +233,7 @@ def _labels(results: Sequence[Result]) -> list[str]:
 def _profiles(
     axes: Any, result: Result, label: str, rows: Sequence[int], curve: Callable[[int], Any]
 ) -> None:
-    time = result.scalars["time"]
+    time = result.histories["time"]
     for number, row in enumerate(rows):
         axes.plot(
             result.line.r, curve(row), color=COLOURS[number % len(COLOURS)],
@@ -217,7 +271,7 @@ def _pressure(axes: Any, result: Result, label: str, rows: Sequence[int]) -> Non
     pressure = _field(result, "pressure")
     highest = float(pressure[list(rows)].max())
     touched = (pressure[list(rows)] > 0.0) @ result.line.area  # mm^2
-    mean = result.scalars["force"][list(rows)] / np.where(touched > 0.0, touched, np.inf)
+    mean = result.histories["force"][list(rows)] / np.where(touched > 0.0, touched, np.inf)
     top = 3.0 * float(mean.max())
     if highest > top:
         label = f"{label} (peak {highest:.0f} MPa cut)"
@@ -231,12 +285,12 @@ def _pressure(axes: Any, result: Result, label: str, rows: Sequence[int]) -> Non
 def _penetration(axes: Any, results: Sequence[Result], labels: Sequence[str]) -> None:
     for number, (result, label) in enumerate(zip(results, labels, strict=True)):
         axes.plot(
-            result.scalars["time"], 1e3 * result.scalars["penetration"],
+            result.histories["time"], 1e3 * result.histories["penetration"],
             color=COLOURS[number % len(COLOURS)], linestyle=_DASHES[number % len(_DASHES)],
             label=label,
         )  # fmt: skip
     axes.set_xlim(left=0.0)
-    if all((result.scalars["penetration"] >= 0.0).all() for result in results):
+    if all((result.histories["penetration"] >= 0.0).all() for result in results):
         axes.set_ylim(bottom=0.0)
     axes.set_xlabel("time (s)")
     axes.set_ylabel("penetration depth (\N{MICRO SIGN}m)")

@@ -1,136 +1,26 @@
-"""What happens between the steps of a run: storing, progress, checkpoints, stopping on a signal."""
+"""How far a run or a sweep is: a bar on a terminal, else a line now and then."""
 
 import logging
 import math
-import signal
 import sys
 import time
 from collections.abc import Callable
-from types import FrameType
 from typing import Any
 
-import numpy as np
 from mpi4py import MPI
 from tqdm import tqdm
 
-from ringwear_par.errors import ComputationError
-from ringwear_par.history.model import State
-from ringwear_par.parallel import PeerError
-from ringwear_par.results.files import Recorder
+from ringwear_par.history.snapshots import Snapshot
 
 log = logging.getLogger(__name__)
 
-#: wall seconds between checkpoints, and between lines of progress where there is no terminal
-CHECKPOINT_SECONDS = 30.0
+#: wall seconds between lines where there is no terminal
 PROGRESS_SECONDS = 10.0
 _BAR_SECONDS = 0.2
-_SIGNALS = (signal.SIGTERM, signal.SIGUSR1, signal.SIGINT)
-
-
-class StopSignals:
-    """Notes signals that ask to stop, instead of dying of them; a context manager."""
-
-    def __init__(self) -> None:
-        self.received = 0
-        self._old: dict[int, Any] = {}
-
-    def __enter__(self) -> "StopSignals":
-        for number in _SIGNALS:
-            self._old[number] = signal.signal(number, self._receive)
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        for number, handler in self._old.items():
-            signal.signal(number, signal.SIG_DFL if handler is None else handler)
-
-    def _receive(self, number: int, frame: FrameType | None) -> None:
-        self.received = number
-
-
-class Monitor:
-    """Called with every new state: stores it, writes checkpoints, stops on a signal.
-
-    Parameters
-    ----------
-    finished : tells whether a state is the last.
-    recorder : takes every state; None on ranks that store nothing.
-    save : writes a checkpoint; collective.
-    signals : noted here, acted upon when one of the ranks has received one.
-    comm : communicator; calls are collective, and answered alike on all ranks.
-    tell : called with every state on this rank only, for progress.
-    """
-
-    def __init__(
-        self,
-        finished: Callable[[State], bool],
-        recorder: Recorder | None,
-        save: Callable[[State], None],
-        signals: StopSignals,
-        comm: MPI.Comm,
-        tell: Callable[[State], None] | None = None,
-    ) -> None:
-        self._finished, self._recorder, self._save, self._comm = finished, recorder, save, comm
-        self._signals, self._tell = signals, tell
-        self._saved = time.perf_counter()
-        #: the signal that the ranks agreed to stop for, or 0
-        self.agreed = 0
-        #: the last state seen, None before the first
-        self.last: State | None = None
-
-    @property
-    def signal_name(self) -> str:
-        """Name of the signal that stopped the run."""
-        return signal.Signals(self.agreed).name
-
-    def show(self, state: State) -> None:
-        """Take a state within a step, at a time of output. Not collective."""
-        if self._recorder is not None:
-            self._recorder.add(state)
-
-    def fail(self) -> None:
-        """Let the other ranks, which come to their meeting after this step, know of a failure.
-
-        Collective: where one rank calls this, the others call the monitor, or this as well.
-        """
-        self._meet(0, False, failed=True)
-
-    def _meet(self, received: int, due: bool, *, failed: bool) -> tuple[int, bool, bool]:
-        """Return the worst of what the ranks say. Collective."""
-        if self._comm.size == 1:
-            return received, due, failed
-        said = np.array([received, due, failed], dtype=np.int64)
-        self._comm.Allreduce(MPI.IN_PLACE, said, MPI.MAX)
-        return int(said[0]), bool(said[1]), bool(said[2])
-
-    def __call__(self, state: State) -> bool:
-        """Return whether to stop after this state. Collective.
-
-        Raises
-        ------
-        PeerError : another rank has failed.
-        """
-        self.last = state
-        if self._recorder is not None:
-            self._recorder.add(state)
-        if self._tell is not None:
-            self._tell(state)
-        late = self._comm.rank == 0 and time.perf_counter() - self._saved > CHECKPOINT_SECONDS
-        received, due, failed = self._meet(self._signals.received, late, failed=False)
-        if failed:
-            raise PeerError("another rank has failed")
-        self.agreed = received
-        if due and not received and not self._finished(state):
-            try:
-                self._save(state)
-            except ComputationError as error:
-                if self._comm.rank == 0:
-                    log.warning("checkpoint not written, going on: %s", error)
-            self._saved = time.perf_counter()
-        return received != 0
 
 
 class Progress:
-    """A bar of the time simulated on a terminal, else a line now and then.
+    """Observer that tells of the time simulated.
 
     Parameters
     ----------
@@ -145,18 +35,20 @@ class Progress:
             bar_format="{l_bar}{bar}| {n:.4g}/{total:.4g} s simulated [{elapsed}<{remaining}]",
         )  # fmt: skip
 
-    def __call__(self, state: State) -> None:
-        """Tell of a state."""
+    def __call__(self, snapshot: Snapshot) -> bool:
+        """Tell of a state. Not collective."""
+        state = snapshot.state
         if not self._bar.disable:
             self._bar.update(state.time - self._bar.n)
-            return
+            return False
         now = time.perf_counter()
         if now - self._told > PROGRESS_SECONDS:
             self._told = now
             log.info(
                 "step %d, time %.6g of %.6g s, approach %.6f mm",
-                state.step, state.time, self._end, state.contact.approach,
+                snapshot.progress.steps, state.time, self._end, state.contact.approach,
             )  # fmt: skip
+        return False
 
     def close(self) -> None:
         """Remove the bar."""
@@ -164,7 +56,7 @@ class Progress:
 
 
 class SweepProgress:
-    """Cases done and failed, rate and time left: a bar on a terminal, else a line now and then.
+    """Observer that tells of cases done and failed, rate and time left.
 
     Parameters
     ----------
@@ -186,13 +78,13 @@ class SweepProgress:
         )  # fmt: skip
         self._pause = PROGRESS_SECONDS if self._bar.disable else _BAR_SECONDS
 
-    def __call__(self, state: State | None = None) -> None:
+    def __call__(self, snapshot: Snapshot | None = None) -> bool:
         """Tell, if it is time; and let MPI serve the other ranks, which some networks need."""
         if self._comm.size > 1:
             self._comm.Iprobe()
         now = time.perf_counter()
         if now - self._told < self._pause:
-            return
+            return False
         self._told = now
         done, failed = self._ended()
         ended = done + failed + sum(self._before)
@@ -201,12 +93,13 @@ class SweepProgress:
         if not self._bar.disable:
             self._bar.set_postfix_str(f"{failures} failed", refresh=False)
             self._bar.update(ended - self._bar.n)
-            return
+            return False
         left = (self._total - ended) / rate if rate else math.inf
         log.info(
             "%d of %d cases ended, %d failed, %.3g a second, %s left",
             ended, self._total, failures, rate, duration(left),
         )  # fmt: skip
+        return False
 
     def close(self) -> None:
         """Remove the bar."""

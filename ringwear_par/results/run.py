@@ -1,6 +1,5 @@
-"""``ringwear run``: a case from its file to its result file."""
+"""``ringwear run``: a case from its file to its result file, gone on with where it was stopped."""
 
-import json
 import logging
 import os
 import time
@@ -9,32 +8,25 @@ from contextlib import ExitStack, closing
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
 from mpi4py import MPI
 
 from ringwear_par.atomic import check_writable
 from ringwear_par.cases.case import Case
-from ringwear_par.cases.law_trials import law_sources, refuse_bad_laws
+from ringwear_par.cases.law_trials import law_sources
 from ringwear_par.cases.reading import parse_case, read_case
-from ringwear_par.contact.solver import ContactSolver
 from ringwear_par.elasticity.assembly import load_kernels
-from ringwear_par.elasticity.pair import ContactCompliance
 from ringwear_par.errors import ComputationError, InputError, UnfitError
-from ringwear_par.history.limits import check_memory, check_mesh
-from ringwear_par.history.model import State, WearHistory, run
-from ringwear_par.history.pairs import assemble, boundary_recovery, updated_geometry, young
-from ringwear_par.info import versions
+from ringwear_par.history.limits import check_case
+from ringwear_par.history.simulate import simulate
+from ringwear_par.history.snapshots import Observer, Snapshot
 from ringwear_par.options import reject_unused_options
-from ringwear_par.parallel import on_first_rank
-from ringwear_par.results.doubts import Doubt, doubts, instability
-from ringwear_par.results.files import (
-    Checkpoint,
-    Recorder,
-    read_checkpoint,
-    read_status,
-    write_result,
-)
-from ringwear_par.results.progress import Monitor, Progress, StopSignals
+from ringwear_par.parallel import on_first_rank, warn_of_threads
+from ringwear_par.results.checkpoints import restored
+from ringwear_par.results.files import open_result, read_error, read_status, write_result
+from ringwear_par.results.progress import Progress
+from ringwear_par.results.recorder import Recorder
+from ringwear_par.results.result import Result
+from ringwear_par.results.watch import StopSignals, Watch
 
 log = logging.getLogger(__name__)
 
@@ -42,179 +34,115 @@ log = logging.getLogger(__name__)
 def run_case(
     path: Path,
     output: Path,
-    overrides: Sequence[str],
-    restart: bool,
-    figure: Path | None,
+    overrides: Sequence[str] = (),
+    *,
     comm: MPI.Comm,
-) -> int:
-    """Compute a wear history and write it; return the exit status. Collective on comm.
+    restart: bool = False,
+    overwrite: bool = False,
+    figure: Path | None = None,
+) -> None:
+    """Compute a wear history, write it, and print what came of it. Collective on comm.
+
+    Parameters
+    ----------
+    path : case file.
+    output : result file; one of a complete or failed run is replaced.
+    overrides : ``KEY=VALUE`` texts.
+    restart : go on with the interrupted or shorter run that ``output`` holds.
+    overwrite : replace what ``output`` holds, an interrupted run or one of another case too.
+    figure : picture to be drawn at the end.
 
     Raises
     ------
     InputError : the case, the options or the output, before any work and with nothing written.
-    ComputationError : the contact failed, or the result could not be written.
+    ComputationError : a step failed, the run was stopped, or the result could not be written.
     """
     started = time.perf_counter()
-    case, checkpoint = on_first_rank(
-        comm, lambda: _prepare(path, output, overrides, restart, figure, comm.size)
+    case, before = on_first_rank(
+        comm, lambda: _prepare(path, output, overrides, restart, overwrite, figure, comm.size)
     )
-    if checkpoint is not None and case.time.finished(checkpoint.state.step, checkpoint.state.time):
+    if before is not None and _reached(case, before):
         if comm.rank == 0:
             log.info("%s is complete: nothing to compute", output)
         return _draw(output, figure, comm)
     if comm.rank == 0:
         warn_of_threads(comm.size)
-
     t0 = time.perf_counter()
     load_kernels(comm)
     loading = time.perf_counter() - t0
-    elasticity = None
-    if case.follows_wear:
-        elasticity = updated_geometry(case, comm)
-        unworn = elasticity.update(np.zeros((2, case.line.n)))
-    else:
-        unworn = assemble(case, comm)
-    pair, cost = unworn.compliance(young(case)), unworn.cost
-    with ContactSolver(pair.matrix, pair.line.area, comm) as solver:
-        boundary = None if case.output.boundary == "none" else boundary_recovery(case, comm)
-        history = WearHistory(case, pair, solver, elasticity, boundary)
-        recorder = Recorder(history) if comm.rank == 0 else None
+    recorder = Recorder(case, comm, before)
+    if recorder.start is not None and comm.rank == 0:
+        reached = recorder.start
+        log.info(
+            "continuing %s after step %d (%g s)", output, reached.progress.steps,
+            reached.state.time,
+        )  # fmt: skip
+
+    def save(error: str = "") -> Result:
+        """Write what there is so far. Collective."""
         begun = time.perf_counter()
+        result = recorder.result(error)
+        on_first_rank(comm, lambda: write_result(output, result))
+        recorder.seconds_output += time.perf_counter() - begun
+        return result
+
+    with StopSignals() as signals, ExitStack() as at_end:
+        watch = Watch(signals, save, comm)
+        observers: list[Observer] = [recorder, _check_options, watch]
+        if comm.rank == 0:
+            since = 0.0 if recorder.start is None else recorder.start.state.time
+            observers.append(at_end.enter_context(closing(Progress(since, case.time.end))))
         try:
-            state = history.start()
+            simulate(case, comm, start=recorder.start, observers=observers)
         except UnfitError as error:
             raise InputError(*(f"{path}: {fault}" for fault in error.faults)) from error
-        _warn(instability(history), comm)
-        reject_unused_options()
-        if checkpoint is not None:
-            state = checkpoint.state
-            history.resume(state, checkpoint.warm)
-        if recorder is not None and checkpoint is None:
-            recorder.add(state)
-        elif recorder is not None and checkpoint is not None:
-            recorder.restore(checkpoint)
-            log.info("continuing %s after step %d (%g s)", output, state.step, state.time)
-        before = checkpoint.seconds if checkpoint is not None else {}
-        seconds = {
-            "seconds_assembly": cost.seconds_assembly,
-            "seconds_factorisation": cost.seconds_solution,
-            "seconds_stepping": 0.0,
-            "seconds_output": 0.0,
-        }
-
-        def save(state: State) -> None:
-            t0 = time.perf_counter()
-            warm = solver.warm()
-            moving = history.following
-            seconds["seconds_assembly"] = cost.seconds_assembly + moving.seconds_assembly
-            seconds["seconds_factorisation"] = cost.seconds_solution + moving.seconds_solution
-            following = moving.seconds_assembly + moving.seconds_solution
-            seconds["seconds_stepping"] = t0 - begun - seconds["seconds_output"] - following
-            spent = {name: value + before.get(name, 0.0) for name, value in seconds.items()}
-            attributes = {
-                "status": "complete" if history.finished(state) else "incomplete",
-                "ranks": comm.size,
-                **versions(),
-                **spent,
-                "symmetry_defect": pair.symmetry_defect,
-                "user_laws": json.dumps(law_sources(case)),
-            }
-
-            def write() -> None:
-                assert recorder is not None
-                write_result(output, case, pair.line, recorder, state, warm, attributes)
-
-            on_first_rank(comm, write)
-            seconds["seconds_output"] += time.perf_counter() - t0
-
-        with StopSignals() as signals, ExitStack() as at_end:
-            progress = None
-            if comm.rank == 0:
-                progress = at_end.enter_context(closing(Progress(state.time, case.time.end)))
-            monitor = Monitor(history.finished, recorder, save, signals, comm, progress)
-            try:
-                state = run(history, state, monitor, monitor.show)
-            except ComputationError as error:
-                if monitor.last is None:
-                    raise
-                save(monitor.last)
-                raise ComputationError(f"{error}; {output} holds the steps before it") from error
-            save(state)
-        if recorder is not None:
-            print(summary(case, history.pair, state, recorder))
-            if case.follows_wear:
-                moving = history.following
-                print(
-                    f"elements followed the wear {state.assemblies} times (every "
-                    f"{case.mesh.geometry_tolerance:g} mm): {moving.kernel_evaluations} kernel "
-                    f"evaluations, {moving.seconds_assembly + moving.seconds_solution:.3f} s"
-                )
-            _warn(doubts(case, history.pair, state), comm)
-            start_up = max(seconds_since_start() - (time.perf_counter() - started), 0.0)
-            print(_times(seconds, start_up, loading, cost.kernel_evaluations))
-    if not history.finished(state):
+        except ComputationError as error:
+            if recorder.last is None or recorder.last.step is None:
+                raise
+            save(str(error))
+            raise ComputationError(f"{error}; {output} holds the steps before it") from error
+        result = save()
+    if comm.rank == 0:
+        print(result.summary())
+        for text in result.doubts:
+            log.warning("%s", text)
+        start_up = max(seconds_since_start() - (time.perf_counter() - started), 0.0)
+        print(_times(recorder.seconds(), start_up, loading, recorder.kernel_evaluations()))
+    last = recorder.last
+    if last is not None and not last.finished:
         raise ComputationError(
-            f"stopped by {monitor.signal_name} after step {state.step} {_progress(case, state)}; "
-            f"{output} holds them, and the same command with --restart continues"
+            f"stopped by {watch.signal_name} after step {last.progress.steps} "
+            f"{_progress(case, last.state.time)}; {output} holds them, and the same "
+            "command with --restart continues"
         )
     return _draw(output, figure, comm)
 
 
-def _progress(case: Case, state: State) -> str:
-    """Return how far a state is."""
+def _check_options(snapshot: Snapshot) -> bool:
+    """Refuse unused PETSc options once the first contact is solved: an observer."""
+    if snapshot.step is None:
+        reject_unused_options()
+    return False
+
+
+def _reached(case: Case, result: Result) -> bool:
+    """Tell whether a result has come to the end of a case."""
+    start = restored(result)
+    return case.time.finished(start.progress.steps, start.state.time)
+
+
+def _progress(case: Case, time: float) -> str:
+    """Return how far a history is."""
     if case.time.adaptive:
-        return f"(at {state.time:g} of {case.time.end:g} s)"
+        return f"(at {time:g} of {case.time.end:g} s)"
     return f"of {case.time.steps}"
 
 
-def _draw(output: Path, figure: Path | None, comm: MPI.Comm) -> int:
+def _draw(output: Path, figure: Path | None, comm: MPI.Comm) -> None:
     if figure is not None:
         from ringwear_par.results.figures import plot_files
 
         on_first_rank(comm, lambda: plot_files([output], figure))
-    return 0
-
-
-def summary(case: Case, pair: ContactCompliance, state: State, recorder: Recorder) -> str:
-    """Return the end of a run in a few lines, balances included. Not collective."""
-    scalars, last = recorder.scalars, recorder.stored - 1
-    balances, p = state.balances, state.contact.pressure
-    lower, upper = 1e3 * state.wear.max(axis=1)
-    energy_holds = any(law is not None and law.per_energy(case.friction) for law in case.laws)
-    if case.time.adaptive:
-        made = (
-            f"{state.step} adaptive steps (and {state.rejected} repeated) to {state.time:g} s, "
-            f"tolerance {case.time.tolerance:g} mm"
-        )
-    else:
-        made = f"{state.step} of {case.time.steps} {case.time.scheme} steps of {case.time.step:g} s"
-    lines = [
-        *([case.title] if case.title else []),
-        f"{made}, {pair.line.n} contact elements, "
-        f"{state.iterations / max(state.step, 1):.1f} TAO iterations a step",
-        f"approach {state.contact.approach:.7g} mm, "
-        f"penetration {1e3 * scalars['penetration'][last]:.6g} um, "
-        f"force {state.contact.force:.6g} N, torque {scalars['torque'][last]:.6g} N mm",
-        f"deepest wear lower {lower:.6g}, upper {upper:.6g} um; "
-        f"worn volume lower {scalars['worn_volume_lower'][last]:.6g}, "
-        f"upper {scalars['worn_volume_upper'][last]:.6g} mm3; "
-        f"energy dissipated {state.energy:.6g} N mm",
-        f"pressure {p.min():.4g} to {p.max():.4g} MPa, "
-        f"{np.count_nonzero(p > 0.0)} of {len(p)} elements in contact",
-        "balances, worst of all steps: "
-        + (f"force {balances.force:.1e}, " if case.load.force is not None else "")
-        + f"volume {balances.volume:.1e}, "
-        + (
-            f"energy {balances.energy:.1e}, "
-            if energy_holds
-            else "energy (this law: no identity), "
-        )
-        + f"contact (KKT) {balances.residual:.1e}",
-        "defects of the boundary elements, which vanish with the mesh: torque on the fixed faces "
-        f"{balances.torque:.1e}, force on them {balances.reaction:.1e}, "
-        f"symmetry {pair.symmetry_defect:.1e}",
-    ]
-    return "\n".join(lines)
 
 
 def _times(seconds: dict[str, float], start_up: float, loading: float, evaluations: int) -> str:
@@ -241,35 +169,24 @@ def _prepare(
     output: Path,
     overrides: Sequence[str],
     restart: bool,
+    overwrite: bool,
     figure: Path | None,
     ranks: int,
-) -> tuple[Case, Checkpoint | None]:
+) -> tuple[Case, Result | None]:
     """Read and check all that a run needs, before any work. On one rank."""
     faults: list[str] = []
-    case = checkpoint = None
+    case = before = None
     try:
         case = read_case(path, overrides)
-        refuse_bad_laws(case, ranks, str(path))
-        check_memory(case, ranks, str(path))
-        check_mesh(case, str(path))
+        check_case(case, ranks, str(path))
     except InputError as error:
         faults += error.faults
+    if restart and overwrite:
+        faults.append("--restart, --overwrite: must be one of them, to go on or to start anew")
     try:
         check_writable(output)
-        there = read_status(output)
-        if there is not None and restart and case is not None:
-            text, checkpoint = read_checkpoint(output)
-            if checkpoint.user_laws != law_sources(case):
-                raise InputError(
-                    f"{output}: was computed with another wear law in a Python file than there is "
-                    "now; --restart needs the same"
-                )
-            _check_same(case, text, checkpoint.state, output)
-        elif there is not None and there[0] == "incomplete" and not restart:
-            raise InputError(
-                f"{output}: holds a run that was interrupted after step {there[1]}; "
-                "--restart continues it, removing the file starts anew"
-            )
+        if case is not None and not overwrite:
+            before = _what_is_there(output, case, restart)
     except InputError as error:
         faults += error.faults
     if figure is not None:
@@ -281,43 +198,62 @@ def _prepare(
             faults += error.faults
     if faults or case is None:
         raise InputError(*faults)
-    return case, checkpoint
+    return case, before
 
 
-def _check_same(case: Case, text: str, reached: State, output: Path) -> None:
-    stored = parse_case(text, str(output))
+def _what_is_there(output: Path, case: Case, restart: bool) -> Result | None:
+    """Return the result to go on with; refuse to lose one that was interrupted.
+
+    A run that is complete, or that failed, is replaced without a question.
+
+    Raises
+    ------
+    InputError : the reason.
+    """
+    found = read_status(output)
+    if found is None:
+        return None
+    status, steps = found
+    if not restart and (status == "complete" or read_error(output)):
+        return None
+    before = open_result(output)
+    fault = _difference(before, case)
+    if restart and not fault:
+        return before
+    if restart:
+        raise InputError(f"{output}: {fault}")
+    raise InputError(
+        f"{output}: holds a run that was interrupted after step {steps}; "
+        + (
+            "it is one of another case, and --overwrite replaces it"
+            if fault
+            else "--restart continues it, --overwrite starts anew"
+        )
+    )
+
+
+def _difference(before: Result, case: Case) -> str:
+    """Return why a stored run cannot go on to the end of a case, "" if it can."""
+    if before.user_laws != law_sources(case):
+        return (
+            "was computed with another wear law in a Python file than there is now; --restart "
+            "needs the same"
+        )
+    stored = parse_case(before.case, str(before.path))
     same = replace(stored, time=case.time, title=case.title, text=case.text)
     longer = replace(stored.time, steps=case.time.steps, until=case.time.until)
     growing = "time.end" if case.time.adaptive else "time.steps"
     if same != case or longer != case.time:
-        raise InputError(
-            f"{output}: holds another case; --restart needs the same case, only {growing} may grow"
-        )
-    if case.time.adaptive and reached.time > case.time.end:
-        raise InputError(
-            f"{output}: holds {reached.time:g} s, time.end = {case.time.end:g}: must be at least "
+        return f"holds another case; --restart needs the same case, only {growing} may grow"
+    reached = restored(before)
+    if case.time.adaptive and reached.state.time > case.time.end:
+        return (
+            f"holds {reached.state.time:g} s, time.end = {case.time.end:g}: must be at least "
             "as long with --restart"
         )
-    if not case.time.adaptive and reached.step > case.time.steps:
-        raise InputError(
-            f"{output}: holds {reached.step} steps, time.steps = {case.time.steps}: must be at "
+    if not case.time.adaptive and reached.progress.steps > case.time.steps:
+        return (
+            f"holds {reached.progress.steps} steps, time.steps = {case.time.steps}: must be at "
             "least as many with --restart"
         )
-
-
-def warn_of_threads(ranks: int) -> None:
-    """Warn where BLAS threads and ranks are more than the cores. On one rank."""
-    cores = os.cpu_count() or 1
-    names = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS")
-    threads = next((int(os.environ[n]) for n in names if os.environ.get(n, "").isdigit()), cores)
-    if ranks > 1 and threads > 1 and threads * ranks > cores:
-        log.warning(
-            "%d ranks with up to %d BLAS threads each on %d cores: set OPENBLAS_NUM_THREADS=1",
-            ranks, threads, cores,
-        )  # fmt: skip
-
-
-def _warn(found: Sequence[Doubt], comm: MPI.Comm) -> None:
-    if comm.rank == 0:
-        for doubt in found:
-            log.warning("%s", doubt.text)
+    return ""

@@ -8,6 +8,8 @@ from typing import Any
 
 import numpy as np
 
+from ringwear_par.elasticity.boundary_fields import FACES
+
 
 @dataclass(frozen=True)
 class Variable:
@@ -115,8 +117,12 @@ BOUNDARY_STEPS_MADE = replace(STEPS_MADE, dimensions=("boundary_step",))
 #: nodes of the elements, and the face that each belongs to: the same at all times
 BOUNDARY_MESH = _table(
     Variable("nodes", ("boundary_element", "corner"), "1", "nodes of the element", integer=True),
-    Variable("face", ("boundary_element",), "1", "face of the body", integer=True),
-)
+    Variable(
+        "face", ("boundary_element",), "1",
+        "face of the body: " + ", ".join(f"{i} {name}" for i, name in enumerate(FACES)),
+        integer=True,
+    ),
+)  # fmt: skip
 
 
 def _components(

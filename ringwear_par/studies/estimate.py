@@ -4,38 +4,18 @@ import time
 
 from mpi4py import MPI
 
-from ringwear_par.contact.solver import ContactSolver
 from ringwear_par.elasticity.assembly import load_kernels
-from ringwear_par.history.model import State, WearHistory
-from ringwear_par.history.pairs import assemble, young
-from ringwear_par.results.files import Recorder
+from ringwear_par.history.pairs import assemble
+from ringwear_par.history.simulate import simulate
+from ringwear_par.history.snapshots import Snapshot
 from ringwear_par.results.progress import duration
+from ringwear_par.results.recorder import Recorder
 from ringwear_par.studies.plan import Plan
-from ringwear_par.studies.workers import compute_case
 
 #: memory of a rank without its matrices (Python, MPI, PETSc, compiled code)
 _BARE_BYTES = 250e6
 #: longest trial
 _TRIAL_SECONDS = 20.0
-
-
-class _Trial:
-    """Stores the states of a case, and stops it when the trial has taken long enough."""
-
-    def __init__(self, recorder: Recorder, adaptive: bool) -> None:
-        self._recorder, self._adaptive = recorder, adaptive
-        self._begun = time.perf_counter()
-
-    def __call__(self, state: State) -> bool:
-        self._recorder.add(state)
-        # adaptive steps grow: what the first ones take says little
-        return not self._adaptive and time.perf_counter() - self._begun > _TRIAL_SECONDS
-
-    def show(self, state: State) -> None:
-        self._recorder.add(state)
-
-    def fail(self) -> None:
-        """Nobody waits for this rank."""
 
 
 def estimate(plan: Plan, comm: MPI.Intracomm) -> str:
@@ -58,15 +38,16 @@ def estimate(plan: Plan, comm: MPI.Intracomm) -> str:
     t0 = time.perf_counter()
     pair = assemble(case, MPI.COMM_SELF)
     t1 = time.perf_counter()
-    compliance = pair.compliance(young(case))
-    with ContactSolver(compliance.matrix, compliance.line.area, MPI.COMM_SELF) as solver:
-        history = WearHistory(case, compliance, solver)
-        recorder = Recorder(history)
-        trial = _Trial(recorder, case.time.adaptive)
-        t2 = time.perf_counter()
-        state, _ = compute_case(history, recorder, trial, MPI.COMM_SELF)
-    t3 = time.perf_counter()
-    stepping = (t3 - t2) * case.time.end / state.time
+    recorder = Recorder(case, MPI.COMM_SELF)
+
+    def long_enough(snapshot: Snapshot) -> bool:
+        # adaptive steps grow: what the first ones take says little
+        return not case.time.adaptive and time.perf_counter() - t1 > _TRIAL_SECONDS
+
+    state = simulate(case, MPI.COMM_SELF, pair=pair, observers=[recorder, long_enough])
+    finished = recorder.last is not None and recorder.last.finished
+    t2 = time.perf_counter()
+    stepping = (t2 - t1) * case.time.end / state.time
     assembly = (t1 - t0) * study.assembly[left].sum() / study.assembly[group]
     cases = [n for g in left for n in plan.todo[g]]
     steps = stepping * study.work[cases].sum() / study.work[number]
@@ -74,7 +55,7 @@ def estimate(plan: Plan, comm: MPI.Intracomm) -> str:
     memory = _BARE_BYTES * request.ranks + plan.memory_needed()
     lines += [
         f"first case timed on one rank: {t1 - t0:.3g} s for its operator, {stepping:.3g} s for its "
-        f"{case.time.scheme} steps{'' if history.finished(state) else ' (from the first of them)'}",
+        f"{case.time.scheme} steps{'' if finished else ' (from the first of them)'}",
         f"estimate for {len(cases)} cases on {request.ranks} rank(s) in {request.teams} team(s): "
         f"{duration((assembly + steps) / request.teams)}, about {memory / 1e6:.0f} MB of memory in "
         f"all ({memory / request.ranks / 1e6:.0f} MB a rank), {size * len(cases) / 1e6:.3g} MB on "

@@ -14,8 +14,9 @@ from pathlib import Path
 import h5py
 
 from ringwear_par.errors import InputError
-from ringwear_par.results.files import read_result
-from ringwear_par.results.variables import HISTORIES, PROFILES
+from ringwear_par.history.balances import Balances
+from ringwear_par.results.files import open_result
+from ringwear_par.results.variables import PROFILES
 from ringwear_par.studies import dataset, shards
 from ringwear_par.studies.dataset import RESULTS, Row
 from ringwear_par.studies.shards import Entry, Record
@@ -165,15 +166,17 @@ def _interrupted(path: Path) -> Entry | None:
 
 
 def _interrupted_record(path: Path) -> Record:
-    result = read_result(path)
+    result = open_result(path)
     arrays = {
-        "step": result.steps.astype(float),
-        **{name: result.scalars[name] for name in HISTORIES},
+        "step": result.step.astype(float),
+        **result.histories,
         "r": result.line.r,
         "width": result.line.width,
-        **result.fields,
+        **result.profiles,
     }
     about = result.attributes
-    seconds, worst = (float(about[name]) for name in ("seconds_stepping", "imbalance"))
-    text, version = str(about["case"]), str(about["version"])
-    return Record(path.stem, text, "incomplete", "", seconds, worst, arrays, version)
+    worst = Balances(**result.balances).worst
+    return Record(
+        path.stem, str(about["case"]), "incomplete", "", float(about["seconds_stepping"]), worst,
+        arrays, str(about["version"]),
+    )  # fmt: skip

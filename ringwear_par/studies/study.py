@@ -31,6 +31,8 @@ from ringwear_par.studies.variations import split_key, varied_keys
 if TYPE_CHECKING:
     from mpi4py import MPI
 
+#: defaults of before keys had to be given: the ids of the cases of then have to stay
+_NOT_IN_IDS = {f"wear.{body}.law": "threshold" for body in ("lower", "upper")}
 #: faults of single cases told one by one; the rest are counted
 _FAULTS_TOLD = 5
 
@@ -161,7 +163,7 @@ def case_id(case_keys: Mapping[str, Any]) -> str:
     content = {}
     for path in sorted(case_keys.keys() - {"title"}):
         value = BY_PATH[path].read(case_keys[path])
-        if value != BY_PATH[path].default:
+        if value != _NOT_IN_IDS.get(path, BY_PATH[path].default):
             content[path] = value
         if path.startswith("wear.") and path.endswith(".file"):  # what it says, not where it is
             content[path] = read_text(Path(case_keys[path]))
@@ -170,7 +172,7 @@ def case_id(case_keys: Mapping[str, Any]) -> str:
 
 def _check_rows(draft: Draft, first: int, last: int, ranks: int) -> _Checked:
     """Make every case of a stretch of the rows once, and look what is wrong with them."""
-    from ringwear_par.history.limits import check_memory, check_mesh
+    from ringwear_par.history.limits import check_memory, check_mesh, check_ranks
     from ringwear_par.history.pairs import operator_key
 
     parts = [split_key(name) for name in draft.names]
@@ -180,7 +182,8 @@ def _check_rows(draft: Draft, first: int, last: int, ranks: int) -> _Checked:
         name = f"{draft.name}: case {number + 1}"
         try:
             case = make_case(keys, name, text="")
-            refuse_bad_laws(case, ranks, name)
+            refuse_bad_laws(case, name)
+            check_ranks(case, ranks, name)
         except InputError as error:
             found.bad += 1
             if found.bad <= _FAULTS_TOLD:

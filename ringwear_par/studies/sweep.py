@@ -18,14 +18,14 @@ from typing import Any
 
 from mpi4py import MPI
 
-from ringwear_par.cases.law_trials import refuse_bad_laws
 from ringwear_par.cases.text import toml_text
 from ringwear_par.elasticity.assembly import load_kernels
 from ringwear_par.errors import ComputationError, InputError, RingwearError
+from ringwear_par.history.limits import check_ranks
 from ringwear_par.info import versions
-from ringwear_par.parallel import on_first_rank
-from ringwear_par.results.progress import StopSignals, SweepProgress
-from ringwear_par.results.run import warn_of_threads
+from ringwear_par.parallel import on_first_rank, warn_of_threads
+from ringwear_par.results.progress import SweepProgress
+from ringwear_par.results.watch import StopSignals
 from ringwear_par.studies.dataset import RESULTS, TABLE, Row, write_ensemble
 from ringwear_par.studies.ensemble import read_ensemble
 from ringwear_par.studies.estimate import estimate
@@ -80,30 +80,30 @@ def sweep(
 
 def run_sweep(
     study: Source,
-    folder: Path,
-    ranks_per_case: int,
-    part: tuple[int, int] | None,
-    dry_run: bool,
-    retry_failed: bool,
+    folder: Path | str,
     comm: MPI.Intracomm,
+    *,
+    ranks_per_case: int = 1,
+    part: tuple[int, int] | None = None,
+    retry_failed: bool = False,
     mix_versions: bool = False,
-) -> int:
-    """Do as ``sweep`` and print what was done, or would be; return the exit status.
+    dry_run: bool = False,
+) -> None:
+    """Do as ``sweep`` and print what was done, or in a dry run what would be.
 
     Collective on comm.
     """
-    request = Request(folder, comm.size, ranks_per_case, part, retry_failed, mix_versions)
+    request = Request(Path(folder), comm.size, ranks_per_case, part, retry_failed, mix_versions)
     if dry_run:
         told = estimate(_planned(study, request, comm, None), comm)
         if comm.rank == 0:
             print(told)
-        return 0
+        return
     summary, trouble = _swept(study, request, comm)
     if comm.rank == 0:
         print(summary)
     if trouble is not None:
         raise trouble
-    return 0
 
 
 def _planned(source: Source, request: Request, comm: MPI.Intracomm, held: ExitStack | None) -> Plan:
@@ -116,7 +116,7 @@ def _planned(source: Source, request: Request, comm: MPI.Intracomm, held: ExitSt
         assert read is not None
         if m > 1 and isinstance(source, Study):  # which may have been read for one rank a case
             for number in range(len(read.ids)):
-                refuse_bad_laws(read.case(number), m, f"{read.name}: case {number + 1}")
+                check_ranks(read.case(number), m, f"{read.name}: case {number + 1}")
         return make_plan(read, request, held)
 
     return on_first_rank(comm, plan)

@@ -1,27 +1,26 @@
 """Teams of ranks at work: a case is drawn, computed on the pair of its group, and stored."""
 
-import logging
 import time
-from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, field
-from typing import Protocol
 
 from mpi4py import MPI
 
 import ringwear_par
 from ringwear_par.cases.case import Case
 from ringwear_par.contact.solver import ContactSolver
-from ringwear_par.elasticity.pair import ContactCompliance, ContactPair
+from ringwear_par.elasticity.pair import ContactPair
 from ringwear_par.errors import ComputationError, InputError, RingwearError, UnfitError
-from ringwear_par.history.model import State, WearHistory, run
 from ringwear_par.history.pairs import young
-from ringwear_par.info import versions
+from ringwear_par.history.simulate import simulate
+from ringwear_par.history.snapshots import Observer
 from ringwear_par.options import reject_unused_options
-from ringwear_par.parallel import PeerError, on_first_rank, together
-from ringwear_par.results.doubts import Doubt, doubts, instability
-from ringwear_par.results.files import Checkpoint, Recorder, read_checkpoint, write_result
-from ringwear_par.results.progress import Monitor, StopSignals, SweepProgress
+from ringwear_par.parallel import on_first_rank, together
+from ringwear_par.results.files import open_result, write_result
+from ringwear_par.results.progress import SweepProgress
+from ringwear_par.results.recorder import Recorder
+from ringwear_par.results.result import Result
+from ringwear_par.results.watch import StopSignals, Watch
 from ringwear_par.studies.operators import (
     StorageError,
     map_operator,
@@ -32,71 +31,8 @@ from ringwear_par.studies.plan import Plan
 from ringwear_par.studies.scheduling import Scheduler
 from ringwear_par.studies.shards import Record, Shard
 
-log = logging.getLogger(__name__)
-
 #: how long a team that waits for an operator sleeps between two looks
 _NAP_SECONDS = 0.002
-
-
-class Watch(Protocol):
-    """What happens between the steps of a case; see Monitor."""
-
-    def __call__(self, state: State) -> bool:
-        """Return whether to stop after this state. Collective."""
-
-    def show(self, state: State) -> None:
-        """Take a state within a step. Not collective."""
-
-    def fail(self) -> None:
-        """Tell the other ranks, which call this object, that this one has failed. Collective."""
-
-
-def compute_case(
-    history: WearHistory,
-    recorder: Recorder,
-    watch: Watch,
-    comm: MPI.Comm,
-    find_checkpoint: Callable[[], Checkpoint | None] = lambda: None,
-) -> tuple[State, tuple[Doubt, ...]]:
-    """Compute a case to its end, or until somebody says stop. Collective on comm.
-
-    Parameters
-    ----------
-    history : of the case, on its pair.
-    recorder : takes every state.
-    watch : called with every new state, the first one excepted.
-    find_checkpoint : returns where the case goes on; collective, called once.
-
-    Returns
-    -------
-    The last state, and what makes it doubtful (nothing before the end of the case).
-
-    Raises
-    ------
-    RingwearError : the case failed on one of the ranks; raised on all of them.
-    """
-    with together(comm):
-        state = history.start()
-    checkpoint = find_checkpoint()
-    with together(comm):
-        if checkpoint is None:
-            recorder.add(state)
-        else:
-            state = checkpoint.state
-            history.resume(state, checkpoint.warm)
-            recorder.restore(checkpoint)
-    with together(comm):
-        try:
-            state = run(history, state, watch, watch.show)
-        except PeerError:
-            raise
-        except Exception:  # the others are on their way to the meeting after this step
-            watch.fail()
-            raise
-    if not history.finished(state):
-        return state, ()
-    with together(comm):
-        return state, (*instability(history), *doubts(history.case, history.pair, state))
 
 
 @dataclass
@@ -146,7 +82,6 @@ class Worker:
         self._group = -1
         self._operator: ContactPair | None = None
         self._setting: tuple[int, float, float] | None = None
-        self._compliance: ContactCompliance | None = None
         self._solver: ContactSolver | None = None
 
     def __enter__(self) -> "Worker":
@@ -218,14 +153,13 @@ class Worker:
             with together(self._team):
                 case = study.case(number)
                 text = case.text
-            solver = self._set_up(group, place, case)
+            self._set_up(group, place, case)
+            before = self._stored(identity)
             with together(self._team):
-                assert self._compliance is not None
-                history = WearHistory(case, self._compliance, solver)
-                recorder = Recorder(history)
+                recorder = Recorder(case, self._team, before)
             begun = time.perf_counter()
             try:
-                state, found = self._stepped(identity, history, solver, recorder)
+                finished = self._simulated(identity, case, recorder)
             finally:
                 self._timings.stepping += time.perf_counter() - begun
         except _StoppedError:
@@ -242,77 +176,67 @@ class Worker:
             return Record(identity, text, "failed", reason, seconds, 0.0, arrays, version)
         if case.follows_wear:  # the solver's compliance is that of a worn shape
             self._drop_solver()
-        if not history.finished(state):
+        if not finished:
             return None
-        worst, flags = state.balances.worst, tuple(doubt.flag for doubt in found)
+        worst, flags = recorder.balances.worst, tuple(doubt.flag for doubt in recorder.doubts)
         self._timings.worst = max(self._timings.worst, worst)
         seconds = time.perf_counter() - started
         arrays = recorder.arrays()
         return Record(identity, text, "done", "", seconds, worst, arrays, version, flags)
 
-    def _stepped(
-        self, identity: str, history: WearHistory, solver: ContactSolver, recorder: Recorder
-    ) -> tuple[State, tuple[Doubt, ...]]:
-        """Run a history to its end, or to a checkpoint that is written when a signal stops it."""
-        team, begun = self._team, time.perf_counter()
+    def _simulated(self, identity: str, case: Case, recorder: Recorder) -> bool:
+        """Simulate a case to its end, or to a checkpoint; return whether it has come to its end."""
+        team, path = self._team, self._plan.store.inflight(identity)
 
-        def save(state: State) -> None:
-            warm = solver.warm()
-            attributes = {
-                "status": "incomplete",
-                "ranks": team.size,
-                **versions(),
-                "seconds_stepping": time.perf_counter() - begun,
-                "imbalance": state.balances.worst,
-            }
-            path, line = self._plan.store.inflight(identity), history.pair.line
-            on_first_rank(
-                team,
-                lambda: write_result(path, history.case, line, recorder, state, warm, attributes),
-            )
+        def save() -> None:
+            result = recorder.result()
+            on_first_rank(team, lambda: write_result(path, result))
 
-        monitor = Monitor(history.finished, recorder, save, self._signals, team, self._progress)
-        state, found = compute_case(
-            history, recorder, monitor, team, lambda: self._checkpoint(identity)
-        )
-        if not history.finished(state):
+        observers: list[Observer] = [recorder, Watch(self._signals, save, team)]
+        if self._progress is not None:
+            observers.append(self._progress)
+        simulate(
+            case, team, pair=self._operator, solver=self._solver, start=recorder.start,
+            observers=observers,
+        )  # fmt: skip
+        if recorder.last is not None and not recorder.last.finished:
             try:
-                save(state)
+                save()
             except ComputationError as error:
                 raise StorageError(str(error)) from error
-        return state, found
+            return False
+        return True
 
-    def _checkpoint(self, identity: str) -> Checkpoint | None:
+    def _stored(self, identity: str) -> Result | None:
+        """Return what an interrupted case goes on from, None where it starts."""
         if identity not in self._plan.interrupted:
             return None
 
-        def read() -> Checkpoint | None:
-            with suppress(OSError, KeyError, ValueError, RuntimeError):
-                return read_checkpoint(self._plan.store.inflight(identity))[1]
+        def read() -> Result | None:
+            with suppress(InputError):
+                return open_result(self._plan.store.inflight(identity))
             return None
 
         return on_first_rank(self._team, read)
 
-    def _set_up(self, group: int, place: int, case: Case) -> ContactSolver:
-        """Return a solver that starts cold, on the pair of this group and these moduli."""
+    def _set_up(self, group: int, place: int, case: Case) -> None:
+        """Find the pair of this group, and make a solver of it with these moduli."""
         setting = group, *young(case)
-        if self._solver is None or setting != self._setting:
-            self._drop_solver()
-            if group != self._group or self._operator is None:
-                self._group, self._operator = -1, None
-                self._operator = self._find_operator(group, place, case)
-                self._group = group
+        if self._solver is not None and setting == self._setting:
+            return
+        self._drop_solver()
+        if group != self._group or self._operator is None:
+            self._group, self._operator = -1, None
+            self._operator = self._find_operator(group, place, case)
+            self._group = group
+        with together(self._team):
+            matrix = self._operator.compliance(young(case)).matrix
+        self._solver = ContactSolver(matrix, self._operator.line.area, self._team)
+        self._setting = setting
+        if self._timings.operators and not self._options_checked:
             with together(self._team):
-                self._compliance = self._operator.compliance(young(case))
-            matrix, line = self._compliance.matrix, self._compliance.line
-            self._solver = ContactSolver(matrix, line.area, self._team)
-            self._setting = setting
-            if self._timings.operators and not self._options_checked:
-                with together(self._team):
-                    reject_unused_options()  # by now everything has looked for its own
-                self._options_checked = True
-        self._solver.cold_start()
-        return self._solver
+                reject_unused_options()  # by now everything has looked for its own
+            self._options_checked = True
 
     def _find_operator(self, group: int, place: int, case: Case) -> ContactPair:
         """Return a group's operator: the team that has its first case provides it."""
@@ -345,7 +269,7 @@ class Worker:
     def _drop_solver(self) -> None:
         if self._solver is not None:
             self._solver.destroy()
-        self._solver = self._compliance = self._setting = None
+        self._solver = self._setting = None
 
 
 class _StoppedError(RingwearError):

@@ -18,7 +18,8 @@ from scipy.linalg import eigh
 
 from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.case import Case, Load, Output, Ring, Stepping
-from ringwear_par.contact.solver import ContactSolver, ContactState
+from ringwear_par.contact.problem import ContactState
+from ringwear_par.contact.solver import ContactSolver
 from ringwear_par.elasticity.assembly import BoundaryConditions, load_kernels
 from ringwear_par.elasticity.body import Body, boundary_conditions, compliance, solve_body
 from ringwear_par.elasticity.kernels import ring_kernels
@@ -29,7 +30,7 @@ from ringwear_par.history.model import Balances, State, WearHistory, run
 from ringwear_par.history.pairs import contact_compliance
 from ringwear_par.options import reject_unused_options
 from ringwear_par.verification import reference
-from ringwear_par.wear.law import ThresholdLaw
+from ringwear_par.wear.threshold import ThresholdLaw
 
 SIZES = (32, 64, 128)
 NU = 0.3

@@ -1,1 +1,5 @@
-"""Laws of wear, eq. (4) of the paper, and the wear of a time step."""
+"""Wear laws, eq. (4): one file a law; the wear of an implicit step; tests of derivatives."""
+
+from ringwear_par.wear.law import LocalState, WearLaw
+
+__all__ = ["LocalState", "WearLaw"]

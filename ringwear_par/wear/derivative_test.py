@@ -1,15 +1,19 @@
 """Taylor tests: whether a law's derivatives are those of its rate."""
 
 import math
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ringwear_par.arrays import FloatArray
 from ringwear_par.errors import InputError
 from ringwear_par.wear.increment import WearIncrement, averaging
-from ringwear_par.wear.law import LocalState, WearLaw
+from ringwear_par.wear.law import Law, LocalState
 from ringwear_par.wear.user import UserLaw
+
+#: round-off of a rate, relative to the largest one
+_NOISE = 1e-14
 
 
 @dataclass(frozen=True)
@@ -18,7 +22,7 @@ class Remainders:
 
     Parameters
     ----------
-    steps : h, MPa.
+    steps : h, in the unit of what is varied.
     remainders : largest remainder of all elements at each, relative to the largest ``|f'(p) d|``.
     bounded : whether at the smallest h no element's remainder is more than h times what the
         derivative changes on the way, so that kinks, and nothing else, may spoil the order.
@@ -47,9 +51,9 @@ class Remainders:
 
 
 def taylor_test(
-    law: WearLaw, at: LocalState, p: FloatArray, direction: FloatArray, step: float = 0.0
+    law: Law, at: LocalState, p: FloatArray, direction: FloatArray, step: float = 0.0
 ) -> Remainders:
-    """Compare a law's derivative with its rate. Not collective.
+    """Compare a law's derivative with respect to pressure with its rate. Not collective.
 
     Parameters
     ----------
@@ -62,32 +66,86 @@ def taylor_test(
     average = averaging(at.r, np.ones_like(at.r), float(law.length)) if law.length else None
     wear = WearIncrement((law, None), (at, at), step or 1.0, (average, None))
 
-    def f(p: FloatArray) -> FloatArray:
-        return wear.depth(p) if step else law.rate(p, at)
+    def f(h: float) -> FloatArray:
+        return wear.depth(p + h * direction) if step else law.rate(p + h * direction, at)
 
-    def slope_along(p: FloatArray) -> FloatArray:
-        return wear.derivative(p) @ direction if step else law.slope(p, at) * direction
+    def slope(h: float) -> FloatArray:
+        there = p + h * direction
+        return wear.jacobian(there) @ direction if step else law.d_rate_dp(there, at) * direction
 
-    slope, start = slope_along(p), f(p)
-    size = float(np.abs(slope).max()) or 1.0
-    steps = tuple(float(p.max()) * 2.0**-i for i in range(8, 13))
-    off = np.array([np.abs(f(p + h * direction) - start - h * slope) for h in steps])
-    change = np.abs(slope_along(p + steps[-1] * direction) - slope)
+    return _remainders(f, slope, float(p.max()))
+
+
+def taylor_test_wear(law: Law, at: LocalState, p: FloatArray, scale: float) -> Remainders:
+    """Compare a law's derivative with respect to worn depth with its rate. Not collective.
+
+    Parameters
+    ----------
+    scale : mm, over which the rate changes.
+    """
+
+    def there(h: float) -> LocalState:
+        return replace(at, wear=at.wear + h)
+
+    return _remainders(
+        lambda h: law.rate(p, there(h)), lambda h: law.d_rate_dwear(p, there(h)), scale, _NOISE
+    )
+
+
+def taylor_test_parameter(law: Law, at: LocalState, p: FloatArray, name: str) -> Remainders:
+    """Compare a law's derivative with respect to a numeric parameter with its rate.
+
+    Not collective.
+    """
+    here = law.parameter(name, at)
+
+    def there(h: float) -> Law:
+        return law.with_parameter(name, here + h)
+
+    return _remainders(
+        lambda h: there(h).rate(p, at),
+        lambda h: there(h).d_rate_dparameter(name, p, at),
+        float(np.abs(here).max()) or 1.0,
+        _NOISE,
+    )
+
+
+def _remainders(
+    f: Callable[[float], FloatArray],
+    slope: Callable[[float], FloatArray],
+    scale: float,
+    noise: float = 0.0,
+) -> Remainders:
+    """Compare values along a line, at h from its start, with their derivative.
+
+    Parameters
+    ----------
+    scale : 2^8 times the largest h.
+    noise : what may be round-off, relative to the largest value.
+    """
+    along, start = slope(0.0), f(0.0)
+    size = float(np.abs(along).max()) or 1.0
+    steps = tuple(scale * 2.0**-i for i in range(8, 13))
+    off = np.array([np.abs(f(h) - start - h * along) for h in steps])
+    off = np.maximum(off - noise * np.abs(start).max(), 0.0)
+    change = np.abs(slope(steps[-1]) - along)
     bounded = off[-1] <= steps[-1] * (2.0 * change + 1e-9 * size)  # the mean value theorem
     return Remainders(steps, tuple((off.max(axis=1) / size).tolist()), bool(bounded.all()))
 
 
 def check_user_slope(law: UserLaw, at: LocalState, pressure: float) -> None:
-    """Refuse a user's law whose slope is another one than that of its rate. Not collective.
+    """Refuse a user's law whose file gives another slope than that of its rate. Not collective.
 
     Raises
     ------
     InputError : it is.
     """
+    if not law.slope_name:
+        return
     rng = np.random.default_rng(1)
     tried = pressure * rng.uniform(0.01, 0.99, len(at.r))
     if not taylor_test(law, at, tried, rng.uniform(-1.0, 1.0, len(at.r))).passed:
         raise InputError(
-            f"{law.file}: slope() is not the derivative of rate() with respect to p; must be "
-            "(see ringwear laws)"
+            f"{law.file}: {law.slope_name}() is not the derivative of rate() with respect to p; "
+            "must be (see ringwear laws)"
         )

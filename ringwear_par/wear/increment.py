@@ -1,12 +1,14 @@
 """The wear of one implicit step: a convex part of the contact problem, whatever the laws."""
 
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
-from ringwear_par.arrays import FloatArray
+from ringwear_par.arrays import FloatArray, columns
 from ringwear_par.errors import ComputationError, InputError
-from ringwear_par.wear.law import LocalState, WearLaw
+from ringwear_par.schedules import history
+from ringwear_par.wear.law import Law, LocalState, WearLaw, complete
 
 _MEMORY_ITERATIONS = 60
 #: relative change at which the wear of a step is found, and below which it may stop falling
@@ -35,42 +37,69 @@ def averaging(r: FloatArray, area: FloatArray, length: float) -> FloatArray:
     return matrix / matrix.sum(axis=1)[:, None]
 
 
+def averaged(average: FloatArray, x: FloatArray) -> FloatArray:
+    """Return averages, (..., n), of x: of each history alone, as BLAS rounds many otherwise."""
+    if x.ndim == 1:
+        return average @ x
+    return np.array([averaged(average, row) for row in x])
+
+
 def averaged_rate(
-    law: WearLaw, at: LocalState, average: FloatArray | None, p: FloatArray
+    law: Law, at: LocalState, average: FloatArray | None, p: FloatArray
 ) -> FloatArray:
-    """Return the rate of wear under a law, (n,) mm/s, with its average if it is non-local."""
-    return law.rate(p, at) if average is None else average @ law.rate(average @ p, at)
+    """Return the rate of wear under a law, (..., n) mm/s, with its average if it is non-local."""
+    if average is None:
+        return law.rate(p, at)
+    return averaged(average, law.rate(averaged(average, p), at))
 
 
 @dataclass(frozen=True)
 class WearIncrement:
     """Wear of both bodies over one implicit step, as a function of the pressure at its end.
 
+    Of one history, whose pressures are (n,), or of B with the same elements and averages: (B, n).
+    The numbers of a history are the same to the last bit alone and among others.
+
     Parameters
     ----------
     laws : laws of lower and upper, None for a body that does not wear.
     at : sliding for lower and upper at the end of the step, with the wear before it.
-    step : s.
+    step : s, or (B,) of them.
     averages : (n, n) matrices of the non-local laws, None for local ones.
     """
 
-    laws: tuple[WearLaw | None, ...]
+    laws: tuple[WearLaw | Law | None, ...]
     at: tuple[LocalState, ...]
-    step: float
+    step: float | FloatArray
     averages: tuple[FloatArray | None, ...] = (None, None)
 
-    #: whether all laws are local, so that ``slope`` is the whole derivative
+    #: whether all laws are local, so that ``d_depth_dp`` is the whole derivative
     local: bool = field(init=False, repr=False)
-    _each: list[tuple[WearLaw, LocalState, FloatArray | None]] = field(init=False, repr=False)
+    _each: list[tuple[int, Law, LocalState, FloatArray | None]] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         bodies = zip(self.laws, self.at, self.averages, strict=True)
-        each = [(law, at, average) for law, at, average in bodies if law is not None]
+        each = [
+            (i, complete(law), at, average)
+            for i, (law, at, average) in enumerate(bodies)
+            if law is not None
+        ]
         object.__setattr__(self, "_each", each)
         object.__setattr__(self, "local", all(a is None for a in self.averages))
+        if isinstance(self.step, np.ndarray):
+            object.__setattr__(self, "step", columns(self.step))
+
+    def history(self, i: int) -> "WearIncrement":
+        """Return the increment of one of B histories."""
+        return WearIncrement(
+            tuple(None if law is None else complete(law).history(i) for law in self.laws),
+            tuple(at.history(i) for at in self.at),
+            history(self.step, i),
+            self.averages,
+        )
 
     def _depth(
-        self, law: WearLaw, at: LocalState, average: FloatArray | None, p: FloatArray
+        self, law: Law, at: LocalState, average: FloatArray | None, p: FloatArray
     ) -> FloatArray:
         """Return what one body loses, mm; solves d = step rate(p, wear + d) where it remembers."""
         p = np.maximum(p, 0.0)
@@ -78,104 +107,129 @@ class WearIncrement:
             at = self._after(law, at, p)
         return self.step * averaged_rate(law, at, average, p)
 
-    def _after(self, law: WearLaw, at: LocalState, p: FloatArray) -> LocalState:
+    def _after(self, law: Law, at: LocalState, p: FloatArray) -> LocalState:
         """Return the sliding with the depth worn at the end of the step (Newton, from below).
+
+        A history that has settled stays as it is while others go on.
 
         Raises
         ------
         ComputationError : it does not settle: the rate grows with worn depth too fast.
         """
-        depth, before = np.zeros_like(p), np.inf
+        depth, before = np.zeros_like(p), np.full(p.shape[:-1], np.inf)
+        settled = np.zeros(p.shape[:-1], dtype=bool)
         for _ in range(_MEMORY_ITERATIONS):
             there = replace(at, wear=at.wear + depth)
-            rise = 1.0 - self.step * law.wear_slope(p, there)
-            if (rise <= 0.0).any():
-                e = int(rise.argmin())
+            rise = 1.0 - self.step * law.d_rate_dwear(p, there)
+            failing = (rise <= 0.0).any(axis=-1) & ~settled
+            if failing.any():
+                e = int(np.where(failing[..., None], rise, np.inf).argmin())
                 break
             change = (self.step * law.rate(p, there) - depth) / rise
+            change[settled] = 0.0
             depth = np.maximum(depth + change, 0.0)
             worst = np.abs(change) / np.maximum(at.wear + depth, 1e-300)
-            e, largest = int(worst.argmax()), float(worst.max())
-            if largest <= _ROUND_OFF or before <= largest <= _NOISE:  # no better than its round-off
+            e, largest = int(worst.argmax()), worst.max(axis=-1)
+            # no better than its round-off
+            settled = (largest <= _ROUND_OFF) | ((before <= largest) & (largest <= _NOISE))
+            if settled.all():
                 return replace(at, wear=at.wear + depth)
             before = largest
-        raise ComputationError(
-            f"wear law at time {at.time:g} s: the wear of element {e} (r = {at.r[e]:.6g} mm) over "
-            f"a step of {self.step:g} s does not settle; the rate grows with worn depth too fast"
+        raise ComputationError(self._unsettled(at, np.unravel_index(e, p.shape)))
+
+    def _unsettled(self, at: LocalState, place: tuple[Any, ...]) -> str:
+        """Return which element (of which history, where there are some) does not settle."""
+        step, among = self.step, ""
+        if len(place) > 1:
+            at, step, among = at.history(place[0]), history(step, place[0]), f"history {place[0]}, "
+        return (
+            f"wear law at time {at.time:g} s: the wear of {among}element {place[-1]} "
+            f"(r = {at.r[place[-1]]:.6g} mm) over a step of {step:g} s does not settle; the rate "
+            "grows with worn depth too fast"
         )
 
-    def _slope(self, law: WearLaw, at: LocalState, p: FloatArray) -> FloatArray:
+    def _d_depth_dp(self, law: Law, at: LocalState, p: FloatArray) -> FloatArray:
         p = np.maximum(p, 0.0)
         if not law.remembers:
-            return self.step * law.slope(p, at)
+            return self.step * law.d_rate_dp(p, at)
         after = self._after(law, at, p)
-        return self.step * law.slope(p, after) / (1.0 - self.step * law.wear_slope(p, after))
+        return self.step * law.d_rate_dp(p, after) / (1.0 - self.step * law.d_rate_dwear(p, after))
 
     def depths(self, p: FloatArray) -> FloatArray:
-        """Return what lower and upper lose, (2, n) mm."""
-        depths = np.zeros((2, len(p)))
-        for i, law in enumerate(self.laws):
-            if law is not None:
-                depths[i] = self._depth(law, self.at[i], self.averages[i], p)
+        """Return what lower and upper lose, (2, ..., n) mm."""
+        depths = np.zeros((2, *p.shape))
+        for i, law, at, average in self._each:
+            depths[i] = self._depth(law, at, average, p)
         return depths
 
     def volumes(self, depths: FloatArray, p: FloatArray, area: FloatArray) -> FloatArray:
-        """Return step times the area integrals of the rates of lower and upper, (2,) mm^3.
+        """Return step times the area integrals of the rates of lower and upper, (2, ...) mm^3.
 
-        The rates are those at the end of the step, before any average of them; the volumes of the
-        depths are to be the same.
+        The rates are evaluated at the pressure, apart from the depths, whose volumes are to be the
+        same; of the depths, (2, ..., n) mm, only laws that remember them take any notice.
         """
-        volumes = depths @ area
-        for i, (law, at, average) in enumerate(zip(self.laws, self.at, self.averages, strict=True)):
-            if law is not None and average is not None:
-                volumes[i] = self.step * float(law.rate(average @ p, at) @ area)
-            elif law is not None and law.remembers:
-                end = replace(at, wear=at.wear + depths[i])
-                volumes[i] = self.step * float(law.rate(p, end) @ area)
+        if p.ndim > 1:
+            each = [self.history(i).volumes(depths[:, i], p[i], area) for i in range(len(p))]
+            return np.stack(each, axis=1)
+        volumes = np.zeros(2)
+        for i, law, at, average in self._each:
+            there = replace(at, wear=at.wear + depths[i]) if law.remembers else at
+            rate = law.rate(p if average is None else averaged(average, p), there)
+            volumes[i] = self.step * float(rate @ area)
         return volumes
 
     def depth(self, p: FloatArray) -> FloatArray:
-        """Return the growth of the gap, mm."""
-        return _total([self._depth(*each, p) for each in self._each])
+        """Return the growth of the gap, (..., n) mm."""
+        return _total([self._depth(law, at, average, p) for _, law, at, average in self._each])
 
-    def slope(self, p: FloatArray) -> FloatArray:
-        """Return d depth_e / d p_e, (n,) mm/MPa; of local laws all there is."""
+    def d_depth_dp(self, p: FloatArray) -> FloatArray:
+        """Return d depth_e / d p_e, (..., n) mm/MPa; of local laws all there is."""
         return _total(
             [
-                self._slope(law, at, p)
+                self._d_depth_dp(law, at, p)
                 if average is None
-                else ((average * average.T) * self._slope(law, at, average @ p)).sum(axis=1)
-                for law, at, average in self._each
+                else (
+                    (average * average.T)
+                    * self._d_depth_dp(law, at, averaged(average, p))[..., None, :]
+                ).sum(axis=-1)
+                for _, law, at, average in self._each
             ]
         )
 
-    def derivative(self, p: FloatArray) -> FloatArray:
-        """Return d depth / d p, (n, n) mm/MPa."""
-        total = np.zeros((len(p), len(p)))
-        for law, at, average in self._each:
+    def jacobian(self, p: FloatArray) -> FloatArray:
+        """Return d depth_e / d p_f, (..., n, n) mm/MPa."""
+        n = p.shape[-1]
+        total, own = np.zeros((*p.shape, n)), np.arange(n)
+        for _, law, at, average in self._each:
             if average is None:
-                total[np.diag_indices(len(p))] += self._slope(law, at, p)
+                total[..., own, own] += self._d_depth_dp(law, at, p)
             else:
-                total += (average * self._slope(law, at, average @ p)) @ average
+                slope = self._d_depth_dp(law, at, averaged(average, p))
+                total += (average * slope[..., None, :]) @ average
         return total
 
     def linear(self, p: FloatArray, change: FloatArray) -> FloatArray:
-        """Return what a small change of pressure does to the depth, mm."""
-        return self.slope(p) * change if self.local else self.derivative(p) @ change
+        """Return what a small change of pressure does to the depth, (..., n) mm."""
+        if self.local:
+            return self.d_depth_dp(p) * change
+        jacobian = self.jacobian(p)
+        if p.ndim == 1:
+            return jacobian @ change
+        return np.array([averaged(j, x) for j, x in zip(jacobian, change, strict=True)])
 
     def potential(self, p: FloatArray) -> FloatArray:
-        """Return the integral of the depth from 0 to p, MPa mm.
+        """Return the integral of the depth from 0 to p, (..., n) MPa mm.
 
         Non-local laws: area integrals of it are those of the potential, not its values.
         """
         parts = []
-        for law, at, average in self._each:
-            q = np.maximum(p if average is None else average @ p, 0.0)
+        for _, law, at, average in self._each:
+            q = np.maximum(p if average is None else averaged(average, p), 0.0)
             part = None if law.remembers else law.potential(q, at)
             parts.append(self._integrated(law, at, q) if part is None else self.step * part)
         return _total(parts)
 
-    def _integrated(self, law: WearLaw, at: LocalState, p: FloatArray) -> FloatArray:
+    def _integrated(self, law: Law, at: LocalState, p: FloatArray) -> FloatArray:
         """Integrate the depth from the onset of wear to p by Gauss rules: exact where smooth."""
         low, total = law.onset(at), np.zeros_like(p)
         span = np.maximum(p - low, 0.0)

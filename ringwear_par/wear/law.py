@@ -1,47 +1,58 @@
-"""Wear laws, eq. (4) of the paper and beyond.
+"""Wear laws, eq. (4) of the paper and beyond: what a law is given, and what it must and may give.
 
-A law gives the rate of wear and its derivative with respect to pressure. It may know the instant,
-the sliding, and what is local memory: the depth worn off this body and the distance slid. Rates
-must not be negative and not fall with pressure, so that the implicit step is a convex problem.
+A law gives the rate of wear at a contact pressure. It may know the instant, the sliding, and what
+is local memory: the depth worn off this body and the distance slid. Rates must not be negative and
+not fall with pressure, so that the implicit step is a convex problem.
 """
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
-from functools import cached_property
-from typing import Any, Protocol
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, fields, is_dataclass, replace
+from typing import Any, ClassVar, Protocol, Self
 
 import numpy as np
 
-from ringwear_par.arrays import FloatArray
-from ringwear_par.schedules import Quantity, Table, knots, value
+from ringwear_par.arrays import FloatArray, columns
+from ringwear_par.schedules import Quantity, Stacked, breakpoints, history, told, value
+from ringwear_par.schedules import stack as stack_quantities
+from ringwear_par.wear.derivatives import derivative
+from ringwear_par.wear.parameters import parameters_of
+
+#: below which pressures (MPa), worn depths (mm) and parameters do not tell the size of a difference
+_SMALL_PRESSURE, _SMALL_WEAR, _SMALL_PARAMETER = 1e-3, 1e-6, 1e-3
 
 
 @dataclass(frozen=True)
 class LocalState:
     """What a law may know besides the pressure, for the elements of the contact line.
 
+    Of one history, or of B: then ``time`` and ``friction`` may be (B,), which laws find as (B, 1).
+
     Parameters
     ----------
     time : s.
     r : (n,) float, mm.
-    speed : (n,) float, mm/s, sliding speed V.
+    speed : (..., n) float, mm/s, sliding speed V.
     friction : Coulomb's mu.
-    wear : (n,) float, mm, depth worn off this body so far.
-    slid : (n,) float, mm, distance slid so far (speed integrated over time).
-    parameters : values of the user's own parameters at this time, each a number or (n,).
+    wear : (..., n) float, mm, depth worn off this body so far.
+    slid : (..., n) float, mm, distance slid so far (speed integrated over time).
+    parameters : values of the user's own parameters at this time, each a number or (..., n).
     """
 
-    time: float
+    time: float | FloatArray
     r: FloatArray
     speed: FloatArray
-    friction: float
+    friction: float | FloatArray
     wear: FloatArray
     slid: FloatArray
     parameters: Mapping[str, Any] = field(default_factory=dict)
-    #: (n,) mm/s, friction coefficient times sliding speed
+    #: (..., n) mm/s, friction coefficient times sliding speed
     power: FloatArray = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
+        if isinstance(self.time, np.ndarray):
+            object.__setattr__(self, "time", columns(self.time))
+        if isinstance(self.friction, np.ndarray):
+            object.__setattr__(self, "friction", columns(self.friction))
         object.__setattr__(self, "power", self.friction * self.speed)
 
     def part(self, here: slice) -> "LocalState":
@@ -49,301 +60,299 @@ class LocalState:
         return replace(
             self,
             r=self.r[here],
-            speed=self.speed[here],
-            wear=self.wear[here],
-            slid=self.slid[here],
+            speed=self.speed[..., here],
+            wear=self.wear[..., here],
+            slid=self.slid[..., here],
+        )
+
+    def history(self, i: int) -> "LocalState":
+        """Return what one of B histories knows."""
+        return replace(
+            self,
+            time=history(self.time, i),
+            speed=history(self.speed, i),
+            friction=history(self.friction, i),
+            wear=history(self.wear, i),
+            slid=history(self.slid, i),
         )
 
 
 class WearLaw(Protocol):
-    """Local rate of wear as a non-decreasing function of contact pressure.
+    """A wear law as a user may write it: whatever has a rate.
 
-    Built-in laws and the user's own follow it. Pressures ``p`` are (n,) float, MPa, >= 0.
+    It may have more of what ``Law`` has, such as ``d_rate_dp`` or ``breakpoints``; the rest is
+    found by ``complete``.
     """
 
-    @property
-    def length(self) -> float:
-        """Averaging length, mm; 0 for a local law."""
-        ...
-
-    @property
-    def knots(self) -> tuple[float, ...]:
-        """Times at which a parameter's table bends."""
-        ...
-
-    @property
-    def remembers(self) -> bool:
-        """Whether the rate depends on ``at.wear``, which ``wear_slope`` then tells."""
-        ...
-
-    def per_energy(self, friction: float) -> float | None:
-        """Return worn volume per dissipated energy, 1/MPa, if it is always the same."""
-        ...
-
-    def rate(self, p: FloatArray, at: LocalState) -> FloatArray:
-        """Return the rate of wear, mm/s."""
-        ...
-
-    def slope(self, p: FloatArray, at: LocalState) -> FloatArray:
-        """Return the derivative of the rate with respect to pressure, mm/s/MPa."""
-        ...
-
-    def wear_slope(self, p: FloatArray, at: LocalState) -> FloatArray:
-        """Return the derivative of the rate with respect to ``at.wear``, 1/s."""
-        ...
-
-    def onset(self, at: LocalState) -> float | FloatArray:
-        """Return the pressure, MPa, up to which nothing wears."""
-        ...
-
-    def potential(self, p: FloatArray, at: LocalState) -> FloatArray | None:
-        """Return the integral of the rate from 0 to p, MPa mm/s; None: by quadrature."""
+    def rate(self, p: FloatArray, local: LocalState, /) -> FloatArray:
+        """Return the rate of wear, (..., n) mm/s, at pressures p, (..., n) MPa, >= 0."""
         ...
 
 
-class LocalLaw:
-    """What laws without memory, without a closed integral and without a length share."""
+class Law:
+    """All that a history asks of a law; subclasses give ``rate``, and what else they know.
 
-    @property
-    def length(self) -> float:
-        """Averaging length, mm: none."""
-        return 0.0
+    Pressures ``p`` are (..., n) float, MPa, >= 0; so are results, but for their units.
+    """
+
+    #: what case files call it, and its rate in the paper's symbols
+    name: ClassVar[str] = ""
+    formula: ClassVar[str] = "rate(p, local)"
+
+    #: averaging length, mm; 0 for a local law
+    length: float = 0.0
 
     @property
     def remembers(self) -> bool:
-        """Whether the rate depends on ``at.wear``: not."""
+        """Whether the rate depends on ``local.wear``."""
         return False
 
     @property
-    def knots(self) -> tuple[float, ...]:
-        """Times at which a parameter's table bends."""
-        return knots(*(getattr(self, name, None) for name in ("k", "p0", "k_start")))
+    def breakpoints(self) -> tuple[float, ...]:
+        """Times, s, at which a parameter's table bends."""
+        return breakpoints(*map(self._quantity, self.numeric))
 
-    def per_energy(self, friction: float) -> float | None:
-        """Return worn volume per dissipated energy: not always the same."""
-        return None
+    @property
+    def numeric(self) -> tuple[str, ...]:
+        """Names of the parameters that the rate has derivatives with respect to."""
+        return tuple(
+            name
+            for name, parameter in parameters_of(type(self)).items()
+            if parameter.numeric and getattr(self, name) is not None
+        )
 
-    def wear_slope(self, p: FloatArray, at: LocalState) -> FloatArray:
-        """Return the derivative of the rate with respect to ``at.wear``: 0."""
-        return np.zeros_like(p)
-
-    def onset(self, at: LocalState) -> float | FloatArray:
-        """Return the pressure, MPa, up to which nothing wears: 0."""
-        return 0.0
-
-    def potential(self, p: FloatArray, at: LocalState) -> FloatArray | None:
-        """Return None: the integral of the rate is left to quadrature."""
-        return None
-
-
-class _AboveThreshold(LocalLaw):
-    """What laws of the form rise x max(0, p - p0) share; they give the rise."""
-
-    p0: Quantity
-
-    def _rise(self, at: LocalState) -> FloatArray:
-        """Return the slope above the threshold, mm/s/MPa."""
+    def rate(self, p: FloatArray, local: LocalState) -> FloatArray:
+        """Return the rate of wear, mm/s."""
         raise NotImplementedError
 
-    def _excess(self, p: FloatArray, at: LocalState) -> FloatArray:
-        return np.maximum(p - value(self.p0, at.time, at.r), 0.0)
+    def d_rate_dp(self, p: FloatArray, local: LocalState) -> FloatArray:
+        """Return the derivative of the rate with respect to pressure, mm/s/MPa, >= 0."""
+        found = derivative(lambda p: self.rate(p, local), p, _SMALL_PRESSURE)
+        return np.maximum(found, 0.0)
 
-    def rate(self, p: FloatArray, at: LocalState) -> FloatArray:
-        """Return the rate of wear, mm/s."""
-        return self._rise(at) * self._excess(p, at)
+    def d_rate_dwear(self, p: FloatArray, local: LocalState) -> FloatArray:
+        """Return the derivative of the rate with respect to ``local.wear``, 1/s."""
+        if not self.remembers:
+            return np.zeros_like(p)
+        return derivative(
+            lambda wear: self.rate(p, replace(local, wear=wear)), local.wear, _SMALL_WEAR
+        )
 
-    def slope(self, p: FloatArray, at: LocalState) -> FloatArray:
-        """Return the derivative of the rate with respect to pressure, mm/s/MPa."""
-        return self._rise(at) * (p > value(self.p0, at.time, at.r))
+    def d_rate_dparameter(self, name: str, p: FloatArray, local: LocalState) -> FloatArray:
+        """Return the derivative of the rate with respect to a numeric parameter's value there.
 
-    def potential(self, p: FloatArray, at: LocalState) -> FloatArray:
-        """Return the integral of the rate from 0 to p, MPa mm/s."""
-        return 0.5 * self._rise(at) * self._excess(p, at) ** 2
+        Raises
+        ------
+        ValueError : the rate has no derivative with respect to it.
+        """
+        return derivative(
+            lambda there: self.with_parameter(name, there).rate(p, local),
+            self.parameter(name, local),
+            _SMALL_PARAMETER,
+        )
 
-    def onset(self, at: LocalState) -> float | FloatArray:
+    def parameter(self, name: str, local: LocalState) -> float | FloatArray:
+        """Return the value of a numeric parameter: a number, or one that broadcasts with p.
+
+        Raises
+        ------
+        ValueError : it is none.
+        """
+        if name not in self.numeric:
+            raise ValueError(f"{name}: must be one of {', '.join(self.numeric) or 'none'}")
+        return value(self._quantity(name), local.time, local.r)
+
+    def _quantity(self, name: str) -> Quantity:
+        """Return a numeric parameter as it was given."""
+        return getattr(self, name)
+
+    def with_parameter(self, name: str, there: Any) -> Self:
+        """Return the law with another number, or other values at the elements."""
+        return replace(self, **{name: there})  # type: ignore[type-var]
+
+    def per_energy(self, friction: float) -> float | None:
+        """Return worn volume per dissipated energy, 1/MPa, if it is always the same."""
+        return None
+
+    def onset(self, local: LocalState) -> float | FloatArray:
         """Return the pressure, MPa, up to which nothing wears."""
-        return value(self.p0, at.time, at.r)
+        return 0.0
+
+    def potential(self, p: FloatArray, local: LocalState) -> FloatArray | None:
+        """Return the integral of the rate from 0 to p, MPa mm/s; None: by quadrature."""
+        return None
+
+    def describe(self) -> str:
+        """Return the formula with its numbers and units."""
+        values = {
+            name: getattr(self, name)
+            for name, parameter in parameters_of(type(self)).items()
+            if parameter.kind in ("quantity", "number")
+        }
+        return self.formula + self._with(values)
+
+    def _with(self, values: Mapping[str, Quantity | None]) -> str:
+        """Return " with ..." of numbers and tables that are not None."""
+        declared = parameters_of(type(self))
+        parts = []
+        for name, q in values.items():
+            if q is not None:
+                unit = declared[name].unit if name in declared else "1"
+                number = f"{q:.10g}" if isinstance(q, float | int) else told(q)
+                parts.append(f"{name} = {number}" + (f" {unit}" if unit not in ("1", "-") else ""))
+        return f" with {', '.join(parts)}" if parts else ""
+
+    # -- of many histories -------------------------------------------------------------------------
+
+    @classmethod
+    def stacked(cls, laws: Sequence[Self]) -> Self:
+        """Return one law for some histories whose laws differ in numeric parameters only.
+
+        Raises
+        ------
+        ValueError : they differ in something else.
+        """
+        first: Any = laws[0]
+        changed: dict[str, Any] = {}
+        for declared in fields(first):
+            name = declared.name
+            each = [getattr(law, name) for law in laws]
+            if all(q == each[0] for q in each):
+                continue
+            parameter = parameters_of(cls).get(name)
+            if parameter is None or not parameter.numeric or None in each:
+                raise ValueError(f"laws of different {name} cannot be stacked")
+            quantity = parameter.kind == "quantity"
+            changed[name] = stack_quantities(each) if quantity else np.array(each)[:, None]
+        return replace(first, **changed)
+
+    def history(self, i: int) -> Self:
+        """Return the law of one of B histories."""
+        own = {name: getattr(self, name) for name in parameters_of(type(self))}
+        own = {k: q for k, q in own.items() if isinstance(q, Stacked | np.ndarray)}
+        changed = {name: history(q, i) for name, q in own.items()}
+        return replace(self, **changed) if changed else self  # type: ignore[type-var]
+
+    # -- from the keys of a case file --------------------------------------------------------------
+
+    @classmethod
+    def from_values(cls, values: Mapping[str, Any]) -> Self:
+        """Return the law with these parameters; those that are None have their defaults.
+
+        Raises
+        ------
+        InputError : they make no law.
+        """
+        return cls(**{name: v for name, v in values.items() if v is not None})
+
+    @classmethod
+    def faults(cls, table: str, values: Mapping[str, Any]) -> list[str]:
+        """Return what is wrong with parameters that are right one by one.
+
+        Parameters
+        ----------
+        table : what their names begin with, "wear.lower.".
+        values : by name; None for one that is not given, none at all for one that is wrong itself.
+        """
+        return []
 
 
 @dataclass(frozen=True)
-class ThresholdLaw(_AboveThreshold):
-    """``k mu max(0, p - p0) V``, eq. (4) of the paper.
+class CompletedLaw(Law):
+    """A user's object with a ``rate``, and what else of ``Law`` it has.
 
-    Parameters
-    ----------
-    k : wear coefficient, 1/MPa.
-    p0 : threshold pressure, MPa.
+    Its rate counts as one that remembers wear unless it says ``remembers = False``. Where it is a
+    dataclass, the numbers among its fields are its parameters.
     """
 
-    k: Quantity
-    p0: Quantity = 0.0
+    own: WearLaw
 
-    def per_energy(self, friction: float) -> float | None:
-        """Return k, 1/MPa, where it is a number and p0 = 0."""
-        return self.k if not isinstance(self.k, Table) and self.p0 == 0.0 else None
+    def _own(self, name: str, default: Any) -> Any:
+        return getattr(self.own, name, default)
 
-    def _rise(self, at: LocalState) -> FloatArray:
-        return value(self.k, at.time, at.r) * at.power
-
-
-@dataclass(frozen=True)
-class ArchardLaw(LocalLaw):
-    """``k p V``, without friction coefficient.
-
-    Parameters
-    ----------
-    k : wear coefficient, 1/MPa (volume per force and distance, mm3/(N mm)).
-    """
-
-    k: Quantity
-
-    def per_energy(self, friction: float) -> float | None:
-        """Return k / mu, 1/MPa, where k is a number and there is friction."""
-        return self.k / friction if not isinstance(self.k, Table) and friction > 0.0 else None
-
-    def rate(self, p: FloatArray, at: LocalState) -> FloatArray:
-        """Return the rate of wear, mm/s."""
-        return value(self.k, at.time, at.r) * at.speed * p
-
-    def slope(self, p: FloatArray, at: LocalState) -> FloatArray:
-        """Return the derivative of the rate with respect to pressure, mm/s/MPa."""
-        return value(self.k, at.time, at.r) * at.speed
-
-    def potential(self, p: FloatArray, at: LocalState) -> FloatArray:
-        """Return the integral of the rate from 0 to p, MPa mm/s."""
-        return 0.5 * value(self.k, at.time, at.r) * at.speed * p * p
-
-
-@dataclass(frozen=True)
-class PowerLaw(LocalLaw):
-    """``k p^m V^n``.
-
-    Parameters
-    ----------
-    k : mm/s where p = 1 MPa and V = 1 mm/s.
-    m : exponent of pressure, >= 1.
-    n : exponent of the sliding speed, > 0.
-    """
-
-    k: Quantity
-    m: float
-    n: float = 1.0
-
-    def _rise(self, at: LocalState) -> FloatArray:
-        return value(self.k, at.time, at.r) * at.speed**self.n
-
-    def rate(self, p: FloatArray, at: LocalState) -> FloatArray:
-        """Return the rate of wear, mm/s."""
-        return self._rise(at) * p**self.m
-
-    def slope(self, p: FloatArray, at: LocalState) -> FloatArray:
-        """Return the derivative of the rate with respect to pressure, mm/s/MPa."""
-        return self._rise(at) * self.m * p ** (self.m - 1.0)
-
-    def potential(self, p: FloatArray, at: LocalState) -> FloatArray:
-        """Return the integral of the rate from 0 to p, MPa mm/s."""
-        return self._rise(at) * p ** (self.m + 1.0) / (self.m + 1.0)
-
-
-@dataclass(frozen=True)
-class TableLaw(LocalLaw):
-    """Rate against p V from a table; linear between its points, on with its last slope.
-
-    Parameters
-    ----------
-    table : pairs (p V in MPa mm/s, rate in mm/s), both increasing from (0, 0).
-    """
-
-    table: tuple[tuple[float, float], ...]
-
-    @cached_property
-    def _points(self) -> tuple[FloatArray, FloatArray, FloatArray]:
-        x, y = np.array(self.table).T
-        slopes = np.diff(y) / np.diff(x)
-        return x, y, np.append(slopes, slopes[-1])
-
-    def _piece(self, p: FloatArray, at: LocalState) -> tuple[Any, FloatArray]:
-        """Return the piece that the left of every p V lies on, as slopes jump up or down there."""
-        pv = p * at.speed
-        x = self._points[0]
-        return np.maximum(np.searchsorted(x, pv, side="left") - 1, 0), pv
-
-    def rate(self, p: FloatArray, at: LocalState) -> FloatArray:
-        """Return the rate of wear, mm/s."""
-        x, y, slopes = self._points
-        i, pv = self._piece(p, at)
-        return y[i] + slopes[i] * (pv - x[i])
-
-    def slope(self, p: FloatArray, at: LocalState) -> FloatArray:
-        """Return the derivative of the rate with respect to pressure, mm/s/MPa."""
-        return self._points[2][self._piece(p, at)[0]] * at.speed
-
-    def potential(self, p: FloatArray, at: LocalState) -> FloatArray:
-        """Return the integral of the rate from 0 to p, MPa mm/s."""
-        x, y, slopes = self._points
-        i, pv = self._piece(p, at)
-        before = np.concatenate([[0.0], np.cumsum(0.5 * (y[1:] + y[:-1]) * np.diff(x))])
-        past = pv - x[i]
-        area = before[i] + past * (y[i] + 0.5 * slopes[i] * past)
-        return np.divide(area, at.speed, out=np.zeros_like(area), where=at.speed > 0.0)
-
-
-@dataclass(frozen=True)
-class RunningInLaw(_AboveThreshold):
-    """``k(s) mu max(0, p - p0) V``, k(s) falling from k_start to k with worn depth or distance.
-
-    k(s) = k + (k_start - k) exp(-s), s being worn depth / ``depth`` or distance slid / ``distance``
-    at the same place.
-
-    Parameters
-    ----------
-    k, k_start : wear coefficients in the end and at the start, 1/MPa; k_start >= k.
-    p0 : threshold pressure, MPa.
-    depth, distance : mm; one of them, the other None.
-    """
-
-    k: Quantity
-    k_start: Quantity
-    p0: Quantity = 0.0
-    depth: float | None = None
-    distance: float | None = None
+    @property
+    def length(self) -> float:  # type: ignore[override]
+        """Averaging length, mm; 0 for a local law."""
+        return float(self._own("length", 0.0))
 
     @property
     def remembers(self) -> bool:
-        """Whether worn depth is what it remembers."""
-        return self.depth is not None
+        """Whether the rate may depend on ``local.wear``."""
+        return bool(self._own("remembers", True))
 
-    def _fresh(self, at: LocalState) -> FloatArray:
-        """Return (k_start - k) exp(-s)."""
-        fall = value(self.k_start, at.time, at.r) - value(self.k, at.time, at.r)
-        s = at.wear / self.depth if self.depth is not None else at.slid / (self.distance or 1.0)
-        return fall * np.exp(-s)
+    @property
+    def breakpoints(self) -> tuple[float, ...]:
+        """Times, s, at which the rate jumps or bends."""
+        return tuple(sorted(float(time) for time in self._own("breakpoints", ())))
 
-    def _rise(self, at: LocalState) -> FloatArray:
-        return (value(self.k, at.time, at.r) + self._fresh(at)) * at.power
+    @property
+    def numeric(self) -> tuple[str, ...]:
+        """Names of the fields that are numbers."""
+        own: Any = self.own
+        numbers = [f.name for f in fields(own)] if is_dataclass(own) else []
+        return tuple(
+            name
+            for name in numbers
+            if name != "length" and isinstance(getattr(own, name), float | np.ndarray)
+        )
 
-    def wear_slope(self, p: FloatArray, at: LocalState) -> FloatArray:
-        """Return the derivative of the rate with respect to ``at.wear``, 1/s."""
-        if self.depth is None:
-            return np.zeros_like(p)
-        return -self._fresh(at) / self.depth * at.power * self._excess(p, at)
+    def _quantity(self, name: str) -> Quantity:
+        return getattr(self.own, name)
 
+    def rate(self, p: FloatArray, local: LocalState) -> FloatArray:
+        """Return the rate of wear, mm/s."""
+        return self.own.rate(p, local)
 
-@dataclass(frozen=True)
-class NonLocalLaw(ThresholdLaw):
-    """``k mu max(0, <p> - p0) V``, pressure and the wear that it causes averaged over a length.
+    def d_rate_dp(self, p: FloatArray, local: LocalState) -> FloatArray:
+        """Return the derivative of the rate with respect to pressure, mm/s/MPa."""
+        return self._own("d_rate_dp", super().d_rate_dp)(p, local)
 
-    The same average, which keeps constants and volumes, is taken of the pressure and of the rate:
-    pressure felt at a distance wears at that distance. Taken of the pressure only, the step
-    would no longer be a minimisation, nor its solution be sure to exist.
+    def d_rate_dwear(self, p: FloatArray, local: LocalState) -> FloatArray:
+        """Return the derivative of the rate with respect to ``local.wear``, 1/s."""
+        return self._own("d_rate_dwear", super().d_rate_dwear)(p, local)
 
-    Parameters
-    ----------
-    length : mm, standard deviation of the Gaussian average.
-    """
+    def d_rate_dparameter(self, name: str, p: FloatArray, local: LocalState) -> FloatArray:
+        """Return the derivative of the rate with respect to a numeric parameter."""
+        return self._own("d_rate_dparameter", super().d_rate_dparameter)(name, p, local)
 
-    length: float = 0.0
+    def with_parameter(self, name: str, there: Any) -> Self:
+        """Return the law with another number, or other values at the elements."""
+        own: Any = self.own
+        return replace(self, own=replace(own, **{name: there}))
 
     def per_energy(self, friction: float) -> float | None:
-        """Return None: the sliding speed is not averaged."""
-        return None
+        """Return worn volume per dissipated energy, 1/MPa, if it is always the same."""
+        return self._own("per_energy", super().per_energy)(friction)
+
+    def onset(self, local: LocalState) -> float | FloatArray:
+        """Return the pressure, MPa, up to which nothing wears."""
+        return self._own("onset", super().onset)(local)
+
+    def potential(self, p: FloatArray, local: LocalState) -> FloatArray | None:
+        """Return the integral of the rate from 0 to p, MPa mm/s; None: by quadrature."""
+        return self._own("potential", super().potential)(p, local)
+
+    def describe(self) -> str:
+        """Return what it calls itself, with its numbers."""
+        formula = self._own("formula", f"{type(self.own).__name__}.rate(p, local)")
+        return formula + self._with({name: self._quantity(name) for name in self.numeric})
+
+
+def complete(law: WearLaw | Law) -> Law:
+    """Return a law that has all that a history asks: itself, or what makes up for what it lacks."""
+    return law if isinstance(law, Law) else CompletedLaw(law)
+
+
+def stack(laws: Sequence[Law]) -> Law:
+    """Return one law for B histories from theirs, whose parameters are arrays where they differ.
+
+    Raises
+    ------
+    ValueError : they are of different classes, or differ in more than numeric parameters.
+    """
+    first = laws[0]
+    if all(law is first or law == first for law in laws):
+        return first
+    if any(type(law) is not type(first) for law in laws):
+        raise ValueError("laws of different classes cannot be stacked")
+    return first.stacked(laws)

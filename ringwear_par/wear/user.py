@@ -1,17 +1,30 @@
 """A wear law from a user's Python file, and what keeps it from being one."""
 
+import ast
+import json
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import Any
+from pathlib import Path
+from typing import Annotated, Any, Self
 
 import numpy as np
 
 from ringwear_par.arrays import FloatArray
 from ringwear_par.errors import ComputationError, InputError, LawError
-from ringwear_par.schedules import Quantity, knots, value
-from ringwear_par.wear.law import LocalLaw, LocalState
+from ringwear_par.schedules import Quantity, breakpoints, history, value
+from ringwear_par.schedules import stack as stack_quantities
+from ringwear_par.wear.law import Law, LocalState
+from ringwear_par.wear.parameters import Parameter
 
 _BISECTIONS = 30
+#: what a file may define, and the older names of it
+_NAMES = {
+    "d_rate_dp": ("d_rate_dp", "slope"),
+    "d_rate_dwear": ("d_rate_dwear", "wear_slope"),
+    "breakpoints": ("breakpoints", "knots"),
+}
+_PARAMETERS = "parameters."
 
 
 def _guarded(values: FloatArray) -> FloatArray:
@@ -29,14 +42,24 @@ def _compiled(source: str, name: str) -> dict[str, Any]:
     return names
 
 
-@dataclass(frozen=True)
-class UserLaw(LocalLaw):
-    """A law from a Python file that defines ``rate(p, at)`` and ``slope(p, at)``.
+@lru_cache(maxsize=64)
+def _reads_wear(source: str) -> bool:
+    """Tell whether Python source has an attribute ``wear``, as in ``at.wear``."""
+    nodes = ast.walk(ast.parse(source))
+    return any(isinstance(node, ast.Attribute) and node.attr == "wear" for node in nodes)
 
-    With ``wear_slope(p, at)`` too, the law remembers worn depth, exactly; ``at``
-    is a ``LocalState``.
-    A list ``knots`` names times (s) at which the rate jumps or bends, where adaptive steps end.
-    Whatever the file does wrong is told with time and element.
+
+@dataclass(frozen=True)
+class UserLaw(Law):
+    """A law from a Python file that defines ``rate(p, at)``; ``at`` is a ``LocalState``.
+
+    It may define ``d_rate_dp(p, at)`` and ``d_rate_dwear(p, at)``, and a list ``breakpoints`` of
+    times (s) at which the rate jumps or bends, where adaptive steps end; also under their older
+    names slope, wear_slope and knots. A file that reads ``at.wear`` remembers worn depth, exactly,
+    unless it says ``remembers = False``; one with the older ``slope`` does if it has a
+    ``wear_slope``.
+    Functions are called for one history at a time. Whatever the file does wrong is told with time
+    and element.
 
     Parameters
     ----------
@@ -45,9 +68,49 @@ class UserLaw(LocalLaw):
     parameters : pairs of name and quantity, which ``at.parameters`` holds at the time.
     """
 
-    file: str
+    name = "user"
+    formula = "rate(p, at) of a Python file"
+
+    file: Annotated[
+        str,
+        Parameter("-", "relative to the case; it defines rate(p, at), see user_law.py", "file"),
+    ]
     source: str
-    parameters: tuple[tuple[str, Quantity], ...] = ()
+    parameters: Annotated[
+        tuple[tuple[str, Quantity], ...], Parameter("-", "what at.parameters holds", "parameters")
+    ] = ()
+
+    @classmethod
+    def from_values(cls, values: Mapping[str, Any]) -> Self:
+        """Return the law that a file defines.
+
+        Raises
+        ------
+        InputError : the file cannot be read or run, or does not define a law.
+        """
+        path = Path(values["file"])
+        try:
+            source = path.read_text(encoding="utf-8-sig")
+        except (OSError, UnicodeDecodeError) as error:
+            reason = getattr(error, "strerror", None) or error
+            raise InputError(f"cannot be read ({reason}); must be a Python file") from error
+        law = cls(str(path), source, values["parameters"] or ())
+        missing = law.missing()
+        if missing:
+            raise InputError(missing)
+        return law
+
+    @classmethod
+    def faults(cls, table: str, values: Mapping[str, Any]) -> list[str]:
+        """Return what keeps the file from being a law."""
+        if values.get("file") is None or "parameters" not in values:
+            return []
+        try:
+            cls.from_values(values)
+        except InputError as error:
+            file = json.dumps(values["file"], ensure_ascii=False)
+            return [f"{table}file = {file}: {fault}" for fault in error.faults]
+        return []
 
     def missing(self) -> str:
         """Return what keeps the file from being a law, "" if nothing does."""
@@ -55,87 +118,149 @@ class UserLaw(LocalLaw):
             names = self._functions
         except (Exception, SystemExit) as error:  # whatever a user's code may raise
             return f"cannot be run ({type(error).__name__}: {error}); must be a Python file"
-        lacking = [name for name in ("rate", "slope") if not callable(names.get(name))]
-        if lacking:
-            return f"does not define {' and '.join(lacking)}; must define rate(p, at), slope(p, at)"
+        if not callable(names.get("rate")):
+            return "does not define rate; must define rate(p, at)"
         return ""
+
+    def _defines(self, name: str) -> str:
+        """Return under which name the file defines something, "" if it does not."""
+        return next((known for known in _NAMES[name] if known in self._functions), "")
+
+    @property
+    def slope_name(self) -> str:
+        """What the file calls its derivative with respect to pressure, "" if it has none."""
+        return self._defines("d_rate_dp")
 
     @property
     def remembers(self) -> bool:
-        """Whether the file defines ``wear_slope``."""
-        return "wear_slope" in self._functions
+        """Whether the rate depends on worn depth."""
+        if "remembers" in self._functions:
+            return bool(self._functions["remembers"])
+        if self._defines("d_rate_dwear"):
+            return True
+        # files with the older names took the depth at the start of the step, and some rely on it
+        return self.slope_name != "slope" and _reads_wear(self.source)
 
     @property
-    def knots(self) -> tuple[float, ...]:
-        """Times at which a parameter's table bends, and those that the file names as ``knots``."""
-        own = {float(time) for time in self._functions.get("knots", ())}
-        return tuple(sorted(own.union(knots(*(q for _, q in self.parameters)))))
+    def breakpoints(self) -> tuple[float, ...]:
+        """Times at which a parameter's table bends, and those that the file names."""
+        own = {float(time) for time in self._functions.get(self._defines("breakpoints"), ())}
+        return tuple(sorted(own.union(breakpoints(*(q for _, q in self.parameters)))))
+
+    @property
+    def numeric(self) -> tuple[str, ...]:
+        """Names of the parameters: "parameters.k"."""
+        return tuple(_PARAMETERS + name for name, _ in self.parameters)
+
+    def _quantity(self, name: str) -> Quantity:
+        return dict(self.parameters)[name.removeprefix(_PARAMETERS)]
+
+    def with_parameter(self, name: str, there: Any) -> Self:
+        """Return the law with another number, or other values at the elements."""
+        changed = {**dict(self.parameters), name.removeprefix(_PARAMETERS): there}
+        return replace(self, parameters=tuple(changed.items()))
+
+    def describe(self) -> str:
+        """Return the file's name with its parameters."""
+        return f"rate(p, at) of {self.file}" + self._with(dict(self.parameters))
 
     @property
     def _functions(self) -> dict[str, Any]:
         return _compiled(self.source, self.file)
 
-    def _call(self, name: str, p: FloatArray, at: LocalState) -> FloatArray:
+    @classmethod
+    def stacked(cls, laws: Sequence[Self]) -> Self:
+        """Return one law for some histories whose laws differ in parameters only.
+
+        Raises
+        ------
+        ValueError : they are of different files, or have other parameters.
+        """
+        first = laws[0]
+        what = {(law.file, law.source, tuple(name for name, _ in law.parameters)) for law in laws}
+        if len(what) > 1:
+            raise ValueError("laws of different Python files or parameters cannot be stacked")
+        each = zip(*(law.parameters for law in laws), strict=True)
+        own = ((pairs[0][0], stack_quantities([q for _, q in pairs])) for pairs in each)
+        return replace(first, parameters=tuple(own))
+
+    def history(self, i: int) -> Self:
+        """Return the law of one of B histories."""
+        own = tuple((name, history(q, i)) for name, q in self.parameters)
+        return replace(self, parameters=own)
+
+    def _call(self, name: str, p: FloatArray, local: LocalState) -> FloatArray:
+        """Return what one of the file's functions gives, (..., n): checked, one history at a time.
+
+        Real, unless pressure, wear or a parameter is complex.
+        """
+        if p.ndim > 1:
+            each = (self.history(i)._call(name, p[i], local.history(i)) for i in range(len(p)))
+            return np.array(list(each))
         if not np.isfinite(p).all():
             raise ComputationError("contact: pressures are not finite")
-        values = {key: value(q, at.time, at.r) for key, q in self.parameters}
+        values = {key: value(q, local.time, local.r) for key, q in self.parameters}
         try:
             with np.errstate(all="ignore"):
                 there = replace(
-                    at,
+                    local,
                     parameters=values,
-                    r=_guarded(at.r),
-                    speed=_guarded(at.speed),
-                    wear=_guarded(at.wear),
-                    slid=_guarded(at.slid),
+                    r=_guarded(local.r),
+                    speed=_guarded(local.speed),
+                    wear=_guarded(local.wear),
+                    slid=_guarded(local.slid),
                 )
                 result = self._functions[name](_guarded(p), there)
-            if result is None or np.iscomplexobj(result):
+            real = not any(np.iscomplexobj(x) for x in (p, local.wear, *values.values()))
+            if result is None or (real and np.iscomplexobj(result)):
                 raise TypeError(f"it returns {type(result).__name__}, not real numbers")
-            result = np.array(np.broadcast_to(np.asarray(result, dtype=float), p.shape))
+            result = np.asarray(result, dtype=float if real else complex)
+            result = np.array(np.broadcast_to(result, p.shape))
         except (Exception, SystemExit) as error:  # whatever a user's code may raise
             raise LawError(
-                f"{self.file}: {name}() failed at time {at.time:g} s: "
+                f"{self.file}: {name}() failed at time {local.time:g} s: "
                 f"{type(error).__name__}: {error}"
             ) from error
         bad = ~np.isfinite(result)
-        if name != "wear_slope":
-            bad |= result < 0.0
+        if name not in _NAMES["d_rate_dwear"]:
+            bad |= result.real < 0.0
         if bad.any():
             e = int(np.flatnonzero(bad)[0])
             what = "rate" if name == "rate" else "derivative of the rate"
             why = "a finite number >= 0"
-            if name == "slope" and result[e] < 0.0:
+            if name in _NAMES["d_rate_dp"] and result[e] < 0.0:
                 why += ": rates must not fall with pressure"
-            elif name == "wear_slope":
+            elif name in _NAMES["d_rate_dwear"]:
                 why = "a finite number"
             raise LawError(
-                f"{self.file}: {name}() gives {result[e]:g} as {what} at time {at.time:g} s, "
-                f"element {e} (r = {at.r[e]:.6g} mm), p = {p[e]:.6g} MPa; must be {why}"
+                f"{self.file}: {name}() gives {result[e]:g} as {what} at time {local.time:g} s, "
+                f"element {e} (r = {local.r[e]:.6g} mm), p = {p[e]:.6g} MPa; must be {why}"
             )
         return result
 
-    def rate(self, p: FloatArray, at: LocalState) -> FloatArray:
+    def rate(self, p: FloatArray, local: LocalState) -> FloatArray:
         """Return the rate of wear, mm/s.
 
         Raises
         ------
         LawError : the function failed, or gave NaN or a negative rate.
         """
-        return self._call("rate", p, at)
+        return self._call("rate", p, local)
 
-    def slope(self, p: FloatArray, at: LocalState) -> FloatArray:
+    def d_rate_dp(self, p: FloatArray, local: LocalState) -> FloatArray:
         """Return the derivative of the rate with respect to pressure, mm/s/MPa.
 
         Raises
         ------
         LawError : the function failed, or gave NaN or a negative slope.
         """
-        return self._call("slope", p, at)
+        name = self.slope_name
+        return self._call(name, p, local) if name else super().d_rate_dp(p, local)
 
-    def wear_slope(self, p: FloatArray, at: LocalState) -> FloatArray:
-        """Return the derivative of the rate with respect to ``at.wear``, 1/s."""
-        return self._call("wear_slope", p, at) if self.remembers else np.zeros_like(p)
+    def d_rate_dwear(self, p: FloatArray, local: LocalState) -> FloatArray:
+        """Return the derivative of the rate with respect to ``local.wear``, 1/s."""
+        name = self._defines("d_rate_dwear")
+        return self._call(name, p, local) if name else super().d_rate_dwear(p, local)
 
 
 def check_user_law(law: UserLaw, at: LocalState, pressure: float) -> None:
@@ -152,8 +277,8 @@ def check_user_law(law: UserLaw, at: LocalState, pressure: float) -> None:
     for row in p:
         try:
             rates.append(law.rate(row, at))
-            law.slope(row, at)
-            law.wear_slope(row, at)
+            law.d_rate_dp(row, at)
+            law.d_rate_dwear(row, at)
         except ComputationError as error:
             raise InputError(str(error)) from error
     table = np.array(rates)

@@ -12,7 +12,7 @@ from ringwear_par.cases.text import toml_text
 from ringwear_par.errors import InputError
 from ringwear_par.history.limits import check_memory, check_mesh
 from ringwear_par.history.pairs import operator_key
-from ringwear_par.wear.law import ThresholdLaw
+from ringwear_par.wear.threshold import ThresholdLaw
 
 PAPER = Path(__file__).parents[2] / "scripts" / "cases" / "paper.toml"
 TEXT = PAPER.read_text()
@@ -251,7 +251,7 @@ def test_missing_file():
 
 
 def test_a_wear_table_needs_its_coefficient():
-    told = faults(TEXT + "\n[wear.upper]\np0 = 3.0\n")
+    told = faults(TEXT + '\n[wear.upper]\nlaw = "threshold"\np0 = 3.0\n')
     assert len(told) == 1
     assert told[0].startswith("case.toml: wear.upper.k is missing: must be a finite number >= 0")
 

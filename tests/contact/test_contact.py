@@ -8,7 +8,7 @@ from wearing import step_wear
 
 from ringwear_par.contact.solver import TAO_TYPES, ContactSolver
 from ringwear_par.errors import ComputationError, InputError
-from ringwear_par.wear.law import ThresholdLaw
+from ringwear_par.wear.threshold import ThresholdLaw
 
 N = 40
 FORCE = 45000.0

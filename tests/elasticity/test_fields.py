@@ -8,10 +8,10 @@ import xarray
 from stored import contents
 
 from ringwear_par.cases.reading import read_case
-from ringwear_par.elasticity.recovery import FACES
+from ringwear_par.elasticity.boundary_fields import FACES
 from ringwear_par.errors import ComputationError
 from ringwear_par.history.pairs import assemble, boundary_recovery, updated_geometry, young
-from ringwear_par.results.files import read_checkpoint, read_result
+from ringwear_par.results.files import open_result
 from ringwear_par.results.run import run_case
 
 CASES = Path(__file__).parents[2] / "scripts" / "cases"
@@ -48,10 +48,10 @@ def weights(fields):
 )
 def test_equilibrium_and_bodies_that_meet(case, overrides, shared_path, comm):
     path = shared_path / "run.h5"
-    run_case(CASES / case, path, overrides, False, None, comm)
+    run_case(CASES / case, path, overrides, comm=comm)
     problem = read_case(CASES / case, overrides)
-    result = read_result(path)
-    shape = read_checkpoint(path)[1].state.shape
+    result = open_result(path)
+    shape = result.checkpoint.arrays.get("shape")
     if shape is None:
         pair = assemble(problem, comm)
     else:
@@ -61,9 +61,9 @@ def test_equilibrium_and_bodies_that_meet(case, overrides, shared_path, comm):
         return
     line, compliance = problem.line, pair.compliance(young(problem))
     normal = pair.normal[0] / problem.lower.young + pair.normal[1] / problem.upper.young
-    assert [b.time for b in result.boundary] == result.scalars["time"].tolist()
+    assert [b.time for b in result.boundary] == result.histories["time"].tolist()
     for row, state in enumerate(result.boundary):
-        force, torque = result.scalars["force"][row], result.scalars["torque"][row]
+        force, torque = result.histories["force"][row], result.histories["torque"][row]
         for sign, body in zip((1, -1), state.bodies, strict=True):
             area, moment = weights(body)
             fixed = body.face == FACES.index("fixed")
@@ -77,7 +77,7 @@ def test_equilibrium_and_bodies_that_meet(case, overrides, shared_path, comm):
             )
             assert not body.traction[np.isin(body.face, (0, 3, 4))].any()
             assert not body.displacement[body.elements[fixed], 2].any()
-        p = result.fields["pressure"][row]
+        p = result.profiles["pressure"][row]
         height = []
         for body in state.bodies:
             elements, middle = contact_of(body)
@@ -89,9 +89,9 @@ def test_equilibrium_and_bodies_that_meet(case, overrides, shared_path, comm):
             continue  # with other elements
         # what the symmetric part of the compliance leaves out is all that is between
         left_out = normal @ p - compliance.matrix @ p / line.area
-        assert np.abs(gap - result.fields["gap"][row] - left_out).max() < 1e-12
-        assert np.abs(gap[p > 0]).max() < 1e-3 * result.scalars["approach"][row]
-        assert (result.fields["gap"][row][p > 0] < 1e-9).all()
+        assert np.abs(gap - result.profiles["gap"][row] - left_out).max() < 1e-12
+        assert np.abs(gap[p > 0]).max() < 1e-3 * result.histories["approach"][row]
+        assert (result.profiles["gap"][row][p > 0] < 1e-9).all()
 
 
 def test_bars_shorten_as_they_should(comm):
@@ -136,21 +136,23 @@ def test_responses_follow_the_shape(comm):
 
 def test_opens_in_xarray(shared_path, comm):
     path = shared_path / "run.h5"
-    run_case(FIELDS, path, ["mesh.contact_elements=16"], False, None, comm)
+    run_case(FIELDS, path, ["mesh.contact_elements=16"], comm=comm)
     if comm.rank > 0:
         return
     for body in ("lower", "upper"):
         with xarray.open_dataset(path, group=f"boundary/{body}", engine="h5netcdf") as data:
             sizes = dict(data.sizes)
-            assert sizes["time"] == 5
+            assert sizes["boundary_step"] == 5
             assert sizes["corner"] == 3
-            assert sizes["node"] == 2 * sizes["element"]  # closed contours
+            assert sizes["boundary_node"] == 2 * sizes["boundary_element"]  # closed contours
+            assert data.time.dims == data.steps_made.dims == ("boundary_step",)
+            assert "time" in data.coords
             assert list(data.time.values) == [0.0, 10.0, 50.0, 100.0, 200.0]
             for name in ("r", "z", "displacement_r", "displacement_z", "displacement_theta"):
-                assert data[name].dims == ("time", "node")
+                assert data[name].dims == ("boundary_step", "boundary_node")
             for name in ("traction_r", "traction_z", "traction_theta", "pressure", "wear"):
-                assert data[name].dims == ("time", "element")
-            assert data.nodes.dims == ("element", "corner")
+                assert data[name].dims == ("boundary_step", "boundary_element")
+            assert data.nodes.dims == ("boundary_element", "corner")
             assert all(v.attrs["units"] and v.attrs["long_name"] for v in data.variables.values())
             assert float(data.wear.max()) > 0 or body == "upper"
     with xarray.open_dataset(path, engine="h5netcdf") as data:
@@ -175,9 +177,9 @@ def test_which_states_are_stored(overrides, times, shared_path, comm):
     if case.name == "fields.toml":
         overrides = ["time.end=20", *overrides[1:]]
     run_case(case, path, [*SMALL[:1], *(SMALL[1:2] if case.name == "paper.toml" else []),
-                          *overrides], False, None, comm)  # fmt: skip
+                          *overrides], comm=comm)  # fmt: skip
     if comm.rank == 0:
-        assert [state.time for state in read_result(path).boundary] == times
+        assert [state.time for state in open_result(path).boundary] == times
 
 
 @pytest.mark.parametrize("stop", [2, 5])
@@ -200,10 +202,10 @@ def test_restart_equals_an_uninterrupted_run(shared_path, comm, stopped_after, o
         case.write_text(text if "times" in overrides[0] else text.replace("times =", "# times ="))
     comm.Barrier()
     overrides = ["mesh.contact_elements=16", *overrides]
-    run_case(case, whole, overrides, False, None, comm)
+    run_case(case, whole, overrides, comm=comm)
     with stopped_after(stop), pytest.raises(ComputationError, match="SIGTERM"):
-        run_case(case, parts, overrides, False, None, comm)
-    run_case(case, parts, overrides, True, None, comm)
+        run_case(case, parts, overrides, comm=comm)
+    run_case(case, parts, overrides, comm=comm, restart=True)
     if comm.rank == 0:
         one, two = contents(whole), contents(parts)
         assert one.keys() == two.keys()
@@ -215,22 +217,22 @@ def test_restart_equals_an_uninterrupted_run(shared_path, comm, stopped_after, o
 def test_a_longer_history_has_another_last_state(shared_path, comm):
     path = shared_path / "run.h5"
     words = ["mesh.contact_elements=16", "output.boundary=last", "output.every=6"]
-    run_case(CASES / "paper.toml", path, [*words, "time.steps=8"], False, None, comm)
-    run_case(CASES / "paper.toml", path, [*words, "time.steps=10"], True, None, comm)
+    run_case(CASES / "paper.toml", path, [*words, "time.steps=8"], comm=comm)
+    run_case(CASES / "paper.toml", path, [*words, "time.steps=10"], comm=comm, restart=True)
     if comm.rank == 0:
-        assert [state.step for state in read_result(path).boundary] == [10]
+        assert [state.step for state in open_result(path).boundary] == [10]
 
 
 def test_the_same_on_any_number_of_ranks(shared_path, comm):
     from mpi4py import MPI
 
     path = shared_path / "run.h5"
-    run_case(FIELDS, path, ["mesh.contact_elements=16"], False, None, comm)
+    run_case(FIELDS, path, ["mesh.contact_elements=16"], comm=comm)
     if comm.rank > 0:
         return
     alone = shared_path / "alone.h5"
-    run_case(FIELDS, alone, ["mesh.contact_elements=16"], False, None, MPI.COMM_SELF)
-    for one, other in zip(read_result(path).boundary, read_result(alone).boundary, strict=True):
+    run_case(FIELDS, alone, ["mesh.contact_elements=16"], comm=MPI.COMM_SELF)
+    for one, other in zip(open_result(path).boundary, open_result(alone).boundary, strict=True):
         for a, b in zip(one.bodies, other.bodies, strict=True):
             for name in ("displacement", "traction", "nodes"):
                 x, y = getattr(a, name), getattr(b, name)

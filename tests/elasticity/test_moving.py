@@ -8,12 +8,12 @@ import pytest
 
 from ringwear_par.cases.reading import read_case
 from ringwear_par.elasticity.body import compliance
-from ringwear_par.elasticity.mesh import Mesh, contact_line
-from ringwear_par.elasticity.updated import moving_parts, node_wear
+from ringwear_par.elasticity.mesh import Mesh, contact_line, node_wear
+from ringwear_par.elasticity.updated import moving_parts
 from ringwear_par.errors import ComputationError
 from ringwear_par.history.pairs import assemble, bodies, updated_geometry
 from ringwear_par.verification.checks import paper_case
-from ringwear_par.wear.law import ThresholdLaw
+from ringwear_par.wear.threshold import ThresholdLaw
 
 CASES = Path(__file__).parents[2] / "scripts" / "cases"
 

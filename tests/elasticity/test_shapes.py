@@ -8,13 +8,13 @@ import pytest
 
 from ringwear_par.cases.case import Stepping
 from ringwear_par.cases.reading import parse_case, read_case
-from ringwear_par.contact.solver import ContactSolver
 from ringwear_par.elasticity.body import Body, compliance
 from ringwear_par.elasticity.mesh import Mesh, contact_line
 from ringwear_par.elasticity.sections import Section
 from ringwear_par.errors import InputError
-from ringwear_par.history.model import WearHistory, run
-from ringwear_par.history.pairs import contact_compliance
+from ringwear_par.history.model import WearModel
+from ringwear_par.history.pairs import assemble, young
+from ringwear_par.history.trace import trace
 from ringwear_par.verification.checks import paper_case
 from ringwear_par.verification.reference import contact_modulus
 
@@ -22,14 +22,8 @@ CASES = Path(__file__).parents[2] / "scripts" / "cases"
 CHAMFERED = ((28.5, -0.1), (28.6, 0.0), (31.4, 0.0), (31.5, -0.1))
 
 
-def states_of(case, comm):
-    pair = contact_compliance(case, comm)
-    states = []
-    with ContactSolver(pair.matrix, pair.line.area, comm) as solver:
-        history = WearHistory(case, pair, solver)
-        states.append(history.start())
-        run(history, states[0], lambda state: states.append(state))
-    return pair, states
+def compliance_of(case, comm):
+    return assemble(case, comm).compliance(young(case))
 
 
 def with_faces(case, lower=(), upper=()):
@@ -56,9 +50,9 @@ def test_symmetry_and_equilibrium_of_a_chamfered_ring_converge(comm):
 
 def test_faces_that_are_flat_change_nothing(comm):
     case = paper_case(Mesh(32), pressure=50.0)
-    plain = contact_compliance(case, comm)
+    plain = compliance_of(case, comm)
     straight = with_faces(case, ((20.0, 0.0), (30.0, 0.0), (40.0, 0.0)), ((28.5, 0.0), (31.5, 0.0)))
-    same = contact_compliance(straight, comm)
+    same = compliance_of(straight, comm)
     assert np.array_equal(same.matrix, plain.matrix)
     assert np.array_equal(same.line.edges, plain.line.edges)
 
@@ -70,7 +64,7 @@ def test_pressure_is_continuous_in_a_vanishing_chamfer(comm):
     approach = []
     for c in (0.0, 0.01, 0.05, 0.2):
         face = ((28.5, -c), (28.5 + c, 0.0), (31.5 - c, 0.0), (31.5, -c)) if c else ()
-        _, states = states_of(with_faces(case, upper=face), comm)
+        states = trace(with_faces(case, upper=face), comm).states
         approach.append(states[0].contact.approach)
     softening = np.diff(approach)
     assert (softening > 0).all()
@@ -80,7 +74,7 @@ def test_pressure_is_continuous_in_a_vanishing_chamfer(comm):
 def test_a_shift_of_both_faces_changes_little(comm):
     """Shallow parallel slopes: the gap is closed along z, the slope counts to second order."""
     case = paper_case(Mesh(32), pressure=50.0)
-    flat, _ = states_of(replace(case, time=Stepping("implicit", 1.0, 1)), comm)
+    flat = compliance_of(case, comm)
     slope = 0.01
     tilted = with_faces(
         case,
@@ -88,19 +82,20 @@ def test_a_shift_of_both_faces_changes_little(comm):
         ((28.5, 0.0), (31.5, -slope * 3.0)),
     )
     assert np.ptp(tilted.initial_gap) < 1e-12
-    pair = contact_compliance(tilted, comm)
+    pair = compliance_of(tilted, comm)
     change = np.abs(pair.matrix - flat.matrix).max() / np.abs(flat.matrix).max()
     assert 1e-4 < change < 0.03
 
 
 def test_chamfers_come_into_contact_as_wear_proceeds(comm):
     case = read_case(CASES / "chamfer.toml", ["wear.lower.p0=0", "time.steps=100"])
-    pair, states = states_of(case, comm)
-    reach = [pair.line.edges[:-1][s.contact.pressure > 0].min() for s in states]
+    history = trace(case, comm)
+    line, states = history.model.line, history.states
+    reach = [line.edges[:-1][s.contact.pressure > 0].min() for s in states]
     assert reach[0] > 28.6 - 1e-3  # nearly the flat part alone, but for its deformation
     assert reach[-1] < 28.6 - 5e-3
     assert (np.diff(reach) <= 0).all()
-    worst = states[-1].balances
+    worst = history.balances
     assert worst.force <= 1e-10
     assert worst.volume <= 1e-12
     assert 0 < worst.energy <= 1e-10
@@ -114,13 +109,13 @@ def test_partly_overlapping_rings(comm):
     case = read_case(CASES / "overlap.toml")
     assert case.contact == (38.0, 40.0)
     assert case.open_ends == (False, False)
-    pair, states = states_of(case, comm)
+    history = trace(case, comm)
+    pair, states = history.model.compliance, history.states
     assert pair.symmetry_defect < 1e-3
     # the inner edge digs in, the free end of the lower ring lifts off
     assert (states[0].contact.pressure > 0).tolist() == [True] * 62 + [False] * 2
-    last = states[-1]
-    assert last.balances.worst <= 1e-9
-    assert max(last.balances.torque, last.balances.reaction) <= 1e-4
+    assert history.balances.worst <= 1e-9
+    assert max(history.balances.torque, history.balances.reaction) <= 1e-4
 
 
 def test_a_sphere_wears_where_it_slides(comm):
@@ -128,26 +123,27 @@ def test_a_sphere_wears_where_it_slides(comm):
     assert case.open_ends == (False, True)
     modulus = 0.5 * 210e3 / (1 - 0.09)
     hertz = (0.75 * 200.0 * 20.0 / modulus) ** (1 / 3)
-    pair, states = states_of(case, comm)
-    touching = pair.line.edges[1:][states[0].contact.pressure > 0].max()
-    assert touching == pytest.approx(hertz, abs=pair.line.width.max())
+    history = trace(case, comm)
+    line, states = history.model.line, history.states
+    touching = line.edges[1:][states[0].contact.pressure > 0].max()
+    assert touching == pytest.approx(hertz, abs=line.width.max())
     wear = states[-1].wear[1]
     inside = states[-1].contact.pressure > 0
-    assert pair.line.edges[1:][inside].max() > touching
+    assert line.edges[1:][inside].max() > touching
     assert wear[0] < wear.max()
     assert not wear[~inside].any()
-    assert states[-1].balances.worst <= 1e-9
+    assert history.balances.worst <= 1e-9
 
 
 def test_clearance_is_closed_before_there_is_pressure(comm):
     case = paper_case(Mesh(32), pressure=50.0)
-    _, touching = states_of(replace(case, time=Stepping("implicit", 1.0, 2)), comm)
+    touching = trace(replace(case, time=Stepping("implicit", 1.0, 2)), comm).states
     apart = replace(
         case,
         upper=replace(case.upper, z=(20.05, 40.05)),
         time=Stepping("implicit", 1.0, 2),
     )
-    _, states = states_of(apart, comm)
+    states = trace(apart, comm).states
     for one, other in zip(states, touching, strict=True):
         assert one.contact.approach == pytest.approx(other.contact.approach + 0.05, rel=1e-10)
         assert one.contact.pressure == pytest.approx(other.contact.pressure, rel=1e-8)
@@ -191,9 +187,8 @@ def test_dense_samples_of_a_smooth_face_are_splined_and_kinks_stay():
 def test_the_sphere_of_the_case_file_is_that_of_hertz(comm):
     """200 N on a sphere of 20 mm (see sphere.toml), before any wear."""
     case = read_case(Path(__file__).parents[2] / "scripts/cases/sphere.toml")
-    pair = contact_compliance(case, comm)
-    with ContactSolver(pair.matrix, pair.line.area, comm) as solver:
-        p = WearHistory(case, pair, solver).start().contact.pressure
+    with WearModel(case, comm) as model:
+        p = model.initial().contact.pressure
     modulus = contact_modulus(*((b.young, b.poisson) for b in case.rings))
     a = (0.75 * 200.0 * 20.0 / modulus) ** (1.0 / 3.0)
     exact = 1.5 * 200.0 / (np.pi * a * a) * np.sqrt(np.maximum(1.0 - (case.line.r / a) ** 2, 0.0))

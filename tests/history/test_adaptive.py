@@ -9,15 +9,21 @@ import numpy as np
 import pytest
 
 from ringwear_par.cases.case import Load, Output, Stepping
-from ringwear_par.contact.solver import ContactSolver
 from ringwear_par.errors import ComputationError
-from ringwear_par.history import sdirk2 as adaptive
-from ringwear_par.history.model import WearHistory, run
+from ringwear_par.history import sdirk2
+from ringwear_par.history.balances import balances
+from ringwear_par.history.control import ErrorControl
+from ringwear_par.history.model import WearModel
+from ringwear_par.history.simulate import METHODS
+from ringwear_par.history.trace import trace
 from ringwear_par.results import files as results
 from ringwear_par.results.run import run_case
 from ringwear_par.schedules import Table, integral
 from ringwear_par.verification.checks import OMEGA
-from ringwear_par.wear.law import NonLocalLaw, PowerLaw, RunningInLaw, ThresholdLaw
+from ringwear_par.wear.non_local import NonLocalLaw
+from ringwear_par.wear.power import PowerLaw
+from ringwear_par.wear.running_in import RunningInLaw
+from ringwear_par.wear.threshold import ThresholdLaw
 
 FORCE = 45238.934
 LAW = ThresholdLaw(1e-7, 40.0)
@@ -32,13 +38,8 @@ def stepped(paper_pair, comm):
     """Function that runs the paper's case with parts replaced: history, states, those shown."""
 
     def stepped(**parts):
-        case, pair = replace(paper_pair[0], **parts), paper_pair[1]
-        shown = []
-        with ContactSolver(pair.matrix, pair.line.area, comm) as solver:
-            history = WearHistory(case, pair, solver)
-            states = [history.start()]
-            run(history, states[0], lambda state: states.append(state), shown.append)
-        return history, states, shown
+        history = trace(replace(paper_pair[0], **parts), comm, pair=paper_pair[1])
+        return history, history.states, history.passing
 
     return stepped
 
@@ -48,30 +49,29 @@ def test_the_papers_case_in_few_steps(stepped, p0):
     """200 s within 0.01 um everywhere in 20 steps, 2000 s in 30, at the default tolerance."""
     law = ThresholdLaw(1e-7, p0)
     for end, most in ((200.0, 20), (2000.0, 30)):
-        _, states, _ = stepped(time=Stepping("adaptive", until=end), wear_lower=law)
+        history, states, _ = stepped(time=Stepping("adaptive", until=end), wear_lower=law)
         _, exact, _ = stepped(time=until(end, 1e-9), wear_lower=law)
         last = states[-1]
         assert last.time == end
-        assert last.step <= most
+        assert history.steps <= most
         assert np.abs(last.wear - exact[-1].wear).max() <= 1e-5
         assert abs(last.contact.approach - exact[-1].contact.approach) <= 1e-5
-        assert last.balances.worst <= 1e-9
-        assert last.balances.volume <= 1e-12
-        assert last.balances.energy <= 1e-12
+        assert history.balances.worst <= 1e-9
+        assert history.balances.volume <= 1e-12
+        assert history.balances.energy <= 1e-12
 
 
 def test_stages_are_of_second_order(stepped, paper_pair, comm):
     """Steps of equal length from a state that has left the singular transient behind."""
     case, pair = paper_pair
     case = replace(case, wear_lower=ThresholdLaw(1e-7), time=until(40.0, 1e-8))
-    with ContactSolver(pair.matrix, pair.line.area, comm) as solver:
-        history = WearHistory(case, pair, solver)
-        start = run(history, history.start(), lambda _: False)
+    start = trace(case, comm, pair=pair).last
+    with WearModel(case, comm, pair) as model:
 
         def wear(number):
             state = start
             for i in range(number):
-                state = adaptive.between(history, state, 40.0 + 160.0 * (i + 1) / number)
+                state = sdirk2.step(model, state, 40.0 + 160.0 * (i + 1) / number).state
             return state.wear[0]
 
         exact = wear(256)
@@ -99,24 +99,27 @@ def test_wear_never_falls(stepped):
 def test_times_of_output_are_as_accurate_and_change_nothing(stepped):
     times = (0.3, 20.0, 20.5, 117.0)
     _, plain, _ = stepped(time=until(200.0))
-    _, states, shown = stepped(time=until(200.0), output=Output(times=times))
+    history, states, shown = stepped(time=until(200.0), output=Output(times=times))
     assert [s.time for s in states] == pytest.approx([s.time for s in plain], rel=1e-9)
     assert states[-1].wear == pytest.approx(plain[-1].wear, rel=1e-9)
-    assert [s.stored for s in states] == [True] + [False] * (len(states) - 2) + [True]
-    assert [s.time for s in shown] == list(times)
+    stored = [s.stored for s in history.snapshots]
+    assert stored == [True] + [False] * (len(states) - 2) + [True]
+    assert [s.state.time for s in shown] == list(times)
     assert all(s.stored for s in shown)
-    for state in shown:
+    for snapshot in shown:
+        state = snapshot.state
         _, exact, _ = stepped(time=until(state.time, 1e-9))
         assert np.abs(state.wear - exact[-1].wear).max() <= 1e-5
         assert state.contact.pressure == pytest.approx(exact[-1].contact.pressure, rel=0.03)
-        assert state.balances.worst <= 1e-9
+        off = balances(snapshot.model, state)
+        assert max(off[n] for n in ("force", "volume", "energy", "residual")) <= 1e-9
 
 
 def test_times_of_output_of_fixed_steps(stepped):
     times = (0.5, 7.0, 9.99)
-    _, states, shown = stepped(time=Stepping("implicit", 1.0, 10), output=Output(times=times))
-    assert [s.time for s in shown] == [0.5, 9.99]
-    assert [s.time for s in states if s.stored] == [0.0, 7.0, 10.0]
+    history, _, shown = stepped(time=Stepping("implicit", 1.0, 10), output=Output(times=times))
+    assert [s.state.time for s in shown] == [0.5, 9.99]
+    assert [s.state.time for s in history.snapshots if s.stored] == [0.0, 7.0, 10.0]
 
 
 SCHEMES = {
@@ -132,12 +135,12 @@ def test_no_wear_without_contact_or_sliding(stepped, scheme):
     omega = Table((0.0, 20.0, 20.1, 40.0, 40.1), (OMEGA, OMEGA, 0.0, 0.0, OMEGA))
     force = Table((0.0, 60.0, 61.0, 80.0, 81.0), (FORCE, FORCE, 0.0, 0.0, 1.5 * FORCE))
     law = ThresholdLaw(1e-7)
-    _, states, _ = stepped(
+    history, states, _ = stepped(
         load=Load(omega, force), time=SCHEMES[scheme], wear_lower=law, wear_upper=law
     )
     assert states[-1].time == pytest.approx(100.0)
-    assert states[-1].balances.worst <= 1e-9
-    assert states[-1].balances.energy <= 1e-12  # of both bodies
+    assert history.balances.worst <= 1e-9
+    assert history.balances.energy <= 1e-12  # of both bodies
     for before, after in itertools.pairwise(states):
         still = integral(omega, before.time, after.time) == 0.0
         loose = before.time >= 61.0 and after.time <= 80.0
@@ -166,13 +169,13 @@ def test_sliding_distance_of_fixed_steps_is_exact(stepped):
         load=Load(pulses, FORCE), time=Stepping("implicit", 4.0, 5), wear_lower=law
     )
     # so little wear leaves the pressure alone
-    p, line = states[0].contact.pressure, history.pair.line
+    p, line = states[0].contact.pressure, history.model.line
     assert states[-1].wear[0] == pytest.approx(1e-14 * p * line.arm * angle, rel=1e-3)
 
 
 def test_displacement_that_comes_and_goes(stepped):
     down = Table((0.0, 20.0, 40.0, 60.0), (0.0, 0.05, 0.0, 0.06))
-    _, states, _ = stepped(
+    history, states, _ = stepped(
         load=Load(OMEGA, displacement=down), time=until(60.0), wear_lower=ThresholdLaw(1e-7)
     )
     by_time = {s.time: s for s in states}
@@ -181,7 +184,7 @@ def test_displacement_that_comes_and_goes(stepped):
     assert by_time[20.0].contact.force > 0
     assert by_time[40.0].contact.gap.min() > 0
     assert states[-1].contact.approach == 0.06
-    assert states[-1].balances.worst <= 1e-9
+    assert history.balances.worst <= 1e-9
 
 
 def test_a_coefficient_switched_on_and_off(stepped):
@@ -210,9 +213,11 @@ def test_other_laws_converge_to_the_same_from_all_schemes(stepped, law):
     assert np.abs(coarse[-1].wear - exact[-1].wear).max() <= max(1e-5, 2e-3 * size)
     errors = []
     for number in (50, 100):
-        _, fixed, _ = stepped(time=Stepping("implicit", 60.0 / number, number), wear_lower=law)
+        history, fixed, _ = stepped(
+            time=Stepping("implicit", 60.0 / number, number), wear_lower=law
+        )
         errors.append(np.abs(fixed[-1].wear - exact[-1].wear).max())
-        assert fixed[-1].balances.worst <= 1e-9
+        assert history.balances.worst <= 1e-9
     assert errors[1] < 0.75 * errors[0] or errors[1] < 2e-5
     assert errors[1] < 0.02 * size
 
@@ -232,7 +237,7 @@ def test_a_tolerance_that_cannot_be_met_is_told(stepped, monkeypatch):
     def never(*_):
         raise ComputationError("contact: no")
 
-    monkeypatch.setattr(adaptive, "_stages", never)
+    monkeypatch.setitem(METHODS, "adaptive", (never, ErrorControl))
     with pytest.raises(ComputationError, match=r"step 1 \(from time 0 s\).*contact: no"):
         stepped(time=until(10.0))
 
@@ -246,13 +251,13 @@ def test_restart_equals_an_uninterrupted_run(shared_path, comm, stopped_after, s
     case = Path(__file__).parents[2] / PAPER
     keys = ["mesh.contact_elements=16", "time.scheme=adaptive", "time.end=50", *extra]
     whole, parts = shared_path / "whole.h5", shared_path / "parts.h5"
-    run_case(case, whole, keys, False, None, comm)
+    run_case(case, whole, keys, comm=comm)
     with (
         stopped_after(stop),
         pytest.raises(ComputationError, match=f"SIGTERM after step {stop} .at .* of 50 s"),
     ):
-        run_case(case, parts, keys, False, None, comm)
-    run_case(case, parts, keys, True, None, comm)
+        run_case(case, parts, keys, comm=comm)
+    run_case(case, parts, keys, comm=comm, restart=True)
     if comm.rank == 0:
         assert results.read_status(parts)[0] == "complete"
         with h5py.File(whole) as one, h5py.File(parts) as two:

@@ -9,40 +9,34 @@ import numpy as np
 import pytest
 
 from ringwear_par.cases.case import Load, Ring, Stepping
-from ringwear_par.contact.solver import ContactSolver
 from ringwear_par.elasticity.mesh import Mesh
 from ringwear_par.errors import ComputationError, InputError
-from ringwear_par.history.model import WearHistory, run
-from ringwear_par.history.pairs import contact_compliance
+from ringwear_par.history.trace import trace
 from ringwear_par.results.run import run_case
 from ringwear_par.verification.checks import paper_case, round_face
-from ringwear_par.wear.law import ThresholdLaw
+from ringwear_par.wear.threshold import ThresholdLaw
 
 PAPER = Path(__file__).parents[2] / "scripts/cases/paper.toml"
 UPDATED = Mesh(24, geometry="updated", geometry_tolerance=0.003)
 
 
 def states(case, comm):
-    pair = contact_compliance(case, comm)
-    with ContactSolver(pair.matrix, pair.line.area, comm) as solver:
-        history, seen = WearHistory(case, pair, solver), []
-        start = history.start()
-        run(history, start, lambda state: seen.append(state))
-        return history, [start, *seen]
+    history = trace(case, comm)
+    return history, history.states
 
 
 @pytest.mark.parametrize("scheme", [Stepping("implicit", 4.0, 50), Stepping("adaptive", until=200)])
 def test_following_changes_little_and_keeps_the_balances(comm, scheme):
     case = paper_case(UPDATED, p0=(0.0, 0.0), k=(1e-7, 2e-8), stepping=scheme)
     history, moved = states(case, comm)
-    _, fixed = states(replace(case, mesh=replace(UPDATED, geometry="fixed")), comm)
-    assert moved[-1].assemblies >= 4
-    assert history.following.kernel_evaluations > 0
-    assert fixed[-1].assemblies == 0
+    still, fixed = states(replace(case, mesh=replace(UPDATED, geometry="fixed")), comm)
+    assert history.model.updates >= 4
+    assert history.model.following.kernel_evaluations > 0
+    assert still.model.updates == 0
     last = moved[-1]
-    assert last.balances.worst <= 1e-9
-    assert last.balances.volume <= 1e-12
-    assert last.balances.energy <= 1e-12
+    assert history.balances.worst <= 1e-9
+    assert history.balances.volume <= 1e-12
+    assert history.balances.energy <= 1e-12
     difference = last.contact.approach - fixed[-1].contact.approach
     assert 1e-6 < abs(difference) < 1e-4  # mm, of 20 um of wear
     inner = slice(5, -5)
@@ -70,10 +64,10 @@ def test_restart_equals_an_uninterrupted_run(shared_path, comm, stopped_after, s
     keys = ["mesh.contact_elements=16", "time.step=4", "time.steps=20", f"time.scheme={scheme}",
             "mesh.geometry=updated", "mesh.geometry_tolerance=0.001"]  # fmt: skip
     whole, parts = shared_path / "whole.h5", shared_path / "parts.h5"
-    run_case(PAPER, whole, keys, False, None, comm)
+    run_case(PAPER, whole, keys, comm=comm)
     with stopped_after(9), pytest.raises(ComputationError, match="SIGTERM after step 9"):
-        run_case(PAPER, parts, keys, False, None, comm)
-    run_case(PAPER, parts, keys, True, None, comm)
+        run_case(PAPER, parts, keys, comm=comm)
+    run_case(PAPER, parts, keys, comm=comm, restart=True)
     if comm.rank == 0:
         with h5py.File(whole) as one, h5py.File(parts) as two:
             assert one["checkpoint"].attrs["assemblies"] >= 2
@@ -104,17 +98,17 @@ def test_volume_balance_while_the_contact_grows(comm, shape, geometry):
     assert touching[-1] > touching[0] + 3
     assert all(b >= a for a, b in itertools.pairwise(touching))
     last = seen[-1]
-    assert last.balances.volume <= 1e-10
-    assert last.balances.energy <= 1e-10
-    assert last.balances.force <= 1e-10
-    line = history.pair.line
+    assert history.balances.volume <= 1e-10
+    assert history.balances.energy <= 1e-10
+    assert history.balances.force <= 1e-10
+    line = history.model.line
     # the cut that has the same volume: how deep is it, and does it reach as far as the contact?
     depth = np.interp(line.r, *zip(*face, strict=True))
     cut = np.maximum(depth - np.linspace(-0.1, 0.0, 4001)[:, None], 0.0) @ line.area
     deepest = -float(np.interp(last.worn[1], cut[::-1], np.linspace(-0.1, 0.0, 4001)[::-1]))
     assert last.wear[1].max() == pytest.approx(deepest, rel=0.15)
     if geometry == "updated":
-        assert last.assemblies >= 1
+        assert history.model.updates >= 1
 
 
 def test_bodies_that_interpenetrate_too_much(comm):

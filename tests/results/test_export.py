@@ -14,7 +14,7 @@ from test_cli import ringwear, sentences
 from ringwear_par.errors import InputError
 from ringwear_par.results import export as module
 from ringwear_par.results.export import export
-from ringwear_par.results.files import read_result
+from ringwear_par.results.files import open_result
 from ringwear_par.results.run import run_case
 
 pytestmark = pytest.mark.serial
@@ -32,11 +32,11 @@ RANKS = [
 @pytest.fixture(scope="module")
 def runs(tmp_path_factory, comm):
     folder = tmp_path_factory.mktemp("runs")
-    run_case(CASES / "fields.toml", folder / "run.h5", SMALL, False, None, comm)
+    run_case(CASES / "fields.toml", folder / "run.h5", SMALL, comm=comm)
     words = [*SMALL, "output.boundary=none", "output.profiles=last"]
-    run_case(CASES / "fields.toml", folder / "plain.h5", words, False, None, comm)
+    run_case(CASES / "fields.toml", folder / "plain.h5", words, comm=comm)
     words = [*SMALL, "output.boundary=last", "time.steps=2"]
-    run_case(CASES / "sphere.toml", folder / "axis.h5", words, False, None, comm)
+    run_case(CASES / "sphere.toml", folder / "axis.h5", words, comm=comm)
     return folder
 
 
@@ -59,7 +59,7 @@ def read_vtp(path):
 
 
 def test_contours(runs, tmp_path):
-    state = read_result(runs / "run.h5").boundary[-1]
+    state = open_result(runs / "run.h5").boundary[-1]
     lower, upper = state.bodies
     told = export(runs / "run.h5", tmp_path / "a.vtp")
     assert "200 s" in told
@@ -80,7 +80,7 @@ def test_contours(runs, tmp_path):
 
 
 def test_time_and_scale(runs, tmp_path):
-    states = read_result(runs / "run.h5").boundary
+    states = open_result(runs / "run.h5").boundary
     for time, nearest in ((0, 0), (12.0, 10.0), (70, 50.0), (80, 100.0), (200, 200.0)):
         told = export(runs / "run.h5", tmp_path / "a.vtp", time)
         assert f": {nearest:g} s" in told
@@ -96,7 +96,7 @@ def test_time_and_scale(runs, tmp_path):
 @pytest.mark.parametrize("segments", [None, 5])
 @pytest.mark.parametrize("run", ["run", "axis"])
 def test_revolved_surfaces(runs, tmp_path, run, segments):
-    state = read_result(runs / f"{run}.h5").boundary[-1]
+    state = open_result(runs / f"{run}.h5").boundary[-1]
     export(runs / f"{run}.h5", tmp_path / "a.vtu", segments=segments)
     n = segments or 72
     mesh = meshio.read(tmp_path / "a.vtu")
@@ -134,21 +134,21 @@ def table(path):
 
 
 def test_tables(runs, tmp_path):
-    result = read_result(runs / "run.h5")
+    result = open_result(runs / "run.h5")
     export(runs / "run.h5", tmp_path / "a.csv")
     header, *rows = table(tmp_path / "a.csv")
     assert header[:4] == ["step", "time (s)", "approach (mm)", "penetration (mm)"]
     assert header[-1] == "contact_iterations"
     approach = [float(row[2]) for row in rows]
-    assert approach == result.scalars["approach"].tolist()  # to the last digit
+    assert approach == result.histories["approach"].tolist()  # to the last digit
     export(runs / "run.h5", tmp_path / "a.csv", fields=True)
     header, *rows = table(tmp_path / "a.csv")
     assert header == [
         "step", "time (s)", "element", "r (mm)", "pressure (MPa)", "gap (mm)",
         "wear_lower (mm)", "wear_upper (mm)",
     ]  # fmt: skip
-    assert len(rows) == 16 * len(result.steps)
-    assert [float(row[4]) for row in rows] == result.fields["pressure"].ravel().tolist()
+    assert len(rows) == 16 * len(result.step)
+    assert [float(row[4]) for row in rows] == result.profiles["pressure"].ravel().tolist()
     export(runs / "plain.h5", tmp_path / "a.csv", fields=True)
     header, *rows = table(tmp_path / "a.csv")
     assert len(rows) == 16

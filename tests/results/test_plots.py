@@ -17,13 +17,13 @@ def runs(tmp_path_factory, comm):
     folder = tmp_path_factory.mktemp("runs")
     paths = [folder / "p0_0.h5", folder / "p0_40.h5", folder / "lean.h5"]
     extra = [
-        ["wear.lower.p0=0", "wear.upper.k=1e-8"],
+        ["wear.lower.p0=0", "wear.upper.law=threshold", "wear.upper.k=1e-8"],
         [],
         ["output.fields=['gap']", "output.every=7"],
     ]
     for path, overrides in zip(paths, extra, strict=True):
         overrides = ["mesh.contact_elements=16", "time.steps=20", *overrides]
-        run_case(PAPER, path, overrides, False, None, comm)
+        run_case(PAPER, path, overrides, comm=comm)
     return paths
 
 
@@ -41,22 +41,18 @@ def test_every_panel_and_format(runs, tmp_path, panels, ending):
         assert text.count("<path") > 10
 
 
-def test_what_is_drawn_is_what_is_stored(runs, tmp_path, monkeypatch):
-    from matplotlib.figure import Figure
+def test_what_is_drawn_is_what_is_stored(runs):
+    from ringwear_par.results.figures import plot
+    from ringwear_par.results.files import open_result
 
-    from ringwear_par.results.figures import plot_files
-    from ringwear_par.results.files import read_result
-
-    figures = []
-    monkeypatch.setattr(Figure, "savefig", lambda self, path: (figures.append(self), path.touch()))
-    plot_files(runs[:2], tmp_path / "a.png", "wear,penetration,pressure", "1,20", runs[1:2])
-    wear, penetration, pressure = figures[0].axes
-    result = read_result(runs[1])
-    assert wear.lines[1].get_ydata() == pytest.approx(-1e3 * result.fields["wear_lower"][20])
-    assert pressure.lines[0].get_ydata() == pytest.approx(result.fields["pressure"][1])
+    figure = plot(runs[:2], "wear,penetration,pressure", "1,20", runs[1:2])
+    wear, penetration, pressure = figure.axes
+    result = open_result(runs[1])
+    assert wear.lines[1].get_ydata() == pytest.approx(-1e3 * result.profiles["wear_lower"][20])
+    assert pressure.lines[0].get_ydata() == pytest.approx(result.profiles["pressure"][1])
     assert pressure.lines[0].get_xdata() == pytest.approx(result.line.r)
-    assert penetration.lines[1].get_ydata() == pytest.approx(1e3 * result.scalars["penetration"])
-    assert penetration.lines[1].get_xdata() == pytest.approx(result.scalars["time"])
+    assert penetration.lines[1].get_ydata() == pytest.approx(1e3 * result.histories["penetration"])
+    assert penetration.lines[1].get_xdata() == pytest.approx(result.histories["time"])
     assert wear.get_ylabel() == "wear depth (\N{MICRO SIGN}m)"
     assert pressure.get_ylabel() == "contact pressure (MPa)"
     assert penetration.get_xlabel() == "time (s)"
@@ -93,26 +89,21 @@ def test_wrong_files(runs, tmp_path):
 
 
 @pytest.mark.parametrize("case", ["fields", "sphere"])
-def test_deformed_sections(tmp_path, comm, monkeypatch, case):
-    from matplotlib.figure import Figure
-
-    from ringwear_par.results.figures import plot_files
-    from ringwear_par.results.files import read_result
+def test_deformed_sections(tmp_path, comm, case):
+    from ringwear_par.results.figures import plot, plot_files
+    from ringwear_par.results.files import open_result
 
     run = tmp_path / "run.h5"
     words = ["mesh.contact_elements=16", "output.boundary=last"]
     words += ["wear.upper={law='threshold', k=1e-8}"] if case == "fields" else ["time.steps=2"]
-    run_case(PAPER.with_name(f"{case}.toml"), run, words, False, None, comm)
+    run_case(PAPER.with_name(f"{case}.toml"), run, words, comm=comm)
     plot_files([run], tmp_path / "a.png", "section,pressure")
     assert (tmp_path / "a.png").stat().st_size > 3000
-    figures = []
-    monkeypatch.setattr(Figure, "savefig", lambda self, path: (figures.append(self), path.touch()))
-    plot_files([run], tmp_path / "b.png", "section")
-    axes = figures[0].axes[0]
+    axes = plot(run, ["section"]).axes[0]
     assert axes.get_aspect() == 1.0
     assert "mm" in axes.get_xlabel()
     shown = [patch.get_xy()[:-1] for patch in axes.patches]
-    state = read_result(run).boundary[-1]
+    state = open_result(run).boundary[-1]
     for drawn, body in zip(shown, state.bodies, strict=False):
         assert drawn == pytest.approx(body.nodes)
     # magnified, they touch under pressure and overlap nowhere on the contact line
@@ -146,3 +137,38 @@ def test_sections_need_boundary_fields(runs, tmp_path):
     with pytest.raises(InputError, match=r"holds no fields .* output\.boundary"):
         plot_files(runs[:1], tmp_path / "a.png", "section")
     assert not list(tmp_path.iterdir())
+
+
+def test_results_and_files_are_drawn_alike(runs, tmp_path):
+    from ringwear_par.results.figures import plot, save_figure
+    from ringwear_par.results.files import open_result
+
+    first, second = map(open_result, runs[:2])
+    sources = [[first, str(runs[1])], [runs[0], second], runs[:2]]
+    drawn = []
+    for number, several in enumerate(sources):
+        figure = plot(several, ["wear", "penetration"], profiles_of=several[1:])
+        assert len(figure.axes) == 2
+        drawn.append(tmp_path / f"{number}.png")
+        save_figure(figure, drawn[-1])
+    assert len({path.read_bytes() for path in drawn}) == 1
+    alone = [plot(source, "penetration").axes[0] for source in (first, runs[0], str(runs[0]))]
+    assert all(
+        np.array_equal(axes.lines[0].get_ydata(), 1e3 * first.histories["penetration"])
+        for axes in alone
+    )
+    with pytest.raises(InputError, match="must be one of the result files to be drawn"):
+        plot([first], profiles_of=[second])
+
+
+def test_results_without_a_file_have_a_name(runs):
+    from dataclasses import replace
+
+    from ringwear_par.results.figures import plot
+    from ringwear_par.results.files import open_result
+
+    several = [replace(open_result(path), path=None) for path in (*runs[:1], runs[0], runs[2])]
+    labels = [text.get_text() for text in plot(several, "penetration").axes[0].get_legend().texts]
+    assert labels == ["result 1", "result 2", "result 3"]
+    with pytest.raises(InputError, match="result in memory: does not hold pressure"):
+        plot(several[2], "pressure")

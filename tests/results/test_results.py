@@ -13,6 +13,7 @@ from ringwear_par.results import files as results
 from ringwear_par.results import progress as monitor
 from ringwear_par.results import run as driver
 from ringwear_par.results.run import run_case
+from ringwear_par.results.variables import HISTORIES
 
 PAPER = Path(__file__).parents[2] / "scripts" / "cases" / "paper.toml"
 SMALL = ["mesh.contact_elements=16", "time.steps=20"]
@@ -20,14 +21,14 @@ SMALL = ["mesh.contact_elements=16", "time.steps=20"]
 
 def test_opens_in_xarray(shared_path, comm):
     path = shared_path / "run.h5"
-    assert run_case(PAPER, path, SMALL, False, None, comm) == 0
+    run_case(PAPER, path, SMALL, comm=comm)
     if comm.rank > 0:
         return
     with xarray.open_dataset(path, engine="h5netcdf") as data:
         assert dict(data.sizes) == {"step": 21, "element": 16}
         for name in ("pressure", "gap", "wear_lower", "wear_upper"):
             assert data[name].dims == ("step", "element")
-        for name in results.SCALARS:
+        for name in HISTORIES:
             assert data[name].dims == ("step",)
         assert all(v.attrs["units"] and v.attrs["long_name"] for v in data.data_vars.values())
         assert data.time.values == pytest.approx(np.arange(21.0))
@@ -49,9 +50,7 @@ def test_opens_in_xarray(shared_path, comm):
 
 def test_only_the_steps_and_fields_asked_for(shared_path, comm):
     path = shared_path / "run.h5"
-    run_case(
-        PAPER, path, [*SMALL, "output.every=8", "output.fields=['pressure']"], False, None, comm
-    )
+    run_case(PAPER, path, [*SMALL, "output.every=8", "output.fields=['pressure']"], comm=comm)
     if comm.rank == 0:
         with xarray.open_dataset(path, engine="h5netcdf") as data:
             assert list(data.step.values) == [0, 8, 16, 20]
@@ -65,17 +64,17 @@ def test_only_the_steps_and_fields_asked_for(shared_path, comm):
                                    ["output.every=6"], ["output.profiles=last"]])  # fmt: skip
 def test_restart_equals_an_uninterrupted_run(shared_path, comm, stopped_after, stop, extra):
     whole, parts = shared_path / "whole.h5", shared_path / "parts.h5"
-    run_case(PAPER, whole, [*SMALL, *extra], False, None, comm)
+    run_case(PAPER, whole, [*SMALL, *extra], comm=comm)
     with (
         stopped_after(stop),
         pytest.raises(ComputationError, match=f"SIGTERM after step {stop} of 20"),
     ):
-        run_case(PAPER, parts, [*SMALL, *extra], False, None, comm)
+        run_case(PAPER, parts, [*SMALL, *extra], comm=comm)
     if comm.rank == 0:
         assert results.read_status(parts) == ("incomplete", stop)
     with pytest.raises(InputError, match="interrupted after step"):
-        run_case(PAPER, parts, [*SMALL, *extra], False, None, comm)
-    run_case(PAPER, parts, [*SMALL, *extra], True, None, comm)
+        run_case(PAPER, parts, [*SMALL, *extra], comm=comm)
+    run_case(PAPER, parts, [*SMALL, *extra], comm=comm, restart=True)
     if comm.rank == 0:
         one, two = contents(whole), contents(parts)
         assert one.keys() == two.keys()
@@ -86,10 +85,10 @@ def test_restart_equals_an_uninterrupted_run(shared_path, comm, stopped_after, s
 
 def test_a_longer_history_extends_a_complete_one(shared_path, comm):
     whole, parts = shared_path / "whole.h5", shared_path / "parts.h5"
-    run_case(PAPER, whole, [*SMALL, "time.steps=30"], False, None, comm)
-    run_case(PAPER, parts, SMALL, False, None, comm)
-    assert run_case(PAPER, parts, SMALL, True, None, comm) == 0  # nothing to do
-    run_case(PAPER, parts, [*SMALL, "time.steps=30"], True, None, comm)
+    run_case(PAPER, whole, [*SMALL, "time.steps=30"], comm=comm)
+    run_case(PAPER, parts, SMALL, comm=comm)
+    run_case(PAPER, parts, SMALL, comm=comm, restart=True)  # nothing to do
+    run_case(PAPER, parts, [*SMALL, "time.steps=30"], comm=comm, restart=True)
     if comm.rank == 0:
         one, two = contents(whole), contents(parts)
         assert all(np.array_equal(value, two[name]) for name, value in one.items())
@@ -97,16 +96,16 @@ def test_a_longer_history_extends_a_complete_one(shared_path, comm):
 
 def test_restart_with_fewer_steps_is_refused(shared_path, comm):
     path = shared_path / "run.h5"
-    run_case(PAPER, path, SMALL, False, None, comm)
+    run_case(PAPER, path, SMALL, comm=comm)
     with pytest.raises(InputError, match=r"holds 20 steps, time\.steps = 10"):
-        run_case(PAPER, path, [*SMALL, "time.steps=10"], True, None, comm)
+        run_case(PAPER, path, [*SMALL, "time.steps=10"], comm=comm, restart=True)
 
 
 def test_a_complete_run_is_drawn_without_computing(shared_path, comm):
     path, figure = shared_path / "run.h5", shared_path / "run.png"
-    run_case(PAPER, path, SMALL, False, None, comm)
+    run_case(PAPER, path, SMALL, comm=comm)
     before = contents(path) if comm.rank == 0 else {}
-    assert run_case(PAPER, path, SMALL, True, figure, comm) == 0
+    run_case(PAPER, path, SMALL, comm=comm, restart=True, figure=figure)
     if comm.rank == 0:
         assert figure.exists()
         assert all(np.array_equal(v, contents(path)[k]) for k, v in before.items())
@@ -135,16 +134,16 @@ def test_a_signal_during_the_meeting_stops_all_ranks_at_the_same_step(
     monkeypatch.setattr(monitor.Monitor, "__call__", late)
     path = shared_path / "run.h5"
     with pytest.raises(ComputationError, match=r"SIGUSR1 after step [56] of 20"):
-        run_case(PAPER, path, SMALL, False, None, comm)
+        run_case(PAPER, path, SMALL, comm=comm)
     if comm.rank == 0:
         assert results.read_status(path)[0] == "incomplete"
 
 
 def test_restart_of_another_case_is_refused(shared_path, comm):
     path = shared_path / "run.h5"
-    run_case(PAPER, path, SMALL, False, None, comm)
+    run_case(PAPER, path, SMALL, comm=comm)
     with pytest.raises(InputError, match="holds another case"):
-        run_case(PAPER, path, [*SMALL, "wear.lower.k=2e-7"], True, None, comm)
+        run_case(PAPER, path, [*SMALL, "wear.lower.k=2e-7"], comm=comm, restart=True)
 
 
 def test_checkpoints_are_written_on_the_way(shared_path, comm, monkeypatch):
@@ -157,7 +156,7 @@ def test_checkpoints_are_written_on_the_way(shared_path, comm, monkeypatch):
 
     monkeypatch.setattr(driver, "write_result", spy)
     monkeypatch.setattr(monitor, "CHECKPOINT_SECONDS", 0.0)
-    run_case(PAPER, shared_path / "run.h5", SMALL, False, None, comm)
+    run_case(PAPER, shared_path / "run.h5", SMALL, comm=comm)
     if comm.rank == 0:
         assert seen[0] == ("incomplete", 1)
         assert seen[-1] == ("complete", 20)
@@ -175,7 +174,7 @@ def test_a_failed_checkpoint_does_not_end_the_run(shared_path, comm, monkeypatch
 
     monkeypatch.setattr(driver, "write_result", failing)
     monkeypatch.setattr(monitor, "CHECKPOINT_SECONDS", 0.0)
-    run_case(PAPER, shared_path / "run.h5", SMALL, False, None, comm)
+    run_case(PAPER, shared_path / "run.h5", SMALL, comm=comm)
     if comm.rank == 0:
         assert results.read_status(shared_path / "run.h5") == ("complete", 20)
         assert "No space left on device" in caplog.text
@@ -187,7 +186,7 @@ def test_a_failed_last_write_is_an_error_on_all_ranks(shared_path, comm, monkeyp
 
     monkeypatch.setattr(driver, "write_result", failing)
     with pytest.raises(ComputationError, match=r"run.h5: No space left on device"):
-        run_case(PAPER, shared_path / "run.h5", SMALL, False, None, comm)
+        run_case(PAPER, shared_path / "run.h5", SMALL, comm=comm)
     assert not list(shared_path.glob("*"))
 
 
@@ -207,6 +206,6 @@ def test_outputs_that_are_not_ours_are_refused(shared_path, comm, kind):
     before = sorted(shared_path.rglob("*"))
     match = {"folder": "is a folder", "nowhere": "does not exist"}.get(kind, "not a result file")
     with pytest.raises(InputError, match=match):
-        run_case(PAPER, path, SMALL, False, None, comm)
+        run_case(PAPER, path, SMALL, comm=comm)
     comm.Barrier()
     assert sorted(shared_path.rglob("*")) == before

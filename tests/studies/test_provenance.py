@@ -65,7 +65,7 @@ def test_interrupted_cases_of_another_version_start_anew(
     for module in (ringwear_par, info):
         monkeypatch.setattr(module, "__version__", "99.0")
     read = []
-    monkeypatch.setattr("ringwear_par.studies.workers.read_checkpoint", read.append)
+    monkeypatch.setattr("ringwear_par.studies.workers.open_result", read.append)
     assert swept("0", ranks_per_case=comm.size).done == 1
     assert not read
     assert comm.rank > 0 or "1 interrupted cases of another version start anew" in caplog.text
@@ -141,9 +141,7 @@ def test_doubts_of_run_are_flags_of_a_sweep(swept, shared_path, comm, caplog):
         (shared_path / "one.toml").write_text(text)
     comm.Barrier()
     caplog.clear()
-    run_case(
-        shared_path / "one.toml", shared_path / "run.h5", ["wear.lower.p0=0"], False, None, comm
-    )
+    run_case(shared_path / "one.toml", shared_path / "run.h5", ["wear.lower.p0=0"], comm=comm)
     if comm.rank == 0:
         assert ("times its stability limit" in caplog.text) == (
             "unstable_explicit_step" in flags[0]

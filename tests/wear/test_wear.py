@@ -1,5 +1,6 @@
 """Wear laws: values, derivatives by Taylor remainders, implicit steps with memory and averages."""
 
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -8,17 +9,34 @@ from wearing import sliding, step_wear
 
 from ringwear_par.errors import ComputationError, InputError
 from ringwear_par.schedules import Table
-from ringwear_par.wear.derivative_test import taylor_test
-from ringwear_par.wear.increment import WearIncrement, averaging
-from ringwear_par.wear.law import (
-    ArchardLaw,
-    NonLocalLaw,
-    PowerLaw,
-    RunningInLaw,
-    TableLaw,
-    ThresholdLaw,
+from ringwear_par.wear.archard import ArchardLaw
+from ringwear_par.wear.derivative_test import (
+    taylor_test,
+    taylor_test_parameter,
+    taylor_test_wear,
 )
+from ringwear_par.wear.derivatives import derivative
+from ringwear_par.wear.increment import WearIncrement, averaging
+from ringwear_par.wear.law import Law, complete
+from ringwear_par.wear.non_local import NonLocalLaw
+from ringwear_par.wear.power import PowerLaw
+from ringwear_par.wear.running_in import RunningInLaw
+from ringwear_par.wear.table import TableLaw
+from ringwear_par.wear.threshold import ThresholdLaw
 from ringwear_par.wear.user import UserLaw, check_user_law
+
+
+@dataclass(frozen=True)
+class Hardening:
+    """A law as a user may write it: no base class, nothing but a rate."""
+
+    k: float
+    depth: float
+
+    def rate(self, p, local):
+        """Return the rate of wear, mm/s."""
+        return self.k * np.exp(-local.wear / self.depth) * local.power * p
+
 
 P = np.array([0.0, 10.0, 39.0, 41.0, 100.0])
 POWER = np.array([1.0, 2.0, 3.0, 4.0, 5.0])
@@ -65,8 +83,8 @@ def test_parameters_follow_time_and_radius():
     assert in_time.rate(P, at) == pytest.approx(2 * ThresholdLaw(1e-7, 40.0).rate(P, at))
     along = ThresholdLaw(Table((28.5, 31.5), (0.0, 1e-7), "r"))
     assert along.rate(P, at) == pytest.approx(np.linspace(0, 1e-7, 5) * POWER * P)
-    assert in_time.knots == (9.0,)
-    assert along.knots == ()
+    assert in_time.breakpoints == (9.0,)
+    assert along.breakpoints == ()
 
 
 def test_running_in_falls_with_distance_and_depth():
@@ -88,6 +106,133 @@ def test_taylor_remainders(law, step, worn):
     direction = np.array([0.3, -0.2, 0.1, 0.2, -0.5])
     test = taylor_test(law, at, pressure, direction, step)
     assert test.passed, test
+
+
+PLAIN = """
+import numpy as np
+
+def rate(p, at):
+    k = at.parameters["k"] * (1.0 + np.exp(-at.wear / 0.01))
+    return k * at.friction * at.speed * np.log1p(p / 50.0)
+"""
+WITH_PLAIN = {
+    **LAWS,
+    "user, rate only": UserLaw("law.py", PLAIN, (("k", 1e-7),)),
+    "a plain object": complete(Hardening(2e-8, 3e-5)),
+}
+
+
+@pytest.mark.parametrize("law", WITH_PLAIN.values(), ids=WITH_PLAIN)
+@pytest.mark.parametrize("worn", [0.0, 1e-5])
+def test_taylor_remainders_of_wear_and_parameters(law, worn):
+    at = sliding(POWER, time=2.0, wear=np.full(5, worn))
+    assert taylor_test_wear(law, at, P + 5.0, 1e-5).passed
+    for name in law.numeric:
+        test = taylor_test_parameter(law, at, P + 5.0, name)
+        assert test.passed, (name, test)
+
+
+@pytest.mark.parametrize("law", LAWS.values(), ids=LAWS)
+def test_derivatives_that_a_law_knows_are_those_that_the_library_finds(law):
+    """Built-in formulas take complex numbers."""
+    at, p = sliding(POWER, time=2.0, wear=np.full(5, 1e-5)), P + 5.0
+    assert law.d_rate_dp(p, at) == pytest.approx(Law.d_rate_dp(law, p, at), rel=1e-8)
+    assert law.d_rate_dwear(p, at) == pytest.approx(Law.d_rate_dwear(law, p, at), rel=1e-8)
+    for name in law.numeric:
+        found = Law.d_rate_dparameter(law, name, p, at)
+        assert law.d_rate_dparameter(name, p, at) == pytest.approx(found, rel=1e-8, abs=1e-14)
+
+
+def test_complex_steps_are_trusted_only_where_differences_agree():
+    """Absolute values lose the imaginary part, interpolation refuses it."""
+    x = np.array([0.5, 1.0, 2.0])
+    for function in (np.exp, lambda x: np.exp(np.abs(x)), lambda x: np.exp(x.real)):
+        assert derivative(function, x, 1e-3) == pytest.approx(np.exp(x), rel=1e-8)
+    table = lambda x: np.interp(x, [0.0, 4.0], [0.0, 8.0])  # noqa: E731
+    assert derivative(table, x, 1e-3) == pytest.approx(np.full(3, 2.0), rel=1e-8)
+    assert derivative(lambda x: x**2, 0.0, 1e-3) == pytest.approx(0.0, abs=1e-12)
+
+
+def test_the_length_is_no_parameter_of_the_rate_itself():
+    law = LAWS["non-local"]
+    assert law.numeric == ("k", "p0")
+    with pytest.raises(ValueError, match="length: must be one of k, p0"):
+        law.d_rate_dparameter("length", P, sliding(POWER))
+
+
+def test_laws_tell_their_formula_and_numbers():
+    assert LAWS["threshold"].describe() == (
+        "k mu max(0, p - p0) V with k = 1e-07 1/MPa, p0 = 40 MPa"
+    )
+    assert (
+        LAWS["threshold, table in time"]
+        .describe()
+        .endswith("with k = a table to 4e-07 1/MPa, p0 = 40 MPa")
+    )
+    assert "depth = 2e-05 mm" in LAWS["running-in, depth"].describe()
+    assert "distance =" not in LAWS["running-in, depth"].describe()
+    assert "length = 0.8 mm" in LAWS["non-local"].describe()
+    assert "4 of them to 9e-06 mm/s at p V = 400 MPa mm/s" in LAWS["table"].describe()
+    assert LAWS["user"].describe() == "rate(p, at) of law.py with k = 1e-07"
+    assert complete(Hardening(2e-8, 3e-5)).describe() == (
+        "Hardening.rate(p, local) with k = 2e-08, depth = 3e-05"
+    )
+
+
+def test_a_law_needs_its_rate_only():
+    """What a plain object lacks is found: derivatives, memory of worn depth, its integral."""
+    own, at, step = Hardening(9e-7, 1e-6), sliding(POWER, wear=np.full(5, 1e-7)), 50.0
+    increment = WearIncrement((own, None), (at, at), step)
+    depth = increment.depth(P)
+    end = sliding(POWER, wear=1e-7 + depth)
+    assert depth == pytest.approx(step * own.rate(P, end), rel=1e-12, abs=1e-30)
+    known = RunningInLaw(0.0, 9e-7, depth=1e-6)
+    exact = WearIncrement((known, None), (at, at), step)
+    assert depth == pytest.approx(exact.depth(P), rel=1e-12, abs=1e-30)
+    p = P + 5.0  # at no pressure the threshold counts as one that is not yet passed
+    assert increment.d_depth_dp(p) == pytest.approx(exact.d_depth_dp(p), rel=1e-9)
+    assert increment.potential(p) == pytest.approx(exact.potential(p), rel=1e-9)
+    assert complete(own).breakpoints == ()
+    assert complete(known) is known
+
+
+def test_a_plain_law_may_know_more():
+    class Archard:
+        remembers = False
+        breakpoints = (3.0, 1)
+        length = 0.5
+
+        def rate(self, p, local):
+            return 1e-8 * p * local.speed
+
+        def d_rate_dp(self, p, local):
+            return 1e-8 * local.speed
+
+        def per_energy(self, friction):
+            return 1e-8 / friction
+
+    law, at = complete(Archard()), sliding(POWER)
+    assert (law.length, law.remembers, law.breakpoints) == (0.5, False, (1.0, 3.0))
+    assert law.per_energy(0.1) == ArchardLaw(1e-8).per_energy(0.1)
+    assert (law.d_rate_dp(P, at) == ArchardLaw(1e-8).d_rate_dp(P, at)).all()
+    assert not law.d_rate_dwear(P, at).any()
+
+
+def test_files_remember_wear_by_reading_it_but_not_those_of_the_older_names():
+    assert UserLaw("a.py", PLAIN).remembers
+    assert not UserLaw("a.py", PLAIN + "remembers = False\n").remembers
+    assert not UserLaw("a.py", "def rate(p, at): return p * at.speed").remembers
+    assert not UserLaw("a.py", USER[: USER.index("def wear_slope")]).remembers
+    renamed = USER.replace("wear_slope", "d_rate_dwear").replace("slope", "d_rate_dp")
+    at = sliding(POWER, wear=np.full(5, 1e-3))
+    old, new = (UserLaw("a.py", text, (("k", 1e-7),)) for text in (USER, renamed))
+    plain = UserLaw("a.py", PLAIN, (("k", 1e-7),))
+    for name in ("d_rate_dp", "d_rate_dwear"):
+        exact = getattr(old, name)(P, at)
+        assert (getattr(new, name)(P, at) == exact).all()
+        assert getattr(plain, name)(P, at) == pytest.approx(exact, rel=1e-9)
+    assert UserLaw("a.py", PLAIN + "breakpoints = [2, 1]").breakpoints == (1.0, 2.0)
+    assert UserLaw("a.py", PLAIN + "knots = [2, 1]").breakpoints == (1.0, 2.0)
 
 
 def test_a_wrong_derivative_is_found():
@@ -155,10 +300,11 @@ def test_what_is_no_law_is_told(body, words):
 def test_a_falling_slope_is_told_during_work():
     source = "def rate(p, at): return 1e-7 * p\ndef slope(p, at): return -1e-7 + 0 * p\n"
     with pytest.raises(ComputationError, match=r"slope\(\) gives -1e-07.*must not fall"):
-        UserLaw("mine.py", source).slope(P, sliding(POWER))
+        UserLaw("mine.py", source).d_rate_dp(P, sliding(POWER))
 
 
 def test_a_file_without_a_law():
-    assert "does not define slope" in UserLaw("a.py", "def rate(p, at): return p").missing()
+    assert "does not define rate" in UserLaw("a.py", "def slope(p, at): return 1").missing()
+    assert UserLaw("a.py", "def rate(p, at): return p").missing() == ""
     assert "cannot be run (SyntaxError" in UserLaw("a.py", "def").missing()
     assert UserLaw(str(Path("a.py")), USER).missing() == ""

@@ -1,0 +1,194 @@
+"""Unilateral contact, eq. (3) of the paper, as a bound-constrained problem.
+
+With K the area-weighted compliance of the contact line, m the element areas and g the gap of the
+undeformed, worn profiles, the pressure minimises at an approach delta
+
+    1/2 p.K p + Sum m_e [(g_e - delta) p_e + Int_0^p_e depth],    p >= 0,
+
+where ``depth`` is the wear of an implicit step (absent otherwise).
+
+The unknowns are scaled so that K has a unit diagonal: ``q = s p``, ``A = K / (s s')``.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from ringwear_par.arrays import FloatArray
+from ringwear_par.wear.increment import WearIncrement
+
+#: up to this size every rank solves the whole problem by itself. On 2 ranks that took 0.12 s for
+#: 200 steps of 400 elements against 0.31 s shared by tron, and 0.35 s against 4.2 s for 800 (see
+#: scripts/benchmark.py): what limits it is the n^2 of memory a rank, not time
+REPLICATED_LIMIT = 2000
+#: largest relative KKT residual of an accepted solution
+KKT_TOLERANCE = 1e-9
+#: norm of the gradient at which a solver ends, relative to that of the overlap
+_GRADIENT_TOLERANCE = 1e-12
+
+
+@dataclass(frozen=True)
+class ContactState:
+    """Solution of one contact problem.
+
+    Parameters
+    ----------
+    pressure : (n,) float, MPa.
+    gap : (n,) float, mm, between the deformed profiles.
+    approach : mm.
+    force : N.
+    iterations : of TAO, all its solves together.
+    residual : natural KKT residual, relative to the largest pressure (scaled unknowns).
+    """
+
+    pressure: FloatArray
+    gap: FloatArray
+    approach: float
+    force: float
+    iterations: int
+    residual: float
+
+
+@dataclass(frozen=True)
+class WarmStart:
+    """Where the next solve starts; with it, a restarted run repeats an uninterrupted one exactly.
+
+    Parameters
+    ----------
+    scaled_pressure : (n,) float.
+    rate : (n,) float, MPa/mm, derivative of pressure with respect to approach.
+    gap : (n,) float, mm, of the last problem.
+    approach : mm, of the last problem.
+    force : N, of the last problem.
+    """
+
+    scaled_pressure: FloatArray
+    rate: FloatArray
+    gap: FloatArray
+    approach: float
+    force: float
+
+
+class ContactProblem:
+    """The contact problem of one contact line at a given approach, or some rows of it.
+
+    All that a solver's callbacks know: the linear term, the wear and what they did to the Hessian.
+    The products with A are the caller's, who may share it out over ranks; ``q`` and all results
+    are of the own rows.
+
+    Parameters
+    ----------
+    compliance : (n, n) float, mm^3/MPa, symmetric area-weighted compliance K.
+    area : (n,) float, mm^2.
+    rows : the own ones, where the problem is shared out.
+    """
+
+    def __init__(self, compliance: FloatArray, area: FloatArray, rows: slice | None = None) -> None:
+        self.area, self._shared = area, rows is not None
+        self._rows = slice(0, len(area)) if rows is None else rows
+        self._own_area = area[self._rows]
+        self._linear = np.zeros_like(self._own_area)
+        self._wear: WearIncrement | None = None
+        #: whether no pressure is needed: nothing overlaps
+        self.apart = True
+        self.take(compliance)
+
+    def take(self, compliance: FloatArray) -> None:
+        """Take another compliance of the same contact line."""
+        #: (n,), pressure times this is the unknown
+        self.scale = np.sqrt(np.diag(compliance))
+        #: (n,), gap times this is the gradient
+        self.weights = self.area / self.scale
+        self._own_scale, self._weight = self.scale[self._rows], self.weights[self._rows]
+        self._slope_weight = self._weight / self._own_scale
+        # what wear adds to the diagonal of the Hessian, and whether it adds more than that
+        self._slope, self._coupled = np.zeros_like(self._own_area), False
+
+    def scaled(self, compliance: FloatArray) -> FloatArray:
+        """Return the own rows of A."""
+        return compliance[self._rows] / (self._own_scale[:, None] * self.scale)
+
+    def pose(self, gap: FloatArray, approach: float, wear: WearIncrement | None) -> None:
+        """Set the problem.
+
+        Parameters
+        ----------
+        gap : (n,) float, mm.
+        approach : mm.
+        wear : wear of an implicit step.
+
+        Raises
+        ------
+        InputError : a law is non-local, and the problem is shared out.
+        """
+        self.apart = bool(gap.min() >= approach)
+        if self._shared:
+            gap = gap[self._rows]
+            wear = None if wear is None else wear.part(self._rows)
+        self._linear, self._wear = self._weight * (gap - approach), wear
+
+    def tolerance(self, gap: FloatArray, approach: float) -> float:
+        """Return the norm of the gradient at which a solver may end."""
+        overlap = self.weights * np.maximum(approach - gap, 0.0)
+        return _GRADIENT_TOLERANCE * math.sqrt(overlap @ overlap)
+
+    def gradient_apart(self) -> FloatArray:
+        """Return the gradient where no pressure is needed: the weighted gap."""
+        return self._linear
+
+    def add_gradient(self, q: FloatArray, product: FloatArray) -> None:
+        """Make of A q, in place, the gradient."""
+        product += self._linear
+        if self._wear is not None:
+            product += self._weight * self._wear.depth(q / self._own_scale)
+
+    def objective(self, q: FloatArray, product: FloatArray) -> tuple[float, FloatArray]:
+        """Return the own share of the objective, and the gradient; ``product`` is A q."""
+        linear = self._linear
+        value = q @ (0.5 * product + linear)
+        if self._wear is not None:
+            p = q / self._own_scale
+            value += self._own_area @ self._wear.potential(p)
+            linear = linear + self._weight * self._wear.depth(p)
+        return float(value), product + linear
+
+    def _slope_at(self, q: FloatArray) -> FloatArray:
+        if self._wear is None:
+            return np.zeros_like(self._slope)
+        return self._wear.d_depth_dp(q / self._own_scale) * self._slope_weight
+
+    def linearise(self, q: FloatArray) -> tuple[bool, bool]:
+        """Take the Hessian at q; return whether it changed, and whether by more than its diagonal.
+
+        Where by more, its own rows are now those of A and what ``add_coupling`` adds; its diagonal
+        is ``diagonal`` in any case.
+        """
+        slope, coupled = self._slope_at(q), self._wear is not None and not self._wear.local
+        whole = coupled or self._coupled  # all entries change, or are put back
+        changed = whole or bool((slope != self._slope).any())
+        self._slope, self._coupled = slope, coupled
+        return changed, whole
+
+    @property
+    def diagonal(self) -> FloatArray:
+        """Diagonal of the Hessian."""
+        return 1.0 + self._slope
+
+    def add_coupling(self, q: FloatArray, hessian: FloatArray) -> None:
+        """Add to the own rows of the Hessian what non-local wear does."""
+        if self._wear is not None and self._coupled:
+            derivative = self._wear.jacobian(q / self._own_scale)
+            hessian += self.weights[:, None] * derivative / self.scale
+
+    def defect(self, q: FloatArray, gradient: FloatArray) -> tuple[float, float]:
+        """Return the natural KKT residual, infinite where it is no number, and the largest q."""
+        worst, largest = _natural(q, gradient, self.diagonal), float(q.max(initial=0.0))
+        if worst > KKT_TOLERANCE * largest:  # at a kink of the law either side's slope will do
+            worst = _natural(q, gradient, 1.0 + np.maximum(self._slope, self._slope_at(q)))
+        return worst, largest
+
+
+def _natural(q: FloatArray, gradient: FloatArray, diagonal: FloatArray) -> float:
+    worst = float(np.abs(np.minimum(q, gradient / diagonal)).max(initial=0.0))
+    return worst if math.isfinite(worst) else math.inf

@@ -1,0 +1,114 @@
+"""Statements that hold at every instant of a history, and how far it is off them."""
+
+from dataclasses import astuple, dataclass
+from typing import Any
+
+import numpy as np
+
+from ringwear_par.history.model import WearModel
+from ringwear_par.history.snapshots import Snapshot
+from ringwear_par.history.state import State
+from ringwear_par.schedules import in_time
+
+
+@dataclass(frozen=True)
+class Balances:
+    """Relative defects of balances, and the error of time steps.
+
+    Force, volume, energy and residual hold to round-off; torque and reaction vanish with the mesh,
+    the step error with the steps.
+
+    Parameters
+    ----------
+    force : contact pressure against the applied force (0 at given displacement).
+    torque : torque on the held faces against the friction torque, the worse of both bodies.
+    reaction : axial force on the held faces against that of the contact pressure, likewise.
+    volume : worn volume of the profiles against the time integral of the rate at the contact
+        pressures, which is evaluated apart from the depths.
+    energy : worn volume against k times the dissipated energy, where p0 = 0 (else 0).
+    residual : KKT residual of the contact solution.
+    step_error : mm, estimated error of the wear of a time step.
+    """
+
+    force: float = 0.0
+    torque: float = 0.0
+    reaction: float = 0.0
+    volume: float = 0.0
+    energy: float = 0.0
+    residual: float = 0.0
+    step_error: float = 0.0
+
+    def worse(self, other: "Balances") -> "Balances":
+        """Return the larger of each."""
+        return Balances(*map(max, astuple(self), astuple(other)))
+
+    @property
+    def worst(self) -> float:
+        """The worst of those that hold to round-off."""
+        return max(self.force, self.volume, self.energy, self.residual)
+
+
+def balances(model: WearModel, state: State) -> dict[str, Any]:
+    """Return the defects of a state by name, each a float, or (B,) of B histories. Not collective.
+
+    All but ``step_error``, which is that of a step.
+    """
+    contact, laws = state.contact, model.laws
+    turned, lower, upper, turned_lower, turned_upper = model.reactions(contact.pressure)
+    volumes = model.integrals(state.wear)
+    total, off = volumes.max(axis=0), np.abs(volumes - state.worn).max(axis=0)
+    identity: Any = 0.0
+    for law, volume in zip(laws, volumes, strict=True):
+        ratio = law.per_energy(model.friction) if law is not None else None
+        if ratio is not None:
+            identity = _larger(identity, _defect(volume, ratio * state.energy))
+    return {
+        "force": 0.0
+        if model.force is None
+        else _defect(contact.force, in_time(model.force, state.time)),
+        "torque": _larger(_defect(turned_lower, turned), _defect(turned_upper, turned)),
+        "reaction": _larger(_defect(lower, contact.force), _defect(upper, contact.force)),
+        "volume": _relative(off, total),
+        "energy": identity,
+        "residual": contact.residual,
+    }
+
+
+def _defect(value: Any, exact: Any) -> Any:
+    """Return |value - exact| / exact, 0 where nothing is expected."""
+    return _relative(abs(value - exact), exact)
+
+
+def _relative(off: Any, exact: Any) -> Any:
+    if isinstance(exact, float):  # of one history, in every step
+        return off / exact if exact > 0.0 else 0.0
+    return np.divide(off, exact, out=np.zeros_like(off), where=exact > 0.0)
+
+
+def _larger(one: Any, other: Any) -> Any:
+    if isinstance(one, float) and isinstance(other, float):
+        return max(one, other)
+    return np.maximum(one, other)
+
+
+class WorstBalances:
+    """Observer that keeps the worst of all balances.
+
+    Parameters
+    ----------
+    before : those of an interrupted history.
+    """
+
+    def __init__(self, before: Balances | None = None) -> None:
+        self.worst = before or Balances()
+
+    def __call__(self, snapshot: Snapshot) -> bool:
+        """Take those of a new state."""
+        step = snapshot.step
+        now = Balances(
+            **balances(snapshot.model, snapshot.state),
+            step_error=0.0 if step is None else float(step.wear_error),
+        )
+        if not snapshot.passing:
+            self.worst = self.worst.worse(now)
+        return False

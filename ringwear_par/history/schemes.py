@@ -1,0 +1,65 @@
+"""What a scheme is: a function that makes one step and says how far it may be off.
+
+``scheme(model, state, end) -> Step``, collective on the model's communicator, for one history or
+for B with ends of their own. Schemes remember nothing and decide nothing; a new one is a file with
+such a function, and a line in ``simulate.METHODS``.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from ringwear_par.arrays import FloatArray
+from ringwear_par.contact.problem import ContactState
+from ringwear_par.history.model import WearModel
+from ringwear_par.history.state import State
+
+
+@dataclass(frozen=True)
+class Step:
+    """One step.
+
+    Parameters
+    ----------
+    state : at its end; the iterations of its contact are those of all stages.
+    wear_error : float or (B,), mm, estimated error of the wear of both bodies together in the
+        step, of the worst element.
+    energy_error : float or (B,), N mm, estimated error of the energy dissipated in the step.
+    power : float or (B,), N mm/s, largest power of friction in the step.
+    """
+
+    state: State
+    wear_error: float
+    energy_error: float
+    power: float
+
+
+Scheme = Callable[[WearModel, State, float], Step]
+
+
+def advanced(
+    model: WearModel,
+    state: State,
+    end: float,
+    depths: FloatArray,
+    volumes: FloatArray,
+    energy: float,
+    contact: ContactState,
+) -> State:
+    """Return the state at the end of a step.
+
+    Parameters
+    ----------
+    depths : (2, ..., n) float, mm, worn off in it.
+    volumes : (2, ...) float, mm^3, integrals over the step of the rates of the worn volumes.
+    energy : float or (B,), N mm, dissipated in it.
+
+    Raises
+    ------
+    ComputationError : the model no longer holds, see ``WearModel.checked``.
+    """
+    return model.checked(
+        State(
+            end, state.wear + depths, state.worn + volumes, state.energy + energy, contact,
+            state.shape,
+        )
+    )  # fmt: skip

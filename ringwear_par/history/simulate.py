@@ -1,0 +1,128 @@
+"""The time loop, section 3 of the paper.
+
+``pressure[n]``, ``approach[n]``... are the contact solution with the profile worn up to
+``time[n]``, for every scheme.
+"""
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+
+from mpi4py import MPI
+
+from ringwear_par.cases.case import Case
+from ringwear_par.contact.solver import ContactSolver
+from ringwear_par.elasticity.pair import ContactPair
+from ringwear_par.errors import ComputationError
+from ringwear_par.history import euler, sdirk2
+from ringwear_par.history.control import Control, ErrorControl, FixedSteps
+from ringwear_par.history.model import WearModel
+from ringwear_par.history.saving import stores, times_within
+from ringwear_par.history.schemes import Scheme, Step
+from ringwear_par.history.snapshots import Observer, Snapshot
+from ringwear_par.history.state import Progress, Start, State
+from ringwear_par.parallel import together
+
+#: scheme and step control of each ``time.scheme``
+METHODS: dict[str, tuple[Scheme, Callable[[Case, Progress], Control]]] = {
+    "explicit": (euler.forward, FixedSteps),
+    "implicit": (euler.backward, FixedSteps),
+    "adaptive": (sdirk2.step, ErrorControl),
+}
+
+
+def simulate(
+    case: Case,
+    comm: MPI.Comm,
+    *,
+    pair: ContactPair | None = None,
+    solver: ContactSolver | None = None,
+    start: Start | None = None,
+    observers: Sequence[Observer] = (),
+) -> State:
+    """Step a wear history from its start to its end, or until an observer says stop.
+
+    Collective on comm.
+
+    Parameters
+    ----------
+    case : the case.
+    comm : communicator.
+    pair : its contact pair; None: assembled first.
+    solver : contact solver of the pair at the case's moduli, to be used again; None: made here.
+    start : where an interrupted history goes on.
+    observers : called with every state, in this order.
+
+    Returns
+    -------
+    The last state.
+
+    Raises
+    ------
+    ComputationError : a step could not be made; it is named with its time.
+    UnfitError : the case's own numbers do not go together, as its first contact tells.
+    """
+    scheme, make_control = METHODS[case.time.scheme]
+    with WearModel(case, comm, pair, solver) as model:
+        control = make_control(case, Progress() if start is None else start.progress)
+        show = _Showing(observers, model, control)
+        if start is None:
+            with together(comm):
+                state = model.initial()
+            show(state, None, state.contact.iterations)
+        else:
+            state = model.resume(start)
+        while not show.stopped and not case.time.finished(control.progress.steps, state.time):
+            with _named(control, state):
+                state = model.update_geometry(state)
+                end = control.end(model, state)
+                try:
+                    with together(comm):
+                        step = scheme(model, state, end)
+                except ComputationError as error:
+                    control.failed(error)
+                    continue
+                before = control.progress.iterations
+                if not control.accepts(step):
+                    continue
+                for time in times_within(case, state.time, end):
+                    with together(comm):
+                        within = scheme(model, state, time)
+                    show(within.state, within, within.state.contact.iterations, passing=True)
+            state = step.state
+            show(state, step, control.progress.iterations - before)
+    return state
+
+
+class _Showing:
+    """Shows states to the observers; ``stopped`` once one of them has said so."""
+
+    def __init__(self, observers: Sequence[Observer], model: WearModel, control: Control) -> None:
+        self._observers, self._model, self._control = observers, model, control
+        self.stopped = False
+
+    def __call__(
+        self, state: State, step: Step | None, iterations: int, *, passing: bool = False
+    ) -> None:
+        case, progress = self._model.case, self._control.progress
+        snapshot = Snapshot(
+            self._model,
+            state,
+            step,
+            progress,
+            iterations,
+            stored=passing or stores(case, progress.steps, state.time),
+            passing=passing,
+            finished=not passing and case.time.finished(progress.steps, state.time),
+        )
+        for observer in self._observers:
+            self.stopped |= observer(snapshot)
+
+
+@contextmanager
+def _named(control: Control, state: State) -> Iterator[None]:
+    """Let errors tell the step and the time at which it starts."""
+    try:
+        yield
+    except ComputationError as error:
+        made = control.progress.steps + 1
+        raise type(error)(f"step {made} (from time {state.time:g} s): {error}") from error

@@ -1,0 +1,66 @@
+"""Observer that keeps a whole history in memory, for checks, scripts and tests."""
+
+from mpi4py import MPI
+
+from ringwear_par.cases.case import Case
+from ringwear_par.contact.solver import ContactSolver
+from ringwear_par.elasticity.pair import ContactPair
+from ringwear_par.history.balances import Balances, WorstBalances
+from ringwear_par.history.model import WearModel
+from ringwear_par.history.simulate import simulate
+from ringwear_par.history.snapshots import Snapshot
+from ringwear_par.history.state import State
+
+
+class Trace:
+    """Every state of a history, and the worst of its balances."""
+
+    def __init__(self) -> None:
+        #: states that the history went on from, the start first; and those within steps
+        self.snapshots: list[Snapshot] = []
+        self.passing: list[Snapshot] = []
+        self._worst = WorstBalances()
+
+    def __call__(self, snapshot: Snapshot) -> bool:
+        """Take a new state."""
+        (self.passing if snapshot.passing else self.snapshots).append(snapshot)
+        self._worst(snapshot)
+        return False
+
+    @property
+    def states(self) -> list[State]:
+        """States that the history went on from, the start first."""
+        return [snapshot.state for snapshot in self.snapshots]
+
+    @property
+    def last(self) -> State:
+        """The last state."""
+        return self.snapshots[-1].state
+
+    @property
+    def steps(self) -> int:
+        """Number of steps made."""
+        return self.snapshots[-1].progress.steps
+
+    @property
+    def model(self) -> WearModel:
+        """The physics; its contact solver is gone."""
+        return self.snapshots[-1].model
+
+    @property
+    def balances(self) -> Balances:
+        """The worst of all states."""
+        return self._worst.worst
+
+
+def trace(
+    case: Case,
+    comm: MPI.Comm,
+    *,
+    pair: ContactPair | None = None,
+    solver: ContactSolver | None = None,
+) -> Trace:
+    """Return all states of a history. Collective on comm; see ``simulate``."""
+    seen = Trace()
+    simulate(case, comm, pair=pair, solver=solver, observers=[seen])
+    return seen

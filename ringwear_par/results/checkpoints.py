@@ -1,0 +1,133 @@
+"""Where a history can go on: its last state and the contact solver's next start."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ringwear_par.arrays import FloatArray
+from ringwear_par.errors import InputError
+from ringwear_par.results.variables import Variable
+
+if TYPE_CHECKING:
+    import h5py
+
+    from ringwear_par.contact.solver import WarmStart
+    from ringwear_par.history.state import Progress, Start, State
+    from ringwear_par.results.result import Result
+
+_BODY = Variable("body", ("body",), "1", "0 lower, 1 upper", integer=True)
+_ARRAYS = (
+    Variable("wear", ("body", "element"), "mm", "wear depth"),
+    Variable("worn", ("body",), "mm3", "time integral of the rate of the worn volume"),
+    Variable("shape", ("body", "element"), "mm", "wear depth that the elements have followed"),
+    Variable("pressure", ("element",), "MPa", "contact pressure"),
+    Variable("gap", ("element",), "mm", "gap between the deformed profiles"),
+    Variable("warm_scaled_pressure", ("element",), "1", "unknowns of the contact solver"),
+    Variable("warm_rate", ("element",), "MPa/mm", "derivative of pressure by approach"),
+    Variable("warm_gap", ("element",), "mm", "gap of the last contact problem"),
+)
+
+
+@dataclass(frozen=True, eq=False)
+class Checkpoint:
+    """A state to go on from, as files hold it: it is of no use but to ``restored``.
+
+    Parameters
+    ----------
+    numbers : by name; ``step``, ``time`` (s) and ``pending_iterations``, those of the contact
+        solver since the last stored state, among them.
+    arrays : by name, over bodies and elements.
+    """
+
+    numbers: Mapping[str, Any]
+    arrays: Mapping[str, FloatArray]
+
+
+def take(
+    state: "State", progress: "Progress", warm: "WarmStart", updates: int, pending_iterations: int
+) -> Checkpoint:
+    """Return the checkpoint of a state.
+
+    Parameters
+    ----------
+    updates : how often the elements were assembled anew to follow the wear.
+    pending_iterations : of the contact solver since the last stored state.
+    """
+    contact = state.contact
+    numbers = {
+        "step": progress.steps,
+        "time": state.time,
+        "energy": state.energy,
+        "iterations": progress.iterations,
+        "next_step": progress.next_step,
+        "rejected": progress.rejected,
+        "assemblies": updates,
+        "approach": contact.approach,
+        "force": contact.force,
+        "pending_iterations": pending_iterations,
+        "warm_approach": warm.approach,
+        "warm_force": warm.force,
+    }
+    arrays = {
+        "wear": state.wear,
+        "worn": state.worn,
+        "pressure": contact.pressure,
+        "gap": contact.gap,
+        "warm_scaled_pressure": warm.scaled_pressure,
+        "warm_rate": warm.rate,
+        "warm_gap": warm.gap,
+    }
+    if state.shape is not None:
+        arrays["shape"] = state.shape
+    return Checkpoint(numbers, arrays)
+
+
+def restored(result: "Result") -> "Start":
+    """Return where a stored history goes on.
+
+    Raises
+    ------
+    InputError : it was stored without.
+    """
+    from ringwear_par.contact.problem import ContactState, WarmStart
+    from ringwear_par.history.state import Progress, Start, State
+
+    if result.checkpoint is None:
+        raise InputError(f"{result.name}: holds no state to go on from; must be one of a run")
+    numbers, arrays = result.checkpoint.numbers, result.checkpoint.arrays
+    contact = ContactState(
+        arrays["pressure"], arrays["gap"], float(numbers["approach"]), float(numbers["force"]),
+        0, 0.0,
+    )  # fmt: skip
+    state = State(
+        float(numbers["time"]), arrays["wear"], arrays["worn"], float(numbers["energy"]),
+        contact, arrays.get("shape"),
+    )  # fmt: skip
+    progress = Progress(
+        int(numbers["step"]), float(numbers["next_step"]), int(numbers["rejected"]),
+        int(numbers["iterations"]),
+    )  # fmt: skip
+    warm = WarmStart(
+        arrays["warm_scaled_pressure"], arrays["warm_rate"], arrays["warm_gap"],
+        float(numbers["warm_approach"]), float(numbers["warm_force"]),
+    )  # fmt: skip
+    return Start(state, progress, warm, int(numbers["assemblies"]))
+
+
+def write_checkpoint(group: "h5py.Group", checkpoint: Checkpoint) -> None:
+    """Write a checkpoint to a group of a result file, whose elements it has."""
+    from ringwear_par.results.hdf5 import write_variable
+
+    group.attrs.update(checkpoint.numbers)
+    write_variable(group, _BODY, np.arange(2))
+    for variable in _ARRAYS:
+        if variable.name in checkpoint.arrays:
+            write_variable(group, variable, checkpoint.arrays[variable.name])
+
+
+def read_checkpoint(group: "h5py.Group") -> Checkpoint:
+    """Return the checkpoint in a group of a result file."""
+    arrays = {v.name: group[v.name][:] for v in _ARRAYS if v.name in group}
+    return Checkpoint(dict(group.attrs), arrays)

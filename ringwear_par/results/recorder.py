@@ -1,0 +1,240 @@
+"""Observer that stores what a case asks for, and makes the result of its history."""
+
+import json
+import time
+from dataclasses import asdict
+from typing import Any
+
+import numpy as np
+from mpi4py import MPI
+
+from ringwear_par.arrays import FloatArray
+from ringwear_par.cases.case import Case
+from ringwear_par.cases.law_trials import law_sources
+from ringwear_par.elasticity.boundary_fields import BoundaryState
+from ringwear_par.history.balances import Balances, WorstBalances
+from ringwear_par.history.boundaries import BoundaryObserver
+from ringwear_par.history.model import WearModel
+from ringwear_par.history.saving import stores
+from ringwear_par.history.snapshots import Snapshot
+from ringwear_par.history.state import Start, State
+from ringwear_par.info import versions
+from ringwear_par.results.checkpoints import restored, take
+from ringwear_par.results.doubts import Doubt, doubts, instability
+from ringwear_par.results.result import Result, balance_attributes
+from ringwear_par.results.variables import HISTORIES
+
+
+def row(model: WearModel, state: State) -> dict[str, Any]:
+    """Return what a state says of the result's variables, by name. Not collective.
+
+    All but ``penetration`` and ``contact_iterations``, which other states have a part in.
+    """
+    contact, volumes = state.contact, model.integrals(state.wear)
+    return {
+        "time": state.time,
+        "approach": contact.approach,
+        "force": contact.force,
+        "torque": model.torque(contact.pressure),
+        "twist": model.twist(contact.pressure),
+        "worn_volume_lower": volumes[0],
+        "worn_volume_upper": volumes[1],
+        "dissipated_energy": state.energy,
+        "pressure": contact.pressure,
+        "gap": contact.gap,
+        "wear_lower": state.wear[0],
+        "wear_upper": state.wear[1],
+    }
+
+
+class Recorder:
+    """Stores the states of a history that its case asks for, its balances and its doubts.
+
+    An observer; calls are collective on comm, the same on all ranks.
+
+    Parameters
+    ----------
+    case : the case.
+    comm : communicator of its history.
+    before : result of the interrupted history that goes on; None: it starts.
+    """
+
+    def __init__(self, case: Case, comm: MPI.Comm, before: Result | None = None) -> None:
+        self._case, self._comm = case, comm
+        #: where the history goes on, None where it starts
+        self.start: Start | None = None
+        #: whether the profiles are stored as often as the histories, or at the last state only
+        self._deep = case.output.profiles == "all"
+        self._steps: list[int] = []
+        self._histories: dict[str, list[float]] = {name: [] for name in HISTORIES}
+        self._profiles: dict[str, list[FloatArray]] = {name: [] for name in case.output.fields}
+        self._earlier: list[BoundaryState] = []
+        #: iterations of the contact solver since the last stored state
+        self._pending_iterations = 0
+        self._last: Snapshot | None = None
+        self._seconds: dict[str, float] = {}
+        self._instability: tuple[Doubt, ...] = ()
+        self._begun = time.perf_counter()
+        #: s, spent by others on output, which is no time of stepping
+        self.seconds_output = 0.0
+        self._balances, stored_until = WorstBalances(), -1.0
+        if before is not None:
+            self._restore(before)
+            stored_until = float(before.histories["time"][-1])
+        self._boundary: BoundaryObserver | None = None
+        if case.output.boundary != "none":
+            self._boundary = BoundaryObserver(case, comm, stored_until)
+
+    def _restore(self, before: Result) -> None:
+        """Put the stored rows of an interrupted run back, as far as the case still stores them."""
+        case = self._case
+        self.start = start = restored(before)
+        assert before.checkpoint is not None
+        steps, times = before.steps_made.tolist(), before.histories["time"].tolist()
+        # the last one of a shorter run may not belong here
+        keep = np.array([stores(case, n, t) for n, t in zip(steps, times, strict=True)])
+        self._steps = before.steps_made[keep].tolist()
+        self._histories = {name: before.histories[name][keep].tolist() for name in HISTORIES}
+        for name in self._profiles:
+            stored = before.profiles[name]
+            self._profiles[name] = list(stored[keep] if self._deep else stored[None])
+        # the last state of a shorter run is not the last one of this run
+        if case.output.boundary != "last" or case.time.finished(
+            start.progress.steps, start.state.time
+        ):
+            left = set(before.histories["time"][keep].tolist())
+            self._earlier = [b for b in before.boundary if b.time in left]
+        self._pending_iterations = int(before.checkpoint.numbers["pending_iterations"]) + int(
+            before.histories["contact_iterations"][~keep].sum()
+        )
+        self._balances = WorstBalances(Balances(**before.balances))
+        self._seconds = {
+            name: float(value)
+            for name, value in before.attributes.items()
+            if name.startswith("seconds_")
+        }
+
+    def __call__(self, snapshot: Snapshot) -> bool:
+        """Take a new state; store it if it is one of those asked for. Collective."""
+        if self._last is None:
+            self._instability = instability(snapshot.model)
+        if not snapshot.passing:
+            self._last = snapshot
+        self._balances(snapshot)
+        if self._boundary is not None:
+            self._boundary(snapshot)
+        self._pending_iterations += snapshot.iterations
+        if snapshot.stored:
+            self._store(snapshot)
+        return False
+
+    def _store(self, snapshot: Snapshot) -> None:
+        values = row(snapshot.model, snapshot.state)
+        start = (*self._histories["approach"], values["approach"])[0]
+        values["penetration"] = values["approach"] - start
+        values["contact_iterations"] = self._pending_iterations
+        self._steps.append(snapshot.progress.steps)
+        for name, column in self._histories.items():
+            column.append(values[name])
+        for name, rows in self._profiles.items():
+            if not self._deep:
+                rows.clear()
+            rows.append(values[name])
+        self._pending_iterations = 0
+
+    @property
+    def last(self) -> Snapshot | None:
+        """The last state, stored or not; None before the first."""
+        return self._last
+
+    @property
+    def balances(self) -> Balances:
+        """The worst of all balances so far."""
+        return self._balances.worst
+
+    @property
+    def doubts(self) -> tuple[Doubt, ...]:
+        """What makes the answer doubtful, if anything."""
+        if self._last is None:
+            return ()
+        return self._instability + doubts(self._last.model, self._last.state, self.balances)
+
+    def arrays(self) -> dict[str, FloatArray]:
+        """Return what is stored so far by variable, ``step`` (what rows are called) included."""
+        line, steps = self._case.line, np.array(self._steps, dtype=np.int64)
+        return {
+            "step": np.arange(len(steps)) if self._case.output.times else steps,
+            **{
+                name: np.array(column, dtype=HISTORIES[name].dtype)
+                for name, column in self._histories.items()
+            },
+            "r": line.r,
+            "width": line.width,
+            **{
+                name: np.array(rows if self._deep else rows[-1])
+                for name, rows in self._profiles.items()
+                if rows
+            },
+        }
+
+    def result(self, error: str = "") -> Result:
+        """Return what is stored so far, and what it takes to go on. Collective on comm.
+
+        Parameters
+        ----------
+        error : why the history cannot go on, "" where it can.
+        """
+        assert self._last is not None
+        model, state, progress = self._last.model, self._last.state, self._last.progress
+        arrays, case = self.arrays(), self._case
+        boundary = self._earlier + ([] if self._boundary is None else self._boundary.states)
+        laws = [law for law in case.laws if law is not None]
+        return Result(
+            case.line,
+            arrays["step"],
+            np.array(self._steps, dtype=np.int64),
+            {name: arrays[name] for name in HISTORIES},
+            {name: arrays[name] for name in self._profiles if name in arrays},
+            tuple(boundary),
+            {
+                "case": case.text,
+                "title": case.title,
+                "status": "complete" if self._last.finished else "incomplete",
+                "ranks": self._comm.size,
+                **versions(),
+                **self.seconds(),
+                "symmetry_defect": model.compliance.symmetry_defect,
+                "user_laws": json.dumps(law_sources(case)),
+                **{
+                    f"law_{body}": "" if law is None else law.describe()
+                    for body, law in zip(("lower", "upper"), case.laws, strict=True)
+                },
+                "doubts": json.dumps([doubt.text for doubt in self.doubts]),
+                "error": error,
+                "energy_identity": int(any(law.per_energy(case.friction) for law in laws)),
+                **balance_attributes(asdict(self.balances)),
+            },
+            take(state, progress, model.warm(), model.updates, self._pending_iterations),
+            comm=self._comm,
+        )
+
+    def kernel_evaluations(self) -> int:
+        """Return how many kernels were evaluated for both bodies, updates included."""
+        assert self._last is not None
+        return (self._last.model.pair.cost + self._last.model.following).kernel_evaluations
+
+    def seconds(self) -> dict[str, float]:
+        """Return the wall times so far by attribute, s, those of an interrupted run included."""
+        assert self._last is not None
+        model = self._last.model
+        cost = model.pair.cost + model.following
+        inside = model.following if model.given_pair else cost
+        stepping = time.perf_counter() - self._begun - self.seconds_output
+        stepping -= inside.seconds_assembly + inside.seconds_solution
+        seconds = {
+            "seconds_assembly": cost.seconds_assembly,
+            "seconds_factorisation": cost.seconds_solution,
+            "seconds_stepping": stepping,
+            "seconds_output": self.seconds_output,
+        }
+        return {name: s + self._seconds.get(name, 0.0) for name, s in seconds.items()}

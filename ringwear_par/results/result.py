@@ -1,0 +1,182 @@
+"""A result: the history of a case, just computed or read from its file."""
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ringwear_par.arrays import FloatArray, IntArray
+from ringwear_par.atomic import check_writable
+from ringwear_par.elasticity.boundary_fields import BoundaryState
+from ringwear_par.elasticity.mesh import ContactLine
+from ringwear_par.errors import ComputationError, InputError, RingwearError
+from ringwear_par.results.variables import (
+    COORDINATES,
+    ELEMENT,
+    HISTORIES,
+    LINE,
+    PROFILES,
+    STATE_NUMBER,
+    STEP,
+    STEPS_MADE,
+    Variable,
+)
+
+if TYPE_CHECKING:
+    import xarray
+
+    from ringwear_par.results.checkpoints import Checkpoint
+
+SOFTWARE = "ringwear-par"
+_BALANCE = "balance_"
+
+
+@dataclass(frozen=True, eq=False)
+class Result:
+    """A history as it is stored; arrays have the names of its file's variables.
+
+    Parameters
+    ----------
+    line : the contact elements.
+    step : (s,) int, what stored states are called: the steps made, or their own numbers where
+        there are times of output, before which a number of steps is not unique.
+    steps_made : (s,) int.
+    histories : (s,) each, by name, see variables.HISTORIES.
+    profiles : (s, n) each, by name, or (n,) where the last ones are stored only, see
+        variables.PROFILES; those that the case stores.
+    boundary : stored fields on the whole boundaries.
+    attributes : of the file: ``case`` (its TOML text), ``title``, ``status``, ``version``, ...
+    checkpoint : what a run goes on from, None where the result was made without.
+    path : of its file, None for a result in memory.
+    comm : of the ranks that have it in memory, None where it was read or sent.
+    """
+
+    line: ContactLine
+    step: IntArray
+    steps_made: IntArray
+    histories: Mapping[str, Any]
+    profiles: Mapping[str, FloatArray]
+    boundary: tuple[BoundaryState, ...]
+    attributes: Mapping[str, Any]
+    checkpoint: "Checkpoint | None" = None
+    path: Path | None = None
+    comm: Any = None
+
+    @property
+    def case(self) -> str:
+        """The TOML text of the case, as run."""
+        return str(self.attributes["case"])
+
+    @property
+    def name(self) -> str:
+        """What messages call it."""
+        return "result in memory" if self.path is None else str(self.path)
+
+    @property
+    def balances(self) -> dict[str, float]:
+        """Relative defects of balances by name, the worst of all steps (see Balances)."""
+        return {
+            name.removeprefix(_BALANCE): float(value)
+            for name, value in self.attributes.items()
+            if name.startswith(_BALANCE)
+        }
+
+    @property
+    def doubts(self) -> tuple[str, ...]:
+        """What makes the answer doubtful though it was computed, a sentence each."""
+        return tuple(json.loads(self.attributes.get("doubts", "[]")))
+
+    @property
+    def user_laws(self) -> dict[str, str]:
+        """Texts of the users' own laws by body."""
+        return dict(json.loads(self.attributes.get("user_laws", "{}")))
+
+    def summary(self) -> str:
+        """Return the result in a few lines, what can be wrong with it first."""
+        from ringwear_par.results.summary import summary
+
+        return summary(self)
+
+    def variables(self) -> list[tuple[Variable, Any]]:
+        """Return every variable on the contact line and in time, with its values."""
+        numbered = not np.array_equal(self.step, self.steps_made)
+        found: list[tuple[Variable, Any]] = [(STATE_NUMBER if numbered else STEP, self.step)]
+        if numbered:
+            found.append((STEPS_MADE, self.steps_made))
+        found.append((ELEMENT, np.arange(self.line.n)))
+        found += [(HISTORIES[name], values) for name, values in self.histories.items()]
+        found += [(variable, getattr(self.line, name)) for name, variable in LINE.items()]
+        for name, values in self.profiles.items():
+            variable = PROFILES[name]
+            found.append((variable if values.ndim == 2 else variable.at_last_step(), values))
+        return found
+
+    def to_xarray(self) -> "xarray.Dataset":
+        """Return the dataset that xarray makes of the result's file.
+
+        Raises
+        ------
+        InputError : xarray is not installed.
+        """
+        try:
+            import xarray
+        except ImportError as error:
+            raise InputError(
+                f"{self.name}: to_xarray needs the Python package xarray; "
+                "pip install 'ringwear-par[xarray]'"
+            ) from error
+        dataset = xarray.Dataset(
+            {v.name: (v.dimensions, values, v.attributes) for v, values in self.variables()},
+            attrs={"software": SOFTWARE, **self.attributes},
+        )
+        return dataset.set_coords(COORDINATES)
+
+    def save(self, path: str | Path) -> None:
+        """Write the result's file.
+
+        Where several ranks have simulated it, all of them call this, and the first writes.
+
+        Raises
+        ------
+        InputError : a file that cannot be written.
+        ComputationError : the disk.
+        """
+        from ringwear_par.results.files import write_result
+
+        path = Path(path)
+
+        def write() -> None:
+            check_writable(path)
+            try:
+                write_result(path, self)
+            except OSError as error:
+                raise ComputationError(f"{path}: {error.strerror or error}") from error
+
+        if self.comm is None:
+            write()
+        else:
+            from ringwear_par.parallel import on_first_rank
+
+            on_first_rank(self.comm, write)
+
+
+@dataclass(frozen=True)
+class FailedResult:
+    """A case that could not be computed, among others that could.
+
+    Parameters
+    ----------
+    case : its TOML text.
+    error : why; an InputError or a ComputationError.
+    """
+
+    case: str
+    error: RingwearError
+
+
+def balance_attributes(balances: Mapping[str, float]) -> dict[str, float]:
+    """Return the attributes that keep balances by name."""
+    return {f"{_BALANCE}{name}": value for name, value in balances.items()}

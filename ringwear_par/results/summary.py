@@ -1,0 +1,68 @@
+"""The end of a history in a few lines: what can be wrong with it first, then what it came to."""
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ringwear_par.cases.keys import read_keys
+
+if TYPE_CHECKING:
+    from ringwear_par.results.result import Result
+
+
+def summary(result: "Result") -> str:
+    """Return a result in a few lines, as ``ringwear run`` prints it. Not collective."""
+    assert result.checkpoint is not None
+    keys = read_keys(result.case, result.name)
+    reached, state = result.checkpoint.numbers, result.checkpoint.arrays
+    last = {name: values[-1] for name, values in result.histories.items()}
+    lower, upper = 1e3 * state["wear"].max(axis=1)
+    p, steps = state["pressure"], int(reached["step"])
+    lines = [
+        *([keys["title"]] if keys.get("title") else []),
+        f"{_made(keys, reached)}, {result.line.n} contact elements, "
+        f"{reached['iterations'] / max(steps, 1):.1f} TAO iterations a step",
+        *(
+            f"{body} wears by {law}"
+            for body in ("lower", "upper")
+            if (law := result.attributes.get(f"law_{body}"))
+        ),
+        *_trust(result),
+        f"approach {reached['approach']:.7g} mm, penetration {1e3 * last['penetration']:.6g} um, "
+        f"force {reached['force']:.6g} N, torque {last['torque']:.6g} N mm",
+        f"deepest wear lower {lower:.6g}, upper {upper:.6g} um; "
+        f"worn volume lower {last['worn_volume_lower']:.6g}, "
+        f"upper {last['worn_volume_upper']:.6g} mm3; "
+        f"energy dissipated {last['dissipated_energy']:.6g} N mm",
+        f"pressure {p.min():.4g} to {p.max():.4g} MPa, "
+        f"{np.count_nonzero(p > 0.0)} of {len(p)} elements in contact",
+    ]
+    if reached["assemblies"]:
+        lines.append(f"elements followed the wear {reached['assemblies']} times")
+    return "\n".join(lines)
+
+
+def _made(keys: dict[str, Any], reached: Any) -> str:
+    """Return what steps were made."""
+    scheme, steps = keys.get("time.scheme", "implicit"), int(reached["step"])
+    if scheme == "adaptive":
+        return (
+            f"{steps} adaptive steps (and {reached['rejected']} repeated) to {reached['time']:g} s"
+        )
+    return f"{steps} of {keys['time.steps']} {scheme} steps of {keys['time.step']:g} s"
+
+
+def _trust(result: "Result") -> list[str]:
+    """Return what a history was held against, the worst of all its steps."""
+    off, attributes = result.balances, result.attributes
+    identity = (
+        f", volume against energy {off['energy']:.1e}" if attributes["energy_identity"] else ""
+    )
+    return [
+        f"worst of all steps: contact (KKT) {off['residual']:.1e}, force {off['force']:.1e}, "
+        f"worn profiles against integrated rates {off['volume']:.1e}{identity}",
+        "errors of the boundary elements, which vanish with the mesh: force on the fixed faces "
+        f"{off['reaction']:.1e}, torque on them {off['torque']:.1e}, "
+        f"symmetry {attributes['symmetry_defect']:.1e}",
+        f"estimated error of wear of a time step: {1e3 * off['step_error']:.1e} um at most",
+    ]

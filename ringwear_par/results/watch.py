@@ -1,0 +1,82 @@
+"""Observers that stop a history on a signal and write checkpoints on the way."""
+
+import logging
+import signal
+import time
+from collections.abc import Callable
+from types import FrameType
+from typing import Any
+
+import numpy as np
+from mpi4py import MPI
+
+from ringwear_par.errors import ComputationError
+from ringwear_par.history.snapshots import Snapshot
+
+log = logging.getLogger(__name__)
+
+#: wall seconds between checkpoints
+CHECKPOINT_SECONDS = 30.0
+_SIGNALS = (signal.SIGTERM, signal.SIGUSR1, signal.SIGINT)
+
+
+class StopSignals:
+    """Notes signals that ask to stop, instead of dying of them; a context manager."""
+
+    def __init__(self) -> None:
+        self.received = 0
+        self._old: dict[int, Any] = {}
+
+    def __enter__(self) -> "StopSignals":
+        for number in _SIGNALS:
+            self._old[number] = signal.signal(number, self._receive)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        for number, handler in self._old.items():
+            signal.signal(number, signal.SIG_DFL if handler is None else handler)
+
+    def _receive(self, number: int, frame: FrameType | None) -> None:
+        self.received = number
+
+
+class Watch:
+    """Observer in which ranks meet after every step, for a checkpoint or to stop.
+
+    Parameters
+    ----------
+    signals : noted here, acted upon when one of the ranks has received one.
+    save : writes a checkpoint of what there is; collective.
+    comm : communicator; calls are collective, and answered alike on all ranks.
+    """
+
+    def __init__(self, signals: StopSignals, save: Callable[[], None], comm: MPI.Comm) -> None:
+        self._signals, self._save, self._comm = signals, save, comm
+        self._saved = time.perf_counter()
+        #: the signal that the ranks agreed to stop for, or 0
+        self.agreed = 0
+
+    @property
+    def signal_name(self) -> str:
+        """Name of the signal that stopped the history."""
+        return signal.Signals(self.agreed).name
+
+    def __call__(self, snapshot: Snapshot) -> bool:
+        """Return whether to stop after this state. Collective."""
+        if snapshot.passing or snapshot.step is None:
+            return False
+        received = self._signals.received
+        due = self._comm.rank == 0 and time.perf_counter() - self._saved > CHECKPOINT_SECONDS
+        if self._comm.size > 1:
+            request = np.array([received, due], dtype=np.int64)
+            self._comm.Allreduce(MPI.IN_PLACE, request, MPI.MAX)
+            received, due = int(request[0]), bool(request[1])
+        self.agreed = received
+        if due and not received and not snapshot.finished:
+            try:
+                self._save()
+            except ComputationError as error:
+                if self._comm.rank == 0:
+                    log.warning("checkpoint not written, going on: %s", error)
+            self._saved = time.perf_counter()
+        return received != 0

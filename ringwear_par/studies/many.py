@@ -1,0 +1,79 @@
+"""``rw.simulate_all``: many cases at once, shared out over the ranks."""
+
+from collections import defaultdict
+from collections.abc import Hashable, Iterator, Sequence
+from contextlib import ExitStack
+from dataclasses import replace
+
+from mpi4py import MPI
+
+from ringwear_par.cases.case import Case
+from ringwear_par.contact.solver import ContactSolver
+from ringwear_par.elasticity.pair import ContactPair
+from ringwear_par.errors import InputError, RingwearError
+from ringwear_par.history.limits import check_case
+from ringwear_par.history.pairs import assemble, operator_key, young
+from ringwear_par.history.simulate import simulate
+from ringwear_par.results.recorder import Recorder
+from ringwear_par.results.result import FailedResult, Result
+
+
+def simulate_all(
+    cases: Sequence[Case], comm: MPI.Comm | None = None, *, batch: int | None = None
+) -> list[Result | FailedResult]:
+    """Return the wear histories of many cases, in their order.
+
+    Collective on comm, the world's where none is given; every rank gets all of them. Cases that can
+    share a contact pair do; each is simulated by one rank. A case that fails does not disturb the
+    others.
+
+    Parameters
+    ----------
+    cases : the same on all ranks.
+    batch : most histories that a rank steps side by side. Results do not depend on it, nor, as
+        yet, does the time: they are stepped one after another.
+
+    Raises
+    ------
+    InputError : ``batch`` is not positive.
+    """
+    if batch is not None and batch < 1:
+        raise InputError(f"batch = {batch}: must be at least 1")
+    comm = MPI.COMM_WORLD if comm is None else comm
+    groups: dict[Hashable, list[int]] = defaultdict(list)
+    for number, case in enumerate(cases):
+        groups[operator_key(case)].append(number)
+    found: dict[int, Result | FailedResult] = {}
+    for numbers in groups.values():
+        try:
+            pair = assemble(cases[numbers[0]], comm)
+        except RingwearError as error:
+            found.update((n, FailedResult(cases[n].text, error)) for n in numbers)
+            continue
+        numbers.sort(key=lambda n: young(cases[n]))  # those of the same moduli share a solver
+        mine = numbers[comm.rank :: comm.size]
+        own = dict(zip(mine, _simulated([cases[n] for n in mine], pair), strict=True))
+        for part in comm.allgather(own):
+            found.update(part)
+    return [found[number] for number in range(len(cases))]
+
+
+def _simulated(cases: Sequence[Case], pair: ContactPair) -> Iterator[Result | FailedResult]:
+    """Yield the results of cases that share a pair, computed on this rank alone."""
+    alone, moduli, solver = MPI.COMM_SELF, None, None
+    with ExitStack() as open_solver:
+        for case in cases:
+            try:
+                check_case(case, 1, "case")
+                if solver is None or young(case) != moduli:
+                    open_solver.close()
+                    moduli = young(case)
+                    matrix = pair.compliance(moduli).matrix
+                    solver = open_solver.enter_context(ContactSolver(matrix, pair.line.area, alone))
+                recorder = Recorder(case, alone)
+                # elements that follow the wear leave the solver with another compliance
+                lent = None if case.follows_wear else solver
+                simulate(case, alone, pair=pair, solver=lent, observers=[recorder])
+                yield replace(recorder.result(), comm=None)
+            except RingwearError as error:
+                yield FailedResult(case.text, error)

@@ -1,0 +1,25 @@
+"""The laws that a case file may name."""
+
+from collections.abc import Mapping
+
+from ringwear_par.wear.archard import ArchardLaw
+from ringwear_par.wear.law import Law
+from ringwear_par.wear.non_local import NonLocalLaw
+from ringwear_par.wear.power import PowerLaw
+from ringwear_par.wear.running_in import RunningInLaw
+from ringwear_par.wear.table import TableLaw
+from ringwear_par.wear.threshold import ThresholdLaw
+from ringwear_par.wear.user import UserLaw
+
+_ALL: tuple[type[Law], ...] = (
+    ThresholdLaw,
+    ArchardLaw,
+    PowerLaw,
+    TableLaw,
+    RunningInLaw,
+    NonLocalLaw,
+    UserLaw,
+)
+
+#: by the name that ``law`` of a case file gives them
+LAWS: Mapping[str, type[Law]] = {law.name: law for law in _ALL}

@@ -1,0 +1,43 @@
+"""Derivatives that a law does not give: by complex step where its code allows, else differences."""
+
+import warnings
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from ringwear_par.arrays import FloatArray
+
+_COMPLEX_STEP = 1e-30
+#: relative step of differences: their error is its square, their round-off eps over it
+_STEP = 1e-5
+#: relative deviation from the difference at which a complex step counts as failed
+_AGREEMENT = 1e-5
+
+
+def derivative(
+    function: Callable[[Any], FloatArray], x: float | FloatArray, smallest: float
+) -> FloatArray:
+    """Return the derivative of a function whose every value depends on one entry of x only.
+
+    A one-sided difference of second order, which needs nothing below x, where rates may have no
+    sense; its place is taken by the complex step, exact to round-off, wherever the two agree: code
+    that takes absolute values, interpolates or casts loses the imaginary part.
+
+    Parameters
+    ----------
+    function : of arrays of the shape of x, real ones and perhaps complex ones.
+    x : a number or an array that broadcasts against the function's values.
+    smallest : what counts as the size of smaller entries of x.
+    """
+    h = _STEP * np.maximum(np.abs(x), smallest)
+    start, near, far = function(x), function(x + h), function(x + 2.0 * h)
+    difference = (4.0 * near - 3.0 * start - far) / (2.0 * h)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("error", np.exceptions.ComplexWarning)
+            exact = np.imag(function(x + 1j * _COMPLEX_STEP)) / _COMPLEX_STEP
+    except Exception:  # whatever code that was written for real numbers may raise
+        return difference
+    larger = np.maximum(np.abs(exact), np.abs(difference))
+    return np.where(np.abs(exact - difference) <= _AGREEMENT * larger, exact, difference)

@@ -1,0 +1,59 @@
+"""A power law of pressure and sliding speed."""
+
+from dataclasses import dataclass
+from typing import Annotated
+
+import numpy as np
+
+from ringwear_par.arrays import FloatArray
+from ringwear_par.schedules import Quantity, value
+from ringwear_par.wear.law import Law, LocalState
+from ringwear_par.wear.parameters import Parameter
+
+
+@dataclass(frozen=True)
+class PowerLaw(Law):
+    """``k p^m V^n``; k in mm/s where p = 1 MPa and V = 1 mm/s."""
+
+    name = "power"
+    formula = "k p^m V^n"
+
+    k: Annotated[Quantity, Parameter("mm/s", "rate where p = 1 MPa and V = 1 mm/s")]
+    m: Annotated[float, Parameter("1", "exponent of p", "number", low=1.0, high=10.0)]
+    n: Annotated[float, Parameter("1", "exponent of V", "number", high=10.0, ends=False)] = 1.0
+
+    def _rise(self, local: LocalState) -> FloatArray:
+        return value(self.k, local.time, local.r) * _power(local.speed, self.n)
+
+    def rate(self, p: FloatArray, local: LocalState) -> FloatArray:
+        """Return the rate of wear, mm/s."""
+        return self._rise(local) * _power(p, self.m)
+
+    def d_rate_dp(self, p: FloatArray, local: LocalState) -> FloatArray:
+        """Return the derivative of the rate with respect to pressure, mm/s/MPa."""
+        return self._rise(local) * self.m * _power(p, self.m - 1.0)
+
+    def d_rate_dparameter(self, name: str, p: FloatArray, local: LocalState) -> FloatArray:
+        """Return the derivative of the rate with respect to a numeric parameter's value there."""
+        if name == "k":
+            return _power(local.speed, self.n) * _power(p, self.m)
+        if name in ("m", "n"):
+            base = p if name == "m" else local.speed
+            return self.rate(p, local) * np.log(np.where(base > 0.0, base, 1.0))
+        return super().d_rate_dparameter(name, p, local)
+
+    def potential(self, p: FloatArray, local: LocalState) -> FloatArray:
+        """Return the integral of the rate from 0 to p, MPa mm/s."""
+        return self._rise(local) * _power(p, self.m + 1.0) / (self.m + 1.0)
+
+
+def _power(x: FloatArray, exponent: float | FloatArray) -> FloatArray:
+    """Return (..., n) powers; exponents of B histories, (B, 1), one by one.
+
+    Squares and roots of a whole array are other operations than those of arrays of exponents, and
+    a history is to have the same numbers alone and among others.
+    """
+    if not isinstance(exponent, np.ndarray):
+        return x**exponent
+    rows = np.broadcast_to(x, (len(exponent), x.shape[-1]))
+    return np.array([row**e for row, e in zip(rows, exponent.ravel().tolist(), strict=True)])

@@ -1,0 +1,69 @@
+"""The paper's law, eq. (4): wear in proportion to the friction power above a threshold pressure."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ringwear_par.arrays import FloatArray
+from ringwear_par.schedules import Quantity, Stacked, Table, value
+from ringwear_par.wear.law import Law, LocalState
+from ringwear_par.wear.parameters import Coefficient, Threshold
+
+
+class AboveThreshold(Law):
+    """What laws of the form rise x max(0, p - p0) share; they give the rise."""
+
+    p0: Quantity
+
+    def _rise(self, local: LocalState) -> FloatArray:
+        """Return the slope above the threshold, mm/s/MPa."""
+        raise NotImplementedError
+
+    def _excess(self, p: FloatArray, local: LocalState) -> FloatArray:
+        return np.maximum(p - value(self.p0, local.time, local.r), 0.0)
+
+    def rate(self, p: FloatArray, local: LocalState) -> FloatArray:
+        """Return the rate of wear, mm/s."""
+        return self._rise(local) * self._excess(p, local)
+
+    def d_rate_dp(self, p: FloatArray, local: LocalState) -> FloatArray:
+        """Return the derivative of the rate with respect to pressure, mm/s/MPa."""
+        return self._rise(local) * (p > value(self.p0, local.time, local.r))
+
+    def d_rate_dparameter(self, name: str, p: FloatArray, local: LocalState) -> FloatArray:
+        """Return the derivative of the rate with respect to a numeric parameter's value there."""
+        if name == "p0":
+            return -self.d_rate_dp(p, local)
+        return super().d_rate_dparameter(name, p, local)
+
+    def potential(self, p: FloatArray, local: LocalState) -> FloatArray:
+        """Return the integral of the rate from 0 to p, MPa mm/s."""
+        return 0.5 * self._rise(local) * self._excess(p, local) ** 2
+
+    def onset(self, local: LocalState) -> float | FloatArray:
+        """Return the pressure, MPa, up to which nothing wears."""
+        return value(self.p0, local.time, local.r)
+
+
+@dataclass(frozen=True)
+class ThresholdLaw(AboveThreshold):
+    """``k mu max(0, p - p0) V``, eq. (4) of the paper; k in 1/MPa, p0 in MPa."""
+
+    name = "threshold"
+    formula = "k mu max(0, p - p0) V"
+
+    k: Coefficient
+    p0: Threshold = 0.0
+
+    def per_energy(self, friction: float) -> float | None:
+        """Return k, 1/MPa, where it is a number and p0 = 0."""
+        return self.k if not isinstance(self.k, Table | Stacked) and self.p0 == 0.0 else None
+
+    def _rise(self, local: LocalState) -> FloatArray:
+        return value(self.k, local.time, local.r) * local.power
+
+    def d_rate_dparameter(self, name: str, p: FloatArray, local: LocalState) -> FloatArray:
+        """Return the derivative of the rate with respect to a numeric parameter's value there."""
+        if name == "k":
+            return local.power * self._excess(p, local)
+        return super().d_rate_dparameter(name, p, local)

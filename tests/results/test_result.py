@@ -1,0 +1,264 @@
+"""Results in memory: the dataset of their file, bit for bit; saved, opened, light to import."""
+
+import os
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+import xarray
+from conftest import SHELL_ENVIRONMENT
+from stored import contents
+
+from ringwear_par.errors import ComputationError, InputError
+from ringwear_par.results import run as driver
+from ringwear_par.results.checkpoints import restored
+from ringwear_par.results.export import export
+from ringwear_par.results.files import open_result, read_status
+from ringwear_par.results.run import run_case
+from ringwear_par.results.variables import (
+    BOUNDARY_FIELDS,
+    ELEMENT,
+    HISTORIES,
+    LINE,
+    PROFILES,
+    STEP,
+    STEPS_MADE,
+)
+
+CASES = Path(__file__).parents[2] / "scripts" / "cases"
+SMALL = ["mesh.contact_elements=16", "time.steps=20"]
+FIELDS = ["mesh.contact_elements=16", "time.end=20", "output.times=[5, 10]"]
+
+
+def attributes(path):
+    """Every attribute of every group, but the references that dimension scales are."""
+    with h5py.File(path) as file:
+        groups = {"/": file}
+        file.visititems(lambda name, item: groups.update({name: item}))
+        return {
+            name: {k: v for k, v in item.attrs.items() if not k.isupper() and k[0] != "_"}
+            for name, item in groups.items()
+        }
+
+
+@pytest.fixture
+def computed(shared_path, comm, monkeypatch):
+    """Function that runs a case and returns its file and, on rank 0, what was written to it."""
+    write = driver.write_result
+
+    def run(case, words):
+        path, written = shared_path / "run.h5", []
+        with monkeypatch.context() as patch:
+            patch.setattr(driver, "write_result", lambda *a: (written.append(a[1]), write(*a)))
+            run_case(CASES / case, path, words, comm=comm)
+        return path, written[-1] if written else None
+
+    return run
+
+
+@pytest.mark.parametrize(
+    ("case", "words"),
+    [
+        ("paper.toml", SMALL),
+        ("paper.toml", [*SMALL, "output.every=8", "output.fields=['gap']"]),
+        ("paper.toml", [*SMALL, "output.profiles=last"]),
+        ("fields.toml", FIELDS),
+    ],
+)
+def test_the_dataset_is_that_of_the_file(computed, comm, case, words):
+    path, result = computed(case, words)
+    if comm.rank > 0:
+        return
+    with xarray.open_dataset(path, engine="h5netcdf") as stored:
+        stored.load()
+    for dataset in (result.to_xarray(), open_result(path).to_xarray()):
+        xarray.testing.assert_identical(stored, dataset)
+        assert {n: v.dtype for n, v in stored.variables.items()} == {
+            n: v.dtype for n, v in dataset.variables.items()
+        }
+    table = {**HISTORIES, **LINE, **PROFILES, "step": STEP, "element": ELEMENT}
+    for name, values in stored.variables.items():
+        variable = {**table, "steps_made": STEPS_MADE}[name]
+        assert values.dtype == variable.dtype
+        assert values.attrs["units"] == variable.unit
+        last = "output.profiles=last" in words and name in PROFILES
+        assert values.dims == (variable.at_last_step() if last else variable).dimensions
+        assert last == values.attrs["long_name"].endswith("at the last step")
+    assert set(stored.coords) == {"step", "element", "time", "r", "width"}
+
+
+@pytest.mark.parametrize("extra", [[], ["mesh.geometry=updated", "wear.lower.k=1e-6"]])
+def test_saved_and_opened_it_is_the_same(computed, shared_path, comm, extra):
+    path, result = computed("fields.toml", [*FIELDS, *extra])
+    if comm.rank > 0:
+        return
+    copies = [shared_path / "copy.h5", shared_path / "again.h5"]
+    result.save(copies[0])
+    open_result(str(copies[0])).save(str(copies[1]))
+    one, told = contents(path), attributes(path)
+    assert ("checkpoint/shape" in one) == bool(extra)
+    for copy in copies:
+        other = contents(copy)
+        assert one.keys() == other.keys()
+        assert all(np.array_equal(values, other[name]) for name, values in one.items())
+        assert attributes(copy).keys() == told.keys()
+        for name, known in attributes(copy).items():
+            assert known == told[name]
+    assert sorted(p.name for p in shared_path.iterdir()) == ["again.h5", "copy.h5", "run.h5"]
+    balances = open_result(path).balances
+    assert list(balances) == sorted(result.balances)
+    assert balances == result.balances
+    assert 0.0 < balances["torque"] < 0.01
+    assert balances["force"] < 1e-10
+
+
+def test_a_result_without_checkpoint_is_one_all_the_same(computed, shared_path, comm):
+    _, result = computed("paper.toml", [*SMALL, "output.every=6"])
+    if comm.rank > 0:
+        return
+    path = shared_path / "lean.h5"
+    replace(result, checkpoint=None).save(path)
+    assert read_status(path) == ("complete", 20)
+    again = open_result(path)
+    assert np.array_equal(again.line.edges, result.line.edges)
+    xarray.testing.assert_identical(again.to_xarray(), result.to_xarray())
+    with pytest.raises(InputError, match=r"lean.h5: holds no state to go on from"):
+        restored(again)
+
+
+def test_saving_where_it_cannot_be(computed, shared_path, comm, monkeypatch):
+    _, result = computed("paper.toml", SMALL)
+    if comm.rank > 0:
+        return
+    with pytest.raises(InputError, match=r"its folder .* does not exist"):
+        result.save(shared_path / "no" / "run.h5")
+    with pytest.raises(InputError, match="is a folder"):
+        result.save(shared_path)
+
+    def full(*_, **__):
+        raise RuntimeError("Unable to write: No space left on device")  # as h5py has it
+
+    target = shared_path / "full.h5"
+    monkeypatch.setattr(h5py.Group, "create_group", full)
+    with pytest.raises(ComputationError, match=r"full.h5: .*No space left"):
+        result.save(target)
+    assert [p.name for p in shared_path.iterdir()] == ["run.h5"]
+
+
+def test_without_xarray(computed, comm, monkeypatch):
+    _, result = computed("paper.toml", SMALL)
+    monkeypatch.setitem(sys.modules, "xarray", None)
+    if comm.rank == 0:
+        with pytest.raises(InputError, match=r"needs the Python package xarray; pip install"):
+            result.to_xarray()
+
+
+@pytest.mark.parametrize("words", [["output.boundary=all"], ["output.boundary=last"], []])
+def test_all_groups_open_as_a_tree(computed, comm, words):
+    """Also with warnings as errors, so without axes that have no name."""
+    path, _ = computed("fields.toml", [*FIELDS, *words])
+    if comm.rank > 0:
+        return
+    with xarray.open_datatree(path, engine="h5netcdf") as tree:
+        assert tree.sizes["element"] == 16
+        assert {"boundary", "checkpoint", "line"} == set(tree.children)
+        for body in ("lower", "upper"):
+            group = tree[f"boundary/{body}"]
+            with xarray.open_dataset(path, group=f"boundary/{body}", engine="h5netcdf") as alone:
+                xarray.testing.assert_identical(group.to_dataset(inherit=False), alone)
+            assert group.sizes["boundary_node"] == 2 * group.sizes["boundary_element"]
+            assert group.sizes["boundary_element"] > tree.sizes["element"]
+            assert not {"step", "element"} & {d for v in group.data_vars for d in group[v].dims}
+            for variables in BOUNDARY_FIELDS.values():
+                for variable in variables:
+                    assert group[variable.name].dims == variable.dimensions
+                    assert group[variable.name].attrs["long_name"] == variable.meaning
+            assert "2 " in group.face.attrs["long_name"]
+        assert tree["line/edges"].size == 17
+
+
+def as_version_0_1_0(path):
+    """Give a file the names that version 0.1.0 wrote."""
+    with h5py.File(path, "r+") as file:
+        file["checkpoint/edges"] = file["line/edges"][()]
+        del file["line"]
+        names = ("force", "torque", "reaction", "volume", "energy", "residual")
+        file["checkpoint"].attrs["balances"] = [file.attrs[f"balance_{n}"] for n in names]
+        for name in names:
+            del file.attrs[f"balance_{name}"]
+        for group in file["boundary"].values():
+            group.move("steps_made", "step")
+            del group.attrs["coordinates"]
+            for name in ("node", "element"):
+                group.move(f"boundary_{name}", name)
+            del group["boundary_step"]
+
+
+def test_files_of_version_0_1_0_are_read(computed, comm, tmp_path):
+    path, _ = computed("fields.toml", FIELDS)
+    if comm.rank > 0:
+        return
+    new = open_result(path)
+    as_version_0_1_0(path)
+    old = open_result(path)
+    assert old.balances == new.balances
+    assert np.array_equal(old.line.edges, new.line.edges)
+    assert [(s.step, s.time) for s in old.boundary] == [(s.step, s.time) for s in new.boundary]
+    for a, b in zip(old.boundary, new.boundary, strict=True):
+        assert np.array_equal(a.bodies[1].displacement, b.bodies[1].displacement)
+    old.save(tmp_path / "new.h5")
+    again = open_result(tmp_path / "new.h5")
+    assert again.balances == new.balances
+    assert again.to_xarray().identical(new.to_xarray())
+
+
+def test_damaged_files_are_one_sentence(computed, comm):
+    path, _ = computed("paper.toml", SMALL)
+    if comm.rank > 0:
+        return
+    with h5py.File(path, "r+") as file:
+        del file["approach"]
+    with pytest.raises(InputError, match=r"run.h5: is not a result file of ringwear, or is dam"):
+        open_result(path)
+    path.write_bytes(path.read_bytes()[:2000])
+    with pytest.raises(InputError, match=r"run.h5: is not a result file of ringwear, or is dam"):
+        open_result(path)
+
+
+def test_results_in_memory_are_exported(computed, comm, tmp_path):
+    path, result = computed("fields.toml", FIELDS)
+    if comm.rank > 0:
+        return
+    for name in ("a.csv", "a.vtp"):
+        export(result, tmp_path / name)
+        export(path, tmp_path / f"file_{name}")
+        assert (tmp_path / name).read_bytes() == (tmp_path / f"file_{name}").read_bytes()
+    with pytest.raises(InputError, match=r"--time 21: .* the end of result in memory"):
+        export(result, tmp_path / "b.vtp", 21.0)
+
+
+LIGHT = """
+import sys
+from ringwear_par.results.figures import plot
+from ringwear_par.results.files import open_result
+
+result = open_result(sys.argv[1])
+plot([result, sys.argv[1]], "wear,penetration,pressure,section")
+result.to_xarray()
+heavy = {"mpi4py.MPI", "petsc4py", "petsc4py.PETSc", "numba"} & set(sys.modules)
+assert not heavy, heavy
+"""
+
+
+@pytest.mark.serial
+def test_opening_and_drawing_start_neither_mpi_nor_petsc_nor_numba(computed):
+    path, _ = computed("fields.toml", FIELDS)
+    environment = {**SHELL_ENVIRONMENT, "PYTHONPATH": os.pathsep.join(sys.path)}
+    done = subprocess.run(
+        [sys.executable, "-c", LIGHT, str(path)], env=environment, capture_output=True, text=True
+    )
+    assert done.returncode == 0, done.stderr

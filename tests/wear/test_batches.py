@@ -1,0 +1,184 @@
+"""Many histories at once: each has the numbers that it has alone, to the last bit."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+
+from ringwear_par import schedules
+from ringwear_par.errors import ComputationError
+from ringwear_par.schedules import Stacked, Table
+from ringwear_par.wear import LocalState
+from ringwear_par.wear.archard import ArchardLaw
+from ringwear_par.wear.increment import WearIncrement, averaging
+from ringwear_par.wear.law import complete, stack
+from ringwear_par.wear.non_local import NonLocalLaw
+from ringwear_par.wear.power import PowerLaw
+from ringwear_par.wear.running_in import RunningInLaw
+from ringwear_par.wear.table import TableLaw
+from ringwear_par.wear.threshold import ThresholdLaw
+from ringwear_par.wear.user import UserLaw
+
+N = 37
+R = np.linspace(28.5, 31.5, N)
+AREA = 2 * np.pi * R * np.gradient(R)
+IN_TIME = Table((0.0, 1.3, 9.0), (1e-7, 3e-7, 2e-7))
+ALONG = Table((28.0, 30.1, 32.0), (10.0, 40.0, 20.0), "r")
+POINTS = ((0.0, 0.0), (50.0, 1e-6), (210.0, 8e-6), (400.0, 9e-6))
+USER = """
+import numpy as np
+def rate(p, at):
+    if at.time > 3.0:
+        return 1e-8 * at.speed * p
+    k = at.parameters["k"] * (1.0 + np.exp(-at.wear / at.parameters["depth"]))
+    return k * at.friction * at.speed * p
+"""
+FIVE = (1.0, 2.0, 3.0, 4.0, 90.0)
+
+
+def laws_of(make, *parameters):
+    """Return the laws of five histories."""
+    return [make(*each) for each in zip(*parameters, strict=True)]
+
+
+LAWS = {
+    "equal": [ThresholdLaw(1e-7, 40.0)] * 5,
+    "threshold": laws_of(ThresholdLaw, (1e-7, 2e-7, 1e-7, 3e-7, 7e-7), (0.0, 9.0, 9.0, 40.0, 80.0)),
+    "schedules": laws_of(
+        ThresholdLaw, (IN_TIME, 1e-7, IN_TIME, 2e-7, 1e-7), (ALONG, 4.0, IN_TIME, ALONG, 0.0)
+    ),
+    "one schedule": [ThresholdLaw(IN_TIME, ALONG)] * 5,
+    "archard": [ArchardLaw(x * 1e-8) for x in FIVE],
+    "power": laws_of(PowerLaw, (1e-9,) * 5, (1.0, 1.5, 2.0, 2.5, 3.0), (0.5, 1.0, 1.0, 2.0, 0.7)),
+    "table": [TableLaw(POINTS)] * 5,
+    "running-in, depth": [RunningInLaw(1e-7, 5e-7, 20.0, depth=x * 1e-5) for x in FIVE],
+    "running-in, distance": [RunningInLaw(1e-7, x * 1e-7, distance=x) for x in FIVE],
+    "non-local": [NonLocalLaw(x * 1e-7, 40.0, length=0.4) for x in FIVE],
+    "user": [UserLaw("law.py", USER, (("k", x * 1e-8), ("depth", 1e-4))) for x in FIVE],
+}
+
+
+def increments(laws):
+    """Return the increment of all histories, those of each alone, and pressures (5, n)."""
+    rng = np.random.default_rng(3)
+    times, steps = np.array([0.0, 0.7, 1.3, 4.2, 20.0]), np.array([0.3, 0.7, 1.1, 2.0, 5.0])
+    friction, omega = rng.uniform(0.05, 0.3, 5), rng.uniform(1.0, 5.0, 5)
+    wear, p = rng.uniform(0.0, 1e-4, (5, N)), np.maximum(rng.uniform(-30.0, 200.0, (5, N)), 0.0)
+    upper = ThresholdLaw(5e-8, 70.0)
+    average = averaging(R, AREA, laws[0].length) if laws[0].length else None
+    alone = []
+    for i, law in enumerate(laws):
+        time, mu, w = float(times[i]), float(friction[i]), float(omega[i])
+        at = LocalState(time, R, w * R, mu, wear[i], w * R * time)
+        alone.append(WearIncrement((law, upper), (at, at), float(steps[i]), (average, None)))
+    speed = omega[:, None] * R
+    at = LocalState(times, R, speed, friction, wear, speed * times[:, None])
+    return WearIncrement((stack(laws), upper), (at, at), steps, (average, None)), alone, p
+
+
+@pytest.mark.parametrize("laws", LAWS.values(), ids=LAWS)
+def test_a_history_has_the_same_numbers_alone_and_among_others(laws):
+    together, alone, p = increments(laws)
+    depths = together.depths(p)
+    assert depths.shape == (2, 5, N)
+    assert together.volumes(depths, p, AREA).shape == (2, 5)
+    for i, single in enumerate(alone):
+        for increment in (single, together.history(i)):
+            own = increment.depths(p[i])
+            assert np.array_equal(depths[:, i], own)
+            volumes = together.volumes(depths, p, AREA)[:, i]
+            assert np.array_equal(volumes, increment.volumes(own, p[i], AREA))
+            # quadrature of a rate alone takes long, and is the same for all laws with memory
+            slow = () if laws is LAWS["user"] else ("potential",)
+            for name in ("depth", "d_depth_dp", "jacobian", *slow):
+                of_all, of_one = getattr(together, name)(p)[i], getattr(increment, name)(p[i])
+                assert np.array_equal(of_all, of_one), name
+            change = np.cos(p)
+            linear = together.linear(p, change)[i]
+            assert np.array_equal(linear, increment.linear(p[i], change[i]))
+
+
+@pytest.mark.parametrize("laws", LAWS.values(), ids=LAWS)
+def test_derivatives_of_stacked_laws(laws):
+    together, alone, p = increments(laws)
+    law, at = stack(laws), together.at[0]
+    for name in law.numeric:
+        of_all = law.d_rate_dparameter(name, p, at)
+        for i, single in enumerate(alone):
+            assert np.array_equal(of_all[i], laws[i].d_rate_dparameter(name, p[i], single.at[0]))
+
+
+def test_a_plain_object_serves_many_histories():
+    """Time and friction come to it as columns."""
+
+    @dataclass(frozen=True)
+    class Switched:
+        k: float
+
+        def rate(self, p, local):
+            k = np.where(local.time > 1.0, self.k, 2.0 * self.k)
+            return k * (1.0 + np.exp(-local.wear / 1e-4)) * local.friction * local.speed * p
+
+    together, alone, p = increments([complete(Switched(1e-7))] * 5)
+    for i, single in enumerate(alone):
+        assert np.array_equal(together.depth(p)[i], single.depth(p[i]))
+        assert np.array_equal(together.d_depth_dp(p)[i], single.d_depth_dp(p[i]))
+
+
+def test_part_of_the_elements_of_many_histories():
+    together, _, p = increments(LAWS["schedules"])
+    here = slice(5, 20)
+    assert np.array_equal(together.part(here).depth(p[:, here]), together.depth(p)[:, here])
+
+
+@pytest.mark.parametrize(
+    "laws",
+    [
+        (ThresholdLaw(1e-7), ArchardLaw(1e-7)),
+        (NonLocalLaw(1e-7, length=0.1), NonLocalLaw(1e-7, length=0.2)),
+        (RunningInLaw(1.0, 2.0, depth=1.0), RunningInLaw(1.0, 2.0, distance=1.0)),
+        (TableLaw(POINTS), TableLaw(POINTS[:2])),
+        (UserLaw("a.py", USER), UserLaw("a.py", USER + "\n")),
+        (UserLaw("a.py", USER, (("k", 1.0),)), UserLaw("a.py", USER, (("j", 1.0),))),
+    ],
+)
+def test_laws_that_cannot_be_stacked(laws):
+    with pytest.raises(ValueError, match="cannot be stacked"):
+        stack(laws)
+    assert stack([laws[0]] * 3) is laws[0]
+
+
+def test_a_history_that_does_not_settle_is_named():
+    growing = "def rate(p, at): return at.parameters['k'] * p * (1 + at.wear / 1e-3)\n"
+    laws = [UserLaw("a.py", growing, (("k", k),)) for k in (1e-9, 1e-9, 1e-3, 1e-9, 1e-9)]
+    together, _, p = increments(laws)
+    words = r"time 1\.3 s: the wear of history 2, element \d+ .* step of 1\.1 s does not settle"
+    with pytest.raises(ComputationError, match=words):
+        together.depth(p)
+
+
+def test_schedules_at_many_times():
+    ramp = Table((0.5, 3.0, 9.0), (1.0, 2.0, -1.0))
+    rng = np.random.default_rng(1)
+    starts = rng.uniform(-1.0, 10.0, 50)
+    starts[:3] = ramp.x
+    ends = starts + rng.uniform(0.1, 3.0, 50)
+    mixed = Stacked(tuple(ramp if i % 2 else 0.1 * i for i in range(50)))
+    numbers = Stacked(tuple(0.1 * i for i in range(50)))
+    for quantity in (2.5, ramp, mixed, numbers):
+        own = [schedules.history(quantity, i) for i in range(50)]
+        for function, times in (
+            (schedules.in_time, (ends,)),
+            (schedules.integral, (starts, ends)),
+            (schedules.mean, (starts, ends)),
+        ):
+            each = [function(q, *map(float, t)) for q, *t in zip(own, *times, strict=True)]
+            assert np.array_equal(function(quantity, *times), each), function
+        assert schedules.value(mixed, ends[:, None], R).shape == (50, 1)
+    profiles = Stacked((ALONG, 2.0))
+    assert np.array_equal(
+        schedules.value(profiles, np.zeros((2, 1)), R), [ALONG(R), np.full(N, 2.0)]
+    )
+    assert schedules.stack([ramp, replace(ramp)]) is ramp
+    assert schedules.breakpoints(mixed) == ramp.x
+    assert (schedules.largest(mixed), schedules.smallest(mixed)) == (0.1 * 48, -1.0)
