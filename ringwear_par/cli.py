@@ -267,8 +267,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     words = list(sys.argv[1:] if argv is None else argv)
     cut = words.index("--") if "--" in words else len(words)
 
-    import petsc4py
     from mpi4py import MPI
+
+    from ringwear_par.options import start_petsc
 
     comm = MPI.COMM_WORLD
     together = comm.Dup() if comm.size > 1 else None
@@ -283,8 +284,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         args = _parser().parse_args(words[:cut])
         _check_launch(comm.size)
-        # Python's own handling of signals: checkpoints on SIGTERM, quiet ends of pipes
-        petsc4py.init(["ringwear", "-no_signal_handler", *words[cut + 1 :]])
+        start_petsc(words[cut + 1 :])
         _COMMANDS[args.command](args, comm)
         sys.stdout.flush()
         return 0

@@ -39,15 +39,15 @@ def estimate(plan: Plan, comm: MPI.Intracomm) -> str:
     pair = assemble(case, MPI.COMM_SELF)
     t1 = time.perf_counter()
     recorder = Recorder(case, MPI.COMM_SELF)
-
-    def long_enough(snapshot: Snapshot) -> bool:
-        # adaptive steps grow: what the first ones take says little
-        return not case.time.adaptive and time.perf_counter() - t1 > _TRIAL_SECONDS
-
-    state = simulate(case, MPI.COMM_SELF, pair=pair, observers=[recorder, long_enough])
-    finished = recorder.last is not None and recorder.last.finished
     t2 = time.perf_counter()
-    stepping = (t2 - t1) * case.time.end / state.time
+
+    def enough(_: Snapshot) -> bool:
+        # adaptive steps grow: what the first ones take says little
+        return not case.time.adaptive and time.perf_counter() - t2 > _TRIAL_SECONDS
+
+    state = simulate(case, MPI.COMM_SELF, pair=pair, observers=[recorder, enough])
+    t3 = time.perf_counter()
+    stepping = (t3 - t2) * case.time.end / state.time
     assembly = (t1 - t0) * study.assembly[left].sum() / study.assembly[group]
     cases = [n for g in left for n in plan.todo[g]]
     steps = stepping * study.work[cases].sum() / study.work[number]
@@ -55,7 +55,7 @@ def estimate(plan: Plan, comm: MPI.Intracomm) -> str:
     memory = _BARE_BYTES * request.ranks + plan.memory_needed()
     lines += [
         f"first case timed on one rank: {t1 - t0:.3g} s for its operator, {stepping:.3g} s for its "
-        f"{case.time.scheme} steps{'' if finished else ' (from the first of them)'}",
+        f"{case.time.scheme} steps{'' if state.time >= case.time.end else ' (the first of them)'}",
         f"estimate for {len(cases)} cases on {request.ranks} rank(s) in {request.teams} team(s): "
         f"{duration((assembly + steps) / request.teams)}, about {memory / 1e6:.0f} MB of memory in "
         f"all ({memory / request.ranks / 1e6:.0f} MB a rank), {size * len(cases) / 1e6:.3g} MB on "

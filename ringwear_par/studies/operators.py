@@ -10,7 +10,8 @@ from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.case import Case
 from ringwear_par.elasticity.pair import ContactPair
 from ringwear_par.errors import ComputationError, InputError
-from ringwear_par.history.pairs import assemble, operator_key
+from ringwear_par.history.bodies import operator_key
+from ringwear_par.history.pairs import assemble
 from ringwear_par.parallel import on_first_rank, together
 
 #: how long a file that is there may stay unseen by another machine, and between two looks

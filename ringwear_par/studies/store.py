@@ -168,15 +168,14 @@ def _interrupted(path: Path) -> Entry | None:
 def _interrupted_record(path: Path) -> Record:
     result = open_result(path)
     arrays = {
-        "step": result.step.astype(float),
+        "step": result.step,
         **result.histories,
         "r": result.line.r,
         "width": result.line.width,
         **result.profiles,
     }
-    about = result.attributes
-    worst = Balances(**result.balances).worst
+    about, worst = result.attributes, Balances(**result.balances).worst
     return Record(
-        path.stem, str(about["case"]), "incomplete", "", float(about["seconds_stepping"]), worst,
-        arrays, str(about["version"]),
+        path.stem, result.case, "incomplete", "", float(about["seconds_stepping"]), worst, arrays,
+        str(about["version"]),
     )  # fmt: skip

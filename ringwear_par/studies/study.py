@@ -25,6 +25,8 @@ from ringwear_par.cases.schema import BY_PATH
 from ringwear_par.cases.text import read_text, toml_text
 from ringwear_par.elasticity.mesh import count_elements
 from ringwear_par.errors import InputError
+from ringwear_par.history.bodies import operator_key
+from ringwear_par.history.limits import check_memory, check_mesh, check_ranks
 from ringwear_par.studies.designs import Draft, read_draft
 from ringwear_par.studies.variations import split_key, varied_keys
 
@@ -172,9 +174,6 @@ def case_id(case_keys: Mapping[str, Any]) -> str:
 
 def _check_rows(draft: Draft, first: int, last: int, ranks: int) -> _Checked:
     """Make every case of a stretch of the rows once, and look what is wrong with them."""
-    from ringwear_par.history.limits import check_memory, check_mesh, check_ranks
-    from ringwear_par.history.pairs import operator_key
-
     parts = [split_key(name) for name in draft.names]
     found = _Checked([], [], [], [], [], [], {}, {}, [], 0)
     for number in range(first, last):
@@ -254,8 +253,6 @@ def _refuse(
     ranks: int,
 ) -> None:
     """Raise what is wrong with the cases of a study, if anything."""
-    from ringwear_par.history.limits import check_memory
-
     faults: list[str] = []
     told = 0
     for part in stretches:

@@ -1,17 +1,18 @@
 """Teams of ranks at work: a case is drawn, computed on the pair of its group, and stored."""
 
+import logging
 import time
 from contextlib import suppress
 from dataclasses import dataclass, field
 
 from mpi4py import MPI
 
-import ringwear_par
+from ringwear_par import __version__
 from ringwear_par.cases.case import Case
 from ringwear_par.contact.solver import ContactSolver
 from ringwear_par.elasticity.pair import ContactPair
 from ringwear_par.errors import ComputationError, InputError, RingwearError, UnfitError
-from ringwear_par.history.pairs import young
+from ringwear_par.history.bodies import young
 from ringwear_par.history.simulate import simulate
 from ringwear_par.history.snapshots import Observer
 from ringwear_par.options import reject_unused_options
@@ -30,6 +31,8 @@ from ringwear_par.studies.operators import (
 from ringwear_par.studies.plan import Plan
 from ringwear_par.studies.scheduling import Scheduler
 from ringwear_par.studies.shards import Record, Shard
+
+log = logging.getLogger(__name__)
 
 #: how long a team that waits for an operator sleeps between two looks
 _NAP_SECONDS = 0.002
@@ -80,7 +83,7 @@ class Worker:
         self._shard: Shard | None = None
         self._options_checked = False
         self._group = -1
-        self._operator: ContactPair | None = None
+        self._pair: ContactPair | None = None
         self._setting: tuple[int, float, float] | None = None
         self._solver: ContactSolver | None = None
 
@@ -148,18 +151,16 @@ class Worker:
         study, started = self._plan.study, time.perf_counter()
         number = self._plan.todo[group][place]
         identity, text = study.ids[number], ""
-        recorder, version = None, ringwear_par.__version__
+        recorder: Recorder | None = None
         try:
             with together(self._team):
                 case = study.case(number)
                 text = case.text
-            self._set_up(group, place, case)
-            before = self._stored(identity)
-            with together(self._team):
-                recorder = Recorder(case, self._team, before)
+            pair, solver = self._set_up(group, place, case)
+            recorder = Recorder(case, self._team, self._stored(identity))
             begun = time.perf_counter()
             try:
-                finished = self._simulated(identity, case, recorder)
+                self._step(identity, case, pair, solver, recorder)
             finally:
                 self._timings.stepping += time.perf_counter() - begun
         except _StoppedError:
@@ -170,22 +171,27 @@ class Worker:
                 raise  # the disk, or an option for PETSc, not the case
             self._drop_solver()
             reason = str(error) if isinstance(error, RingwearError) else repr(error)
-            arrays = recorder.arrays() if recorder is not None else {}
+            arrays = {} if recorder is None else recorder.arrays()
             seconds = time.perf_counter() - started
             reason = " ".join(reason.split())
-            return Record(identity, text, "failed", reason, seconds, 0.0, arrays, version)
-        if case.follows_wear:  # the solver's compliance is that of a worn shape
-            self._drop_solver()
-        if not finished:
+            return Record(identity, text, "failed", reason, seconds, 0.0, arrays, __version__)
+        if recorder.last is None or not recorder.last.finished:
             return None
         worst, flags = recorder.balances.worst, tuple(doubt.flag for doubt in recorder.doubts)
         self._timings.worst = max(self._timings.worst, worst)
         seconds = time.perf_counter() - started
         arrays = recorder.arrays()
-        return Record(identity, text, "done", "", seconds, worst, arrays, version, flags)
+        return Record(identity, text, "done", "", seconds, worst, arrays, __version__, flags)
 
-    def _simulated(self, identity: str, case: Case, recorder: Recorder) -> bool:
-        """Simulate a case to its end, or to a checkpoint; return whether it has come to its end."""
+    def _step(
+        self,
+        identity: str,
+        case: Case,
+        pair: ContactPair,
+        solver: ContactSolver,
+        recorder: Recorder,
+    ) -> None:
+        """Step a case to its end, or to a checkpoint that is written when a signal stops it."""
         team, path = self._team, self._plan.store.inflight(identity)
 
         def save() -> None:
@@ -195,20 +201,17 @@ class Worker:
         observers: list[Observer] = [recorder, Watch(self._signals, save, team)]
         if self._progress is not None:
             observers.append(self._progress)
-        simulate(
-            case, team, pair=self._operator, solver=self._solver, start=recorder.start,
-            observers=observers,
-        )  # fmt: skip
+        # elements that follow the wear would leave the solver with another compliance
+        lent = None if case.follows_wear else solver
+        simulate(case, team, pair=pair, solver=lent, start=recorder.start, observers=observers)
         if recorder.last is not None and not recorder.last.finished:
             try:
                 save()
             except ComputationError as error:
                 raise StorageError(str(error)) from error
-            return False
-        return True
 
     def _stored(self, identity: str) -> Result | None:
-        """Return what an interrupted case goes on from, None where it starts."""
+        """Return what an interrupted case goes on from."""
         if identity not in self._plan.interrupted:
             return None
 
@@ -219,24 +222,25 @@ class Worker:
 
         return on_first_rank(self._team, read)
 
-    def _set_up(self, group: int, place: int, case: Case) -> None:
-        """Find the pair of this group, and make a solver of it with these moduli."""
+    def _set_up(self, group: int, place: int, case: Case) -> tuple[ContactPair, ContactSolver]:
+        """Return the pair of this group, and a solver for it with the moduli of a case."""
         setting = group, *young(case)
-        if self._solver is not None and setting == self._setting:
-            return
-        self._drop_solver()
-        if group != self._group or self._operator is None:
-            self._group, self._operator = -1, None
-            self._operator = self._find_operator(group, place, case)
-            self._group = group
-        with together(self._team):
-            matrix = self._operator.compliance(young(case)).matrix
-        self._solver = ContactSolver(matrix, self._operator.line.area, self._team)
-        self._setting = setting
-        if self._timings.operators and not self._options_checked:
+        if self._solver is None or setting != self._setting:
+            self._drop_solver()
+            if group != self._group or self._pair is None:
+                self._group, self._pair = -1, None
+                self._pair = self._find_operator(group, place, case)
+                self._group = group
             with together(self._team):
-                reject_unused_options()  # by now everything has looked for its own
-            self._options_checked = True
+                matrix = self._pair.compliance(young(case)).matrix
+            self._solver = ContactSolver(matrix, self._pair.line.area, self._team)
+            self._setting = setting
+            if self._timings.operators and not self._options_checked:
+                with together(self._team):
+                    reject_unused_options()  # by now everything has looked for its own
+                self._options_checked = True
+        assert self._pair is not None
+        return self._pair, self._solver
 
     def _find_operator(self, group: int, place: int, case: Case) -> ContactPair:
         """Return a group's operator: the team that has its first case provides it."""
