@@ -218,7 +218,7 @@ def _laws(args: argparse.Namespace, comm: Any) -> None:
 
 
 def _verify(args: argparse.Namespace, comm: Any) -> None:
-    from ringwear_par.verification.checks import verify
+    from ringwear_par.verification.verify import verify
 
     verify(comm)
 
