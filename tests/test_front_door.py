@@ -1,0 +1,173 @@
+"""What users call from Python: the numbers of the command, errors, many cases, on any ranks."""
+
+import subprocess
+import sys
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import xarray
+from conftest import SHELL_ENVIRONMENT
+
+import ringwear_par as rw
+from ringwear_par.results.run import run_case
+
+PAPER = Path(__file__).parents[1] / "scripts/cases/paper.toml"
+SMALL = {"mesh.contact_elements": 16, "time.steps": 10}
+SET = [f"{key}={value}" for key, value in SMALL.items()]
+#: what differs between two computations of the same
+CLOCK = {f"seconds_{name}" for name in ("assembly", "factorisation", "stepping", "output")}
+
+
+@pytest.fixture(scope="module")
+def case():
+    return rw.read_case(PAPER, SMALL)
+
+
+@pytest.fixture(scope="module")
+def pair(case, comm):
+    return rw.assemble(case, comm)
+
+
+def without_clock(dataset):
+    return dataset.assign_attrs(dict.fromkeys(CLOCK, 0.0))
+
+
+@pytest.mark.parametrize("words", [{}, {"time.scheme": "adaptive"}, {"output.times": [0.5, 7.2]}])
+def test_simulate_gives_what_run_stores(case, shared_path, comm, words):
+    result = rw.simulate(case.replace(words), comm)
+    path = shared_path / "run.h5"
+    keys = [*SET, *(f"{key}={value}" for key, value in words.items())]
+    run_case(PAPER, path, keys, comm=comm)
+    with xarray.open_dataset(path, engine="h5netcdf") as stored:
+        xarray.testing.assert_identical(
+            without_clock(stored.load()), without_clock(result.to_xarray())
+        )
+
+
+def test_save_and_open_again(case, pair, shared_path, comm):
+    result = rw.simulate(case, comm, pair=pair)
+    result.save(shared_path / "saved.h5")  # on all ranks
+    again = rw.open_result(shared_path / "saved.h5")
+    xarray.testing.assert_identical(again.to_xarray(), result.to_xarray())
+    assert again.balances == result.balances
+    assert again.summary() == result.summary()
+    assert [p.name for p in shared_path.iterdir()] == ["saved.h5"]
+
+
+def test_a_pair_serves_any_load_law_and_modulus(case, pair, comm):
+    for changes in (
+        {"load.pressure": 50, "wear.lower.k": 3e-7},
+        {"lower.young": 2e4},
+        {"wear.upper": {"law": "archard", "k": 1e-9}, "load.omega": 1.0},
+    ):
+        other = case.replace(changes)
+        with_pair, alone = rw.simulate(other, comm, pair=pair), rw.simulate(other, comm)
+        for name in ("approach", "pressure", "wear_lower", "wear_upper"):
+            assert np.array_equal(with_pair.to_xarray()[name], alone.to_xarray()[name]), name
+
+
+def test_a_pair_of_another_shape_is_refused(case, pair, comm):
+    with pytest.raises(rw.InputError, match="pair: was assembled for another shape"):
+        rw.simulate(case.replace({"upper.r": [28.0, 31.5]}), comm, pair=pair)
+
+
+def test_simulate_all_keeps_the_order_and_the_numbers(case, comm):
+    """Shapes, moduli and schemes mixed; one of them fails, and says why."""
+    changes = [
+        {"wear.lower.k": 1e-8},
+        {"upper.r": [28.0, 31.5]},
+        {"load.pressure": 1e9},  # wears half of the body off
+        {"lower.young": 2e4},
+        {"time.scheme": "adaptive"},
+        {"wear.lower.k": 3e-7},
+    ]
+    cases = [case.replace(c) for c in changes]
+    found = rw.simulate_all(cases, comm)
+    assert isinstance(found[2], rw.FailedResult)
+    assert isinstance(found[2].error, rw.ComputationError)
+    assert "more than half of its height" in str(found[2].error)
+    assert found[2].case == cases[2].text
+    for i in (0, 1, 3, 4, 5):
+        alone = rw.simulate(cases[i], comm)
+        assert found[i].case == cases[i].text
+        for name in ("time", "penetration", "pressure"):
+            one, other = found[i].to_xarray()[name], alone.to_xarray()[name]
+            if comm.size == 1:
+                assert np.array_equal(one, other), name
+            assert one.values == pytest.approx(other.values, rel=1e-9, abs=1e-15), name
+
+
+def test_results_do_not_depend_on_company(case, comm):
+    cases = [case.replace({"wear.lower.k": k}) for k in (1e-8, 1e-7, 1e-6)]
+    together = rw.simulate_all(cases, comm)
+    for i, one in enumerate(cases):
+        (alone,) = rw.simulate_all([one], comm)
+        backwards = rw.simulate_all(cases[::-1], comm)[::-1][i]
+        for other in (alone, backwards):
+            assert np.array_equal(together[i].histories["approach"], other.histories["approach"])
+
+
+def test_simulate_all_refuses_an_empty_batch(case, comm):
+    with pytest.raises(rw.InputError, match="batch = 0: must be at least 1"):
+        rw.simulate_all([case], comm, batch=0)
+
+
+@dataclass(frozen=True)
+class Own:
+    """A law that says nothing but its rate: the threshold law of the paper."""
+
+    k: float
+    p0: float
+
+    def rate(self, p, local):
+        return self.k * local.friction * local.speed * np.maximum(p - self.p0, 0.0)
+
+
+@pytest.mark.parametrize("scheme", ["implicit", "adaptive"])
+def test_a_law_needs_a_rate_only(case, pair, comm, scheme):
+    case = case.replace({"time.scheme": scheme})
+    own = replace(case, wear_lower=Own(1e-7, 40.0))
+    exact = rw.simulate(case, comm, pair=pair).histories["penetration"]
+    found = rw.simulate(own, comm, pair=pair).histories["penetration"]
+    assert found == pytest.approx(exact, rel=1e-6, abs=1e-9)
+    law = Own(1e-7, 40.0)
+    assert isinstance(law, rw.WearLaw)
+
+
+def test_bad_input_is_told(case, comm):
+    with pytest.raises(rw.InputError, match=r"load\.presure: unknown key .*load\.pressure"):
+        case.replace({"load.presure": 50})
+    with pytest.raises(rw.InputError, match="GB of memory"):
+        rw.simulate(case.replace({"mesh.contact_elements": 200_000}), comm)
+    with pytest.raises(rw.InputError, match="interpenetrate"):
+        rw.simulate(case.replace({"lower.z": [0.0, 20.5]}), comm)
+
+
+@pytest.mark.serial
+@pytest.mark.parametrize("ranks", [0, 2])
+def test_three_lines_of_a_script(tmp_path, ranks):
+    """With the world's communicator, which nobody mentions, and solvers that nobody frees."""
+    program = f"""
+import ringwear_par as rw
+case = rw.read_case({str(PAPER)!r}, {SMALL!r})
+result = rw.simulate(case)
+assert result.to_xarray().penetration[-1] > 0
+result.save({str(tmp_path / "run.h5")!r})
+rw.plot(result, "wear").savefig({str(tmp_path / "wear.png")!r}) if ranks_are_one() else None
+""".replace(
+        "import ringwear_par as rw",
+        "import ringwear_par as rw\n\ndef ranks_are_one():\n"
+        "    from mpi4py import MPI\n    return MPI.COMM_WORLD.size == 1",
+    )
+    launcher = ["mpirun", "-n", str(ranks)] if ranks else []
+    done = subprocess.run(
+        [*launcher, sys.executable, "-c", program], env=SHELL_ENVIRONMENT, capture_output=True,
+        text=True, timeout=200, check=False,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    assert done.stderr == ""
+    with xarray.open_dataset(tmp_path / "run.h5", engine="h5netcdf") as data:
+        assert data.attrs["ranks"] == max(ranks, 1)
+    assert (tmp_path / "wear.png").exists() == (ranks == 0)
