@@ -31,8 +31,9 @@ from ringwear_par.elasticity.body import boundary_conditions, compliance
 from ringwear_par.elasticity.mesh import Mesh, boundary_mesh
 from ringwear_par.elasticity.quadrature import quadrature
 from ringwear_par.elasticity.solve import solve_rows
+from ringwear_par.history.bodies import bodies
 from ringwear_par.history.model import WearHistory, run
-from ringwear_par.history.pairs import bodies, contact_compliance, updated_geometry
+from ringwear_par.history.pairs import contact_compliance, updated_geometry
 from ringwear_par.verification.checks import paper_case
 
 COLUMNS = (

@@ -21,11 +21,11 @@ from ringwear_par.cases.case import Case, Load, Output, Ring, Stepping
 from ringwear_par.contact.problem import ContactState
 from ringwear_par.contact.solver import ContactSolver
 from ringwear_par.elasticity.assembly import BoundaryConditions, load_kernels
-from ringwear_par.elasticity.body import Body, boundary_conditions, compliance, solve_body
+from ringwear_par.elasticity.body import boundary_conditions, compliance, solve_body
 from ringwear_par.elasticity.kernels import ring_kernels
 from ringwear_par.elasticity.mesh import ContactLine, Mesh, boundary_mesh, contact_line
 from ringwear_par.elasticity.pair import symmetric
-from ringwear_par.elasticity.sections import Polyline, Section
+from ringwear_par.elasticity.sections import Body, Polyline, Section
 from ringwear_par.history.model import Balances, State, WearHistory, run
 from ringwear_par.history.pairs import contact_compliance
 from ringwear_par.options import reject_unused_options

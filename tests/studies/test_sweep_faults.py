@@ -12,7 +12,7 @@ import try_faults as faults
 from conftest import SHELL_ENVIRONMENT
 
 from ringwear_par.errors import ComputationError
-from ringwear_par.results import progress as monitor
+from ringwear_par.results import watch as monitor
 from ringwear_par.studies.sweep import run_sweep
 from ringwear_par.wear.threshold import ThresholdLaw
 
