@@ -20,11 +20,10 @@ import numpy as np
 from mpi4py import MPI
 
 from ringwear_par.cases.reading import make_case
-from ringwear_par.contact.solver import ContactSolver
 from ringwear_par.elasticity.assembly import load_kernels
 from ringwear_par.errors import RingwearError
-from ringwear_par.history.model import State, WearHistory, run
-from ringwear_par.history.pairs import contact_compliance
+from ringwear_par.history.balances import Balances
+from ringwear_par.history.trace import Trace, trace
 
 #: defects that a case must not exceed, of force, volume, energy and the contact's KKT conditions
 ALLOWED = {"force": 1e-10, "volume": 1e-10, "energy": 1e-10, "residual": 1e-9}
@@ -156,26 +155,16 @@ def random_case(rng: np.random.Generator) -> tuple[dict, str]:
     return keys, f"{where}; {', '.join(shapes) or 'flat'}; {', '.join(laws) or 'no wear'}"
 
 
-def failure(state: State) -> str:
-    """Return which balances a state does not meet, "" if it meets all."""
-    over = {name: getattr(state.balances, name) for name in ALLOWED}
+def failure(balances: Balances) -> str:
+    """Return which balances are not met, "" if all are."""
+    over = {name: getattr(balances, name) for name in ALLOWED}
     return ", ".join(f"{n} {v:.1e}" for n, v in over.items() if not v <= ALLOWED[n])
 
 
-def compute(keys: dict, name: str) -> tuple[State, int]:
-    """Run a case; return its last state and the most TAO iterations of a step."""
-    case = make_case(keys, name)
-    pair = contact_compliance(case, MPI.COMM_SELF)
-    most = 0
-
-    def watch(state: State) -> bool:
-        nonlocal most
-        most = max(most, state.contact.iterations)
-        return False
-
-    with ContactSolver(pair.matrix, pair.line.area, MPI.COMM_SELF) as solver:
-        history = WearHistory(case, pair, solver)
-        return run(history, history.start(), watch), most
+def compute(keys: dict, name: str) -> tuple[Trace, int]:
+    """Run a case; return its history and the most TAO iterations of a step."""
+    history = trace(make_case(keys, name), MPI.COMM_SELF)
+    return history, max(snapshot.iterations for snapshot in history.snapshots[1:])
 
 
 def main() -> int:
@@ -191,18 +180,19 @@ def main() -> int:
     for number in range(args.count):
         keys, sort = random_case(np.random.default_rng((args.seed, number)))
         try:
-            state, peak = compute(keys, f"case {number}")
-            reason = failure(state)
+            history, peak = compute(keys, f"case {number}")
+            reason = failure(history.balances)
         except RingwearError as error:
             reason = str(error)
         if reason:
             failed += 1
             print(f"case {number} ({sort}): {reason}", flush=True)
             continue
-        steps, iterations = steps + state.step, iterations + state.iterations
-        rejected, most = rejected + state.rejected, max(most, peak)
+        made = history.snapshots[-1].progress
+        steps, iterations = steps + made.steps, iterations + made.iterations
+        rejected, most = rejected + made.rejected, max(most, peak)
         for name in ALLOWED:
-            worst[name] = max(worst[name], getattr(state.balances, name))
+            worst[name] = max(worst[name], getattr(history.balances, name))
     print(
         f"{args.count} random cases (seed {args.seed}) in {time.perf_counter() - t0:.0f} s: "
         f"{failed} failed; {steps} steps, {rejected} repeated, {iterations / max(steps, 1):.2f} "

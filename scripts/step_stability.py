@@ -31,7 +31,6 @@ from typing import Literal
 
 import matplotlib
 import numpy as np
-import petsc4py
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import NullFormatter, NullLocator
@@ -40,13 +39,16 @@ from mpi4py import MPI
 from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.case import Case, Stepping
 from ringwear_par.cases.reading import read_case
-from ringwear_par.contact.solver import ContactSolver
 from ringwear_par.elasticity.body import boundary_conditions, solve_body
 from ringwear_par.elasticity.mesh import ContactLine, boundary_mesh
-from ringwear_par.elasticity.pair import ContactCompliance, largest_stable_step, symmetric
+from ringwear_par.elasticity.pair import ContactCompliance, ContactPair, largest_stable_step
 from ringwear_par.errors import RingwearError
-from ringwear_par.history.model import State, WearHistory
-from ringwear_par.history.pairs import contact_compliance
+from ringwear_par.history.bodies import young
+from ringwear_par.history.euler import backward, forward
+from ringwear_par.history.model import WearModel
+from ringwear_par.history.pairs import assemble
+from ringwear_par.history.state import State
+from ringwear_par.history.trace import trace
 from ringwear_par.results.figures import STYLE
 from ringwear_par.verification.reference import EXPLICIT_LIMIT, contact_modulus
 from ringwear_par.wear.threshold import ThresholdLaw
@@ -78,10 +80,9 @@ def paper(n: int, pressure: float = 80.0, p0: float = 40.0, grading: float = 1.0
     )
 
 
-def nodal_compliance(case: Case, comm: MPI.Comm) -> FloatArray:
-    """Return C, (n, n) mm/MPa, with gaps of elements from their end nodes. Collective."""
-    line = case.line
-    compliance = np.zeros((line.n, line.n))
+def nodal_compliances(case: Case, comm: MPI.Comm) -> FloatArray:
+    """Return C of both bodies at modulus 1, (2, n, n) mm/MPa, gaps from end nodes. Collective."""
+    line, found = case.line, []
     for ring in case.rings:
         boundary = boundary_mesh(case.section(ring), line, case.mesh)
         ends = boundary.elements[boundary.contact][:, [0, 2]]
@@ -89,23 +90,23 @@ def nodal_compliance(case: Case, comm: MPI.Comm) -> FloatArray:
             boundary, boundary_conditions(boundary, ring.grip), ring.poisson,
             case.mesh.quadrature_tolerance, ends.ravel(), boundary.fixed, comm,
         )  # fmt: skip
-        compliance -= response.displacement[:, 1].reshape(line.n, 2, line.n).mean(1) / ring.young
-    return compliance
+        found.append(-response.displacement[:, 1].reshape(line.n, 2, line.n).mean(1))
+    return np.array(found)
 
 
-def pairs(case: Case, comm: MPI.Comm) -> dict[Gaps, ContactCompliance]:
+def pairs(case: Case, comm: MPI.Comm) -> dict[Gaps, ContactPair]:
     """Return the contact pair with either gaps. Collective."""
-    right = contact_compliance(case, comm)
-    nodal = symmetric(case.line, nodal_compliance(case, comm))
-    return {"mid-point": right, "nodal": replace(right, matrix=nodal)}
+    right = assemble(case, comm)
+    return {"mid-point": right, "nodal": replace(right, normal=nodal_compliances(case, comm))}
 
 
-def softness(pair: ContactCompliance) -> tuple[float, float, float]:
+def softness(compliance: ContactCompliance) -> tuple[float, float, float]:
     """Return smallest and largest eigenvalue of C and its value for +-1, mm/MPa (area norm)."""
-    root = np.sqrt(pair.line.area)
-    values = np.linalg.eigvalsh(pair.matrix / (root[:, None] * root))
-    sign = (-1.0) ** np.arange(pair.line.n)
-    alternating = float(sign @ pair.matrix @ sign / pair.line.area.sum())
+    line, matrix = compliance.line, compliance.matrix
+    root = np.sqrt(line.area)
+    values = np.linalg.eigvalsh(matrix / (root[:, None] * root))
+    sign = (-1.0) ** np.arange(line.n)
+    alternating = float(sign @ matrix @ sign / line.area.sum())
     return float(values[0]), float(values[-1]), alternating
 
 
@@ -141,24 +142,17 @@ class Run:
     ripples: FloatArray
 
 
-def worn(case: Case, pair: ContactCompliance, scheme: Scheme, step: float, comm: MPI.Comm) -> Run:
+def worn(case: Case, pair: ContactPair, scheme: Scheme, step: float, comm: MPI.Comm) -> Run:
     """Wear a case in equal steps, s, that divide TIMES. Collective."""
-    last = round(TIMES[-1] / step)
-    case = replace(case, time=Stepping(scheme, step, last))
-    stored = {round(time / step) for time in TIMES}
-    with ContactSolver(pair.matrix, pair.line.area, comm) as solver:
-        history = WearHistory(case, pair, solver)
-        state = history.start()
-        approach, profiles = state.contact.approach, []
-        while not history.finished(state):
-            state = history.advance(state)
-            if state.step in stored:
-                profiles.append(1e3 * state.wear[0])
+    stepping = Stepping(scheme, step, round(TIMES[-1] / step))
+    states = trace(replace(case, time=stepping), comm, pair=pair).states
+    profiles = [1e3 * states[round(time / step)].wear[0] for time in TIMES]
+    first, last = states[0].contact, states[-1].contact
     return Run(
         pair.line.r,
         np.array(profiles),
-        state.contact.pressure,
-        1e3 * (state.contact.approach - approach),
+        last.pressure,
+        1e3 * (last.approach - first.approach),
         np.array([ripple(pair.line, profile) for profile in profiles]),
     )
 
@@ -178,50 +172,44 @@ def formula(case: Case) -> float:
     return EXPLICIT_LIMIT * float(case.line.width.mean()) / modulus / fastest
 
 
-def grows(history: WearHistory, state: State, step: float, n_steps: int = 60) -> bool:
+def grows(model: WearModel, state: State, step: float, n_steps: int = 60) -> bool:
     """Tell whether explicit steps make a small alternating change of the wear grow. Collective.
 
     All being in contact and above the threshold, its growth does not depend on the state. A change
     of 0.01 MPa stays far above round-off and far below the pressure.
     """
-    pair = history.pair
-    sign = (-1.0) ** np.arange(pair.line.n)
+    n = model.line.n
+    sign = (-1.0) ** np.arange(n)
     bump = np.zeros_like(state.wear)
-    bump[0] = 1e-2 * (pair.matrix @ sign) / pair.line.area
-    changed = replace(
-        state,
-        wear=state.wear + bump,
-        contact=history.contact(state.time, state.wear + bump, None),
-    )
+    bump[0] = 1e-2 * (model.compliance.matrix @ sign) / model.area
+    wear = state.wear + bump
+    changed = replace(state, wear=wear, contact=model.contact(state.time, wear))
     sizes = []
     for _ in range(n_steps):
-        time = state.time + step
-        state, changed = history.stepped(state, time), history.stepped(changed, time)
+        end = state.time + step
+        state, changed = forward(model, state, end).state, forward(model, changed, end).state
         # the pressure, because a force forgets an even change of the profile
         sizes.append(float(np.linalg.norm(changed.contact.pressure - state.contact.pressure)))
-        if sizes[-1] > 1.0 * math.sqrt(pair.line.n):  # before contact is lost
+        if sizes[-1] > 1.0 * math.sqrt(n):  # before contact is lost
             return True
     return sizes[-1] > sizes[-6]
 
 
-def measured_limit(pair: ContactCompliance, case: Case, guess: float, comm: MPI.Comm) -> float:
+def measured_limit(pair: ContactPair, case: Case, guess: float, comm: MPI.Comm) -> float:
     """Return the largest step, s, at which explicit stepping damps a change of wear. Collective.
 
     By bisection to 0.2 %, from a worn state with all in contact; p0 = 0.
     """
-    case = replace(case, time=Stepping("explicit", guess, 1))
-    with ContactSolver(pair.matrix, pair.line.area, comm) as solver:
-        implicit = WearHistory(replace(case, time=Stepping("implicit", 100.0, 1)), pair, solver)
-        state = implicit.advance(implicit.start())
-        history = WearHistory(case, pair, solver)
+    with WearModel(case, comm, pair) as model:
+        state = backward(model, model.initial(), 100.0).state
         low = high = guess
-        while grows(history, state, low):
+        while grows(model, state, low):
             low, high = 0.5 * low, low
-        while not grows(history, state, high):
+        while not grows(model, state, high):
             low, high = high, 2.0 * high
         while high > 1.002 * low:
             step = math.sqrt(low * high)
-            low, high = (low, step) if grows(history, state, step) else (step, high)
+            low, high = (low, step) if grows(model, state, step) else (step, high)
     return math.sqrt(low * high)
 
 
@@ -246,18 +234,19 @@ def limits(n: int, comm: MPI.Comm) -> Limits:
     """Return the largest stable explicit steps on n elements. Collective."""
     case = paper(n, p0=0.0)
     both, guess, rate = pairs(case, comm), formula(case), rate_per_pressure(case)
+    compliances = {gaps: pair.compliance(young(case)) for gaps, pair in both.items()}
     return Limits(
         guess,
         {gaps: measured_limit(pair, case, guess, comm) for gaps, pair in both.items()},
-        {gaps: largest_stable_step(pair, rate) for gaps, pair in both.items()},
-        {gaps: softness(pair) for gaps, pair in both.items()},
+        {gaps: largest_stable_step(each, rate) for gaps, each in compliances.items()},
+        {gaps: softness(each) for gaps, each in compliances.items()},
     )
 
 
-def unworn(pair: ContactCompliance, case: Case, comm: MPI.Comm) -> FloatArray:
+def unworn(pair: ContactPair, case: Case, comm: MPI.Comm) -> FloatArray:
     """Return the pressure before any wear, (n,) MPa. Collective."""
-    with ContactSolver(pair.matrix, pair.line.area, comm) as solver:
-        return WearHistory(case, pair, solver).start().contact.pressure
+    with WearModel(case, comm, pair) as model:
+        return model.initial().contact.pressure
 
 
 def bilateral(case: Case, weighted: FloatArray) -> FloatArray:
@@ -278,12 +267,13 @@ def pressures_at_29(n: int, grading: float, comm: MPI.Comm) -> list[float]:
     """Return p(29), MPa, at 50 MPa mean pressure, for P29_COLUMNS. Collective."""
     case = paper(n, pressure=50.0, grading=grading)
     both = pairs(case, comm)
-    collocated = case.line.area[:, None] * nodal_compliance(case, comm)
+    nodal = both["nodal"]
+    lower, upper = (each / e for each, e in zip(nodal.normal, young(case), strict=True))
     profiles = [
         unworn(both["mid-point"], case, comm),
-        unworn(both["nodal"], case, comm),
-        bilateral(case, both["nodal"].matrix),
-        bilateral(case, collocated),
+        unworn(nodal, case, comm),
+        bilateral(case, nodal.compliance(young(case)).matrix),
+        bilateral(case, case.line.area[:, None] * (lower + upper)),
     ]
     return [float(np.interp(29.0, case.line.r, p)) for p in profiles]
 
@@ -515,7 +505,6 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("-o", "--output", type=Path, default=Path("out/step_stability.png"))
     args = parser.parse_args()
-    petsc4py.init(["step_stability", "-no_signal_handler"])
     comm = MPI.COMM_WORLD
     try:
         found = study(comm)

@@ -13,7 +13,7 @@ from ringwear_par.elasticity.updated import moving_parts
 from ringwear_par.errors import ComputationError
 from ringwear_par.history.bodies import bodies
 from ringwear_par.history.pairs import assemble, updated_geometry
-from ringwear_par.verification.checks import paper_case
+from ringwear_par.verification.paper import paper_case
 from ringwear_par.wear.threshold import ThresholdLaw
 
 CASES = Path(__file__).parents[2] / "scripts" / "cases"

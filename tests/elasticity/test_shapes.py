@@ -16,7 +16,7 @@ from ringwear_par.history.bodies import young
 from ringwear_par.history.model import WearModel
 from ringwear_par.history.pairs import assemble
 from ringwear_par.history.trace import trace
-from ringwear_par.verification.checks import paper_case
+from ringwear_par.verification.paper import paper_case
 from ringwear_par.verification.reference import contact_modulus
 
 CASES = Path(__file__).parents[2] / "scripts" / "cases"

@@ -19,7 +19,7 @@ from ringwear_par.history.trace import trace
 from ringwear_par.results import files as results
 from ringwear_par.results.run import run_case
 from ringwear_par.schedules import Table, integral
-from ringwear_par.verification.checks import OMEGA
+from ringwear_par.verification.paper import OMEGA
 from ringwear_par.wear.non_local import NonLocalLaw
 from ringwear_par.wear.power import PowerLaw
 from ringwear_par.wear.running_in import RunningInLaw

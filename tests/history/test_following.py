@@ -13,7 +13,8 @@ from ringwear_par.elasticity.mesh import Mesh
 from ringwear_par.errors import ComputationError, InputError
 from ringwear_par.history.trace import trace
 from ringwear_par.results.run import run_case
-from ringwear_par.verification.checks import paper_case, round_face
+from ringwear_par.verification.histories import round_face
+from ringwear_par.verification.paper import paper_case
 from ringwear_par.wear.threshold import ThresholdLaw
 
 PAPER = Path(__file__).parents[2] / "scripts/cases/paper.toml"

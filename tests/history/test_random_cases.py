@@ -9,8 +9,8 @@ import random_cases
 @pytest.mark.parametrize("number", range(40))
 def test_a_random_case_keeps_its_balances(number):
     keys, _ = random_cases.random_case(np.random.default_rng((1, number)))
-    state, most = random_cases.compute(keys, f"case {number}")
-    assert random_cases.failure(state) == ""
+    history, most = random_cases.compute(keys, f"case {number}")
+    assert random_cases.failure(history.balances) == ""
     assert most < 500
 
 

@@ -4,14 +4,27 @@ import numpy as np
 import pytest
 
 from ringwear_par.elasticity.mesh import Mesh
-from ringwear_par.history.pairs import contact_compliance
-from ringwear_par.verification import checks as verify
-from ringwear_par.verification import reference
+from ringwear_par.errors import ComputationError
+from ringwear_par.history.bodies import young
+from ringwear_par.history.pairs import assemble
+from ringwear_par.verification import reference, verify
+from ringwear_par.verification.check import NU, Check
+from ringwear_par.verification.half_space import indented, pressure_at
+from ringwear_par.verification.paper import paper_case
 
 
 @pytest.fixture(scope="module")
 def checks(comm):
     return {check.name: check for check in verify.checks(comm)}
+
+
+def unworn(case, comm):
+    """Contact line, approach and pressure of full contact."""
+    compliance = assemble(case, comm).compliance(young(case))
+    line = compliance.line
+    p = np.linalg.solve(compliance.matrix, line.area)
+    approach = case.load.force / (line.area @ p)
+    return line, approach, p * approach
 
 
 def test_every_reference_solution_is_met(checks):
@@ -42,11 +55,11 @@ def test_observed_orders(checks, name, order):
 
 def test_hertz_pressure_at_the_axis(comm):
     """The innermost elements too, not only a fit through many."""
-    *_, p_max = reference.hertz(reference.contact_modulus((1.0, verify.NU)), 10.0, 0.1)
+    *_, p_max = reference.hertz(reference.contact_modulus((1.0, NU)), 10.0, 0.1)
     r = np.linspace(0.0, 1.6, 401)
     sphere = np.stack([r, r * r / 20.0], axis=1)
     for n in (64, 128):
-        states = [verify._indented(sphere, 0.1, big_r, n, comm) for big_r in (50.0, 100.0)]
+        states = [indented(sphere, 0.1, big_r, n, comm) for big_r in (50.0, 100.0)]
         line = states[0][0]
         first, second = (state.pressure[:4] for _, state in states)
         inside = line.edges[:5] ** 2
@@ -55,24 +68,41 @@ def test_hertz_pressure_at_the_axis(comm):
 
 
 def test_default_mesh_meets_its_figures(comm):
-    case = verify.paper_case(Mesh(), pressure=50.0)
-    pair = contact_compliance(case, comm)
-    p = np.linalg.solve(pair.matrix, pair.line.area)
-    approach = case.load.force / (pair.line.area @ p)
-    p *= approach
+    case = paper_case(Mesh(), pressure=50.0)
+    line, approach, p = unworn(case, comm)
     assert approach == pytest.approx(reference.PAPER_APPROACH, rel=3e-5)
-    torque = case.friction * (pair.line.area * pair.line.arm) @ p
+    torque = case.friction * (line.area * line.arm) @ p
     assert torque == pytest.approx(reference.PAPER_TORQUE, rel=1e-4)
     for r, tolerance in ((30.0, 1e-3), (28.6, 5e-3), (31.4, 5e-3)):
         exact = reference.PAPER_PRESSURE[r]
-        assert verify.pressure_at(pair.line, p, r) == pytest.approx(exact, rel=tolerance)
+        assert pressure_at(line, p, r) == pytest.approx(exact, rel=tolerance)
 
 
 def test_interior_pressure_converges_without_checkerboard(comm):
     """p(29) is 44.65 MPa; nodal gaps gave 45, 32, 75 MPa for 32, 64, 128 elements."""
     for n, tolerance in ((32, 1e-2), (64, 3e-3), (128, 1.5e-3)):
-        case = verify.paper_case(Mesh(n), pressure=50.0)
-        pair = contact_compliance(case, comm)
-        p = np.linalg.solve(pair.matrix, pair.line.area)
-        p *= case.load.force / (pair.line.area @ p)
-        assert verify.pressure_at(pair.line, p, 29.0) == pytest.approx(44.65, rel=tolerance)
+        line, _, p = unworn(paper_case(Mesh(n), pressure=50.0), comm)
+        assert pressure_at(line, p, 29.0) == pytest.approx(44.65, rel=tolerance)
+
+
+def test_what_is_not_met_is_named(monkeypatch, comm, capsys):
+    """Not for NaN either, and not before all others are done."""
+    rows = [
+        Check("bar", (8, 16), (4e-3, 1e-3), 1e-2),
+        Check("disc", (8, 16), (4e-3, 1e-3), 1e-4),
+        Check("cone", (8,), (np.nan,), 1e-4),
+        Check("sphere", (8,), (0.0,), 1e-4),
+    ]
+    monkeypatch.setattr(verify, "checks", lambda _: iter(rows))
+    told = "2 of 4 reference solutions are not met: disc; cone"
+    with pytest.raises(ComputationError, match=f"^{told}$"):
+        verify.verify(comm)
+    printed = capsys.readouterr().out.splitlines()
+    if comm.rank == 0:
+        assert [line.split()[0] for line in printed[1:-1]] == ["ok", "FAIL", "FAIL", "ok"]
+        assert printed[1].split()[-1] == "2.00"
+        assert printed[-1].startswith("2 of 4 passed in ")
+    else:
+        assert printed == []
+    monkeypatch.setattr(verify, "checks", lambda _: iter(rows[:1]))
+    verify.verify(comm)

@@ -1,0 +1,51 @@
+"""One comparison of a computed solution with an exact one."""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+#: numbers of elements at which errors are computed, to see their order
+SIZES = (32, 64, 128)
+#: Poisson's ratio of all checks
+NU = 0.3
+
+
+@dataclass(frozen=True)
+class Check:
+    """One row: relative (or stated) errors at one or more sizes, the last to meet the tolerance.
+
+    Parameters
+    ----------
+    name : what is compared with what.
+    sizes : numbers of contact elements.
+    errors : one for each size.
+    tolerance : largest error allowed at the last size.
+    digits : relative accuracy of the reference itself; errors near it show no order.
+    """
+
+    name: str
+    sizes: tuple[int, ...]
+    errors: tuple[float, ...]
+    tolerance: float
+    digits: float = 1e-7
+
+    @property
+    def passed(self) -> bool:
+        """Whether the last error is small enough (not so for NaN)."""
+        return self.errors[-1] <= self.tolerance
+
+    @property
+    def order(self) -> float | None:
+        """Observed order over the last two sizes whose errors exceed the reference's own."""
+        clear = [
+            (n, e) for n, e in zip(self.sizes, self.errors, strict=True) if e > 3 * self.digits
+        ]
+        if len(clear) < 2:
+            return None
+        (n1, e1), (n2, e2) = clear[-2:]
+        return math.log(e1 / e2) / math.log(n2 / n1)
+
+
+def converging(name: str, error: Callable[[int], float], tolerance: float) -> Check:
+    """Return the check of an error that is a function of the number of elements."""
+    return Check(name, SIZES, tuple(error(n) for n in SIZES), tolerance)

@@ -1,0 +1,206 @@
+"""Rigid annuli, spheres and cones on a half-space against their exact solutions.
+
+Half-spaces are stood in for by solid discs of radius and height R, held at the base. What the
+truncation adds to a compliance is proportional to 1/R, so results at R = 50 b and 100 b are
+extrapolated to R = infinity; what is left, (b/R)^2 or less, is below the tolerances.
+"""
+
+import math
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from mpi4py import MPI
+from scipy.interpolate import CubicSpline
+from scipy.linalg import eigh
+
+from ringwear_par.arrays import FloatArray
+from ringwear_par.cases.case import Case, Load, Output, Ring, Stepping
+from ringwear_par.contact.problem import ContactState
+from ringwear_par.elasticity.body import compliance
+from ringwear_par.elasticity.mesh import ContactLine, Mesh, contact_line
+from ringwear_par.elasticity.pair import symmetric
+from ringwear_par.elasticity.sections import Body, Section
+from ringwear_par.history.model import WearModel
+from ringwear_par.verification import reference
+from ringwear_par.verification.check import NU, SIZES, Check
+
+_GRADED = 3.0
+
+
+@dataclass(frozen=True)
+class _Indentation:
+    """A rigid annulus on a disc of radius R, at E = 1: compliance, pressure, decays, torsion."""
+
+    force: float  # per unit approach
+    middle: float  # p at the middle radius / mean p
+    first: float  # largest relative error of p of the four innermost elements of a cylinder
+    torque: float  # per unit angle
+    decay_force: FloatArray
+    decay_approach: FloatArray
+
+
+def _indentation(a: float, big_r: float, n: int, comm: MPI.Comm) -> _Indentation:
+    contact, mesh = (a, 1.0), Mesh(n, grading=_GRADED)
+    line = contact_line(contact, mesh)
+    disc = Body(Section((0.0, big_r), big_r), 1.0, NU, "clamped")
+    unit = compliance(disc, line, mesh, comm)
+    m = line.area
+    normal = symmetric(line, unit.normal)
+    p = np.linalg.solve(normal, m)
+    shear = np.linalg.solve(_symmetric(m, unit.torsion), m * line.arm)
+    worn = np.diag(m * line.arm)
+    free = np.linalg.svd(m[None, :])[2][1:].T  # pressures that change, at constant force
+    modulus = reference.contact_modulus((1.0, NU))
+    return _Indentation(
+        float(m @ p),
+        pressure_at(line, p, 0.5 * (a + 1.0)) * float(m.sum() / (m @ p)),
+        _first_error(line, p) if a == 0.0 else math.nan,
+        float((m * line.arm) @ shear),
+        eigh(free.T @ worn @ free, free.T @ normal @ free, eigvals_only=True)[:2] / modulus,
+        eigh(worn, normal, eigvals_only=True)[:2] / modulus,
+    )
+
+
+def _first_error(line: ContactLine, p: FloatArray) -> float:
+    exact = reference.flat_cylinder_pressure(1.0, line.edges[:5])
+    mean = float(line.area @ p / line.area.sum())
+    return float(np.abs(p[:4] / mean / exact - 1.0).max())
+
+
+def _symmetric(m: FloatArray, matrix: FloatArray) -> FloatArray:
+    weighted = m[:, None] * matrix
+    return 0.5 * (weighted + weighted.T)
+
+
+def pressure_at(line: ContactLine, p: FloatArray, r: float) -> float:
+    """Return the pressure at a radius from element values, all positive. Not collective.
+
+    Cubic interpolation of log p against log(s1/s2), s1 and s2 being the distances to the edges, in
+    which powers of the distance to an edge are straight lines.
+    """
+    inner, outer = line.edges[0], line.edges[-1]
+    if inner == 0.0:  # no edge on the axis
+        position, x = line.r, r
+    else:
+        position = np.log((line.r - inner) / (outer - line.r))
+        x = math.log((r - inner) / (outer - r))
+    return float(np.exp(CubicSpline(position, np.log(p))(x)))
+
+
+#: of a rigid flat cylinder: F / (2 E* a delta), and p(a/2) / p(mean) = 1 / (2 sqrt(1 - 1/4))
+_CYLINDER = 1.0, 1.0 / math.sqrt(3.0)
+
+
+def _without_truncation(at_50_and_100: Iterable[float]) -> float:
+    """Return a stiffness for R = infinity, its inverse being linear in 1/R."""
+    one, two = at_50_and_100
+    return 1.0 / (2.0 / two - 1.0 / one)
+
+
+def half_space_checks(comm: MPI.Comm) -> Iterator[Check]:
+    """Compare rigid annuli and the turned disc with their half-space solutions."""
+    modulus, shear = reference.contact_modulus((1.0, NU)), 0.5 / (1.0 + NU)
+    for ratio, (force, middle) in {0.0: _CYLINDER, **reference.ANNULUS}.items():
+        runs = {n: [_indentation(ratio, big_r, n, comm) for big_r in (50.0, 100.0)] for n in SIZES}
+        name = f"rigid flat annulus a/b = {ratio:g}" if ratio else "rigid flat cylinder"
+
+        def row(text: str, values: list[float], exact: float, tolerance: float,
+                digits: float = 1e-7, name: str = name) -> Check:  # fmt: skip
+            errors = tuple(abs(value / exact - 1.0) for value in values)
+            return Check(f"{name}: {text}", SIZES, errors, tolerance, digits)
+
+        unit = reference.flat_cylinder_force(modulus, 1.0, 1.0)
+        forces = [_without_truncation(r.force for r in runs[n]) for n in SIZES]
+        yield row("force", forces, force * unit, 1e-4, 1e-6)
+        yield row("p(mid)/p(mean)", [runs[n][1].middle for n in SIZES], middle, 1e-3, 1e-5)
+        if not ratio:
+            yield Check(f"{name}: p at the axis, worst of 4 elements", SIZES,
+                        tuple(runs[n][1].first for n in SIZES), 1e-3)  # fmt: skip
+            torque = reference.reissner_sagoci_torque(shear, 1.0, 1.0)
+            turned = "disc turned on a half-space (Reissner-Sagoci)"
+            yield row("torque", [runs[n][1].torque for n in SIZES], torque, 1e-4, name=turned)
+        if ratio == 0.5:
+            for i in (0, 1):
+                rates = [runs[n][1].decay_force[i] for n in SIZES]
+                exact = reference.DECAY_FORCE[i]
+                yield row(f"decay {i + 1}, given force", rates, exact, 5e-4, 2e-4)
+                rates = [_without_truncation(r.decay_approach[i] for r in runs[n]) for n in SIZES]
+                exact = reference.DECAY_APPROACH[i]
+                yield row(f"decay {i + 1}, given approach", rates, exact, 1e-3, 2e-4)
+
+
+#: radius of the sphere and slope of the cone, their approaches make the contact radius 1
+_SPHERE, _CONE = 10.0, 0.1
+#: radius of these bodies. Errors depend on where in an element the contact ends
+_REACH = 1.6
+
+
+def indented(profile: FloatArray, approach: float, big_r: float, n: int,
+             comm: MPI.Comm) -> tuple[ContactLine, ContactState]:  # fmt: skip
+    """Press a rigid body of revolution into a disc of radius R at E = 1. Collective on comm.
+
+    Parameters
+    ----------
+    profile : (m, 2) float, mm, radii of the body and depths of its face below its top.
+    approach : mm.
+    big_r : mm, radius and height of the disc.
+    n : number of contact elements, all equal.
+    """
+    reach = float(profile[-1, 0])
+    face = tuple((float(r), -float(z)) for r, z in profile)
+    case = Case(
+        Ring((0.0, big_r), (0.0, big_r), 1.0, NU, "clamped"),
+        Ring((0.0, reach), (big_r, big_r + 2.0), 1e13, NU, "clamped", face),
+        0.1, None, None, Load(0.0, displacement=approach), Stepping("implicit", 1.0, 1),
+        Mesh(n, grading=1.0), Output(),
+    )  # fmt: skip
+    with WearModel(case, comm) as model:
+        return model.line, model.initial().contact
+
+
+def _indented_force(forces: Iterable[float], approach: float, power: float) -> float:
+    """Return the force for R = infinity of approach = alpha F^power + beta F/R."""
+    compliance = [approach / force**power for force in forces]
+    shift = [
+        force ** (1.0 - power) / big_r for force, big_r in zip(forces, (50.0, 100.0), strict=True)
+    ]
+    beta = (compliance[0] - compliance[1]) / (shift[0] - shift[1])
+    return float((approach / (compliance[1] - beta * shift[1])) ** (1.0 / power))
+
+
+def sphere_checks(comm: MPI.Comm) -> Iterator[Check]:
+    """Compare a rigid sphere and a rigid cone on a half-space with Hertz and Sneddon."""
+    modulus, approach = reference.contact_modulus((1.0, NU)), 1.0 / _SPHERE
+    force, a, p_max = reference.hertz(modulus, _SPHERE, approach)
+    r = np.linspace(0.0, _REACH, 401)
+    sphere = np.stack([r, r * r / (2.0 * _SPHERE)], axis=1)
+    found: list[list[float]] = []
+    for n in SIZES:
+        forces, radii, peaks = [], [], []
+        for big_r in (50.0, 100.0):
+            line, state = indented(sphere, approach, big_r, n, comm)
+            forces.append(state.force)
+            x, y = line.r**2, state.pressure**2  # p^2 is linear in r^2
+            outer, inner = (x > 0.5) & (x < 0.9), x < 0.25
+            slope, at_axis = np.polyfit(x[outer], y[outer], 1)
+            radii.append(math.sqrt(-at_axis / slope))
+            peaks.append(math.sqrt(np.polyfit(x[inner], y[inner], 1)[1]))
+        found.append(
+            [_indented_force(forces, approach, 2.0 / 3.0) / force - 1.0]
+            + [(2.0 * v[1] - v[0]) / exact - 1.0 for v, exact in ((radii, a), (peaks, p_max))]
+        )
+    for i, (text, tolerance) in enumerate(
+        (("force", 1e-4), ("contact radius", 1e-3), ("largest pressure", 1e-3))
+    ):
+        # of the order of (a/R)^2, what the extrapolation leaves
+        errors = tuple(abs(v[i]) for v in found)
+        yield Check(f"sphere (Hertz): {text}", SIZES, errors, tolerance, 3e-5)
+    approach = 0.5 * math.pi * _CONE
+    cone = np.array([[0.0, 0.0], [_REACH, _REACH * _CONE]])
+    found.clear()
+    for n in SIZES:
+        forces = [indented(cone, approach, big_r, n, comm)[1].force for big_r in (50.0, 100.0)]
+        exact = reference.cone_force(modulus, _CONE, approach)
+        found.append([abs(_indented_force(forces, approach, 0.5) / exact - 1.0)])
+    yield Check("rigid cone: force", SIZES, tuple(v[0] for v in found), 1e-4, 3e-5)

@@ -1,0 +1,168 @@
+"""Wear histories against steady laws, balances, similarity, and the limit of explicit steps."""
+
+import math
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+from mpi4py import MPI
+
+from ringwear_par.cases.case import Case, Load, Ring, Stepping
+from ringwear_par.elasticity.mesh import Mesh
+from ringwear_par.elasticity.pair import ContactPair
+from ringwear_par.elasticity.sections import Polyline
+from ringwear_par.history.model import WearModel
+from ringwear_par.history.pairs import assemble
+from ringwear_par.history.trace import Trace, trace
+from ringwear_par.verification import reference
+from ringwear_par.verification.check import NU, Check
+from ringwear_par.verification.paper import OMEGA, paper_case
+from ringwear_par.wear.threshold import ThresholdLaw
+
+#: contact elements of the paper's rings
+_N = 64
+_LONG = Stepping("implicit", 40.0, 200)
+#: of both bodies where both wear, 1/MPa
+_BOTH = (1e-7, 3e-7)
+
+
+def history_checks(comm: MPI.Comm) -> Iterator[Check]:
+    """Compare wear histories with what is known of them. Collective on comm."""
+    pair = assemble(paper_case(Mesh(_N)), comm)
+    yield from steady_checks(pair, comm)
+    yield from adaptive_checks(pair, comm)
+    yield from growing_checks(comm)
+    yield Check("explicit limit 1.485 h p/E*, uniform mesh", (128,),
+                (explicit_limit_error(128, comm),), 2e-2)  # fmt: skip
+
+
+def _steady_constant(case: Case, p0: float) -> float:
+    """Return c of a case's steady pressure p0 + c/r."""
+    assert isinstance(case.load.force, float)
+    return reference.steady_constant(case.load.force, p0, *case.contact)
+
+
+def _approach_rate(history: Trace) -> float:
+    """Return the rate of the approach in the last step, mm/s."""
+    before, after = history.states[-2:]
+    return (after.contact.approach - before.contact.approach) / history.model.case.time.step
+
+
+def steady_checks(pair: ContactPair, comm: MPI.Comm) -> Iterator[Check]:
+    """Compare long histories of the paper's rings with the steady laws and balances."""
+    for p0 in (0.0, 40.0):
+        case = paper_case(Mesh(_N), p0=(p0, None), stepping=_LONG)
+        history = trace(case, comm, pair=pair)
+        c = _steady_constant(case, p0)
+        exact = p0 + c / pair.line.arm
+        error = np.abs(history.last.contact.pressure / exact - 1.0).max()
+        yield Check(f"steady pressure p0 + c/r, p0 = {p0:g} MPa", (_N,), (float(error),), 1e-3)
+        kappa = case.friction * 1e-7
+        yield Check(f"steady approach rate kappa omega c, p0 = {p0:g} MPa", (_N,),
+                    (abs(_approach_rate(history) / (kappa * OMEGA * c) - 1.0),), 1e-3)  # fmt: skip
+        worst = history.balances
+        if p0 == 0.0:
+            yield Check("worn volume = k x dissipated energy, worst of all steps", (_N,),
+                        (worst.energy,), 1e-10)  # fmt: skip
+        yield Check(f"force balance, worst of all steps, p0 = {p0:g} MPa", (_N,),
+                    (worst.force,), 1e-10)  # fmt: skip
+        yield Check(f"volume balance, worst of all steps, p0 = {p0:g} MPa", (_N,),
+                    (worst.volume,), 1e-12)  # fmt: skip
+
+    both = paper_case(Mesh(_N), p0=(0.0, 0.0), stepping=_LONG, k=_BOTH)
+    history = trace(both, comm, pair=pair)
+    exact_rate = both.friction * sum(_BOTH) * OMEGA * _steady_constant(both, 0.0)
+    yield Check("both wear: approach rate mu (k1 + k2) omega c", (_N,),
+                (abs(_approach_rate(history) / exact_rate - 1.0),), 1e-3)  # fmt: skip
+    lower, upper = history.last.wear
+    split = float(np.abs(upper / lower / 3.0 - 1.0).max())
+    yield Check("both wear: depths split k1 : k2", (_N,), (split,), 1e-10)
+
+    fixed = paper_case(Mesh(_N), p0=(0.0, None), stepping=_LONG)
+    fixed = replace(fixed, load=Load(fixed.load.omega, displacement=0.0585))
+    pressure = trace(fixed, comm, pair=pair).last.contact.pressure
+    mean = 80.0  # MPa, at the start
+    yield Check("fixed approach: pressure falls to 0, relative to its first mean", (_N,),
+                (float(pressure.max()) / mean,), 1e-3)  # fmt: skip
+
+
+def adaptive_checks(pair: ContactPair, comm: MPI.Comm) -> Iterator[Check]:
+    """Compare adaptive histories of the paper's rings with finer ones, steady laws, similarity."""
+
+    def history(case: Case, end: float, tolerance: float = 2.5e-6) -> Trace:
+        stepping = Stepping("adaptive", until=end, tolerance=tolerance)
+        return trace(replace(case, time=stepping), comm, pair=pair)
+
+    for p0 in (0.0, 40.0):
+        case = paper_case(Mesh(_N), p0=(p0, None))
+        for end, most in ((200.0, 20), (2000.0, 30)):
+            found = history(case, end)
+            error = np.abs(found.last.wear - history(case, end, 1e-9).last.wear).max()
+            yield Check(f"adaptive, p0 = {p0:g} MPa, {end:g} s: wear, mm", (_N,),
+                        (float(error),), 1e-5)  # fmt: skip
+            yield Check(f"adaptive, p0 = {p0:g} MPa, {end:g} s: number of steps", (_N,),
+                        (float(found.steps),), float(most))  # fmt: skip
+
+    thresholds = (40.0, 60.0)
+    both = paper_case(Mesh(_N), p0=thresholds, k=_BOTH)
+    p = history(both, 8000.0).last.contact.pressure
+    mean = (_BOTH[0] * thresholds[0] + _BOTH[1] * thresholds[1]) / sum(_BOTH)
+    error = np.abs(p / (mean + _steady_constant(both, mean) / pair.line.arm) - 1.0).max()
+    yield Check("both wear, thresholds 40 and 60 MPa: steady pressure", (_N,),
+                (float(error),), 1e-3)  # fmt: skip
+
+    one = history(paper_case(Mesh(_N), p0=(0.0, 0.0), k=_BOTH), 300.0)
+    two = history(paper_case(Mesh(_N), p0=(0.0, 0.0), k=(2e-7, 6e-7)), 150.0)
+    yield Check("similarity: wear of twice k in half the time", (_N,),
+                (float(np.abs(two.last.wear / one.last.wear - 1.0).max()),), 1e-8)  # fmt: skip
+    yield Check("both wear: worn volumes = k1, k2 x dissipated energy", (_N,),
+                (one.balances.energy,), 1e-10)  # fmt: skip
+
+
+def round_face(r: tuple[float, float], radius: float) -> Polyline:
+    """Return the face of a sphere (inner radius 0) or of a torus between two radii, 200 points."""
+    samples = np.linspace(*r, 200)
+    middle = 0.0 if r[0] == 0.0 else 0.5 * sum(r)
+    fall = np.sqrt(radius**2 - (samples - middle) ** 2) - radius
+    return tuple(zip(samples.tolist(), fall.tolist(), strict=True))
+
+
+def growing_checks(comm: MPI.Comm) -> Iterator[Check]:
+    """Check the balances of a sphere and a torus that wear while their contact grows."""
+    for name, r in (("sphere", (0.0, 3.0)), ("torus", (18.0, 22.0))):
+        case = replace(
+            paper_case(Mesh(48, grading=1.0)),
+            lower=Ring((0.0, 30.0), (0.0, 20.0), 2e5, NU, "clamped"),
+            upper=Ring(r, (20.0, 30.0), 2e5, NU, "clamped", round_face(r, 40.0)),
+            wear_lower=None, wear_upper=ThresholdLaw(1e-6), load=Load(1.0, 300.0),
+            time=Stepping("adaptive", until=400.0),
+        )  # fmt: skip
+        history = trace(case, comm)
+        first, last = (
+            np.count_nonzero(state.contact.pressure) for state in (history.states[0], history.last)
+        )
+        said = f"worn {name}, contact of {first} to {last} elements"
+        volume, energy = history.balances.volume, history.balances.energy
+        # what does not grow checks nothing
+        yield Check(f"{said}: volume balance", (48,), (volume if last > first else math.inf,),
+                    1e-10)  # fmt: skip
+        yield Check(f"{said}: worn volume = k x energy", (48,), (energy,), 1e-10)
+
+
+def explicit_limit_error(n: int, comm: MPI.Comm) -> float:
+    """Return the error of the largest stable explicit step on a uniform mesh, rigid upper ring.
+
+    The rings are wide (r = 300 mm), so that the sliding speed hardly varies along the contact.
+    """
+    case = paper_case(Mesh(n, grading=1.0), p0=(0.0, None), young=1e13)
+    case = replace(
+        case,
+        lower=replace(case.lower, r=(290.0, 310.0)),
+        upper=replace(case.upper, r=(298.5, 301.5)),
+    )
+    with WearModel(case, comm) as model:
+        step = model.stable_step()
+    fastest = 1e-7 * case.friction * OMEGA * float(model.line.arm.max())  # mm/s per MPa
+    wear = step * fastest
+    modulus = reference.contact_modulus((case.lower.young, NU))
+    return abs(wear * modulus / (3.0 / n) / reference.EXPLICIT_LIMIT - 1.0)

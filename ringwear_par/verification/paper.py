@@ -1,0 +1,77 @@
+"""The paper's rings, and their unworn contact against independent solutions."""
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+from mpi4py import MPI
+
+from ringwear_par.cases.case import Case, Load, Output, Ring, Stepping
+from ringwear_par.elasticity.mesh import Mesh
+from ringwear_par.elasticity.pair import ContactPair
+from ringwear_par.history.model import WearModel
+from ringwear_par.history.pairs import assemble
+from ringwear_par.verification import reference
+from ringwear_par.verification.check import NU, Check
+from ringwear_par.verification.half_space import pressure_at
+from ringwear_par.wear.threshold import ThresholdLaw
+
+#: our reading of the paper's speed, rad/s
+OMEGA = 85.0 / 24.0
+_PAPER_STEPPING = Stepping("implicit", 1.0, 200)
+
+
+def paper_case(
+    mesh: Mesh, pressure: float = 80.0, p0: tuple[float | None, float | None] = (40.0, None),
+    stepping: Stepping = _PAPER_STEPPING, young: float = 100e3,
+    k: tuple[float, float] = (1e-7, 1e-7),
+) -> Case:  # fmt: skip
+    """Return the paper's rings (load and speed are our reading), p0 of lower and upper in MPa."""
+    laws = [ThresholdLaw(ki, pi) if pi is not None else None for ki, pi in zip(k, p0, strict=True)]
+    case = Case(
+        Ring((20.0, 40.0), (0.0, 20.0), 10e3, NU, "clamped"),
+        Ring((28.5, 31.5), (20.0, 40.0), young, NU, "clamped"),
+        0.1, laws[0], laws[1], Load(OMEGA, 1.0), stepping, mesh, Output(),
+    )  # fmt: skip
+    return replace(case, load=Load(OMEGA, pressure * case.area))
+
+
+def paper_checks(comm: MPI.Comm) -> Iterator[Check]:
+    """Compare the unworn paper case with an independent finite element solution."""
+    sizes, pressures = (32, 64, 128, 256), reference.PAPER_PRESSURE
+    values: list[list[float]] = []
+    for n in sizes:
+        case = paper_case(Mesh(n), pressure=50.0)
+        with WearModel(case, comm) as model:
+            contact = model.initial().contact
+        p = contact.pressure
+        values.append(
+            [contact.approach / reference.PAPER_APPROACH - 1.0,
+             model.torque(p) / reference.PAPER_TORQUE - 1.0]
+            + [pressure_at(model.line, p, r) / v - 1.0 for r, v in pressures.items()]
+        )  # fmt: skip
+    names = ["approach", "torque", *(f"p({r:g})" for r in pressures)]
+    allowed = ((1e-5, 1.4e-6), (1e-4, 6e-7), (1e-3, 1.5e-5), (1e-3, 6e-6), (1e-3, 6e-6))
+    for i, (name, (tolerance, digits)) in enumerate(zip(names, allowed, strict=True)):
+        errors = tuple(abs(v[i]) for v in values)
+        yield Check(f"paper, 50 MPa: {name}", sizes, errors, tolerance, digits)
+    pair = assemble(paper_case(Mesh(128, grading=4.0)), comm)
+    for ratio in reference.EDGE_EXPONENT:
+        yield Check(f"edge exponent, E2/E1 = {ratio:g} (absolute error)", (128,),
+                    (edge_error(pair, ratio),), 4e-3)  # fmt: skip
+
+
+def edge_error(pair: ContactPair, ratio: float) -> float:
+    """Return the error (absolute) of the edge exponent for E2/E1. Not collective.
+
+    Parameters
+    ----------
+    pair : of the paper's rings, strongly graded; the exponent is that from 0.003 to 0.03 mm.
+    """
+    compliance = pair.compliance((10e3, 10e3 * min(ratio, 1e9)))
+    line = compliance.line
+    p = np.linalg.solve(compliance.matrix, line.area)
+    s = (line.r - line.edges[0]) / 3.0
+    near = (s > 1e-3) & (s < 1e-2)
+    slope = np.polyfit(np.log(s[near]), np.log(p[near]), 1)[0]
+    return abs(float(slope) - reference.EDGE_EXPONENT[ratio])
