@@ -134,7 +134,7 @@ def test_a_refused_case_is_a_row_of_its_sweep(shared_path, comm):
         )
     comm.Barrier()
     with pytest.raises(ComputationError, match="1 of 2 cases failed"):
-        run_sweep(shared_path / "study.toml", shared_path / "out", 1, None, False, False, comm)
+        run_sweep(shared_path / "study.toml", shared_path / "out", comm)
     if comm.rank == 0:
         rows = (shared_path / "out/cases.csv").read_text().splitlines()[1:]
         assert sorted("done" in row for row in rows) == [False, True]
