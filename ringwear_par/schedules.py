@@ -98,6 +98,8 @@ def value(
     time : a number, or (B, 1) of B histories, whose elements the value goes with.
     r : (n,) float.
     """
+    if isinstance(quantity, float):  # most are, and this is done for every rate
+        return quantity
     if isinstance(quantity, Table):
         if quantity.axis == "t":
             return quantity(time)

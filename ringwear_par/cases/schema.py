@@ -87,7 +87,7 @@ def _values(parameter: Parameter) -> Values:
 def _wear_keys(ring: str) -> list[Key]:
     """Return the keys of a body's wear: ``law``, and what the laws declare."""
     table = f"wear.{ring}"
-    formulas = "; ".join(f"{name}: {law.formula.rstrip(',')}" for name, law in LAWS.items())
+    formulas = "; ".join(f"{name}: {law.formula}" for name, law in LAWS.items())
     meaning = f"rate of wear of {ring}: {formulas}; no table [{table}]: does not wear"
     keys = [Key(f"{table}.law", *choice(*LAWS), "-", meaning, None)]
     declared = [parameters_of(law) for law in LAWS.values()]

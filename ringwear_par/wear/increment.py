@@ -116,23 +116,24 @@ class WearIncrement:
         ------
         ComputationError : it does not settle: the rate grows with worn depth too fast.
         """
-        depth, before = np.zeros_like(p), np.full(p.shape[:-1], np.inf)
-        settled = np.zeros(p.shape[:-1], dtype=bool)
+        depth = np.zeros_like(p)
+        before: Any = np.inf
+        settled: Any = np.zeros(p.shape[:-1], dtype=bool)
         for _ in range(_MEMORY_ITERATIONS):
             there = replace(at, wear=at.wear + depth)
             rise = 1.0 - self.step * law.d_rate_dwear(p, there)
-            failing = (rise <= 0.0).any(axis=-1) & ~settled
-            if failing.any():
-                e = int(np.where(failing[..., None], rise, np.inf).argmin())
+            if (rise <= 0.0).any() and ((rise <= 0.0).any(axis=-1) & ~settled).any():
+                e = int(np.where(settled[..., None], np.inf, rise).argmin())
                 break
             change = (self.step * law.rate(p, there) - depth) / rise
-            change[settled] = 0.0
+            if p.ndim > 1:
+                change[settled] = 0.0
             depth = np.maximum(depth + change, 0.0)
             worst = np.abs(change) / np.maximum(at.wear + depth, 1e-300)
             e, largest = int(worst.argmax()), worst.max(axis=-1)
             # no better than its round-off
             settled = (largest <= _ROUND_OFF) | ((before <= largest) & (largest <= _NOISE))
-            if settled.all():
+            if settled if p.ndim == 1 else settled.all():
                 return replace(at, wear=at.wear + depth)
             before = largest
         raise ComputationError(self._unsettled(at, np.unravel_index(e, p.shape)))

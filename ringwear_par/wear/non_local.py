@@ -18,7 +18,7 @@ class NonLocalLaw(ThresholdLaw):
     """
 
     name = "non-local"
-    formula = "<k mu max(0, <p> - p0) V>, averaged over length,"
+    formula = "<k mu max(0, <p> - p0) V> (<> averages over length)"
 
     length: Annotated[
         float,

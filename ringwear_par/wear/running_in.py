@@ -27,7 +27,7 @@ class RunningInLaw(AboveThreshold):
     """
 
     name = "running-in"
-    formula = "(k + (k_start - k) exp(-s)) mu max(0, p - p0) V, s = wear/depth or slid/distance,"
+    formula = "(k + (k_start - k) exp(-s)) mu max(0, p - p0) V (s = wear/depth or slid/distance)"
 
     k: Coefficient
     k_start: Annotated[Quantity, Parameter("1/MPa", "wear coefficient at the start, k or larger")]

@@ -1,12 +1,15 @@
 """Laws from a user's file: what they may not do, and what becomes of a run if they do."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import h5py
 import numpy as np
 import pytest
 
+from ringwear_par import assemble, simulate
 from ringwear_par.cases.law_trials import check_laws
+from ringwear_par.cases.reading import read_case
 from ringwear_par.errors import ComputationError, InputError
 from ringwear_par.results.run import run_case
 from ringwear_par.studies.sweep import run_sweep
@@ -131,7 +134,7 @@ def test_a_refused_case_is_a_row_of_its_sweep(shared_path, comm):
         )
     comm.Barrier()
     with pytest.raises(ComputationError, match="1 of 2 cases failed"):
-        run_sweep(shared_path / "study.toml", shared_path / "out", 1, None, False, False, comm)
+        run_sweep(shared_path / "study.toml", shared_path / "out", comm)
     if comm.rank == 0:
         rows = (shared_path / "out/cases.csv").read_text().splitlines()[1:]
         assert sorted("done" in row for row in rows) == [False, True]
@@ -176,3 +179,31 @@ def test_times_of_output_are_stored_once_and_named_once(shared_path, comm):
             assert file["time"][:].tolist() == [0, 0.001, 0.5, 1, 100, 1000]
             assert file["step"][:].tolist() == [0, 1, 2, 3, 4, 5]
             assert (np.diff(file["steps_made"][:]) >= 0).all()
+
+
+def test_a_rate_is_all_that_a_history_needs(law, comm):
+    """In a file or of any object; what they do not say is found as exactly as if they had."""
+
+    class Mine:
+        def rate(self, p, local):
+            """Return the rate of wear, mm/s."""
+            return 1e-8 * (1.0 + np.exp(-local.wear / 1e-3)) * local.speed * p
+
+    rate = (
+        "import numpy as np\n"
+        "def rate(p, at): return 1e-8 * (1.0 + np.exp(-at.wear / 1e-3)) * at.speed * p\n"
+    )
+    exact = rate + (
+        "def d_rate_dp(p, at): return 1e-8 * (1.0 + np.exp(-at.wear / 1e-3)) * at.speed\n"
+        "def d_rate_dwear(p, at): return -1e-8 * np.exp(-at.wear / 1e-3) / 1e-3 * at.speed * p\n"
+    )
+    known, alone = (read_case(PAPER, law(text, f"{len(text)}.py")) for text in (exact, rate))
+    pair = assemble(known, comm)
+    first, *others = (
+        simulate(case, comm, pair=pair).to_xarray()
+        for case in (known, alone, replace(known, wear_lower=Mine()))
+    )
+    for other in others:
+        assert other.time.values == pytest.approx(first.time.values, rel=1e-6)
+        for name in ("wear_lower", "pressure", "approach"):
+            assert other[name].values == pytest.approx(first[name].values, rel=1e-6)

@@ -1,0 +1,121 @@
+"""Laws of a case: the key that names one, what laws declare, what is tried before a run."""
+
+import subprocess
+import sys
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
+
+import pytest
+
+from ringwear_par.cases.law_trials import check_laws
+from ringwear_par.cases.reading import parse_case, read_case
+from ringwear_par.cases.schema import BY_PATH, schema
+from ringwear_par.errors import InputError
+from ringwear_par.history import limits
+from ringwear_par.wear.catalogue import LAWS
+from ringwear_par.wear.parameters import parameters_of
+
+CASES = Path(__file__).parents[2] / "scripts" / "cases"
+PAPER = CASES / "paper.toml"
+TEXT = PAPER.read_text()
+
+
+def faults(text, *overrides):
+    with pytest.raises(InputError) as caught:
+        parse_case(text, "case.toml", overrides)
+    return list(caught.value.faults)
+
+
+@pytest.mark.parametrize(
+    ("text", "overrides"),
+    [
+        (TEXT, ["wear.upper.k=1e-8"]),
+        (TEXT + "\n[wear.upper]\nk = 1e-8\n", []),
+        (TEXT + "\n[wear.upper]\np0 = 3.0\n", []),
+    ],
+)
+def test_no_law_is_meant_silently(text, overrides):
+    told = faults(text, *overrides)
+    assert len(told) == 1
+    assert told[0].startswith("case.toml: wear.upper.law is missing: must be ")
+    assert all(f'"{name}"' in told[0] for name in LAWS)
+    case = parse_case(text, "case.toml", ["wear.upper={law='archard', k=1e-9}"])
+    assert case.wear_upper == LAWS["archard"](1e-9)
+
+
+def test_keys_are_what_the_laws_declare():
+    text = schema()
+    for name, law in LAWS.items():
+        declared = parameters_of(law)
+        assert declared
+        for parameter in declared.values():
+            key = BY_PATH[f"wear.lower.{parameter.name}"]
+            assert parameter.meaning in key.meaning
+            assert parameter.unit in (key.unit, "mm/s")
+            assert key.default == (None if parameter.default in (..., ()) else parameter.default)
+        assert law.formula in BY_PATH["wear.lower.law"].meaning, name
+        known = {f.name for f in fields(law)}
+        assert known - set(declared) <= {"source"}  # of a user's file, which is a key
+    assert "required" not in "".join(line for line in text.splitlines() if "wear." in line)
+
+
+def test_parameters_that_do_not_go_together_are_told_once():
+    table = "wear.lower.law=running-in", "wear.lower.k=2e-7", "wear.lower.k_start=1e-7"
+    told = faults(TEXT, *table)
+    assert told == [
+        "case.toml: wear.lower.depth, wear.lower.distance: one of them must be given (mm)",
+        "case.toml: wear.lower.k_start = 1e-07: must be at least wear.lower.k = 2e-07",
+    ]
+    told = faults(TEXT, *table[:2], "wear.lower.k_start=3e-7", "wear.lower.depth=-1")
+    assert len(told) == 1
+    assert "wear.lower.depth = -1" in told[0]
+
+
+def test_a_case_takes_a_law_with_a_rate_alone():
+    @dataclass(frozen=True)
+    class Mine:
+        k: float
+
+        def rate(self, p, local):
+            return self.k * local.speed * p
+
+    case = replace(read_case(PAPER), wear_lower=Mine(1e-8))
+    lower, upper = case.laws
+    assert (lower.own, upper) == (Mine(1e-8), None)
+    assert lower.describe() == "Mine.rate(p, local) with k = 1e-08"
+    assert case.breakpoints == ()
+
+
+def test_averages_over_a_length_need_a_problem_that_every_rank_solves():
+    case = read_case(CASES / "non_local.toml")
+    limits.check_ranks(case, 2, "case.toml")
+    most = limits.REPLICATED_LIMIT
+    large = replace(case, mesh=replace(case.mesh, contact_elements=most + 1))
+    limits.check_ranks(large, 1, "case.toml")
+    limits.check_ranks(replace(large, wear_lower=None), 2, "case.toml")
+    with pytest.raises(InputError, match=rf"at most {most} on several ranks where wear.lower.law"):
+        limits.check_ranks(large, 2, "case.toml")
+
+
+@pytest.mark.serial
+def test_ringwear_laws_tells_formulas_and_tests_parameters(capsys):
+    assert check_laws(CASES / "running_in.toml", []) == 0
+    said = capsys.readouterr().out
+    assert "lower: (k + (k_start - k) exp(-s)) mu max(0, p - p0) V" in said
+    for name in ("k", "k_start", "p0", "depth"):
+        assert f"ok   derivative of the rate with respect to {name}, " in said
+    assert check_laws(CASES / "user_law.toml", []) == 0
+    assert "respect to parameters.p1, t = 0 s" in capsys.readouterr().out
+
+
+@pytest.mark.serial
+def test_laws_are_read_and_tried_without_mpi_petsc_and_compiled_code():
+    code = (
+        "import sys; from pathlib import Path; import ringwear_par.cases.law_trials as trials; "
+        f"trials.check_laws(Path({str(CASES / 'user_law.toml')!r}), []); "
+        "print(*[m for m in ('mpi4py.MPI', 'petsc4py', 'numba', 'scipy') if m in sys.modules])"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=120
+    )
+    assert done.stdout.splitlines()[-1] == ""
