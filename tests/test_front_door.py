@@ -122,6 +122,7 @@ class Own:
     p0: float
 
     def rate(self, p, local):
+        """Return the rate of wear, mm/s."""
         return self.k * local.friction * local.speed * np.maximum(p - self.p0, 0.0)
 
 

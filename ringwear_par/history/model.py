@@ -124,12 +124,12 @@ class WearModel:
         UnfitError : the bodies interpenetrate by more than the load presses them together.
         """
         wear = np.zeros((2, *self._shape))
+        nothing: Numbers = 0.0 if wear.ndim == 2 else np.zeros(len(self.cases))
         try:
-            contact = self.contact(0.0, wear)
+            contact = self.contact(nothing, wear)
         except ComputationError as error:
             raise ComputationError(f"step 0 (before any wear): {error}") from error
         self._check_interpenetration()
-        nothing: Numbers = 0.0 if wear.ndim == 2 else np.zeros(len(self.cases))
         return self.checked(State(nothing, wear, np.zeros(wear.shape[:-1]), nothing, contact))
 
     def _check_interpenetration(self) -> None:
@@ -280,8 +280,13 @@ class WearModel:
         return self.friction * inner(self.compliance.twist, p)
 
     def reactions(self, p: FloatArray) -> FloatArray:
-        """Return friction torque / mu, axial force and torque / mu on both held faces, (5,)."""
-        return self._sums @ p
+        """Return friction torque / mu, axial force and torque / mu on both fixed faces, (5, ...).
+
+        At pressure (..., n); N mm and N.
+        """
+        if p.ndim == 1:
+            return self._sums @ p
+        return np.stack([self._sums @ each for each in p], axis=-1)
 
     # -- what a state must not be ------------------------------------------------------------------
 

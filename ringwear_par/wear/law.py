@@ -7,7 +7,7 @@ not fall with pressure, so that the implicit step is a convex problem.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, is_dataclass, replace
-from typing import Any, ClassVar, Protocol, Self
+from typing import Any, ClassVar, Protocol, Self, runtime_checkable
 
 import numpy as np
 
@@ -77,6 +77,7 @@ class LocalState:
         )
 
 
+@runtime_checkable
 class WearLaw(Protocol):
     """A wear law as a user may write it: whatever has a rate.
 

@@ -1,4 +1,4 @@
-"""``ringwear run`` over a result that is there: complete, interrupted, failed or of another case."""
+"""``ringwear run`` where a result is there: complete, interrupted, failed, of another case."""
 
 from pathlib import Path
 
@@ -65,7 +65,7 @@ def test_going_on_and_starting_anew_exclude_each_other(interrupted, comm):
 
 def test_what_makes_an_answer_doubtful_is_stored(shared_path, comm, caplog):
     path = shared_path / "run.h5"
-    keys = [*SMALL, "time.scheme=explicit", "time.step=5", "time.steps=3"]
+    keys = [*SMALL, "time.scheme=explicit", "time.step=60", "time.steps=3"]
     run_case(PAPER, path, keys, comm=comm)
     (told,) = open_result(path).doubts
     assert "times its stability limit" in told

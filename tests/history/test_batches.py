@@ -1,0 +1,131 @@
+"""Many histories that share a pair, through model, schemes and balances: each as if alone."""
+
+from dataclasses import astuple, replace
+
+import numpy as np
+import pytest
+
+from ringwear_par.cases.case import Load
+from ringwear_par.elasticity.mesh import Mesh
+from ringwear_par.history import euler, sdirk2
+from ringwear_par.history.balances import balances
+from ringwear_par.history.model import WearModel
+from ringwear_par.history.pairs import assemble
+from ringwear_par.schedules import Table
+from ringwear_par.verification.paper import OMEGA, paper_case
+from ringwear_par.wear.running_in import RunningInLaw
+from ringwear_par.wear.threshold import ThresholdLaw
+
+#: s, ends of two steps of each of three histories
+ENDS = np.array([[0.5, 1.0, 2.0], [1.5, 3.0, 9.0]])
+SCHEMES = {"explicit": euler.forward, "implicit": euler.backward, "adaptive": sdirk2.step}
+
+
+@pytest.fixture(scope="module")
+def base():
+    return paper_case(Mesh(16, grading=1.0), k=(1e-7, 1e-8), p0=(40.0, 0.0))
+
+
+@pytest.fixture(scope="module")
+def pair(base, comm):
+    return assemble(base, comm)
+
+
+def variations(base):
+    """Loads, speeds, friction and laws that differ, as numbers and as tables in time."""
+    return {
+        "laws and friction": [
+            replace(base, friction=mu, wear_lower=ThresholdLaw(k, p0))
+            for mu, k, p0 in ((0.1, 1e-7, 40.0), (0.2, 3e-7, 0.0), (0.3, 1e-8, 75.0))
+        ],
+        "loads and speeds": [
+            replace(base, load=Load(omega, force))
+            for omega, force in (
+                (OMEGA, 30e3),
+                (Table((0.0, 4.0), (0.0, 2.0)), 45e3),
+                (1.0, Table((0.0, 5.0), (0.0, 60e3))),
+            )
+        ],
+        "displacements": [
+            replace(base, load=Load(OMEGA, displacement=d))
+            for d in (0.03, 0.05, Table((0.0, 9.0), (0.06, 0.0)))
+        ],
+        "memory": [
+            replace(base, wear_upper=RunningInLaw(1e-8, k, depth=d))
+            for k, d in ((1e-7, 1e-3), (2e-7, 1e-4), (3e-7, 1e-2))
+        ],
+        "the same": [base] * 3,
+    }
+
+
+def parts(state):
+    contact = state.contact
+    return {
+        "time": state.time, "wear": state.wear, "worn": state.worn, "energy": state.energy,
+        "pressure": contact.pressure, "gap": contact.gap, "approach": contact.approach,
+        "force": contact.force,
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize("scheme", SCHEMES)
+@pytest.mark.parametrize("name", ["laws and friction", "loads and speeds", "displacements",
+                                  "memory", "the same"])  # fmt: skip
+def test_each_history_is_as_if_alone(base, pair, comm, scheme, name):
+    step, cases = SCHEMES[scheme], variations(base)[name]
+    with WearModel(cases, comm, pair) as model:
+        steps = [step(model, model.initial(), ENDS[0])]
+        steps.append(step(model, steps[0].state, ENDS[1]))
+        off = balances(model, steps[1].state)
+        torque, twist = (f(steps[1].state.contact.pressure) for f in (model.torque, model.twist))
+    assert steps[1].state.wear.shape == (2, 3, 16)
+    for i, case in enumerate(cases):
+        with WearModel(case, comm, pair) as model:
+            alone = [step(model, model.initial(), float(ENDS[0, i]))]
+            alone.append(step(model, alone[0].state, float(ENDS[1, i])))
+            exact = balances(model, alone[1].state)
+            p = alone[1].state.contact.pressure
+            assert torque[i] == model.torque(p)
+            assert twist[i] == model.twist(p)
+        for together, single in zip(steps, alone, strict=True):
+            for what, value in parts(single.state).items():
+                of_all = parts(together.state)[what]
+                mine = of_all[:, i] if what in ("wear", "worn") else of_all[i]
+                assert np.array_equal(mine, value), what
+            for of_all, value in zip(astuple(together)[1:], astuple(single)[1:], strict=True):
+                assert np.array_equal(np.broadcast_to(of_all, 3)[i], value)
+        for what, value in exact.items():
+            assert np.broadcast_to(off[what], 3)[i] == pytest.approx(value, abs=1e-15), what
+
+
+def test_loads_of_different_kinds_do_not_go_together(base, pair, comm):
+    cases = [base, replace(base, load=Load(OMEGA, displacement=0.05))]
+    with pytest.raises(ValueError, match="cannot be stacked"):
+        WearModel(cases, comm, pair)
+
+
+def test_the_volume_balance_sees_depths_that_are_not_those_of_the_rates(base, pair, comm):
+    """The rate is integrated apart from the depths: what a step forgets to wear off is missed."""
+    with WearModel(base, comm, pair) as model:
+        sound = euler.backward(model, model.initial(), 1.0).state
+        assert balances(model, sound)["volume"] < 1e-14
+        wear = sound.wear.copy()
+        wear[0, 3] *= 1.01
+        missed = wear[0, 3] / 101.0 * model.area[3] / (wear @ model.area).max()
+        spoilt = balances(model, replace(sound, wear=wear))
+    assert spoilt["volume"] == pytest.approx(missed, rel=1e-6)
+
+
+@pytest.mark.parametrize("scheme", SCHEMES)
+def test_the_estimated_error_of_a_step_is_of_the_size_of_the_error(base, pair, comm, scheme):
+    """Of one step from a state that has left the singular transient behind, against many."""
+    step, start, end = SCHEMES[scheme], 30.0, 34.0
+    with WearModel(base, comm, pair) as model:
+        state = model.initial()
+        for time in np.linspace(0.0, start, 61)[1:]:
+            state = sdirk2.step(model, state, float(time)).state
+        exact = state
+        for time in np.linspace(start, end, 81)[1:]:
+            exact = sdirk2.step(model, exact, float(time)).state
+        found = step(model, state, end)
+    error = np.abs((found.state.wear - exact.wear).sum(axis=0)).max()
+    assert 0.1 < found.wear_error / error < 10.0
