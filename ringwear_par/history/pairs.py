@@ -4,10 +4,10 @@ from mpi4py import MPI
 
 from ringwear_par.cases.case import Case
 from ringwear_par.elasticity.assembly import load_kernels
-from ringwear_par.elasticity.pair import ContactCompliance, ContactPair, assemble_pair
+from ringwear_par.elasticity.pair import ContactPair, assemble_pair
 from ringwear_par.elasticity.recovery import BoundaryRecovery
 from ringwear_par.elasticity.updated import UpdatedGeometry
-from ringwear_par.history.bodies import bodies, young
+from ringwear_par.history.bodies import bodies
 
 
 def assemble(case: Case, comm: MPI.Comm | None = None) -> ContactPair:
@@ -22,16 +22,6 @@ def assemble(case: Case, comm: MPI.Comm | None = None) -> ContactPair:
     comm = MPI.COMM_WORLD if comm is None else comm
     load_kernels(comm)
     return assemble_pair(bodies(case), case.line, case.mesh, comm)
-
-
-def contact_compliance(case: Case, comm: MPI.Comm | None = None) -> ContactCompliance:
-    """Return the compliance of a case's contact, assembled for it alone. Collective on comm.
-
-    Raises
-    ------
-    ComputationError : a factorisation failed, or the compliance is not positive definite.
-    """
-    return assemble(case, comm).compliance(young(case))
 
 
 def updated_geometry(case: Case, comm: MPI.Comm) -> UpdatedGeometry:
