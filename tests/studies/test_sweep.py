@@ -46,7 +46,7 @@ def test_equals_single_runs(write, shared_path, comm):
         if comm.rank == 0:
             (shared_path / "one.toml").write_text(text)
         comm.Barrier()
-        run_case(shared_path / "one.toml", run, [], False, None, comm)
+        run_case(shared_path / "one.toml", run, [], comm=comm)
         comm.Barrier()
         with h5py.File(run) as file:
             for name in (*HISTORIES, *PROFILES, "r", "width"):
@@ -177,7 +177,7 @@ def test_sizes_that_do_not_divide_are_refused(write, shared_path, comm):
 
 
 def test_a_failed_case_is_a_row_and_the_others_go_on(write, shared_path, comm, monkeypatch):
-    from ringwear_par.wear.law import ThresholdLaw
+    from ringwear_par.wear.threshold import ThresholdLaw
 
     original = ThresholdLaw.rate
 
