@@ -4,41 +4,38 @@ Where a design leaves many cases, they are chosen at random, with a fixed seed: 
 Sobol sequence or of a grid is no sample of it.
 """
 
-import logging
 import math
 import re
-import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import matplotlib
 import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
-from scipy.special import ndtri
-from scipy.stats import rankdata
 
-from ringwear_par.arrays import BoolArray, FloatArray, IntArray
+from ringwear_par.arrays import FloatArray, IntArray
 from ringwear_par.cases.schema import UNITS
 from ringwear_par.errors import InputError
 from ringwear_par.results.figures import COLOURS, STYLE, check_figure, save_figure
 from ringwear_par.studies.designs import SAMPLED
 from ringwear_par.studies.ensemble import Ensemble, read_ensemble
-
-log = logging.getLogger(__name__)
+from ringwear_par.studies.sensitivity import (
+    SEED,
+    SENSITIVE,
+    Sensitivity,
+    chosen_cases,
+    done_cases,
+    sensitivity,
+)
 
 #: of the values in results.h5, what is drawn of them: factor and label
 _OUTPUTS = {
     "penetration": (1e3, "penetration (\N{MICRO SIGN}m)"),
     "worn_volume_lower": (1.0, "worn volume, lower (mm\N{SUPERSCRIPT THREE})"),
     "worn_volume_upper": (1.0, "worn volume, upper (mm\N{SUPERSCRIPT THREE})"),
-}
-_SENSITIVE = {
-    "penetration": "final penetration",
-    "worn_volume_lower": "final worn volume, lower",
 }
 _MARKERS = ("o", "s", "^", "v", "D", "P", "X", "*")
 _DASHES: tuple[Any, ...] = ("-", "--", ":")
@@ -55,33 +52,6 @@ _DISCRETE, _MOST_LEVELS = 12, 50
 _LINE = 0.18
 #: curves of a list show so much of its cases at least, the others as points
 _SHARE = 0.25
-#: sensitivity indices: fewest and most cases, 95 % confidence from so many resamples
-_FEWEST, _MOST, _RESAMPLES, _SEED = 100, 4000, 100, 1
-#: so many cases differ from the others at least, in so many digits
-_FEWEST_DIFFERING, _DIGITS = 20, 12
-
-
-@dataclass(frozen=True)
-class Sensitivity:
-    """Sensitivity indices of one output, with the half-widths of their 95 % confidence intervals.
-
-    Parameters
-    ----------
-    output : "penetration" or "worn_volume_lower", at the last step.
-    keys : the varied keys that are numbers.
-    used, cases : number of cases that the indices follow from, of so many that are done.
-    delta, delta_conf : moment-independent index, (keys,).
-    s1, s1_conf : first-order index, (keys,).
-    """
-
-    output: str
-    keys: tuple[str, ...]
-    used: int
-    cases: int
-    delta: FloatArray
-    delta_conf: FloatArray
-    s1: FloatArray
-    s1_conf: FloatArray
 
 
 @dataclass(frozen=True)
@@ -199,102 +169,9 @@ def draw_sweep(ensemble: Ensemble) -> Figure:
     return figure
 
 
-def sensitivity(ensemble: Ensemble) -> tuple[Sensitivity, ...]:
-    """Return how the final values depend on the varied keys, from the cases of a sampled design.
-
-    One item an output that varies. None where the design is no sample, and, with a sentence in the
-    log, where SALib is not installed or too few cases are done. The method needs no design of its
-    own: E. Plischke, E. Borgonovo and C. L. Smith, "Global sensitivity measures from given data",
-    European Journal of Operational Research 226 (2013), 536-550. Its confidence is that of
-    resampling; beside it, delta comes out up to about 0.1 too low for a key that matters, and
-    above 0 for one that does not. Always the same for the same results. Not collective.
-    """
-    if ensemble.attributes.get("method") not in SAMPLED:
-        return ()
-    done = _done(ensemble)
-    names, columns = [], []
-    for name, values in ensemble.varied.items():
-        if values.dtype.kind == "f" and len(np.unique(values[done & np.isfinite(values)])) > 1:
-            names.append(name)
-            columns.append(values)
-    if not names:
-        return ()
-    x = np.stack(columns, axis=1)
-    known = done & np.isfinite(x).all(axis=1)
-    found = []
-    for output in _SENSITIVE:
-        y = ensemble.final[output]
-        cases = np.flatnonzero(known & np.isfinite(y))
-        if len(cases) < _FEWEST:
-            log.info(
-                "no sensitivity indices of the %s: %d cases are done, at least %d are needed",
-                _SENSITIVE[output], len(cases), _FEWEST,
-            )  # fmt: skip
-            continue
-        if _differing(y[cases]) < _FEWEST_DIFFERING:
-            log.info(
-                "no sensitivity indices of the %s: it is the same in all cases, or in nearly all",
-                _SENSITIVE[output],
-            )
-            continue
-        chosen = _chosen(cases, _MOST)
-        try:
-            indices = _delta(names, x[chosen], y[chosen])
-        except ImportError:
-            log.warning(
-                "no sensitivity indices: SALib is not installed; "
-                'pip install "ringwear-par[sensitivity]" installs it'
-            )
-            return ()
-        found.append(Sensitivity(output, tuple(names), len(chosen), len(cases), *indices))
-    return tuple(found)
-
-
-def _delta(names: Sequence[str], x: FloatArray, y: FloatArray) -> tuple[FloatArray, ...]:
-    """Return delta, its confidence, S1 and its confidence, by SALib.
-
-    Delta does not change with a monotone function of the output, but SALib's densities on 100
-    points do, and fail for an output that spans decades: it is given normal scores of the ranks.
-    """
-    scores = ndtri((rankdata(_rounded(y)) - 0.5) / len(y))
-    problem = {"num_vars": len(names), "names": list(names)}
-    state = np.random.get_state()  # SALib seeds numpy's own generator
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        import SALib.analyze.delta as salib
-
-        its_numpy = salib.np
-        if not hasattr(np, "trapezoid"):  # SALib 1.5 calls trapz by the name that numpy 2 gave it
-            salib.np = SimpleNamespace(**{**vars(np), "trapezoid": vars(np)["trapz"]})
-        options = {"num_resamples": _RESAMPLES, "seed": _SEED}
-        try:
-            delta = salib.analyze(problem, x, scores, method="delta", **options)
-            first = salib.analyze(problem, x, (y - y.mean()) / y.std(), method="sobol", **options)
-        finally:
-            salib.np = its_numpy
-            np.random.set_state(state)
-    return delta["delta"], delta["delta_conf"], first["S1"], first["S1_conf"]
-
-
-def _rounded(y: FloatArray) -> FloatArray:
-    """Return an output relative to its largest value, without rounding errors."""
-    largest = float(np.abs(y).max())
-    rounded: FloatArray = np.round(y / (largest or 1.0), _DIGITS)
-    return rounded
-
-
-def _differing(y: FloatArray) -> int:
-    """Return the number of cases whose output is not the most frequent one."""
-    return len(y) - int(np.unique(_rounded(y), return_counts=True)[1].max())
-
-
-def _done(ensemble: Ensemble) -> BoolArray:
-    return ensemble.in_study & (np.array(ensemble.status) == "done")
-
-
 def _drawn(ensemble: Ensemble) -> IntArray:
     """Return the numbers of the cases that are drawn."""
-    drawn = np.flatnonzero(_done(ensemble))
+    drawn = np.flatnonzero(done_cases(ensemble))
     if not len(drawn):
         raise InputError(
             f"{ensemble.path}: has no case that is done ({_counts(ensemble)}); must have one at "
@@ -312,13 +189,6 @@ def _counts(ensemble: Ensemble) -> str:
         if count:
             said.append(f"{count} {word}")
     return ", ".join(said)
-
-
-def _chosen(cases: IntArray, most: int) -> IntArray:
-    """Return the cases, or so many of them, increasing."""
-    if len(cases) <= most:
-        return cases
-    return np.sort(np.random.default_rng(_SEED).choice(cases, most, replace=False))
 
 
 def _spans(values: FloatArray, ratio: float) -> bool:
@@ -439,7 +309,7 @@ def _draw_histories(axes: Any, ensemble: Ensemble, drawn: IntArray, keys: Sequen
 
 def _draw_fan(axes: Any, ensemble: Ensemble, drawn: IntArray, columns: int) -> None:
     """Draw quantile bands, the median and a few cases."""
-    cases = _chosen(drawn, _MOST_HISTORIES)
+    cases = chosen_cases(drawn, _MOST_HISTORIES)
     grid, table, even = _fan_table(ensemble, cases)
     low, lower, median, upper, high = np.nanquantile(table, [0.05, 0.25, 0.5, 0.75, 0.95], axis=0)
     colour = COLOURS[0]
@@ -515,7 +385,7 @@ def _draw_indices(axes: Any, found: Sensitivity) -> None:
     axes.grid(axis="x", linewidth=0.4, color="0.85")
     axes.set_axisbelow(True)
     axes.set_xlabel("index, 95 % confidence")
-    title = f"sensitivity of\n{_SENSITIVE[found.output]}"
+    title = f"sensitivity of\n{SENSITIVE[found.output]}"
     if found.used < found.cases:
         title += f"\n({found.used} of {found.cases} cases)"
     _set_legend(axes, 2, title)
@@ -610,7 +480,7 @@ def _draw_band(axes: Any, key: _Key, x: FloatArray, y: FloatArray) -> None:
 
 def _draw_scatter(axes: Any, key: _Key, x: FloatArray, y: FloatArray) -> None:
     levels = np.unique(x)
-    aside = np.random.default_rng(_SEED).uniform(-0.2, 0.2, len(x)) if key.categories else 0.0
+    aside = np.random.default_rng(SEED).uniform(-0.2, 0.2, len(x)) if key.categories else 0.0
     many = len(x) > 200
     axes.plot(
         x + aside, y, color=COLOURS[0], marker="o", linestyle="none", rasterized=many,

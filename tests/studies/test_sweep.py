@@ -46,7 +46,7 @@ def test_equals_single_runs(write, shared_path, comm):
         if comm.rank == 0:
             (shared_path / "one.toml").write_text(text)
         comm.Barrier()
-        run_case(shared_path / "one.toml", run, [], False, None, comm)
+        run_case(shared_path / "one.toml", run, [], comm=comm)
         comm.Barrier()
         with h5py.File(run) as file:
             for name in (*HISTORIES, *PROFILES, "r", "width"):

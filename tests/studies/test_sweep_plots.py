@@ -14,7 +14,8 @@ from ringwear_par.errors import InputError
 from ringwear_par.results.variables import HISTORIES
 from ringwear_par.studies.dataset import Row, write_ensemble
 from ringwear_par.studies.ensemble import Ensemble, read_ensemble
-from ringwear_par.studies.figures import draw_sweep, plot_sweep, sensitivity
+from ringwear_par.studies.figures import draw_sweep, plot_sweep
+from ringwear_par.studies.sensitivity import sensitivity
 from ringwear_par.studies.shards import Entry, Record
 
 pytestmark = pytest.mark.serial
