@@ -8,6 +8,8 @@ from numpy.typing import NDArray
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
+#: a number of a history: a float, or an array (B,) of B histories
+Numbers = Any
 
 
 def columns(numbers: Any) -> Any:

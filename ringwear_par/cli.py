@@ -83,6 +83,11 @@ def _parser() -> argparse.ArgumentParser:
         "--retry-failed", action="store_true", help="compute failed cases again as well"
     )
     sweep.add_argument(
+        "--mix-versions", action="store_true",
+        help="go on where another version of this program has computed cases; the variable version "
+        "tells them apart",
+    )  # fmt: skip
+    sweep.add_argument(
         "--dry-run", action="store_true",
         help="count cases and operators, estimate memory and time; write nothing",
     )  # fmt: skip
@@ -164,7 +169,7 @@ def _sweep(args: argparse.Namespace, comm: Any) -> None:
 
     run_sweep(
         args.study, args.output, args.ranks_per_case, args.part, args.dry_run,
-        args.retry_failed, comm,
+        args.retry_failed, comm, args.mix_versions,
     )  # fmt: skip
 
 
@@ -262,8 +267,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     words = list(sys.argv[1:] if argv is None else argv)
     cut = words.index("--") if "--" in words else len(words)
 
-    import petsc4py
     from mpi4py import MPI
+
+    from ringwear_par.options import start_petsc
 
     comm = MPI.COMM_WORLD
     together = comm.Dup() if comm.size > 1 else None
@@ -278,8 +284,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         args = _parser().parse_args(words[:cut])
         _check_launch(comm.size)
-        # Python's own handling of signals: checkpoints on SIGTERM, quiet ends of pipes
-        petsc4py.init(["ringwear", "-no_signal_handler", *words[cut + 1 :]])
+        start_petsc(words[cut + 1 :])
         _COMMANDS[args.command](args, comm)
         sys.stdout.flush()
         return 0

@@ -2,6 +2,7 @@
 
 import ctypes
 import difflib
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from ringwear_par.errors import InputError
@@ -11,6 +12,16 @@ if TYPE_CHECKING:
 
 #: of the boundary element systems and of the contact problem
 BEM_PREFIX, CONTACT_PREFIX = "bem_", "contact_"
+
+
+def start_petsc(words: Sequence[str]) -> None:
+    """Start PETSc with options of a command line. Collective on the world's communicator.
+
+    Signals stay Python's own: checkpoints on SIGTERM, quiet ends of pipes.
+    """
+    import petsc4py
+
+    petsc4py.init(["ringwear", "-no_signal_handler", *words])
 
 
 def set_from_options(solver: "PETSc.KSP | PETSc.TAO", prefix: str) -> None:

@@ -112,7 +112,9 @@ def in_time(quantity: Quantity, time: float) -> float: ...
 @overload
 def in_time(quantity: Quantity, time: FloatArray) -> FloatArray: ...
 def in_time(quantity: Quantity, time: float | FloatArray) -> float | FloatArray:
-    """Return a number or a table in time at a time (s); (B,) values at (B,) times."""
+    """Return a number or a table in time at a time (s); (B,) of a stack, or at (B,) times."""
+    if isinstance(quantity, Stacked):
+        return quantity.value(time, None)
     if isinstance(time, np.ndarray):
         return np.array(np.broadcast_to(value(quantity, time), time.shape))
     return float(value(quantity, time))
@@ -192,10 +194,20 @@ def breakpoints(*quantities: Quantity | None) -> tuple[float, ...]:
     return tuple(sorted(times))
 
 
-def stack(quantities: Sequence[float | Table]) -> Quantity:
-    """Return one quantity for some histories; equal ones stay as they are."""
+def stack(quantities: Sequence[Quantity]) -> Quantity:
+    """Return one quantity for some histories; equal ones stay as they are.
+
+    Raises
+    ------
+    ValueError : one is a stack itself.
+    """
     first = quantities[0]
-    return first if all(q == first for q in quantities) else Stacked(tuple(quantities))
+    if all(q == first for q in quantities):
+        return first
+    each = tuple(q for q in quantities if not isinstance(q, Stacked))
+    if len(each) < len(quantities):
+        raise ValueError("stacks cannot be stacked")
+    return Stacked(each)
 
 
 def history(quantity: Any, i: int) -> Any:

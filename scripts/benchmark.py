@@ -33,7 +33,7 @@ from ringwear_par.elasticity.body import boundary_conditions, compliance
 from ringwear_par.elasticity.mesh import Mesh, boundary_mesh
 from ringwear_par.elasticity.quadrature import quadrature
 from ringwear_par.elasticity.solve import solve_rows
-from ringwear_par.history.pairs import bodies, young
+from ringwear_par.history.bodies import bodies, young
 from ringwear_par.history.simulate import simulate
 from ringwear_par.history.snapshots import Snapshot
 from ringwear_par.verification.paper import paper_case

@@ -43,9 +43,10 @@ from ringwear_par.elasticity.body import boundary_conditions, solve_body
 from ringwear_par.elasticity.mesh import ContactLine, boundary_mesh
 from ringwear_par.elasticity.pair import ContactCompliance, ContactPair, largest_stable_step
 from ringwear_par.errors import RingwearError
+from ringwear_par.history.bodies import young
 from ringwear_par.history.euler import backward, forward
 from ringwear_par.history.model import WearModel
-from ringwear_par.history.pairs import assemble, young
+from ringwear_par.history.pairs import assemble
 from ringwear_par.history.state import State
 from ringwear_par.history.trace import trace
 from ringwear_par.results.figures import STYLE

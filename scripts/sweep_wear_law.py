@@ -75,8 +75,8 @@ def study(folder: Path, comm: MPI.Intracomm) -> dict[str, float]:
 
 def _evaluated(folder: Path) -> dict[str, float]:
     """Draw the picture and return the numbers. On one rank."""
-    from ringwear_par.studies.dataset import read_ensemble
-    from ringwear_par.studies.designs import read_study
+    from ringwear_par.studies.ensemble import read_ensemble
+    from ringwear_par.studies.study import read_study
 
     case = read_study(STUDY).case(0)
     sliding = case.friction * case.load.omega * sum(case.contact) / 2  # mm/s

@@ -59,9 +59,10 @@ class ActiveSetNewton:
         free = x > 0.0
         tolerance = tao.getTolerances()[0]
         limit = tao.getMaximumIterations()
-        if not free.any():
-            free = self._evaluate(tao, np.zeros_like(x)) < 0.0
-        x[~free] = 0.0
+        if not free.all():
+            if not free.any():
+                free = self._evaluate(tao, np.zeros_like(x)) < 0.0
+            x[~free] = 0.0
         gradient = self._evaluate(tao, x)
         for iteration in range(1, limit + 1):
             if iteration <= _PLAIN_ITERATIONS:

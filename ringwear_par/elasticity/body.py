@@ -21,26 +21,8 @@ from ringwear_par.elasticity.assembly import (
 )
 from ringwear_par.elasticity.mesh import BoundaryMesh, ContactLine, Mesh, boundary_mesh
 from ringwear_par.elasticity.quadrature import quadrature
-from ringwear_par.elasticity.sections import Grip, Section
+from ringwear_par.elasticity.sections import Body, Grip
 from ringwear_par.elasticity.solve import solve_rows
-
-
-@dataclass(frozen=True)
-class Body:
-    """An elastic body of revolution in contact, fixed at the face away from it.
-
-    Parameters
-    ----------
-    section : meridian section, mm, in the body's own frame.
-    young : MPa, Young's modulus.
-    poisson : Poisson's ratio.
-    grip : how the face away from the contact is fixed.
-    """
-
-    section: Section
-    young: float
-    poisson: float
-    grip: Grip
 
 
 @dataclass(frozen=True)

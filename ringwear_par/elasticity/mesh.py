@@ -6,14 +6,14 @@ same interval of radii are paired, which neglects the square of the slope.
 
 import itertools
 import math
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Hashable, Iterable, Sequence
+from dataclasses import dataclass, replace
 from typing import Literal, NamedTuple
 
 import numpy as np
 
 from ringwear_par.arrays import FloatArray, IntArray
-from ringwear_par.elasticity.sections import Section, corners
+from ringwear_par.elasticity.sections import Body, Section, corners
 from ringwear_par.errors import ComputationError, InputError
 
 #: fewest elements of a piece of the contact line
@@ -360,3 +360,16 @@ def node_wear(line: ContactLine, worn: FloatArray) -> FloatArray:
         slope = (worn[a] - worn[b]) / (x[a] - x[b])
         nodes[end] = max(worn[a] + slope * (r[end] - x[a]), worn[a], 0.0)
     return nodes
+
+
+def pair_key(bodies: tuple[Body, Body], contact: tuple[float, float], mesh: Mesh) -> Hashable:
+    """Return what a contact pair depends on; equal for bodies that can share it. Not collective.
+
+    Parameters
+    ----------
+    contact : mm, inner and outer radius of the contact line.
+    """
+    # the unworn pair is the same whether the elements will follow the wear or not
+    unworn = Mesh()
+    mesh = replace(mesh, geometry=unworn.geometry, geometry_tolerance=unworn.geometry_tolerance)
+    return mesh, contact, *((body.section, body.poisson, body.grip) for body in bodies)

@@ -1,15 +1,16 @@
 """Two bodies in contact: everything that a wear history needs to know of their elasticity."""
 
 from collections.abc import Hashable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 from mpi4py import MPI
 from scipy.linalg import eigh
 
 from ringwear_par.arrays import FloatArray
-from ringwear_par.elasticity.body import Body, Compliance, compliance
-from ringwear_par.elasticity.mesh import ContactLine, Mesh
+from ringwear_par.elasticity.body import Compliance, compliance
+from ringwear_par.elasticity.mesh import ContactLine, Mesh, pair_key
+from ringwear_par.elasticity.sections import Body
 from ringwear_par.errors import ComputationError
 
 #: elements wider than this share of their radius are near the axis
@@ -90,6 +91,10 @@ class ContactPair:
     torque_reaction: FloatArray
     key: Hashable
     cost: BodyCost = BodyCost()
+    #: the compliance asked for last, by its moduli: histories in a row often have the same
+    _last: dict[tuple[float, float], ContactCompliance] = field(
+        default_factory=dict, init=False, repr=False, compare=False
+    )
 
     def compliance(self, young: tuple[float, float]) -> ContactCompliance:
         """Return the compliance with Young's moduli (MPa) of lower and upper. Not collective.
@@ -98,6 +103,13 @@ class ContactPair:
         ------
         ComputationError : it is not positive definite (the mesh is far too coarse).
         """
+        if young not in self._last:
+            joined = self._joined(young)
+            self._last.clear()
+            self._last[young] = joined
+        return self._last[young]
+
+    def _joined(self, young: tuple[float, float]) -> ContactCompliance:
         line = self.line
         lower, upper = 1.0 / young[0], 1.0 / young[1]
         normal = lower * self.normal[0] + upper * self.normal[1]
@@ -118,19 +130,6 @@ class ContactPair:
             self.force_reaction,
             self.torque_reaction,
         )
-
-
-def pair_key(bodies: tuple[Body, Body], contact: tuple[float, float], mesh: Mesh) -> Hashable:
-    """Return what a contact pair depends on; equal for bodies that can share it. Not collective.
-
-    Parameters
-    ----------
-    contact : mm, inner and outer radius of the contact line.
-    """
-    # the unworn pair is the same whether the elements will follow the wear or not
-    unworn = Mesh()
-    mesh = replace(mesh, geometry=unworn.geometry, geometry_tolerance=unworn.geometry_tolerance)
-    return mesh, contact, *((body.section, body.poisson, body.grip) for body in bodies)
 
 
 def assemble_pair(

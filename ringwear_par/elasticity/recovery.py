@@ -4,9 +4,10 @@ import numpy as np
 from mpi4py import MPI
 
 from ringwear_par.arrays import FloatArray
-from ringwear_par.elasticity.body import Body, BoundaryResponse, boundary_response, in_case_frame
+from ringwear_par.elasticity.body import BoundaryResponse, boundary_response, in_case_frame
 from ringwear_par.elasticity.boundary_fields import BODIES, FACES, BoundaryFields, Which
 from ringwear_par.elasticity.mesh import BoundaryMesh, ContactLine, Mesh, boundary_mesh, node_wear
+from ringwear_par.elasticity.sections import Body
 
 
 class BoundaryRecovery:

@@ -111,3 +111,21 @@ def corners(section: Section) -> list[float]:
     along = np.diff(section.points, axis=0)
     turn = np.abs(np.diff(np.arctan2(along[:, 1], along[:, 0])))
     return section.points[1:-1, 0][turn > CORNER_ANGLE].tolist()
+
+
+@dataclass(frozen=True)
+class Body:
+    """An elastic body of revolution in contact, fixed at the face away from it.
+
+    Parameters
+    ----------
+    section : meridian section, mm, in the body's own frame.
+    young : MPa, Young's modulus.
+    poisson : Poisson's ratio.
+    grip : how the face away from the contact is fixed.
+    """
+
+    section: Section
+    young: float
+    poisson: float
+    grip: Grip

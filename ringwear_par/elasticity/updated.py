@@ -13,17 +13,16 @@ from mpi4py import MPI
 from ringwear_par.arrays import FloatArray
 from ringwear_par.elasticity.assembly import Assembly, Moving, assemble, number_dofs
 from ringwear_par.elasticity.body import (
-    Body,
     Compliance,
     boundary_conditions,
     compliance,
     condense,
     solve_assembled,
 )
-from ringwear_par.elasticity.mesh import ContactLine, Mesh, boundary_mesh, node_wear
-from ringwear_par.elasticity.pair import ContactPair, join_bodies, pair_key
+from ringwear_par.elasticity.mesh import ContactLine, Mesh, boundary_mesh, node_wear, pair_key
+from ringwear_par.elasticity.pair import ContactPair, join_bodies
 from ringwear_par.elasticity.quadrature import quadrature
-from ringwear_par.elasticity.sections import Section
+from ringwear_par.elasticity.sections import Body, Section
 
 
 def moving_parts(section: Section, line: ContactLine, mesh: Mesh) -> Moving:

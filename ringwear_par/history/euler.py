@@ -8,14 +8,14 @@ rate.
 
 import numpy as np
 
-from ringwear_par.arrays import FloatArray, columns
+from ringwear_par.arrays import FloatArray, Numbers, columns
 from ringwear_par.history.model import WearModel
 from ringwear_par.history.schemes import Step, advanced
 from ringwear_par.history.state import State
 from ringwear_par.schedules import in_time, mean
 
 
-def forward(model: WearModel, state: State, end: float) -> Step:
+def forward(model: WearModel, state: State, end: Numbers) -> Step:
     """Return the explicit step to a time. Collective."""
     length = end - state.time
     omega = mean(model.omega, state.time, end)
@@ -30,7 +30,7 @@ def forward(model: WearModel, state: State, end: float) -> Step:
     return _judged(model, state, after, model.rates(end, now, wear, contact.pressure) - rates)
 
 
-def backward(model: WearModel, state: State, end: float) -> Step:
+def backward(model: WearModel, state: State, end: Numbers) -> Step:
     """Return the implicit step to a time. Collective."""
     length = end - state.time
     omega = mean(model.omega, state.time, end)

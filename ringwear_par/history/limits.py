@@ -8,7 +8,6 @@ from ringwear_par.cases.case import Case
 from ringwear_par.cases.law_trials import refuse_bad_laws
 from ringwear_par.contact.problem import REPLICATED_LIMIT
 from ringwear_par.elasticity.mesh import boundary_mesh, count_elements
-from ringwear_par.elasticity.solve import has_scalapack
 from ringwear_par.errors import InputError
 
 
@@ -25,7 +24,11 @@ def memory_needed(case: Case, ranks: int) -> float:
     unknowns = 4.0 * max(
         count_elements(case.section(r), case.contact, case.mesh) for r in case.rings
     )
-    copies = 1.0 if ranks == 1 or has_scalapack() else float(ranks)
+    copies = 1.0
+    if ranks > 1:
+        from ringwear_par.elasticity.solve import has_scalapack
+
+        copies = 1.0 if has_scalapack() else float(ranks)
     kept = 0.0
     if case.mesh.geometry == "updated":
         kept = 1.25 * sum(law is not None for law in case.laws)

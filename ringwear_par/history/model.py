@@ -10,23 +10,24 @@ The contact of each history is solved by a solver of its own.
 
 from collections.abc import Sequence
 from dataclasses import fields, replace
+from typing import Any
 
 import numpy as np
 from mpi4py import MPI
 
-from ringwear_par.arrays import FloatArray, columns, inner
+from ringwear_par.arrays import FloatArray, Numbers, columns, inner
 from ringwear_par.cases.case import Case
 from ringwear_par.contact.problem import ContactState, WarmStart
 from ringwear_par.contact.solver import ContactSolver
 from ringwear_par.elasticity.pair import BodyCost, ContactPair, largest_stable_step
 from ringwear_par.elasticity.updated import UpdatedGeometry
 from ringwear_par.errors import ComputationError, UnfitError
-from ringwear_par.history.pairs import assemble, updated_geometry, young
+from ringwear_par.history.bodies import young
+from ringwear_par.history.pairs import assemble, updated_geometry
 from ringwear_par.history.state import Start, State
-from ringwear_par.schedules import in_time, integral, largest, stack
+from ringwear_par.schedules import Quantity, in_time, integral, largest, stack
 from ringwear_par.wear.increment import WearIncrement, averaged_rate, averaging
-from ringwear_par.wear.law import LocalState
-from ringwear_par.wear.law import stack as stack_laws
+from ringwear_par.wear.law import LocalState, stack_laws
 
 
 class WearModel:
@@ -69,12 +70,10 @@ class WearModel:
         load = case.load
         if several:
             loads = [c.load for c in self.cases]
-            self.friction = np.array([c.friction for c in self.cases])
+            self.friction: Numbers = np.array([c.friction for c in self.cases])
             self.omega = stack([each.omega for each in loads])
-            self.force = None if load.force is None else stack([each.force for each in loads])
-            self.displacement = (
-                None if load.displacement is None else stack([each.displacement for each in loads])
-            )
+            self.force = _stacked_loads([each.force for each in loads])
+            self.displacement = _stacked_loads([each.displacement for each in loads])
             self.laws = tuple(stack_laws([c.laws[i] for c in self.cases]) for i in (0, 1))
             self._shape: tuple[int, ...] = (len(self.cases), line.n)
         else:
@@ -89,7 +88,8 @@ class WearModel:
         self._take(self.pair)
         #: the wear that the present elasticity is of
         self._followed = np.zeros((2, *self._shape))
-        self._lent, self._warm = solver is not None, None
+        self._lent = solver is not None
+        self._warm: WarmStart | None = None
         if solver is not None:
             solver.cold_start()
             self._solvers = [solver]
@@ -129,9 +129,8 @@ class WearModel:
         except ComputationError as error:
             raise ComputationError(f"step 0 (before any wear): {error}") from error
         self._check_interpenetration()
-        worn, nothing = np.zeros(wear.shape[:-1]), np.zeros(self._shape[:-1])
-        energy = float(nothing) if nothing.ndim == 0 else nothing
-        return self.checked(State(energy, wear, worn, energy, contact))
+        nothing: Numbers = 0.0 if wear.ndim == 2 else np.zeros(len(self.cases))
+        return self.checked(State(nothing, wear, np.zeros(wear.shape[:-1]), nothing, contact))
 
     def _check_interpenetration(self) -> None:
         """Refuse undeformed bodies that overlap by more than the largest force presses them."""
@@ -191,7 +190,7 @@ class WearModel:
     # -- contact, eq. (3) --------------------------------------------------------------------------
 
     def contact(
-        self, time: float, wear: FloatArray, during: WearIncrement | None = None
+        self, time: Numbers, wear: FloatArray, during: WearIncrement | None = None
     ) -> ContactState:
         """Return the contact at a time, under the loads of that time. Collective.
 
@@ -206,8 +205,10 @@ class WearModel:
         ComputationError : the contact was not found.
         """
         gap = self._initial_gap + wear[0] + wear[1]
-        force = None if self.force is None else in_time(self.force, time)
-        approach = None if self.displacement is None else in_time(self.displacement, time)
+        force: Numbers = None if self.force is None else in_time(self.force, time)
+        approach: Numbers = None
+        if self.displacement is not None:
+            approach = in_time(self.displacement, time)
         if not self._wears:
             during = None
         if gap.ndim == 1:
@@ -235,20 +236,22 @@ class WearModel:
 
     # -- wear, eq. (4) -----------------------------------------------------------------------------
 
-    def local_state(self, time: float, omega: float, wear: FloatArray) -> LocalState:
+    def local_state(self, time: Numbers, omega: Numbers, wear: FloatArray) -> LocalState:
         """Return what laws may know of a body, its wear being (..., n) mm, at speed omega."""
         angle, arm = integral(self.omega, 0.0, time), self._arm
         return LocalState(
             time, self._r, columns(omega) * arm, self.friction, wear, columns(angle) * arm
         )
 
-    def increment(self, time: float, omega: float, wear: FloatArray, step: float) -> WearIncrement:
+    def increment(
+        self, time: Numbers, omega: Numbers, wear: FloatArray, step: Numbers
+    ) -> WearIncrement:
         """Return the wear of an implicit step that ends at a time, from wear (2, ..., n) mm on."""
         lower = self.local_state(time, omega, wear[0])
         upper = self.local_state(time, omega, wear[1]) if self.laws[1] is not None else lower
         return WearIncrement(self.laws, (lower, upper), step, self._averages)
 
-    def rates(self, time: float, omega: float, wear: FloatArray, p: FloatArray) -> FloatArray:
+    def rates(self, time: Numbers, omega: Numbers, wear: FloatArray, p: FloatArray) -> FloatArray:
         """Return the rates of wear of lower and upper, (2, ..., n) mm/s, at pressure and wear."""
         rates = np.zeros((2, *p.shape))
         bodies = zip(rates, self.laws, wear, self._averages, strict=True)
@@ -268,11 +271,11 @@ class WearModel:
             return field @ self.area
         return np.stack([field[:, i] @ self.area for i in range(field.shape[1])], axis=1)
 
-    def torque(self, p: FloatArray) -> float:
+    def torque(self, p: FloatArray) -> Numbers:
         """Return the friction torque in full slip, N mm, float or (B,), at pressure (..., n)."""
         return self.friction * inner(self._moment, p)
 
-    def twist(self, p: FloatArray) -> float:
+    def twist(self, p: FloatArray) -> Numbers:
         """Return the area mean of the circumferential displacement jump, mm, at pressure."""
         return self.friction * inner(self.compliance.twist, p)
 
@@ -337,6 +340,16 @@ def _pressed(solver: ContactSolver, case: Case, gap: FloatArray) -> ContactState
 
 def _stacked(solutions: Sequence[ContactState]) -> ContactState:
     """Return the solutions of B histories as one."""
-    return ContactState(
-        *(np.array([getattr(s, f.name) for s in solutions]) for f in fields(ContactState))
-    )
+
+    def of_all(name: str) -> Any:
+        return np.array([getattr(solution, name) for solution in solutions])
+
+    return ContactState(*(of_all(each.name) for each in fields(ContactState)))
+
+
+def _stacked_loads(loads: Sequence[Quantity | None]) -> Quantity | None:
+    """Return the loads of B histories as one, None where none of them has this kind of load."""
+    given = [load for load in loads if load is not None]
+    if given and len(given) < len(loads):
+        raise ValueError("histories under a force and at a displacement cannot be stacked")
+    return stack(given) if given else None

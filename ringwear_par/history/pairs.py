@@ -1,33 +1,13 @@
-"""The elastic bodies of a case, and what is assembled of them."""
-
-from collections.abc import Hashable
+"""What is assembled of a case's bodies."""
 
 from mpi4py import MPI
 
 from ringwear_par.cases.case import Case
 from ringwear_par.elasticity.assembly import load_kernels
-from ringwear_par.elasticity.body import Body
-from ringwear_par.elasticity.pair import ContactCompliance, ContactPair, assemble_pair, pair_key
+from ringwear_par.elasticity.pair import ContactPair, assemble_pair
 from ringwear_par.elasticity.recovery import BoundaryRecovery
 from ringwear_par.elasticity.updated import UpdatedGeometry
-
-
-def bodies(case: Case) -> tuple[Body, Body]:
-    """Return lower and upper. Not collective."""
-    lower, upper = (
-        Body(case.section(ring), ring.young, ring.poisson, ring.grip) for ring in case.rings
-    )
-    return lower, upper
-
-
-def young(case: Case) -> tuple[float, float]:
-    """Return Young's moduli of lower and upper, MPa. Not collective."""
-    return case.lower.young, case.upper.young
-
-
-def operator_key(case: Case) -> Hashable:
-    """Return what the contact pair of a case depends on; equal for cases that can share it."""
-    return pair_key(bodies(case), case.contact, case.mesh)
+from ringwear_par.history.bodies import bodies
 
 
 def assemble(case: Case, comm: MPI.Comm | None = None) -> ContactPair:
@@ -42,16 +22,6 @@ def assemble(case: Case, comm: MPI.Comm | None = None) -> ContactPair:
     comm = MPI.COMM_WORLD if comm is None else comm
     load_kernels(comm)
     return assemble_pair(bodies(case), case.line, case.mesh, comm)
-
-
-def contact_compliance(case: Case, comm: MPI.Comm | None = None) -> ContactCompliance:
-    """Return the compliance of a case's contact, assembled for it alone. Collective on comm.
-
-    Raises
-    ------
-    ComputationError : a factorisation failed, or the compliance is not positive definite.
-    """
-    return assemble(case, comm).compliance(young(case))
 
 
 def updated_geometry(case: Case, comm: MPI.Comm) -> UpdatedGeometry:

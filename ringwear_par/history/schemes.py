@@ -8,7 +8,7 @@ such a function, and a line in ``simulate.METHODS``.
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from ringwear_par.arrays import FloatArray
+from ringwear_par.arrays import FloatArray, Numbers
 from ringwear_par.contact.problem import ContactState
 from ringwear_par.history.model import WearModel
 from ringwear_par.history.state import State
@@ -28,21 +28,21 @@ class Step:
     """
 
     state: State
-    wear_error: float
-    energy_error: float
-    power: float
+    wear_error: Numbers
+    energy_error: Numbers
+    power: Numbers
 
 
-Scheme = Callable[[WearModel, State, float], Step]
+Scheme = Callable[[WearModel, State, Numbers], Step]
 
 
 def advanced(
     model: WearModel,
     state: State,
-    end: float,
+    end: Numbers,
     depths: FloatArray,
     volumes: FloatArray,
-    energy: float,
+    energy: Numbers,
     contact: ContactState,
 ) -> State:
     """Return the state at the end of a step.

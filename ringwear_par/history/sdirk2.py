@@ -12,7 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ringwear_par.arrays import columns, inner
+from ringwear_par.arrays import Numbers, columns, inner
 from ringwear_par.history.model import WearModel
 from ringwear_par.history.schemes import Step, advanced
 from ringwear_par.history.state import State
@@ -27,7 +27,7 @@ _DEFECT = np.array([_AT_START, _AT_STAGE, 1.0 - _AT_START - _AT_STAGE]) - _WEIGH
 _SHARE = (1.0 - GAMMA) / GAMMA
 
 
-def step(model: WearModel, state: State, end: float) -> Step:
+def step(model: WearModel, state: State, end: Numbers) -> Step:
     """Return the step to a time. Collective."""
     length = end - state.time
     middle = state.time + GAMMA * length

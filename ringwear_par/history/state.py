@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from ringwear_par.arrays import FloatArray
+from ringwear_par.arrays import FloatArray, Numbers
 from ringwear_par.contact.problem import ContactState, WarmStart
 
 
@@ -20,10 +20,10 @@ class State:
     shape : (2, ..., n) float, mm, the wear that the elements have followed; None where they do not.
     """
 
-    time: float
+    time: Numbers
     wear: FloatArray
     worn: FloatArray
-    energy: float
+    energy: Numbers
     contact: ContactState
     shape: FloatArray | None = None
 

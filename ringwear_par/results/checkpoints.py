@@ -13,7 +13,7 @@ from ringwear_par.results.variables import Variable
 if TYPE_CHECKING:
     import h5py
 
-    from ringwear_par.contact.solver import WarmStart
+    from ringwear_par.contact.problem import WarmStart
     from ringwear_par.history.state import Progress, Start, State
     from ringwear_par.results.result import Result
 

@@ -148,7 +148,10 @@ def _drawn_panels(
     layout: Any = "compressed" if set(panels) == {"section"} else "constrained"
     figure = Figure(figsize=(3.6 * columns, 3.3 * lines), layout=layout)
     for number, draw in enumerate(drawings):
-        draw(figure.add_subplot(lines, columns, number + 1))
+        axes = figure.add_subplot(lines, columns, number + 1)
+        # else taken when the figure is drawn, where another style may hold
+        axes.tick_params(labelsize=STYLE["font.size"])
+        draw(axes)
     titles = {str(result.attributes["title"]) for result in results} - {""}
     if len(titles) == 1:
         figure.suptitle(titles.pop(), fontsize=8.0)

@@ -159,7 +159,7 @@ class Recorder:
             return ()
         return self._instability + doubts(self._last.model, self._last.state, self.balances)
 
-    def arrays(self) -> dict[str, FloatArray]:
+    def arrays(self) -> dict[str, Any]:
         """Return what is stored so far by variable, ``step`` (what rows are called) included."""
         line, steps = self._case.line, np.array(self._steps, dtype=np.int64)
         return {

@@ -6,8 +6,8 @@ from ringwear_par.cases.case import Case
 from ringwear_par.elasticity.pair import ContactPair
 from ringwear_par.errors import InputError
 from ringwear_par.history import simulate as history
+from ringwear_par.history.bodies import operator_key
 from ringwear_par.history.limits import check_case
-from ringwear_par.history.pairs import operator_key
 from ringwear_par.parallel import on_first_rank
 from ringwear_par.results.recorder import Recorder
 from ringwear_par.results.result import Result

@@ -50,7 +50,7 @@ class Watch:
     comm : communicator; calls are collective, and answered alike on all ranks.
     """
 
-    def __init__(self, signals: StopSignals, save: Callable[[], None], comm: MPI.Comm) -> None:
+    def __init__(self, signals: StopSignals, save: Callable[[], object], comm: MPI.Comm) -> None:
         self._signals, self._save, self._comm = signals, save, comm
         self._saved = time.perf_counter()
         #: the signal that the ranks agreed to stop for, or 0

@@ -22,11 +22,12 @@ from scipy.special import ndtri
 from scipy.stats import rankdata
 
 from ringwear_par.arrays import BoolArray, FloatArray, IntArray
+from ringwear_par.atomic import atomic_write
 from ringwear_par.cases.schema import UNITS
 from ringwear_par.errors import InputError
-from ringwear_par.results.figures import COLOURS, STYLE, check_figure, save_figure
-from ringwear_par.studies.dataset import Ensemble, read_ensemble
+from ringwear_par.results.figures import COLOURS, STYLE, check_figure
 from ringwear_par.studies.designs import SAMPLED
+from ringwear_par.studies.ensemble import Ensemble, read_ensemble
 
 log = logging.getLogger(__name__)
 
@@ -159,7 +160,8 @@ def plot_sweep(folder: Path, output: Path) -> None:
     """
     check_figure(output)
     figure = draw_sweep(read_ensemble(folder))
-    save_figure(figure, output)
+    with matplotlib.rc_context(STYLE), atomic_write(output) as temporary:
+        figure.savefig(temporary)
 
 
 def draw_sweep(ensemble: Ensemble) -> Figure:

@@ -11,8 +11,9 @@ from ringwear_par.cases.case import Case
 from ringwear_par.contact.solver import ContactSolver
 from ringwear_par.elasticity.pair import ContactPair
 from ringwear_par.errors import InputError, RingwearError
+from ringwear_par.history.bodies import operator_key, young
 from ringwear_par.history.limits import check_case
-from ringwear_par.history.pairs import assemble, operator_key, young
+from ringwear_par.history.pairs import assemble
 from ringwear_par.history.simulate import simulate
 from ringwear_par.results.recorder import Recorder
 from ringwear_par.results.result import FailedResult, Result

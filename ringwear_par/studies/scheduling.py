@@ -1,4 +1,4 @@
-"""The board of a sweep: teams of ranks draw cases from shared counters, without a master.
+"""The scheduler of a sweep: teams of ranks draw cases from shared counters, without a master.
 
 Every team first takes whole groups of cases, longest first, so that an operator is assembled once,
 by the team that takes its group. When no group is left untaken, a team that is free helps with the
@@ -12,7 +12,7 @@ from mpi4py import MPI
 
 from ringwear_par.arrays import IntArray
 
-#: places of the board before the groups' counters
+#: places of the counters before the groups' counters
 _GROUP, _STOP, _DONE, _FAILED = range(4)
 _PLACES = 4
 

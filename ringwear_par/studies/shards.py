@@ -24,7 +24,16 @@ FOLDER = "shards"
 _SYNC_SECONDS = 1.0
 #: how long to wait for processes of a killed sweep to end
 _BUSY_SECONDS = 5.0
-_COLUMNS = "id, toml, status, error, seconds, imbalance, layout, data"
+_COLUMNS = {
+    "id": "TEXT PRIMARY KEY", "toml": "TEXT", "status": "TEXT", "error": "TEXT", "seconds": "REAL",
+    "imbalance": "REAL", "layout": "TEXT", "data": "BLOB", "version": "TEXT", "flags": "TEXT",
+}  # fmt: skip
+#: what cases have that were stored before these columns were
+_DEFAULTS = {"version": "unknown", "flags": ""}
+#: version of such cases
+UNKNOWN_VERSION = _DEFAULTS["version"]
+#: between the flags of a case
+_SEPARATOR = ", "
 
 
 @dataclass(frozen=True)
@@ -41,6 +50,8 @@ class Record:
     imbalance : worst balance or KKT residual of its steps (0 where it has no history).
     arrays : variables by name: histories (steps,), fields (steps, elements) or (elements,), ``r``
         and ``width`` (elements,), ``step`` (steps,).
+    version : of ringwear-par that computed it.
+    flags : short names of what makes the answer doubtful.
     """
 
     id: str
@@ -50,6 +61,18 @@ class Record:
     seconds: float
     imbalance: float
     arrays: dict[str, FloatArray]
+    version: str
+    flags: tuple[str, ...] = ()
+
+
+def join_flags(flags: Sequence[str]) -> str:
+    """Return the flags of a case as files store them."""
+    return _SEPARATOR.join(flags)
+
+
+def split_flags(text: str) -> tuple[str, ...]:
+    """Return the flags that a file stores of a case."""
+    return tuple(text.split(_SEPARATOR)) if text else ()
 
 
 @lru_cache(maxsize=256)
@@ -73,6 +96,16 @@ def _connect(path: Path) -> sqlite3.Connection:
     return connection
 
 
+def _columns_there(connection: sqlite3.Connection) -> set[str]:
+    return {row[1] for row in connection.execute("PRAGMA table_info(cases)")}
+
+
+def _selected(connection: sqlite3.Connection, names: Sequence[str]) -> str:
+    """Return the columns of a query, with defaults where an older file has none."""
+    there = _columns_there(connection)
+    return ", ".join(name if name in there else f"'{_DEFAULTS[name]}'" for name in names)
+
+
 class Shard:
     """The file that a team writes its cases to; a context manager.
 
@@ -91,10 +124,11 @@ class Shard:
             self._connection = _connect(path)
             self._connection.execute("PRAGMA journal_mode=WAL")
             self._connection.execute("PRAGMA synchronous=NORMAL")
-            self._connection.execute(
-                "CREATE TABLE IF NOT EXISTS cases (id TEXT PRIMARY KEY, toml TEXT, status TEXT, "
-                "error TEXT, seconds REAL, imbalance REAL, layout TEXT, data BLOB)"
-            )
+            table = ", ".join(f"{name} {kind}" for name, kind in _COLUMNS.items())
+            self._connection.execute(f"CREATE TABLE IF NOT EXISTS cases ({table})")
+            for name in _DEFAULTS.keys() - _columns_there(self._connection):
+                default = f"{_COLUMNS[name]} DEFAULT '{_DEFAULTS[name]}'"
+                self._connection.execute(f"ALTER TABLE cases ADD COLUMN {name} {default}")
         self._synced = time.monotonic()
 
     @contextmanager
@@ -117,10 +151,11 @@ class Shard:
         )
         with self._told():
             self._connection.execute(
-                f"INSERT OR REPLACE INTO cases ({_COLUMNS}) VALUES (?, ?, ?, ?, ?, ?, ?, ?)",
+                f"INSERT OR REPLACE INTO cases ({', '.join(_COLUMNS)}) "
+                f"VALUES ({', '.join('?' for _ in _COLUMNS)})",
                 (
                     record.id, record.toml, record.status, record.error, record.seconds,
-                    record.imbalance, layout, data,
+                    record.imbalance, layout, data, record.version, join_flags(record.flags),
                 ),
             )  # fmt: skip
             if time.monotonic() - self._synced > _SYNC_SECONDS:
@@ -150,6 +185,7 @@ class Entry:
     fields : the fields along the contact line that are stored.
     deep : whether they are stored at every stored step.
     path : the file that holds it.
+    version, flags : as in Record.
     """
 
     status: str
@@ -158,6 +194,8 @@ class Entry:
     fields: tuple[str, ...]
     deep: bool
     path: Path
+    version: str
+    flags: tuple[str, ...] = ()
 
 
 def read_index(path: Path) -> dict[str, Entry] | None:
@@ -176,34 +214,37 @@ def read_index(path: Path) -> dict[str, Entry] | None:
                 return None
             if not connection.execute("SELECT 1 FROM sqlite_master WHERE name='cases'").fetchone():
                 return {}  # killed before its first case
-            rows = connection.execute("SELECT id, status, layout FROM cases").fetchall()
+            names = _selected(connection, ("id", "status", "layout", "version", "flags"))
+            rows = connection.execute(f"SELECT {names} FROM cases").fetchall()
         finally:
             connection.close()
     except sqlite3.OperationalError as error:
         raise ComputationError(f"{path}: cannot be read: {error}") from error
     except sqlite3.DatabaseError:
         return None
-    return {identity: _entry(status, layout, path) for identity, status, layout in rows}
+    return {identity: _entry(path, *row) for identity, *row in rows}
 
 
-def _entry(status: str, layout: str, path: Path) -> Entry:
+def _entry(path: Path, status: str, layout: str, version: str, flags: str) -> Entry:
     shapes = _layout(layout)
     fields = tuple(name for name in PROFILES if name in shapes)
     deep = any(len(shapes[name]) == 2 for name in fields)
-    return Entry(status, shapes.get("time", (0,))[0], shapes.get("r", (0,))[0], fields, deep, path)
+    stored, elements = (shapes.get(name, (0,))[0] for name in ("time", "r"))
+    return Entry(status, stored, elements, fields, deep, path, version, split_flags(flags))
 
 
 def read_records(path: Path, ids: Sequence[str]) -> Iterator[Record]:
     """Yield some cases of a shard. Not collective."""
     connection = _connect(path)
     try:
+        query = f"SELECT {_selected(connection, tuple(_COLUMNS))} FROM cases WHERE id = ?"
         for identity in ids:
-            row = connection.execute(
-                f"SELECT {_COLUMNS} FROM cases WHERE id = ?", (identity,)
-            ).fetchone()
-            identity, toml, status, error, seconds, imbalance, layout, data = row
-            arrays = _unpacked(layout, data)
-            yield Record(identity, toml, status, error, seconds, imbalance, arrays)
+            row = connection.execute(query, (identity,)).fetchone()
+            _, toml, status, error, seconds, imbalance, layout, data, version, flags = row
+            yield Record(
+                identity, toml, status, error, seconds, imbalance, _unpacked(layout, data),
+                version, split_flags(flags),
+            )  # fmt: skip
     finally:
         connection.close()
 

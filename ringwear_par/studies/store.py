@@ -14,10 +14,10 @@ from pathlib import Path
 import h5py
 
 from ringwear_par.errors import InputError
+from ringwear_par.history.balances import Balances
 from ringwear_par.results.files import open_result
 from ringwear_par.results.variables import PROFILES
-from ringwear_par.studies import dataset as ensemble
-from ringwear_par.studies import shards
+from ringwear_par.studies import dataset, shards
 from ringwear_par.studies.dataset import RESULTS, Row
 from ringwear_par.studies.shards import Entry, Record
 
@@ -95,7 +95,7 @@ class Store:
         notes = []
         results = self.folder / RESULTS
         if results.exists():
-            found = ensemble.read_entries(results)
+            found = dataset.read_entries(results)
             if found is None:
                 aside = results.with_name("results.damaged.h5")
                 if mend:
@@ -138,7 +138,7 @@ class Store:
             if path.suffix == ".sqlite":
                 yield from shards.read_records(path, ids)
             elif path.name == RESULTS:
-                yield from ensemble.read_records(path, ids)
+                yield from dataset.read_records(path, ids)
             else:
                 yield _interrupted_record(path)
 
@@ -151,7 +151,7 @@ class Store:
                 (self.folder / name).rmdir()
 
 
-_NOTHING = Entry("", 0, 0, (), False, Path())
+_NOTHING = Entry("", 0, 0, (), False, Path(), "")
 
 
 def _interrupted(path: Path) -> Entry | None:
@@ -159,7 +159,8 @@ def _interrupted(path: Path) -> Entry | None:
         with h5py.File(path, "r") as file:
             fields = tuple(name for name in PROFILES if name in file)
             deep = any(file[name].ndim == 2 for name in fields)
-            return Entry("incomplete", len(file["time"]), len(file["r"]), fields, deep, path)
+            stored, elements, version = len(file["time"]), len(file["r"]), file.attrs["version"]
+            return Entry("incomplete", stored, elements, fields, deep, path, str(version))
     except (OSError, KeyError, RuntimeError):
         return None
 
@@ -167,13 +168,14 @@ def _interrupted(path: Path) -> Entry | None:
 def _interrupted_record(path: Path) -> Record:
     result = open_result(path)
     arrays = {
-        "step": result.step.astype(float),
+        "step": result.step,
         **result.histories,
         "r": result.line.r,
         "width": result.line.width,
         **result.profiles,
     }
-    seconds, worst = (float(result.attributes[k]) for k in ("seconds_stepping", "imbalance"))
+    about, worst = result.attributes, Balances(**result.balances).worst
     return Record(
-        path.stem, str(result.attributes["case"]), "incomplete", "", seconds, worst, arrays
-    )
+        path.stem, result.case, "incomplete", "", float(about["seconds_stepping"]), worst, arrays,
+        str(about["version"]),
+    )  # fmt: skip

@@ -170,8 +170,18 @@ class Law:
         """Return the law with another number, or other values at the elements."""
         return replace(self, **{name: there})  # type: ignore[type-var]
 
-    def per_energy(self, friction: float) -> float | None:
-        """Return worn volume per dissipated energy, 1/MPa, if it is always the same."""
+    def per_energy(self, friction: float | FloatArray) -> float | FloatArray | None:
+        """Return worn volume per dissipated energy, 1/MPa, if it is always the same.
+
+        Of B histories, whose friction coefficients are (B,): (B,), 0 where it is not.
+        """
+        if not isinstance(friction, np.ndarray):
+            return self._per_energy(friction)
+        each = [self.history(i)._per_energy(float(mu)) for i, mu in enumerate(friction)]
+        return np.array([ratio or 0.0 for ratio in each])
+
+    def _per_energy(self, friction: float) -> float | None:
+        """Return what ``per_energy`` is of one history."""
         return None
 
     def onset(self, local: LocalState) -> float | FloatArray:
@@ -320,9 +330,8 @@ class CompletedLaw(Law):
         own: Any = self.own
         return replace(self, own=replace(own, **{name: there}))
 
-    def per_energy(self, friction: float) -> float | None:
-        """Return worn volume per dissipated energy, 1/MPa, if it is always the same."""
-        return self._own("per_energy", super().per_energy)(friction)
+    def _per_energy(self, friction: float) -> float | None:
+        return self._own("per_energy", super()._per_energy)(friction)
 
     def onset(self, local: LocalState) -> float | FloatArray:
         """Return the pressure, MPa, up to which nothing wears."""
@@ -343,7 +352,7 @@ def complete(law: WearLaw | Law) -> Law:
     return law if isinstance(law, Law) else CompletedLaw(law)
 
 
-def stack(laws: Sequence[Law]) -> Law:
+def stack_laws(laws: Sequence[Law | None]) -> Law | None:
     """Return one law for B histories from theirs, whose parameters are arrays where they differ.
 
     Raises
@@ -353,6 +362,7 @@ def stack(laws: Sequence[Law]) -> Law:
     first = laws[0]
     if all(law is first or law == first for law in laws):
         return first
-    if any(type(law) is not type(first) for law in laws):
-        raise ValueError("laws of different classes cannot be stacked")
-    return first.stacked(laws)
+    same = [law for law in laws if law is not None and type(law) is type(first)]
+    if first is None or len(same) < len(laws):
+        raise ValueError("laws of different kinds cannot be stacked")
+    return first.stacked(same)

@@ -32,6 +32,6 @@ class NonLocalLaw(ThresholdLaw):
         ),
     ] = field(kw_only=True)
 
-    def per_energy(self, friction: float) -> float | None:
+    def _per_energy(self, friction: float) -> float | None:
         """Return None: the sliding speed is not averaged."""
         return None

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from petsc4py import PETSc
 
-from ringwear_par.elasticity.body import Body, boundary_response, compliance, in_case_frame
+from ringwear_par.elasticity.body import boundary_response, compliance, in_case_frame
 from ringwear_par.elasticity.mesh import Mesh, contact_line
-from ringwear_par.elasticity.sections import Section
+from ringwear_par.elasticity.sections import Body, Section
 from ringwear_par.elasticity.solve import has_scalapack
 from ringwear_par.verification.elasticity import (
     bar_error,

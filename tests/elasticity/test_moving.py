@@ -11,7 +11,8 @@ from ringwear_par.elasticity.body import compliance
 from ringwear_par.elasticity.mesh import Mesh, contact_line, node_wear
 from ringwear_par.elasticity.updated import moving_parts
 from ringwear_par.errors import ComputationError
-from ringwear_par.history.pairs import assemble, bodies, updated_geometry
+from ringwear_par.history.bodies import bodies
+from ringwear_par.history.pairs import assemble, updated_geometry
 from ringwear_par.verification.paper import paper_case
 from ringwear_par.wear.threshold import ThresholdLaw
 

@@ -8,12 +8,13 @@ import pytest
 
 from ringwear_par.cases.case import Stepping
 from ringwear_par.cases.reading import parse_case, read_case
-from ringwear_par.elasticity.body import Body, compliance
+from ringwear_par.elasticity.body import compliance
 from ringwear_par.elasticity.mesh import Mesh, contact_line
-from ringwear_par.elasticity.sections import Section
+from ringwear_par.elasticity.sections import Body, Section
 from ringwear_par.errors import InputError
+from ringwear_par.history.bodies import young
 from ringwear_par.history.model import WearModel
-from ringwear_par.history.pairs import assemble, young
+from ringwear_par.history.pairs import assemble
 from ringwear_par.history.trace import trace
 from ringwear_par.verification.paper import paper_case
 from ringwear_par.verification.reference import contact_modulus

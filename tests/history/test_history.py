@@ -8,8 +8,9 @@ import pytest
 
 from ringwear_par.cases.case import Load, Stepping
 from ringwear_par.contact.solver import ContactSolver
+from ringwear_par.history.bodies import young
 from ringwear_par.history.model import WearModel
-from ringwear_par.history.pairs import assemble, young
+from ringwear_par.history.pairs import assemble
 from ringwear_par.history.trace import trace
 from ringwear_par.wear.threshold import ThresholdLaw
 

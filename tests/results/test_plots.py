@@ -152,6 +152,9 @@ def test_results_and_files_are_drawn_alike(runs, tmp_path):
         drawn.append(tmp_path / f"{number}.png")
         save_figure(figure, drawn[-1])
     assert len({path.read_bytes() for path in drawn}) == 1
+    drawn.append(tmp_path / "plain.png")  # the figure takes its style along
+    figure.savefig(drawn[-1], dpi=200)
+    assert len({path.read_bytes() for path in drawn}) == 1
     alone = [plot(source, "penetration").axes[0] for source in (first, runs[0], str(runs[0]))]
     assert all(
         np.array_equal(axes.lines[0].get_ydata(), 1e3 * first.histories["penetration"])

@@ -1,13 +1,21 @@
 """Study files: designs, ids, groups, and what is wrong with bad ones."""
 
+import os
 import re
+import subprocess
+import sys
+import tomllib
 from pathlib import Path
 
 import numpy as np
 import pytest
+from swept import write_study
 
+from ringwear_par.cases.reading import make_case
 from ringwear_par.errors import InputError
-from ringwear_par.studies.designs import case_id, read_study
+from ringwear_par.studies import plan
+from ringwear_par.studies import study as studies
+from ringwear_par.studies.study import case_id, read_study, read_study_together
 
 CASE = (Path(__file__).parents[2] / "scripts/cases/paper.toml").read_text()
 GRID = """
@@ -27,13 +35,9 @@ mesh.contact_elements = { linear = [8, 16] }
 
 
 @pytest.fixture
-def write(tmp_path):
-    (tmp_path / "paper.toml").write_text(CASE)
-
-    def written(text, name="study.toml"):
-        path = tmp_path / name
-        path.write_text('case = "paper.toml"\n' + text)
-        return path
+def write(shared_path, comm):
+    def written(text):
+        return write_study(shared_path, comm, text, CASE)
 
     return written
 
@@ -83,8 +87,8 @@ def test_latin_hypercube_has_one_point_in_each_stratum(write):
     assert sorted(strata) == list(range(50))
 
 
-def test_list_from_a_table(write, tmp_path):
-    (tmp_path / "rows.csv").write_text(
+def test_list_from_a_table(write, shared_path):
+    (shared_path / "rows.csv").write_text(
         'load.pressure,upper.r,time.scheme\n50,"[28, 32]",implicit\n60.5,"[28.5, 31.5]",explicit\n'
     )
     study = read_study(write('[design]\nmethod = "list"\nfile = "rows.csv"\n'))
@@ -106,12 +110,11 @@ def test_a_byte_order_mark_is_no_part_of_a_text(tmp_path):
     assert study.rows == ((50, 1e-7), (60, 2e-7))
 
 
-def test_schemes_vary_and_each_has_the_keys_that_it_knows(write, tmp_path):
+def test_schemes_vary_and_each_has_the_keys_that_it_knows(shared_path, comm):
     """A base case says the tolerance of the adaptive ones and the step of the others."""
     adaptive = CASE.replace('"implicit"', '"adaptive"') + "tolerance = 1e-5\n"
-    (tmp_path / "paper.toml").write_text(adaptive)
     text = '[vary]\n"time.scheme" = { values = ["implicit", "adaptive"] }\n'
-    study = read_study(write(text))
+    study = read_study(write_study(shared_path, comm, text, adaptive))
     assert [study.case(n).time.end for n in (0, 1)] == [200.0, 200.0]
     assert study.case(1).time.tolerance == 1e-5
     assert "time.tolerance" not in study.keys(0)
@@ -208,3 +211,92 @@ def test_parameters_of_a_user_law_vary(tmp_path):
     assert read_study(study, 1).ids == read.ids
     (moved / "user_law.py").write_text((moved / "user_law.py").read_text() + "\n# changed\n")
     assert not set(read_study(study, 1).ids) & set(read.ids)
+
+
+def test_tables_in_python_are_a_study(write, tmp_path):
+    """As the file says it, the base case by name or as tables itself."""
+    path = write(GRID)
+    tables = tomllib.loads(path.read_text())
+    base = path.parent / "paper.toml"
+    of_file = read_study(path)
+    for case in (base, str(base), tomllib.loads(CASE)):
+        found = read_study({**tables, "case": case})
+        assert (found.ids, found.rows, found.groups) == (of_file.ids, of_file.rows, of_file.groups)
+        assert found.case(3) == of_file.case(3)
+    with pytest.raises(InputError, match=r"^study: case is missing"):
+        read_study({"vary": tables["vary"]})
+    with pytest.raises(InputError, match=r"^study: case 1: load.pressure = -1"):
+        read_study({"case": base, "vary": {"load.pressure": {"values": [-1]}}})
+
+
+def test_every_rank_checks_its_share_of_the_cases(write, comm, monkeypatch):
+    """Each case is made once, by one rank, and the study is that of one rank."""
+    text = SAMPLED + '[design]\nmethod = "sobol"\ncount = 37\n'
+    path, made = write(text), []
+
+    def counted(keys, name, **how):
+        made.append(name)
+        return make_case(keys, name, **how)
+
+    monkeypatch.setattr(studies, "make_case", counted)
+    found = read_study_together(path, 1, comm)
+    mine = len(made)
+    assert mine in (37 // comm.size, -(-37 // comm.size))
+    assert comm.allreduce(mine) == 37
+    assert (found is None) == (comm.rank > 0)
+    alone = read_study(path)
+    if found is not None:
+        for name in ("ids", "rows", "groups", "pickled"):
+            assert getattr(found, name) == getattr(alone, name), name
+        made.clear()
+        assert found.case(36) == make_case(found.keys(36), "")
+        assert found.case(36).text == make_case(found.keys(36), "").text
+        assert not made
+
+
+def test_faults_found_together_are_those_found_alone(write, comm):
+    text = '[vary]\n"load.pressure" = { linear = [-100, 10], count = 30 }\n'
+    path = write(text)
+    with pytest.raises(InputError) as alone:
+        read_study(path)
+    with pytest.raises(InputError) as found:
+        read_study_together(path, 1, comm)
+    assert found.value.faults == alone.value.faults
+    assert "case 5" in found.value.faults[4]
+    assert "22 more of 30 cases are bad" in found.value.faults[-1]
+
+
+@pytest.mark.serial
+def test_all_teams_have_to_fit_into_the_machine(write, tmp_path, monkeypatch):
+    """Those that assemble at once, and what every rank holds."""
+    machine = float(os.sysconf("SC_PAGE_SIZE")) * os.sysconf("SC_PHYS_PAGES")
+    study = read_study(
+        write('[vary]\n"upper.poisson" = { values = [0.1, 0.2, 0.3] }\n"lower.young" = '
+              "{ values = [1e4, 2e4] }\n")
+    )  # fmt: skip
+    monkeypatch.setattr(plan, "memory_needed", lambda case, ranks: 0.4 * machine)
+
+    def planned(ranks, ranks_per_case=1):
+        return plan.make_plan(study, plan.Request(tmp_path / "out", ranks, ranks_per_case), None)
+
+    assert planned(2).memory_needed() == pytest.approx(0.8 * machine)
+    assert planned(4, 2).memory_needed() == pytest.approx(0.8 * machine)
+    monkeypatch.setattr(plan, "memory_needed", lambda case, ranks: 0.125 * machine * ranks)
+    with pytest.raises(InputError, match=r"8 teams of 1 rank need about .* GB of memory at once"):
+        planned(8)
+    monkeypatch.setattr(plan, "memory_needed", lambda case, ranks: 0.4 * machine)
+    # fewer operators than teams: all ranks assemble each of them
+    assert planned(4).memory_needed() == pytest.approx(0.4 * machine, rel=0.01)
+
+
+@pytest.mark.serial
+def test_reading_studies_and_results_starts_neither_mpi_nor_petsc_nor_numba():
+    code = """
+import sys
+import ringwear_par.studies.study, ringwear_par.studies.ensemble, ringwear_par.studies.figures
+print([name for name in ("mpi4py.MPI", "petsc4py.PETSc", "numba") if name in sys.modules])
+"""
+    told = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=True
+    )
+    assert told.stdout == "[]\n"

@@ -1,57 +1,31 @@
 """Sweeps: the numbers of single runs, one assembly for many cases, extension and resumption."""
 
-import csv
-from pathlib import Path
+import re
+import tomllib
+from functools import partial
 
 import h5py
 import numpy as np
 import pytest
+from swept import CASE, STUDY, table, variables, write_study
 
 from ringwear_par.errors import ComputationError, InputError
 from ringwear_par.results.run import run_case
 from ringwear_par.results.variables import HISTORIES, PROFILES
-from ringwear_par.studies import sweep
-from ringwear_par.studies.dataset import read_ensemble
-
-CASE = (Path(__file__).parents[2] / "scripts/cases/paper.toml").read_text()
-CASE = CASE.replace("steps = 200", "steps = 20\n\n[mesh]\ncontact_elements = 16")
-STUDY = """
-[vary]
-"wear.lower.k" = { log = [1e-8, 1e-6], count = 3 }
-"upper.young" = { values = [5e4, 1e5] }
-"upper.r" = { values = [[28.5, 31.5], [28, 32]] }
-[design]
-method = "grid"
-"""
+from ringwear_par.studies import operators, sweep, workers
+from ringwear_par.studies.ensemble import open_ensemble, read_ensemble
+from ringwear_par.studies.study import read_study
 
 
 @pytest.fixture
 def write(shared_path, comm):
-    def written(text, case=CASE):
-        path = shared_path / "study.toml"
-        if comm.rank == 0:
-            (shared_path / "paper.toml").write_text(case)
-            path.write_text('case = "paper.toml"\n' + text)
-        comm.Barrier()
-        return path
-
-    return written
+    return partial(write_study, shared_path, comm)
 
 
 def swept(study, folder, comm, ranks_per_case=1, part=None, retry=False):
     status = sweep.run_sweep(study, folder, ranks_per_case, part, False, retry, comm)
     comm.Barrier()
     return status
-
-
-def table(folder):
-    with (folder / "cases.csv").open(newline="") as file:
-        return list(csv.DictReader(file))
-
-
-def variables(folder):
-    with h5py.File(folder / "results.h5") as file:
-        return {name: file[name][()] for name in file if name != "seconds"}
 
 
 def same(one, other):
@@ -71,7 +45,7 @@ def test_equals_single_runs(write, shared_path, comm):
         if comm.rank == 0:
             (shared_path / "one.toml").write_text(text)
         comm.Barrier()
-        run_case(shared_path / "one.toml", run, [], comm=comm)
+        run_case(shared_path / "one.toml", run, [], False, None, comm)
         comm.Barrier()
         with h5py.File(run) as file:
             for name in (*HISTORIES, *PROFILES, "r", "width"):
@@ -85,10 +59,8 @@ def test_equals_single_runs(write, shared_path, comm):
 
 
 def test_opens_lazily_in_xarray_with_coordinates(write, shared_path, comm):
-    import xarray
-
     swept(write(STUDY), shared_path / "out", comm)
-    with xarray.open_dataset(shared_path / "out" / "results.h5", engine="h5netcdf") as data:
+    with open_ensemble(shared_path / "out") as data:
         assert data.pressure.dims == ("case", "step", "element")
         assert data.pressure._in_memory is False
         assert {"wear.lower.k", "upper.young", "upper.r"} <= set(data.pressure.coords)
@@ -106,9 +78,9 @@ def test_fifty_geometries_cost_fifty_assemblies(write, shared_path, comm, monkey
         '"time.steps" = { values = [2] }\n'
     )
     assembled = []
-    original = sweep.assemble
+    original = operators.assemble
     monkeypatch.setattr(
-        sweep, "assemble",
+        operators, "assemble",
         lambda case, team: (assembled.append(case.upper.r), original(case, team))[1],
     )  # fmt: skip
     swept(study, shared_path / "out", comm)
@@ -140,7 +112,7 @@ def test_again_recomputes_nothing_and_changes_nothing(write, shared_path, comm, 
     study, folder = write(STUDY), shared_path / "out"
     swept(study, folder, comm)
     before, rows = variables(folder), table(folder)
-    monkeypatch.setattr(sweep.WearHistory, "start", None)  # any case would fail
+    monkeypatch.setattr(workers.WearHistory, "start", None)  # any case would fail
     swept(study, folder, comm)
     same(before, variables(folder))
     assert table(folder) == rows
@@ -204,7 +176,7 @@ def test_sizes_that_do_not_divide_are_refused(write, shared_path, comm):
 
 
 def test_a_failed_case_is_a_row_and_the_others_go_on(write, shared_path, comm, monkeypatch):
-    from ringwear_par.wear.threshold import ThresholdLaw
+    from ringwear_par.wear.law import ThresholdLaw
 
     original = ThresholdLaw.rate
 
@@ -231,14 +203,14 @@ def test_a_failed_case_is_a_row_and_the_others_go_on(write, shared_path, comm, m
 
 
 def test_an_operator_that_fails_fails_its_cases_only(write, shared_path, comm, monkeypatch):
-    original = sweep.assemble
+    original = operators.assemble
 
     def assemble(case, team):
         if case.upper.r[0] == 28.0:
             raise ComputationError("the factorisation failed")
         return original(case, team)
 
-    monkeypatch.setattr(sweep, "assemble", assemble)
+    monkeypatch.setattr(operators, "assemble", assemble)
     with pytest.raises(ComputationError, match="6 of 12 cases failed"):
         swept(write(STUDY), shared_path / "out", comm)
     comm.Barrier()
@@ -256,3 +228,28 @@ def test_a_dry_run_writes_nothing(write, shared_path, comm, capsys):
         assert "12 cases" in told
         assert "2 distinct operator(s)" in told
         assert "estimate for 12 cases" in told
+        found = re.search(r"about (\d+) MB of memory in all \((\d+) MB a rank\)", told)
+        all_of_it, a_rank = map(float, found.groups())
+        assert all_of_it / comm.size == pytest.approx(a_rank, abs=0.5)
+        assert 250 <= a_rank < 300  # the programs themselves, and 16 elements
+
+
+def test_in_python(write, shared_path, comm):
+    """The command's function by its public names, of a study read already or of its tables."""
+    tables = {
+        "case": tomllib.loads(CASE),
+        "vary": {"wear.lower.k": {"log": [1e-8, 1e-6], "count": 3}},
+    }
+    summary = sweep.sweep(tables, shared_path / "out", comm)
+    assert (summary.total, summary.done, summary.failed, summary.computed) == (3, 3, 0, 3)
+    comm.Barrier()
+    again = sweep.sweep(read_study(tables), str(shared_path / "out"), comm)
+    assert (again.done, again.computed, again.operators) == (3, 0, 0)
+    comm.Barrier()
+    text = '[vary]\n"wear.lower.k" = { log = [1e-8, 1e-6], count = 3 }\n'
+    assert sweep.sweep(write(text), shared_path / "out", comm).computed == 0
+    comm.Barrier()
+    assert (
+        tomllib.loads(read_ensemble(shared_path / "out").attributes["study"])["vary"]
+        == (tables["vary"])
+    )

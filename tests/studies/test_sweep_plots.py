@@ -12,7 +12,8 @@ from scipy.stats import qmc
 
 from ringwear_par.errors import InputError
 from ringwear_par.results.variables import HISTORIES
-from ringwear_par.studies.dataset import Ensemble, Row, read_ensemble, write_ensemble
+from ringwear_par.studies.dataset import Row, write_ensemble
+from ringwear_par.studies.ensemble import Ensemble, read_ensemble
 from ringwear_par.studies.figures import draw_sweep, plot_sweep, sensitivity
 from ringwear_par.studies.shards import Entry, Record
 
@@ -45,13 +46,13 @@ def write(
             arrays.update(step=np.arange(steps[n] + 1.0), r=np.ones(4), width=np.ones(4))
             yield Record(
                 id=row.id, toml="", status=status[n], error="", seconds=0.1, imbalance=0.0,
-                arrays=arrays,
+                arrays=arrays, version="1",
             )  # fmt: skip
 
     cases = [
         Row(
             id=f"{n:016x}", values=tuple(row), toml="", in_study=in_study[n],
-            entry=Entry(status[n], steps[n] + 1, 4, (), False, folder / "none"),
+            entry=Entry(status[n], steps[n] + 1, 4, (), False, folder / "none", "1"),
         )
         for n, row in enumerate(rows)
     ]  # fmt: skip
@@ -362,7 +363,7 @@ def test_many_cases_are_drawn_from_a_part_of_their_histories(tmp_path, monkeypat
         return table
 
     monkeypatch.setattr(Ensemble, "histories", counted)
-    monkeypatch.setattr("ringwear_par.sweep_plots._BLOCK_BYTES", 2e5)
+    monkeypatch.setattr("ringwear_par.studies.figures._BLOCK_BYTES", 2e5)
     started = time.monotonic()
     plot_sweep(tmp_path / "a", tmp_path / "a.png")
     assert time.monotonic() - started < 60.0

@@ -5,7 +5,8 @@ import pytest
 
 from ringwear_par.elasticity.mesh import Mesh
 from ringwear_par.errors import ComputationError
-from ringwear_par.history.pairs import assemble, young
+from ringwear_par.history.bodies import young
+from ringwear_par.history.pairs import assemble
 from ringwear_par.verification import reference, verify
 from ringwear_par.verification.check import NU, Check
 from ringwear_par.verification.half_space import indented, pressure_at

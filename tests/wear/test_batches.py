@@ -11,7 +11,7 @@ from ringwear_par.schedules import Stacked, Table
 from ringwear_par.wear import LocalState
 from ringwear_par.wear.archard import ArchardLaw
 from ringwear_par.wear.increment import WearIncrement, averaging
-from ringwear_par.wear.law import complete, stack
+from ringwear_par.wear.law import complete, stack_laws
 from ringwear_par.wear.non_local import NonLocalLaw
 from ringwear_par.wear.power import PowerLaw
 from ringwear_par.wear.running_in import RunningInLaw
@@ -73,7 +73,7 @@ def increments(laws):
         alone.append(WearIncrement((law, upper), (at, at), float(steps[i]), (average, None)))
     speed = omega[:, None] * R
     at = LocalState(times, R, speed, friction, wear, speed * times[:, None])
-    return WearIncrement((stack(laws), upper), (at, at), steps, (average, None)), alone, p
+    return WearIncrement((stack_laws(laws), upper), (at, at), steps, (average, None)), alone, p
 
 
 @pytest.mark.parametrize("laws", LAWS.values(), ids=LAWS)
@@ -101,7 +101,7 @@ def test_a_history_has_the_same_numbers_alone_and_among_others(laws):
 @pytest.mark.parametrize("laws", LAWS.values(), ids=LAWS)
 def test_derivatives_of_stacked_laws(laws):
     together, alone, p = increments(laws)
-    law, at = stack(laws), together.at[0]
+    law, at = stack_laws(laws), together.at[0]
     for name in law.numeric:
         of_all = law.d_rate_dparameter(name, p, at)
         for i, single in enumerate(alone):
@@ -144,8 +144,20 @@ def test_part_of_the_elements_of_many_histories():
 )
 def test_laws_that_cannot_be_stacked(laws):
     with pytest.raises(ValueError, match="cannot be stacked"):
-        stack(laws)
-    assert stack([laws[0]] * 3) is laws[0]
+        stack_laws(laws)
+    assert stack_laws([laws[0]] * 3) is laws[0]
+    assert stack_laws([None, None]) is None
+    with pytest.raises(ValueError, match="cannot be stacked"):
+        stack_laws([None, laws[0]])
+
+
+def test_volume_per_energy_of_many_histories():
+    friction = np.array([0.1, 0.2, 0.0])
+    assert stack_laws([ArchardLaw(x * 1e-8) for x in FIVE[:3]]).per_energy(friction) == (
+        pytest.approx([1e-7, 1e-7, 0.0])
+    )
+    laws = laws_of(ThresholdLaw, (1e-7, IN_TIME, 2e-7), (0.0, 0.0, 1.0))
+    assert stack_laws(laws).per_energy(friction).tolist() == [1e-7, 0.0, 0.0]
 
 
 def test_a_history_that_does_not_settle_is_named():

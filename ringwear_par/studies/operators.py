@@ -1,0 +1,93 @@
+"""The contact pairs that cases share, each in a file that every team maps: a node holds it once."""
+
+import time
+from pathlib import Path
+
+import numpy as np
+from mpi4py import MPI
+
+from ringwear_par.arrays import FloatArray
+from ringwear_par.cases.case import Case
+from ringwear_par.elasticity.pair import ContactPair
+from ringwear_par.errors import ComputationError, InputError
+from ringwear_par.history.bodies import operator_key
+from ringwear_par.history.pairs import assemble
+from ringwear_par.parallel import on_first_rank, together
+
+#: how long a file that is there may stay unseen by another machine, and between two looks
+_PATIENCE_SECONDS = 10.0
+_NAP_SECONDS = 0.05
+
+
+class StorageError(ComputationError):
+    """The disk; not the fault of a case."""
+
+
+def write_operator(path: Path, case: Case, comm: MPI.Comm) -> None:
+    """Assemble the pair of a case into a file, or leave the reason of a failure beside it.
+
+    Collective on comm.
+
+    Raises
+    ------
+    InputError : an option for PETSc.
+    StorageError : the disk.
+    """
+    reason = ""
+    try:
+        with together(comm):
+            pair = assemble(case, comm)
+            rest = (pair.twist, pair.force_reaction, pair.torque_reaction)
+            stacked = np.concatenate([pair.normal, np.stack(rest, axis=1)], axis=1)
+    except InputError:
+        raise
+    except Exception as error:  # those who wait for it must hear of it
+        reason = str(error) or repr(error)
+
+    def write() -> None:
+        temporary = path.with_suffix(".tmp")
+        try:
+            if reason:
+                temporary.write_text(reason, encoding="utf-8")
+                temporary.replace(reason_of_failure(path))
+            else:
+                with temporary.open("wb") as file:
+                    np.save(file, stacked)
+                temporary.replace(path)
+        except OSError as error:
+            temporary.unlink(missing_ok=True)
+            raise StorageError(f"{path}: {error.strerror or error}") from error
+
+    on_first_rank(comm, write)
+
+
+def reason_of_failure(path: Path) -> Path:
+    """Return the file that says why there is no operator."""
+    return path.with_suffix(".error")
+
+
+def map_operator(path: Path, case: Case, comm: MPI.Comm) -> ContactPair:
+    """Map the pair of a case from its file. Collective on comm.
+
+    Raises
+    ------
+    StorageError : one of the ranks does not see the file, or not the whole of it.
+    """
+    with together(comm):
+        stacked = _mapped(path)
+    n = stacked.shape[2]
+    parts = stacked[:, :n], stacked[:, n], stacked[:, n + 1], stacked[:, n + 2]
+    return ContactPair(case.line, *parts, operator_key(case))
+
+
+def _mapped(path: Path) -> FloatArray:
+    """Return two stacked (n + 3, n) matrices; network disks show files late, and piece by piece."""
+    limit = time.monotonic() + _PATIENCE_SECONDS
+    while True:
+        try:
+            stacked: FloatArray = np.load(path, mmap_mode="r")
+            return stacked
+        except (OSError, EOFError, ValueError) as error:
+            if time.monotonic() > limit:
+                raise StorageError(f"{path}: cannot be mapped: {error}") from error
+        time.sleep(_NAP_SECONDS)

@@ -1,0 +1,231 @@
+"""What a sweep has to do: the cases of a study, or of a slice of it, that are not stored yet."""
+
+import logging
+import os
+from collections import Counter
+from collections.abc import Mapping
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+import ringwear_par
+from ringwear_par.errors import InputError
+from ringwear_par.history.limits import memory_needed
+from ringwear_par.studies.dataset import RESULTS
+from ringwear_par.studies.shards import Entry, locked
+from ringwear_par.studies.store import Store
+from ringwear_par.studies.study import Study
+
+log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class Request:
+    """How a study is to be computed.
+
+    Parameters
+    ----------
+    folder : of the results.
+    ranks : of the sweep.
+    ranks_per_case : size of the teams; divides the number of ranks.
+    part : which slice, and of how many; None for the whole, which merges.
+    retry_failed : compute failed cases again.
+    mix_versions : go on where another version has computed cases.
+    """
+
+    folder: Path
+    ranks: int
+    ranks_per_case: int = 1
+    part: tuple[int, int] | None = None
+    retry_failed: bool = False
+    mix_versions: bool = False
+
+    @property
+    def teams(self) -> int:
+        """Number of teams."""
+        return self.ranks // self.ranks_per_case
+
+    def check(self) -> None:
+        """Refuse numbers that do not go together. Not collective.
+
+        Raises
+        ------
+        InputError : with what is allowed.
+        """
+        m = self.ranks_per_case
+        if m < 1 or self.ranks % m:
+            sizes = ", ".join(str(d) for d in range(1, self.ranks + 1) if self.ranks % d == 0)
+            raise InputError(
+                f"--ranks-per-case {m}: {self.ranks} ranks do not divide into teams of {m}; must "
+                f"be one of {sizes}"
+            )
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What is to be done, the same on all ranks.
+
+    Parameters
+    ----------
+    request : how.
+    study : the study.
+    store : its folder.
+    todo : for each group of the study, its cases that are to be computed here.
+    interrupted : ids of cases that go on from a checkpoint.
+    done, failed, total : cases of this study, or slice, that have ended before; and in all.
+    flagged : flags of each of those that have some.
+    all_assemble : whether all ranks assemble each operator (there are fewer than teams) or the team
+        that takes its group.
+    """
+
+    request: Request
+    study: Study
+    store: Store
+    todo: tuple[tuple[int, ...], ...]
+    interrupted: frozenset[str]
+    done: int
+    failed: int
+    total: int
+    flagged: tuple[tuple[str, ...], ...]
+    all_assemble: bool
+
+    @property
+    def left(self) -> list[int]:
+        """Numbers of the groups that still have cases."""
+        return [group for group, cases in enumerate(self.todo) if cases]
+
+    def memory_needed(self) -> float:
+        """Return an estimate of the bytes that all ranks need together, libraries excluded.
+
+        Where teams assemble, as many as there are do so at once; the largest operators come first.
+        """
+        request, left = self.request, self.left
+        if not left:
+            return 0.0
+        first = [self.study.case(self.todo[group][0]) for group in left]
+        if self.all_assemble:
+            # beside the one history that this counts, every other team has its own
+            histories = max(
+                8.0 * len(case.output.fields) * case.mesh.contact_elements * case.stored_rows
+                for case in first
+            )
+            largest = max(memory_needed(case, request.ranks) for case in first)
+            return largest + (request.teams - 1) * histories
+        each = sorted((memory_needed(case, request.ranks_per_case) for case in first), reverse=True)
+        return sum(each[: request.teams])
+
+
+def make_plan(study: Study, request: Request, held: ExitStack | None) -> Plan:
+    """Look what is done of a study. On one rank.
+
+    Parameters
+    ----------
+    held : keeps the lock on the folder; None: for a look only, which changes nothing.
+
+    Raises
+    ------
+    InputError : the folder, or what it holds; or the memory that all teams need together.
+    ComputationError : the folder is in use by a process of a killed sweep.
+    """
+    folder, part = request.folder, request.part
+    store = Store(folder, f"{part[0]}-{part[1]}" if part else "")
+    entries: dict[str, Entry] = {}
+    if folder.exists() and not folder.is_dir():
+        raise InputError(f"{folder}: is a file; must be a folder, or a new name")
+    if held is not None:
+        store.open()
+        held.enter_context(locked(folder, store.part))
+        store.clear()
+        entries, notes = store.scan(mend=True)
+        for note in notes:
+            log.warning("%s", note)
+    elif (folder / "shards").is_dir() or (folder / RESULTS).exists():
+        with locked(folder, store.part):
+            entries, _ = store.scan(mend=False)
+    mine = _slice(study, part)
+    ended = {"done"} if request.retry_failed else {"done", "failed"}
+    status = [entries[i].status if i in entries else "" for i in study.ids]
+    kept = [entries[study.ids[n]] for n in sorted(mine) if status[n] in ended]
+    todo = tuple(
+        tuple(n for n in group if n in mine and status[n] not in ended) for group in study.groups
+    )
+    if not request.mix_versions:
+        others = [entries[i] for i, word in zip(study.ids, status, strict=True) if word in ended]
+        _refuse_other_versions(folder, others, any(todo))
+    plan = Plan(
+        request,
+        study,
+        store,
+        todo,
+        _interrupted(study, store, entries),
+        sum(entry.status == "done" for entry in kept),
+        sum(entry.status == "failed" for entry in kept),
+        len(mine),
+        tuple(entry.flags for entry in kept if entry.flags),
+        len(study.groups) <= request.teams,
+    )
+    _check_memory(plan)
+    return plan
+
+
+def _interrupted(study: Study, store: Store, entries: Mapping[str, Entry]) -> frozenset[str]:
+    """Return the cases that go on from a checkpoint: a case has one version from start to end."""
+    return frozenset(
+        identity
+        for identity in study.ids
+        if store.inflight(identity).exists()
+        and identity in entries
+        and entries[identity].version == ringwear_par.__version__
+    )
+
+
+def _refuse_other_versions(folder: Path, kept: list[Entry], more: bool) -> None:
+    """Raise where cases of several versions would come together.
+
+    Parameters
+    ----------
+    kept : what is stored and not computed again.
+    more : whether this version computes others.
+    """
+    counts = Counter(entry.version for entry in kept)
+    if more:
+        counts.setdefault(ringwear_par.__version__, 0)
+    if len(counts) > 1:
+        there = ", ".join(f"{n} by {version}" for version, n in counts.most_common() if n)
+        raise InputError(
+            f"{folder}: holds cases computed by another version of ringwear-par ({there}; this is "
+            f"{ringwear_par.__version__}); must be a new folder, or --mix-versions (in Python "
+            "mix_versions=True), and the variable version tells them apart"
+        )
+
+
+def _check_memory(plan: Plan) -> None:
+    """Refuse what this machine cannot hold, as if all ranks were on it."""
+    needed = plan.memory_needed()
+    there = float(os.sysconf("SC_PAGE_SIZE")) * os.sysconf("SC_PHYS_PAGES")
+    teams, m = plan.request.teams, plan.request.ranks_per_case
+    if needed > 0.9 * there:
+        raise InputError(
+            f"{plan.study.name}: {teams} team{'s' if teams > 1 else ''} of {m} "
+            f"rank{'s' if m > 1 else ''} need about {needed / 1e9:.3g} GB of memory at once, this "
+            f"machine has {there / 1e9:.3g} GB; must be less: fewer ranks, more of them a case "
+            "(--ranks-per-case), or smaller cases"
+        )
+
+
+def _slice(study: Study, part: tuple[int, int] | None) -> set[int]:
+    """Return the cases of a slice: a stretch of the groups, by estimated work."""
+    order = [n for group in study.groups for n in group]
+    if part is None:
+        return set(order)
+    work = np.concatenate(
+        [
+            study.work[list(group)] + assembly / len(group)
+            for group, assembly in zip(study.groups, study.assembly, strict=True)
+        ]
+    )
+    middle = (np.cumsum(work) - 0.5 * work) / work.sum()
+    number = np.minimum((middle * part[1]).astype(int), part[1] - 1)
+    return {n for n, s in zip(order, number.tolist(), strict=True) if s == part[0] - 1}

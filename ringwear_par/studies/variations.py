@@ -1,0 +1,203 @@
+"""Varied keys: what a study calls them, and the values that it gives them."""
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+
+from ringwear_par.arrays import FloatArray
+from ringwear_par.cases.keys import override
+from ringwear_par.cases.schema import BY_PATH
+from ringwear_par.cases.suggestions import nearest_key
+from ringwear_par.cases.text import toml_value
+
+
+@dataclass(frozen=True)
+class Variation:
+    """One varied key.
+
+    Parameters
+    ----------
+    name : as in the study: a case key, or an entry of one that is a pair, such as ``upper.r[1]``.
+    path : the case key.
+    index : which entry of a pair, None for the whole value.
+    spacing : how values follow from ``values`` (the values, or both ends of a range).
+    values : raw values.
+    count : number of values of a range in a grid.
+    """
+
+    name: str
+    path: str
+    index: int | str | None
+    spacing: Literal["values", "linear", "log"]
+    values: tuple[Any, ...]
+    count: int = 0
+
+    @property
+    def whole(self) -> bool:
+        """Whether only whole numbers will do."""
+        return self.index is None and BY_PATH[self.path].kind == "whole"
+
+    def grid(self) -> list[Any]:
+        """Return the values of a grid."""
+        if self.spacing == "values":
+            return list(self.values)
+        low, high = self.values
+        space = np.geomspace if self.spacing == "log" else np.linspace
+        return [self._rounded(v) for v in space(low, high, self.count).tolist()]
+
+    def at(self, u: FloatArray) -> list[Any]:
+        """Return the values at points u of the unit interval."""
+        if self.spacing == "values":
+            return [self.values[i] for i in (u * len(self.values)).astype(int).tolist()]
+        low, high = self.values
+        values = low * (high / low) ** u if self.spacing == "log" else low + (high - low) * u
+        return [self._rounded(v) for v in values.tolist()]
+
+    def _rounded(self, value: float) -> float | int:
+        return round(value) if self.whole else value
+
+
+def split_key(name: str) -> tuple[str, int | str | None]:
+    """Return the case key of a varied one, and which entry of a pair or of a table it is."""
+    match = re.fullmatch(r"(.+)\[([01])\]", name)
+    if match:
+        return match[1], int(match[2])
+    match = re.fullmatch(r"(wear\.(?:lower|upper)\.parameters)\.(.+)", name)
+    return (match[1], match[2]) if match else (name, None)
+
+
+def path_of(name: str) -> str:
+    """Return the case key of a varied one, which may be an entry of it."""
+    return split_key(name)[0]
+
+
+def has_entry(name: str) -> bool:
+    """Tell whether a varied key that is named as an entry of a pair is one."""
+    path, index = split_key(name)
+    return not isinstance(index, int) or BY_PATH[path].kind == "pair"
+
+
+def value_of(case_keys: Mapping[str, Any], name: str) -> Any:
+    """Return the value of a varied key in a case; None where it has none."""
+    path, index = split_key(name)
+    value = case_keys.get(path, BY_PATH[path].default if path in BY_PATH else None)
+    if index is None:
+        return None if value is ... else value
+    if isinstance(index, str):
+        return value.get(index) if isinstance(value, dict) else None
+    return value[index] if isinstance(value, list | tuple) and len(value) > index else None
+
+
+def varied_keys(
+    base: Mapping[str, Any], parts: Sequence[tuple[str, int | str | None]], row: Sequence[Any]
+) -> dict[str, Any]:
+    """Return the dotted keys of a case: those of the base with a row of values in their place.
+
+    Parameters
+    ----------
+    parts : of ``split_key``, one a value of the row.
+    """
+    changed: dict[str, Any] = {}
+    for (path, index), value in zip(parts, row, strict=True):
+        if index is None:
+            changed[path] = value
+        elif isinstance(index, str):
+            changed[f"{path}.{index}"] = value
+        else:
+            there = changed.get(path, base.get(path))
+            pair = list(there) if isinstance(there, list) and len(there) == 2 else [None, None]
+            pair[index] = value
+            changed[path] = pair
+    return override(base, changed)
+
+
+def is_whole(value: Any) -> bool:
+    """Tell whether a value is a whole number, which true and false are not."""
+    return isinstance(value, int) and not isinstance(value, bool)
+
+
+def read_variations(
+    name: str, vary: Mapping[str, Any], method: str, faults: list[str]
+) -> list[Variation]:
+    """Return the varied keys, and add what is wrong with them to the faults."""
+    if method == "list":
+        if vary:
+            faults.append(f'{name}: [vary]: must be absent where design.method = "list"')
+        return []
+    if not vary:
+        faults.append(f"{name}: [vary]: is missing or empty; must name one case key at least")
+    variations = []
+    for key, entry in _unnested(vary).items():
+        path = path_of(key)
+        said = f'{name}: vary."{key}"'
+        if path not in BY_PATH:
+            faults.append(f"{said}: unknown key{nearest_key(path)}")
+        elif path == "title":
+            faults.append(f"{said}: a title makes no other case; must be another key")
+        elif not has_entry(key):
+            faults.append(f"{said}: {path} has no entries; must be the key itself")
+        else:
+            found = _variation(said, key, entry, method, faults)
+            if found is not None:
+                variations.append(found)
+    return variations
+
+
+def _unnested(vary: Mapping[str, Any]) -> dict[str, Any]:
+    """Return entries by dotted key, whether written quoted or not."""
+    flat: dict[str, Any] = {}
+    for key, entry in vary.items():
+        if isinstance(entry, dict) and not {"values", "linear", "log", "count"} & entry.keys():
+            flat.update({f"{key}.{k}": v for k, v in _unnested(entry).items()})
+        else:
+            flat[key] = entry
+    return flat
+
+
+def _variation(said: str, key: str, entry: Any, method: str, faults: list[str]) -> Variation | None:
+    path, index = split_key(key)
+    if not isinstance(entry, dict) or len(entry.keys() & {"values", "linear", "log"}) != 1:
+        shown = toml_value(entry) if not isinstance(entry, dict) else "{" + ", ".join(entry) + "}"
+        faults.append(
+            f"{said} = {shown}: must be {{ values = [...] }}, {{ linear = [low, high], count = n }}"
+            " or { log = [low, high], count = n }"
+        )
+        return None
+    (spacing,) = entry.keys() & {"values", "linear", "log"}
+    values, count = entry[spacing], entry.get("count")
+    unknown = entry.keys() - {spacing, "count"}
+    if unknown:
+        faults.append(f"{said}: {', '.join(sorted(unknown))}: must be {spacing} and count only")
+    told = "is missing" if count is None else f"= {toml_value(count)}"
+    if spacing == "values":
+        if not isinstance(values, list) or not values:
+            faults.append(f"{said}: values = {toml_value(values)}: must be a list of values")
+            return None
+        if count is not None:
+            faults.append(f"{said}: count {told}: must be absent beside values")
+        return Variation(key, path, index, "values", tuple(values))
+    shown = f"{said}: {spacing} = {toml_value(values)}"
+    numbers = isinstance(values, list) and len(values) == 2 and all(
+        isinstance(v, int | float) and not isinstance(v, bool) and abs(v) < 1e300 for v in values
+    )  # fmt: skip
+    if not numbers or not values[0] < values[1]:
+        faults.append(f"{shown}: must be two increasing numbers")
+        return None
+    if spacing == "log" and values[0] <= 0:
+        faults.append(f"{shown}: must be two increasing numbers > 0")
+        return None
+    if method == "grid" and not (isinstance(count, int) and is_whole(count) and count >= 2):
+        faults.append(f"{said}: count {told}: must be a whole number >= 2 in a grid")
+        return None
+    if method != "grid" and count is not None:
+        faults.append(
+            f"{said}: count {told}: must be absent; design.count says how many "
+            f'cases method = "{method}" draws'
+        )
+    return Variation(
+        key, path, index, "log" if spacing == "log" else "linear", tuple(map(float, values)),
+        count or 0,
+    )  # fmt: skip

@@ -1,0 +1,288 @@
+"""Teams of ranks at work: a case is drawn, computed on the pair of its group, and stored."""
+
+import logging
+import time
+from contextlib import suppress
+from dataclasses import dataclass, field
+
+from mpi4py import MPI
+
+from ringwear_par import __version__
+from ringwear_par.cases.case import Case
+from ringwear_par.contact.solver import ContactSolver
+from ringwear_par.elasticity.pair import ContactPair
+from ringwear_par.errors import ComputationError, InputError, RingwearError, UnfitError
+from ringwear_par.history.bodies import young
+from ringwear_par.history.simulate import simulate
+from ringwear_par.history.snapshots import Observer
+from ringwear_par.options import reject_unused_options
+from ringwear_par.parallel import on_first_rank, together
+from ringwear_par.results.files import open_result, write_result
+from ringwear_par.results.progress import SweepProgress
+from ringwear_par.results.recorder import Recorder
+from ringwear_par.results.result import Result
+from ringwear_par.results.watch import StopSignals, Watch
+from ringwear_par.studies.operators import (
+    StorageError,
+    map_operator,
+    reason_of_failure,
+    write_operator,
+)
+from ringwear_par.studies.plan import Plan
+from ringwear_par.studies.scheduling import Scheduler
+from ringwear_par.studies.shards import Record, Shard
+
+log = logging.getLogger(__name__)
+
+#: how long a team that waits for an operator sleeps between two looks
+_NAP_SECONDS = 0.002
+
+
+@dataclass
+class Timings:
+    """Where a rank's time went, s, and what it did; flags of the cases that have some."""
+
+    stepping: float = 0.0
+    assembly: float = 0.0
+    waiting: float = 0.0
+    output: float = 0.0
+    operators: int = 0
+    worst: float = 0.0
+    flagged: list[tuple[str, ...]] = field(default_factory=list)
+
+
+class Worker:
+    """Where a team computes its cases: the contact pair and solver in use, and its shard.
+
+    A context manager; everything is collective on the team.
+
+    Parameters
+    ----------
+    plan : of the sweep.
+    number : of the team.
+    scheduler : that cases are drawn from.
+    signals : that ask to stop.
+    progress : told of steps, on rank 0 of the sweep only.
+    team : communicator.
+    timings : where the time goes.
+    """
+
+    def __init__(
+        self,
+        plan: Plan,
+        number: int,
+        scheduler: Scheduler,
+        signals: StopSignals,
+        progress: SweepProgress | None,
+        team: MPI.Comm,
+        timings: Timings,
+    ) -> None:
+        self._plan, self._scheduler, self._signals = plan, scheduler, signals
+        self._progress, self._team, self._timings = progress, team, timings
+        self._path = plan.store.shard(number)
+        self._shard: Shard | None = None
+        self._options_checked = False
+        self._group = -1
+        self._pair: ContactPair | None = None
+        self._setting: tuple[int, float, float] | None = None
+        self._solver: ContactSolver | None = None
+
+    def __enter__(self) -> "Worker":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._drop_solver()
+        if self._shard is not None:
+            self._shard.close()
+
+    def work(self) -> None:
+        """Draw and compute cases until none is left or somebody asks to stop.
+
+        Raises
+        ------
+        ComputationError : a case could not be stored.
+        InputError : an option for PETSc that nobody used.
+        """
+        team, scheduler, first = self._team, self._scheduler, self._team.rank == 0
+        if any(self._plan.todo):
+
+            def open_shard() -> None:
+                self._shard = Shard(self._path)
+
+            on_first_rank(team, open_shard)
+        while True:
+            drawn = None
+            if first:
+                if self._signals.received:
+                    scheduler.ask_to_stop()
+                drawn = scheduler.draw()
+            if team.size > 1:
+                drawn = team.bcast(drawn)
+            if drawn is None:
+                return
+            record = self._computed(*drawn)
+            if record is None:  # interrupted
+                if first:
+                    scheduler.ask_to_stop()
+                return
+            self._store(record)
+            group = drawn[0]
+            if first and scheduler.count(group, record.status == "failed"):
+                self._plan.store.operator(group).unlink(missing_ok=True)
+
+    def _store(self, record: Record) -> None:
+        t0 = time.perf_counter()
+
+        def add() -> None:
+            assert self._shard is not None
+            self._shard.add(record)
+            self._plan.store.inflight(record.id).unlink(missing_ok=True)
+            if record.flags:
+                self._timings.flagged.append(record.flags)
+
+        on_first_rank(self._team, add)
+        self._timings.output += time.perf_counter() - t0
+
+    def _computed(self, group: int, place: int) -> Record | None:
+        """Return a case computed, or failed with its reason; None if it was interrupted.
+
+        All ranks of the team go the same way: what fails on one of them is raised on all.
+        """
+        study, started = self._plan.study, time.perf_counter()
+        number = self._plan.todo[group][place]
+        identity, text = study.ids[number], ""
+        recorder: Recorder | None = None
+        try:
+            with together(self._team):
+                case = study.case(number)
+                text = case.text
+            pair, solver = self._set_up(group, place, case)
+            recorder = Recorder(case, self._team, self._stored(identity))
+            begun = time.perf_counter()
+            try:
+                self._step(identity, case, pair, solver, recorder)
+            finally:
+                self._timings.stepping += time.perf_counter() - begun
+        except _StoppedError:
+            return None
+        except Exception as error:  # of the solver, or of a law that is not ours
+            unfit = isinstance(error, UnfitError)
+            if isinstance(error, StorageError | InputError) and not unfit:
+                raise  # the disk, or an option for PETSc, not the case
+            self._drop_solver()
+            reason = str(error) if isinstance(error, RingwearError) else repr(error)
+            arrays = {} if recorder is None else recorder.arrays()
+            seconds = time.perf_counter() - started
+            reason = " ".join(reason.split())
+            return Record(identity, text, "failed", reason, seconds, 0.0, arrays, __version__)
+        if recorder.last is None or not recorder.last.finished:
+            return None
+        worst, flags = recorder.balances.worst, tuple(doubt.flag for doubt in recorder.doubts)
+        self._timings.worst = max(self._timings.worst, worst)
+        seconds = time.perf_counter() - started
+        arrays = recorder.arrays()
+        return Record(identity, text, "done", "", seconds, worst, arrays, __version__, flags)
+
+    def _step(
+        self,
+        identity: str,
+        case: Case,
+        pair: ContactPair,
+        solver: ContactSolver,
+        recorder: Recorder,
+    ) -> None:
+        """Step a case to its end, or to a checkpoint that is written when a signal stops it."""
+        team, path = self._team, self._plan.store.inflight(identity)
+
+        def save() -> None:
+            result = recorder.result()
+            on_first_rank(team, lambda: write_result(path, result))
+
+        observers: list[Observer] = [recorder, Watch(self._signals, save, team)]
+        if self._progress is not None:
+            observers.append(self._progress)
+        # elements that follow the wear would leave the solver with another compliance
+        lent = None if case.follows_wear else solver
+        simulate(case, team, pair=pair, solver=lent, start=recorder.start, observers=observers)
+        if recorder.last is not None and not recorder.last.finished:
+            try:
+                save()
+            except ComputationError as error:
+                raise StorageError(str(error)) from error
+
+    def _stored(self, identity: str) -> Result | None:
+        """Return what an interrupted case goes on from."""
+        if identity not in self._plan.interrupted:
+            return None
+
+        def read() -> Result | None:
+            with suppress(InputError):
+                return open_result(self._plan.store.inflight(identity))
+            return None
+
+        return on_first_rank(self._team, read)
+
+    def _set_up(self, group: int, place: int, case: Case) -> tuple[ContactPair, ContactSolver]:
+        """Return the pair of this group, and a solver for it with the moduli of a case."""
+        setting = group, *young(case)
+        if self._solver is None or setting != self._setting:
+            self._drop_solver()
+            if group != self._group or self._pair is None:
+                self._group, self._pair = -1, None
+                self._pair = self._find_operator(group, place, case)
+                self._group = group
+            with together(self._team):
+                matrix = self._pair.compliance(young(case)).matrix
+            self._solver = ContactSolver(matrix, self._pair.line.area, self._team)
+            self._setting = setting
+            if self._timings.operators and not self._options_checked:
+                with together(self._team):
+                    reject_unused_options()  # by now everything has looked for its own
+                self._options_checked = True
+        assert self._pair is not None
+        return self._pair, self._solver
+
+    def _find_operator(self, group: int, place: int, case: Case) -> ContactPair:
+        """Return a group's operator: the team that has its first case provides it."""
+        plan, team = self._plan, self._team
+        if place == 0 and not plan.all_assemble:
+            provide_operator(plan, group, team, self._timings)
+        path, t0 = plan.store.operator(group), time.perf_counter()
+        failure = reason_of_failure(path)
+
+        def wait() -> str:
+            while not path.exists():
+                if failure.exists():
+                    return failure.read_text(encoding="utf-8")
+                if self._signals.received:
+                    self._scheduler.ask_to_stop()
+                if self._scheduler.stopped:
+                    raise _StoppedError
+                if self._progress is not None:
+                    self._progress()
+                time.sleep(_NAP_SECONDS)
+            return ""
+
+        reason = on_first_rank(team, wait)
+        if reason:
+            raise ComputationError(reason)
+        operator = map_operator(path, case, team)
+        self._timings.waiting += time.perf_counter() - t0
+        return operator
+
+    def _drop_solver(self) -> None:
+        if self._solver is not None:
+            self._solver.destroy()
+        self._solver = self._setting = None
+
+
+class _StoppedError(RingwearError):
+    """Asked to stop while there was nothing to compute yet."""
+
+
+def provide_operator(plan: Plan, group: int, comm: MPI.Comm, timings: Timings) -> None:
+    """Assemble a group's operator into its file, or leave the reason of a failure. Collective."""
+    t0 = time.perf_counter()
+    write_operator(plan.store.operator(group), plan.study.case(plan.todo[group][0]), comm)
+    timings.operators += 1
+    timings.assembly += time.perf_counter() - t0

@@ -1,0 +1,183 @@
+"""Errors out of TAO's callbacks, and the life of PETSc's objects."""
+
+import shutil
+import subprocess
+import sys
+import weakref
+from pathlib import Path
+
+import numpy as np
+import pytest
+from conftest import SHELL_ENVIRONMENT
+from petsc4py import PETSc
+
+from ringwear_par.contact.solver import ContactSolver
+from ringwear_par.errors import ComputationError, LawError
+
+N = 8
+COMPLIANCE = np.eye(N) + 0.1
+AREA = np.ones(N)
+
+
+class _Failing:
+    """Wear whose law fails where it is asked for the elements of some rank."""
+
+    local = True
+
+    def __init__(self, error, rank, ranks):
+        self.error, self.rank, self.ranks = error, rank, ranks
+
+    def part(self, here):
+        return self
+
+    def depth(self, p):
+        if self.rank in self.ranks:
+            raise self.error
+        return 0.0 * p
+
+    def potential(self, p):
+        return 0.0 * p
+
+    slope = potential
+
+
+@pytest.mark.parametrize("limit", [100, 0], ids=["replicated", "distributed"])
+@pytest.mark.parametrize(
+    "error", [LawError("wear.lower: the law failed"), ZeroDivisionError("of a law")], ids=repr
+)
+def test_an_error_of_a_law_comes_out_as_it_is(comm, limit, error):
+    with ContactSolver(COMPLIANCE, AREA, comm, limit) as solver:
+        before = solver.solve(np.zeros(N), force=3.0)
+        solver.cold_start()
+        with pytest.raises(type(error)) as caught:
+            solver.solve(np.zeros(N), force=3.0, wear=_Failing(error, 0, [0]))
+        assert caught.value is error
+        # and the solver goes on as if nothing had been
+        solver.cold_start()
+        after = solver.solve(np.zeros(N), force=3.0)
+        assert np.array_equal(after.pressure, before.pressure)
+
+
+def test_an_error_on_one_rank_is_raised_on_all(comm):
+    error = LawError("wear.lower: the law failed")
+    last = comm.size - 1
+    with ContactSolver(COMPLIANCE, AREA, comm, 0) as solver:
+        with pytest.raises(LawError, match=r"wear.lower: the law failed"):
+            solver.solve(np.zeros(N), force=3.0, wear=_Failing(error, comm.rank, [last]))
+        solver.cold_start()
+        unforeseen = _Failing(KeyError("k"), comm.rank, [last])
+        with pytest.raises((KeyError, ComputationError), match="k"):
+            solver.solve(np.zeros(N), force=3.0, wear=unforeseen)
+
+
+class _Wrapping:
+    """A TAO of petsc4py from 3.19 on, which wraps what a callback raises."""
+
+    def __init__(self, tao):
+        self.tao = tao
+
+    def __getattr__(self, name):
+        return getattr(self.tao, name)
+
+    def solve(self):
+        try:
+            self.tao.solve()
+        except Exception as error:
+            raise PETSc.Error(101) from error
+
+
+def test_a_wrapped_error_comes_out_as_it_is(comm, monkeypatch):
+    error = LawError("wear.lower: the law failed")
+    with ContactSolver(COMPLIANCE, AREA, comm) as solver:
+        monkeypatch.setattr(solver, "_tao", _Wrapping(solver._tao))
+        with pytest.raises(LawError, match=r"wear.lower: the law failed"):
+            solver.solve(np.zeros(N), force=3.0, wear=_Failing(error, 0, [0]))
+
+
+def test_destroying_twice_is_harmless(comm):
+    with ContactSolver(COMPLIANCE, AREA, comm) as solver:
+        solver.solve(np.zeros(N), force=3.0)
+    solver.destroy()
+    solver.destroy()
+
+
+def test_the_last_reference_frees_the_solver(comm):
+    """Callbacks know neither the TAO nor the solver, so no collection of garbage is waited for."""
+    solver = ContactSolver(COMPLIANCE, AREA, comm)
+    solver.solve(np.zeros(N), force=3.0)
+    tao, alive = solver._tao, weakref.ref(solver)
+    assert tao.handle
+    del solver
+    assert alive() is None
+    assert not tao.handle
+
+
+PROGRAM = """
+import sys
+import numpy as np
+from mpi4py import MPI
+from ringwear_par.contact.solver import ContactSolver
+
+how, limit = sys.argv[1], int(sys.argv[2])
+
+def made():
+    solver = ContactSolver(np.eye(8) + 0.1, np.ones(8), MPI.COMM_WORLD, limit)
+    solver.solve(np.zeros(8), force=3.0)
+    return solver
+
+kept = made()
+
+def failing():
+    here = made()
+    raise RuntimeError("of its own")
+
+if how == "ends":
+    print("all done", flush=True)
+elif how == "raises":
+    failing()
+elif how == "keeps what was raised":
+    try:
+        failing()
+    except RuntimeError as error:
+        last = error
+    sys.exit(3)
+elif how == "destroyed":
+    kept.destroy()
+elif how == "in a circle":
+    kept.itself = kept
+"""
+
+RANKS = [
+    0,
+    pytest.param(2, marks=pytest.mark.skipif(not shutil.which("mpirun"), reason="no mpirun")),
+]
+
+
+@pytest.mark.serial
+@pytest.mark.parametrize("ranks", RANKS)
+@pytest.mark.parametrize("limit", [100, 0], ids=["replicated", "distributed"])
+@pytest.mark.parametrize(
+    ("how", "status"),
+    [
+        ("ends", 0),
+        ("raises", 1),
+        ("keeps what was raised", 3),
+        ("destroyed", 0),
+        ("in a circle", 0),
+    ],
+)
+def test_a_process_ends_with_its_own_status(tmp_path, ranks, limit, how, status):
+    """Whoever uses the package need not know of destroy()."""
+    program = tmp_path / "program.py"
+    program.write_text(PROGRAM)
+    launcher = ["mpirun", "-n", str(ranks)] if ranks else []
+    done = subprocess.run(
+        [*launcher, sys.executable, str(program), how, str(limit)],
+        env=SHELL_ENVIRONMENT, cwd=Path(__file__).parents[2], capture_output=True, text=True,
+        timeout=100, check=False,
+    )  # fmt: skip
+    assert done.returncode == status, done.stderr
+    said = done.stdout + done.stderr
+    for word in ("MPI_ABORT", "PETSC ERROR", "Segmentation", "Exception ignored"):
+        assert word not in said, said
+    assert ("of its own" in done.stderr) == (how == "raises")

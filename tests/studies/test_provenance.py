@@ -1,0 +1,163 @@
+"""Versions and doubts of stored cases: never mixed in silence, never silent."""
+
+import sqlite3
+
+import h5py
+import pytest
+from swept import CASE, table, variables, write_study
+
+import ringwear_par
+from ringwear_par import info
+from ringwear_par.errors import ComputationError, InputError
+from ringwear_par.studies.ensemble import open_ensemble
+from ringwear_par.studies.shards import Record, Shard, read_index, read_records
+from ringwear_par.studies.sweep import sweep
+
+THRESHOLDS = '[vary]\n"wear.lower.p0" = {{ values = [{}] }}\n'
+
+
+@pytest.fixture
+def swept(shared_path, comm):
+    """Sweep some thresholds in one folder."""
+
+    def swept(values, case=CASE, **how):
+        path = write_study(shared_path, comm, THRESHOLDS.format(values), case)
+        try:
+            return sweep(path, shared_path / "out", comm, **how)
+        finally:
+            comm.Barrier()
+
+    return swept
+
+
+def test_another_version_does_not_mix_with_the_first(swept, shared_path, comm, monkeypatch):
+    mine = ringwear_par.__version__
+    swept("0, 20")
+    for module in (ringwear_par, info):
+        monkeypatch.setattr(module, "__version__", "99.0")
+    assert swept("0, 20").computed == 0  # nothing to mix
+    with pytest.raises(InputError) as raised:
+        swept("0, 20, 40")
+    (told,) = raised.value.faults
+    for word in (f"2 by {mine}", "this is 99.0", "--mix-versions", "mix_versions=True"):
+        assert word in told
+    assert swept("0, 20, 40", mix_versions=True).computed == 1
+    assert [row["version"] for row in table(shared_path / "out")] == [mine, mine, "99.0"]
+    assert [v.decode() for v in variables(shared_path / "out")["version"]] == [mine, mine, "99.0"]
+    comm.Barrier()
+    with pytest.raises(InputError, match="2 by"):
+        swept("0, 20, 40")  # they are still of two versions
+    with pytest.raises(InputError, match="2 by"):
+        swept("0, 20, 40, 60", part=(1, 2))
+    assert swept("40", mix_versions=False).computed == 0  # the others are no longer of the study
+
+
+def test_interrupted_cases_of_another_version_start_anew(
+    swept, shared_path, comm, monkeypatch, stopped_after, caplog
+):
+    with stopped_after(7), pytest.raises(ComputationError, match="stopped"):
+        swept("0", ranks_per_case=comm.size)
+    first = table(shared_path / "out")
+    assert [(row["status"], row["version"]) for row in first] == [
+        ("incomplete", ringwear_par.__version__)
+    ]
+    comm.Barrier()
+    for module in (ringwear_par, info):
+        monkeypatch.setattr(module, "__version__", "99.0")
+    read = []
+    monkeypatch.setattr("ringwear_par.studies.workers.read_checkpoint", read.append)
+    assert swept("0", ranks_per_case=comm.size).done == 1
+    assert not read
+    assert comm.rank > 0 or "1 interrupted cases of another version start anew" in caplog.text
+    (row,) = table(shared_path / "out")
+    assert row["version"] == "99.0"
+
+
+def test_results_of_before_versions_are_of_an_unknown_one(swept, shared_path, comm):
+    swept("0, 20")
+    if comm.rank == 0:
+        with h5py.File(shared_path / "out" / "results.h5", "r+") as file:
+            del file["version"], file["flags"]
+            del file["step"].attrs["same_in_all_cases"]
+    comm.Barrier()
+    with pytest.raises(InputError, match="2 by unknown"):
+        swept("0, 20, 40")
+    swept("0, 20, 40", mix_versions=True)
+    rows = table(shared_path / "out")
+    assert [row["version"] for row in rows] == ["unknown", "unknown", ringwear_par.__version__]
+    assert [row["flags"] for row in rows] == [""] * 3
+
+
+@pytest.mark.serial
+def test_shards_of_before_versions_are_of_an_unknown_one(tmp_path):
+    path = tmp_path / "all_0000.sqlite"
+    with sqlite3.connect(path) as old:
+        old.execute(
+            "CREATE TABLE cases (id TEXT PRIMARY KEY, toml TEXT, status TEXT, error TEXT, "
+            "seconds REAL, imbalance REAL, layout TEXT, data BLOB)"
+        )
+        old.execute("INSERT INTO cases VALUES ('a', 'x', 'done', '', 1.0, 0.0, '{}', x'')")
+    old.close()
+    size = path.stat().st_size
+    assert read_index(path)["a"].version == "unknown"
+    (record,) = read_records(path, ["a"])
+    assert (record.version, record.flags) == ("unknown", ())
+    assert path.stat().st_size == size  # a look changes nothing
+    with Shard(path) as shard:
+        shard.add(Record("b", "y", "done", "", 2.0, 0.0, {}, "3.0", ("one", "two")))
+    index = read_index(path)
+    assert {key: (e.version, e.flags) for key, e in index.items()} == {
+        "a": ("unknown", ()), "b": ("3.0", ("one", "two")),
+    }  # fmt: skip
+
+
+UNSTABLE = CASE.replace('scheme = "implicit"', 'scheme = "explicit"').replace(
+    "step = 1.0", "step = 40.0"
+)
+
+
+def test_doubts_of_run_are_flags_of_a_sweep(swept, shared_path, comm, caplog):
+    """Those that a run of the same case warns of; a slice counts its own."""
+    from ringwear_par.results.run import run_case
+
+    text = UNSTABLE.replace("omega = 3.541666666666667", "omega = 35.0")
+    assert text.count("explicit") == 1
+    summary = swept("0, 20, 79.9", text, part=(1, 1))
+    assert "unstable explicit step" in str(summary)
+    assert not (shared_path / "out" / "results.h5").exists()
+    summary = swept("0, 20, 79.9", text)
+    rows = table(shared_path / "out")
+    flags = [row["flags"].split(", ") for row in rows]
+    assert "unstable_explicit_step" in flags[0]
+    count = sum(row["flags"] != "" for row in rows)
+    unstable = sum("unstable_explicit_step" in flag for flag in flags)
+    assert summary.computed == 0
+    assert f"{count} case" in str(summary)
+    assert f"unstable explicit step ({unstable})" in str(summary)
+    with open_ensemble(shared_path / "out") as data:
+        assert [str(v) for v in data.flags.values] == [row["flags"] for row in rows]
+    comm.Barrier()
+    if comm.rank == 0:
+        (shared_path / "one.toml").write_text(text)
+    comm.Barrier()
+    caplog.clear()
+    run_case(
+        shared_path / "one.toml", shared_path / "run.h5", ["wear.lower.p0=0"], False, None, comm
+    )
+    if comm.rank == 0:
+        assert ("times its stability limit" in caplog.text) == (
+            "unstable_explicit_step" in flags[0]
+        )
+        said = {
+            "large_displacement": "more than 5 % of a body's height",
+            "few_elements_in_contact": "too few to resolve it",
+            "coarse_mesh": "the boundary elements' own balances",
+        }
+        for flag, words in said.items():
+            assert (words in caplog.text) == (flag in flags[0]), flag
+
+
+def test_good_cases_have_no_flags(swept, shared_path):
+    case = CASE.replace("contact_elements = 16", "contact_elements = 64")
+    assert "flagged" not in str(swept("0, 20", case))
+    assert {row["flags"] for row in table(shared_path / "out")} == {""}

@@ -1,0 +1,107 @@
+"""A rank of a team that fails alone takes the others with it, and nobody waits for ever."""
+
+import os
+from functools import partial
+
+import numpy as np
+import pytest
+from swept import table, write_study
+
+from ringwear_par.errors import ComputationError
+from ringwear_par.studies import operators
+from ringwear_par.studies.sweep import sweep
+from ringwear_par.wear.law import ThresholdLaw
+
+pytestmark = pytest.mark.mpi(min_size=2)
+#: of the twelve cases, those with one of three coefficients
+FAILED = ["done"] * 4 + ["failed"] * 4 + ["done"] * 4
+
+
+@pytest.fixture
+def swept(shared_path, comm):
+    """Sweep a study, all ranks a team."""
+    return partial(
+        sweep, write_study(shared_path, comm), shared_path / "out", comm, ranks_per_case=comm.size
+    )
+
+
+def is_bad(law):
+    return abs(law.k - 1e-7) < 1e-12
+
+
+@pytest.mark.parametrize("calls", [0, 30])
+def test_a_law_that_raises_on_one_rank_fails_its_cases(
+    swept, shared_path, comm, monkeypatch, calls
+):
+    """In its first step, and in a later one."""
+    rate, made = ThresholdLaw.rate, []
+
+    def raising(self, p, at):
+        if is_bad(self) and comm.rank == comm.size - 1:
+            made.append(self)
+            if len(made) > calls:
+                made.clear()
+                raise RuntimeError("only here")
+        return rate(self, p, at)
+
+    monkeypatch.setattr(ThresholdLaw, "rate", raising)
+    with pytest.raises(ComputationError, match="4 of 12 cases failed"):
+        swept()
+    comm.Barrier()
+    rows = table(shared_path / "out")
+    assert [row["status"] for row in rows] == FAILED
+    assert {row["error"] for row in rows} == {"", "RuntimeError('only here')"}
+    comm.Barrier()
+    monkeypatch.undo()
+    assert swept(retry_failed=True).done == 12
+
+
+def test_a_start_that_fails_on_one_rank_fails_its_case(swept, shared_path, comm, monkeypatch):
+    from ringwear_par.studies import workers
+
+    start = workers.WearHistory.start
+
+    def failing(self):
+        if is_bad(self.case.wear_lower) and comm.rank == comm.size - 1:
+            raise MemoryError("no room")
+        return start(self)
+
+    monkeypatch.setattr(workers.WearHistory, "start", failing)
+    with pytest.raises(ComputationError, match="4 of 12 cases failed"):
+        swept()
+    comm.Barrier()
+    assert [row["status"] for row in table(shared_path / "out")] == FAILED
+
+
+class Disk:
+    """Shows files to the last rank only after so many looks."""
+
+    def __init__(self, comm, late):
+        self.load, self.late, self.last = np.load, late, comm.rank == comm.size - 1
+
+    def __call__(self, path, **how):
+        """Load as numpy does, if the file is to be seen."""
+        if self.last and self.late > 0:
+            self.late -= 1
+            if self.late % 2:
+                raise ValueError("mmap length is greater than file size")
+            raise FileNotFoundError(2, os.strerror(2), str(path))
+        return self.load(path, **how)
+
+
+def test_an_operator_that_one_rank_sees_late(swept, comm, monkeypatch):
+    disk = Disk(comm, 5)
+    monkeypatch.setattr(operators.np, "load", disk)
+    assert swept().done == 12
+    assert not disk.last or disk.late == 0
+
+
+def test_an_operator_that_one_rank_never_sees(swept, comm, monkeypatch):
+    """Not the fault of a case: the sweep ends, and goes on another time."""
+    monkeypatch.setattr(operators.np, "load", Disk(comm, 10**9))
+    monkeypatch.setattr(operators, "_PATIENCE_SECONDS", 0.2)
+    with pytest.raises(ComputationError, match=r"cannot be mapped: .*the same command goes on"):
+        swept()
+    comm.Barrier()
+    monkeypatch.undo()
+    assert swept().done == 12

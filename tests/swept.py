@@ -1,0 +1,39 @@
+"""A small study, and what a sweep of it leaves."""
+
+import csv
+from pathlib import Path
+
+import h5py
+
+CASE = (Path(__file__).parents[1] / "scripts/cases/paper.toml").read_text()
+CASE = CASE.replace("steps = 200", "steps = 20\n\n[mesh]\ncontact_elements = 16")
+STUDY = """
+[vary]
+"wear.lower.k" = { log = [1e-8, 1e-6], count = 3 }
+"upper.young" = { values = [5e4, 1e5] }
+"upper.r" = { values = [[28.5, 31.5], [28, 32]] }
+[design]
+method = "grid"
+"""
+
+
+def write_study(folder, comm, text=STUDY, case=CASE):
+    """Write a study beside its base case; return its path. Collective."""
+    path = folder / "study.toml"
+    if comm.rank == 0:
+        (folder / "paper.toml").write_text(case)
+        path.write_text('case = "paper.toml"\n' + text)
+    comm.Barrier()
+    return path
+
+
+def table(folder):
+    """Rows of cases.csv."""
+    with (folder / "cases.csv").open(newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def variables(folder):
+    """Variables of results.h5, but for the time taken."""
+    with h5py.File(folder / "results.h5") as file:
+        return {name: file[name][()] for name in file if name != "seconds"}

@@ -1,0 +1,71 @@
+"""The rooms: which may import which, and what stays light."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from conftest import SHELL_ENVIRONMENT
+
+ROOT = Path(__file__).parents[1]
+HEAVY = ("mpi4py.MPI", "petsc4py.PETSc", "numba", "ringwear_par.elasticity.assembly")
+
+pytestmark = pytest.mark.serial
+
+
+def run(program, *words):
+    return subprocess.run(
+        [sys.executable, "-c", program, *map(str, words)], env=SHELL_ENVIRONMENT, cwd=ROOT,
+        capture_output=True, text=True, timeout=100, check=False,
+    )  # fmt: skip
+
+
+def test_import_directions():
+    """The contracts of pyproject.toml: layers, no circles, PETSc where systems are solved."""
+    program = "from importlinter.cli import lint_imports; raise SystemExit(lint_imports())"
+    result = run(program)
+    assert result.returncode == 0, result.stdout
+    assert "4 kept, 0 broken" in result.stdout
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        "import ringwear_par",
+        "rw.read_case(case).replace({'load.pressure': 50})",
+        "rw.read_study(study)",
+        "rw.open_result(run).to_xarray()",
+        "rw.plot(rw.open_result(run), ['wear', 'penetration'])",
+        "rw.open_ensemble(folder).penetration",
+        "rw.WearLaw, rw.Result, rw.FailedResult, rw.InputError, rw.ComputationError",
+    ],
+)
+def test_what_starts_neither_mpi_nor_petsc_nor_compiled_code(words, stored):
+    program = (
+        "import sys\nimport ringwear_par as rw\ncase, study, run, folder = sys.argv[1:]\n"
+        f"{words}\nheavy = [name for name in {HEAVY} if name in sys.modules]\n"
+        "assert not heavy, heavy"
+    )
+    result = run(program, *stored)
+    assert result.returncode == 0, result.stderr
+
+
+@pytest.fixture(scope="module")
+def stored(tmp_path_factory):
+    """Names of a case, a study, a result file and the folder of a sweep."""
+    folder = tmp_path_factory.mktemp("stored")
+    case, study = folder / "case.toml", folder / "study.toml"
+    text = (ROOT / "scripts/cases/paper.toml").read_text()
+    case.write_text(f"{text}\n[mesh]\ncontact_elements = 8\n".replace("steps = 200", "steps = 3"))
+    study.write_text('case = "case.toml"\n[vary]\n"load.pressure" = { values = [50, 60] }\n')
+    program = """
+import sys
+import ringwear_par as rw
+case, study, run, folder = sys.argv[1:]
+rw.simulate(rw.read_case(case)).save(run)
+rw.sweep(rw.read_study(study), folder)
+"""
+    names = case, study, folder / "run.h5", folder / "out"
+    result = run(program, *names)
+    assert result.returncode == 0, result.stderr
+    return names
