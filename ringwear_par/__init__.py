@@ -17,7 +17,7 @@ a result or drawing it starts MPI, PETSc or compiled code.
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 
 if TYPE_CHECKING:
     from ringwear_par.cases.case import Case

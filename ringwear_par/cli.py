@@ -168,8 +168,8 @@ def _sweep(args: argparse.Namespace, comm: Any) -> None:
     from ringwear_par.studies.sweep import run_sweep
 
     run_sweep(
-        args.study, args.output, args.ranks_per_case, args.part, args.dry_run,
-        args.retry_failed, comm, args.mix_versions,
+        args.study, args.output, comm, ranks_per_case=args.ranks_per_case, part=args.part,
+        retry_failed=args.retry_failed, mix_versions=args.mix_versions, dry_run=args.dry_run,
     )  # fmt: skip
 
 

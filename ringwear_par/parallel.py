@@ -40,7 +40,7 @@ def together(comm: "MPI.Comm") -> Iterator[None]:
     """Run a block on all ranks; if it fails on any of them, raise that error on all.
 
     Collective on comm. Of several errors that of the lowest rank is raised; one that is not ours
-    reaches the others as a ComputationError. Nothing in the rest of a block may wait for a rank
+    reaches the others as a RingwearError. Nothing in the rest of a block may wait for a rank
     that has failed in it.
     """
     if comm.size == 1:
@@ -66,7 +66,8 @@ def _as_ours(error: Exception) -> RingwearError:
         return error
     if isinstance(error, OSError):
         return ComputationError(f"{error.filename or 'output'}: {error.strerror or error}")
-    return ComputationError(f"{type(error).__name__}: {error}")
+    # no ComputationError, after which another step may be tried
+    return RingwearError(f"{type(error).__name__}: {error}")
 
 
 def warn_of_threads(ranks: int) -> None:

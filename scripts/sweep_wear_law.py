@@ -67,9 +67,7 @@ def study(folder: Path, comm: MPI.Intracomm) -> dict[str, float]:
     from ringwear_par.parallel import on_first_rank
     from ringwear_par.studies.sweep import run_sweep
 
-    run_sweep(
-        STUDY, folder, ranks_per_case=1, part=None, dry_run=False, retry_failed=False, comm=comm
-    )
+    run_sweep(STUDY, folder, comm)
     return on_first_rank(comm, partial(_evaluated, folder))
 
 

@@ -74,7 +74,8 @@ def simulate(
         while not show.stopped and not case.time.finished(control.progress.steps, state.time):
             with _named(control, state):
                 state = model.update_geometry(state)
-                end = control.end(model, state)
+                with together(comm):  # it may ask laws for their rates
+                    end = control.end(model, state)
                 try:
                     with together(comm):
                         step = scheme(model, state, end)

@@ -1,6 +1,5 @@
 """What makes an answer doubtful though it was computed: said by ``run``, flagged by ``sweep``."""
 
-from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,8 +14,6 @@ _FEW_ELEMENTS = 10
 _MOST_MOVED = 0.05
 #: largest defect of the boundary elements' own balances
 _MOST_DEFECT = 0.01
-#: between the flags of one case
-_SEPARATOR = ", "
 
 
 @dataclass(frozen=True)
@@ -97,13 +94,3 @@ def instability(model: WearModel) -> tuple[Doubt, ...]:
             "oscillate, and with p0 > 0 the wear is too large)",
         ),
     )
-
-
-def join_flags(flags: Iterable[str]) -> str:
-    """Return the flags of a case as files store them."""
-    return _SEPARATOR.join(flags)
-
-
-def split_flags(text: str) -> tuple[str, ...]:
-    """Return the flags that a file stores of a case."""
-    return tuple(text.split(_SEPARATOR)) if text else ()

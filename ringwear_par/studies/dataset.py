@@ -6,7 +6,6 @@ with NaN; ``steps_stored`` and ``elements`` say how much is there. Both files ap
 
 import csv
 import math
-import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -16,6 +15,7 @@ import h5py
 import numpy as np
 
 from ringwear_par.arrays import FloatArray
+from ringwear_par.atomic import atomic_write
 from ringwear_par.cases.keys import read_keys
 from ringwear_par.cases.schema import BY_PATH
 from ringwear_par.cases.text import toml_value
@@ -106,31 +106,20 @@ def write_ensemble(
     OSError : the disk or the folder.
     """
     target = folder / RESULTS
-    temporary = folder / f"{RESULTS}.tmp{os.getpid()}"
     try:
-        with h5py.File(temporary, "w") as file:
+        with (
+            atomic_write(folder / TABLE) as listed,  # both are whole before one is replaced
+            atomic_write(target) as temporary,
+            h5py.File(temporary, "w") as file,
+        ):
             table = _write_histories(file, names, rows, fetch)
             file.attrs.update({"software": SOFTWARE, **attributes})
-            file.flush()
-        _sync(temporary)
-        listed = folder / f"{TABLE}.tmp{os.getpid()}"
-        with listed.open("w", newline="", encoding="utf-8") as handle:
-            writer = csv.writer(handle)
-            writer.writerow(("case", *names, *_COLUMNS))
-            writer.writerows(table)
-        _sync(listed)
-        temporary.replace(target)
-        listed.replace(folder / TABLE)
+            with listed.open("w", newline="", encoding="utf-8") as handle:
+                writer = csv.writer(handle)
+                writer.writerow(("case", *names, *_COLUMNS))
+                writer.writerows(table)
     except RuntimeError as error:  # what h5py makes of some failures of the disk
         raise OSError(None, str(error), str(target)) from error
-    finally:
-        for name in (RESULTS, TABLE):
-            (folder / f"{name}.tmp{os.getpid()}").unlink(missing_ok=True)
-
-
-def _sync(path: Path) -> None:
-    with path.open("rb+") as handle:
-        os.fsync(handle.fileno())
 
 
 def _write_histories(

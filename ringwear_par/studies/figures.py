@@ -22,10 +22,9 @@ from scipy.special import ndtri
 from scipy.stats import rankdata
 
 from ringwear_par.arrays import BoolArray, FloatArray, IntArray
-from ringwear_par.atomic import atomic_write
 from ringwear_par.cases.schema import UNITS
 from ringwear_par.errors import InputError
-from ringwear_par.results.figures import COLOURS, STYLE, check_figure
+from ringwear_par.results.figures import COLOURS, STYLE, check_figure, save_figure
 from ringwear_par.studies.designs import SAMPLED
 from ringwear_par.studies.ensemble import Ensemble, read_ensemble
 
@@ -160,8 +159,7 @@ def plot_sweep(folder: Path, output: Path) -> None:
     """
     check_figure(output)
     figure = draw_sweep(read_ensemble(folder))
-    with matplotlib.rc_context(STYLE), atomic_write(output) as temporary:
-        figure.savefig(temporary)
+    save_figure(figure, output)
 
 
 def draw_sweep(ensemble: Ensemble) -> Figure:

@@ -33,6 +33,8 @@ from ringwear_par.studies.variations import split_key, varied_keys
 if TYPE_CHECKING:
     from mpi4py import MPI
 
+#: defaults of before keys had to be given: the ids of the cases of then have to stay
+_NOT_IN_IDS = {f"wear.{body}.law": "threshold" for body in ("lower", "upper")}
 #: faults of single cases told one by one; the rest are counted
 _FAULTS_TOLD = 5
 
@@ -163,7 +165,7 @@ def case_id(case_keys: Mapping[str, Any]) -> str:
     content = {}
     for path in sorted(case_keys.keys() - {"title"}):
         value = BY_PATH[path].read(case_keys[path])
-        if value != BY_PATH[path].default:
+        if value != _NOT_IN_IDS.get(path, BY_PATH[path].default):
             content[path] = value
         if path.startswith("wear.") and path.endswith(".file"):  # what it says, not where it is
             content[path] = read_text(Path(case_keys[path]))

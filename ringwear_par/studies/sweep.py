@@ -80,30 +80,30 @@ def sweep(
 
 def run_sweep(
     study: Source,
-    folder: Path,
-    ranks_per_case: int,
-    part: tuple[int, int] | None,
-    dry_run: bool,
-    retry_failed: bool,
+    folder: Path | str,
     comm: MPI.Intracomm,
+    *,
+    ranks_per_case: int = 1,
+    part: tuple[int, int] | None = None,
+    retry_failed: bool = False,
     mix_versions: bool = False,
-) -> int:
-    """Do as ``sweep`` and print what was done, or would be; return the exit status.
+    dry_run: bool = False,
+) -> None:
+    """Do as ``sweep`` and print what was done, or in a dry run what would be.
 
     Collective on comm.
     """
-    request = Request(folder, comm.size, ranks_per_case, part, retry_failed, mix_versions)
+    request = Request(Path(folder), comm.size, ranks_per_case, part, retry_failed, mix_versions)
     if dry_run:
         told = estimate(_planned(study, request, comm, None), comm)
         if comm.rank == 0:
             print(told)
-        return 0
+        return
     summary, trouble = _swept(study, request, comm)
     if comm.rank == 0:
         print(summary)
     if trouble is not None:
         raise trouble
-    return 0
 
 
 def _planned(source: Source, request: Request, comm: MPI.Intracomm, held: ExitStack | None) -> Plan:

@@ -20,10 +20,10 @@ class _Cubic:
     def depth(self, p):
         return 1e-3 * self.average @ (self.average @ p) ** 3
 
-    def slope(self, p):
-        return np.diag(self.derivative(p))
+    def d_depth_dp(self, p):
+        return np.diag(self.jacobian(p))
 
-    def derivative(self, p):
+    def jacobian(self, p):
         return 1e-3 * (self.average * 3.0 * (self.average @ p) ** 2) @ self.average
 
     def potential(self, p):

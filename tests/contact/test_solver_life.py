@@ -38,7 +38,7 @@ class _Failing:
     def potential(self, p):
         return 0.0 * p
 
-    slope = potential
+    d_depth_dp = potential
 
 
 @pytest.mark.parametrize("limit", [100, 0], ids=["replicated", "distributed"])

@@ -10,8 +10,8 @@ from stored import contents
 
 from ringwear_par.errors import ComputationError, InputError
 from ringwear_par.results import files as results
-from ringwear_par.results import progress as monitor
 from ringwear_par.results import run as driver
+from ringwear_par.results import watch as monitor
 from ringwear_par.results.run import run_case
 from ringwear_par.results.variables import HISTORIES
 
@@ -120,18 +120,18 @@ def test_a_signal_during_the_meeting_stops_all_ranks_at_the_same_step(
     import signal
     import time
 
-    call = monitor.Monitor.__call__
+    call = monitor.Watch.__call__
 
-    def late(self, state):
-        if state.step == 5 and comm.rank > 0:
+    def late(self, snapshot):
+        if snapshot.progress.steps == 5 and comm.rank > 0:
             time.sleep(0.5)
-        if state.step == 5 and comm.rank == 0:
+        if snapshot.progress.steps == 5 and comm.rank == 0:
             signal.setitimer(signal.ITIMER_REAL, 0.2)
-        return call(self, state)
+        return call(self, snapshot)
 
     if comm.rank == 0:
         signal.signal(signal.SIGALRM, lambda *_: os.kill(os.getpid(), signal.SIGUSR1))
-    monkeypatch.setattr(monitor.Monitor, "__call__", late)
+    monkeypatch.setattr(monitor.Watch, "__call__", late)
     path = shared_path / "run.h5"
     with pytest.raises(ComputationError, match=r"SIGUSR1 after step [56] of 20"):
         run_case(PAPER, path, SMALL, comm=comm)

@@ -9,6 +9,7 @@ from swept import CASE, table, variables, write_study
 import ringwear_par
 from ringwear_par import info
 from ringwear_par.errors import ComputationError, InputError
+from ringwear_par.studies import workers
 from ringwear_par.studies.ensemble import open_ensemble
 from ringwear_par.studies.shards import Record, Shard, read_index, read_records
 from ringwear_par.studies.sweep import sweep
@@ -33,7 +34,7 @@ def swept(shared_path, comm):
 def test_another_version_does_not_mix_with_the_first(swept, shared_path, comm, monkeypatch):
     mine = ringwear_par.__version__
     swept("0, 20")
-    for module in (ringwear_par, info):
+    for module in (ringwear_par, info, workers):
         monkeypatch.setattr(module, "__version__", "99.0")
     assert swept("0, 20").computed == 0  # nothing to mix
     with pytest.raises(InputError) as raised:
@@ -62,10 +63,10 @@ def test_interrupted_cases_of_another_version_start_anew(
         ("incomplete", ringwear_par.__version__)
     ]
     comm.Barrier()
-    for module in (ringwear_par, info):
+    for module in (ringwear_par, info, workers):
         monkeypatch.setattr(module, "__version__", "99.0")
     read = []
-    monkeypatch.setattr("ringwear_par.studies.workers.read_checkpoint", read.append)
+    monkeypatch.setattr("ringwear_par.studies.workers.open_result", read.append)
     assert swept("0", ranks_per_case=comm.size).done == 1
     assert not read
     assert comm.rank > 0 or "1 interrupted cases of another version start anew" in caplog.text
@@ -141,9 +142,7 @@ def test_doubts_of_run_are_flags_of_a_sweep(swept, shared_path, comm, caplog):
         (shared_path / "one.toml").write_text(text)
     comm.Barrier()
     caplog.clear()
-    run_case(
-        shared_path / "one.toml", shared_path / "run.h5", ["wear.lower.p0=0"], False, None, comm
-    )
+    run_case(shared_path / "one.toml", shared_path / "run.h5", ["wear.lower.p0=0"], comm=comm)
     if comm.rank == 0:
         assert ("times its stability limit" in caplog.text) == (
             "unstable_explicit_step" in flags[0]

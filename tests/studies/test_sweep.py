@@ -23,9 +23,10 @@ def write(shared_path, comm):
 
 
 def swept(study, folder, comm, ranks_per_case=1, part=None, retry=False):
-    status = sweep.run_sweep(study, folder, ranks_per_case, part, False, retry, comm)
+    sweep.run_sweep(
+        study, folder, comm, ranks_per_case=ranks_per_case, part=part, retry_failed=retry
+    )
     comm.Barrier()
-    return status
 
 
 def same(one, other):
@@ -37,7 +38,7 @@ def same(one, other):
 def test_equals_single_runs(write, shared_path, comm):
     """To 1e-12: assembly on all ranks and on one sum in another order, histories do not."""
     folder, run = shared_path / "out", shared_path / "run.h5"
-    assert swept(write(STUDY), folder, comm) == 0
+    swept(write(STUDY), folder, comm)
     found, rows = variables(folder), table(folder)
     assert [row["status"] for row in rows] == ["done"] * 12
     for i in (0, 5, 10):
@@ -112,7 +113,7 @@ def test_again_recomputes_nothing_and_changes_nothing(write, shared_path, comm, 
     study, folder = write(STUDY), shared_path / "out"
     swept(study, folder, comm)
     before, rows = variables(folder), table(folder)
-    monkeypatch.setattr(workers.WearHistory, "start", None)  # any case would fail
+    monkeypatch.setattr(workers, "simulate", None)  # any case would fail
     swept(study, folder, comm)
     same(before, variables(folder))
     assert table(folder) == rows
@@ -176,7 +177,7 @@ def test_sizes_that_do_not_divide_are_refused(write, shared_path, comm):
 
 
 def test_a_failed_case_is_a_row_and_the_others_go_on(write, shared_path, comm, monkeypatch):
-    from ringwear_par.wear.law import ThresholdLaw
+    from ringwear_par.wear.threshold import ThresholdLaw
 
     original = ThresholdLaw.rate
 
@@ -198,7 +199,7 @@ def test_a_failed_case_is_a_row_and_the_others_go_on(write, shared_path, comm, m
     with pytest.raises(ComputationError, match="4 of 12 cases failed"):
         swept(write(STUDY), folder, comm)  # failures are results as well
     comm.Barrier()
-    assert swept(write(STUDY), folder, comm, retry=True) == 0
+    swept(write(STUDY), folder, comm, retry=True)
     assert all(row["status"] == "done" for row in table(folder))
 
 
@@ -220,7 +221,7 @@ def test_an_operator_that_fails_fails_its_cases_only(write, shared_path, comm, m
 
 
 def test_a_dry_run_writes_nothing(write, shared_path, comm, capsys):
-    sweep.run_sweep(write(STUDY), shared_path / "out", 1, None, True, False, comm)
+    sweep.run_sweep(write(STUDY), shared_path / "out", comm, dry_run=True)
     comm.Barrier()
     assert not (shared_path / "out").exists()
     if comm.rank == 0:

@@ -12,7 +12,7 @@ import try_faults as faults
 from conftest import SHELL_ENVIRONMENT
 
 from ringwear_par.errors import ComputationError
-from ringwear_par.results import progress as monitor
+from ringwear_par.results import watch
 from ringwear_par.studies.sweep import run_sweep
 from ringwear_par.wear.threshold import ThresholdLaw
 
@@ -153,7 +153,7 @@ def test_case_that_raises(tmp_path, short, monkeypatch, comm):
         return true_rate(self, p, power)
 
     def run(retry):
-        return run_sweep(study, tmp_path / "out", 1, None, False, retry, comm)
+        return run_sweep(study, tmp_path / "out", comm, retry_failed=retry)
 
     with monkeypatch.context() as patch:
         patch.setattr(ThresholdLaw, "rate", rate)
@@ -168,7 +168,7 @@ def test_case_that_raises(tmp_path, short, monkeypatch, comm):
         run(False)  # a failed case is not tried again by itself
     assert kept(before, tmp_path / "out")
     bad = {row["case"] for row in faults.table(tmp_path / "out") if row["status"] == "failed"}
-    assert run(True) == 0
+    run(True)
     assert kept(before, tmp_path / "out", but=bad)
     assert statuses(tmp_path / "out")[1:] == (["done"] * SHORT, [""] * SHORT)
 
@@ -313,8 +313,8 @@ def test_signal_to_one_rank(tmp_path, long, number):
 
 def test_no_checkpoint_is_left(tmp_path, monkeypatch, comm):
     study = faults.write_study(tmp_path, count=2, steps=30, elements=(16,))
-    monkeypatch.setattr(monitor, "CHECKPOINT_SECONDS", 0.001)
-    assert run_sweep(study, tmp_path / "out", 1, None, False, False, comm) == 0
+    monkeypatch.setattr(watch, "CHECKPOINT_SECONDS", 0.001)
+    run_sweep(study, tmp_path / "out", comm)
     assert not (tmp_path / "out" / "inflight").exists()
 
 
@@ -322,9 +322,9 @@ def test_steps_that_differ_stay_named_so(tmp_path, comm):
     study = faults.write_study(tmp_path, count=2, steps=30, elements=(16,))
     text = study.read_text(encoding="utf-8")
     study.write_text(text.replace("[design]", '"output.every" = { values = [1, 10] }\n[design]'))
-    assert run_sweep(study, tmp_path / "out", 1, None, False, False, comm) == 0
+    run_sweep(study, tmp_path / "out", comm)
     shutil.copytree(tmp_path / "out", tmp_path / "first")
-    assert run_sweep(study, tmp_path / "out", 1, None, False, False, comm) == 0
+    run_sweep(study, tmp_path / "out", comm)
     assert not faults.differences(tmp_path / "out", tmp_path / "first")
 
 

@@ -1,16 +1,16 @@
 """A rank of a team that fails alone takes the others with it, and nobody waits for ever."""
 
 import os
-from functools import partial
 
 import numpy as np
 import pytest
-from swept import table, write_study
+from swept import CASE, table, write_study
 
 from ringwear_par.errors import ComputationError
+from ringwear_par.history.model import WearModel
 from ringwear_par.studies import operators
 from ringwear_par.studies.sweep import sweep
-from ringwear_par.wear.law import ThresholdLaw
+from ringwear_par.wear.threshold import ThresholdLaw
 
 pytestmark = pytest.mark.mpi(min_size=2)
 #: of the twelve cases, those with one of three coefficients
@@ -20,20 +20,25 @@ FAILED = ["done"] * 4 + ["failed"] * 4 + ["done"] * 4
 @pytest.fixture
 def swept(shared_path, comm):
     """Sweep a study, all ranks a team."""
-    return partial(
-        sweep, write_study(shared_path, comm), shared_path / "out", comm, ranks_per_case=comm.size
-    )
+
+    def swept(case=CASE, **how):
+        path = write_study(shared_path, comm, case=case)
+        return sweep(path, shared_path / "out", comm, ranks_per_case=comm.size, **how)
+
+    return swept
 
 
 def is_bad(law):
     return abs(law.k - 1e-7) < 1e-12
 
 
+@pytest.mark.parametrize("scheme", ["implicit", "explicit", "adaptive"])
 @pytest.mark.parametrize("calls", [0, 30])
 def test_a_law_that_raises_on_one_rank_fails_its_cases(
-    swept, shared_path, comm, monkeypatch, calls
+    swept, shared_path, comm, monkeypatch, calls, scheme
 ):
     """In its first step, and in a later one."""
+    case = CASE.replace("implicit", scheme)
     rate, made = ThresholdLaw.rate, []
 
     def raising(self, p, at):
@@ -46,27 +51,25 @@ def test_a_law_that_raises_on_one_rank_fails_its_cases(
 
     monkeypatch.setattr(ThresholdLaw, "rate", raising)
     with pytest.raises(ComputationError, match="4 of 12 cases failed"):
-        swept()
+        swept(case)
     comm.Barrier()
     rows = table(shared_path / "out")
     assert [row["status"] for row in rows] == FAILED
-    assert {row["error"] for row in rows} == {"", "RuntimeError('only here')"}
+    assert {"only here" in row["error"] for row in rows if row["status"] == "failed"} == {True}
     comm.Barrier()
     monkeypatch.undo()
-    assert swept(retry_failed=True).done == 12
+    assert swept(case, retry_failed=True).done == 12
 
 
 def test_a_start_that_fails_on_one_rank_fails_its_case(swept, shared_path, comm, monkeypatch):
-    from ringwear_par.studies import workers
-
-    start = workers.WearHistory.start
+    initial = WearModel.initial
 
     def failing(self):
         if is_bad(self.case.wear_lower) and comm.rank == comm.size - 1:
             raise MemoryError("no room")
-        return start(self)
+        return initial(self)
 
-    monkeypatch.setattr(workers.WearHistory, "start", failing)
+    monkeypatch.setattr(WearModel, "initial", failing)
     with pytest.raises(ComputationError, match="4 of 12 cases failed"):
         swept()
     comm.Barrier()
