@@ -47,8 +47,9 @@ from ringwear_par.history.bodies import young
 from ringwear_par.history.euler import backward, forward
 from ringwear_par.history.model import WearModel
 from ringwear_par.history.pairs import assemble
+from ringwear_par.history.simulate import simulate
+from ringwear_par.history.snapshots import Snapshot
 from ringwear_par.history.state import State
-from ringwear_par.history.trace import trace
 from ringwear_par.results.figures import STYLE
 from ringwear_par.verification.reference import EXPLICIT_LIMIT, contact_modulus
 from ringwear_par.wear.threshold import ThresholdLaw
@@ -145,7 +146,13 @@ class Run:
 def worn(case: Case, pair: ContactPair, scheme: Scheme, step: float, comm: MPI.Comm) -> Run:
     """Wear a case in equal steps, s, that divide TIMES. Collective."""
     stepping = Stepping(scheme, step, round(TIMES[-1] / step))
-    states = trace(replace(case, time=stepping), comm, pair=pair).states
+    states: list[State] = []
+
+    def keep(snapshot: Snapshot) -> bool:
+        states.append(snapshot.state)
+        return False
+
+    simulate(replace(case, time=stepping), comm, pair=pair, observers=[keep])
     profiles = [1e3 * states[round(time / step)].wear[0] for time in TIMES]
     first, last = states[0].contact, states[-1].contact
     return Run(

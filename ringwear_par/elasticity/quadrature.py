@@ -11,6 +11,7 @@ f(t) + g(t) log t with f, g smooth; t = tau^5 turns the logarithm into a weak si
 order for Gauss points in tau.
 """
 
+from functools import cache
 from typing import NamedTuple
 
 import numpy as np
@@ -41,8 +42,9 @@ class Quadrature(NamedTuple):
     singular_weights: FloatArray
 
 
+@cache
 def quadrature(tolerance: float) -> Quadrature:
-    """Return the rules for a relative accuracy of the element integrals."""
+    """Return the rules for a relative accuracy of the element integrals, not to be written to."""
     reach = np.full(MAX_POINTS + 1, np.inf)
     points = np.zeros((MAX_POINTS + 1, MAX_POINTS))
     weights = np.zeros_like(points)

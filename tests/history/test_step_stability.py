@@ -1,8 +1,11 @@
 """Ripples of late worn profiles: explicit steps beyond their limit, gaps from nodes, neither."""
 
+from functools import cache
+
 import numpy as np
 import pytest
 import step_stability as script
+from mpi4py import MPI
 
 
 @pytest.fixture(scope="module")
@@ -14,6 +17,22 @@ def both(comm):
 @pytest.fixture(scope="module")
 def limits(comm):
     return {n: script.limits(n, comm) for n in script.SIZES}
+
+
+@pytest.fixture(scope="module")
+def worn(both):
+    """Function that wears the paper's rings, each way once.
+
+    Every rank steps so small a contact on its own in any case, and need not meet the others after
+    each of thousands of steps.
+    """
+
+    @cache
+    def worn(gaps, scheme, step, p0=40.0):
+        case = script.paper(script.N, p0=p0)
+        return script.worn(case, both[gaps], scheme, step, MPI.COMM_SELF)
+
+    return worn
 
 
 def test_ripple_is_the_amplitude_of_alternating_wear(both):
@@ -34,14 +53,10 @@ def test_limit_measured_by_stepping_is_that_of_the_eigenvalue_and_of_the_formula
     assert ratios == pytest.approx([1.0255, 1.0100, 1.0000, 0.9940], abs=3e-3)
 
 
-def test_explicit_steps_are_stable_below_the_limit_and_not_above(both, comm):
-    case = script.paper(script.N)
-    limit = script.formula(case)
+def test_explicit_steps_are_stable_below_the_limit_and_not_above(worn):
+    limit = script.formula(script.paper(script.N))
     assert 0.75 * limit < script.SHORT < limit < script.LONG < 1.5 * limit
-    stable, unstable = (
-        script.worn(case, both["mid-point"], "explicit", step, comm)
-        for step in (script.SHORT, script.LONG)
-    )
+    stable, unstable = (worn("mid-point", "explicit", step) for step in (script.SHORT, script.LONG))
     assert stable.ripples.max() < 1e-3
     assert np.ptp(stable.pressure) < 10.0
     assert unstable.ripples[-1] > 0.2
@@ -74,11 +89,9 @@ def test_nodal_gaps_spoil_the_unworn_pressure(comm):
     assert errors[1] < 0.5 * errors[0] < 0.3
 
 
-def test_profiles_ripple_for_either_cause_and_not_without(both, comm):
-    case = script.paper(script.N)
-
+def test_profiles_ripple_for_either_cause_and_not_without(worn):
     def ripple(gaps, scheme, step):
-        return script.worn(case, both[gaps], scheme, step, comm).ripples[-1]
+        return worn(gaps, scheme, step).ripples[-1]
 
     smooth = ripple("mid-point", "implicit", script.LONG)
     assert ripple("mid-point", "explicit", script.LONG) > 300.0 * smooth
@@ -90,22 +103,20 @@ def test_profiles_ripple_for_either_cause_and_not_without(both, comm):
     assert ripple("nodal", "explicit", 0.04) < 1.5 * smooth
 
 
-def test_threshold_makes_ripples_dig_too_deep(both, comm):
+def test_threshold_makes_ripples_dig_too_deep(worn):
     """With p0 > 0 what alternates wears more on average; without only the profile suffers."""
     for gaps, step, too_deep in (("mid-point", script.LONG, 1.05), ("nodal", script.SHORT, 1.3)):
         ratio = {}
         for p0 in (0.0, 40.0):
-            case = script.paper(script.N, p0=p0)
-            rippled = script.worn(case, both[gaps], "explicit", step, comm)
-            smooth = script.worn(case, both[gaps], "implicit", 1.0, comm)
+            rippled = worn(gaps, "explicit", step, p0)
+            smooth = worn(gaps, "implicit", 1.0, p0)
             ratio[p0] = rippled.penetration / smooth.penetration
         assert ratio[0.0] == pytest.approx(1.0, abs=0.025)
         assert ratio[40.0] > too_deep
 
 
-def test_picture_is_drawn(both, limits, comm, shared_path):
-    case = script.paper(script.N)
-    run = script.worn(case, both["mid-point"], "implicit", 50.0, comm)
+def test_picture_is_drawn(both, limits, worn, comm, shared_path):
+    run = worn("mid-point", "implicit", 50.0)
     runs = {(*key, p0): run for key in script.RUNS for p0 in (0.0, 40.0)}
     found = script.Study(runs, dict.fromkeys(both, run.pressure), limits)
     if comm.rank == 0:
