@@ -1,7 +1,7 @@
 """A case: one wear test, complete and consistent, as frozen dataclasses."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, Literal
@@ -17,6 +17,8 @@ from ringwear_par.errors import InputError
 from ringwear_par.schedules import Quantity, breakpoints
 from ringwear_par.wear.law import Law, WearLaw, complete
 
+#: dotted keys and values, or "KEY=VALUE" texts
+Overrides = Mapping[str, Any] | Sequence[str]
 #: times closer than this share of them are one
 SAME_TIME = 1e-12
 
@@ -98,8 +100,9 @@ class Case:
 
     Parameters
     ----------
-    text : the TOML text as run, overrides included, which reads back to this case; "" for a case
-        that was constructed and not read.
+    text : the TOML text as run, overrides included; "" for a case that was constructed.
+    rebuild : makes a changed case of the text; None where the text does not tell this case, for it
+        was constructed or changed as a dataclass.
     """
 
     lower: Ring
@@ -113,6 +116,9 @@ class Case:
     output: Output
     title: str = ""
     text: str = field(default="", compare=False, repr=False)
+    rebuild: Callable[[str, Overrides], "Case"] | None = field(
+        default=None, init=False, compare=False, repr=False
+    )
 
     @property
     def overlap(self) -> tuple[float, float]:
@@ -232,7 +238,7 @@ class Case:
         """Meridian sections of lower and upper, each in its own frame."""
         return self.section(self.lower), self.section(self.upper)
 
-    def replace(self, changes: Mapping[str, Any] | Sequence[str]) -> "Case":
+    def replace(self, changes: Overrides) -> "Case":
         """Return a copy with some keys changed, checked like any case. Not collective.
 
         Parameters
@@ -243,11 +249,16 @@ class Case:
         ------
         InputError : all faults, one sentence each; or this case has no text that tells its keys.
         """
-        from ringwear_par.cases.reading import parse_case
-
-        if not self.text or parse_case(self.text, "case") != self:
+        if self.rebuild is None:
             raise InputError(
                 "case: its text does not tell its keys, for it was constructed or changed as a "
                 "dataclass; replace needs a case that read_case or replace returned"
             )
-        return parse_case(self.text, "case", changes)
+        return self.rebuild(self.text, changes)
+
+    @property
+    def told(self) -> str:
+        """The text to be stored: one that is not the whole truth says so."""
+        if self.rebuild is not None:
+            return self.text
+        return f"# changed in Python after it was read: not all of this is as run\n{self.text}"

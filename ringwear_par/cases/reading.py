@@ -1,11 +1,11 @@
 """Reading cases: from a text or tables to dotted keys, overrides, and from keys to a ``Case``."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from ringwear_par.cases.case import Case, Load, Output, Ring, Stepping
+from ringwear_par.cases.case import Case, Load, Output, Overrides, Ring, Stepping
 from ringwear_par.cases.faults import (
     Origin,
     check_contact,
@@ -23,8 +23,6 @@ from ringwear_par.elasticity.mesh import Mesh
 from ringwear_par.elasticity.sections import Grip, Polyline
 from ringwear_par.errors import InputError
 from ringwear_par.schedules import Quantity, Table
-
-Overrides = Mapping[str, Any] | Sequence[str]
 
 
 def read_case(source: str | Path | Mapping[str, Any], overrides: Overrides = ()) -> Case:
@@ -94,7 +92,12 @@ def make_case(keys: Mapping[str, Any], origin: Origin | str, text: str | None = 
         raise InputError(*faults)
     case = _build(keys, values, faces, toml_text(keys) if text is None else text)
     check_contact(origin.whole, case, values["load.displacement"])
+    object.__setattr__(case, "rebuild", _rebuilt)  # a copy by dataclasses.replace has none
     return case
+
+
+def _rebuilt(text: str, changes: Overrides) -> Case:
+    return parse_case(text, "case", changes)
 
 
 def _read_values(keys: Mapping[str, Any], origin: Origin) -> tuple[dict[str, Any], list[str]]:

@@ -197,7 +197,7 @@ class Recorder:
             {name: arrays[name] for name in self._profiles if name in arrays},
             tuple(boundary),
             {
-                "case": case.text,
+                "case": case.told,
                 "title": case.title,
                 "status": "complete" if self._last.finished else "incomplete",
                 "ranks": self._comm.size,

@@ -19,6 +19,7 @@ from ringwear_par.results.variables import (
     HISTORIES,
     LINE,
     PROFILES,
+    SOFTWARE,
     STATE_NUMBER,
     STEP,
     STEPS_MADE,
@@ -30,7 +31,6 @@ if TYPE_CHECKING:
 
     from ringwear_par.results.checkpoints import Checkpoint
 
-SOFTWARE = "ringwear-par"
 _BALANCE = "balance_"
 
 
@@ -144,7 +144,7 @@ class Result:
         InputError : a file that cannot be written.
         ComputationError : the disk.
         """
-        from ringwear_par.results.files import write_result
+        from ringwear_par.results.writing import write_result
 
         path = Path(path)
 

@@ -10,6 +10,9 @@ import numpy as np
 
 from ringwear_par.elasticity.boundary_fields import FACES
 
+#: what files say they were written by
+SOFTWARE = "ringwear-par"
+
 
 @dataclass(frozen=True)
 class Variable:

@@ -17,11 +17,12 @@ from ringwear_par.history.simulate import simulate
 from ringwear_par.history.snapshots import Observer
 from ringwear_par.options import reject_unused_options
 from ringwear_par.parallel import on_first_rank, together
-from ringwear_par.results.files import open_result, write_result
+from ringwear_par.results.files import open_result
 from ringwear_par.results.progress import SweepProgress
 from ringwear_par.results.recorder import Recorder
 from ringwear_par.results.result import Result
 from ringwear_par.results.watch import StopSignals, Watch
+from ringwear_par.results.writing import write_result
 from ringwear_par.studies.operators import (
     StorageError,
     map_operator,
