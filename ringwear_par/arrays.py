@@ -28,3 +28,10 @@ def inner(weights: FloatArray, values: FloatArray) -> Any:
     if values.ndim == 1:
         return float(weights @ values)
     return np.array([inner(weights, each) for each in values])
+
+
+def larger(one: Any, other: Any) -> Any:
+    """Return the larger of numbers of histories: floats, or arrays (B,)."""
+    if isinstance(one, float) and isinstance(other, float):  # of one history, and quicker
+        return one if one > other else other
+    return np.maximum(one, other)

@@ -2,8 +2,7 @@
 
 import logging
 import os
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
@@ -35,29 +34,31 @@ def on_first_rank(comm: "MPI.Comm", action: Callable[[], T]) -> T:
     return result
 
 
-@contextmanager
-def together(comm: "MPI.Comm") -> Iterator[None]:
+class together:  # noqa: N801  (it reads as a word: with together(comm))
     """Run a block on all ranks; if it fails on any of them, raise that error on all.
 
     Collective on comm. Of several errors that of the lowest rank is raised; one that is not ours
-    reaches the others as a RingwearError. Nothing in the rest of a block may wait for a rank
-    that has failed in it.
+    reaches the others as a RingwearError. Nothing in the rest of a block may wait for a rank that
+    has failed in it. A class, as it is entered in every step of a history.
     """
-    if comm.size == 1:
-        yield
-        return
-    own: Exception | None = None
-    try:
-        yield
-    except Exception as error:
-        own = error
-    from mpi4py import MPI
 
-    failed = np.array([own is not None], dtype=np.int32)
-    comm.Allreduce(MPI.IN_PLACE, failed, MPI.MAX)
-    if failed[0]:
-        errors = comm.allgather(None if own is None else _as_ours(own))
-        raise next(error for error in errors if error is not None) from own
+    def __init__(self, comm: "MPI.Comm") -> None:
+        self._comm = comm
+
+    def __enter__(self) -> None:
+        pass
+
+    def __exit__(self, _: object, own: BaseException | None, __: object) -> None:
+        comm = self._comm
+        if comm.size == 1 or not (own is None or isinstance(own, Exception)):
+            return
+        from mpi4py import MPI
+
+        failed = np.array([own is not None], dtype=np.int32)
+        comm.Allreduce(MPI.IN_PLACE, failed, MPI.MAX)
+        if failed[0]:
+            errors = comm.allgather(None if own is None else _as_ours(own))
+            raise next(error for error in errors if error is not None) from own
 
 
 def _as_ours(error: Exception) -> RingwearError:

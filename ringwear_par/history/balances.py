@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 
+from ringwear_par.arrays import FloatArray, larger
 from ringwear_par.history.model import WearModel
 from ringwear_par.history.snapshots import Snapshot
 from ringwear_par.history.state import State
@@ -38,11 +39,6 @@ class Balances:
     residual: float = 0.0
     step_error: float = 0.0
 
-    def worse(self, other: "Balances") -> "Balances":
-        """Return the larger of each."""
-        # astuple copies deeply, which takes as long as a small contact
-        return Balances(*map(max, vars(self).values(), vars(other).values()))
-
     @property
     def worst(self) -> float:
         """The worst of those that hold to round-off."""
@@ -54,25 +50,30 @@ def balances(model: WearModel, state: State) -> dict[str, Any]:
 
     All but ``step_error``, which is that of a step.
     """
-    contact, laws = state.contact, model.laws
-    turned, lower, upper, turned_lower, turned_upper = model.reactions(contact.pressure)
-    volumes = model.integrals(state.wear)
-    total, off = volumes.max(axis=0), np.abs(volumes - state.worn).max(axis=0)
+    contact = state.contact
+    turned, lower, upper, turned_lower, turned_upper = _parts(model.reactions(contact.pressure))
+    volumes, worn = _parts(model.integrals(state.wear)), _parts(state.worn)
     identity: Any = 0.0
-    for law, volume in zip(laws, volumes, strict=True):
+    for law, volume in zip(model.laws, volumes, strict=True):
         ratio = law.per_energy(model.friction) if law is not None else None
         if ratio is not None:
-            identity = _larger(identity, _defect(volume, ratio * state.energy))
+            identity = larger(identity, _defect(volume, ratio * state.energy))
+    force = None if model.force is None else in_time(model.force, state.time)
+    off = larger(abs(volumes[0] - worn[0]), abs(volumes[1] - worn[1]))
+    total = larger(volumes[0], volumes[1])
     return {
-        "force": 0.0
-        if model.force is None
-        else _defect(contact.force, in_time(model.force, state.time)),
-        "torque": _larger(_defect(turned_lower, turned), _defect(turned_upper, turned)),
-        "reaction": _larger(_defect(lower, contact.force), _defect(upper, contact.force)),
+        "force": 0.0 if force is None else _defect(contact.force, force),
+        "torque": larger(_defect(turned_lower, turned), _defect(turned_upper, turned)),
+        "reaction": larger(_defect(lower, contact.force), _defect(upper, contact.force)),
         "volume": _relative(off, total),
         "energy": identity,
         "residual": contact.residual,
     }
+
+
+def _parts(values: FloatArray) -> Any:
+    """Return numbers of one history as floats, which are quicker, those of B as (B,) each."""
+    return values.tolist() if values.ndim == 1 else values
 
 
 def _defect(value: Any, exact: Any) -> Any:
@@ -83,17 +84,11 @@ def _defect(value: Any, exact: Any) -> Any:
 def _relative(off: Any, exact: Any) -> Any:
     if isinstance(exact, float):  # of one history, in every step
         return off / exact if exact > 0.0 else 0.0
-    return np.divide(off, exact, out=np.zeros_like(off), where=exact > 0.0)
-
-
-def _larger(one: Any, other: Any) -> Any:
-    if isinstance(one, float) and isinstance(other, float):
-        return max(one, other)
-    return np.maximum(one, other)
+    return np.divide(off, exact, out=np.zeros_like(exact), where=exact > 0.0)
 
 
 class WorstBalances:
-    """Observer that keeps the worst of all balances.
+    """Observer that keeps the worst of all balances of a history.
 
     Parameters
     ----------
@@ -101,15 +96,21 @@ class WorstBalances:
     """
 
     def __init__(self, before: Balances | None = None) -> None:
-        self.worst = before or Balances()
+        self._worst = vars(before or Balances()).copy()
 
     def __call__(self, snapshot: Snapshot) -> bool:
         """Take those of a new state."""
-        step = snapshot.step
-        now = Balances(
-            **balances(snapshot.model, snapshot.state),
-            step_error=0.0 if step is None else float(step.wear_error),
-        )
-        if not snapshot.passing:
-            self.worst = self.worst.worse(now)
+        if snapshot.passing:
+            return False
+        now, worst = balances(snapshot.model, snapshot.state), self._worst
+        if snapshot.step is not None:
+            now["step_error"] = float(snapshot.step.wear_error)
+        for name, value in now.items():
+            if not value <= worst[name]:  # nor NaN
+                worst[name] = value
         return False
+
+    @property
+    def worst(self) -> Balances:
+        """The worst so far."""
+        return Balances(**self._worst)

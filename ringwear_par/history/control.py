@@ -11,7 +11,6 @@ import numpy as np
 
 from ringwear_par.cases.case import Case
 from ringwear_par.errors import ComputationError, LawError
-from ringwear_par.history.model import WearModel
 from ringwear_par.history.schemes import Step
 from ringwear_par.history.state import Progress, State
 
@@ -26,9 +25,12 @@ _ENERGY_TOLERANCE = 1e-4
 class Control(Protocol):
     """What ``simulate`` asks of step control."""
 
-    progress: Progress
+    @property
+    def progress(self) -> Progress:
+        """What it remembers."""
+        ...
 
-    def end(self, model: WearModel, state: State) -> float:
+    def end(self, state: State) -> float:
         """Return the time, s, to which the next step is tried."""
         ...
 
@@ -53,18 +55,15 @@ class FixedSteps:
     def __init__(self, case: Case, progress: Progress) -> None:
         self._length, self.progress = case.time.step, progress
 
-    def end(self, model: WearModel, state: State) -> float:
+    def end(self, state: State) -> float:
         """Return the time of the next multiple of the step, s."""
         return (self.progress.steps + 1) * self._length
 
     def accepts(self, step: Step) -> bool:
         """Take every step."""
         made = self.progress
-        self.progress = replace(
-            made,
-            steps=made.steps + 1,
-            iterations=made.iterations + step.state.contact.iterations,
-        )
+        iterations = made.iterations + step.state.contact.iterations
+        self.progress = Progress(made.steps + 1, 0.0, 0, iterations)
         return True
 
     def failed(self, error: ComputationError) -> None:
@@ -91,7 +90,7 @@ class ErrorControl:
         self._cut = False
         self._iterations, self._failure = 0, ""
 
-    def end(self, model: WearModel, state: State) -> float:
+    def end(self, state: State) -> float:
         """Return the time to which the next step is tried, s.
 
         Raises
@@ -102,9 +101,9 @@ class ErrorControl:
         limit = next((t for t in self._case.breakpoints if t > state.time), time.end)
         if self._from is None:
             self._iterations, self._failure = 0, ""
-            self._length = self.progress.next_step or _first_length(model, state)
+            self._length = self.progress.next_step or _first_length(self._case, state)
             if self._case.follows_wear:
-                self._length = min(self._length, _longest_length(model, state))
+                self._length = min(self._length, _longest_length(self._case, state))
         self._from = state
         left = limit - state.time
         self._cut = self._length >= left * (1.0 - 1e-9)
@@ -158,12 +157,12 @@ class ErrorControl:
         return True
 
 
-def _first_length(model: WearModel, state: State) -> float:
-    time, fastest = model.case.time, model.fastest(state)
+def _first_length(case: Case, state: State) -> float:
+    time, fastest = case.time, float(state.rates.max())
     return min(time.end, _FIRST_WEAR * time.tolerance / fastest) if fastest > 0.0 else time.end
 
 
-def _longest_length(model: WearModel, state: State) -> float:
+def _longest_length(case: Case, state: State) -> float:
     """Return the length in which wear stays about the tolerance of the geometry, s."""
-    fastest = model.fastest(state)
-    return model.case.mesh.geometry_tolerance / fastest if fastest > 0.0 else np.inf
+    fastest = float(state.rates.max())
+    return case.mesh.geometry_tolerance / fastest if fastest > 0.0 else np.inf

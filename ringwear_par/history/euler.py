@@ -8,7 +8,7 @@ rate.
 
 import numpy as np
 
-from ringwear_par.arrays import FloatArray, Numbers, columns
+from ringwear_par.arrays import Numbers, columns, larger
 from ringwear_par.history.model import WearModel
 from ringwear_par.history.schemes import Step, advanced
 from ringwear_par.history.state import State
@@ -19,15 +19,15 @@ def forward(model: WearModel, state: State, end: Numbers) -> Step:
     """Return the explicit step to a time. Collective."""
     length = end - state.time
     omega = mean(model.omega, state.time, end)
-    p = state.contact.pressure
-    rates = model.rates(state.time, omega, state.wear, p)
+    p, rates = state.contact.pressure, state.rates
+    if not model.steady_speed:
+        rates = model.rates(state.time, omega, state.wear, p)
     depths, volumes = columns(length) * rates, length * model.integrals(rates)
-    wear = state.wear + depths
-    contact = model.contact(end, wear)
+    contact = model.contact(end, state.wear + depths)
+    then = model.rates_at(end, state.wear + depths, contact.pressure)
     energy = length * omega * model.torque(p)
-    after = advanced(model, state, end, depths, volumes, energy, contact)
-    now = in_time(model.omega, end)
-    return _judged(model, state, after, model.rates(end, now, wear, contact.pressure) - rates)
+    after = advanced(model, state, end, depths, volumes, energy, contact, then)
+    return _judged(model, state, after)
 
 
 def backward(model: WearModel, state: State, end: Numbers) -> Step:
@@ -38,19 +38,21 @@ def backward(model: WearModel, state: State, end: Numbers) -> Step:
     contact = model.contact(end, state.wear, during)
     p = contact.pressure
     depths = during.depths(p)
-    volumes = during.volumes(depths, p, model.area)
+    then = during.rates(p, depths)
+    volumes = length * model.integrals(then)
+    if not model.rates_last:
+        then = model.rates_at(end, state.wear + depths, p)
     energy = length * omega * model.torque(p)
-    after = advanced(model, state, end, depths, volumes, energy, contact)
-    now = in_time(model.omega, state.time)
-    rates = model.rates(state.time, now, state.wear, state.contact.pressure)
-    return _judged(model, state, after, depths / columns(length) - rates)
+    after = advanced(model, state, end, depths, volumes, energy, contact, then)
+    return _judged(model, state, after)
 
 
-def _judged(model: WearModel, state: State, after: State, change: FloatArray) -> Step:
-    """Return a step with its errors, the rates of wear (2, ..., n) having changed by so much."""
+def _judged(model: WearModel, state: State, after: State) -> Step:
+    """Return the step from one state to another, with half of what changed as its errors."""
     half = 0.5 * (after.time - state.time)
+    change = columns(half) * (after.rates - state.rates).sum(axis=0)
     before, then = (
         in_time(model.omega, s.time) * model.torque(s.contact.pressure) for s in (state, after)
     )
-    wear_error = half * np.abs(change.sum(axis=0)).max(axis=-1)
-    return Step(after, wear_error, half * abs(then - before), np.maximum(before, then))
+    error = np.abs(change).max(axis=-1)
+    return Step(after, error, half * abs(then - before), larger(before, then))

@@ -80,6 +80,13 @@ class WearModel:
             self.friction, self.omega = case.friction, load.omega
             self.force, self.displacement = load.force, load.displacement
             self.laws, self._shape = case.laws, (line.n,)
+        #: whether the speed never changes, so that it is its own mean
+        self.steady_speed = isinstance(self.omega, float)
+        #: whether the rates at the end of an increment are those of the instant: speed and wear
+        #: before the increment make no difference
+        self.rates_last = self.steady_speed and not any(
+            law is not None and law.reads_wear for law in self.laws
+        )
         self._wears = any(law is not None for law in self.laws)
         self._averages = tuple(
             averaging(line.r, line.area, law.length) if law is not None and law.length else None
@@ -130,7 +137,9 @@ class WearModel:
         except ComputationError as error:
             raise ComputationError(f"step 0 (before any wear): {error}") from error
         self._check_interpenetration()
-        return self.checked(State(nothing, wear, np.zeros(wear.shape[:-1]), nothing, contact))
+        rates = self.rates_at(nothing, wear, contact.pressure)
+        worn = np.zeros(wear.shape[:-1])
+        return self.checked(State(nothing, wear, worn, nothing, contact, rates))
 
     def _check_interpenetration(self) -> None:
         """Refuse undeformed bodies that overlap by more than the largest force presses them."""
@@ -177,7 +186,9 @@ class WearModel:
         self._follow(state.wear)
         self.updates += 1
         # the rates at the start of the next step are to be those of the new elasticity
-        return replace(state, shape=state.wear, contact=self.contact(state.time, state.wear))
+        contact = self.contact(state.time, state.wear)
+        rates = self.rates_at(state.time, state.wear, contact.pressure)
+        return replace(state, shape=state.wear, contact=contact, rates=rates)
 
     def _follow(self, shape: FloatArray) -> None:
         if self._geometry is None or np.array_equal(shape, self._followed):
@@ -260,10 +271,9 @@ class WearModel:
                 rate[:] = averaged_rate(law, self.local_state(time, omega, worn), average, p)
         return rates
 
-    def fastest(self, state: State) -> float:
-        """Return the largest rate of wear of either body, mm/s."""
-        omega = in_time(self.omega, state.time)
-        return float(self.rates(state.time, omega, state.wear, state.contact.pressure).max())
+    def rates_at(self, time: Numbers, wear: FloatArray, p: FloatArray) -> FloatArray:
+        """Return the rates of wear at an instant, (2, ..., n) mm/s, at the speed of that time."""
+        return self.rates(time, in_time(self.omega, time), wear, p)
 
     def integrals(self, field: FloatArray) -> FloatArray:
         """Return area integrals of a field of both bodies, (2, ..., n) to (2, ...)."""

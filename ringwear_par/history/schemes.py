@@ -44,6 +44,7 @@ def advanced(
     volumes: FloatArray,
     energy: Numbers,
     contact: ContactState,
+    rates: FloatArray,
 ) -> State:
     """Return the state at the end of a step.
 
@@ -52,6 +53,7 @@ def advanced(
     depths : (2, ..., n) float, mm, worn off in it.
     volumes : (2, ...) float, mm^3, integrals over the step of the rates of the worn volumes.
     energy : float or (B,), N mm, dissipated in it.
+    rates : (2, ..., n) float, mm/s, of wear at its end.
 
     Raises
     ------
@@ -59,7 +61,7 @@ def advanced(
     """
     return model.checked(
         State(
-            end, state.wear + depths, state.worn + volumes, state.energy + energy, contact,
+            end, state.wear + depths, state.worn + volumes, state.energy + energy, contact, rates,
             state.shape,
         )
     )  # fmt: skip

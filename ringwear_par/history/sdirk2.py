@@ -12,7 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ringwear_par.arrays import Numbers, columns, inner
+from ringwear_par.arrays import Numbers, columns, inner, larger
 from ringwear_par.history.model import WearModel
 from ringwear_par.history.schemes import Step, advanced
 from ringwear_par.history.state import State
@@ -48,17 +48,19 @@ def step(model: WearModel, state: State, end: Numbers) -> Step:
     contact = replace(
         contact,
         iterations=stage.iterations + contact.iterations,
-        residual=np.maximum(stage.residual, contact.residual),
+        residual=larger(stage.residual, contact.residual),
     )
-    volumes = _SHARE * first.volumes(worn_first, stage.pressure, model.area)
-    volumes += last.volumes(worn_last, contact.pressure, model.area)
     energy = length * inner(_WEIGHTS, powers)
     depths = _SHARE * worn_first + worn_last
-    after = advanced(model, state, end, depths, volumes, energy, contact)
-
-    k0 = model.rates(state.time, speeds[0], state.wear, pressures[0])
+    then = last.rates(contact.pressure, worn_last)
+    volumes = length * model.integrals(
+        _WEIGHTS[1] * first.rates(stage.pressure, worn_first) + _WEIGHTS[2] * then
+    )
+    if not model.rates_last:
+        then = model.rates(end, speeds[2], state.wear + depths, contact.pressure)
+    after = advanced(model, state, end, depths, volumes, energy, contact, then)
     defect = (
-        _DEFECT[0] * columns(length) * k0
+        _DEFECT[0] * columns(length) * state.rates
         + (_DEFECT[1] * worn_first + _DEFECT[2] * worn_last) / GAMMA
     ).sum(axis=0)
     if defect.any():

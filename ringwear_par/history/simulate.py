@@ -4,8 +4,7 @@
 ``time[n]``, for every scheme.
 """
 
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 
 from mpi4py import MPI
 
@@ -72,10 +71,9 @@ def simulate(
         else:
             state = model.resume(start)
         while not show.stopped and not case.time.finished(control.progress.steps, state.time):
-            with _named(control, state):
+            try:
                 state = model.update_geometry(state)
-                with together(comm):  # it may ask laws for their rates
-                    end = control.end(model, state)
+                end = control.end(state)
                 try:
                     with together(comm):
                         step = scheme(model, state, end)
@@ -89,6 +87,10 @@ def simulate(
                     with together(comm):
                         within = scheme(model, state, time)
                     show(within.state, within, within.state.contact.iterations, passing=True)
+            except ComputationError as error:
+                made = control.progress.steps + 1
+                told = f"step {made} (from time {state.time:g} s): {error}"
+                raise type(error)(told) from error
             state = step.state
             show(state, step, control.progress.iterations - before)
     return state
@@ -117,13 +119,3 @@ class _Showing:
         )
         for observer in self._observers:
             self.stopped |= observer(snapshot)
-
-
-@contextmanager
-def _named(control: Control, state: State) -> Iterator[None]:
-    """Let errors tell the step and the time at which it starts."""
-    try:
-        yield
-    except ComputationError as error:
-        made = control.progress.steps + 1
-        raise type(error)(f"step {made} (from time {state.time:g} s): {error}") from error

@@ -17,6 +17,7 @@ class State:
     worn : (2, ...) float, mm^3, time integrals of the rates of the worn volumes.
     energy : float or (B,), N mm, dissipated by friction.
     contact : the contact solution with these profiles.
+    rates : (2, ..., n) float, mm/s, at which lower and upper wear now.
     shape : (2, ..., n) float, mm, the wear that the elements have followed; None where they do not.
     """
 
@@ -25,6 +26,7 @@ class State:
     worn: FloatArray
     energy: Numbers
     contact: ContactState
+    rates: FloatArray
     shape: FloatArray | None = None
 
 

@@ -21,6 +21,7 @@ _BODY = Variable("body", ("body",), "1", "0 lower, 1 upper", integer=True)
 _ARRAYS = (
     Variable("wear", ("body", "element"), "mm", "wear depth"),
     Variable("worn", ("body",), "mm3", "time integral of the rate of the worn volume"),
+    Variable("rates", ("body", "element"), "mm/s", "rate of wear"),
     Variable("shape", ("body", "element"), "mm", "wear depth that the elements have followed"),
     Variable("pressure", ("element",), "MPa", "contact pressure"),
     Variable("gap", ("element",), "mm", "gap between the deformed profiles"),
@@ -73,6 +74,7 @@ def take(
     arrays = {
         "wear": state.wear,
         "worn": state.worn,
+        "rates": state.rates,
         "pressure": contact.pressure,
         "gap": contact.gap,
         "warm_scaled_pressure": warm.scaled_pressure,
@@ -103,7 +105,7 @@ def restored(result: "Result") -> "Start":
     )  # fmt: skip
     state = State(
         float(numbers["time"]), arrays["wear"], arrays["worn"], float(numbers["energy"]),
-        contact, arrays.get("shape"),
+        contact, arrays["rates"], arrays.get("shape"),
     )  # fmt: skip
     progress = Progress(
         int(numbers["step"]), float(numbers["next_step"]), int(numbers["rejected"]),

@@ -163,21 +163,17 @@ class WearIncrement:
             depths[i] = self._depth(law, at, average, p)
         return depths
 
-    def volumes(self, depths: FloatArray, p: FloatArray, area: FloatArray) -> FloatArray:
-        """Return step times the area integrals of the rates of lower and upper, (2, ...) mm^3.
+    def rates(self, p: FloatArray, depths: FloatArray) -> FloatArray:
+        """Return the rates of wear at the end of the step, (2, ..., n) mm/s.
 
-        The rates are evaluated at the pressure, apart from the depths, whose volumes are to be the
-        same; of the depths, (2, ..., n) mm, only laws that remember them take any notice.
+        They are evaluated at the pressure, apart from the depths (2, ..., n) mm, whose volumes are
+        to be the same; of the depths, only laws that remember them take any notice.
         """
-        if p.ndim > 1:
-            each = [self.history(i).volumes(depths[:, i], p[i], area) for i in range(len(p))]
-            return np.stack(each, axis=1)
-        volumes = np.zeros(2)
+        rates = np.zeros((2, *p.shape))
         for i, law, at, average in self._each:
             there = replace(at, wear=at.wear + depths[i]) if law.remembers else at
-            rate = law.rate(p if average is None else averaged(average, p), there)
-            volumes[i] = self.step * float(rate @ area)
-        return volumes
+            rates[i] = averaged_rate(law, there, average, p)
+        return rates
 
     def depth(self, p: FloatArray) -> FloatArray:
         """Return the growth of the gap, (..., n) mm."""

@@ -109,6 +109,11 @@ class Law:
         return False
 
     @property
+    def reads_wear(self) -> bool:
+        """Whether the rate may depend on ``local.wear``, remembered within a step or not."""
+        return self.remembers
+
+    @property
     def breakpoints(self) -> tuple[float, ...]:
         """Times, s, at which a parameter's table bends."""
         return breakpoints(*map(self._quantity, self.numeric))
@@ -290,6 +295,11 @@ class CompletedLaw(Law):
     def remembers(self) -> bool:
         """Whether the rate may depend on ``local.wear``."""
         return bool(self._own("remembers", True))
+
+    @property
+    def reads_wear(self) -> bool:
+        """Whether the rate may depend on ``local.wear``: nobody knows."""
+        return True
 
     @property
     def breakpoints(self) -> tuple[float, ...]:

@@ -132,6 +132,11 @@ class UserLaw(Law):
         return self._defines("d_rate_dp")
 
     @property
+    def reads_wear(self) -> bool:
+        """Whether the rate may depend on ``at.wear``: nobody knows."""
+        return True
+
+    @property
     def remembers(self) -> bool:
         """Whether the rate depends on worn depth."""
         if "remembers" in self._functions:
