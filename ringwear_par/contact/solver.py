@@ -5,6 +5,7 @@ objects, their distribution over ranks, and their life.
 """
 
 import atexit
+import traceback
 from collections.abc import Callable
 from typing import TypeVar
 from weakref import WeakSet
@@ -310,19 +311,27 @@ class ContactSolver:
 
     def _run_tao(self) -> None:
         """Solve the problem posed; raise what a callback raised as it was."""
-        callbacks = self._callbacks
+        callbacks, failure = self._callbacks, None
         try:
             self._tao.solve()
         except Exception as error:
-            # petsc4py from 3.19 on wraps it; and no cycle by way of its traceback
+            # what callbacks were given are references of their own to the TAO, which must not
+            # outlive it: an exception keeps the frames that it came through
+            traceback.clear_frames(error.__traceback__)
+            # petsc4py from 3.19 on wraps it
             failure, callbacks.failure = callbacks.failure, None
-            if failure is not None:
-                raise failure from None
-            if isinstance(error, PETSc.Error):
-                raise ComputationError(
-                    f"contact: TAO {self.tao_type} failed (PETSc error {error.ierr})"
-                ) from error
-            raise
+            if failure is None:
+                if isinstance(error, PETSc.Error):
+                    raise ComputationError(
+                        f"contact: TAO {self.tao_type} failed (PETSc error {error.ierr})"
+                    ) from error
+                raise
+        if failure is not None:
+            traceback.clear_frames(failure.__traceback__)
+            try:
+                raise failure
+            finally:
+                del failure  # no cycle by way of this frame
 
     def _gathered(self, part: FloatArray) -> FloatArray:
         return np.concatenate(self._comm.allgather(part)) if self.distributed else part
