@@ -17,7 +17,7 @@ from ringwear_par.wear.derivative_test import (
     taylor_test,
     taylor_test_parameter,
 )
-from ringwear_par.wear.law import Law, LocalState
+from ringwear_par.wear.law import CompletedLaw, Law, LocalState
 from ringwear_par.wear.user import UserLaw, check_user_law
 
 _BODIES = ("lower", "upper")
@@ -51,13 +51,14 @@ def refuse_bad_laws(case: Case, name: str, slopes: bool = True) -> None:
     if case.load.force is not None:
         pressure = _MEANS * largest(case.load.force) / case.area
     for body, law in zip(_BODIES, case.laws, strict=True):
-        if isinstance(law, UserLaw):
+        if isinstance(law, UserLaw | CompletedLaw):  # ours are what they should be
+            key = f"wear.{body}.file" if isinstance(law, UserLaw) else f"wear.{body}"
             try:
                 check_user_law(law, _sliding(case, 0.0, 0.0), pressure)
                 if slopes:
                     check_user_slope(law, _sliding(case, 0.0, 0.0), pressure)
             except InputError as error:
-                faults += [f"{name}: wear.{body}.file: {fault}" for fault in error.faults]
+                faults += [f"{name}: {key}: {fault}" for fault in error.faults]
     if faults:
         raise InputError(*faults)
 

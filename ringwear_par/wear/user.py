@@ -11,10 +11,11 @@ from typing import Annotated, Any, Self
 import numpy as np
 
 from ringwear_par.arrays import FloatArray
-from ringwear_par.errors import ComputationError, InputError, LawError
+from ringwear_par.errors import ComputationError, InputError
 from ringwear_par.schedules import Quantity, breakpoints, history, value
 from ringwear_par.schedules import stack as stack_quantities
-from ringwear_par.wear.law import Law, LocalState
+from ringwear_par.wear.guard import Asked, ask, shown
+from ringwear_par.wear.law import CompletedLaw, Law, LocalState
 from ringwear_par.wear.parameters import Parameter
 
 _BISECTIONS = 30
@@ -25,13 +26,6 @@ _NAMES = {
     "breakpoints": ("breakpoints", "knots"),
 }
 _PARAMETERS = "parameters."
-
-
-def _guarded(values: FloatArray) -> FloatArray:
-    """Return a view that cannot be written to: a user's law may not change what it is given."""
-    view = values.view()
-    view.flags.writeable = False
-    return view
 
 
 @lru_cache(maxsize=64)
@@ -127,6 +121,11 @@ class UserLaw(Law):
         return next((known for known in _NAMES[name] if known in self._functions), "")
 
     @property
+    def called(self) -> str:
+        """What messages call the law."""
+        return self.file
+
+    @property
     def slope_name(self) -> str:
         """What the file calls its derivative with respect to pressure, "" if it has none."""
         return self._defines("d_rate_dp")
@@ -194,54 +193,24 @@ class UserLaw(Law):
         own = tuple((name, history(q, i)) for name, q in self.parameters)
         return replace(self, parameters=own)
 
-    def _call(self, name: str, p: FloatArray, local: LocalState) -> FloatArray:
+    def _call(self, asked: Asked, name: str, p: FloatArray, local: LocalState) -> FloatArray:
         """Return what one of the file's functions gives, (..., n): checked, one history at a time.
 
-        Real, unless pressure, wear or a parameter is complex.
+        Parameters
+        ----------
+        asked : what it is to give.
+        name : what the file calls it.
         """
         if p.ndim > 1:
-            each = (self.history(i)._call(name, p[i], local.history(i)) for i in range(len(p)))
-            return np.array(list(each))
-        if not np.isfinite(p).all():
-            raise ComputationError("contact: pressures are not finite")
-        values = {key: value(q, local.time, local.r) for key, q in self.parameters}
-        try:
-            with np.errstate(all="ignore"):
-                there = replace(
-                    local,
-                    parameters=values,
-                    r=_guarded(local.r),
-                    speed=_guarded(local.speed),
-                    wear=_guarded(local.wear),
-                    slid=_guarded(local.slid),
-                )
-                result = self._functions[name](_guarded(p), there)
-            real = not any(np.iscomplexobj(x) for x in (p, local.wear, *values.values()))
-            if result is None or (real and np.iscomplexobj(result)):
-                raise TypeError(f"it returns {type(result).__name__}, not real numbers")
-            result = np.asarray(result, dtype=float if real else complex)
-            result = np.array(np.broadcast_to(result, p.shape))
-        except (Exception, SystemExit) as error:  # whatever a user's code may raise
-            raise LawError(
-                f"{self.file}: {name}() failed at time {local.time:g} s: "
-                f"{type(error).__name__}: {error}"
-            ) from error
-        bad = ~np.isfinite(result)
-        if name not in _NAMES["d_rate_dwear"]:
-            bad |= result.real < 0.0
-        if bad.any():
-            e = int(np.flatnonzero(bad)[0])
-            what = "rate" if name == "rate" else "derivative of the rate"
-            why = "a finite number >= 0"
-            if name in _NAMES["d_rate_dp"] and result[e] < 0.0:
-                why += ": rates must not fall with pressure"
-            elif name in _NAMES["d_rate_dwear"]:
-                why = "a finite number"
-            raise LawError(
-                f"{self.file}: {name}() gives {result[e]:g} as {what} at time {local.time:g} s, "
-                f"element {e} (r = {local.r[e]:.6g} mm), p = {p[e]:.6g} MPa; must be {why}"
+            each = (
+                self.history(i)._call(asked, name, p[i], local.history(i)) for i in range(len(p))
             )
-        return result
+            return np.array(list(each))
+        values = {key: value(q, local.time, local.r) for key, q in self.parameters}
+        there = shown(local, parameters=values)
+        return ask(
+            f"{self.file}: {name}()", asked, self._functions[name], p, there, values.values()
+        )
 
     def rate(self, p: FloatArray, local: LocalState) -> FloatArray:
         """Return the rate of wear, mm/s.
@@ -250,7 +219,7 @@ class UserLaw(Law):
         ------
         LawError : the function failed, or gave NaN or a negative rate.
         """
-        return self._call("rate", p, local)
+        return self._call("rate", "rate", p, local)
 
     def d_rate_dp(self, p: FloatArray, local: LocalState) -> FloatArray:
         """Return the derivative of the rate with respect to pressure, mm/s/MPa.
@@ -260,15 +229,17 @@ class UserLaw(Law):
         LawError : the function failed, or gave NaN or a negative slope.
         """
         name = self.slope_name
-        return self._call(name, p, local) if name else super().d_rate_dp(p, local)
+        return self._call("d_rate_dp", name, p, local) if name else super().d_rate_dp(p, local)
 
     def d_rate_dwear(self, p: FloatArray, local: LocalState) -> FloatArray:
         """Return the derivative of the rate with respect to ``local.wear``, 1/s."""
         name = self._defines("d_rate_dwear")
-        return self._call(name, p, local) if name else super().d_rate_dwear(p, local)
+        if not name:
+            return super().d_rate_dwear(p, local)
+        return self._call("d_rate_dwear", name, p, local)
 
 
-def check_user_law(law: UserLaw, at: LocalState, pressure: float) -> None:
+def check_user_law(law: UserLaw | CompletedLaw, at: LocalState, pressure: float) -> None:
     """Refuse a user's law that is no law, tried at pressures up to a given one (MPa).
 
     Not collective.
@@ -290,14 +261,14 @@ def check_user_law(law: UserLaw, at: LocalState, pressure: float) -> None:
     if table[0].any():
         e = int(np.flatnonzero(table[0])[0])
         raise InputError(
-            f"{law.file}: rate() gives {table[0, e]:g} without pressure (time {at.time:g} s, "
+            f"{law.called}: rate() gives {table[0, e]:g} without pressure (time {at.time:g} s, "
             f"element {e}, r = {at.r[e]:.6g} mm); must be 0: no wear without contact"
         )
     fall = np.diff(table, axis=0) < -1e-12 * table.max(initial=0.0)
     if fall.any():
         i, e = (int(v[0]) for v in np.nonzero(fall))
         raise InputError(
-            f"{law.file}: rate() falls from {table[i, e]:g} to {table[i + 1, e]:g} between "
+            f"{law.called}: rate() falls from {table[i, e]:g} to {table[i + 1, e]:g} between "
             f"p = {p[i, e]:.6g} and {p[i + 1, e]:.6g} MPa (time {at.time:g} s, element {e}, "
             f"r = {at.r[e]:.6g} mm); must not fall with pressure"
         )
@@ -306,7 +277,7 @@ def check_user_law(law: UserLaw, at: LocalState, pressure: float) -> None:
         raise InputError(jump)
 
 
-def _jump(law: UserLaw, at: LocalState, p: FloatArray, rates: FloatArray) -> str:
+def _jump(law: UserLaw | CompletedLaw, at: LocalState, p: FloatArray, rates: FloatArray) -> str:
     """Return where the rate jumps with pressure, "" if it does not: by bisection of steep pieces.
 
     Parameters
@@ -328,6 +299,6 @@ def _jump(law: UserLaw, at: LocalState, p: FloatArray, rates: FloatArray) -> str
     if above - below <= 1e-3 * rise[i]:
         return ""
     return (
-        f"{law.file}: rate() jumps from {below:g} to {above:g} at p = {low:.6g} MPa "
+        f"{law.called}: rate() jumps from {below:g} to {above:g} at p = {low:.6g} MPa "
         f"(time {at.time:g} s, element {e}, r = {at.r[e]:.6g} mm); must be continuous in p"
     )

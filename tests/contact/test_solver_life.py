@@ -245,7 +245,7 @@ else:
 
 @pytest.mark.serial
 @pytest.mark.parametrize("ranks", RANKS)
-@pytest.mark.parametrize("kind", ["file"])
+@pytest.mark.parametrize("kind", ["file", "object"])
 @pytest.mark.parametrize(("how", "status"), [("caught", 0), ("not caught", 1)])
 def test_a_law_that_fails_in_the_midst_leaves_the_status_alone(tmp_path, ranks, kind, how, status):
     """What a law raised holds frames, and these TAO's own references to itself."""
