@@ -258,7 +258,7 @@ class Law:
 
         Raises
         ------
-        InputError : they make no law.
+        InputError : they make no law; each fault begins with the name of a parameter.
         """
         return cls(**{name: v for name, v in values.items() if v is not None})
 

@@ -1,7 +1,6 @@
 """A wear law from a user's Python file, and what keeps it from being one."""
 
 import ast
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -14,6 +13,7 @@ from ringwear_par.arrays import FloatArray
 from ringwear_par.errors import ComputationError, InputError
 from ringwear_par.schedules import Quantity, breakpoints, history, value
 from ringwear_par.schedules import stack as stack_quantities
+from ringwear_par.textfiles import read_text
 from ringwear_par.wear.guard import Asked, ask, shown
 from ringwear_par.wear.law import CompletedLaw, Law, LocalState
 from ringwear_par.wear.parameters import Parameter
@@ -84,27 +84,13 @@ class UserLaw(Law):
         """
         path = Path(values["file"])
         try:
-            source = path.read_text(encoding="utf-8-sig")
-        except (OSError, UnicodeDecodeError) as error:
-            reason = getattr(error, "strerror", None) or error
-            raise InputError(f"cannot be read ({reason}); must be a Python file") from error
-        law = cls(str(path), source, values["parameters"] or ())
+            law = cls(str(path), read_text(path), values["parameters"] or ())
+        except InputError as error:
+            raise InputError(f"file = {error}; must be a Python file") from error
         missing = law.missing()
         if missing:
-            raise InputError(missing)
+            raise InputError(f"file = {path}: {missing}")
         return law
-
-    @classmethod
-    def faults(cls, table: str, values: Mapping[str, Any]) -> list[str]:
-        """Return what keeps the file from being a law."""
-        if values.get("file") is None or "parameters" not in values:
-            return []
-        try:
-            cls.from_values(values)
-        except InputError as error:
-            file = json.dumps(values["file"], ensure_ascii=False)
-            return [f"{table}file = {file}: {fault}" for fault in error.faults]
-        return []
 
     def missing(self) -> str:
         """Return what keeps the file from being a law, "" if nothing does."""

@@ -276,3 +276,35 @@ def test_a_rate_is_all_that_a_history_needs(law, comm):
         assert other.time.values == pytest.approx(first.time.values, rel=1e-6)
         for name in ("wear_lower", "pressure", "approach"):
             assert other[name].values == pytest.approx(first[name].values, rel=1e-6)
+
+
+def test_the_file_of_a_law_is_read_once_and_like_other_files(law, monkeypatch):
+    read, keys = [], law("\ufeff" + GOOD)
+    path = Path(keys[-1].partition("=")[2])
+    text = Path.read_text
+
+    def counted(self, *words, **more):
+        read.append(self)
+        return text(self, *words, **more)
+
+    monkeypatch.setattr(Path, "read_text", counted)
+    assert read_case(PAPER, keys).wear_lower.source == GOOD
+    assert read.count(path) == 1
+
+
+@pytest.mark.serial
+def test_a_file_that_is_no_text_is_told_of_with_all_other_faults(law, shared_path):
+    keys = [*law(GOOD), "contact.friction=-1"]
+    (shared_path / "law.py").write_bytes(b"\xff\xfe")
+    with pytest.raises(InputError) as told:
+        read_case(PAPER, keys)
+    friction, file = told.value.faults
+    assert "contact.friction = -1" in friction
+    path = shared_path / "law.py"
+    said = f"wear.lower.file = {path}: is not a text file in UTF-8; must be a Python file"
+    assert file == f"{PAPER}: {said}"
+    missing = [*law(GOOD)[:-1], "wear.lower.file=nowhere.py"]
+    with pytest.raises(
+        InputError, match=r"wear.lower.file = .*nowhere.py: cannot be read: No such"
+    ):
+        read_case(PAPER, missing)
