@@ -11,6 +11,7 @@ import pytest
 from conftest import SHELL_ENVIRONMENT
 from petsc4py import PETSc
 
+from ringwear_par.contact import solver as module
 from ringwear_par.contact.solver import ContactSolver
 from ringwear_par.errors import ComputationError, LawError
 
@@ -71,6 +72,37 @@ def test_an_error_on_one_rank_is_raised_on_all(comm):
             solver.solve(np.zeros(N), force=3.0, wear=unforeseen)
 
 
+@pytest.mark.parametrize("limit", [100, 0], ids=["replicated", "distributed"])
+def test_what_is_made_is_freed_if_the_rest_cannot_be_made(comm, monkeypatch, limit):
+    made = []
+
+    def too_large(*parts):
+        made.extend(part for part in parts if isinstance(part, PETSc.Object))
+        raise MemoryError
+
+    monkeypatch.setattr(module, "_Callbacks", too_large)
+    with pytest.raises(MemoryError):
+        ContactSolver(COMPLIANCE, AREA, comm, limit)
+    assert made
+    assert not any(part.handle for part in made)
+
+
+def test_what_is_left_is_freed_in_the_order_of_making(comm, monkeypatch):
+    """Ranks that free shared objects in different orders wait for each other."""
+    made = [ContactSolver(COMPLIANCE, AREA, comm, 0) for _ in range(20)]
+    freed, destroy = [], ContactSolver.destroy
+
+    def recorded(solver):
+        freed.append(solver)
+        destroy(solver)
+
+    monkeypatch.setattr(ContactSolver, "destroy", recorded)
+    module._destroy_open()
+    assert [solver for solver in freed if solver in made] == made
+    assert not any(solver._tao.handle for solver in made)
+    monkeypatch.undo()
+
+
 class _Wrapping:
     """A TAO of petsc4py from 3.19 on, which wraps what a callback raises."""
 
@@ -117,6 +149,7 @@ PROGRAM = """
 import sys
 import numpy as np
 from mpi4py import MPI
+from ringwear_par.contact import solver as module
 from ringwear_par.contact.solver import ContactSolver
 
 how, limit = sys.argv[1], int(sys.argv[2])
