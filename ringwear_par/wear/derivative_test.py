@@ -58,7 +58,7 @@ def taylor_test(
     Parameters
     ----------
     law : any law, built in or the user's.
-    at : sliding at which it is tried.
+    at : local state at which it is tried.
     p : (n,) float, MPa.
     direction : (n,) float, at most 1.
     step : s; the wear over an implicit step is tried, memory included; 0 for the rate alone.
