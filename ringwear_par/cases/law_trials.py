@@ -16,6 +16,7 @@ from ringwear_par.wear.derivative_test import (
     check_user_slope,
     taylor_test,
     taylor_test_parameter,
+    taylor_test_wear,
 )
 from ringwear_par.wear.law import CompletedLaw, Law, LocalState
 from ringwear_par.wear.user import UserLaw, check_user_law
@@ -27,6 +28,8 @@ _PRESSURE = 300.0
 _MEANS = 5.0
 _STEP = 1.0  # s
 _WORN = 1e-3  # mm
+#: mm, shorter than the depths over which rates change in practice
+_DEPTH = 1e-5
 _SHOWN = (0.0, 10.0, 50.0, 100.0, 200.0)
 _MOST_TIMES = 5
 
@@ -114,6 +117,10 @@ def _tested(case: Case, body: str, law: Law) -> int:
             for step, what in ((0.0, "rate"), (_STEP, f"wear of an implicit step of {_STEP:g} s")):
                 test = taylor_test(law, at, p, direction, step) if law.rate(p, at).any() else None
                 failed += _told(test, f"derivative of the {what}, t = {time:g} s, {worn:g} mm worn")
+            if law.remembers:
+                test = taylor_test_wear(law, at, p, _DEPTH) if law.rate(p, at).any() else None
+                what = "derivative of the rate with respect to worn depth"
+                failed += _told(test, f"{what}, t = {time:g} s, {worn:g} mm worn")
         for name in law.numeric:
             # memory is worth something only where something is worn
             test = taylor_test_parameter(law, at, p, name) if law.rate(p, at).any() else None

@@ -104,6 +104,8 @@ def test_ringwear_laws_tells_formulas_and_tests_parameters(capsys):
     assert "lower: (k + (k_start - k) exp(-s)) mu max(0, p - p0) V" in said
     for name in ("k", "k_start", "p0", "depth"):
         assert f"ok   derivative of the rate with respect to {name}, " in said
+    for worn in ("0", "0.001"):
+        assert f"ok   derivative of the rate with respect to worn depth, t = 0 s, {worn} mm" in said
     assert check_laws(CASES / "user_law.toml", []) == 0
     assert "respect to parameters.p1, t = 0 s" in capsys.readouterr().out
 

@@ -218,6 +218,15 @@ def test_laws_finds_a_wrong_slope_but_not_kinks(law, shared_path, comm, capsys):
     wrong = law("def rate(p, at): return 1e-9 * p**1.5\ndef slope(p, at): return 1.4e-9 * p**0.5\n")
     with pytest.raises(ComputationError, match="4 derivative"):
         check_laws(PAPER, [k for k in wrong if not k.startswith("time")])
+    wrong = law(
+        "import numpy as np\n"
+        "def rate(p, at): return 1e-9 * at.speed * p * (1 + np.exp(-at.wear / 1e-3))\n"
+        "def d_rate_dwear(p, at):\n"
+        "    return -1.1e-9 * at.speed * p * np.exp(-at.wear / 1e-3) / 1e-3\n"
+    )
+    with pytest.raises(ComputationError, match="derivative"):
+        check_laws(PAPER, [k for k in wrong if not k.startswith("time")])
+    assert "FAIL derivative of the rate with respect to worn depth" in capsys.readouterr().out
     points = [[20.0 * i, 1e-9 * i * i] for i in range(3000)]
     assert check_laws(PAPER, ["wear.lower.law=table", f"wear.lower.table={points}"]) == 0
     assert "as its kinks explain" in capsys.readouterr().out
