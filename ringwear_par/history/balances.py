@@ -22,10 +22,11 @@ class Balances:
     Parameters
     ----------
     force : contact pressure against the applied force (0 at given displacement).
-    torque : torque on the held faces against the friction torque, the worse of both bodies.
-    reaction : axial force on the held faces against that of the contact pressure, likewise.
+    torque : torque on the fixed faces against the friction torque, the worse of both bodies.
+    reaction : axial force on the fixed faces against that of the contact pressure, likewise.
     volume : worn volume of the profiles against the time integral of the rate at the contact
-        pressures, which is evaluated apart from the depths.
+        pressures, which implicit schemes evaluate apart from the depths (a check of bookkeeping for
+        explicit steps, whose depths are the rates times the step).
     energy : worn volume against k times the dissipated energy, where p0 = 0 (else 0).
     residual : KKT residual of the contact solution.
     step_error : mm, estimated error of the wear of a time step.
