@@ -61,7 +61,7 @@ def balances(model: WearModel, state: State) -> dict[str, Any]:
             identity = larger(identity, _defect(volume, ratio * state.energy))
     force = None if model.force is None else in_time(model.force, state.time)
     off = larger(abs(volumes[0] - worn[0]), abs(volumes[1] - worn[1]))
-    total = larger(volumes[0], volumes[1])
+    total = larger(*volumes)
     return {
         "force": 0.0 if force is None else _defect(contact.force, force),
         "torque": larger(_defect(turned_lower, turned), _defect(turned_upper, turned)),
