@@ -2,13 +2,11 @@
 
 from collections import defaultdict
 from collections.abc import Hashable, Iterator, Sequence
-from contextlib import ExitStack
 from dataclasses import replace
 
 from mpi4py import MPI
 
 from ringwear_par.cases.case import Case
-from ringwear_par.contact.solver import ContactSolver
 from ringwear_par.elasticity.pair import ContactPair
 from ringwear_par.errors import InputError, RingwearError
 from ringwear_par.history.bodies import operator_key, young
@@ -17,6 +15,7 @@ from ringwear_par.history.pairs import assemble
 from ringwear_par.history.simulate import simulate
 from ringwear_par.results.recorder import Recorder
 from ringwear_par.results.result import FailedResult, Result
+from ringwear_par.studies.lending import SolverLender
 
 
 def simulate_all(
@@ -61,20 +60,14 @@ def simulate_all(
 
 def _simulated(cases: Sequence[Case], pair: ContactPair) -> Iterator[Result | FailedResult]:
     """Yield the results of cases that share a pair, computed on this rank alone."""
-    alone, moduli, solver = MPI.COMM_SELF, None, None
-    with ExitStack() as open_solver:
+    alone = MPI.COMM_SELF
+    with SolverLender(pair, alone) as lender:
         for case in cases:
             try:
                 check_case(case, 1, "case")
-                if solver is None or young(case) != moduli:
-                    open_solver.close()
-                    moduli = young(case)
-                    matrix = pair.compliance(moduli).matrix
-                    solver = open_solver.enter_context(ContactSolver(matrix, pair.line.area, alone))
                 recorder = Recorder(case, alone)
-                # elements that follow the wear leave the solver with another compliance
-                lent = None if case.follows_wear else solver
-                simulate(case, alone, pair=pair, solver=lent, observers=[recorder])
+                simulate(case, alone, pair=pair, solver=lender.lend(case), observers=[recorder])
                 yield replace(recorder.result(), comm=None)
             except RingwearError as error:
+                lender.drop()
                 yield FailedResult(case.text, error)
