@@ -16,6 +16,7 @@ from ringwear_par.history.simulate import simulate
 from ringwear_par.results.recorder import Recorder
 from ringwear_par.results.result import FailedResult, Result
 from ringwear_par.studies.lending import SolverLender
+from ringwear_par.studies.variations import is_whole
 
 
 def simulate_all(
@@ -35,10 +36,10 @@ def simulate_all(
 
     Raises
     ------
-    InputError : ``batch`` is not positive.
+    InputError : ``batch`` is no whole number >= 1.
     """
-    if batch is not None and batch < 1:
-        raise InputError(f"batch = {batch}: must be at least 1")
+    if batch is not None and not (is_whole(batch) and batch >= 1):
+        raise InputError(f"batch = {batch!r}: must be a whole number >= 1")
     comm = MPI.COMM_WORLD if comm is None else comm
     groups: dict[Hashable, list[int]] = defaultdict(list)
     for number, case in enumerate(cases):
