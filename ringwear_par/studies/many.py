@@ -1,5 +1,6 @@
 """``rw.simulate_all``: many cases at once, shared out over the ranks."""
 
+import logging
 from collections import defaultdict
 from collections.abc import Hashable, Iterator, Sequence
 from dataclasses import replace
@@ -8,15 +9,18 @@ from mpi4py import MPI
 
 from ringwear_par.cases.case import Case
 from ringwear_par.elasticity.pair import ContactPair
-from ringwear_par.errors import InputError, RingwearError
+from ringwear_par.errors import InputError
 from ringwear_par.history.bodies import operator_key, young
 from ringwear_par.history.limits import check_case
 from ringwear_par.history.pairs import assemble
 from ringwear_par.history.simulate import simulate
+from ringwear_par.parallel import as_ours, together
 from ringwear_par.results.recorder import Recorder
 from ringwear_par.results.result import FailedResult, Result
 from ringwear_par.studies.lending import SolverLender
 from ringwear_par.studies.variations import is_whole
+
+log = logging.getLogger(__name__)
 
 
 def simulate_all(
@@ -47,9 +51,10 @@ def simulate_all(
     found: dict[int, Result | FailedResult] = {}
     for numbers in groups.values():
         try:
-            pair = assemble(cases[numbers[0]], comm)
-        except RingwearError as error:
-            found.update((n, FailedResult(cases[n].text, error)) for n in numbers)
+            with together(comm):
+                pair = assemble(cases[numbers[0]], comm)
+        except Exception as error:
+            found.update((n, _failed(cases[n], error)) for n in numbers)
             continue
         numbers.sort(key=lambda n: young(cases[n]))  # those of the same moduli share a solver
         mine = numbers[comm.rank :: comm.size]
@@ -69,6 +74,15 @@ def _simulated(cases: Sequence[Case], pair: ContactPair) -> Iterator[Result | Fa
                 recorder = Recorder(case, alone)
                 simulate(case, alone, pair=pair, solver=lender.lend(case), observers=[recorder])
                 yield replace(recorder.result(), comm=None)
-            except RingwearError as error:
+            except Exception as error:  # of the solver, or of a law that is not ours
                 lender.drop()
-                yield FailedResult(case.text, error)
+                yield _failed(case, error)
+
+
+def _failed(case: Case, error: Exception) -> FailedResult:
+    """Return what is told of a case that failed."""
+    log.debug("a case failed", exc_info=error)
+    told = as_ours(error)
+    # they hold the model and its matrices
+    told.__traceback__ = told.__cause__ = told.__context__ = None
+    return FailedResult(case.told, told)

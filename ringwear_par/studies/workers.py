@@ -154,7 +154,7 @@ class Worker:
         try:
             with together(self._team):
                 case = study.case(number)
-                text = case.text
+                text = case.told
             lender = self._lender_of(group, place, case)
             solver = lender.lend(case)
             if solver is not None:
