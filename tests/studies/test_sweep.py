@@ -9,7 +9,9 @@ import numpy as np
 import pytest
 from swept import CASE, STUDY, table, variables, write_study
 
+from ringwear_par.cases.reading import parse_case
 from ringwear_par.errors import ComputationError, InputError
+from ringwear_par.results.files import open_result
 from ringwear_par.results.run import run_case
 from ringwear_par.results.variables import HISTORIES, PROFILES
 from ringwear_par.studies import operators, sweep, workers
@@ -254,3 +256,19 @@ def test_in_python(write, shared_path, comm):
         tomllib.loads(read_ensemble(shared_path / "out").attributes["study"])["vary"]
         == (tables["vary"])
     )
+
+
+def test_an_interrupted_case_is_stored_with_its_text(write, shared_path, comm, stopped_after):
+    study, folder = write(STUDY), shared_path / "out"
+    with stopped_after(7), pytest.raises(ComputationError, match="the same command goes on"):
+        swept(study, folder, comm, ranks_per_case=comm.size)
+    comm.Barrier()
+    (stored,) = (folder / "inflight").glob("*.h5")
+    read = read_study(study)
+    case = read.case(read.ids.index(stored.stem))
+    text = open_result(stored).case
+    assert text == case.text
+    assert parse_case(text, "stored") == case
+    comm.Barrier()
+    swept(study, folder, comm, ranks_per_case=comm.size)
+    assert [row["status"] for row in table(folder)] == ["done"] * 12
