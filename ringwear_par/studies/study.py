@@ -45,12 +45,7 @@ class Study:
 
     Parameters
     ----------
-    name : what messages call it.
-    text : the TOML text of the study.
-    base : dotted keys and raw values of the base case.
-    names : the varied keys, as the study names them.
-    method : of the design.
-    rows : one tuple of raw values a case, in the order of ``names``.
+    name, text, base, names, method, rows : as in its Draft; no case is there twice.
     ids : one id a case.
     pickled : one case each as it was made and checked, without its text; a tenth of the time of
         making it anew, a fifth of the memory of the object, and sent to other ranks as it is.

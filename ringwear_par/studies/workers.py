@@ -253,20 +253,22 @@ class Worker:
         path, t0 = plan.store.operator(group), time.perf_counter()
         failure = reason_of_failure(path)
 
-        def wait() -> str:
-            while not path.exists():
-                if failure.exists():
-                    return failure.read_text(encoding="utf-8")
-                if self._signals.received:
-                    self._scheduler.ask_to_stop()
-                if self._scheduler.stopped:
-                    raise _StoppedError
-                if self._progress is not None:
-                    self._progress()
-                time.sleep(_NAP_SECONDS)
-            return ""
+        def look() -> str | None:
+            """Return "" once it is there, why it never will be, or None as long as it may."""
+            if path.exists():
+                return ""
+            if failure.exists():
+                return failure.read_text(encoding="utf-8")
+            if self._scheduler.stopped:
+                raise _StoppedError
+            if self._progress is not None:
+                self._progress()
+            return None
 
-        reason = on_first_rank(team, wait)
+        while (reason := on_first_rank(team, look)) is None:
+            if self._signals.received:  # by any rank of the team
+                self._scheduler.ask_to_stop()
+            time.sleep(_NAP_SECONDS)
         if reason:
             raise ComputationError(reason)
         operator = map_operator(path, case, team)

@@ -14,7 +14,7 @@ from ringwear_par.errors import ComputationError, InputError
 from ringwear_par.results.files import open_result
 from ringwear_par.results.run import run_case
 from ringwear_par.results.variables import HISTORIES, PROFILES
-from ringwear_par.studies import operators, sweep, workers
+from ringwear_par.studies import estimate, operators, sweep, workers
 from ringwear_par.studies.ensemble import open_ensemble, read_ensemble
 from ringwear_par.studies.study import read_study
 
@@ -235,6 +235,25 @@ def test_a_dry_run_writes_nothing(write, shared_path, comm, capsys):
         all_of_it, a_rank = map(float, found.groups())
         assert all_of_it / comm.size == pytest.approx(a_rank, abs=0.5)
         assert 250 <= a_rank < 300  # the programs themselves, and 16 elements
+
+
+def test_a_dry_run_stops_after_a_step_at_the_earliest(
+    write, shared_path, comm, capsys, monkeypatch
+):
+    """However long the contact before it takes."""
+    monkeypatch.setattr(estimate, "_TRIAL_SECONDS", 0.0)
+    sweep.run_sweep(write(STUDY), shared_path / "out", comm, dry_run=True)
+    if comm.rank == 0:
+        assert "implicit steps (the first of them)" in capsys.readouterr().out
+
+
+def test_a_dry_run_whose_first_case_fails_ends_on_all_ranks(write, shared_path, comm, monkeypatch):
+    def failing(*_, **__):
+        raise ComputationError("step 1: the contact failed")
+
+    monkeypatch.setattr(estimate, "simulate", failing)
+    with pytest.raises(ComputationError, match="step 1: the contact failed"):
+        sweep.run_sweep(write(STUDY), shared_path / "out", comm, dry_run=True)
 
 
 def test_in_python(write, shared_path, comm):
