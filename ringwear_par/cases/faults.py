@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from typing import Any
 
 from ringwear_par.cases.case import SAME_TIME, Case
-from ringwear_par.cases.laws import law_faults
 from ringwear_par.cases.schema import BY_PATH
 from ringwear_par.cases.text import shortened
 from ringwear_par.elasticity.mesh import contact_pieces
@@ -65,15 +64,7 @@ def joint_faults(origin: Origin, keys: Mapping[str, Any], values: Mapping[str, A
     faults += _overlap_faults(origin.whole, values)
     faults += _load_faults(origin.whole, values)
     faults += _time_faults(origin.name, values)
-    for table in ("wear.lower", "wear.upper"):
-        if has_table(keys, table):
-            faults += law_faults(origin.name, table, keys, values)
     return faults
-
-
-def has_table(keys: Mapping[str, Any], table: str) -> bool:
-    """Tell whether any key of a table is given."""
-    return any(path.startswith(f"{table}.") for path in keys)
 
 
 def unread_keys(keys: Mapping[str, Any]) -> dict[str, str]:

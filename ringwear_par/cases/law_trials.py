@@ -17,7 +17,7 @@ from ringwear_par.wear.derivative_test import (
     taylor_test,
     taylor_test_parameter,
 )
-from ringwear_par.wear.law import Law, LocalState
+from ringwear_par.wear.law import CompletedLaw, Law, LocalState
 from ringwear_par.wear.user import UserLaw, check_user_law
 
 _BODIES = ("lower", "upper")
@@ -51,19 +51,20 @@ def refuse_bad_laws(case: Case, name: str, slopes: bool = True) -> None:
     if case.load.force is not None:
         pressure = _MEANS * largest(case.load.force) / case.area
     for body, law in zip(_BODIES, case.laws, strict=True):
-        if isinstance(law, UserLaw):
+        if isinstance(law, UserLaw | CompletedLaw):  # ours are what they should be
+            key = f"wear.{body}.file" if isinstance(law, UserLaw) else f"wear.{body}"
             try:
-                check_user_law(law, _sliding(case, 0.0, 0.0), pressure)
+                check_user_law(law, _local_state(case, 0.0, 0.0), pressure)
                 if slopes:
-                    check_user_slope(law, _sliding(case, 0.0, 0.0), pressure)
+                    check_user_slope(law, _local_state(case, 0.0, 0.0), pressure)
             except InputError as error:
-                faults += [f"{name}: wear.{body}.file: {fault}" for fault in error.faults]
+                faults += [f"{name}: {key}: {fault}" for fault in error.faults]
     if faults:
         raise InputError(*faults)
 
 
-def _sliding(case: Case, time: float, worn: float) -> LocalState:
-    """Return sliding along the contact at a time, at the largest speed, or 1 rad/s."""
+def _local_state(case: Case, time: float, worn: float) -> LocalState:
+    """Return what laws know along the contact at a time, at the largest speed, or 1 rad/s."""
     r = np.linspace(*case.contact, _ELEMENTS)
     speed = (largest(case.load.omega) or 1.0) * r
     return LocalState(time, r, speed, case.friction, np.full_like(r, worn), speed * _STEP)
@@ -97,7 +98,7 @@ def _tested(case: Case, body: str, law: Law) -> int:
     """Print what a law does; return how many of its derivatives are wrong."""
     rng = np.random.default_rng(1)
     p, direction = rng.uniform(1.0, _PRESSURE, _ELEMENTS), rng.uniform(-1.0, 1.0, _ELEMENTS)
-    fresh = _sliding(case, 0.0, 0.0)
+    fresh = _local_state(case, 0.0, 0.0)
     rates = [float(law.rate(np.full_like(p, v), fresh).max()) for v in _SHOWN]
     print(
         f"{body}: {law.describe()}\n  largest rate at p = "
@@ -109,7 +110,7 @@ def _tested(case: Case, body: str, law: Law) -> int:
     middles = [0.5 * (a + b) for a, b in itertools.pairwise((0.0, *case.breakpoints))]
     for time in (0.0, *middles[: _MOST_TIMES - 1]):
         for worn in (0.0, _WORN):
-            at = _sliding(case, time, worn)
+            at = _local_state(case, time, worn)
             for step, what in ((0.0, "rate"), (_STEP, f"wear of an implicit step of {_STEP:g} s")):
                 test = taylor_test(law, at, p, direction, step) if law.rate(p, at).any() else None
                 failed += _told(test, f"derivative of the {what}, t = {time:g} s, {worn:g} mm worn")

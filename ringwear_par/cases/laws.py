@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from ringwear_par.cases.schema import BY_PATH
+from ringwear_par.errors import InputError
 from ringwear_par.wear.catalogue import LAWS
 from ringwear_par.wear.law import Law
 from ringwear_par.wear.parameters import parameters_of
@@ -16,46 +17,44 @@ def law_keys(table: str, law: Any) -> set[str]:
     return {f"{table}.law", *(f"{table}.{name}" for name in parameters_of(LAWS[law]))}
 
 
-def law_faults(
-    name: str, table: str, flat: Mapping[str, Any], values: Mapping[str, Any]
-) -> list[str]:
-    """Return the faults of a body's wear law.
+def read_law(
+    name: str, table: str, keys: Mapping[str, Any], values: Mapping[str, Any], faults: list[str]
+) -> Law | None:
+    """Return a body's wear law, None where it has none or a wrong one; add to the faults.
 
     Parameters
     ----------
     name : what messages call the case.
     table : "wear.lower" or "wear.upper".
-    flat, values : dotted keys as given, and as read, defaults included and wrong ones left out.
+    keys, values : dotted keys as given, and as read, defaults included and wrong ones left out.
+    faults : what is wrong with the case.
     """
-    if f"{table}.law" not in flat:
-        return [f"{name}: {table}.law is missing: {BY_PATH[f'{table}.law'].rule}"]
+    if not any(path.startswith(f"{table}.") for path in keys):
+        return None
+    if f"{table}.law" not in keys:
+        faults.append(f"{name}: {table}.law is missing: {BY_PATH[f'{table}.law'].rule}")
     law = values.get(f"{table}.law")
     if law is None:
-        return []
+        return None
     declared = parameters_of(LAWS[law])
-    faults = [
-        f"{name}: {table}.{key} is missing: {BY_PATH[f'{table}.{key}'].rule} where {table}.law = "
-        f'"{law}"'
+    found = [
+        f'{table}.{key} is missing: {BY_PATH[f"{table}.{key}"].rule} where {table}.law = "{law}"'
         for key, parameter in declared.items()
-        if parameter.needed and f"{table}.{key}" not in flat
+        if parameter.needed and f"{table}.{key}" not in keys
     ]
     known = law_keys(table, law)
-    faults += [
-        f'{name}: {path}: has no meaning where {table}.law = "{law}"; must be among '
-        f"{', '.join(declared)}"
-        for path in flat
+    found += [
+        f'{path}: has no meaning where {table}.law = "{law}"; must be among {", ".join(declared)}'
+        for path in keys
         if path in BY_PATH and path.startswith(f"{table}.") and path not in known
     ]
     own = {key: values[f"{table}.{key}"] for key in declared if f"{table}.{key}" in values}
-    return faults + [f"{name}: {fault}" for fault in LAWS[law].faults(f"{table}.", own)]
-
-
-def make_law(table: str, values: Mapping[str, Any]) -> Law:
-    """Return the law that a table of a case, "wear.lower" or "wear.upper", gives.
-
-    Raises
-    ------
-    InputError : a user's file that is no law.
-    """
-    law = LAWS[values[f"{table}.law"]]
-    return law.from_values({key: values[f"{table}.{key}"] for key in parameters_of(law)})
+    found += LAWS[law].faults(f"{table}.", own)
+    made = None
+    if not found and len(own) == len(declared):
+        try:
+            made = LAWS[law].from_values(own)
+        except InputError as error:
+            found += [f"{table}.{fault}" for fault in error.faults]
+    faults += [f"{name}: {fault}" for fault in found]
+    return made

@@ -1,6 +1,6 @@
 """Reading cases: from a text or tables to dotted keys, overrides, and from keys to a ``Case``."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -10,19 +10,22 @@ from ringwear_par.cases.faults import (
     Origin,
     check_contact,
     contact_faces,
-    has_table,
     joint_faults,
 )
 from ringwear_par.cases.keys import find_files, flatten, override, parse_overrides, read_keys
-from ringwear_par.cases.laws import make_law
+from ringwear_par.cases.laws import read_law
 from ringwear_par.cases.schema import BY_PATH, KEYS, TABLES
 from ringwear_par.cases.suggestions import nearest_key
-from ringwear_par.cases.text import read_text, shortened, toml_text
+from ringwear_par.cases.text import shortened, toml_text
 from ringwear_par.cases.values import RejectedError
 from ringwear_par.elasticity.mesh import Mesh
 from ringwear_par.elasticity.sections import Grip, Polyline
 from ringwear_par.errors import InputError
 from ringwear_par.schedules import Quantity, Table
+from ringwear_par.textfiles import read_text
+from ringwear_par.wear.law import Law
+
+_WEAR = ("wear.lower", "wear.upper")
 
 
 def read_case(source: str | Path | Mapping[str, Any], overrides: Overrides = ()) -> Case:
@@ -87,10 +90,11 @@ def make_case(keys: Mapping[str, Any], origin: Origin | str, text: str | None = 
     origin = Origin(origin) if isinstance(origin, str) else origin
     values, faults = _read_values(keys, origin)
     faults += joint_faults(origin, keys, values)
+    laws = [read_law(origin.name, table, keys, values, faults) for table in _WEAR]
     faces = contact_faces(origin.whole, values, faults)
     if faults:
         raise InputError(*faults)
-    case = _build(keys, values, faces, toml_text(keys) if text is None else text)
+    case = _build(values, laws, faces, toml_text(keys) if text is None else text)
     check_contact(origin.whole, case, values["load.displacement"])
     object.__setattr__(case, "rebuild", _rebuilt)  # a copy by dataclasses.replace has none
     return case
@@ -127,7 +131,10 @@ def _read_values(keys: Mapping[str, Any], origin: Origin) -> tuple[dict[str, Any
 
 
 def _build(
-    keys: Mapping[str, Any], values: Mapping[str, Any], faces: Mapping[str, Polyline], text: str
+    values: Mapping[str, Any],
+    laws: Sequence[Law | None],
+    faces: Mapping[str, Polyline],
+    text: str,
 ) -> Case:
     def ring(which: str, grip: Grip) -> Ring:
         r, z, young, poisson = (values[f"{which}.{k}"] for k in ("r", "z", "young", "poisson"))
@@ -137,8 +144,8 @@ def _build(
         lower=ring("lower", "clamped"),
         upper=ring("upper", values["upper.grip"]),
         friction=values["contact.friction"],
-        wear_lower=make_law("wear.lower", values) if has_table(keys, "wear.lower") else None,
-        wear_upper=make_law("wear.upper", values) if has_table(keys, "wear.upper") else None,
+        wear_lower=laws[0],
+        wear_upper=laws[1],
         load=Load(values["load.omega"], values["load.force"], values["load.displacement"]),
         time=_stepping(values),
         mesh=Mesh(

@@ -1,29 +1,11 @@
-"""Users' text files, and values as TOML writes them."""
+"""Values as TOML writes them, and as messages show them."""
 
 import json
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any
-
-from ringwear_par.errors import InputError
 
 #: longest value that a message shows in full
 _SHOWN = 120
-
-
-def read_text(path: Path) -> str:
-    """Return the text of a user's file, without the byte-order mark that some programs write.
-
-    Raises
-    ------
-    InputError : there is no such file, it may not be read, or it is no text.
-    """
-    try:
-        return path.read_text(encoding="utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise InputError(f"{path}: is not a text file in UTF-8") from error
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read: {error.strerror or error}") from error
 
 
 def toml_value(value: Any) -> str:

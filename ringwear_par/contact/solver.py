@@ -5,9 +5,10 @@ objects, their distribution over ranks, and their life.
 """
 
 import atexit
+import traceback
 from collections.abc import Callable
 from typing import TypeVar
-from weakref import WeakSet
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from mpi4py import MPI
@@ -31,6 +32,7 @@ from ringwear_par.wear.increment import WearIncrement
 TAO_TYPES = ("python", "tron", "bnls")
 
 T = TypeVar("T")
+P = TypeVar("P", bound=PETSc.Object)
 
 
 class _Callbacks:
@@ -42,16 +44,21 @@ class _Callbacks:
     ----------
     problem : the own rows of the contact problem.
     matrix : the scaled compliance A.
-    like : a vector of the unknowns.
+    diagonal, scratch : vectors of the unknowns, the solver's.
     comm : communicator of both.
     """
 
     def __init__(
-        self, problem: ContactProblem, matrix: PETSc.Mat, like: PETSc.Vec, comm: MPI.Comm
+        self,
+        problem: ContactProblem,
+        matrix: PETSc.Mat,
+        diagonal: PETSc.Vec,
+        scratch: PETSc.Vec,
+        comm: MPI.Comm,
     ) -> None:
         self.problem, self._matrix, self._comm = problem, matrix, comm
         self._alone = comm.size == 1
-        self.diagonal, self._scratch = like.duplicate(), like.duplicate()
+        self.diagonal, self._scratch = diagonal, scratch
         self._failed = np.zeros(1, dtype=np.int32)
         #: what a callback raised; PETSc may not pass it on as it is
         self.failure: Exception | None = None
@@ -105,11 +112,6 @@ class _Callbacks:
             h.setDiagonal(self.diagonal)
             h.assemble()
 
-    def destroy(self) -> None:
-        """Free the vectors. Collective."""
-        self.diagonal.destroy()
-        self._scratch.destroy()
-
 
 def _told(error: Exception) -> Exception:
     """Return an error as the other ranks are told of it."""
@@ -146,7 +148,7 @@ class ContactSolver:
         comm: MPI.Comm,
         replicated_limit: int = REPLICATED_LIMIT,
     ) -> None:
-        self._owned: list[PETSc.Object | _Callbacks] = []
+        self._owned: list[PETSc.Object] = []
         self.distributed = False
         n = len(area)
         small = comm.size == 1 or n <= replicated_limit
@@ -160,38 +162,40 @@ class ContactSolver:
         self._comm = comm if self.distributed else MPI.COMM_SELF
         self.comm, self._area = comm, area
         self._search = ApproachSearch(compliance, area)
-        self._x = PETSc.Vec().createMPI(n, comm=self._comm)
-        self._here = slice(*self._x.getOwnershipRange())
-        self._problem = ContactProblem(compliance, area, self._here if self.distributed else None)
-        rows = (self._here.stop - self._here.start, n)
-        sizes = ((rows[0], n), (rows[0], n))
-        self._a, self._h = (
-            PETSc.Mat().createDense(sizes, array=np.zeros(rows, order="F"), comm=self._comm)
-            for _ in "ah"
-        )
-        self._lower, self._upper = self._x.duplicate(), self._x.duplicate()
-        self._upper.set(PETSc.INFINITY)
-        self._g = self._x.duplicate()
-        self._callbacks = _Callbacks(self._problem, self._a, self._x, self._comm)
-        self._newton = ActiveSetNewton() if self.tao_type == "python" else None
-        self._tao = PETSc.TAO().create(self._comm)
-        self._owned += [
-            self._lower,
-            self._upper,
-            self._g,
-            self._x,
-            self._h,
-            self._a,
-            self._callbacks,
-            self._tao,
-        ]
-        _OPEN.add(self)
         try:
-            self._fill(compliance)
-            self._set_up_tao()
+            self._make(compliance, n)
         except BaseException:
             self.destroy()
             raise
+
+    def _make(self, compliance: FloatArray, n: int) -> None:
+        """Make all that is PETSc's, each of it owned before it is there."""
+        _OPEN[self] = None
+        self._x = self._own(PETSc.Vec()).createMPI(n, comm=self._comm)
+        self._here = slice(*self._x.getOwnershipRange())
+        self._problem = ContactProblem(
+            compliance, self._area, self._here if self.distributed else None
+        )
+        rows = (self._here.stop - self._here.start, n)
+        sizes = ((rows[0], n), (rows[0], n))
+        self._a, self._h = (
+            self._own(PETSc.Mat()).createDense(
+                sizes, array=np.zeros(rows, order="F"), comm=self._comm
+            )
+            for _ in "ah"
+        )
+        self._lower, self._upper, self._g = (self._own(self._x.duplicate()) for _ in "lug")
+        self._upper.set(PETSc.INFINITY)
+        diagonal, scratch = (self._own(self._x.duplicate()) for _ in "ds")
+        self._callbacks = _Callbacks(self._problem, self._a, diagonal, scratch, self._comm)
+        self._newton = ActiveSetNewton() if self.tao_type == "python" else None
+        self._tao = self._own(PETSc.TAO()).create(self._comm)
+        self._fill(compliance)
+        self._set_up_tao()
+
+    def _own(self, made: P) -> P:
+        self._owned.append(made)
+        return made
 
     def _fill(self, compliance: FloatArray) -> None:
         """Set A, and the Hessian to it."""
@@ -310,19 +314,27 @@ class ContactSolver:
 
     def _run_tao(self) -> None:
         """Solve the problem posed; raise what a callback raised as it was."""
-        callbacks = self._callbacks
+        callbacks, failure = self._callbacks, None
         try:
             self._tao.solve()
         except Exception as error:
-            # petsc4py from 3.19 on wraps it; and no cycle by way of its traceback
+            # what callbacks were given are references of their own to the TAO, which must not
+            # outlive it: an exception keeps the frames that it came through
+            traceback.clear_frames(error.__traceback__)
+            # petsc4py from 3.19 on wraps it
             failure, callbacks.failure = callbacks.failure, None
-            if failure is not None:
-                raise failure from None
-            if isinstance(error, PETSc.Error):
-                raise ComputationError(
-                    f"contact: TAO {self.tao_type} failed (PETSc error {error.ierr})"
-                ) from error
-            raise
+            if failure is None:
+                if isinstance(error, PETSc.Error):
+                    raise ComputationError(
+                        f"contact: TAO {self.tao_type} failed (PETSc error {error.ierr})"
+                    ) from error
+                raise
+        if failure is not None:
+            traceback.clear_frames(failure.__traceback__)
+            try:
+                raise failure
+            finally:
+                del failure  # no cycle by way of this frame
 
     def _gathered(self, part: FloatArray) -> FloatArray:
         return np.concatenate(self._comm.allgather(part)) if self.distributed else part
@@ -380,7 +392,7 @@ class ContactSolver:
 
     def destroy(self) -> None:
         """Free the PETSc objects, if they are not yet. Collective on comm."""
-        _OPEN.discard(self)
+        _OPEN.pop(self, None)
         while self._owned:
             self._owned.pop().destroy()
 
@@ -400,8 +412,8 @@ def _reason_name(reason: int) -> str:
     return f"{names.get(reason, 'unknown')} ({reason})"
 
 
-#: solvers whose PETSc objects are alive
-_OPEN: WeakSet[ContactSolver] = WeakSet()
+#: solvers whose PETSc objects are alive, in the order of their making, which ranks share
+_OPEN: WeakKeyDictionary[ContactSolver, None] = WeakKeyDictionary()
 
 
 def _destroy_open() -> None:

@@ -26,7 +26,7 @@ from ringwear_par.elasticity.sections import Body, Section
 
 
 def moving_parts(section: Section, line: ContactLine, mesh: Mesh) -> Moving:
-    """Return the nodes and elements of a contour that wear of its contact line moves."""
+    """Return the nodes and elements of a boundary mesh that wear of its contact line moves."""
     unworn = boundary_mesh(section, line, mesh)
     worn = boundary_mesh(section, line, mesh, np.full(line.n + 1, 1e-3 * section.height))
     nodes = (worn.nodes != unworn.nodes).any(axis=1)

@@ -15,9 +15,10 @@ import numpy as np
 from ringwear_par.cases.keys import find_files, flatten, override, read_keys
 from ringwear_par.cases.schema import BY_PATH
 from ringwear_par.cases.suggestions import nearest_key
-from ringwear_par.cases.text import read_text, toml_value
+from ringwear_par.cases.text import toml_value
 from ringwear_par.errors import InputError
 from ringwear_par.studies.variations import Variation, has_entry, is_whole, path_of, read_variations
+from ringwear_par.textfiles import read_text
 
 METHODS = ("grid", "sobol", "latin-hypercube", "random", "list")
 SAMPLED = ("sobol", "latin-hypercube", "random")

@@ -22,13 +22,14 @@ from ringwear_par.cases.case import Case
 from ringwear_par.cases.law_trials import refuse_bad_laws
 from ringwear_par.cases.reading import make_case
 from ringwear_par.cases.schema import BY_PATH
-from ringwear_par.cases.text import read_text, toml_text
+from ringwear_par.cases.text import toml_text
 from ringwear_par.elasticity.mesh import count_elements
 from ringwear_par.errors import InputError
 from ringwear_par.history.bodies import operator_key
 from ringwear_par.history.limits import check_memory, check_mesh, check_ranks
 from ringwear_par.studies.designs import Draft, read_draft
 from ringwear_par.studies.variations import split_key, varied_keys
+from ringwear_par.textfiles import read_text
 
 if TYPE_CHECKING:
     from mpi4py import MPI

@@ -9,7 +9,7 @@ import numpy as np
 from ringwear_par.arrays import FloatArray
 from ringwear_par.errors import InputError
 from ringwear_par.wear.increment import WearIncrement, averaging
-from ringwear_par.wear.law import Law, LocalState
+from ringwear_par.wear.law import CompletedLaw, Law, LocalState
 from ringwear_par.wear.user import UserLaw
 
 #: round-off of a rate, relative to the largest one
@@ -58,7 +58,7 @@ def taylor_test(
     Parameters
     ----------
     law : any law, built in or the user's.
-    at : sliding at which it is tried.
+    at : local state at which it is tried.
     p : (n,) float, MPa.
     direction : (n,) float, at most 1.
     step : s; the wear over an implicit step is tried, memory included; 0 for the rate alone.
@@ -133,8 +133,8 @@ def _remainders(
     return Remainders(steps, tuple((off.max(axis=1) / size).tolist()), bool(bounded.all()))
 
 
-def check_user_slope(law: UserLaw, at: LocalState, pressure: float) -> None:
-    """Refuse a user's law whose file gives another slope than that of its rate. Not collective.
+def check_user_slope(law: UserLaw | CompletedLaw, at: LocalState, pressure: float) -> None:
+    """Refuse a user's law that gives another slope than that of its rate. Not collective.
 
     Raises
     ------
@@ -146,6 +146,6 @@ def check_user_slope(law: UserLaw, at: LocalState, pressure: float) -> None:
     tried = pressure * rng.uniform(0.01, 0.99, len(at.r))
     if not taylor_test(law, at, tried, rng.uniform(-1.0, 1.0, len(at.r))).passed:
         raise InputError(
-            f"{law.file}: {law.slope_name}() is not the derivative of rate() with respect to p; "
+            f"{law.called}: {law.slope_name}() is not the derivative of rate() with respect to p; "
             "must be (see ringwear laws)"
         )

@@ -63,7 +63,7 @@ class WearIncrement:
     Parameters
     ----------
     laws : laws of lower and upper, None for a body that does not wear.
-    at : sliding for lower and upper at the end of the step, with the wear before it.
+    at : local state of lower and upper at the end of the step, with the wear before it.
     step : s, or (B,) of them.
     averages : (n, n) matrices of the non-local laws, None for local ones.
     """
@@ -108,7 +108,7 @@ class WearIncrement:
         return self.step * averaged_rate(law, at, average, p)
 
     def _after(self, law: Law, at: LocalState, p: FloatArray) -> LocalState:
-        """Return the sliding with the depth worn at the end of the step (Newton, from below).
+        """Return the local state with the depth worn at the end of the step (Newton, from below).
 
         A history that has settled stays as it is while others go on.
 

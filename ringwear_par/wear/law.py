@@ -15,6 +15,7 @@ from ringwear_par.arrays import FloatArray, columns
 from ringwear_par.schedules import Quantity, Stacked, breakpoints, history, told, value
 from ringwear_par.schedules import stack as stack_quantities
 from ringwear_par.wear.derivatives import derivative
+from ringwear_par.wear.guard import Asked, ask, read_only, shown
 from ringwear_par.wear.parameters import parameters_of
 
 #: below which pressures (MPa), worn depths (mm) and parameters do not tell the size of a difference
@@ -259,7 +260,7 @@ class Law:
 
         Raises
         ------
-        InputError : they make no law.
+        InputError : they make no law; each fault begins with the name of a parameter.
         """
         return cls(**{name: v for name, v in values.items() if v is not None})
 
@@ -280,7 +281,8 @@ class CompletedLaw(Law):
     """A user's object with a ``rate``, and what else of ``Law`` it has.
 
     Its rate counts as one that remembers wear unless it says ``remembers = False``. Where it is a
-    dataclass, the numbers among its fields are its parameters.
+    dataclass, the numbers among its fields are its parameters. Whatever it does wrong is told with
+    time and element.
     """
 
     own: WearLaw
@@ -322,21 +324,54 @@ class CompletedLaw(Law):
     def _quantity(self, name: str) -> Quantity:
         return getattr(self.own, name)
 
+    @property
+    def called(self) -> str:
+        """What messages call the law."""
+        return type(self.own).__name__
+
+    @property
+    def slope_name(self) -> str:
+        """What it calls its derivative with respect to pressure, "" if it has none."""
+        return "d_rate_dp" if hasattr(self.own, "d_rate_dp") else ""
+
+    def _ask(self, asked: Asked, p: FloatArray, local: LocalState, *first: str) -> FloatArray:
+        """Return what the object gives, (..., n): checked; ``first`` is what it is asked first."""
+
+        def answer(p: FloatArray, local: LocalState) -> Any:
+            return getattr(self.own, asked)(*first, p, local)
+
+        own = (getattr(self.own, name) for name in self.numeric)
+        return ask(f"{self.called}: {asked}()", asked, answer, p, shown(local), own)
+
     def rate(self, p: FloatArray, local: LocalState) -> FloatArray:
-        """Return the rate of wear, mm/s."""
-        return self.own.rate(p, local)
+        """Return the rate of wear, mm/s.
+
+        Raises
+        ------
+        LawError : the object failed, or gave NaN or a negative rate.
+        """
+        return self._ask("rate", p, local)
 
     def d_rate_dp(self, p: FloatArray, local: LocalState) -> FloatArray:
-        """Return the derivative of the rate with respect to pressure, mm/s/MPa."""
-        return self._own("d_rate_dp", super().d_rate_dp)(p, local)
+        """Return the derivative of the rate with respect to pressure, mm/s/MPa.
+
+        Raises
+        ------
+        LawError : the object failed, or gave NaN or a negative slope.
+        """
+        return self._ask("d_rate_dp", p, local) if self.slope_name else super().d_rate_dp(p, local)
 
     def d_rate_dwear(self, p: FloatArray, local: LocalState) -> FloatArray:
         """Return the derivative of the rate with respect to ``local.wear``, 1/s."""
-        return self._own("d_rate_dwear", super().d_rate_dwear)(p, local)
+        if not hasattr(self.own, "d_rate_dwear"):
+            return super().d_rate_dwear(p, local)
+        return self._ask("d_rate_dwear", p, local)
 
     def d_rate_dparameter(self, name: str, p: FloatArray, local: LocalState) -> FloatArray:
         """Return the derivative of the rate with respect to a numeric parameter."""
-        return self._own("d_rate_dparameter", super().d_rate_dparameter)(name, p, local)
+        if not hasattr(self.own, "d_rate_dparameter"):
+            return super().d_rate_dparameter(name, p, local)
+        return self._ask("d_rate_dparameter", p, local, name)
 
     def with_parameter(self, name: str, there: Any) -> Self:
         """Return the law with another number, or other values at the elements."""
@@ -348,11 +383,11 @@ class CompletedLaw(Law):
 
     def onset(self, local: LocalState) -> float | FloatArray:
         """Return the pressure, MPa, up to which nothing wears."""
-        return self._own("onset", super().onset)(local)
+        return self._own("onset", super().onset)(shown(local))
 
     def potential(self, p: FloatArray, local: LocalState) -> FloatArray | None:
         """Return the integral of the rate from 0 to p, MPa mm/s; None: by quadrature."""
-        return self._own("potential", super().potential)(p, local)
+        return self._own("potential", super().potential)(read_only(p), shown(local))
 
     def describe(self) -> str:
         """Return what it calls itself, with its numbers."""

@@ -1,7 +1,6 @@
 """A wear law from a user's Python file, and what keeps it from being one."""
 
 import ast
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -11,10 +10,12 @@ from typing import Annotated, Any, Self
 import numpy as np
 
 from ringwear_par.arrays import FloatArray
-from ringwear_par.errors import ComputationError, InputError, LawError
+from ringwear_par.errors import ComputationError, InputError
 from ringwear_par.schedules import Quantity, breakpoints, history, value
 from ringwear_par.schedules import stack as stack_quantities
-from ringwear_par.wear.law import Law, LocalState
+from ringwear_par.textfiles import read_text
+from ringwear_par.wear.guard import Asked, ask, shown
+from ringwear_par.wear.law import CompletedLaw, Law, LocalState
 from ringwear_par.wear.parameters import Parameter
 
 _BISECTIONS = 30
@@ -25,13 +26,6 @@ _NAMES = {
     "breakpoints": ("breakpoints", "knots"),
 }
 _PARAMETERS = "parameters."
-
-
-def _guarded(values: FloatArray) -> FloatArray:
-    """Return a view that cannot be written to: a user's law may not change what it is given."""
-    view = values.view()
-    view.flags.writeable = False
-    return view
 
 
 @lru_cache(maxsize=64)
@@ -90,27 +84,13 @@ class UserLaw(Law):
         """
         path = Path(values["file"])
         try:
-            source = path.read_text(encoding="utf-8-sig")
-        except (OSError, UnicodeDecodeError) as error:
-            reason = getattr(error, "strerror", None) or error
-            raise InputError(f"cannot be read ({reason}); must be a Python file") from error
-        law = cls(str(path), source, values["parameters"] or ())
+            law = cls(str(path), read_text(path), values["parameters"] or ())
+        except InputError as error:
+            raise InputError(f"file = {error}; must be a Python file") from error
         missing = law.missing()
         if missing:
-            raise InputError(missing)
+            raise InputError(f"file = {path}: {missing}")
         return law
-
-    @classmethod
-    def faults(cls, table: str, values: Mapping[str, Any]) -> list[str]:
-        """Return what keeps the file from being a law."""
-        if values.get("file") is None or "parameters" not in values:
-            return []
-        try:
-            cls.from_values(values)
-        except InputError as error:
-            file = json.dumps(values["file"], ensure_ascii=False)
-            return [f"{table}file = {file}: {fault}" for fault in error.faults]
-        return []
 
     def missing(self) -> str:
         """Return what keeps the file from being a law, "" if nothing does."""
@@ -125,6 +105,11 @@ class UserLaw(Law):
     def _defines(self, name: str) -> str:
         """Return under which name the file defines something, "" if it does not."""
         return next((known for known in _NAMES[name] if known in self._functions), "")
+
+    @property
+    def called(self) -> str:
+        """What messages call the law."""
+        return self.file
 
     @property
     def slope_name(self) -> str:
@@ -194,54 +179,24 @@ class UserLaw(Law):
         own = tuple((name, history(q, i)) for name, q in self.parameters)
         return replace(self, parameters=own)
 
-    def _call(self, name: str, p: FloatArray, local: LocalState) -> FloatArray:
+    def _call(self, asked: Asked, name: str, p: FloatArray, local: LocalState) -> FloatArray:
         """Return what one of the file's functions gives, (..., n): checked, one history at a time.
 
-        Real, unless pressure, wear or a parameter is complex.
+        Parameters
+        ----------
+        asked : what it is to give.
+        name : what the file calls it.
         """
         if p.ndim > 1:
-            each = (self.history(i)._call(name, p[i], local.history(i)) for i in range(len(p)))
-            return np.array(list(each))
-        if not np.isfinite(p).all():
-            raise ComputationError("contact: pressures are not finite")
-        values = {key: value(q, local.time, local.r) for key, q in self.parameters}
-        try:
-            with np.errstate(all="ignore"):
-                there = replace(
-                    local,
-                    parameters=values,
-                    r=_guarded(local.r),
-                    speed=_guarded(local.speed),
-                    wear=_guarded(local.wear),
-                    slid=_guarded(local.slid),
-                )
-                result = self._functions[name](_guarded(p), there)
-            real = not any(np.iscomplexobj(x) for x in (p, local.wear, *values.values()))
-            if result is None or (real and np.iscomplexobj(result)):
-                raise TypeError(f"it returns {type(result).__name__}, not real numbers")
-            result = np.asarray(result, dtype=float if real else complex)
-            result = np.array(np.broadcast_to(result, p.shape))
-        except (Exception, SystemExit) as error:  # whatever a user's code may raise
-            raise LawError(
-                f"{self.file}: {name}() failed at time {local.time:g} s: "
-                f"{type(error).__name__}: {error}"
-            ) from error
-        bad = ~np.isfinite(result)
-        if name not in _NAMES["d_rate_dwear"]:
-            bad |= result.real < 0.0
-        if bad.any():
-            e = int(np.flatnonzero(bad)[0])
-            what = "rate" if name == "rate" else "derivative of the rate"
-            why = "a finite number >= 0"
-            if name in _NAMES["d_rate_dp"] and result[e] < 0.0:
-                why += ": rates must not fall with pressure"
-            elif name in _NAMES["d_rate_dwear"]:
-                why = "a finite number"
-            raise LawError(
-                f"{self.file}: {name}() gives {result[e]:g} as {what} at time {local.time:g} s, "
-                f"element {e} (r = {local.r[e]:.6g} mm), p = {p[e]:.6g} MPa; must be {why}"
+            each = (
+                self.history(i)._call(asked, name, p[i], local.history(i)) for i in range(len(p))
             )
-        return result
+            return np.array(list(each))
+        values = {key: value(q, local.time, local.r) for key, q in self.parameters}
+        there = shown(local, parameters=values)
+        return ask(
+            f"{self.file}: {name}()", asked, self._functions[name], p, there, values.values()
+        )
 
     def rate(self, p: FloatArray, local: LocalState) -> FloatArray:
         """Return the rate of wear, mm/s.
@@ -250,7 +205,7 @@ class UserLaw(Law):
         ------
         LawError : the function failed, or gave NaN or a negative rate.
         """
-        return self._call("rate", p, local)
+        return self._call("rate", "rate", p, local)
 
     def d_rate_dp(self, p: FloatArray, local: LocalState) -> FloatArray:
         """Return the derivative of the rate with respect to pressure, mm/s/MPa.
@@ -260,15 +215,17 @@ class UserLaw(Law):
         LawError : the function failed, or gave NaN or a negative slope.
         """
         name = self.slope_name
-        return self._call(name, p, local) if name else super().d_rate_dp(p, local)
+        return self._call("d_rate_dp", name, p, local) if name else super().d_rate_dp(p, local)
 
     def d_rate_dwear(self, p: FloatArray, local: LocalState) -> FloatArray:
         """Return the derivative of the rate with respect to ``local.wear``, 1/s."""
         name = self._defines("d_rate_dwear")
-        return self._call(name, p, local) if name else super().d_rate_dwear(p, local)
+        if not name:
+            return super().d_rate_dwear(p, local)
+        return self._call("d_rate_dwear", name, p, local)
 
 
-def check_user_law(law: UserLaw, at: LocalState, pressure: float) -> None:
+def check_user_law(law: UserLaw | CompletedLaw, at: LocalState, pressure: float) -> None:
     """Refuse a user's law that is no law, tried at pressures up to a given one (MPa).
 
     Not collective.
@@ -290,14 +247,14 @@ def check_user_law(law: UserLaw, at: LocalState, pressure: float) -> None:
     if table[0].any():
         e = int(np.flatnonzero(table[0])[0])
         raise InputError(
-            f"{law.file}: rate() gives {table[0, e]:g} without pressure (time {at.time:g} s, "
+            f"{law.called}: rate() gives {table[0, e]:g} without pressure (time {at.time:g} s, "
             f"element {e}, r = {at.r[e]:.6g} mm); must be 0: no wear without contact"
         )
     fall = np.diff(table, axis=0) < -1e-12 * table.max(initial=0.0)
     if fall.any():
         i, e = (int(v[0]) for v in np.nonzero(fall))
         raise InputError(
-            f"{law.file}: rate() falls from {table[i, e]:g} to {table[i + 1, e]:g} between "
+            f"{law.called}: rate() falls from {table[i, e]:g} to {table[i + 1, e]:g} between "
             f"p = {p[i, e]:.6g} and {p[i + 1, e]:.6g} MPa (time {at.time:g} s, element {e}, "
             f"r = {at.r[e]:.6g} mm); must not fall with pressure"
         )
@@ -306,7 +263,7 @@ def check_user_law(law: UserLaw, at: LocalState, pressure: float) -> None:
         raise InputError(jump)
 
 
-def _jump(law: UserLaw, at: LocalState, p: FloatArray, rates: FloatArray) -> str:
+def _jump(law: UserLaw | CompletedLaw, at: LocalState, p: FloatArray, rates: FloatArray) -> str:
     """Return where the rate jumps with pressure, "" if it does not: by bisection of steep pieces.
 
     Parameters
@@ -328,6 +285,6 @@ def _jump(law: UserLaw, at: LocalState, p: FloatArray, rates: FloatArray) -> str
     if above - below <= 1e-3 * rise[i]:
         return ""
     return (
-        f"{law.file}: rate() jumps from {below:g} to {above:g} at p = {low:.6g} MPa "
+        f"{law.called}: rate() jumps from {below:g} to {above:g} at p = {low:.6g} MPa "
         f"(time {at.time:g} s, element {e}, r = {at.r[e]:.6g} mm); must be continuous in p"
     )

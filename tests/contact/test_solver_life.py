@@ -11,9 +11,11 @@ import pytest
 from conftest import SHELL_ENVIRONMENT
 from petsc4py import PETSc
 
+from ringwear_par.contact import solver as module
 from ringwear_par.contact.solver import ContactSolver
 from ringwear_par.errors import ComputationError, LawError
 
+ROOT = Path(__file__).parents[2]
 N = 8
 COMPLIANCE = np.eye(N) + 0.1
 AREA = np.ones(N)
@@ -70,6 +72,37 @@ def test_an_error_on_one_rank_is_raised_on_all(comm):
             solver.solve(np.zeros(N), force=3.0, wear=unforeseen)
 
 
+@pytest.mark.parametrize("limit", [100, 0], ids=["replicated", "distributed"])
+def test_what_is_made_is_freed_if_the_rest_cannot_be_made(comm, monkeypatch, limit):
+    made = []
+
+    def too_large(*parts):
+        made.extend(part for part in parts if isinstance(part, PETSc.Object))
+        raise MemoryError
+
+    monkeypatch.setattr(module, "_Callbacks", too_large)
+    with pytest.raises(MemoryError):
+        ContactSolver(COMPLIANCE, AREA, comm, limit)
+    assert made
+    assert not any(part.handle for part in made)
+
+
+def test_what_is_left_is_freed_in_the_order_of_making(comm, monkeypatch):
+    """Ranks that free shared objects in different orders wait for each other."""
+    made = [ContactSolver(COMPLIANCE, AREA, comm, 0) for _ in range(20)]
+    freed, destroy = [], ContactSolver.destroy
+
+    def recorded(solver):
+        freed.append(solver)
+        destroy(solver)
+
+    monkeypatch.setattr(ContactSolver, "destroy", recorded)
+    module._destroy_open()
+    assert [solver for solver in freed if solver in made] == made
+    assert not any(solver._tao.handle for solver in made)
+    monkeypatch.undo()
+
+
 class _Wrapping:
     """A TAO of petsc4py from 3.19 on, which wraps what a callback raises."""
 
@@ -116,6 +149,7 @@ PROGRAM = """
 import sys
 import numpy as np
 from mpi4py import MPI
+from ringwear_par.contact import solver as module
 from ringwear_par.contact.solver import ContactSolver
 
 how, limit = sys.argv[1], int(sys.argv[2])
@@ -153,6 +187,15 @@ RANKS = [
 ]
 
 
+def _run(command, ranks):
+    """Return a process that has ended, of mpirun where there are ranks."""
+    launcher = ["mpirun", "-n", str(ranks)] if ranks else []
+    return subprocess.run(
+        [*launcher, *map(str, command)],
+        env=SHELL_ENVIRONMENT, cwd=ROOT, capture_output=True, text=True, timeout=100, check=False,
+    )  # fmt: skip
+
+
 @pytest.mark.serial
 @pytest.mark.parametrize("ranks", RANKS)
 @pytest.mark.parametrize("limit", [100, 0], ids=["replicated", "distributed"])
@@ -170,14 +213,102 @@ def test_a_process_ends_with_its_own_status(tmp_path, ranks, limit, how, status)
     """Whoever uses the package need not know of destroy()."""
     program = tmp_path / "program.py"
     program.write_text(PROGRAM)
-    launcher = ["mpirun", "-n", str(ranks)] if ranks else []
-    done = subprocess.run(
-        [*launcher, sys.executable, str(program), how, str(limit)],
-        env=SHELL_ENVIRONMENT, cwd=Path(__file__).parents[2], capture_output=True, text=True,
-        timeout=100, check=False,
-    )  # fmt: skip
+    done = _run([sys.executable, str(program), how, str(limit)], ranks)
     assert done.returncode == status, done.stderr
     said = done.stdout + done.stderr
+    _said_nothing_odd(said)
+    assert ("of its own" in done.stderr) == (how == "raises")
+
+
+def _said_nothing_odd(said):
     for word in ("MPI_ABORT", "PETSC ERROR", "Segmentation", "Exception ignored"):
         assert word not in said, said
-    assert ("of its own" in done.stderr) == (how == "raises")
+
+
+#: fails in the midst of a history, inside of TAO
+FAILING = """
+def rate(p, at):
+    if at.time > 1.5:
+        raise RuntimeError("of the law")
+    return 1e-8 * at.speed * p
+"""
+RUN_OF_A_FAILING_LAW = """
+import sys
+import traceback
+from dataclasses import replace
+from mpi4py import MPI
+import ringwear_par as rw
+
+how, kind, file = sys.argv[1:]
+names = {}
+exec(open(file).read(), names)
+
+class Mine:
+    remembers = False
+
+    def rate(self, p, local):
+        return names["rate"](p, local)
+
+keys = {
+    "mesh.contact_elements": 16, "time.step": 1.0, "time.steps": 4,
+    "wear.lower": None, "wear.lower.law": "user", "wear.lower.file": file,
+}
+case = rw.read_case("scripts/cases/paper.toml", keys)
+if kind == "object":
+    case = replace(case, wear_lower=Mine())
+if how == "caught":
+    good = rw.read_case("scripts/cases/paper.toml", {**keys, "time.steps": 1})
+    good, failed = rw.simulate_all([good, case])
+    assert isinstance(good, rw.Result) and isinstance(failed, rw.FailedResult)
+    assert "of the law" in str(failed.error)
+    try:
+        rw.simulate(case)
+    except rw.ComputationError as error:
+        kept = error
+    frames, cause = [], kept
+    while cause is not None:
+        frames += [frame.name for frame in traceback.extract_tb(cause.__traceback__)]
+        cause = cause.__cause__
+    # errors that ranks tell each other have lost theirs
+    assert "rate" in frames or MPI.COMM_WORLD.size > 1, frames
+else:
+    rw.simulate(case)
+"""
+
+
+@pytest.mark.serial
+@pytest.mark.parametrize("ranks", RANKS)
+@pytest.mark.parametrize("kind", ["file", "object"])
+@pytest.mark.parametrize(("how", "status"), [("caught", 0), ("not caught", 1)])
+def test_a_law_that_fails_in_the_midst_leaves_the_status_alone(tmp_path, ranks, kind, how, status):
+    """What a law raised holds frames, and these TAO's own references to itself."""
+    program, law = tmp_path / "program.py", tmp_path / "law.py"
+    program.write_text(RUN_OF_A_FAILING_LAW)
+    law.write_text(FAILING)
+    done = _run([sys.executable, str(program), how, kind, str(law)], ranks)
+    assert done.returncode == status, done.stderr
+    _said_nothing_odd(done.stdout + done.stderr)
+
+
+@pytest.mark.serial
+@pytest.mark.parametrize("ranks", RANKS)
+@pytest.mark.parametrize("command", ["run", "sweep"])
+def test_a_command_whose_law_fails_in_the_midst_ends_with_1(tmp_path, ranks, command):
+    (tmp_path / "law.py").write_text(FAILING)
+    text = (ROOT / "scripts/cases/paper.toml").read_text().replace("steps = 200", "steps = 4")
+    before, _, after = text.partition("[wear.lower]")
+    after = after[after.index("\n[") :]
+    case = f'{before}[wear.lower]\nlaw = "user"\nfile = "law.py"\n{after}'
+    (tmp_path / "case.toml").write_text(f"{case}\n[mesh]\ncontact_elements = 16\n")
+    (tmp_path / "study.toml").write_text(
+        'case = "case.toml"\n[vary]\n"load.pressure" = { values = [50, 60] }\n'
+    )
+    names = {
+        "run": [tmp_path / "case.toml", "-o", tmp_path / "run.h5"],
+        "sweep": [tmp_path / "study.toml", "-o", tmp_path / "out"],
+    }
+    done = _run([sys.executable, "-m", "ringwear_par", command, *names[command]], ranks)
+    assert done.returncode == 1, done.stderr
+    failed = {"run": "of the law", "sweep": "2 of 2 cases failed"}
+    assert failed[command] in done.stdout + done.stderr
+    _said_nothing_odd(done.stdout + done.stderr)

@@ -10,9 +10,11 @@ import pytest
 from ringwear_par import assemble, simulate
 from ringwear_par.cases.law_trials import check_laws
 from ringwear_par.cases.reading import read_case
-from ringwear_par.errors import ComputationError, InputError
+from ringwear_par.errors import ComputationError, InputError, LawError
 from ringwear_par.results.run import run_case
 from ringwear_par.studies.sweep import run_sweep
+from ringwear_par.wear import LocalState
+from ringwear_par.wear.law import complete
 
 PAPER = Path(__file__).parents[2] / "scripts/cases/paper.toml"
 GOOD = """
@@ -54,6 +56,73 @@ def test_bad_laws_are_refused_before_work(law, shared_path, comm, source, words)
     with pytest.raises(InputError, match=words):
         run_case(PAPER, shared_path / "run.h5", law(source), comm=comm)
     assert not (shared_path / "run.h5").exists()
+
+
+class _Mine:
+    """A law as a user may write it, of one function."""
+
+    def __init__(self, rate, **more):
+        self._rate = rate
+        vars(self).update(more)
+
+    def rate(self, p, local):
+        """Return the rate of wear, mm/s."""
+        return self._rate(p, local)
+
+
+def _lower_by_20(p, local):
+    p -= 20.0
+    return 1e-8 * local.speed * p
+
+
+def _forgets(p, local):
+    local.wear[:] = 0.0
+    return 1e-8 * local.speed * p
+
+
+BAD_OBJECTS = {
+    "writes pressure": (_Mine(_lower_by_20),
+        r"rate\(\) failed at time 0 s: ValueError.*read-only"),
+    "writes wear": (_Mine(_forgets), r"rate\(\) failed at time 0 s: ValueError.*read-only"),
+    "negative": (_Mine(lambda p, local: 1e-8 * (p - 30)), r"rate\(\) gives -3e-07 as rate at"),
+    "nan": (_Mine(lambda p, local: p * np.nan), r"rate\(\) gives nan as rate at time 0 s"),
+    "complex": (_Mine(lambda p, local: p * 1j), r"rate\(\) failed .* not real numbers"),
+    "nothing": (_Mine(lambda p, local: None), r"rate\(\) failed .* NoneType, not real numbers"),
+    "falls": (_Mine(lambda p, local: 1e-11 * p * (500 - p)), r"rate\(\) falls from"),
+    "jumps": (_Mine(lambda p, local: 1e-8 * (p > 35)), r"rate\(\) jumps from"),
+    "without pressure": (_Mine(lambda p, local: 1e-8 + 0 * p), r"rate\(\) gives 1e-08 without"),
+    "wrong slope": (_Mine(lambda p, local: 1e-8 * p, d_rate_dp=lambda p, local: 2e-8 + 0 * p),
+        r"d_rate_dp\(\) is not the derivative of rate\(\)"),
+    "falling slope": (_Mine(lambda p, local: 1e-8 * p, d_rate_dp=lambda p, local: -1e-8 + 0 * p),
+        r"d_rate_dp\(\) gives -1e-08 as derivative .* must not fall with pressure"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(("bad", "words"), BAD_OBJECTS.values(), ids=BAD_OBJECTS)
+@pytest.mark.parametrize("body", ["lower", "upper"])
+def test_bad_objects_are_refused_as_bad_files_are(law, comm, body, bad, words):
+    case = replace(read_case(PAPER, law(GOOD)), **{f"wear_{body}": bad})
+    with pytest.raises(InputError, match=rf"^case: wear\.{body}: _Mine: {words}"):
+        simulate(case, comm)
+
+
+def test_an_object_that_fails_during_work_is_told_with_time_and_element(law, comm):
+    late = _Mine(lambda p, local: np.where(local.time > 5, -1.0, 1e-8 * local.speed * p))
+    case = replace(read_case(PAPER, law(GOOD)), wear_lower=late)
+    words = r"_Mine: rate\(\) gives -1 as rate at time [\d.]+ s, element \d+ \(r = "
+    with pytest.raises(LawError, match=words):
+        simulate(case, comm)
+
+
+def test_a_fault_of_one_of_many_histories_names_it():
+    rate = _Mine(lambda p, local: np.where(local.time > 1.5, np.nan, 1e-8 * p))
+    r, p = np.array([28.0, 30.0, 31.0]), np.ones((3, 3))
+    local = LocalState(np.arange(3.0), r, p, np.full(3, 0.1), 0 * p, p)
+    with pytest.raises(LawError, match=r"nan as rate at time 2 s, element 0 \(r = 28 mm\)"):
+        complete(rate).rate(p, local)
+    failing = _Mine(lambda p, local: 1 / 0)
+    with pytest.raises(LawError, match=r"failed at times from 0 to 2 s: ZeroDivisionError"):
+        complete(failing).rate(p, local)
 
 
 def test_a_law_that_fails_during_work_is_told_with_time_and_element(law, shared_path, comm):
@@ -207,3 +276,35 @@ def test_a_rate_is_all_that_a_history_needs(law, comm):
         assert other.time.values == pytest.approx(first.time.values, rel=1e-6)
         for name in ("wear_lower", "pressure", "approach"):
             assert other[name].values == pytest.approx(first[name].values, rel=1e-6)
+
+
+def test_the_file_of_a_law_is_read_once_and_like_other_files(law, monkeypatch):
+    read, keys = [], law("\ufeff" + GOOD)
+    path = Path(keys[-1].partition("=")[2])
+    text = Path.read_text
+
+    def counted(self, *words, **more):
+        read.append(self)
+        return text(self, *words, **more)
+
+    monkeypatch.setattr(Path, "read_text", counted)
+    assert read_case(PAPER, keys).wear_lower.source == GOOD
+    assert read.count(path) == 1
+
+
+@pytest.mark.serial
+def test_a_file_that_is_no_text_is_told_of_with_all_other_faults(law, shared_path):
+    keys = [*law(GOOD), "contact.friction=-1"]
+    (shared_path / "law.py").write_bytes(b"\xff\xfe")
+    with pytest.raises(InputError) as told:
+        read_case(PAPER, keys)
+    friction, file = told.value.faults
+    assert "contact.friction = -1" in friction
+    path = shared_path / "law.py"
+    said = f"wear.lower.file = {path}: is not a text file in UTF-8; must be a Python file"
+    assert file == f"{PAPER}: {said}"
+    missing = [*law(GOOD)[:-1], "wear.lower.file=nowhere.py"]
+    with pytest.raises(
+        InputError, match=r"wear.lower.file = .*nowhere.py: cannot be read: No such"
+    ):
+        read_case(PAPER, missing)
