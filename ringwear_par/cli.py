@@ -1,7 +1,7 @@
 """The ``ringwear`` command: arguments, errors and exit statuses, alike on one rank and on many.
 
-This is the only module that touches COMM_WORLD, and it initialises PETSc with the arguments behind
-``--`` before any other module imports it.
+It works on the world's communicator, and starts PETSc with the arguments behind ``--`` before any
+other module imports it.
 """
 
 import argparse

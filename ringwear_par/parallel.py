@@ -25,7 +25,7 @@ def on_first_rank(comm: "MPI.Comm", action: Callable[[], T]) -> T:
         except Exception as error:
             if comm.size == 1 and not isinstance(error, RingwearError | OSError):
                 raise
-            result = _as_ours(error)
+            result = as_ours(error)
             if not isinstance(error, RingwearError | OSError):
                 log.exception("an error that should not be")
     result = comm.bcast(result)
@@ -57,11 +57,11 @@ class together:  # noqa: N801  (it reads as a word: with together(comm))
         failed = np.array([own is not None], dtype=np.int32)
         comm.Allreduce(MPI.IN_PLACE, failed, MPI.MAX)
         if failed[0]:
-            errors = comm.allgather(None if own is None else _as_ours(own))
+            errors = comm.allgather(None if own is None else as_ours(own))
             raise next(error for error in errors if error is not None) from own
 
 
-def _as_ours(error: Exception) -> RingwearError:
+def as_ours(error: Exception) -> RingwearError:
     """Return an error that is told in one sentence, and may be sent to other ranks."""
     if isinstance(error, RingwearError):
         return error

@@ -8,12 +8,13 @@ find ringwear_par -name '*.nb[ic]' -delete
 ruff check .
 ruff format --check .
 mypy
-timeout -k 5 900 python -m pytest -q -rs
+# limits are for hangs, not for load; files are shared out, as most tests wait for programs
+timeout -k 5 2400 python -m pytest -q -rs -n 2 --dist loadfile
 for ranks in 2 3; do
     echo "on $ranks ranks"
     # every rank reports; one report is enough where all went well
     log="$(mktemp)"
-    if timeout -k 5 600 mpirun -n "$ranks" python -m pytest -q --color=no --with-mpi > "$log" 2>&1; then
+    if timeout -k 5 1800 mpirun -n "$ranks" python -m pytest -q --color=no --with-mpi > "$log" 2>&1; then
         grep -a -m 1 passed "$log"
         rm "$log"
     else

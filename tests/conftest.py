@@ -15,7 +15,7 @@ import pytest
 #: the environment before MPI adds to it: what a user's shell gives to a command
 SHELL_ENVIRONMENT = dict(os.environ)
 #: seconds that a rank waits for the others after a test
-GRACE = 60.0
+GRACE = 180.0
 
 
 def pytest_configure(config):

@@ -109,9 +109,10 @@ def test_results_do_not_depend_on_company(case, comm):
             assert np.array_equal(together[i].histories["approach"], other.histories["approach"])
 
 
-def test_simulate_all_refuses_an_empty_batch(case, comm):
-    with pytest.raises(rw.InputError, match="batch = 0: must be at least 1"):
-        rw.simulate_all([case], comm, batch=0)
+@pytest.mark.parametrize("batch", [0, -1, 2.5, 2.0, True, "2"])
+def test_simulate_all_refuses_a_batch_that_is_no_count(case, comm, batch):
+    with pytest.raises(rw.InputError, match=f"batch = {batch!r}: must be a whole number >= 1"):
+        rw.simulate_all([case], comm, batch=batch)
 
 
 @dataclass(frozen=True)

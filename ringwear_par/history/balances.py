@@ -22,10 +22,11 @@ class Balances:
     Parameters
     ----------
     force : contact pressure against the applied force (0 at given displacement).
-    torque : torque on the held faces against the friction torque, the worse of both bodies.
-    reaction : axial force on the held faces against that of the contact pressure, likewise.
+    torque : torque on the fixed faces against the friction torque, the worse of both bodies.
+    reaction : axial force on the fixed faces against that of the contact pressure, likewise.
     volume : worn volume of the profiles against the time integral of the rate at the contact
-        pressures, which is evaluated apart from the depths.
+        pressures, which implicit schemes evaluate apart from the depths (a check of bookkeeping for
+        explicit steps, whose depths are the rates times the step).
     energy : worn volume against k times the dissipated energy, where p0 = 0 (else 0).
     residual : KKT residual of the contact solution.
     step_error : mm, estimated error of the wear of a time step.
@@ -60,7 +61,7 @@ def balances(model: WearModel, state: State) -> dict[str, Any]:
             identity = larger(identity, _defect(volume, ratio * state.energy))
     force = None if model.force is None else in_time(model.force, state.time)
     off = larger(abs(volumes[0] - worn[0]), abs(volumes[1] - worn[1]))
-    total = larger(volumes[0], volumes[1])
+    total = larger(*volumes)
     return {
         "force": 0.0 if force is None else _defect(contact.force, force),
         "torque": larger(_defect(turned_lower, turned), _defect(turned_upper, turned)),

@@ -8,11 +8,11 @@ rate.
 
 import numpy as np
 
-from ringwear_par.arrays import Numbers, columns, larger
+from ringwear_par.arrays import Numbers, columns
 from ringwear_par.history.model import WearModel
 from ringwear_par.history.schemes import Step, advanced
 from ringwear_par.history.state import State
-from ringwear_par.schedules import in_time, mean
+from ringwear_par.schedules import mean
 
 
 def forward(model: WearModel, state: State, end: Numbers) -> Step:
@@ -27,7 +27,7 @@ def forward(model: WearModel, state: State, end: Numbers) -> Step:
     then = model.rates_at(end, state.wear + depths, contact.pressure)
     energy = length * omega * model.torque(p)
     after = advanced(model, state, end, depths, volumes, energy, contact, then)
-    return _judged(model, state, after)
+    return _judged(state, after)
 
 
 def backward(model: WearModel, state: State, end: Numbers) -> Step:
@@ -44,15 +44,11 @@ def backward(model: WearModel, state: State, end: Numbers) -> Step:
         then = model.rates_at(end, state.wear + depths, p)
     energy = length * omega * model.torque(p)
     after = advanced(model, state, end, depths, volumes, energy, contact, then)
-    return _judged(model, state, after)
+    return _judged(state, after)
 
 
-def _judged(model: WearModel, state: State, after: State) -> Step:
-    """Return the step from one state to another, with half of what changed as its errors."""
-    half = 0.5 * (after.time - state.time)
-    change = columns(half) * (after.rates - state.rates).sum(axis=0)
-    before, then = (
-        in_time(model.omega, s.time) * model.torque(s.contact.pressure) for s in (state, after)
-    )
-    error = np.abs(change).max(axis=-1)
-    return Step(after, error, half * abs(then - before), larger(before, then))
+def _judged(state: State, after: State) -> Step:
+    """Return the step from one state to another, half of what the rates changed as its error."""
+    lower, upper = after.rates - state.rates
+    change = lower + upper
+    return Step(after, 0.5 * (after.time - state.time) * np.abs(change).max(axis=-1))

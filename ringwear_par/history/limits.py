@@ -75,11 +75,15 @@ def check_case(case: Case, ranks: int, name: str) -> None:
     InputError : all faults, one sentence each.
     """
     faults: list[str] = []
+
+    def try_memory_and_mesh() -> None:
+        check_memory(case, ranks, name)  # first: a mesh takes memory as well
+        check_mesh(case, name)
+
     for check in (
         lambda: refuse_bad_laws(case, name),
         lambda: check_ranks(case, ranks, name),
-        lambda: check_memory(case, ranks, name),
-        lambda: check_mesh(case, name),
+        try_memory_and_mesh,
     ):
         try:
             check()

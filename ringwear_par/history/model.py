@@ -64,11 +64,16 @@ class WearModel:
         self.line = line = self.pair.line
         self._r, self._arm, self.area = line.r, line.arm, line.area
         self._moment = self.area * self._arm  # torque per unit shear
-        self._initial_gap = case.gap_at(line.gap_point)
+        self._initial_gap = case.initial_gap
         self._open_ends = [e for e, cut in zip((0, -1), case.open_ends, strict=True) if cut]
         self._most_wear = np.array([0.5 * (ring.z[1] - ring.z[0]) for ring in case.rings])
         load = case.load
         if several:
+            if case.follows_wear or any(young(c) != young(case) for c in self.cases):
+                raise ValueError(
+                    "histories of unlike moduli, or with updated geometry, cannot be stacked"
+                )
+            self._initial_gap = np.array([c.initial_gap for c in self.cases])
             loads = [c.load for c in self.cases]
             self.friction: Numbers = np.array([c.friction for c in self.cases])
             self.omega = stack([each.omega for each in loads])
@@ -107,7 +112,9 @@ class WearModel:
     def __enter__(self) -> "WearModel":
         return self
 
-    def __exit__(self, *_: object) -> None:
+    def __exit__(self, failure: type[BaseException] | None, *_: object) -> None:
+        if failure is not None:  # where a failed solution ended is no place to start
+            self._solvers[0].cold_start()
         self._warm = self._solvers[0].warm()
         if not self._lent:
             for solver in self._solvers:
@@ -143,13 +150,13 @@ class WearModel:
 
     def _check_interpenetration(self) -> None:
         """Refuse undeformed bodies that overlap by more than the largest force presses them."""
-        overlap = self.case.interpenetration
-        if self.force is None or overlap == 0.0:
-            return
         for case, solver in zip(self.cases, self._solvers, strict=True):
-            pressed = _pressed(solver, case, self._initial_gap)
+            overlap = case.interpenetration
+            if case.load.force is None or overlap == 0.0:
+                continue
+            pressed = _pressed(solver, case)
             if pressed.approach < 0.0:
-                e = int(self._initial_gap.argmin())
+                e = int(case.initial_gap.argmin())
                 raise UnfitError(
                     f"upper.z, lower.z and contact faces: the undeformed bodies interpenetrate by "
                     f"{overlap:.6g} mm at element {e} (r = {self._r[e]:.6g} mm); must be at most "
@@ -332,7 +339,7 @@ class WearModel:
         """
         case, solver = self.case, self._solvers[0]
         warm = solver.warm()
-        p = np.full_like(self.area, _pressed(solver, case, self._initial_gap).pressure.max())
+        p = np.full_like(self.area, _pressed(solver, case).pressure.max())
         solver.warm_start(warm)
         zero = np.zeros_like(p)
         slopes = zero
@@ -343,11 +350,11 @@ class WearModel:
         return largest_stable_step(self.compliance, slopes)
 
 
-def _pressed(solver: ContactSolver, case: Case, gap: FloatArray) -> ContactState:
-    """Return the contact under the largest load of a case. Collective."""
+def _pressed(solver: ContactSolver, case: Case) -> ContactState:
+    """Return the contact before any wear, under the largest load of a case. Collective."""
     force, displacement = case.load.force, case.load.displacement
     return solver.solve(
-        gap,
+        case.initial_gap,
         force=None if force is None else largest(force),
         approach=None if displacement is None else largest(displacement),
     )

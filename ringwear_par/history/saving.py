@@ -1,5 +1,7 @@
 """What of a history is saved: which steps and times, and where whole boundaries are asked for."""
 
+from bisect import bisect_left, bisect_right
+
 from ringwear_par.cases.case import SAME_TIME, Case
 
 
@@ -14,13 +16,16 @@ def stores(case: Case, step: int, time: float) -> bool:
     if step == 0 or case.time.finished(step, time):
         return True
     if output.times:
-        return any(_same(t, time) for t in output.times)
+        i = bisect_left(output.times, time)
+        return any(_same(t, time) for t in output.times[max(i - 1, 0) : i + 1])
     return step % output.every == 0
 
 
 def times_within(case: Case, start: float, end: float) -> list[float]:
     """Return the times of output strictly between two times, s."""
-    return [t for t in case.output.times if start < t < end and not _same(t, start, end)]
+    times = case.output.times
+    between = times[bisect_right(times, start) : bisect_left(times, end)]
+    return [t for t in between if not _same(t, start, end)]
 
 
 def wants_boundary(case: Case, time: float, finished: bool, before: float) -> bool:

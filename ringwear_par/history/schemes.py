@@ -23,14 +23,15 @@ class Step:
     state : at its end; the iterations of its contact are those of all stages.
     wear_error : float or (B,), mm, estimated error of the wear of both bodies together in the
         step, of the worst element.
-    energy_error : float or (B,), N mm, estimated error of the energy dissipated in the step.
-    power : float or (B,), N mm/s, largest power of friction in the step.
+    energy_error : float or (B,), N mm, estimated error of the energy dissipated in the step; 0 from
+        a scheme that leaves it to the wear.
+    power : float or (B,), N mm/s, largest power of friction in the step, where there is such error.
     """
 
     state: State
     wear_error: Numbers
-    energy_error: Numbers
-    power: Numbers
+    energy_error: Numbers = 0.0
+    power: Numbers = 0.0
 
 
 Scheme = Callable[[WearModel, State, Numbers], Step]

@@ -71,6 +71,7 @@ def simulate(
         else:
             state = model.resume(start)
         while not show.stopped and not case.time.finished(control.progress.steps, state.time):
+            made = control.progress
             try:
                 state = model.update_geometry(state)
                 end = control.end(state)
@@ -80,19 +81,19 @@ def simulate(
                 except ComputationError as error:
                     control.failed(error)
                     continue
-                before = control.progress.iterations
                 if not control.accepts(step):
                     continue
+                within = []
                 for time in times_within(case, state.time, end):
                     with together(comm):
-                        within = scheme(model, state, time)
-                    show(within.state, within, within.state.contact.iterations, passing=True)
+                        within.append(scheme(model, state, time))
             except ComputationError as error:
-                made = control.progress.steps + 1
-                told = f"step {made} (from time {state.time:g} s): {error}"
+                told = f"step {made.steps + 1} (from time {state.time:g} s): {error}"
                 raise type(error)(told) from error
+            for passed in within:
+                show(passed.state, passed, passed.state.contact.iterations, passing=True)
             state = step.state
-            show(state, step, control.progress.iterations - before)
+            show(state, step, control.progress.iterations - made.iterations)
     return state
 
 

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from mpi4py import MPI
 
+from ringwear_par import __version__
 from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.case import Case
 from ringwear_par.cases.law_trials import law_sources
@@ -77,12 +78,14 @@ class Recorder:
         self._begun = time.perf_counter()
         #: s, spent by others on output, which is no time of stepping
         self.seconds_output = 0.0
-        self._balances, stored_until = WorstBalances(), -1.0
+        self._balances = WorstBalances()
+        #: version that began the history
+        self._begun_by = __version__
         if before is not None:
             self._restore(before)
-            stored_until = float(before.histories["time"][-1])
         self._boundary: BoundaryObserver | None = None
         if case.output.boundary != "none":
+            stored_until = (-1.0, *self._histories["time"])[-1]
             self._boundary = BoundaryObserver(case, comm, stored_until)
 
     def _restore(self, before: Result) -> None:
@@ -92,12 +95,13 @@ class Recorder:
         assert before.checkpoint is not None
         steps, times = before.steps_made.tolist(), before.histories["time"].tolist()
         # the last one of a shorter run may not belong here
-        keep = np.array([stores(case, n, t) for n, t in zip(steps, times, strict=True)])
+        rows, last = zip(steps, times, strict=True), start.state.time
+        keep = np.array([t <= last and stores(case, n, t) for n, t in rows])
         self._steps = before.steps_made[keep].tolist()
         self._histories = {name: before.histories[name][keep].tolist() for name in HISTORIES}
         for name in self._profiles:
             stored = before.profiles[name]
-            self._profiles[name] = list(stored[keep] if self._deep else stored[None])
+            self._profiles[name] = list(stored[keep] if self._deep else stored[None][keep[-1:]])
         # the last state of a shorter run is not the last one of this run
         if case.output.boundary != "last" or case.time.finished(
             start.progress.steps, start.state.time
@@ -108,6 +112,7 @@ class Recorder:
             before.histories["contact_iterations"][~keep].sum()
         )
         self._balances = WorstBalances(Balances(**before.balances))
+        self._begun_by = str(before.attributes.get("begun_by", before.attributes["version"]))
         self._seconds = {
             name: float(value)
             for name, value in before.attributes.items()
@@ -130,8 +135,8 @@ class Recorder:
 
     def _store(self, snapshot: Snapshot) -> None:
         values = row(snapshot.model, snapshot.state)
-        start = (*self._histories["approach"], values["approach"])[0]
-        values["penetration"] = values["approach"] - start
+        approach = self._histories["approach"] or [values["approach"]]
+        values["penetration"] = values["approach"] - approach[0]
         values["contact_iterations"] = self._pending_iterations
         self._steps.append(snapshot.progress.steps)
         for name, column in self._histories.items():
@@ -202,6 +207,11 @@ class Recorder:
                 "status": "complete" if self._last.finished else "incomplete",
                 "ranks": self._comm.size,
                 **versions(),
+                "begun_by": self._begun_by,
+                "scheme": case.time.scheme,
+                "time_step": case.time.step,
+                "time_steps": case.time.steps,
+                "time_end": case.time.end,
                 **self.seconds(),
                 "symmetry_defect": model.compliance.symmetry_defect,
                 "user_laws": json.dumps(law_sources(case)),
@@ -226,11 +236,11 @@ class Recorder:
     def seconds(self) -> dict[str, float]:
         """Return the wall times so far by attribute, s, those of an interrupted run included."""
         assert self._last is not None
-        model = self._last.model
-        cost = model.pair.cost + model.following
-        inside = model.following if model.given_pair else cost
+        model, cost = self._last.model, self._last.model.following
+        if not model.given_pair:  # what was assembled elsewhere took no time here
+            cost = cost + model.pair.cost
         stepping = time.perf_counter() - self._begun - self.seconds_output
-        stepping -= inside.seconds_assembly + inside.seconds_solution
+        stepping -= cost.seconds_assembly + cost.seconds_solution
         seconds = {
             "seconds_assembly": cost.seconds_assembly,
             "seconds_factorisation": cost.seconds_solution,

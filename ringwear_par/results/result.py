@@ -65,6 +65,9 @@ class Result:
     path: Path | None = None
     comm: Any = None
 
+    def __getstate__(self) -> dict[str, Any]:
+        return {**vars(self), "comm": None}  # which no other process has
+
     @property
     def case(self) -> str:
         """The TOML text of the case, as run."""

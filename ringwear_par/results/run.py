@@ -10,12 +10,13 @@ from pathlib import Path
 
 from mpi4py import MPI
 
+from ringwear_par import __version__
 from ringwear_par.atomic import check_writable
 from ringwear_par.cases.case import Case
 from ringwear_par.cases.law_trials import law_sources
 from ringwear_par.cases.reading import parse_case, read_case
 from ringwear_par.elasticity.assembly import load_kernels
-from ringwear_par.errors import ComputationError, InputError, UnfitError
+from ringwear_par.errors import ComputationError, InputError, RingwearError, UnfitError
 from ringwear_par.history.limits import check_case
 from ringwear_par.history.simulate import simulate
 from ringwear_par.history.snapshots import Observer, Snapshot
@@ -78,6 +79,12 @@ def run_case(
             "continuing %s after step %d (%g s)", output, reached.progress.steps,
             reached.state.time,
         )  # fmt: skip
+        version = before.attributes["version"] if before is not None else __version__
+        if version != __version__:
+            log.warning(
+                "%s was computed so far by version %s, this is %s: it keeps both in one history "
+                "(attribute begun_by)", output, version, __version__,
+            )  # fmt: skip
 
     def save(error: str = "") -> Result:
         """Write what there is so far. Collective."""
@@ -97,7 +104,9 @@ def run_case(
             simulate(case, comm, start=recorder.start, observers=observers)
         except UnfitError as error:
             raise InputError(*(f"{path}: {fault}" for fault in error.faults)) from error
-        except ComputationError as error:
+        except InputError:
+            raise
+        except RingwearError as error:
             if recorder.last is None or recorder.last.step is None:
                 raise
             save(str(error))

@@ -3,6 +3,7 @@
 from mpi4py import MPI
 
 from ringwear_par.cases.case import Case
+from ringwear_par.elasticity.assembly import load_kernels
 from ringwear_par.elasticity.pair import ContactPair
 from ringwear_par.errors import InputError
 from ringwear_par.history import simulate as history
@@ -24,7 +25,8 @@ def simulate(
     ----------
     case : the case, see ``read_case``.
     pair : what ``assemble`` made of a case of the same shape, mesh, Poisson's ratios and grip, to
-        be used again; None: it is assembled.
+        be used again; None: it is assembled. With ``geometry = "updated"`` numbers may differ in
+        the last digits between both.
 
     Raises
     ------
@@ -39,6 +41,7 @@ def simulate(
             "pair: was assembled for another shape, mesh, Poisson's ratio or grip; must be "
             "assemble(case) of a case that shares them"
         )
+    load_kernels(comm)  # which is no time of stepping
     recorder = Recorder(case, comm)
-    history.simulate(case, comm, pair=pair, start=None, observers=[recorder])
+    history.simulate(case, comm, pair=pair, observers=[recorder])
     return recorder.result()

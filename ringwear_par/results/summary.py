@@ -1,31 +1,38 @@
 """The end of a history in a few lines: what can be wrong with it first, then what it came to."""
 
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ringwear_par.cases.keys import read_keys
+from ringwear_par.errors import InputError
 
 if TYPE_CHECKING:
     from ringwear_par.results.result import Result
 
 
 def summary(result: "Result") -> str:
-    """Return a result in a few lines, as ``ringwear run`` prints it. Not collective."""
-    assert result.checkpoint is not None
-    keys = read_keys(result.case, result.name)
-    reached, state = result.checkpoint.numbers, result.checkpoint.arrays
+    """Return a result in a few lines, as ``ringwear run`` prints it. Not collective.
+
+    Raises
+    ------
+    InputError : the result was stored without its last state.
+    """
+    if result.checkpoint is None:
+        raise InputError(f"{result.name}: holds no last state; must be one of a run")
+    about, reached = result.attributes, result.checkpoint.numbers
+    state, title = result.checkpoint.arrays, str(result.attributes.get("title", ""))
     last = {name: values[-1] for name, values in result.histories.items()}
     lower, upper = 1e3 * state["wear"].max(axis=1)
     p, steps = state["pressure"], int(reached["step"])
     lines = [
-        *([keys["title"]] if keys.get("title") else []),
-        f"{_made(keys, reached)}, {result.line.n} contact elements, "
+        *([title] if title else []),
+        f"{_made(about, reached)}, {result.line.n} contact elements, "
         f"{reached['iterations'] / max(steps, 1):.1f} TAO iterations a step",
         *(
             f"{body} wears by {law}"
             for body in ("lower", "upper")
-            if (law := result.attributes.get(f"law_{body}"))
+            if (law := about.get(f"law_{body}"))
         ),
         *_trust(result),
         f"approach {reached['approach']:.7g} mm, penetration {1e3 * last['penetration']:.6g} um, "
@@ -42,27 +49,30 @@ def summary(result: "Result") -> str:
     return "\n".join(lines)
 
 
-def _made(keys: dict[str, Any], reached: Any) -> str:
+def _made(about: Mapping[str, Any], reached: Mapping[str, Any]) -> str:
     """Return what steps were made."""
-    scheme, steps = keys.get("time.scheme", "implicit"), int(reached["step"])
-    if scheme == "adaptive":
-        return (
-            f"{steps} adaptive steps (and {reached['rejected']} repeated) to {reached['time']:g} s"
-        )
-    return f"{steps} of {keys['time.steps']} {scheme} steps of {keys['time.step']:g} s"
+    steps, scheme = int(reached["step"]), about.get("scheme", "")
+    if scheme in ("implicit", "explicit"):
+        return f"{steps} of {about['time_steps']} {scheme} steps of {about['time_step']:g} s"
+    repeated = f" (and {reached['rejected']} repeated)" if reached["rejected"] else ""
+    return f"{steps} {scheme} steps{repeated} to {reached['time']:g} s".replace("  ", " ")
 
 
 def _trust(result: "Result") -> list[str]:
     """Return what a history was held against, the worst of all its steps."""
-    off, attributes = result.balances, result.attributes
-    identity = (
-        f", volume against energy {off['energy']:.1e}" if attributes["energy_identity"] else ""
-    )
-    return [
+    off, about = result.balances, result.attributes
+    identity = ""
+    if about.get("energy_identity"):
+        identity = f", worn volume against energy {off['energy']:.1e}"
+    lines = [
         f"worst of all steps: contact (KKT) {off['residual']:.1e}, force {off['force']:.1e}, "
         f"worn profiles against integrated rates {off['volume']:.1e}{identity}",
         "errors of the boundary elements, which vanish with the mesh: force on the fixed faces "
         f"{off['reaction']:.1e}, torque on them {off['torque']:.1e}, "
-        f"symmetry {attributes['symmetry_defect']:.1e}",
-        f"estimated error of wear of a time step: {1e3 * off['step_error']:.1e} um at most",
+        f"symmetry {about['symmetry_defect']:.1e}",
     ]
+    if "step_error" in off:
+        lines.append(
+            f"estimated error of wear of a time step: {1e3 * off['step_error']:.1e} um at most"
+        )
+    return lines

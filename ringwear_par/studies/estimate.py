@@ -8,6 +8,7 @@ from ringwear_par.elasticity.assembly import load_kernels
 from ringwear_par.history.pairs import assemble
 from ringwear_par.history.simulate import simulate
 from ringwear_par.history.snapshots import Snapshot
+from ringwear_par.parallel import on_first_rank
 from ringwear_par.results.progress import duration
 from ringwear_par.results.recorder import Recorder
 from ringwear_par.studies.plan import Plan
@@ -21,11 +22,18 @@ _TRIAL_SECONDS = 20.0
 def estimate(plan: Plan, comm: MPI.Intracomm) -> str:
     """Return what there is to do, and how long it will take by a timed first case.
 
-    Collective on comm; the text on rank 0, "" elsewhere.
+    Collective on comm; the same on all ranks.
+
+    Raises
+    ------
+    RingwearError : the first case fails.
     """
     load_kernels(comm)
-    if comm.rank > 0:
-        return ""
+    return on_first_rank(comm, lambda: _timed(plan))
+
+
+def _timed(plan: Plan) -> str:
+    """Compute the first case, or the first of its steps, on one rank."""
     study, request, left = plan.study, plan.request, plan.left
     lines = [
         f"{plan.total} cases, {plan.done} done, {plan.failed} failed before",
@@ -41,9 +49,10 @@ def estimate(plan: Plan, comm: MPI.Intracomm) -> str:
     recorder = Recorder(case, MPI.COMM_SELF)
     t2 = time.perf_counter()
 
-    def enough(_: Snapshot) -> bool:
-        # adaptive steps grow: what the first ones take says little
-        return not case.time.adaptive and time.perf_counter() - t2 > _TRIAL_SECONDS
+    def enough(snapshot: Snapshot) -> bool:
+        if snapshot.step is None or case.time.adaptive:
+            return False  # adaptive steps grow: what the first ones take says little
+        return time.perf_counter() - t2 > _TRIAL_SECONDS
 
     state = simulate(case, MPI.COMM_SELF, pair=pair, observers=[recorder, enough])
     t3 = time.perf_counter()

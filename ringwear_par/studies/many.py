@@ -1,22 +1,26 @@
 """``rw.simulate_all``: many cases at once, shared out over the ranks."""
 
+import logging
 from collections import defaultdict
 from collections.abc import Hashable, Iterator, Sequence
-from contextlib import ExitStack
 from dataclasses import replace
 
 from mpi4py import MPI
 
 from ringwear_par.cases.case import Case
-from ringwear_par.contact.solver import ContactSolver
 from ringwear_par.elasticity.pair import ContactPair
-from ringwear_par.errors import InputError, RingwearError
+from ringwear_par.errors import InputError
 from ringwear_par.history.bodies import operator_key, young
 from ringwear_par.history.limits import check_case
 from ringwear_par.history.pairs import assemble
 from ringwear_par.history.simulate import simulate
+from ringwear_par.parallel import as_ours, together
 from ringwear_par.results.recorder import Recorder
 from ringwear_par.results.result import FailedResult, Result
+from ringwear_par.studies.lending import SolverLender
+from ringwear_par.studies.variations import is_whole
+
+log = logging.getLogger(__name__)
 
 
 def simulate_all(
@@ -36,45 +40,80 @@ def simulate_all(
 
     Raises
     ------
-    InputError : ``batch`` is not positive.
+    InputError : ``batch`` is no whole number >= 1.
     """
-    if batch is not None and batch < 1:
-        raise InputError(f"batch = {batch}: must be at least 1")
+    if batch is not None and not (is_whole(batch) and batch >= 1):
+        raise InputError(f"batch = {batch!r}: must be a whole number >= 1")
     comm = MPI.COMM_WORLD if comm is None else comm
-    groups: dict[Hashable, list[int]] = defaultdict(list)
-    for number, case in enumerate(cases):
-        groups[operator_key(case)].append(number)
     found: dict[int, Result | FailedResult] = {}
+    groups: dict[Hashable, list[int]] = defaultdict(list)
+    for number, checked in enumerate(_checked(cases, comm)):
+        if isinstance(checked, FailedResult):
+            found[number] = checked
+        else:
+            groups[checked].append(number)
+    dealt: list[int] = []  # in turn to all ranks, whatever the groups
+    waiting: list[tuple[ContactPair, list[int]]] = []
     for numbers in groups.values():
         try:
-            pair = assemble(cases[numbers[0]], comm)
-        except RingwearError as error:
-            found.update((n, FailedResult(cases[n].text, error)) for n in numbers)
+            with together(comm):
+                pair = assemble(cases[numbers[0]], comm)
+        except Exception as error:
+            found.update((n, _failed(cases[n], error)) for n in numbers)
             continue
         numbers.sort(key=lambda n: young(cases[n]))  # those of the same moduli share a solver
-        mine = numbers[comm.rank :: comm.size]
-        own = dict(zip(mine, _simulated([cases[n] for n in mine], pair), strict=True))
-        for part in comm.allgather(own):
-            found.update(part)
+        rounds = len(dealt) // comm.size
+        mine = numbers[(comm.rank - len(dealt)) % comm.size :: comm.size]
+        dealt += numbers
+        if mine:
+            waiting.append((pair, mine))
+        if len(dealt) // comm.size > rounds:  # every rank has something to do
+            found.update(_simulated(cases, waiting))
+            waiting = []
+    found.update(_simulated(cases, waiting))
+    for place, number in enumerate(dealt):  # one by one: all might be too much for a message
+        found[number] = comm.bcast(found.get(number), place % comm.size)
     return [found[number] for number in range(len(cases))]
 
 
-def _simulated(cases: Sequence[Case], pair: ContactPair) -> Iterator[Result | FailedResult]:
-    """Yield the results of cases that share a pair, computed on this rank alone."""
-    alone, moduli, solver = MPI.COMM_SELF, None, None
-    with ExitStack() as open_solver:
-        for case in cases:
-            try:
-                check_case(case, 1, "case")
-                if solver is None or young(case) != moduli:
-                    open_solver.close()
-                    moduli = young(case)
-                    matrix = pair.compliance(moduli).matrix
-                    solver = open_solver.enter_context(ContactSolver(matrix, pair.line.area, alone))
-                recorder = Recorder(case, alone)
-                # elements that follow the wear leave the solver with another compliance
-                lent = None if case.follows_wear else solver
-                simulate(case, alone, pair=pair, solver=lent, observers=[recorder])
-                yield replace(recorder.result(), comm=None)
-            except RingwearError as error:
-                yield FailedResult(case.text, error)
+def _checked(cases: Sequence[Case], comm: MPI.Comm) -> list[Hashable | FailedResult]:
+    """Return what the pair of each case depends on, or why it cannot be computed.
+
+    Collective on comm: every rank checks its share.
+    """
+    own: list[Hashable | FailedResult] = []
+    for case in cases[comm.rank :: comm.size]:
+        try:
+            check_case(case, 1, "case")
+            own.append(operator_key(case))
+        except Exception as error:
+            own.append(_failed(case, error))
+    parts = comm.allgather(own)
+    return [parts[number % comm.size][number // comm.size] for number in range(len(cases))]
+
+
+def _simulated(
+    cases: Sequence[Case], work: Sequence[tuple[ContactPair, Sequence[int]]]
+) -> Iterator[tuple[int, Result | FailedResult]]:
+    """Yield numbers and results of cases, by the pair that they share, on this rank alone."""
+    alone = MPI.COMM_SELF
+    for pair, numbers in work:
+        with SolverLender(pair, alone) as lender:
+            for number in numbers:
+                case = cases[number]
+                try:
+                    recorder = Recorder(case, alone)
+                    simulate(case, alone, pair=pair, solver=lender.lend(case), observers=[recorder])
+                    yield number, replace(recorder.result(), comm=None)
+                except Exception as error:  # of the solver, or of a law that is not ours
+                    lender.drop()
+                    yield number, _failed(case, error)
+
+
+def _failed(case: Case, error: Exception) -> FailedResult:
+    """Return what is told of a case that failed."""
+    log.debug("a case failed", exc_info=error)
+    told = as_ours(error)
+    # they hold the model and its matrices
+    told.__traceback__ = told.__cause__ = told.__context__ = None
+    return FailedResult(case.told, told)

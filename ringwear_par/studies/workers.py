@@ -12,9 +12,8 @@ from ringwear_par.cases.case import Case
 from ringwear_par.contact.solver import ContactSolver
 from ringwear_par.elasticity.pair import ContactPair
 from ringwear_par.errors import ComputationError, InputError, RingwearError, UnfitError
-from ringwear_par.history.bodies import young
 from ringwear_par.history.simulate import simulate
-from ringwear_par.history.snapshots import Observer
+from ringwear_par.history.snapshots import Observer, Snapshot
 from ringwear_par.options import reject_unused_options
 from ringwear_par.parallel import on_first_rank, together
 from ringwear_par.results.files import open_result
@@ -23,6 +22,7 @@ from ringwear_par.results.recorder import Recorder
 from ringwear_par.results.result import Result
 from ringwear_par.results.watch import StopSignals, Watch
 from ringwear_par.results.writing import write_result
+from ringwear_par.studies.lending import SolverLender
 from ringwear_par.studies.operators import (
     StorageError,
     map_operator,
@@ -84,15 +84,13 @@ class Worker:
         self._shard: Shard | None = None
         self._options_checked = False
         self._group = -1
-        self._pair: ContactPair | None = None
-        self._setting: tuple[int, float, float] | None = None
-        self._solver: ContactSolver | None = None
+        self._lender: SolverLender | None = None
 
     def __enter__(self) -> "Worker":
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._drop_solver()
+        self._close_lender()
         if self._shard is not None:
             self._shard.close()
 
@@ -156,12 +154,15 @@ class Worker:
         try:
             with together(self._team):
                 case = study.case(number)
-                text = case.text
-            pair, solver = self._set_up(group, place, case)
+                text = case.told
+            lender = self._lender_of(group, place, case)
+            solver = lender.lend(case)
+            if solver is not None:
+                self._check_options()  # by now everything has looked for its own
             recorder = Recorder(case, self._team, self._stored(identity))
             begun = time.perf_counter()
             try:
-                self._step(identity, case, pair, solver, recorder)
+                self._step(identity, case, lender.pair, solver, recorder)
             finally:
                 self._timings.stepping += time.perf_counter() - begun
         except _StoppedError:
@@ -170,7 +171,8 @@ class Worker:
             unfit = isinstance(error, UnfitError)
             if isinstance(error, StorageError | InputError) and not unfit:
                 raise  # the disk, or an option for PETSc, not the case
-            self._drop_solver()
+            if self._lender is not None:
+                self._lender.drop()
             reason = str(error) if isinstance(error, RingwearError) else repr(error)
             arrays = {} if recorder is None else recorder.arrays()
             seconds = time.perf_counter() - started
@@ -189,7 +191,7 @@ class Worker:
         identity: str,
         case: Case,
         pair: ContactPair,
-        solver: ContactSolver,
+        solver: ContactSolver | None,
         recorder: Recorder,
     ) -> None:
         """Step a case to its end, or to a checkpoint that is written when a signal stops it."""
@@ -199,12 +201,11 @@ class Worker:
             result = recorder.result()
             on_first_rank(team, lambda: write_result(path, result))
 
-        observers: list[Observer] = [recorder, Watch(self._signals, save, team)]
+        watch = Watch(self._signals, save, team)
+        observers: list[Observer] = [recorder, self._check_options, watch]
         if self._progress is not None:
             observers.append(self._progress)
-        # elements that follow the wear would leave the solver with another compliance
-        lent = None if case.follows_wear else solver
-        simulate(case, team, pair=pair, solver=lent, start=recorder.start, observers=observers)
+        simulate(case, team, pair=pair, solver=solver, start=recorder.start, observers=observers)
         if recorder.last is not None and not recorder.last.finished:
             try:
                 save()
@@ -223,25 +224,26 @@ class Worker:
 
         return on_first_rank(self._team, read)
 
-    def _set_up(self, group: int, place: int, case: Case) -> tuple[ContactPair, ContactSolver]:
-        """Return the pair of this group, and a solver for it with the moduli of a case."""
-        setting = group, *young(case)
-        if self._solver is None or setting != self._setting:
-            self._drop_solver()
-            if group != self._group or self._pair is None:
-                self._group, self._pair = -1, None
-                self._pair = self._find_operator(group, place, case)
-                self._group = group
+    def _lender_of(self, group: int, place: int, case: Case) -> SolverLender:
+        """Return who has the pair of a group, and lends solvers for it."""
+        if self._lender is None or group != self._group:
+            self._close_lender()
+            self._lender = SolverLender(self._find_operator(group, place, case), self._team)
+            self._group = group
+        return self._lender
+
+    def _close_lender(self) -> None:
+        if self._lender is not None:
+            self._lender.drop()
+        self._lender = None
+
+    def _check_options(self, _: Snapshot | None = None) -> bool:
+        """Refuse unused PETSc options, once: an observer, for cases that make their own solver."""
+        if self._timings.operators and not self._options_checked:
             with together(self._team):
-                matrix = self._pair.compliance(young(case)).matrix
-            self._solver = ContactSolver(matrix, self._pair.line.area, self._team)
-            self._setting = setting
-            if self._timings.operators and not self._options_checked:
-                with together(self._team):
-                    reject_unused_options()  # by now everything has looked for its own
-                self._options_checked = True
-        assert self._pair is not None
-        return self._pair, self._solver
+                reject_unused_options()
+            self._options_checked = True
+        return False
 
     def _find_operator(self, group: int, place: int, case: Case) -> ContactPair:
         """Return a group's operator: the team that has its first case provides it."""
@@ -251,30 +253,27 @@ class Worker:
         path, t0 = plan.store.operator(group), time.perf_counter()
         failure = reason_of_failure(path)
 
-        def wait() -> str:
-            while not path.exists():
-                if failure.exists():
-                    return failure.read_text(encoding="utf-8")
-                if self._signals.received:
-                    self._scheduler.ask_to_stop()
-                if self._scheduler.stopped:
-                    raise _StoppedError
-                if self._progress is not None:
-                    self._progress()
-                time.sleep(_NAP_SECONDS)
-            return ""
+        def look() -> str | None:
+            """Return "" once it is there, why it never will be, or None as long as it may."""
+            if path.exists():
+                return ""
+            if failure.exists():
+                return failure.read_text(encoding="utf-8")
+            if self._scheduler.stopped:
+                raise _StoppedError
+            if self._progress is not None:
+                self._progress()
+            return None
 
-        reason = on_first_rank(team, wait)
+        while (reason := on_first_rank(team, look)) is None:
+            if self._signals.received:  # by any rank of the team
+                self._scheduler.ask_to_stop()
+            time.sleep(_NAP_SECONDS)
         if reason:
             raise ComputationError(reason)
         operator = map_operator(path, case, team)
         self._timings.waiting += time.perf_counter() - t0
         return operator
-
-    def _drop_solver(self) -> None:
-        if self._solver is not None:
-            self._solver.destroy()
-        self._solver = self._setting = None
 
 
 class _StoppedError(RingwearError):

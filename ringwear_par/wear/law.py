@@ -48,6 +48,8 @@ class LocalState:
     parameters: Mapping[str, Any] = field(default_factory=dict)
     #: (..., n) mm/s, friction coefficient times sliding speed
     power: FloatArray = field(init=False, repr=False)
+    #: what a law has worked out of all this, for its next call: itself, then what it likes
+    memo: list[Any] = field(default_factory=list, init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         if isinstance(self.time, np.ndarray):

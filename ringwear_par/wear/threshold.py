@@ -19,16 +19,25 @@ class AboveThreshold(Law):
         """Return the slope above the threshold, mm/s/MPa."""
         raise NotImplementedError
 
+    def _line(self, local: LocalState) -> tuple[FloatArray, float | FloatArray]:
+        """Return rise and threshold; a step asks for them several times."""
+        memo = local.memo
+        if not memo or memo[0] is not self:
+            memo[:] = self, self._rise(local), value(self.p0, local.time, local.r)
+        return memo[1], memo[2]
+
     def _excess(self, p: FloatArray, local: LocalState) -> FloatArray:
-        return np.maximum(p - value(self.p0, local.time, local.r), 0.0)
+        return np.maximum(p - self._line(local)[1], 0.0)
 
     def rate(self, p: FloatArray, local: LocalState) -> FloatArray:
         """Return the rate of wear, mm/s."""
-        return self._rise(local) * self._excess(p, local)
+        rise, p0 = self._line(local)
+        return rise * np.maximum(p - p0, 0.0)
 
     def d_rate_dp(self, p: FloatArray, local: LocalState) -> FloatArray:
         """Return the derivative of the rate with respect to pressure, mm/s/MPa."""
-        return self._rise(local) * (p > value(self.p0, local.time, local.r))
+        rise, p0 = self._line(local)
+        return rise * (p > p0)
 
     def d_rate_dparameter(self, name: str, p: FloatArray, local: LocalState) -> FloatArray:
         """Return the derivative of the rate with respect to a numeric parameter's value there."""
@@ -38,11 +47,11 @@ class AboveThreshold(Law):
 
     def potential(self, p: FloatArray, local: LocalState) -> FloatArray:
         """Return the integral of the rate from 0 to p, MPa mm/s."""
-        return 0.5 * self._rise(local) * self._excess(p, local) ** 2
+        return 0.5 * self._line(local)[0] * self._excess(p, local) ** 2
 
     def onset(self, local: LocalState) -> float | FloatArray:
         """Return the pressure, MPa, up to which nothing wears."""
-        return value(self.p0, local.time, local.r)
+        return self._line(local)[1]
 
 
 @dataclass(frozen=True)

@@ -123,7 +123,10 @@ def test_both_schemes_are_of_first_order_and_meet(stepped):
 
     def wear(scheme, number):
         _, states = stepped(
-            pair, wear_lower=ThresholdLaw(1e-7), time=steps(scheme, 20.0 / number, number)
+            pair,
+            mesh=case.mesh,
+            wear_lower=ThresholdLaw(1e-7),
+            time=steps(scheme, 20.0 / number, number),
         )
         return states[-1].wear[0]
 

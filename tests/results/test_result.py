@@ -1,6 +1,7 @@
 """Results in memory: the dataset of their file, bit for bit; saved, opened, light to import."""
 
 import os
+import pickle
 import subprocess
 import sys
 from dataclasses import replace
@@ -13,6 +14,8 @@ import xarray
 from conftest import SHELL_ENVIRONMENT
 from stored import contents
 
+import ringwear_par as rw
+from ringwear_par.cases.case import Stepping
 from ringwear_par.errors import ComputationError, InputError
 from ringwear_par.results import run as driver
 from ringwear_par.results.checkpoints import restored
@@ -262,3 +265,25 @@ def test_opening_and_drawing_start_neither_mpi_nor_petsc_nor_numba(computed):
         [sys.executable, "-c", LIGHT, str(path)], env=environment, capture_output=True, text=True
     )
     assert done.returncode == 0, done.stderr
+
+
+def test_results_travel_to_other_processes(shared_path, comm):
+    result = rw.simulate(
+        rw.read_case(CASES / "paper.toml", {"mesh.contact_elements": 8, "time.steps": 2}), comm
+    )
+    again = pickle.loads(pickle.dumps(result))
+    assert again.comm is None
+    assert np.array_equal(again.histories["approach"], result.histories["approach"])
+    assert again.summary() == result.summary()
+
+
+def test_summary_tells_the_run_and_not_the_text(comm):
+    case = rw.read_case(CASES / "paper.toml", {"mesh.contact_elements": 8, "time.steps": 2})
+    changed = rw.simulate(replace(case, time=Stepping("implicit", 1.0, 5)), comm)
+    assert "5 of 5 implicit steps" in changed.summary()
+    assert changed.case.startswith("# changed in Python after it was read")
+    constructed = rw.Case(
+        case.lower, case.upper, case.friction, case.wear_lower, None, case.load, case.time,
+        case.mesh, case.output,
+    )  # fmt: skip
+    assert "2 of 2 implicit steps" in rw.simulate(constructed, comm).summary()

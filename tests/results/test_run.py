@@ -92,3 +92,60 @@ def test_the_summary_leads_with_what_can_be_wrong(shared_path, comm, capsys):
     with h5py.File(shared_path / "run.h5") as file:
         assert file.attrs["law_lower"].startswith("k mu max(0, p - p0) V with k")
         assert file.attrs["law_upper"] == ""
+
+
+def test_a_failure_at_a_time_of_output_leaves_no_row_twice(shared_path, comm, monkeypatch):
+    """Neither in the file of the failed run, nor after it has been gone on with."""
+    from ringwear_par.history import simulate
+
+    whole, parts = shared_path / "whole.h5", shared_path / "parts.h5"
+    keys = ["mesh.contact_elements=16", "time.step=1", "time.steps=4", "output.times=[0.5,2.2,2.5]"]
+    run_case(PAPER, whole, keys, comm=comm)
+    step = simulate.METHODS["implicit"][0]
+
+    def failing(model, state, end):
+        if end == 2.5:
+            raise ComputationError("contact: no")
+        return step(model, state, end)
+
+    with monkeypatch.context() as patch:
+        patch.setitem(simulate.METHODS, "implicit", (failing, simulate.METHODS["implicit"][1]))
+        with pytest.raises(ComputationError, match=r"step 3 \(from time 2 s\): contact: no"):
+            run_case(PAPER, parts, keys, comm=comm)
+    assert open_result(parts).histories["time"].tolist() == [0.0, 0.5]
+    run_case(PAPER, parts, keys, comm=comm, restart=True)
+    one, two = open_result(whole), open_result(parts)
+    assert one.histories["time"].tolist() == [0.0, 0.5, 2.2, 2.5, 4.0]
+    for name, values in one.histories.items():
+        if name != "contact_iterations":  # a failed run goes on from cold
+            assert two.histories[name] == pytest.approx(values, rel=1e-9, abs=1e-12), name
+
+
+def test_a_boundary_field_is_not_lost_in_a_lengthened_run(shared_path, comm):
+    """The last row of the shorter run is no row of the longer one, nor the row before its times."""
+    keys = ["mesh.contact_elements=16", "time.scheme=adaptive", "output.every=7",
+            "output.boundary=[3.0]"]  # fmt: skip
+    whole, parts = shared_path / "whole.h5", shared_path / "parts.h5"
+    run_case(PAPER, whole, [*keys, "time.end=50"], comm=comm)
+    run_case(PAPER, parts, [*keys, "time.end=5"], comm=comm)
+    run_case(PAPER, parts, [*keys, "time.end=50"], comm=comm, restart=True)
+    for path in (whole, parts):
+        (found,) = open_result(path).boundary
+        assert found.step == 7
+        assert found.time > 3.0
+
+
+def test_a_run_of_another_version_says_so(shared_path, comm, monkeypatch, caplog):
+    from ringwear_par import __version__, info
+    from ringwear_par.results import recorder
+
+    path = shared_path / "run.h5"
+    with monkeypatch.context() as patch:
+        patch.setattr(info, "__version__", "0.0.9")
+        patch.setattr(recorder, "__version__", "0.0.9")
+        run_case(PAPER, path, SMALL, comm=comm)
+    run_case(PAPER, path, [*SMALL, "time.steps=25"], comm=comm, restart=True)
+    found = open_result(path).attributes
+    assert (found["begun_by"], found["version"]) == ("0.0.9", __version__)
+    if comm.rank == 0:
+        assert "computed so far by version 0.0.9" in caplog.text

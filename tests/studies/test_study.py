@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 from swept import write_study
 
-from ringwear_par.cases.reading import make_case
+from ringwear_par.cases.keys import read_keys
+from ringwear_par.cases.reading import make_case, parse_case
 from ringwear_par.errors import InputError
 from ringwear_par.studies import plan
 from ringwear_par.studies import study as studies
@@ -54,6 +55,18 @@ def test_grid_is_the_product_in_order(write):
     case = study.case(3)
     assert (case.wear_lower.k, case.wear_lower.p0) == (study.rows[3][0], 20.0)
     assert study.groups == ((0, 1, 2, 3, 4, 5),)
+
+
+def test_a_case_of_a_study_is_told_by_its_text(write):
+    """As one that was read: the text says all of it, and changes make another."""
+    study = read_study(write(GRID))
+    case = study.case(3)
+    assert case.told == case.text
+    assert parse_case(case.told, "told") == case
+    changed = case.replace({"load.pressure": 60})
+    assert changed == parse_case(case.text, "case", {"load.pressure": 60})
+    assert changed.replace({"load.pressure": read_keys(case.text, "")["load.pressure"]}) == case
+    assert study.case(3) is not case
 
 
 @pytest.mark.parametrize("method", ["sobol", "random"])

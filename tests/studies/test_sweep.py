@@ -9,10 +9,12 @@ import numpy as np
 import pytest
 from swept import CASE, STUDY, table, variables, write_study
 
+from ringwear_par.cases.reading import parse_case
 from ringwear_par.errors import ComputationError, InputError
+from ringwear_par.results.files import open_result
 from ringwear_par.results.run import run_case
 from ringwear_par.results.variables import HISTORIES, PROFILES
-from ringwear_par.studies import operators, sweep, workers
+from ringwear_par.studies import estimate, operators, sweep, workers
 from ringwear_par.studies.ensemble import open_ensemble, read_ensemble
 from ringwear_par.studies.study import read_study
 
@@ -235,6 +237,25 @@ def test_a_dry_run_writes_nothing(write, shared_path, comm, capsys):
         assert 250 <= a_rank < 300  # the programs themselves, and 16 elements
 
 
+def test_a_dry_run_stops_after_a_step_at_the_earliest(
+    write, shared_path, comm, capsys, monkeypatch
+):
+    """However long the contact before it takes."""
+    monkeypatch.setattr(estimate, "_TRIAL_SECONDS", 0.0)
+    sweep.run_sweep(write(STUDY), shared_path / "out", comm, dry_run=True)
+    if comm.rank == 0:
+        assert "implicit steps (the first of them)" in capsys.readouterr().out
+
+
+def test_a_dry_run_whose_first_case_fails_ends_on_all_ranks(write, shared_path, comm, monkeypatch):
+    def failing(*_, **__):
+        raise ComputationError("step 1: the contact failed")
+
+    monkeypatch.setattr(estimate, "simulate", failing)
+    with pytest.raises(ComputationError, match="step 1: the contact failed"):
+        sweep.run_sweep(write(STUDY), shared_path / "out", comm, dry_run=True)
+
+
 def test_in_python(write, shared_path, comm):
     """The command's function by its public names, of a study read already or of its tables."""
     tables = {
@@ -254,3 +275,19 @@ def test_in_python(write, shared_path, comm):
         tomllib.loads(read_ensemble(shared_path / "out").attributes["study"])["vary"]
         == (tables["vary"])
     )
+
+
+def test_an_interrupted_case_is_stored_with_its_text(write, shared_path, comm, stopped_after):
+    study, folder = write(STUDY), shared_path / "out"
+    with stopped_after(7), pytest.raises(ComputationError, match="the same command goes on"):
+        swept(study, folder, comm, ranks_per_case=comm.size)
+    comm.Barrier()
+    (stored,) = (folder / "inflight").glob("*.h5")
+    read = read_study(study)
+    case = read.case(read.ids.index(stored.stem))
+    text = open_result(stored).case
+    assert text == case.text
+    assert parse_case(text, "stored") == case
+    comm.Barrier()
+    swept(study, folder, comm, ranks_per_case=comm.size)
+    assert [row["status"] for row in table(folder)] == ["done"] * 12

@@ -1,6 +1,8 @@
 """A rank of a team that fails alone takes the others with it, and nobody waits for ever."""
 
 import os
+import signal
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -8,7 +10,9 @@ from swept import CASE, table, write_study
 
 from ringwear_par.errors import ComputationError
 from ringwear_par.history.model import WearModel
-from ringwear_par.studies import operators
+from ringwear_par.results.watch import StopSignals
+from ringwear_par.studies import operators, workers
+from ringwear_par.studies.scheduling import Scheduler
 from ringwear_par.studies.sweep import sweep
 from ringwear_par.wear.threshold import ThresholdLaw
 
@@ -108,3 +112,21 @@ def test_an_operator_that_one_rank_never_sees(swept, comm, monkeypatch):
     comm.Barrier()
     monkeypatch.undo()
     assert swept().done == 12
+
+
+def test_a_signal_to_any_rank_ends_the_wait_for_an_operator(shared_path, comm):
+    """That another team was to provide."""
+    store = SimpleNamespace(
+        shard=lambda team: shared_path / f"{team}.sqlite",
+        operator=lambda group: shared_path / f"{group}.npy",
+    )
+    plan = SimpleNamespace(store=store, all_assemble=False)
+    signals = StopSignals()
+    if comm.rank == comm.size - 1:
+        signals.received = signal.SIGTERM
+    scheduler = Scheduler([2], comm)
+    worker = workers.Worker(plan, 0, scheduler, signals, None, comm, workers.Timings())
+    with pytest.raises(workers._StoppedError):
+        worker._find_operator(0, 1, None)
+    assert scheduler.stopped
+    scheduler.destroy()

@@ -1,0 +1,125 @@
+"""Many cases at once: those that fail do not disturb the others, and ranks share the work."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from swept import CASE
+
+from ringwear_par.cases.reading import parse_case
+from ringwear_par.errors import InputError, RingwearError
+from ringwear_par.results.result import FailedResult, Result
+from ringwear_par.studies import many
+from ringwear_par.studies.many import simulate_all
+from ringwear_par.wear.threshold import ThresholdLaw
+
+
+@pytest.fixture(scope="module")
+def case():
+    return parse_case(CASE, "case", {"time.steps": 2})
+
+
+@pytest.fixture
+def computed(monkeypatch):
+    """The cases that this rank simulates."""
+    computed, simulate = [], many.simulate
+
+    def noted(case, *words, **how):
+        computed.append(case)
+        return simulate(case, *words, **how)
+
+    monkeypatch.setattr(many, "simulate", noted)
+    return computed
+
+
+class BadLaw(ThresholdLaw):
+    """Good enough for a trial, but not for a history."""
+
+    def rate(self, p, at):
+        """Raise at any time but the first."""
+        if np.max(at.time) > 0.0:
+            raise ValueError("no such\nmaterial")
+        return super().rate(p, at)
+
+
+def test_a_law_that_raises_fails_its_case_only(case, comm):
+    """Under MPI, on one of the ranks; what is stored of a changed case says that it is changed."""
+    bad = replace(case, wear_lower=BadLaw(1e-7, 40.0))
+    found = simulate_all([case, bad, *[case] * comm.size], comm)
+    assert [type(each) for each in found] == [Result, FailedResult, *[Result] * comm.size]
+    assert type(found[1].error) is RingwearError
+    assert str(found[1].error) == "ValueError: no such\nmaterial"
+    assert found[1].case == bad.told != bad.text
+    assert found[1].error.__traceback__ is None
+
+
+def test_an_assembly_that_raises_fails_its_group_only(case, comm, monkeypatch):
+    """On one of the ranks: the others hear of it."""
+    other, assemble = case.replace({"upper.r": [28.0, 32.0]}), many.assemble
+
+    def failing(case, comm):
+        pair = assemble(case, comm)
+        if case == other and comm.rank == comm.size - 1:
+            raise MemoryError("no room")
+        return pair
+
+    monkeypatch.setattr(many, "assemble", failing)
+    found = simulate_all([other, case, other], comm)
+    assert [type(each) for each in found] == [FailedResult, Result, FailedResult]
+    assert {str(found[i].error) for i in (0, 2)} == {"MemoryError: no room"}
+
+
+def test_a_case_that_cannot_be_is_refused_before_any_assembly(case, comm, monkeypatch):
+    """Its own assembly would take all memory."""
+    huge, assemble = case.replace({"mesh.contact_elements": 60_000}), many.assemble
+
+    def modest(case, comm):
+        assert case.mesh.contact_elements < 60_000
+        return assemble(case, comm)
+
+    monkeypatch.setattr(many, "assemble", modest)
+    found = simulate_all([huge, case, huge], comm)
+    assert [type(each) for each in found] == [FailedResult, Result, FailedResult]
+    for each in found[::2]:
+        assert isinstance(each.error, InputError)
+        assert "GB of memory" in str(each.error)
+        assert each.case == huge.text
+
+
+def test_a_bad_case_does_not_take_its_group_along(case, comm):
+    """The first of those that share a pair stores too much."""
+    bad = case.replace({"time.steps": 10**9})
+    found = simulate_all([bad, case], comm)
+    assert "GB of memory" in str(found[0].error)
+    assert isinstance(found[1], Result)
+
+
+@pytest.mark.parametrize("shapes", [1, 2, 5])
+def test_ranks_share_the_cases_whatever_their_shapes(case, comm, computed, shapes):
+    """And all of them get all results, in order."""
+    cases = [
+        case.replace({"upper.r": [28.0 + 0.1 * (i % shapes), 32.0], "title": f"case {i}"})
+        for i in range(5)
+    ]
+    found = simulate_all(cases, comm)
+    assert [each.attributes["title"] for each in found] == [one.title for one in cases]
+    counts = comm.allgather(len(computed))
+    assert sum(counts) == 5
+    assert max(counts) - min(counts) <= 1
+
+
+@pytest.mark.mpi(min_size=2)
+def test_ranks_work_at_the_same_time_on_cases_of_different_shapes(case, comm, monkeypatch):
+    """A round of cases is assembled before any of it is simulated."""
+    events, assemble, simulate = [], many.assemble, many.simulate
+    monkeypatch.setattr(many, "assemble", lambda *w: (events.append("a"), assemble(*w))[1])
+    monkeypatch.setattr(
+        many, "simulate", lambda *w, **h: (events.append("s"), simulate(*w, **h))[1]
+    )
+    cases = [case.replace({"upper.r": [28.0 + 0.1 * i, 32.0]}) for i in range(2 * comm.size)]
+    simulate_all(cases, comm)
+    assert events == ([*"a" * comm.size, "s"]) * 2
+
+
+def test_no_cases_have_no_results(comm):
+    assert simulate_all([], comm) == []
