@@ -19,17 +19,19 @@ GRACE = 180.0
 
 
 def pytest_configure(config):
+    config._failures, config._sync = [], None
+    config.addinivalue_line("markers", "serial: starts programs of its own; skipped under mpirun")
+    if getattr(config.option, "numprocesses", None) and not hasattr(config, "workerinput"):
+        return  # workers run the tests, and would inherit what MPI puts into the environment
     import petsc4py
 
     petsc4py.init(["pytest", "-no_signal_handler"])
     from mpi4py import MPI
 
-    config.addinivalue_line("markers", "serial: starts programs of its own; skipped under mpirun")
     config._sync = MPI.COMM_WORLD.Dup() if MPI.COMM_WORLD.size > 1 else None
     if config._sync is not None:  # ranks that clear one temporary folder at once trip over it
         config._own = tempfile.TemporaryDirectory(prefix="ranks-", ignore_cleanup_errors=True)
         os.environ["PYTEST_DEBUG_TEMPROOT"] = config._own.name
-    config._failures = []
 
 
 @pytest.hookimpl(trylast=True)
