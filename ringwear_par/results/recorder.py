@@ -166,7 +166,8 @@ class Recorder:
 
     def arrays(self) -> dict[str, Any]:
         """Return what is stored so far by variable, ``step`` (what rows are called) included."""
-        line, steps = self._case.line, np.array(self._steps, dtype=np.int64)
+        line = self._case.line if self._last is None else self._last.model.line
+        steps = np.array(self._steps, dtype=np.int64)
         return {
             "step": np.arange(len(steps)) if self._case.output.times else steps,
             **{
