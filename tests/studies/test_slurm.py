@@ -62,7 +62,7 @@ class Cluster:
         lines = self("scontrol", "show", "job", "--oneliner", job).splitlines()
         return [dict(re.findall(r"(\S+?)=(\S*)", line)) for line in lines]
 
-    def wait(self, job, condition=lambda j: j["JobState"] not in UNDER_WAY, timeout=30.0):
+    def wait(self, job, condition=lambda j: j["JobState"] not in UNDER_WAY, timeout=120.0):
         """Wait until a condition holds for a job, or all tasks of an array; return them."""
         started = time.monotonic()
         while time.monotonic() - started < timeout:
@@ -116,7 +116,7 @@ def write_study(folder, count=2, steps=20):
     (folder / "study.toml").write_text(STUDY.replace("COUNT", str(count)))
 
 
-def wait_for_ranks(number, *words, timeout=30.0):
+def wait_for_ranks(number, *words, timeout=120.0):
     """Wait until the ranks of a command with these arguments have a handler of SIGUSR1."""
     bit, started = 1 << (signal.SIGUSR1 - 1), time.monotonic()
     wanted = {str(word).encode() for word in words}
