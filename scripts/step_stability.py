@@ -190,7 +190,9 @@ def grows(model: WearModel, state: State, step: float, n_steps: int = 60) -> boo
     bump = np.zeros_like(state.wear)
     bump[0] = 1e-2 * (model.compliance.matrix @ sign) / model.area
     wear = state.wear + bump
-    changed = replace(state, wear=wear, contact=model.contact(state.time, wear))
+    contact = model.contact(state.time, wear)
+    rates = model.rates_at(state.time, wear, contact.pressure)
+    changed = replace(state, wear=wear, contact=contact, rates=rates)
     sizes = []
     for _ in range(n_steps):
         end = state.time + step
