@@ -114,8 +114,6 @@ def run_case(
         result = save()
     if comm.rank == 0:
         print(result.summary())
-        for text in result.doubts:
-            log.warning("%s", text)
         start_up = max(seconds_since_start() - (time.perf_counter() - started), 0.0)
         print(_times(recorder.seconds(), start_up, loading, recorder.kernel_evaluations()))
     last = recorder.last

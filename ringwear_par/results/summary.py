@@ -25,10 +25,13 @@ def summary(result: "Result") -> str:
     last = {name: values[-1] for name, values in result.histories.items()}
     lower, upper = 1e3 * state["wear"].max(axis=1)
     p, steps = state["pressure"], int(reached["step"])
-    lines = [
-        *([title] if title else []),
+    made = (
         f"{_made(about, reached)}, {result.line.n} contact elements, "
-        f"{reached['iterations'] / max(steps, 1):.1f} TAO iterations a step",
+        f"{reached['iterations'] / max(steps, 1):.1f} TAO iterations a step"
+    )
+    warnings = [f"WARNING: {text}" for text in (*_unfinished(about, reached), *result.doubts)]
+    lines = [
+        *([title, *warnings, made] if title else [made, *warnings]),
         *(
             f"{body} wears by {law}"
             for body in ("lower", "upper")
@@ -56,6 +59,18 @@ def _made(about: Mapping[str, Any], reached: Mapping[str, Any]) -> str:
         return f"{steps} of {about['time_steps']} {scheme} steps of {about['time_step']:g} s"
     repeated = f" (and {reached['rejected']} repeated)" if reached["rejected"] else ""
     return f"{steps} {scheme} steps{repeated} to {reached['time']:g} s".replace("  ", " ")
+
+
+def _unfinished(about: Mapping[str, Any], reached: Mapping[str, Any]) -> list[str]:
+    """Return how far a history is that has not come to its end, nothing if it has."""
+    if about["status"] == "complete":
+        return []
+    where = f"t = {reached['time']:g} of {about.get('time_end', np.nan):g} s"
+    if about.get("scheme") in ("implicit", "explicit"):
+        where = f"step {int(reached['step'])} of {about['time_steps']}"
+    if about.get("error"):
+        return [f"failed after {where}: {about['error']}"]
+    return [f"stopped after {where}: ringwear run --restart continues it"]
 
 
 def _trust(result: "Result") -> list[str]:

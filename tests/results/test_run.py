@@ -63,14 +63,25 @@ def test_going_on_and_starting_anew_exclude_each_other(interrupted, comm):
         run_case(PAPER, interrupted, SMALL, comm=comm, overwrite=True, restart=True)
 
 
-def test_what_makes_an_answer_doubtful_is_stored(shared_path, comm, caplog):
+def test_what_makes_an_answer_doubtful_is_stored(shared_path, comm, capsys):
     path = shared_path / "run.h5"
     keys = [*SMALL, "time.scheme=explicit", "time.step=60", "time.steps=3"]
     run_case(PAPER, path, keys, comm=comm)
     (told,) = open_result(path).doubts
     assert "times its stability limit" in told
     if comm.rank == 0:
-        assert told in caplog.text
+        out, err = capsys.readouterr()
+        assert out.splitlines()[1] == f"WARNING: {told}"  # below the title
+        assert told not in err
+
+
+def test_the_summary_of_a_stopped_run_says_so_first(interrupted):
+    told = open_result(interrupted).summary().splitlines()[1]
+    assert told == "WARNING: stopped after step 7 of 20: ringwear run --restart continues it"
+
+
+def test_the_summary_of_a_failed_run_says_why_first(failed):
+    assert "WARNING: failed after step" in open_result(failed).summary().splitlines()[1]
 
 
 def test_the_summary_leads_with_what_can_be_wrong(shared_path, comm, capsys):
