@@ -1,10 +1,12 @@
 """``ringwear run`` where a result is there: complete, interrupted, failed, of another case."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import h5py
 import pytest
 
+from ringwear_par import read_case, simulate
 from ringwear_par.errors import ComputationError, InputError
 from ringwear_par.results.files import open_result, read_status
 from ringwear_par.results.run import run_case
@@ -103,6 +105,19 @@ def test_the_summary_leads_with_what_can_be_wrong(shared_path, comm, capsys):
     with h5py.File(shared_path / "run.h5") as file:
         assert file.attrs["law_lower"].startswith("k mu max(0, p - p0) V with k")
         assert file.attrs["law_upper"] == ""
+
+
+def test_the_summary_tells_when_the_error_of_a_step_is_largest(comm, interrupted):
+    """Also where the run has gone on since."""
+    run_case(PAPER, interrupted, SMALL, comm=comm, restart=True)
+    (told,) = (line for line in open_result(interrupted).summary().splitlines() if "um at" in line)
+    assert told.endswith("um at most, in the step to t = 1 s")
+
+
+def test_the_summary_says_that_nothing_wears(comm):
+    case = read_case(PAPER, [*SMALL, "time.steps=1"])
+    result = simulate(replace(case, wear_lower=None), comm)
+    assert "nothing wears" in result.summary().splitlines()
 
 
 def test_a_failure_at_a_time_of_output_leaves_no_row_twice(shared_path, comm, monkeypatch):
