@@ -209,8 +209,8 @@ def test_each_fault_has_its_sentence(write, text, words):
         assert word in str(raised.value)
 
 
-def test_a_case_is_told_as_such(shared_path):
-    path = shared_path / "case.toml"
+def test_a_case_is_told_as_such(tmp_path):
+    path = tmp_path / "case.toml"
     path.write_text("title = 'a'\n[lower]\nyung = 1\n")
     with pytest.raises(InputError) as raised:
         read_study(path)
