@@ -25,7 +25,7 @@ PANELS = "wear,penetration"
 EPILOG = """\
 Everything after -- goes to PETSc's options: -bem_... for the boundary element systems,
 -contact_... for the contact solver (-contact_tao_type python|tron|bnls, -contact_tao_monitor).
-Exit status: 0 done, 1 the computation failed, 2 bad input.
+Exit status: 0 done, 1 the computation failed or was stopped, 2 bad input.
 """
 
 

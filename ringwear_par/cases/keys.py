@@ -26,12 +26,33 @@ def read_keys(text: str, name: str = "case") -> dict[str, Any]:
 
     Raises
     ------
-    InputError : it is no TOML.
+    InputError : it is no TOML, or a study.
     """
     try:
-        return flatten(tomllib.loads(text), name)
+        tables = tomllib.loads(text)
     except ValueError as error:  # of TOML, or a whole number too long for Python
         raise InputError(f"{name}: is not valid TOML: {error}") from error
+    refuse_study(tables, name)
+    return flatten(tables, name)
+
+
+def kinds(tables: Mapping[str, Any]) -> set[str]:
+    """Return what tables have the keys of: "case", "study", both or neither."""
+    names = {path.partition(".")[0] for path in tables}
+    own = {path.partition(".")[0] for path in BY_PATH}
+    found = {"case": names & own, "study": names & {"case", "vary", "design"}}
+    return {kind for kind, keys in found.items() if keys}
+
+
+def refuse_study(tables: Mapping[str, Any], name: str) -> None:
+    """Refuse a study where a case is to be read.
+
+    Raises
+    ------
+    InputError : it is one.
+    """
+    if kinds(tables) == {"study"}:
+        raise InputError(f"{name}: is a study, not a case; ringwear sweep computes it")
 
 
 def parse_overrides(overrides: Sequence[str]) -> dict[str, Any]:

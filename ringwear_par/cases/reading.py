@@ -12,7 +12,14 @@ from ringwear_par.cases.faults import (
     contact_faces,
     joint_faults,
 )
-from ringwear_par.cases.keys import find_files, flatten, override, parse_overrides, read_keys
+from ringwear_par.cases.keys import (
+    find_files,
+    flatten,
+    override,
+    parse_overrides,
+    read_keys,
+    refuse_study,
+)
 from ringwear_par.cases.laws import read_law
 from ringwear_par.cases.schema import BY_PATH, KEYS, TABLES
 from ringwear_par.cases.suggestions import nearest_key
@@ -45,6 +52,7 @@ def read_case(source: str | Path | Mapping[str, Any], overrides: Overrides = ())
     if not isinstance(source, Mapping):
         path = Path(source)
         return parse_case(read_text(path), str(path), overrides, path.parent)
+    refuse_study(source, "case")
     keys = override({}, find_files(flatten(source, "case"), Path()))
     return _changed(keys, "case", overrides, None)
 

@@ -94,10 +94,13 @@ class WorstBalances:
     Parameters
     ----------
     before : those of an interrupted history.
+    step_error_time : s, of the same, see below.
     """
 
-    def __init__(self, before: Balances | None = None) -> None:
+    def __init__(self, before: Balances | None = None, step_error_time: float = 0.0) -> None:
         self._worst = vars(before or Balances()).copy()
+        #: s, end of the step whose estimated error is the largest
+        self.step_error_time = step_error_time
 
     def __call__(self, snapshot: Snapshot) -> bool:
         """Take those of a new state."""
@@ -109,6 +112,8 @@ class WorstBalances:
         for name, value in now.items():
             if not value <= worst[name]:  # nor NaN
                 worst[name] = value
+                if name == "step_error":
+                    self.step_error_time = snapshot.state.time
         return False
 
     @property

@@ -38,6 +38,8 @@ STYLE: dict[Any, Any] = {
 #: line styles that stay apart in print without colour
 _DASHES = ("-", "--", "-.", ":", (0, (5, 1, 1, 1, 1, 1)))
 _COLUMNS = 3
+#: as many points of a curve, or fewer, are marked
+_FEW_POINTS = 20
 COLOURS = ("#1b4f8a", "#c1440e", "#3a7d44", "#6a4c93", "#444444")
 
 
@@ -287,10 +289,11 @@ def _pressure(axes: Any, result: Result, label: str, rows: Sequence[int]) -> Non
 
 def _penetration(axes: Any, results: Sequence[Result], labels: Sequence[str]) -> None:
     for number, (result, label) in enumerate(zip(results, labels, strict=True)):
+        few = len(result.histories["time"]) <= _FEW_POINTS
         axes.plot(
             result.histories["time"], 1e3 * result.histories["penetration"],
             color=COLOURS[number % len(COLOURS)], linestyle=_DASHES[number % len(_DASHES)],
-            label=label,
+            label=label, marker="o" if few else "", markersize=2.5,
         )  # fmt: skip
     axes.set_xlim(left=0.0)
     if all((result.histories["penetration"] >= 0.0).all() for result in results):

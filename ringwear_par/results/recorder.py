@@ -111,7 +111,9 @@ class Recorder:
         self._pending_iterations = int(before.checkpoint.numbers["pending_iterations"]) + int(
             before.histories["contact_iterations"][~keep].sum()
         )
-        self._balances = WorstBalances(Balances(**before.balances))
+        self._balances = WorstBalances(
+            Balances(**before.balances), float(before.attributes.get("step_error_time", 0.0))
+        )
         self._begun_by = str(before.attributes.get("begun_by", before.attributes["version"]))
         self._seconds = {
             name: float(value)
@@ -224,6 +226,7 @@ class Recorder:
                 "error": error,
                 "energy_identity": int(any(law.per_energy(case.friction) for law in laws)),
                 **balance_attributes(asdict(self.balances)),
+                "step_error_time": self._balances.step_error_time,
             },
             take(state, progress, model.warm(), model.updates, self._pending_iterations),
             comm=self._comm,

@@ -25,15 +25,14 @@ def summary(result: "Result") -> str:
     last = {name: values[-1] for name, values in result.histories.items()}
     lower, upper = 1e3 * state["wear"].max(axis=1)
     p, steps = state["pressure"], int(reached["step"])
-    lines = [
-        *([title] if title else []),
+    made = (
         f"{_made(about, reached)}, {result.line.n} contact elements, "
-        f"{reached['iterations'] / max(steps, 1):.1f} TAO iterations a step",
-        *(
-            f"{body} wears by {law}"
-            for body in ("lower", "upper")
-            if (law := about.get(f"law_{body}"))
-        ),
+        f"{reached['iterations'] / max(steps, 1):.1f} TAO iterations a step"
+    )
+    warnings = [f"WARNING: {text}" for text in (*_unfinished(about, reached), *result.doubts)]
+    lines = [
+        *([title, *warnings, made] if title else [made, *warnings]),
+        *_wearing(about),
         *_trust(result),
         f"approach {reached['approach']:.7g} mm, penetration {1e3 * last['penetration']:.6g} um, "
         f"force {reached['force']:.6g} N, torque {last['torque']:.6g} N mm",
@@ -58,6 +57,26 @@ def _made(about: Mapping[str, Any], reached: Mapping[str, Any]) -> str:
     return f"{steps} {scheme} steps{repeated} to {reached['time']:g} s".replace("  ", " ")
 
 
+def _unfinished(about: Mapping[str, Any], reached: Mapping[str, Any]) -> list[str]:
+    """Return how far a history is that has not come to its end, nothing if it has."""
+    if about["status"] == "complete":
+        return []
+    where = f"t = {reached['time']:g} of {about.get('time_end', np.nan):g} s"
+    if about.get("scheme") in ("implicit", "explicit"):
+        where = f"step {int(reached['step'])} of {about['time_steps']}"
+    if about.get("error"):
+        return [f"failed after {where}: {about['error']}"]
+    return [f"stopped after {where}: ringwear run --restart continues it"]
+
+
+def _wearing(about: Mapping[str, Any]) -> list[str]:
+    """Return what each body wears by."""
+    laws = {body: about.get(f"law_{body}") for body in ("lower", "upper")}
+    if set(laws.values()) == {""}:
+        return ["nothing wears"]
+    return [f"{body} wears by {law}" for body, law in laws.items() if law]
+
+
 def _trust(result: "Result") -> list[str]:
     """Return what a history was held against, the worst of all its steps."""
     off, about = result.balances, result.attributes
@@ -65,14 +84,17 @@ def _trust(result: "Result") -> list[str]:
     if about.get("energy_identity"):
         identity = f", worn volume against energy {off['energy']:.1e}"
     lines = [
-        f"worst of all steps: contact (KKT) {off['residual']:.1e}, force {off['force']:.1e}, "
+        f"relative errors, worst of all steps: contact (KKT) {off['residual']:.1e}, "
+        f"force {off['force']:.1e}, "
         f"worn profiles against integrated rates {off['volume']:.1e}{identity}",
-        "errors of the boundary elements, which vanish with the mesh: force on the fixed faces "
-        f"{off['reaction']:.1e}, torque on them {off['torque']:.1e}, "
-        f"symmetry {about['symmetry_defect']:.1e}",
+        "relative errors of the boundary elements, which vanish with the mesh: force on the fixed "
+        f"faces {off['reaction']:.1e}, torque on them {off['torque']:.1e}, "
+        f"asymmetry of the compliance matrix {about['symmetry_defect']:.1e}",
     ]
     if "step_error" in off:
-        lines.append(
-            f"estimated error of wear of a time step: {1e3 * off['step_error']:.1e} um at most"
-        )
+        when = ""
+        if about.get("step_error_time"):
+            when = f", in the step to t = {about['step_error_time']:g} s"
+        most = f"{1e3 * off['step_error']:.1e} um at most{when}"
+        lines.append(f"estimated error of wear of a time step: {most}")
     return lines

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from ringwear_par.cases.keys import find_files, flatten, override, read_keys
+from ringwear_par.cases.keys import find_files, flatten, kinds, override, read_keys
 from ringwear_par.cases.schema import BY_PATH
 from ringwear_par.cases.suggestions import nearest_key
 from ringwear_par.cases.text import toml_value
@@ -66,6 +66,8 @@ def read_draft(source: Path | str | Mapping[str, Any]) -> Draft:
             tables = tomllib.loads(text)
         except ValueError as error:  # of TOML, or a whole number too long for Python
             raise InputError(f"{path}: is not valid TOML: {error}") from error
+    if kinds(tables) == {"case"}:
+        raise InputError(f"{name}: is a case, not a study; ringwear run computes it")
     faults = [
         f"{name}: {key}: unknown key; must be one of case, vary, design"
         for key in tables.keys() - {"case", "vary", "design"}
@@ -208,6 +210,8 @@ def listed_rows(table: Path) -> tuple[tuple[str, ...], list[tuple[Any, ...]]]:
     if len(lines) < 2:
         raise InputError(f"{table}: has no cases; must be a line of case keys and one line a case")
     names = tuple(cell.strip() for cell in lines[0])
+    if any(";" in name for name in names):
+        raise InputError(f"{table}: columns must be separated by commas, not ;")
     faults = []
     for name in names:
         if path_of(name) not in BY_PATH or name == "title":

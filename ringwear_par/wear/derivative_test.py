@@ -110,6 +110,13 @@ def taylor_test_parameter(law: Law, at: LocalState, p: FloatArray, name: str) ->
     )
 
 
+def depends(law: Law, at: LocalState, p: FloatArray, name: str) -> bool:
+    """Tell whether a law's rate changes at all with a numeric parameter. Not collective."""
+    here = law.parameter(name, at)
+    there = here + 2.0**-8 * (float(np.abs(here).max()) or 1.0)
+    return not np.array_equal(law.with_parameter(name, there).rate(p, at), law.rate(p, at))
+
+
 def _remainders(
     f: Callable[[float], FloatArray],
     slope: Callable[[float], FloatArray],

@@ -35,6 +35,14 @@ def test_the_papers_case():
     assert case.text == TEXT
 
 
+def test_a_study_is_told_as_such():
+    study = PAPER.parent / "study.toml"
+    said = ["case.toml: is a study, not a case; ringwear sweep computes it"]
+    assert faults(study.read_text(), "load.pressure=50") == said
+    with pytest.raises(InputError, match="case: is a study, not a case"):
+        read_case({"case": "paper.toml", "vary": {}})
+
+
 def test_overrides_enter_the_text_that_is_stored():
     case = read_case(PAPER, ["load.force=100", 'title=a "b" c', "output.fields=['pressure']"])
     assert case.load.force == 100

@@ -56,6 +56,14 @@ def test_what_is_drawn_is_what_is_stored(runs):
     assert wear.get_ylabel() == "wear depth (\N{MICRO SIGN}m)"
     assert pressure.get_ylabel() == "contact pressure (MPa)"
     assert penetration.get_xlabel() == "time (s)"
+    assert penetration.lines[1].get_marker() == ""
+
+
+def test_few_points_of_a_curve_are_marked(runs):
+    from ringwear_par.results.figures import plot
+
+    (penetration,) = plot(runs[2], "penetration").axes
+    assert penetration.lines[0].get_marker() == "o"
 
 
 @pytest.mark.parametrize(

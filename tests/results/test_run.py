@@ -1,10 +1,12 @@
 """``ringwear run`` where a result is there: complete, interrupted, failed, of another case."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import h5py
 import pytest
 
+from ringwear_par import read_case, simulate
 from ringwear_par.errors import ComputationError, InputError
 from ringwear_par.results.files import open_result, read_status
 from ringwear_par.results.run import run_case
@@ -63,14 +65,25 @@ def test_going_on_and_starting_anew_exclude_each_other(interrupted, comm):
         run_case(PAPER, interrupted, SMALL, comm=comm, overwrite=True, restart=True)
 
 
-def test_what_makes_an_answer_doubtful_is_stored(shared_path, comm, caplog):
+def test_what_makes_an_answer_doubtful_is_stored(shared_path, comm, capsys):
     path = shared_path / "run.h5"
     keys = [*SMALL, "time.scheme=explicit", "time.step=60", "time.steps=3"]
     run_case(PAPER, path, keys, comm=comm)
     (told,) = open_result(path).doubts
     assert "times its stability limit" in told
     if comm.rank == 0:
-        assert told in caplog.text
+        out, err = capsys.readouterr()
+        assert out.splitlines()[1] == f"WARNING: {told}"  # below the title
+        assert told not in err
+
+
+def test_the_summary_of_a_stopped_run_says_so_first(interrupted):
+    told = open_result(interrupted).summary().splitlines()[1]
+    assert told == "WARNING: stopped after step 7 of 20: ringwear run --restart continues it"
+
+
+def test_the_summary_of_a_failed_run_says_why_first(failed):
+    assert "WARNING: failed after step" in open_result(failed).summary().splitlines()[1]
 
 
 def test_the_summary_leads_with_what_can_be_wrong(shared_path, comm, capsys):
@@ -92,6 +105,19 @@ def test_the_summary_leads_with_what_can_be_wrong(shared_path, comm, capsys):
     with h5py.File(shared_path / "run.h5") as file:
         assert file.attrs["law_lower"].startswith("k mu max(0, p - p0) V with k")
         assert file.attrs["law_upper"] == ""
+
+
+def test_the_summary_tells_when_the_error_of_a_step_is_largest(comm, interrupted):
+    """Also where the run has gone on since."""
+    run_case(PAPER, interrupted, SMALL, comm=comm, restart=True)
+    (told,) = (line for line in open_result(interrupted).summary().splitlines() if "um at" in line)
+    assert told.endswith("um at most, in the step to t = 1 s")
+
+
+def test_the_summary_says_that_nothing_wears(comm):
+    case = read_case(PAPER, [*SMALL, "time.steps=1"])
+    result = simulate(replace(case, wear_lower=None), comm)
+    assert "nothing wears" in result.summary().splitlines()
 
 
 def test_a_failure_at_a_time_of_output_leaves_no_row_twice(shared_path, comm, monkeypatch):

@@ -209,6 +209,21 @@ def test_each_fault_has_its_sentence(write, text, words):
         assert word in str(raised.value)
 
 
+def test_a_case_is_told_as_such(tmp_path):
+    path = tmp_path / "case.toml"
+    path.write_text("title = 'a'\n[lower]\nyung = 1\n")
+    with pytest.raises(InputError) as raised:
+        read_study(path)
+    assert raised.value.faults == (f"{path}: is a case, not a study; ringwear run computes it",)
+
+
+def test_a_list_separated_by_semicolons(write, shared_path):
+    """As spreadsheets write it where decimals have commas."""
+    (shared_path / "rows.csv").write_text("wear.lower.k;load.pressure\n1,5e-7;50\n")
+    with pytest.raises(InputError, match=r"rows.csv: columns must be separated by commas, not ;$"):
+        read_study(write('[design]\nmethod = "list"\nfile = "rows.csv"\n'))
+
+
 def test_bad_cases_are_counted(write):
     text = '[vary]\n"load.pressure" = { linear = [-100, -1], count = 30 }\n'
     with pytest.raises(InputError) as raised:

@@ -234,6 +234,16 @@ def test_laws_finds_a_wrong_slope_but_not_kinks(law, shared_path, comm, capsys):
     assert "not tested" in capsys.readouterr().out
 
 
+@pytest.mark.serial
+def test_laws_names_a_parameter_that_nothing_reads(law, capsys):
+    keys = law('def rate(p, at): return at.parameters["k"] * at.speed * p\n')
+    keys = [key for key in keys if not key.startswith("time")]
+    assert check_laws(PAPER, [*keys, "wear.lower.parameters={k=1e-8, p1=60.0}"]) == 0
+    told = capsys.readouterr().out
+    assert "the rate does not depend on parameters.p1, t = 0 s" in told
+    assert "kinks" not in told
+
+
 def test_energy_of_schedules(shared_path, comm):
     """Force and speed grow in proportion to time, and nothing wears."""
     keys = ["mesh.contact_elements=16", "time.scheme=adaptive", "time.end=100", "wear.lower.k=0",
