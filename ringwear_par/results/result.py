@@ -32,8 +32,6 @@ if TYPE_CHECKING:
     from ringwear_par.results.checkpoints import Checkpoint
 
 _BALANCE = "balance_"
-#: endings of result files
-_ENDINGS = (".h5", ".hdf5")
 
 
 @dataclass(frozen=True, eq=False)
@@ -146,7 +144,7 @@ class Result:
 
         Raises
         ------
-        InputError : a file that cannot be written, or whose name does not end in .h5 or .hdf5.
+        InputError : a file that cannot be written.
         ComputationError : the disk.
         """
         from ringwear_par.results.writing import write_result
@@ -154,7 +152,7 @@ class Result:
         path = Path(path)
 
         def write() -> None:
-            check_result_file(path)
+            check_writable(path)
             try:
                 write_result(path, self)
             except OSError as error:
@@ -180,20 +178,6 @@ class FailedResult:
 
     case: str
     error: RingwearError
-
-
-def check_result_file(path: Path) -> None:
-    """Refuse a result file that cannot be written or has the ending of another kind of file.
-
-    Not collective.
-
-    Raises
-    ------
-    InputError : the reason.
-    """
-    check_writable(path)
-    if path.suffix.lower() not in _ENDINGS:
-        raise InputError(f"{path}: a result file must end in {' or '.join(_ENDINGS)}")
 
 
 def balance_attributes(balances: Mapping[str, float]) -> dict[str, float]:

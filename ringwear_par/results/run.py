@@ -11,6 +11,7 @@ from pathlib import Path
 from mpi4py import MPI
 
 from ringwear_par import __version__
+from ringwear_par.atomic import check_writable
 from ringwear_par.cases.case import Case
 from ringwear_par.cases.law_trials import law_sources
 from ringwear_par.cases.reading import parse_case, read_case
@@ -25,7 +26,7 @@ from ringwear_par.results.checkpoints import restored
 from ringwear_par.results.files import open_result, read_error, read_status
 from ringwear_par.results.progress import Progress
 from ringwear_par.results.recorder import Recorder
-from ringwear_par.results.result import Result, check_result_file
+from ringwear_par.results.result import Result
 from ringwear_par.results.watch import StopSignals, Watch
 from ringwear_par.results.writing import write_result
 
@@ -191,7 +192,7 @@ def _prepare(
     if restart and overwrite:
         faults.append("--restart, --overwrite: must be one of them, to go on or to start anew")
     try:
-        check_result_file(output)
+        check_writable(output)
         if case is not None and not overwrite:
             before = _what_is_there(output, case, restart)
     except InputError as error:
