@@ -50,9 +50,13 @@ def test_save_and_open_again(case, pair, shared_path, comm):
     result = rw.simulate(case, comm, pair=pair)
     result.save(shared_path / "saved.h5")  # on all ranks
     again = rw.open_result(shared_path / "saved.h5")
-    xarray.testing.assert_identical(again.to_xarray(), result.to_xarray())
     assert again.balances == result.balances
-    assert again.summary() == result.summary()
+    xarray.testing.assert_identical(
+        without_clock(again.to_xarray()), without_clock(result.to_xarray())
+    )
+    if comm.rank == 0:  # whose clock is in the file
+        xarray.testing.assert_identical(again.to_xarray(), result.to_xarray())
+        assert again.summary() == result.summary()
     assert [p.name for p in shared_path.iterdir()] == ["saved.h5"]
 
 
