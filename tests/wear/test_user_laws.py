@@ -86,6 +86,9 @@ BAD_OBJECTS = {
         r"rate\(\) failed at time 0 s: ValueError.*read-only"),
     "writes wear": (_Mine(_forgets), r"rate\(\) failed at time 0 s: ValueError.*read-only"),
     "negative": (_Mine(lambda p, local: 1e-8 * (p - 30)), r"rate\(\) gives -3e-07 as rate at"),
+    "unknown": (_Mine(lambda p, local: 1e-8 * p * local.velocity),
+        r"rate\(\) failed .*: LocalState has no 'velocity'; it has time, r, speed, friction, wear, "
+        r"slid, parameters, power$"),
     "nan": (_Mine(lambda p, local: p * np.nan), r"rate\(\) gives nan as rate at time 0 s"),
     "complex": (_Mine(lambda p, local: p * 1j), r"rate\(\) failed .* not real numbers"),
     "nothing": (_Mine(lambda p, local: None), r"rate\(\) failed .* NoneType, not real numbers"),
