@@ -147,6 +147,26 @@ def test_bad_input_is_told(case, comm):
         rw.simulate(case.replace({"lower.z": [0.0, 20.5]}), comm)
 
 
+def test_what_is_no_case_is_told_what_makes_one(case, comm):
+    words = "{}: a Case is needed, not {}; read_case reads a file or a dict"
+    for wrong, kind in (({"load": {}}, "dict"), (str(PAPER), "str")):
+        with pytest.raises(rw.InputError, match=words.format("simulate", kind)):
+            rw.simulate(wrong, comm)
+        with pytest.raises(rw.InputError, match=words.format("assemble", kind)):
+            rw.assemble(wrong, comm)
+        with pytest.raises(rw.InputError, match=words.format("simulate_all", kind)):
+            rw.simulate_all([case, wrong], comm)
+    for wrong in (case, str(PAPER)):
+        with pytest.raises(rw.InputError, match="simulate_all: a list of cases is needed, not"):
+            rw.simulate_all(wrong, comm)
+    with pytest.raises(rw.InputError, match=r"^study: case is a Case; must be"):
+        rw.read_study({"case": case, "vary": {}})
+
+
+def test_dir_shows_what_is_public():
+    assert [name for name in dir(rw) if not name.startswith("__")] == rw.__all__
+
+
 @pytest.mark.serial
 @pytest.mark.parametrize("ranks", [0, 2])
 def test_three_lines_of_a_script(tmp_path, ranks):
