@@ -163,6 +163,32 @@ def test_what_is_no_case_is_told_what_makes_one(case, comm):
         rw.read_study({"case": case, "vary": {}})
 
 
+@pytest.mark.serial
+def test_plot_tells_what_it_cannot_draw(case, comm, tmp_path):
+    good, bad = rw.simulate_all([case, case.replace({"load.pressure": 1e9})], comm)
+    for wrong, number in (([good, bad], 2), (bad, 1)):
+        with pytest.raises(rw.InputError, match=rf"^plot: result {number} failed \(.* half of"):
+            rw.plot(wrong)
+    with pytest.raises(rw.InputError, match="plot: result 1 is a Case; must be a result"):
+        rw.plot(case)
+    with pytest.raises(rw.InputError, match="is a folder; must be the only thing to be drawn"):
+        rw.plot([good, tmp_path])
+
+
+@pytest.mark.serial
+def test_plot_draws_a_sweep(case, comm, tmp_path):
+    study = {"case": str(PAPER), "vary": {
+        "load.pressure": {"values": [40, 80]}, "time.steps": {"values": [3]},
+        "mesh.contact_elements": {"values": [16]},
+    }}  # fmt: skip
+    rw.sweep(study, tmp_path / "out", comm)
+    figure = rw.plot(str(tmp_path / "out"))
+    figure.savefig(tmp_path / "study.png")
+    assert figure.axes
+    with pytest.raises(rw.InputError, match="without panels"):
+        rw.plot(tmp_path / "out", "wear")
+
+
 def test_dir_shows_what_is_public():
     assert [name for name in dir(rw) if not name.startswith("__")] == rw.__all__
 
