@@ -1,5 +1,6 @@
 """What users call from Python: the numbers of the command, errors, many cases, on any ranks."""
 
+import re
 import subprocess
 import sys
 from dataclasses import dataclass, replace
@@ -187,6 +188,21 @@ def test_plot_draws_a_sweep(case, comm, tmp_path):
     assert figure.axes
     with pytest.raises(rw.InputError, match="without panels"):
         rw.plot(tmp_path / "out", "wear")
+
+
+def test_what_is_shown_of_objects_is_short(case, pair, comm):
+    line = r"16 \w*\s?elements, r = 28\.5 to 31\.5 mm>"
+    assert re.fullmatch(f"<ContactPair: {line}", repr(pair))
+    result = rw.simulate(case, comm, pair=pair)
+    assert repr(result) == (
+        f"<Result: {case.title} (result in memory): 16 contact elements, 11 states of 10 steps "
+        "until 10 s, complete>"
+    )
+    assert repr(result.line) == "<ContactLine: 16 elements, r = 28.5 to 31.5 mm>"
+    failed = rw.FailedResult(case.text, rw.ComputationError("step 3: no"))
+    assert repr(failed) == "<FailedResult: ComputationError: step 3: no>"
+    study = rw.read_study({"case": str(PAPER), "vary": {"load.pressure": {"values": [40, 80]}}})
+    assert repr(study) == "<Study study: grid, cases: 2, operators: 1, varied: load.pressure>"
 
 
 def test_dir_shows_what_is_public():
