@@ -25,12 +25,12 @@ if TYPE_CHECKING:
     from ringwear_par.elasticity.pair import ContactPair
     from ringwear_par.errors import ComputationError, InputError
     from ringwear_par.history.pairs import assemble
-    from ringwear_par.results.figures import plot
     from ringwear_par.results.files import open_result
     from ringwear_par.results.result import FailedResult, Result
     from ringwear_par.results.simulate import simulate
     from ringwear_par.studies.ensemble import open_ensemble
     from ringwear_par.studies.many import simulate_all
+    from ringwear_par.studies.plot import plot
     from ringwear_par.studies.study import Study, read_study
     from ringwear_par.studies.sweep import sweep
     from ringwear_par.wear.law import LocalState, WearLaw
@@ -48,7 +48,7 @@ _PUBLIC = {
     "assemble": "history.pairs",
     "open_ensemble": "studies.ensemble",
     "open_result": "results.files",
-    "plot": "results.figures",
+    "plot": "studies.plot",
     "read_case": "cases.reading",
     "read_study": "studies.study",
     "simulate": "results.simulate",
@@ -71,4 +71,4 @@ def __getattr__(name: str) -> Any:
 
 
 def __dir__() -> list[str]:
-    return sorted({*globals(), *_PUBLIC})
+    return sorted({*__all__, *(name for name in globals() if name.startswith("__"))})

@@ -1,5 +1,6 @@
 """What users call from Python: the numbers of the command, errors, many cases, on any ranks."""
 
+import re
 import subprocess
 import sys
 from dataclasses import dataclass, replace
@@ -149,6 +150,67 @@ def test_bad_input_is_told(case, comm):
         rw.simulate(case.replace({"mesh.contact_elements": 200_000}), comm)
     with pytest.raises(rw.InputError, match="interpenetrate"):
         rw.simulate(case.replace({"lower.z": [0.0, 20.5]}), comm)
+
+
+def test_what_is_no_case_is_told_what_makes_one(case, comm):
+    words = "{}: a Case is needed, not {}; read_case reads a file or a dict"
+    for wrong, kind in (({"load": {}}, "dict"), (str(PAPER), "str")):
+        with pytest.raises(rw.InputError, match=words.format("simulate", kind)):
+            rw.simulate(wrong, comm)
+        with pytest.raises(rw.InputError, match=words.format("assemble", kind)):
+            rw.assemble(wrong, comm)
+        with pytest.raises(rw.InputError, match=words.format("simulate_all", kind)):
+            rw.simulate_all([case, wrong], comm)
+    for wrong in (case, str(PAPER)):
+        with pytest.raises(rw.InputError, match="simulate_all: a list of cases is needed, not"):
+            rw.simulate_all(wrong, comm)
+    with pytest.raises(rw.InputError, match=r"^study: case is a Case; must be"):
+        rw.read_study({"case": case, "vary": {}})
+
+
+@pytest.mark.serial
+def test_plot_tells_what_it_cannot_draw(case, comm, tmp_path):
+    good, bad = rw.simulate_all([case, case.replace({"load.pressure": 1e9})], comm)
+    for wrong, number in (([good, bad], 2), (bad, 1)):
+        with pytest.raises(rw.InputError, match=rf"^plot: result {number} failed \(.* half of"):
+            rw.plot(wrong)
+    with pytest.raises(rw.InputError, match="plot: result 1 is a Case; must be a result"):
+        rw.plot(case)
+    with pytest.raises(rw.InputError, match="is a folder; must be the only thing to be drawn"):
+        rw.plot([good, tmp_path])
+
+
+@pytest.mark.serial
+def test_plot_draws_a_sweep(case, comm, tmp_path):
+    study = {"case": str(PAPER), "vary": {
+        "load.pressure": {"values": [40, 80]}, "time.steps": {"values": [3]},
+        "mesh.contact_elements": {"values": [16]},
+    }}  # fmt: skip
+    rw.sweep(study, tmp_path / "out", comm)
+    figure = rw.plot(str(tmp_path / "out"))
+    figure.savefig(tmp_path / "study.png")
+    assert figure.axes
+    with pytest.raises(rw.InputError, match="without panels"):
+        rw.plot(tmp_path / "out", "wear")
+
+
+def test_what_is_shown_of_objects_is_short(case, pair, comm):
+    line = r"16 \w*\s?elements, r = 28\.5 to 31\.5 mm>"
+    assert re.fullmatch(f"<ContactPair: {line}", repr(pair))
+    result = rw.simulate(case, comm, pair=pair)
+    assert repr(result) == (
+        f"<Result: {case.title} (result in memory): 16 contact elements, 11 states of 10 steps "
+        "until 10 s, complete>"
+    )
+    assert repr(result.line) == "<ContactLine: 16 elements, r = 28.5 to 31.5 mm>"
+    failed = rw.FailedResult(case.text, rw.ComputationError("step 3: no"))
+    assert repr(failed) == "<FailedResult: ComputationError: step 3: no>"
+    study = rw.read_study({"case": str(PAPER), "vary": {"load.pressure": {"values": [40, 80]}}})
+    assert repr(study) == "<Study study: grid, cases: 2, operators: 1, varied: load.pressure>"
+
+
+def test_dir_shows_what_is_public():
+    assert [name for name in dir(rw) if not name.startswith("__")] == rw.__all__
 
 
 @pytest.mark.serial

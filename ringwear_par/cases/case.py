@@ -262,3 +262,17 @@ class Case:
         if self.rebuild is not None:
             return self.text
         return f"# changed in Python after it was read: not all of this is as run\n{self.text}"
+
+
+def need_case(given: object, name: str) -> None:
+    """Refuse what is no Case, and say what makes one; ``name`` is of the function that needs it.
+
+    Raises
+    ------
+    InputError : it is none.
+    """
+    if not isinstance(given, Case):
+        raise InputError(
+            f"{name}: a Case is needed, not {type(given).__name__}; read_case reads a file or a "
+            "dict"
+        )

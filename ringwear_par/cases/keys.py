@@ -1,5 +1,6 @@
 """Dotted keys of a case: out of TOML or a dict, and some of them set anew."""
 
+import itertools
 import tomllib
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
@@ -127,10 +128,11 @@ def override(keys: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, A
 
     A new load takes the place of the old one, as do other keys that exclude each other; keys that
     had a meaning and have none any more (of another law, scheme or geometry) go. None takes a key
-    away. ``wear.lower.parameters.NAME`` is one entry of that table.
+    away, or all keys of a table. ``wear.lower.parameters.NAME`` is one entry of that table.
     """
     changes = _with_parameters(keys, changes)
-    keys = {path: value for path, value in keys.items() if changes.get(path, value) is not None}
+    gone = {path for path, value in changes.items() if value is None}
+    keys = {path: v for path, v in keys.items() if gone.isdisjoint({path, *_tables_of(path)})}
     changes = {path: value for path, value in changes.items() if value is not None}
     for table in ("wear.lower", "wear.upper"):
         known = law_keys(table, changes.get(f"{table}.law"))
@@ -146,6 +148,11 @@ def override(keys: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, A
     if lost:  # what the file gave in vain is for it to be told
         lost -= unread_keys(keys).keys()
     return {path: value for path, value in merged.items() if path not in lost}
+
+
+def _tables_of(path: str) -> Iterator[str]:
+    """Return the tables that a dotted key is in: of "wear.lower.k", "wear" and "wear.lower"."""
+    return itertools.accumulate(path.split(".")[:-1], "{}.{}".format)
 
 
 def _with_parameters(keys: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:

@@ -11,6 +11,7 @@ from ringwear_par.cases.case import Case
 from ringwear_par.cases.reading import read_case
 from ringwear_par.errors import ComputationError, InputError
 from ringwear_par.schedules import largest
+from ringwear_par.wear.catalogue import LAWS
 from ringwear_par.wear.derivative_test import (
     Remainders,
     check_user_slope,
@@ -20,9 +21,10 @@ from ringwear_par.wear.derivative_test import (
     taylor_test_wear,
 )
 from ringwear_par.wear.law import CompletedLaw, Law, LocalState
-from ringwear_par.wear.user import UserLaw, check_user_law
+from ringwear_par.wear.user import UserLaw, check_object, check_user_law
 
 _BODIES = ("lower", "upper")
+_OURS = set(LAWS.values()) - {UserLaw}
 _ELEMENTS = 60
 #: pressures up to which laws are tried: of ``ringwear laws``, MPa, and in mean pressures of a case
 _PRESSURE = 300.0
@@ -42,7 +44,7 @@ def law_sources(case: Case) -> dict[str, str]:
 
 
 def refuse_bad_laws(case: Case, name: str, slopes: bool = True) -> None:
-    """Refuse users' laws that are none, or whose slopes are wrong.
+    """Refuse users' laws that are none, or whose slopes are wrong: from files, and objects.
 
     Not collective.
 
@@ -54,10 +56,13 @@ def refuse_bad_laws(case: Case, name: str, slopes: bool = True) -> None:
     pressure = _PRESSURE
     if case.load.force is not None:
         pressure = _MEANS * largest(case.load.force) / case.area
-    for body, law in zip(_BODIES, case.laws, strict=True):
-        if isinstance(law, UserLaw | CompletedLaw):  # ours are what they should be
+    for body, given in zip(_BODIES, (case.wear_lower, case.wear_upper), strict=True):
+        if given is not None and type(given) not in _OURS:  # which are what they should be
+            law = given if isinstance(given, UserLaw) else CompletedLaw(given)
             key = f"wear.{body}.file" if isinstance(law, UserLaw) else f"wear.{body}"
             try:
+                if law is not given:
+                    check_object(given)
                 check_user_law(law, _local_state(case, 0.0, 0.0), pressure)
                 if slopes:
                     check_user_slope(law, _local_state(case, 0.0, 0.0), pressure)

@@ -43,7 +43,8 @@ def read_case(source: str | Path | Mapping[str, Any], overrides: Overrides = ())
     source : the name of a case file, or its tables as a dict: nested, or with dotted keys. Files
         that it names are looked for in the folder of the case file, or the current one.
     overrides : dotted keys and values, as a dict or as "KEY=VALUE" texts; files that they name are
-        looked for in the current folder. None takes a key away. See ``override`` for their rules.
+        looked for in the current folder. None takes a key or a table away. See ``override`` for
+        their rules.
 
     Raises
     ------

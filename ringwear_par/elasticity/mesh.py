@@ -56,6 +56,10 @@ class ContactLine:
 
     edges: FloatArray
 
+    def __repr__(self) -> str:
+        a, b = self.edges[[0, -1]]
+        return f"<ContactLine: {self.n} elements, r = {a:g} to {b:g} mm>"
+
     @property
     def r(self) -> FloatArray:
         """(n,) mm, mid-points."""

@@ -96,6 +96,10 @@ class ContactPair:
         default_factory=dict, init=False, repr=False, compare=False
     )
 
+    def __repr__(self) -> str:
+        a, b = self.line.edges[[0, -1]]
+        return f"<ContactPair: {self.line.n} contact elements, r = {a:g} to {b:g} mm>"
+
     def compliance(self, young: tuple[float, float]) -> ContactCompliance:
         """Return the compliance with Young's moduli (MPa) of lower and upper. Not collective.
 

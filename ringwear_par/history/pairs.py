@@ -2,7 +2,7 @@
 
 from mpi4py import MPI
 
-from ringwear_par.cases.case import Case
+from ringwear_par.cases.case import Case, need_case
 from ringwear_par.elasticity.assembly import load_kernels
 from ringwear_par.elasticity.pair import ContactPair, assemble_pair
 from ringwear_par.elasticity.recovery import BoundaryRecovery
@@ -17,8 +17,10 @@ def assemble(case: Case, comm: MPI.Comm | None = None) -> ContactPair:
 
     Raises
     ------
+    InputError : no case.
     ComputationError : a factorisation failed.
     """
+    need_case(case, "assemble")
     comm = MPI.COMM_WORLD if comm is None else comm
     load_kernels(comm)
     return assemble_pair(bodies(case), case.line, case.mesh, comm)

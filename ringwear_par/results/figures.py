@@ -22,7 +22,7 @@ from ringwear_par.elasticity.mesh import ContactLine, node_wear
 from ringwear_par.errors import InputError
 from ringwear_par.results.export import choose_state
 from ringwear_par.results.files import result_of
-from ringwear_par.results.result import Result
+from ringwear_par.results.result import FailedResult, Result
 
 Source = Result | str | Path
 
@@ -66,7 +66,16 @@ def plot(
     ------
     InputError : a file that is not a result, an unknown panel, a step not stored.
     """
-    sources = [results] if isinstance(results, Result | str | Path) else list(results)
+    given: Any = results
+    one = isinstance(given, str) or not isinstance(given, Iterable)
+    sources = [given] if one else [*given]
+    for number, source in enumerate(sources, 1):
+        if isinstance(source, FailedResult):
+            why = str(source.error).partition("\n")[0]
+            raise InputError(f"plot: result {number} failed ({why}); must be results only")
+        if not isinstance(source, Result | str | Path):
+            told = type(source).__name__
+            raise InputError(f"plot: result {number} is a {told}; must be a result or its file")
     names = panels.split(",") if isinstance(panels, str) else list(panels)
     with matplotlib.rc_context(STYLE):
         return _drawn_panels([_place(s) for s in sources], names, steps, map(_place, profiles_of))

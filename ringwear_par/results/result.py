@@ -65,6 +65,14 @@ class Result:
     path: Path | None = None
     comm: Any = None
 
+    def __repr__(self) -> str:
+        title = self.attributes.get("title") or "no title"
+        steps, end = max(self.steps_made, default=0), max(self.histories["time"], default=0.0)
+        return (
+            f"<Result: {title} ({self.name}): {self.line.n} contact elements, {len(self.step)} "
+            f"states of {steps} steps until {end:g} s, {self.attributes['status']}>"
+        )
+
     def __getstate__(self) -> dict[str, Any]:
         return {**vars(self), "comm": None}  # which no other process has
 
@@ -178,6 +186,9 @@ class FailedResult:
 
     case: str
     error: RingwearError
+
+    def __repr__(self) -> str:
+        return f"<FailedResult: {type(self.error).__name__}: {self.error}>"
 
 
 def balance_attributes(balances: Mapping[str, float]) -> dict[str, float]:

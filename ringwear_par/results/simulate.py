@@ -2,7 +2,7 @@
 
 from mpi4py import MPI
 
-from ringwear_par.cases.case import Case
+from ringwear_par.cases.case import Case, need_case
 from ringwear_par.elasticity.assembly import load_kernels
 from ringwear_par.elasticity.pair import ContactPair
 from ringwear_par.errors import InputError
@@ -30,10 +30,11 @@ def simulate(
 
     Raises
     ------
-    InputError : a law that is none, a mesh or a memory that cannot be, bodies that interpenetrate,
-        a pair of another shape.
+    InputError : no case, a law that is none, a mesh or a memory that cannot be, bodies that
+        interpenetrate, a pair of another shape.
     ComputationError : a step failed; it is named with its time.
     """
+    need_case(case, "simulate")
     comm = MPI.COMM_WORLD if comm is None else comm
     on_first_rank(comm, lambda: check_case(case, comm.size, "case"))
     if pair is not None and pair.key != operator_key(case):

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from ringwear_par.cases.case import Case
 from ringwear_par.cases.keys import find_files, flatten, kinds, override, read_keys
 from ringwear_par.cases.schema import BY_PATH
 from ringwear_par.cases.suggestions import nearest_key
@@ -57,6 +58,10 @@ def read_draft(source: Path | str | Mapping[str, Any]) -> Draft:
     InputError : its faults, those of single cases excepted.
     """
     if isinstance(source, Mapping):
+        if isinstance(source.get("case"), Case):
+            raise InputError(
+                "study: case is a Case; must be the name of a case file, or its tables as a dict"
+            )
         name, folder, tables = "study", Path(), _plain(source)
         text = "".join(f"{toml_value(key)} = {toml_value(v)}\n" for key, v in tables.items())
     else:

@@ -2,12 +2,13 @@
 
 import logging
 from collections import defaultdict
-from collections.abc import Hashable, Iterator, Sequence
+from collections.abc import Hashable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from pathlib import Path
 
 from mpi4py import MPI
 
-from ringwear_par.cases.case import Case
+from ringwear_par.cases.case import Case, need_case
 from ringwear_par.elasticity.pair import ContactPair
 from ringwear_par.errors import InputError
 from ringwear_par.history.bodies import operator_key, young
@@ -40,10 +41,18 @@ def simulate_all(
 
     Raises
     ------
-    InputError : ``batch`` is no whole number >= 1.
+    InputError : ``batch`` is no whole number >= 1, or there is something else than cases.
     """
     if batch is not None and not (is_whole(batch) and batch >= 1):
         raise InputError(f"batch = {batch!r}: must be a whole number >= 1")
+    if isinstance(cases, Case | Mapping | str | Path):
+        raise InputError(
+            f"simulate_all: a list of cases is needed, not {type(cases).__name__}; simulate "
+            "takes one case"
+        )
+    cases = list(cases)
+    for case in cases:
+        need_case(case, "simulate_all")
     comm = MPI.COMM_WORLD if comm is None else comm
     found: dict[int, Result | FailedResult] = {}
     groups: dict[Hashable, list[int]] = defaultdict(list)

@@ -68,6 +68,12 @@ class Study:
     work: FloatArray
     assembly: FloatArray
 
+    def __repr__(self) -> str:
+        return (
+            f"<Study {self.name}: {self.method}, cases: {len(self.ids)}, operators: "
+            f"{len(self.groups)}, varied: {', '.join(self.names) or 'nothing'}>"
+        )
+
     def case(self, number: int) -> Case:
         """Return one case."""
         case: Case = pickle.loads(self.pickled[number])

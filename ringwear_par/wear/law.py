@@ -7,7 +7,7 @@ not fall with pressure, so that the implicit step is a convex problem.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, is_dataclass, replace
-from typing import Any, ClassVar, Protocol, Self, runtime_checkable
+from typing import TYPE_CHECKING, Any, ClassVar, Protocol, Self, runtime_checkable
 
 import numpy as np
 
@@ -57,6 +57,12 @@ class LocalState:
         if isinstance(self.friction, np.ndarray):
             object.__setattr__(self, "friction", columns(self.friction))
         object.__setattr__(self, "power", self.friction * self.speed)
+
+    if not TYPE_CHECKING:  # which tells unknown names by itself
+
+        def __getattr__(self, name: str) -> Any:
+            there = ", ".join(f.name for f in fields(self) if f.name != "memo")
+            raise AttributeError(f"LocalState has no {name!r}; it has {there}")
 
     def part(self, here: slice) -> "LocalState":
         """Return the same for some of the elements."""

@@ -15,7 +15,7 @@ from ringwear_par.schedules import Quantity, breakpoints, history, value
 from ringwear_par.schedules import stack as stack_quantities
 from ringwear_par.textfiles import read_text
 from ringwear_par.wear.guard import Asked, ask, shown
-from ringwear_par.wear.law import CompletedLaw, Law, LocalState
+from ringwear_par.wear.law import CompletedLaw, Law, LocalState, WearLaw
 from ringwear_par.wear.parameters import Parameter
 
 _BISECTIONS = 30
@@ -223,6 +223,25 @@ class UserLaw(Law):
         if not name:
             return super().d_rate_dwear(p, local)
         return self._call("d_rate_dwear", name, p, local)
+
+
+def check_object(law: object) -> None:
+    """Refuse what is no law at all, or says nonsense of itself. Not collective.
+
+    Raises
+    ------
+    InputError : what it is, and what it must be.
+    """
+    must = "must be an object with rate(p, local)"
+    if isinstance(law, type):
+        raise InputError(f"{law.__name__} is a class; {must}, as {law.__name__}(...) may be")
+    if not (isinstance(law, WearLaw) and callable(law.rate)):
+        raise InputError(f"{type(law).__name__} is no wear law; {must}")
+    for name, what in (("length", "a number (mm)"), ("breakpoints", "a list of times (s)")):
+        try:
+            getattr(CompletedLaw(law), name)
+        except Exception as error:  # whatever a user's code may raise
+            raise InputError(f"{type(law).__name__}: {name}: {error}; must be {what}") from error
 
 
 def check_user_law(law: UserLaw | CompletedLaw, at: LocalState, pressure: float) -> None:

@@ -109,6 +109,18 @@ def test_replace_is_a_changed_and_checked_copy():
     assert case.replace({"title": None}).title == ""
 
 
+def test_none_takes_a_table_away():
+    both = read_case(PAPER, {"wear.upper": {"law": "archard", "k": 1e-9}})
+    for nothing in ({"wear.lower": None}, {"wear": {"lower": None}}):
+        changed = both.replace(nothing)
+        assert (changed.wear_lower, changed.wear_upper) == (None, both.wear_upper)
+    assert both.replace({"wear": None}).laws == (None, None)
+    other = both.replace({"wear.lower": None, "wear.lower.law": "archard", "wear.lower.k": 1e-9})
+    assert other.wear_lower == both.wear_upper
+    with pytest.raises(InputError, match=r"upper\.r is missing"):
+        both.replace({"upper": None})
+
+
 def test_replace_wants_the_text_to_tell_the_case():
     case = read_case(PAPER)
     for other in (replace(case, friction=0.2), replace(case, text="")):

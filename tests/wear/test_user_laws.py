@@ -14,6 +14,7 @@ from ringwear_par.errors import ComputationError, InputError, LawError
 from ringwear_par.results.run import run_case
 from ringwear_par.studies.sweep import run_sweep
 from ringwear_par.wear import LocalState
+from ringwear_par.wear.archard import ArchardLaw
 from ringwear_par.wear.law import complete
 
 PAPER = Path(__file__).parents[2] / "scripts/cases/paper.toml"
@@ -85,6 +86,9 @@ BAD_OBJECTS = {
         r"rate\(\) failed at time 0 s: ValueError.*read-only"),
     "writes wear": (_Mine(_forgets), r"rate\(\) failed at time 0 s: ValueError.*read-only"),
     "negative": (_Mine(lambda p, local: 1e-8 * (p - 30)), r"rate\(\) gives -3e-07 as rate at"),
+    "unknown": (_Mine(lambda p, local: 1e-8 * p * local.velocity),
+        r"rate\(\) failed .*: LocalState has no 'velocity'; it has time, r, speed, friction, wear, "
+        r"slid, parameters, power$"),
     "nan": (_Mine(lambda p, local: p * np.nan), r"rate\(\) gives nan as rate at time 0 s"),
     "complex": (_Mine(lambda p, local: p * 1j), r"rate\(\) failed .* not real numbers"),
     "nothing": (_Mine(lambda p, local: None), r"rate\(\) failed .* NoneType, not real numbers"),
@@ -103,6 +107,31 @@ BAD_OBJECTS = {
 def test_bad_objects_are_refused_as_bad_files_are(law, comm, body, bad, words):
     case = replace(read_case(PAPER, law(GOOD)), **{f"wear_{body}": bad})
     with pytest.raises(InputError, match=rf"^case: wear\.{body}: _Mine: {words}"):
+        simulate(case, comm)
+
+
+class _Falling(ArchardLaw):
+    """A law of ours with another rate."""
+
+    def rate(self, p, local):
+        """Return the rate of wear, mm/s, which falls."""
+        return 1e-11 * p * (500 - p)
+
+
+NO_LAWS = {
+    "function": (lambda p, local: 1e-8 * p, "function is no wear law; must be an object with rate"),
+    "class": (_Mine, r"_Mine is a class; must be an object with rate\(p, local\), as _Mine"),
+    "number": (3.0, "float is no wear law; must be an object with rate"),
+    "length": (_Mine(_forgets, length="a"), "_Mine: length: .* must be a number"),
+    "breakpoints": (_Mine(_forgets, breakpoints=3), "_Mine: breakpoints: .* must be a list"),
+    "subclass": (_Falling(1e-8), r"_Falling: rate\(\) falls from"),
+}
+
+
+@pytest.mark.parametrize(("bad", "words"), NO_LAWS.values(), ids=NO_LAWS)
+def test_what_is_no_law_is_refused(law, comm, bad, words):
+    case = replace(read_case(PAPER, law(GOOD)), wear_lower=bad)
+    with pytest.raises(InputError, match=rf"^case: wear\.lower: {words}"):
         simulate(case, comm)
 
 

@@ -1,0 +1,50 @@
+"""``rw.plot``: the figure of some results, or of a sweep."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from matplotlib.figure import Figure
+
+from ringwear_par.errors import InputError
+from ringwear_par.results import figures
+from ringwear_par.results.result import Result
+
+
+def plot(
+    results: figures.Source | Sequence[figures.Source],
+    panels: str | Sequence[str] | None = None,
+    steps: str = "",
+    profiles_of: Sequence[figures.Source] = (),
+) -> Figure:
+    """Return the panels of one or more results side by side, or the figure of a sweep.
+
+    Not collective. Profiles (``wear``, ``pressure``) and deformed sections (``section``, the last
+    one stored) are drawn of every result, one panel each; the histories of all of them share a
+    panel (``penetration``).
+
+    Parameters
+    ----------
+    results : a result or a result file, or several; or the folder of a sweep.
+    panels : names, in a list or separated by commas; None for wear and penetration.
+    steps : comma-separated step numbers of the profiles; "" for the first step and four quarters.
+    profiles_of : those of the results whose profiles and sections are drawn; () for all.
+
+    Raises
+    ------
+    InputError : something that is not a result, an unknown panel, a step not stored; more than its
+        folder where a sweep is drawn.
+    """
+    several = [results] if isinstance(results, Result | str | Path) else results
+    if isinstance(several, Sequence):
+        folders = [s for s in several if isinstance(s, str | Path) and Path(s).is_dir()]
+        if folders and (len(several) > 1 or panels is not None or steps or profiles_of):
+            raise InputError(
+                f"{folders[0]}: is a folder; must be the only thing to be drawn, without panels, "
+                "steps and profiles_of"
+            )
+        if folders:
+            from ringwear_par.studies.ensemble import read_ensemble
+            from ringwear_par.studies.figures import draw_sweep
+
+            return draw_sweep(read_ensemble(Path(folders[0])))
+    return figures.plot(results, panels or "wear,penetration", steps, profiles_of)
