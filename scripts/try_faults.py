@@ -129,8 +129,11 @@ def done_before(output: Path) -> dict[str, float]:
                     found[identity] = float(seconds)
     with tempfile.TemporaryDirectory() as name:
         copies = Path(name)
-        for path in (output / "shards").glob("*.sqlite*"):
-            shutil.copy(path, copies)
+        try:
+            for path in (output / "shards").glob("*.sqlite*"):
+                shutil.copy(path, copies)
+        except FileNotFoundError:  # the journal of a transaction that has ended meanwhile
+            return done_before(output)
         for path in copies.glob("*.sqlite"):
             connection = sqlite3.connect(path)
             try:
