@@ -67,11 +67,7 @@ class ContactLine:
 
     @property
     def gap_point(self) -> FloatArray:
-        """(n,) mm, where gaps and displacements are taken: the mid-points.
-
-        The equation is collocated there. Other points bring nothing: what went wrong near the axis
-        was the symmetrisation (see pair.symmetric).
-        """
+        """(n,) mm, where gaps and displacements are taken: the mid-points, as the equation is."""
         return self.r
 
     @property

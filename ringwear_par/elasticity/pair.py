@@ -10,11 +10,9 @@ from scipy.linalg import eigh
 from ringwear_par.arrays import FloatArray
 from ringwear_par.elasticity.body import Compliance, compliance
 from ringwear_par.elasticity.mesh import ContactLine, Mesh, pair_key
+from ringwear_par.elasticity.reciprocity import symmetric
 from ringwear_par.elasticity.sections import Body
 from ringwear_par.errors import ComputationError
-
-#: elements wider than this share of their radius are near the axis
-_NEAR_AXIS = 0.1
 
 
 @dataclass(frozen=True)
@@ -49,7 +47,8 @@ class ContactCompliance:
     Parameters
     ----------
     line : the contact elements.
-    matrix : (n, n) float, mm^3/MPa, K = ``sym(diag(m) C)`` with C = C1/E1 + C2/E2 and the areas m.
+    matrix : (n, n) float, mm^3/MPa, K: ``diag(m) C`` with C = C1/E1 + C2/E2 and the areas m,
+        made symmetric (see ``reciprocity.symmetric``).
     twist : (n,) float, mm/MPa; area mean of the circumferential displacement jump per unit
         circumferential traction on each element.
     symmetry_defect : largest ``|m C - (m C)'|`` over the largest ``|m C|``; vanishes with the mesh.
@@ -120,7 +119,6 @@ class ContactPair:
         weighted = line.area[:, None] * normal
         try:
             matrix = symmetric(line, normal)
-            np.linalg.cholesky(matrix)
         except np.linalg.LinAlgError as error:
             raise ComputationError(
                 f"compliance of {line.n} contact elements: not positive definite; "
@@ -167,28 +165,6 @@ def join_bodies(
         key,
         BodyCost.of(new),
     )
-
-
-def symmetric(line: ContactLine, normal: FloatArray) -> FloatArray:
-    """Return ``sym(diag(m) C)``, mm^3/MPa, of a collocated compliance. Not collective.
-
-    On the first elements at the axis, discs and narrow rings, the areas change from one to the next
-    as fast as the elements themselves, and the symmetric part alone is some per cent off on every
-    mesh (the pressure at the axis by 3.5 %). There the diagonal takes the difference, such that the
-    pressure of a rigid flat face is that of the collocated equations; it varies smoothly but at the
-    ends, and so does any other pressure.
-    """
-    weighted = line.area[:, None] * normal
-    matrix = 0.5 * (weighted + weighted.T)
-    if line.edges[0] > 0.0:
-        return matrix
-    flat = np.linalg.solve(weighted, line.area)
-    lost = 0.5 * ((weighted - weighted.T) @ flat)
-    diagonal = weighted.diagonal()
-    # elsewhere areas hardly change, and beside corners a flat face's pressure is no guide
-    guided = (line.width > _NEAR_AXIS * line.r) & (np.abs(lost) < 0.25 * diagonal * flat)
-    correction = np.divide(lost, flat, out=np.zeros_like(flat), where=guided)
-    return matrix + np.diag(correction)
 
 
 def largest_stable_step(compliance: ContactCompliance, slope: FloatArray) -> float:

@@ -19,7 +19,7 @@ from ringwear_par.cases.case import Case, Load, Output, Ring, Stepping
 from ringwear_par.contact.problem import ContactState
 from ringwear_par.elasticity.body import compliance
 from ringwear_par.elasticity.mesh import ContactLine, Mesh, contact_line
-from ringwear_par.elasticity.pair import symmetric
+from ringwear_par.elasticity.reciprocity import symmetric
 from ringwear_par.elasticity.sections import Body, Section
 from ringwear_par.history.model import WearModel
 from ringwear_par.verification import reference
@@ -48,7 +48,7 @@ def _indentation(a: float, big_r: float, n: int, comm: MPI.Comm) -> _Indentation
     m = line.area
     normal = symmetric(line, unit.normal)
     p = np.linalg.solve(normal, m)
-    shear = np.linalg.solve(_symmetric(m, unit.torsion), m * line.arm)
+    shear = np.linalg.solve(unit.torsion, line.arm)
     worn = np.diag(m * line.arm)
     free = np.linalg.svd(m[None, :])[2][1:].T  # pressures that change, at constant force
     modulus = reference.contact_modulus((1.0, NU))
@@ -66,11 +66,6 @@ def _first_error(line: ContactLine, p: FloatArray) -> float:
     exact = reference.flat_cylinder_pressure(1.0, line.edges[:5])
     mean = float(line.area @ p / line.area.sum())
     return float(np.abs(p[:4] / mean / exact - 1.0).max())
-
-
-def _symmetric(m: FloatArray, matrix: FloatArray) -> FloatArray:
-    weighted = m[:, None] * matrix
-    return 0.5 * (weighted + weighted.T)
 
 
 def pressure_at(line: ContactLine, p: FloatArray, r: float) -> float:
