@@ -22,6 +22,7 @@ from ringwear_par.elasticity.assembly import (
 from ringwear_par.elasticity.mesh import BoundaryMesh, ContactLine, Mesh, boundary_mesh
 from ringwear_par.elasticity.quadrature import quadrature
 from ringwear_par.elasticity.sections import Body, Grip
+from ringwear_par.elasticity.slopes import obliquity
 from ringwear_par.elasticity.solve import solve_rows
 
 
@@ -50,10 +51,11 @@ class Compliance:
 
     Parameters
     ----------
-    normal : (n, n) float, mm/MPa; approach of element i under unit pressure on element j.
+    normal : (n, n) float, mm/MPa; what element i gives way along the axis, -(u_z - t u_r) with the
+        slope t, under unit pressure on element j.
     torsion : (n, n) float, mm/MPa; circumferential displacement under unit shear.
     force_reaction : (n,) float, mm^2; axial force on the fixed face per unit pressure. Equilibrium
-        asks for the contact element's area.
+        asks for the contact element's projected area.
     torque_reaction : (n,) float, mm^3; torque on the fixed face per unit shear.
     response : the work and the times.
     """
@@ -65,25 +67,34 @@ class Compliance:
     response: Response
 
 
-def boundary_conditions(boundary: BoundaryMesh, grip: Grip) -> BoundaryConditions:
+def boundary_conditions(
+    boundary: BoundaryMesh, grip: Grip, slope: FloatArray | None = None
+) -> BoundaryConditions:
     """Return those of a body in contact: fixed face, one right-hand side per contact element.
 
-    Right-hand side j is unit pressure (normal system) and unit circumferential traction (torsion)
-    on contact element j, both per area projected on the contact plane: the tractions are along z
-    and theta whatever the slope of the element, dr/ds as large as the pressure, so that the force
-    is area times pressure. "clamped" fixes u_r, u_z and u_theta, "platen" leaves u_r free of
+    Right-hand side j is unit pressure along the common normal (normal system) and unit
+    circumferential traction (torsion) on the true area of contact element j. Tractions are scaled
+    by dr/ds of the element, so that the axial force is the projected area times the pressure
+    whatever its own slope. "clamped" fixes u_r, u_z and u_theta, "platen" leaves u_r free of
     traction.
+
+    Parameters
+    ----------
+    slope : (n,) float, tan alpha of the common normal in the body's own frame, see ``slopes``;
+        None: none.
     """
     k, n = len(boundary.elements), len(boundary.contact)
+    slope = np.zeros(n) if slope is None else slope
     fixed = np.zeros((k, 3), dtype=bool)
     fixed[boundary.fixed] = [grip == "clamped", True, True]
     load = np.full((k, 3), -1)
     traction = np.zeros((k, 3))
-    load[boundary.contact, 1:] = np.arange(n)[:, None]
+    load[boundary.contact] = np.arange(n)[:, None]
     ends = boundary.nodes[boundary.elements[boundary.contact]]
     along = ends[:, 2] - ends[:, 0]
     projected = np.abs(along[:, 0]) / np.hypot(*along.T)
-    traction[boundary.contact, 1:] = projected[:, None] * [-1.0, 1.0]
+    directions = np.stack([slope, -np.ones(n), obliquity(slope)], axis=1)
+    traction[boundary.contact] = projected[:, None] * directions
     return BoundaryConditions(fixed, load, traction, n)
 
 
@@ -144,7 +155,7 @@ class BoundaryResponse:
     """Values on the whole boundary, at Young's modulus 1, for loads on each contact element.
 
     Load j is unit pressure (components r and z) and unit circumferential traction (theta) on
-    contact element j, per area projected on the contact plane.
+    contact element j, see ``boundary_conditions``.
 
     Parameters
     ----------
@@ -164,13 +175,14 @@ def boundary_response(
     mesh: Mesh,
     comm: MPI.Comm,
     worn: FloatArray | None = None,
+    slope: FloatArray | None = None,
 ) -> BoundaryResponse:
     """Return displacements and tractions on the whole boundary, in the body's own frame.
 
-    Collective on comm. ``worn`` is that of ``boundary_mesh``.
+    Collective on comm. ``worn`` is that of ``boundary_mesh``, ``slope`` of ``boundary_conditions``.
     """
     boundary = boundary_mesh(body.section, line, mesh, worn)
-    conditions = boundary_conditions(boundary, body.grip)
+    conditions = boundary_conditions(boundary, body.grip, slope)
     nodes, elements = np.arange(len(boundary.nodes)), np.arange(len(boundary.elements))
     response = solve_body(
         boundary, conditions, body.poisson, mesh.quadrature_tolerance, nodes, elements, comm
@@ -211,34 +223,40 @@ def compliance(
     mesh: Mesh,
     comm: MPI.Comm,
     worn: FloatArray | None = None,
+    slope: FloatArray | None = None,
 ) -> Compliance:
     """Return the compliance of a body's contact line.
 
     Collective on comm. Displacements are collocated at the elements' mid-points; taking them from
     the end nodes would give pressures of alternating sign almost no displacement. ``worn`` is that
-    of ``boundary_mesh``.
+    of ``boundary_mesh``, ``slope`` of ``boundary_conditions``.
     """
     boundary = boundary_mesh(body.section, line, mesh, worn)
+    conditions = boundary_conditions(boundary, body.grip, slope)
     response = solve_body(
-        boundary, boundary_conditions(boundary, body.grip), body.poisson, mesh.quadrature_tolerance,
+        boundary, conditions, body.poisson, mesh.quadrature_tolerance,
         boundary.elements[boundary.contact, 1], boundary.fixed, comm,
     )  # fmt: skip
-    return condense(boundary, response)
+    return condense(boundary, response, slope)
 
 
-def condense(boundary: BoundaryMesh, response: Response) -> Compliance:
+def condense(
+    boundary: BoundaryMesh, response: Response, slope: FloatArray | None = None
+) -> Compliance:
     """Return the compliance of a solved body. Not collective.
 
     Parameters
     ----------
     response : displacements at the contact elements' mid-points, tractions of the fixed elements.
+    slope : that of ``boundary_conditions``.
     """
+    radial, axial = response.displacement[:, 0], response.displacement[:, 1]
     inner = boundary.nodes[boundary.elements[boundary.fixed, 0], 0]
     outer = boundary.nodes[boundary.elements[boundary.fixed, 2], 0]
     area = np.pi * (outer**2 - inner**2)
     moment = 2.0 * np.pi / 3.0 * (outer**3 - inner**3)
     return Compliance(
-        normal=-response.displacement[:, 1],
+        normal=-axial if slope is None else slope[:, None] * radial - axial,
         torsion=response.displacement[:, 2],
         force_reaction=area @ response.traction[:, 1],
         torque_reaction=-(moment @ response.traction[:, 2]),

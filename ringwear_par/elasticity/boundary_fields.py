@@ -23,8 +23,8 @@ class BoundaryFields:
     displacement : (m, 3) float, mm, along r, z and theta, elastic but for the approach: the upper
         body's u_z includes the descent of its fixed top.
     traction : (k, 3) float, MPa, along r, z and theta, per area of the boundary, constant on each
-        element. On the contact line it is that of pressure and friction, both per area projected
-        on the contact plane.
+        element. On the contact line it is that of pressure along the common normal of the faces
+        and of friction; the axial force is that on the projected area.
     pressure, wear : (k,) float, MPa and mm, 0 off the contact line.
     """
 

@@ -1,7 +1,7 @@
 """Boundary elements of meridian sections, and the elements of the contact line.
 
-The face is a polyline over the radius. Contact stays along z: elements of the two faces over the
-same interval of radii are paired, which neglects the square of the slope.
+The face is a polyline over the radius. Elements of the two faces over the same interval of radii
+are paired (see ``slopes``).
 """
 
 import itertools
@@ -77,7 +77,7 @@ class ContactLine:
 
     @property
     def area(self) -> FloatArray:
-        """(n,) mm^2, annular areas ``m``, so that the force is ``m . p``."""
+        """(n,) mm^2, annular areas ``m`` on the contact plane, so that the force is ``m . p``."""
         return 2.0 * np.pi * self.r * self.width
 
     @property

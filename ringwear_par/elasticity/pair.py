@@ -12,6 +12,7 @@ from ringwear_par.elasticity.body import Compliance, compliance
 from ringwear_par.elasticity.mesh import ContactLine, Mesh, pair_key
 from ringwear_par.elasticity.reciprocity import symmetric
 from ringwear_par.elasticity.sections import Body
+from ringwear_par.elasticity.slopes import case_slopes, common_slope, obliquity
 from ringwear_par.errors import ComputationError
 
 
@@ -54,7 +55,9 @@ class ContactCompliance:
     symmetry_defect : largest ``|m C - (m C)'|`` over the largest ``|m C|``; vanishes with the mesh.
     force_reaction, torque_reaction : (2, n) float, mm^2 and mm^3; force and torque on the fixed
         faces of lower and upper per unit pressure and unit shear on each element. Equilibrium asks
-        for the area, and area times arm; the difference vanishes with the mesh.
+        for the area, and true area times arm; the difference vanishes with the mesh.
+    obliquity : (n,) float, 1 / cos alpha: true area, on which friction and wear act, over
+        projected area.
     """
 
     line: ContactLine
@@ -63,6 +66,7 @@ class ContactCompliance:
     symmetry_defect: float
     force_reaction: FloatArray
     torque_reaction: FloatArray
+    obliquity: FloatArray
 
 
 @dataclass(frozen=True)
@@ -75,10 +79,11 @@ class ContactPair:
     Parameters
     ----------
     line : the contact elements.
-    normal : (2, n, n) float, mm/MPa; approach under unit pressure, of lower and upper.
+    normal : (2, n, n) float, mm/MPa; what lower and upper give way under unit pressure.
     twist : (2, n) float, mm^3/MPa; area integral of the circumferential displacement per unit
         circumferential traction.
     force_reaction, torque_reaction : (2, n) float, mm^2 and mm^3, as in ContactCompliance.
+    slope : (n,) float, tan alpha of the normals that pressure acts along, see ``slopes``.
     key : what all this depends on, see ``pair_key``.
     cost : what it took; nothing where it was read from somewhere.
     """
@@ -88,6 +93,7 @@ class ContactPair:
     twist: FloatArray
     force_reaction: FloatArray
     torque_reaction: FloatArray
+    slope: FloatArray
     key: Hashable
     cost: BodyCost = BodyCost()
     #: the compliance asked for last, by its moduli: histories in a row often have the same
@@ -131,6 +137,7 @@ class ContactPair:
             float(np.abs(weighted - weighted.T).max() / np.abs(weighted).max()),
             self.force_reaction,
             self.torque_reaction,
+            obliquity(self.slope),
         )
 
 
@@ -147,13 +154,22 @@ def assemble_pair(
     ------
     ComputationError : a factorisation failed.
     """
-    compliances = [compliance(body, line, mesh, comm) for body in bodies]
+    lower, upper = bodies
+    slope = common_slope(case_slopes((lower.section, upper.section), line, mesh))
+    compliances = [
+        compliance(body, line, mesh, comm, slope=own)
+        for body, own in zip(bodies, (slope, -slope), strict=True)
+    ]
     key = pair_key(bodies, (float(line.edges[0]), float(line.edges[-1])), mesh)
-    return join_bodies(line, compliances, key, compliances)
+    return join_bodies(line, compliances, slope, key, compliances)
 
 
 def join_bodies(
-    line: ContactLine, bodies: Sequence[Compliance], key: Hashable, new: Sequence[Compliance]
+    line: ContactLine,
+    bodies: Sequence[Compliance],
+    slope: FloatArray,
+    key: Hashable,
+    new: Sequence[Compliance],
 ) -> ContactPair:
     """Return the pair of lower and upper, at the cost of those that are new. Not collective."""
     return ContactPair(
@@ -162,6 +178,7 @@ def join_bodies(
         np.array([line.area @ body.torsion for body in bodies]),
         np.array([body.force_reaction for body in bodies]),
         np.array([body.torque_reaction for body in bodies]),
+        slope,
         key,
         BodyCost.of(new),
     )

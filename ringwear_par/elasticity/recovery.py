@@ -8,6 +8,7 @@ from ringwear_par.elasticity.body import BoundaryResponse, boundary_response, in
 from ringwear_par.elasticity.boundary_fields import BODIES, FACES, BoundaryFields, Which
 from ringwear_par.elasticity.mesh import BoundaryMesh, ContactLine, Mesh, boundary_mesh, node_wear
 from ringwear_par.elasticity.sections import Body
+from ringwear_par.elasticity.slopes import case_slopes, common_slope
 
 
 class BoundaryRecovery:
@@ -35,7 +36,7 @@ class BoundaryRecovery:
     ) -> None:
         self._bodies, self._line, self._mesh, self._planes = bodies, line, mesh, planes
         self._comm = comm
-        self._known: dict[Which, tuple[FloatArray | None, BoundaryResponse]] = {}
+        self._known: dict[Which, tuple[FloatArray, BoundaryResponse]] = {}
 
     def fields(
         self,
@@ -47,11 +48,12 @@ class BoundaryRecovery:
     ) -> tuple[BoundaryFields, BoundaryFields]:
         """Return the fields of lower and upper. Collective on comm, the same on all ranks.
 
-        Displaced by their fields, the bodies touch at the mid-points of elements under pressure:
-        u_z is that of the collocated equations, and the top of the upper body has come down by the
-        approach. What remains there is the difference between the collocated compliance and its
-        symmetric part, which the contact was solved with (see pair.symmetric) and which vanishes
-        with the mesh. All of the contact slides, so that friction is mu p everywhere.
+        Displaced by their fields, the bodies touch at the mid-points of elements under pressure,
+        measured along the common normal: displacements are those of the collocated equations, and
+        the top of the upper body has come down by the approach. What remains there is the
+        difference between the collocated compliance and the symmetric one that the contact was
+        solved with (see ``reciprocity``), which vanishes with the mesh. All of the contact slides,
+        so that friction is mu p everywhere.
 
         Parameters
         ----------
@@ -65,11 +67,15 @@ class BoundaryRecovery:
         ------
         ComputationError : the wear leaves too little of a body, or a factorisation failed.
         """
+        if shape is not None and not shape.any():
+            shape = None
+        sections = self._bodies[0].section, self._bodies[1].section
+        slope = common_slope(case_slopes(sections, self._line, self._mesh, shape))
         lower, upper = (
             self._of_body(
-                i, pressure, approach, friction, wear[i], None if shape is None else shape[i]
+                i, pressure, approach, friction, wear[i], own, None if shape is None else shape[i]
             )
-            for i in (0, 1)
+            for i, own in enumerate((slope, -slope))
         )
         return lower, upper
 
@@ -80,10 +86,11 @@ class BoundaryRecovery:
         approach: float,
         friction: float,
         wear: FloatArray,
+        slope: FloatArray,
         shape: FloatArray | None,
     ) -> BoundaryFields:
         which, young = BODIES[i], self._bodies[i].young
-        unit = self._response(i, shape)
+        unit = self._response(i, slope, shape)
         # unit loads summed: one load is left, that of the case
         shear = friction * p
         displacement, traction = (
@@ -112,18 +119,20 @@ class BoundaryRecovery:
             response.traction[..., 0], pressure, depth,
         )  # fmt: skip
 
-    def _response(self, i: int, shape: FloatArray | None) -> BoundaryResponse:
-        """Return the responses of a body whose elements followed (n,) mm of wear. Collective."""
-        which = BODIES[i]
-        if shape is not None and not shape.any():
-            shape = None
+    def _response(self, i: int, slope: FloatArray, shape: FloatArray | None) -> BoundaryResponse:
+        """Return the responses of a body whose elements followed (n,) mm of wear. Collective.
+
+        Slopes are those of ``boundary_conditions``.
+        """
+        line, which = self._line, BODIES[i]
+        worn = None if shape is None or not shape.any() else node_wear(line, shape)
+        at = np.concatenate([slope, np.zeros(line.n + 1) if worn is None else worn])
         known = self._known.get(which)
-        # the shape is the same on all ranks, and so is the decision
-        if known is None or not _same(known[0], shape):
-            worn = None if shape is None else node_wear(self._line, shape)
+        # the slopes and the shape are the same on all ranks, and so is the decision
+        if known is None or not np.array_equal(known[0], at):
             self._known.pop(which, None)  # not two at a time
-            response = boundary_response(self._bodies[i], self._line, self._mesh, self._comm, worn)
-            known = self._known[which] = (None if shape is None else shape.copy(), response)
+            response = boundary_response(self._bodies[i], line, self._mesh, self._comm, worn, slope)
+            known = self._known[which] = (at, response)
         return known[1]
 
     def _worn_boundary(self, i: int, wear: FloatArray) -> BoundaryMesh:
@@ -143,9 +152,3 @@ class BoundaryRecovery:
 def _lengths(boundary: BoundaryMesh) -> FloatArray:
     ends = boundary.nodes[boundary.elements]
     return np.hypot(*(ends[:, 2] - ends[:, 0]).T)
-
-
-def _same(one: FloatArray | None, other: FloatArray | None) -> bool:
-    if one is None or other is None:
-        return one is other
-    return np.array_equal(one, other)

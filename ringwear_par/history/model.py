@@ -63,7 +63,6 @@ class WearModel:
         self.following, self.updates = BodyCost(), 0
         self.line = line = self.pair.line
         self._r, self._arm, self.area = line.r, line.arm, line.area
-        self._moment = self.area * self._arm  # torque per unit shear
         self._initial_gap = case.initial_gap
         self._open_ends = [e for e, cut in zip((0, -1), case.open_ends, strict=True) if cut]
         self._most_wear = np.array([0.5 * (ring.z[1] - ring.z[0]) for ring in case.rings])
@@ -93,10 +92,6 @@ class WearModel:
             law is not None and law.reads_wear for law in self.laws
         )
         self._wears = any(law is not None for law in self.laws)
-        self._averages = tuple(
-            averaging(line.r, line.area, law.length) if law is not None and law.length else None
-            for law in self.laws
-        )
         self._take(self.pair)
         #: the wear that the present elasticity is of
         self._followed = np.zeros((2, *self._shape))
@@ -122,6 +117,14 @@ class WearModel:
 
     def _take(self, pair: ContactPair) -> None:
         self.compliance = pair.compliance(young(self.case))
+        true_area = self.area * self.compliance.obliquity
+        #: 1 / cos alpha of sloping faces, None where all are flat
+        self._obliquity = self.compliance.obliquity if pair.slope.any() else None
+        self._averages = tuple(
+            averaging(self._r, true_area, law.length) if law is not None and law.length else None
+            for law in self.laws
+        )
+        self._moment = true_area * self._arm  # torque per unit shear
         # what balances take from the pressure: friction torque / mu, reactions of both bodies
         self._sums = np.vstack(
             [self._moment, self.compliance.force_reaction, self.compliance.torque_reaction]
@@ -255,8 +258,13 @@ class WearModel:
     # -- wear, eq. (4) -----------------------------------------------------------------------------
 
     def local_state(self, time: Numbers, omega: Numbers, wear: FloatArray) -> LocalState:
-        """Return what laws may know of a body, its wear being (..., n) mm, at speed omega."""
+        """Return what laws may know of a body, its wear being (..., n) mm, at speed omega.
+
+        Laws are told of depths along the normal; everything else here is along the axis.
+        """
         angle, arm = integral(self.omega, 0.0, time), self._arm
+        if self._obliquity is not None:
+            wear = wear / self._obliquity
         return LocalState(
             time, self._r, columns(omega) * arm, self.friction, wear, columns(angle) * arm
         )
@@ -267,7 +275,7 @@ class WearModel:
         """Return the wear of an implicit step that ends at a time, from wear (2, ..., n) mm on."""
         lower = self.local_state(time, omega, wear[0])
         upper = self.local_state(time, omega, wear[1]) if self.laws[1] is not None else lower
-        return WearIncrement(self.laws, (lower, upper), step, self._averages)
+        return WearIncrement(self.laws, (lower, upper), step, self._averages, self._obliquity)
 
     def rates(self, time: Numbers, omega: Numbers, wear: FloatArray, p: FloatArray) -> FloatArray:
         """Return the rates of wear of lower and upper, (2, ..., n) mm/s, at pressure and wear."""
@@ -276,6 +284,8 @@ class WearModel:
         for rate, law, worn, average in bodies:
             if law is not None:
                 rate[:] = averaged_rate(law, self.local_state(time, omega, worn), average, p)
+        if self._obliquity is not None:
+            rates *= self._obliquity
         return rates
 
     def rates_at(self, time: Numbers, wear: FloatArray, p: FloatArray) -> FloatArray:
@@ -347,6 +357,7 @@ class WearModel:
             at = self.local_state(time, largest(case.load.omega), zero)
             every = [law.d_rate_dp(p, at) for law in case.laws if law is not None]
             slopes = np.maximum(slopes, sum(every, zero))
+        slopes = slopes * self.compliance.obliquity
         return largest_stable_step(self.compliance, slopes)
 
 

@@ -37,7 +37,8 @@ def write_operator(path: Path, case: Case, comm: MPI.Comm) -> None:
     try:
         with together(comm):
             pair = assemble(case, comm)
-            rest = (pair.twist, pair.force_reaction, pair.torque_reaction)
+            slope = np.stack([pair.slope, pair.slope])
+            rest = (pair.twist, pair.force_reaction, pair.torque_reaction, slope)
             stacked = np.concatenate([pair.normal, np.stack(rest, axis=1)], axis=1)
     except InputError:
         raise
@@ -76,12 +77,12 @@ def map_operator(path: Path, case: Case, comm: MPI.Comm) -> ContactPair:
     with together(comm):
         stacked = _mapped(path)
     n = stacked.shape[2]
-    parts = stacked[:, :n], stacked[:, n], stacked[:, n + 1], stacked[:, n + 2]
-    return ContactPair(case.line, *parts, operator_key(case))
+    twist, force, torque, (slope, _) = (stacked[:, n + i] for i in range(4))
+    return ContactPair(case.line, stacked[:, :n], twist, force, torque, slope, operator_key(case))
 
 
 def _mapped(path: Path) -> FloatArray:
-    """Return two stacked (n + 3, n) matrices; network disks show files late, and piece by piece."""
+    """Return two stacked (n + 4, n) matrices; network disks show files late, and piece by piece."""
     limit = time.monotonic() + _PATIENCE_SECONDS
     while True:
         try:

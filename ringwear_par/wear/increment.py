@@ -66,12 +66,15 @@ class WearIncrement:
     at : local state of lower and upper at the end of the step, with the wear before it.
     step : s, or (B,) of them.
     averages : (n, n) matrices of the non-local laws, None for local ones.
+    obliquity : (n,) float, 1 / cos alpha of the sloping faces, None where they are flat: laws speak
+        of what is lost along the normal, and all results here of what is lost along the axis.
     """
 
     laws: tuple[WearLaw | Law | None, ...]
     at: tuple[LocalState, ...]
     step: float | FloatArray
     averages: tuple[FloatArray | None, ...] = (None, None)
+    obliquity: FloatArray | None = None
 
     #: whether all laws are local, so that ``d_depth_dp`` is the whole derivative
     local: bool = field(init=False, repr=False)
@@ -96,12 +99,16 @@ class WearIncrement:
             tuple(at.history(i) for at in self.at),
             history(self.step, i),
             self.averages,
+            self.obliquity,
         )
 
     def _depth(
         self, law: Law, at: LocalState, average: FloatArray | None, p: FloatArray
     ) -> FloatArray:
-        """Return what one body loses, mm; solves d = step rate(p, wear + d) where it remembers."""
+        """Return what one body loses along the normal, mm.
+
+        Solves d = step rate(p, wear + d) where it remembers.
+        """
         p = np.maximum(p, 0.0)
         if law.remembers:
             at = self._after(law, at, p)
@@ -160,8 +167,12 @@ class WearIncrement:
         """Return what lower and upper lose, (2, ..., n) mm."""
         depths = np.zeros((2, *p.shape))
         for i, law, at, average in self._each:
-            depths[i] = self._depth(law, at, average, p)
+            depths[i] = self._axial(self._depth(law, at, average, p))
         return depths
+
+    def _axial(self, normal: FloatArray) -> FloatArray:
+        """Return along the axis what is (..., n) along the normal."""
+        return normal if self.obliquity is None else self.obliquity * normal
 
     def rates(self, p: FloatArray, depths: FloatArray) -> FloatArray:
         """Return the rates of wear at the end of the step, (2, ..., n) mm/s.
@@ -171,27 +182,26 @@ class WearIncrement:
         """
         rates = np.zeros((2, *p.shape))
         for i, law, at, average in self._each:
-            there = replace(at, wear=at.wear + depths[i]) if law.remembers else at
-            rates[i] = averaged_rate(law, there, average, p)
+            lost = depths[i] if self.obliquity is None else depths[i] / self.obliquity
+            there = replace(at, wear=at.wear + lost) if law.remembers else at
+            rates[i] = self._axial(averaged_rate(law, there, average, p))
         return rates
 
     def depth(self, p: FloatArray) -> FloatArray:
         """Return the growth of the gap, (..., n) mm."""
-        return _total([self._depth(law, at, average, p) for _, law, at, average in self._each])
+        each = [self._depth(law, at, average, p) for _, law, at, average in self._each]
+        return self._axial(_total(each))
 
     def d_depth_dp(self, p: FloatArray) -> FloatArray:
         """Return d depth_e / d p_e, (..., n) mm/MPa; of local laws all there is."""
-        return _total(
-            [
-                self._d_depth_dp(law, at, p)
-                if average is None
-                else (
-                    (average * average.T)
-                    * self._d_depth_dp(law, at, averaged(average, p))[..., None, :]
-                ).sum(axis=-1)
-                for _, law, at, average in self._each
-            ]
-        )
+        each = []
+        for _, law, at, average in self._each:
+            if average is None:
+                each.append(self._d_depth_dp(law, at, p))
+            else:
+                slope = self._d_depth_dp(law, at, averaged(average, p))
+                each.append(((average * average.T) * slope[..., None, :]).sum(axis=-1))
+        return self._axial(_total(each))
 
     def jacobian(self, p: FloatArray) -> FloatArray:
         """Return d depth_e / d p_f, (..., n, n) mm/MPa."""
@@ -203,7 +213,7 @@ class WearIncrement:
             else:
                 slope = self._d_depth_dp(law, at, averaged(average, p))
                 total += (average * slope[..., None, :]) @ average
-        return total
+        return total if self.obliquity is None else self.obliquity[:, None] * total
 
     def linear(self, p: FloatArray, change: FloatArray) -> FloatArray:
         """Return what a small change of pressure does to the depth, (..., n) mm."""
@@ -224,7 +234,7 @@ class WearIncrement:
             q = np.maximum(p if average is None else averaged(average, p), 0.0)
             part = None if law.remembers else law.potential(q, at)
             parts.append(self._integrated(law, at, q) if part is None else self.step * part)
-        return _total(parts)
+        return self._axial(_total(parts))
 
     def _integrated(self, law: Law, at: LocalState, p: FloatArray) -> FloatArray:
         """Integrate the depth from the onset of wear to p by Gauss rules: exact where smooth."""
@@ -248,7 +258,11 @@ class WearIncrement:
                 'law = "non-local": needs a contact problem that every rank solves by itself; '
                 "must be used with fewer contact elements or -contact_tao_type python"
             )
-        return replace(self, at=tuple(at.part(here) for at in self.at))
+        return replace(
+            self,
+            at=tuple(at.part(here) for at in self.at),
+            obliquity=None if self.obliquity is None else self.obliquity[here],
+        )
 
 
 def _total(parts: list[FloatArray]) -> FloatArray:
