@@ -9,6 +9,7 @@ import pytest
 from ringwear_par.cases.reading import read_case
 from ringwear_par.elasticity.body import compliance
 from ringwear_par.elasticity.mesh import Mesh, contact_line, node_wear
+from ringwear_par.elasticity.slopes import case_slopes, common_slope
 from ringwear_par.elasticity.updated import moving_parts
 from ringwear_par.errors import ComputationError
 from ringwear_par.history.bodies import bodies
@@ -27,9 +28,10 @@ def agree(one, other, tolerance=1e-12):
 
 def fresh(case, worn, comm):
     """Normal compliance of both bodies from ordinary assemblies of the worn contours."""
+    slope = common_slope(case_slopes(case.sections, case.line, case.mesh, worn))
     return [
-        compliance(body, case.line, case.mesh, comm, node_wear(case.line, depth))
-        for body, depth in zip(bodies(case), worn, strict=True)
+        compliance(body, case.line, case.mesh, comm, node_wear(case.line, depth), own)
+        for body, depth, own in zip(bodies(case), worn, (slope, -slope), strict=True)
     ]
 
 

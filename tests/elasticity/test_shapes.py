@@ -96,8 +96,12 @@ def test_partly_overlapping_rings(comm):
     history = trace(case, comm)
     pair, states = history.model.compliance, history.states
     assert pair.symmetry_defect < 1e-3
-    # the inner edge digs in, the free end of the lower ring lifts off
-    assert (states[0].contact.pressure > 0).tolist() == [True] * 62 + [False] * 2
+    # the inner edge digs in, at the free end of the lower ring the pressure is small and regular
+    p = states[0].contact.pressure
+    assert p[0] > 10.0 * case.load.force / case.area
+    outer = p[pair.line.edges[-1] - pair.line.r < 0.05]
+    assert np.all((outer > 0.4 * 80.0) & (outer < 0.55 * 80.0))
+    assert np.abs(np.diff(outer) / outer[1:]).max() < 0.12
     assert history.balances.worst <= 1e-9
     assert max(history.balances.torque, history.balances.reaction) <= 1e-4
 
