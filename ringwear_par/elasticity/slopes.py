@@ -14,7 +14,7 @@ radial motion of a flat face closes no gap.
 import numpy as np
 
 from ringwear_par.arrays import FloatArray
-from ringwear_par.elasticity.mesh import ContactLine, Mesh, node_wear
+from ringwear_par.elasticity.mesh import ContactLine, Mesh
 from ringwear_par.elasticity.sections import Section
 
 
@@ -30,14 +30,13 @@ def face_slope(
     ----------
     worn : (n,) float, mm, depths worn off the elements; None for an unworn face.
     """
-    r, edges = line.r, line.edges
-    slope: FloatArray = np.diff(section.depth(edges)) / line.width
+    slope: FloatArray = np.diff(section.depth(line.edges)) / line.width
     if worn is None or not worn.any():
         return slope
+    r = line.gap_point
     half = np.maximum(0.5 * line.width, mesh.geometry_tolerance)
-    below, above = (np.clip(r + side * half, edges[0], edges[-1]) for side in (-1.0, 1.0))
-    depths = node_wear(line, worn)
-    lowered = np.interp(above, edges, depths) - np.interp(below, edges, depths)
+    below, above = (np.clip(r + side * half, r[0], r[-1]) for side in (-1.0, 1.0))
+    lowered = np.interp(above, r, worn) - np.interp(below, r, worn)
     return slope - lowered / (above - below)
 
 
