@@ -45,7 +45,7 @@ from ringwear_par.elasticity.pair import ContactCompliance, ContactPair, largest
 from ringwear_par.errors import RingwearError
 from ringwear_par.history.bodies import young
 from ringwear_par.history.euler import backward, forward
-from ringwear_par.history.model import WearModel
+from ringwear_par.history.model import CORRECTIONS, WearModel
 from ringwear_par.history.pairs import assemble
 from ringwear_par.history.simulate import simulate
 from ringwear_par.history.snapshots import Snapshot
@@ -190,7 +190,7 @@ def grows(model: WearModel, state: State, step: float, n_steps: int = 60) -> boo
     bump = np.zeros_like(state.wear)
     bump[0] = 1e-2 * (model.compliance.matrix @ sign) / model.area
     wear = state.wear + bump
-    contact = model.contact(state.time, wear)
+    contact = model.contact(state.time, wear, state.contact.pressure, None, CORRECTIONS)
     rates = model.rates_at(state.time, wear, contact.pressure)
     changed = replace(state, wear=wear, contact=contact, rates=rates)
     sizes = []
@@ -210,7 +210,9 @@ def measured_limit(pair: ContactPair, case: Case, guess: float, comm: MPI.Comm) 
     By bisection to 0.2 %, from a worn state with all in contact; p0 = 0.
     """
     with WearModel(case, comm, pair) as model:
-        state = backward(model, model.initial(), 100.0).state
+        state = model.initial()
+        for end in (100.0, 200.0, 300.0):  # until pressures hardly change
+            state = backward(model, state, end).state
         low = high = guess
         while grows(model, state, low):
             low, high = 0.5 * low, low

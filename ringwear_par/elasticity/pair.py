@@ -5,7 +5,6 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from mpi4py import MPI
-from scipy.linalg import eigh
 
 from ringwear_par.arrays import FloatArray
 from ringwear_par.elasticity.body import Compliance, compliance
@@ -56,8 +55,9 @@ class ContactCompliance:
     force_reaction, torque_reaction : (2, n) float, mm^2 and mm^3; force and torque on the fixed
         faces of lower and upper per unit pressure and unit shear on each element. Equilibrium asks
         for the area, and true area times arm; the difference vanishes with the mesh.
-    obliquity : (n,) float, 1 / cos alpha: true area, on which friction and wear act, over
-        projected area.
+    slope : (n,) float, tan alpha of the normals that pressure acts along, see ``slopes``.
+    excess : (n, n) float, mm/MPa, what the symmetric compliance has more than the collocated one:
+        K / m - C.
     """
 
     line: ContactLine
@@ -66,7 +66,13 @@ class ContactCompliance:
     symmetry_defect: float
     force_reaction: FloatArray
     torque_reaction: FloatArray
-    obliquity: FloatArray
+    slope: FloatArray
+    excess: FloatArray
+
+    @property
+    def obliquity(self) -> FloatArray:
+        """(n,), 1 / cos alpha: true area, on which friction and wear act, over projected area."""
+        return obliquity(self.slope)
 
 
 @dataclass(frozen=True)
@@ -137,7 +143,8 @@ class ContactPair:
             float(np.abs(weighted - weighted.T).max() / np.abs(weighted).max()),
             self.force_reaction,
             self.torque_reaction,
-            obliquity(self.slope),
+            self.slope,
+            matrix / line.area[:, None] - normal,
         )
 
 
@@ -185,7 +192,9 @@ def join_bodies(
 
 
 def largest_stable_step(compliance: ContactCompliance, slope: FloatArray) -> float:
-    """Return the largest stable explicit step, s: 2 / lambda_max(W C^-1), while all is in contact.
+    """Return the largest stable explicit step, s: 2 / lambda_max(C^-1 W), while all is in contact.
+
+    C is the collocated compliance.
 
     Parameters
     ----------
@@ -193,7 +202,5 @@ def largest_stable_step(compliance: ContactCompliance, slope: FloatArray) -> flo
     """
     if not slope.any():
         return np.inf
-    n = compliance.line.n
-    weighted = np.diag(compliance.line.area * slope)
-    largest = eigh(weighted, compliance.matrix, eigvals_only=True, subset_by_index=(n - 1, n - 1))
-    return float(2.0 / largest[0])
+    collocated = compliance.matrix / compliance.line.area[:, None] - compliance.excess
+    return float(2.0 / np.abs(np.linalg.eigvals(np.linalg.solve(collocated, np.diag(slope)))).max())

@@ -9,7 +9,7 @@ rate.
 import numpy as np
 
 from ringwear_par.arrays import Numbers, columns
-from ringwear_par.history.model import WearModel
+from ringwear_par.history.model import CORRECTIONS, WearModel
 from ringwear_par.history.schemes import Step, advanced
 from ringwear_par.history.state import State
 from ringwear_par.schedules import mean
@@ -23,7 +23,7 @@ def forward(model: WearModel, state: State, end: Numbers) -> Step:
     if not model.steady_speed:
         rates = model.rates(state.time, omega, state.wear, p)
     depths, volumes = columns(length) * rates, length * model.integrals(rates)
-    contact = model.contact(end, state.wear + depths)
+    contact = model.contact(end, state.wear + depths, p, None, CORRECTIONS)
     then = model.rates_at(end, state.wear + depths, contact.pressure)
     energy = length * omega * model.torque(p)
     after = advanced(model, state, end, depths, volumes, energy, contact, then)
@@ -35,7 +35,7 @@ def backward(model: WearModel, state: State, end: Numbers) -> Step:
     length = end - state.time
     omega = mean(model.omega, state.time, end)
     during = model.increment(end, omega, state.wear, length)
-    contact = model.contact(end, state.wear, during)
+    contact = model.contact(end, state.wear, state.contact.pressure, during)
     p = contact.pressure
     depths = during.depths(p)
     then = during.rates(p, depths)

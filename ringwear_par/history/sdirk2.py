@@ -34,11 +34,11 @@ def step(model: WearModel, state: State, end: Numbers) -> Step:
     speeds = [in_time(model.omega, t) for t in (state.time, middle, end)]
 
     first = model.increment(middle, speeds[1], state.wear, GAMMA * length)
-    stage = model.contact(middle, state.wear, first)
+    stage = model.contact(middle, state.wear, state.contact.pressure, first)
     worn_first = first.depths(stage.pressure)
     carried = state.wear + _SHARE * worn_first
     last = model.increment(end, speeds[2], carried, GAMMA * length)
-    contact = model.contact(end, carried, last)
+    contact = model.contact(end, carried, stage.pressure, last)
     worn_last = last.depths(contact.pressure)
 
     pressures = state.contact.pressure, stage.pressure, contact.pressure

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ringwear_par.elasticity.slopes import case_slopes
 from ringwear_par.history.balances import Balances
 from ringwear_par.history.model import WearModel
 from ringwear_par.history.state import State
@@ -14,6 +15,10 @@ _FEW_ELEMENTS = 10
 _MOST_MOVED = 0.05
 #: largest defect of the boundary elements' own balances
 _MOST_DEFECT = 0.01
+#: largest angle (degrees) between faces that touch, and share of the load that may exceed it
+_MOST_ANGLE, _LOAD_ASIDE = 15.0, 0.01
+#: largest error of a pressure that comes of making the compliance symmetric
+_MOST_ASYMMETRY = 0.05
 
 
 @dataclass(frozen=True)
@@ -31,7 +36,7 @@ class Doubt:
 
 
 def doubts(model: WearModel, state: State, balances: Balances) -> tuple[Doubt, ...]:
-    """Return where the last state of a case leaves what the method is made for. Not collective.
+    """Return where the last state of a case leaves what the method is made for. Collective.
 
     Parameters
     ----------
@@ -75,7 +80,47 @@ def doubts(model: WearModel, state: State, balances: Balances) -> tuple[Doubt, .
                 "(mesh.contact_elements) or thicker bodies are needed",
             )
         )
-    return tuple(found)
+    return (*found, *_unlike_slopes(model, state), *_asymmetric(model))
+
+
+def _unlike_slopes(model: WearModel, state: State) -> list[Doubt]:
+    """Return whether faces that touch slope by different angles, now or as elements have them."""
+    case, line, p = model.case, model.line, state.contact.pressure
+    if not any(section.face for section in case.sections):
+        return []  # contact does not last where wear alone slopes faces apart
+    slopes = [*case_slopes(case.sections, line, case.mesh, state.wear), model.compliance.slope]
+    angles = np.degrees(np.arctan(slopes))
+    load = line.area * p
+    apart = (np.ptp(angles, axis=0) > _MOST_ANGLE) & (p > 0.0)
+    share = float(load[apart].sum() / load.sum()) if apart.any() else 0.0
+    if share <= _LOAD_ASIDE:
+        return []
+    e = int(np.where(apart, load, 0.0).argmax())
+    lower, upper, acts = angles[:, e]
+    return [
+        Doubt(
+            "unlike_slopes",
+            f"faces that touch slope by different angles on elements that bear {share:.2g} of the "
+            f"load: at r = {line.r[e]:.6g} mm lower by {lower:.3g}, upper by {upper:.3g} degrees, "
+            f"while pressure acts along the normal of a face of {acts:.3g} degrees"
+            + ('; mesh.geometry = "updated" follows the worn faces' * (not case.follows_wear)),
+        )
+    ]
+
+
+def _asymmetric(model: WearModel) -> list[Doubt]:
+    """Return whether making the compliance symmetric spoils the last pressures. Collective."""
+    error, e = model.collocation_error
+    if error <= _MOST_ASYMMETRY:
+        return []
+    return [
+        Doubt(
+            "asymmetric_compliance",
+            f"the pressure at r = {model.line.r[e]:.6g} mm is about {error:.2g} off that of the "
+            "collocated equations, whose matrix was made symmetric: smaller steps, a finer mesh or "
+            "a milder grading are needed",
+        )
+    ]
 
 
 def instability(model: WearModel) -> tuple[Doubt, ...]:

@@ -88,10 +88,14 @@ def test_equilibrium_and_bodies_that_meet(case, overrides, shared_path, comm):
         gap = height[1] - height[0]
         if shape is not None and row < len(result.boundary) - 1:
             continue  # with other elements
-        # what the symmetric part of the compliance leaves out is all that is between
-        left_out = normal @ p - compliance.matrix @ p / line.area
-        assert np.abs(gap - result.profiles["gap"][row] - left_out).max() < 1e-12
-        assert np.abs(gap[p > 0]).max() < 1e-3 * result.histories["approach"][row]
+        # all that is between is what the symmetric compliance leaves out of the change of pressure
+        # in the last step; with several steps between two stored states, it is far less
+        change = p if row == 0 else p - result.profiles["pressure"][row - 1]
+        left_out = normal @ change - compliance.matrix @ change / line.area
+        between = np.abs(gap - result.profiles["gap"][row])
+        if shape is None:
+            assert between.max() < 1.001 * np.abs(left_out).max()
+        assert np.abs(gap[p > 0]).max() < 2e-4 * result.histories["approach"][row]
         assert (result.profiles["gap"][row][p > 0] < 1e-9).all()
 
 
