@@ -280,14 +280,15 @@ class WearModel:
         corrections: int,
     ) -> ContactState:
         """Return the contact of one history, see ``contact``."""
-        solver, excess, iterations = self._solvers[i], self.compliance.excess, 0
+        solver, excess, before = self._solvers[i], self.compliance.excess, 0
         while True:
             found = solver.solve(gap - excess @ near, force=force, approach=approach, wear=during)
+            if before:
+                found = replace(found, iterations=before + found.iterations)
             self._solutions[i] = near, found.pressure
-            iterations += found.iterations
             if corrections == 0 or self._collocation_errors(i).max() <= _COLLOCATED:
-                return replace(found, iterations=iterations)
-            near, corrections = found.pressure, corrections - 1
+                return found
+            near, before, corrections = found.pressure, found.iterations, corrections - 1
 
     def _collocation_errors(self, i: int) -> FloatArray:
         """Return (n,), how far about the last pressures of a history are off the collocated ones.
