@@ -18,8 +18,11 @@ from ringwear_par.wear.increment import Closing
 
 #: gaps that a step may close, in what the fastest element wears in it
 _REACH = 2.0
-#: measured share of the pressure at stake that an element is off by after it has entered
-_ENTRY_ERROR = 0.33
+#: largest area of elements that enter, in that of those in contact
+_MOST = 0.25
+#: measured shares of the pressure at stake that elements are off by after they have entered, in a
+#: step of their own and in the stages of all others
+_ENTRY_ERROR, _STAGE_ERROR = 0.33, 0.67
 
 
 @dataclass(frozen=True)
@@ -60,7 +63,7 @@ class Entering:
             lacking = np.asarray(inner(area, np.where(late, (1.0 - counts) * p, 0.0)))
             carried = np.asarray(inner(area, np.where(late, 0.0, p)))
             more = np.divide(lacking, carried, out=np.zeros_like(carried), where=carried > 0.0)
-            ones = ones + more[..., None]
+            ones = ones + np.maximum(more, -0.9)[..., None]  # wear never falls
         return np.where(late, counts, ones)
 
 
@@ -68,7 +71,8 @@ def entering(model: WearModel, state: State, length: Numbers) -> Entering | None
     """Return the elements that wear may bring into contact; None where there are none.
 
     Where an element that wears yields more elastically than it wears, its gap is not closed by
-    wear, and stages do as for all others. Non-local laws are not asked.
+    wear; many elements that enter at once change all pressures; and non-local laws wear them before
+    they touch. In these cases stages do as for all others, and ``entry_error`` judges.
     """
     p, gap = state.contact.pressure, state.contact.gap
     if not model.wears_locally or (p > 0.0).all():
@@ -76,12 +80,22 @@ def entering(model: WearModel, state: State, length: Numbers) -> Entering | None
     worn = columns(length * state.rates.sum(axis=0).max(axis=-1))
     late = (p <= 0.0) & (gap > 0.0) & (gap < _REACH * worn)
     late &= worn > model.yielding(columns(p.max(axis=-1)))
+    # the others can make up for what a few of them carry
+    touching = np.asarray(inner(model.area, (p > 0.0).astype(float)))
+    joining = np.asarray(inner(model.area, (late & (gap < worn)).astype(float)))
+    late &= (joining <= _MOST * touching)[..., None]
     if not late.any():
         return None
     return Entering(np.where(late, gap, 0.0), model.area, model.force is not None)
 
 
-def entry_error(model: WearModel, before: State, after: State, unhindered: FloatArray) -> Numbers:
+def entry_error(
+    model: WearModel,
+    enter: Entering | None,
+    before: State,
+    after: State,
+    unhindered: FloatArray,
+) -> Numbers:
     """Return the estimated error of the pressure of elements that a step brought into contact, MPa.
 
     Such a pressure is right where the wear of the element is far more than what it yields, or far
@@ -99,4 +113,7 @@ def entry_error(model: WearModel, before: State, after: State, unhindered: Float
     elastic, most = model.yielding(p), unhindered.sum(axis=0)
     worn = (after.wear - before.wear).sum(axis=0)
     size = np.maximum((elastic + worn) * (elastic + most), np.finfo(float).tiny)
-    return _ENTRY_ERROR * np.where(came, p * elastic * most / size, 0.0).max(axis=-1)
+    share: FloatArray | float = _STAGE_ERROR
+    if enter is not None:
+        share = np.where(enter.late, _ENTRY_ERROR, _STAGE_ERROR)
+    return np.where(came, share * p * elastic * most / size, 0.0).max(axis=-1)

@@ -78,7 +78,7 @@ def step(model: WearModel, state: State, end: Numbers) -> Step:
     ).sum(axis=0)
     if enter is not None:  # those make one step of first order, see ``entry_error``
         defect = np.where(enter.late, 0.0, defect)
-    off = entry_error(model, state, after, worn_last)
+    off = entry_error(model, enter, state, after, worn_last)
     if defect.any():
         # the wear that the defect undoes by the pressure that it takes away
         relief = model.pressure_response(defect)
