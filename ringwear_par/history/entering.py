@@ -109,7 +109,7 @@ def entry_error(
     p = after.contact.pressure
     came = (before.contact.pressure <= 0.0) & (p > 0.0)
     if not came.any():
-        return np.zeros(p.shape[:-1])[()]
+        return 0.0 if p.ndim == 1 else np.zeros(len(p))
     elastic, most = model.yielding(p), unhindered.sum(axis=0)
     worn = (after.wear - before.wear).sum(axis=0)
     size = np.maximum((elastic + worn) * (elastic + most), np.finfo(float).tiny)

@@ -11,6 +11,7 @@ contact within a step are dealt with apart: see ``entering``.
 
 import math
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -39,16 +40,15 @@ def step(model: WearModel, state: State, end: Numbers) -> Step:
     speeds = [in_time(model.omega, t) for t in (state.time, middle, end)]
 
     enter = entering(model, state, length)
-    once, closing = np.ones_like(state.contact.pressure), None
-    if enter is not None:
-        closing = enter.closing(GAMMA * length, once)
+    closing = None if enter is None else enter.closing(GAMMA * length, np.ones_like(enter.gap))
     first = model.increment(middle, speeds[1], state.wear, GAMMA * length, closing)
     stage = model.contact(middle, state.wear, first)
     worn_first = first.unhindered(stage.pressure)
-    counts = once if enter is None else enter.counts(stage.pressure, 0.0)
+    counts = 1.0 if enter is None else enter.counts(stage.pressure, 0.0)
     carried = state.wear + _SHARE * (counts * worn_first)
     last, contact, counts_last = _last_stage(model, enter, end, speeds[2], carried, length)
     worn_last = last.unhindered(contact.pressure)
+    losses = worn_last if enter is None else last.depths(contact.pressure)
 
     pressures = state.contact.pressure, counts * stage.pressure, counts_last * contact.pressure
     powers = np.stack(
@@ -60,7 +60,7 @@ def step(model: WearModel, state: State, end: Numbers) -> Step:
         residual=larger(stage.residual, contact.residual),
     )
     energy = length * inner(_WEIGHTS, powers)
-    depths = _SHARE * (counts * worn_first) + last.depths(contact.pressure)
+    depths = _SHARE * (counts * worn_first) + losses
     then = last.rates(contact.pressure, worn_last)
     volumes = length * model.integrals(
         _WEIGHTS[1] * (counts * first.rates(stage.pressure, worn_first))
@@ -100,13 +100,13 @@ def _last_stage(
     speed: Numbers,
     carried: FloatArray,
     length: Numbers,
-) -> tuple[WearIncrement, ContactState, FloatArray]:
+) -> tuple[WearIncrement, ContactState, FloatArray | float]:
     """Return the last stage, its contact, and how many times its weight it counts, (..., n)."""
     step = GAMMA * length
     if enter is None:
         last = model.increment(end, speed, carried, step)
         contact = model.contact(end, carried, last)
-        return last, contact, np.ones_like(contact.pressure)
+        return last, contact, 1.0
     counts = np.where(enter.late, 1.0 / GAMMA, 1.0)
     last = model.increment(end, speed, carried, step, enter.closing(step, counts))
     contact = model.contact(end, carried, last)
@@ -127,6 +127,8 @@ def _last_stage(
 
 def _over_mean(off: Numbers, model: WearModel, contact: ContactState) -> Numbers:
     """Return a pressure over the mean of those in contact; 0 out of contact."""
-    touching = inner(model.area, (contact.pressure > 0.0).astype(float))
-    force = np.asarray(contact.force)
-    return np.divide(off * touching, force, out=np.zeros(force.shape), where=force > 0.0)[()]
+    touching = inner(model.area, contact.pressure > 0.0)
+    if isinstance(touching, float):  # of one history, and quicker
+        return float(off * touching / contact.force) if contact.force > 0.0 else 0.0
+    force: Any = contact.force
+    return np.divide(off * touching, force, out=np.zeros_like(touching), where=force > 0.0)
