@@ -127,7 +127,7 @@ def _last_stage(
 
 def _over_mean(off: Numbers, model: WearModel, contact: ContactState) -> Numbers:
     """Return a pressure over the mean of those in contact; 0 out of contact."""
-    touching = inner(model.area, contact.pressure > 0.0)
+    touching = inner(model.area, (contact.pressure > 0.0).astype(float))
     if isinstance(touching, float):  # of one history, and quicker
         return float(off * touching / contact.force) if contact.force > 0.0 else 0.0
     force: Any = contact.force
