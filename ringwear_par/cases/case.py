@@ -55,7 +55,8 @@ class Load:
 class Stepping:
     """Time steps: ``steps`` of length ``step`` (s), or adaptive ones until ``until`` (s).
 
-    ``tolerance`` (mm) is the largest error of wear of an adaptive step.
+    ``tolerance`` (mm) is the largest error of wear of an adaptive step, ``pressure_tolerance`` that
+    of pressure over the mean pressure.
     """
 
     scheme: Literal["implicit", "explicit", "adaptive"]
@@ -63,6 +64,7 @@ class Stepping:
     steps: int = 0
     until: float = 0.0
     tolerance: float = 2.5e-6
+    pressure_tolerance: float = 0.1
 
     @property
     def adaptive(self) -> bool:

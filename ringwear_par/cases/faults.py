@@ -93,7 +93,7 @@ def unread_keys(keys: Mapping[str, Any]) -> dict[str, str]:
         for path in ("time.step", "time.steps"):
             unread[path] = "time.end" in keys, "must be absent beside time.end"
     elif given("time.scheme") in ("implicit", "explicit"):
-        for path in ("time.end", "time.tolerance"):
+        for path in ("time.end", "time.tolerance", "time.pressure_tolerance"):
             unread[path] = True, 'needs time.scheme = "adaptive"'
     return {path: rule for path, (so, rule) in unread.items() if so and path in keys}
 

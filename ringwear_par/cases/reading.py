@@ -192,5 +192,8 @@ def _stepping(values: Mapping[str, Any]) -> Stepping:
         return Stepping(scheme, step, steps)
     end = values["time.end"]
     return Stepping(
-        scheme, until=step * steps if end is None else end, tolerance=values["time.tolerance"]
+        scheme,
+        until=step * steps if end is None else end,
+        tolerance=values["time.tolerance"],
+        pressure_tolerance=values["time.pressure_tolerance"],
     )

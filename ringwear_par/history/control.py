@@ -72,14 +72,14 @@ class FixedSteps:
 
 
 class ErrorControl:
-    """Steps whose estimated errors of wear and energy are within tolerances.
+    """Steps whose estimated errors of wear, pressure and energy are within tolerances.
 
     They end at the times at which a schedule or a parameter bends, and while elements follow the
     wear they wear about the tolerance of the geometry at most.
 
     Parameters
     ----------
-    case : its ``time.end``, ``time.tolerance`` (mm) and breakpoints.
+    case : its ``time.end``, ``time.tolerance`` (mm), ``time.pressure_tolerance`` and breakpoints.
     progress : from where on.
     """
 
@@ -89,6 +89,7 @@ class ErrorControl:
         self._length = self._end = 0.0
         self._cut = False
         self._iterations, self._failure = 0, ""
+        self._pressed = False  # whether a try of the present step failed by its pressure
 
     def end(self, state: State) -> float:
         """Return the time to which the next step is tried, s.
@@ -100,7 +101,7 @@ class ErrorControl:
         time = self._case.time
         limit = next((t for t in self._case.breakpoints if t > state.time), time.end)
         if self._from is None:
-            self._iterations, self._failure = 0, ""
+            self._iterations, self._failure, self._pressed = 0, "", False
             self._length = self.progress.next_step or _first_length(self._case, state)
             if self._case.follows_wear:
                 self._length = min(self._length, _longest_length(self._case, state))
@@ -114,7 +115,8 @@ class ErrorControl:
             self._end = state.time + (self._length if whole else 0.5 * left)
         if self._end - state.time <= 4.0 * np.spacing(state.time):
             raise ComputationError(
-                f"time.tolerance = {time.tolerance:g} mm is not met by any step; the last one "
+                f"time.tolerance = {time.tolerance:g} mm and time.pressure_tolerance = "
+                f"{time.pressure_tolerance:g} are not met by any step; the last one "
                 f"would be {self._end - state.time:.3g} s{self._failure}"
             )
         return self._end
@@ -141,12 +143,16 @@ class ErrorControl:
             whole = step.state.energy + step.power * (time.end - self._end)
             ratio = step.energy_error / (_ENERGY_TOLERANCE * whole)
         ratio = max(ratio, step.wear_error / time.tolerance, 1e-6)
+        pressed = step.pressure_error / time.pressure_tolerance
+        if pressed > 1.0:
+            ratio, self._pressed = max(ratio, pressed), True
         change = max(_SAFETY * ratio ** (-1.0 / 3.0), _LARGEST_CUT)
         if ratio > 1.0:
             self._length = length * change
             self.progress = replace(made, rejected=made.rejected + 1)
             return False
-        following = length * min(change, _LARGEST_GROWTH)
+        # errors of pressure come and go with elements: they limit steps, but do not foretell them
+        following = length * min(change, 1.0 if self._pressed else _LARGEST_GROWTH)
         self.progress = replace(
             made,
             steps=made.steps + 1,

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from mpi4py import MPI
 
-from ringwear_par.arrays import FloatArray, Numbers, columns, inner
+from ringwear_par.arrays import BoolArray, FloatArray, Numbers, columns, inner
 from ringwear_par.cases.case import Case
 from ringwear_par.contact.problem import ContactState, WarmStart
 from ringwear_par.contact.solver import ContactSolver
@@ -26,7 +26,7 @@ from ringwear_par.history.bodies import young
 from ringwear_par.history.pairs import assemble, updated_geometry
 from ringwear_par.history.state import Start, State
 from ringwear_par.schedules import Quantity, in_time, integral, largest, stack
-from ringwear_par.wear.increment import WearIncrement, averaged_rate, averaging
+from ringwear_par.wear.increment import Closing, WearIncrement, averaged_rate, averaging
 from ringwear_par.wear.law import LocalState, stack_laws
 
 #: relative error at which pressures count as those of the collocated equations, and how often
@@ -96,6 +96,10 @@ class WearModel:
             law is not None and law.reads_wear for law in self.laws
         )
         self._wears = any(law is not None for law in self.laws)
+        #: whether the wear of each element depends on its own pressure alone
+        self.wears_locally = self._wears and not any(
+            law is not None and law.length for law in self.laws
+        )
         self._take(self.pair)
         #: pressures that the compliance was corrected at, and found, of the last solutions
         self._solutions: dict[int, tuple[FloatArray, FloatArray]] = {}
@@ -226,6 +230,7 @@ class WearModel:
         near: FloatArray,
         during: WearIncrement | None = None,
         corrections: int = 0,
+        found: tuple[BoolArray, ContactState] | None = None,
     ) -> ContactState:
         """Return the contact at a time, under the loads of that time. Collective.
 
@@ -240,6 +245,7 @@ class WearModel:
         near : (..., n) float, MPa, pressures at the start of the step.
         during : wear of an implicit step, which is part of the contact problem.
         corrections : how often at most to repeat this from the solution on.
+        found : which of B histories have their solution already, and it.
 
         Raises
         ------
@@ -256,7 +262,9 @@ class WearModel:
             return self._solved(0, gap, near, force, approach, during, corrections)
         return _stacked(
             [
-                self._solved(
+                _one(found[1], i)
+                if found is not None and found[0][i]
+                else self._solved(
                     i,
                     gap[i],
                     near[i],
@@ -326,6 +334,10 @@ class WearModel:
             [each.response(g, kept) for each, g in zip(self._solvers, gap, strict=True)]
         )
 
+    def yielding(self, p: FloatArray) -> FloatArray:
+        """Return what each element yields, (..., n) mm, to its own pressure alone, MPa."""
+        return np.diagonal(self.compliance.matrix) / self.area * p
+
     # -- wear, eq. (4) -----------------------------------------------------------------------------
 
     def local_state(self, time: Numbers, omega: Numbers, wear: FloatArray) -> LocalState:
@@ -341,12 +353,22 @@ class WearModel:
         )
 
     def increment(
-        self, time: Numbers, omega: Numbers, wear: FloatArray, step: Numbers
+        self,
+        time: Numbers,
+        omega: Numbers,
+        wear: FloatArray,
+        step: Numbers,
+        closing: Closing | None = None,
     ) -> WearIncrement:
-        """Return the wear of an implicit step that ends at a time, from wear (2, ..., n) mm on."""
+        """Return the wear of an implicit step that ends at a time, from wear (2, ..., n) mm on.
+
+        ``closing`` is of elements that come into contact in it.
+        """
         lower = self.local_state(time, omega, wear[0])
         upper = self.local_state(time, omega, wear[1]) if self.laws[1] is not None else lower
-        return WearIncrement(self.laws, (lower, upper), step, self._averages, self._obliquity)
+        return WearIncrement(
+            self.laws, (lower, upper), step, self._averages, self._obliquity, closing
+        )
 
     def rates(self, time: Numbers, omega: Numbers, wear: FloatArray, p: FloatArray) -> FloatArray:
         """Return the rates of wear of lower and upper, (2, ..., n) mm/s, at pressure and wear."""
@@ -449,6 +471,11 @@ def _stacked(solutions: Sequence[ContactState]) -> ContactState:
         return np.array([getattr(solution, name) for solution in solutions])
 
     return ContactState(*(of_all(each.name) for each in fields(ContactState)))
+
+
+def _one(solutions: ContactState, i: int) -> ContactState:
+    """Return the solution of one of B histories."""
+    return ContactState(*(getattr(solutions, each.name)[i] for each in fields(ContactState)))
 
 
 def _stacked_loads(loads: Sequence[Quantity | None]) -> Quantity | None:

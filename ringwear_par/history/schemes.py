@@ -26,12 +26,16 @@ class Step:
     energy_error : float or (B,), N mm, estimated error of the energy dissipated in the step; 0 from
         a scheme that leaves it to the wear.
     power : float or (B,), N mm/s, largest power of friction in the step, where there is such error.
+    pressure_error : float or (B,), estimated error of the pressure at the end, of the worst
+        element, over the mean pressure (force over the area in contact); 0 from a scheme that does
+        not know it.
     """
 
     state: State
     wear_error: Numbers
     energy_error: Numbers = 0.0
     power: Numbers = 0.0
+    pressure_error: Numbers = 0.0
 
 
 Scheme = Callable[[WearModel, State, Numbers], Step]

@@ -4,19 +4,25 @@ Both stages are implicit in the same way (L-stable, stiffly accurate, all coeffi
 that wear never falls and the last stage is the contact with the worn profile). The error is the
 difference to the integral of the quadratic through the rates at the start and the two stages;
 its stiff part, which the formula damps but the estimate does not, is filtered by (I + gamma h W
-C^-1)^-1, with what the last stage knows (Hosea and Shampine, Appl. Numer. Math. 20 (1996) 21-37).
+C^-1)^-1, with what the last stage knows (Hosea and Shampine, Appl. Numer. Math. 20 (1996) 21-37);
+the pressure that the filter takes away is the error of the pressure. Elements that wear brings into
+contact within a step are dealt with apart: see ``entering``.
 """
 
 import math
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
-from ringwear_par.arrays import Numbers, columns, inner, larger
+from ringwear_par.arrays import FloatArray, Numbers, columns, inner, larger
+from ringwear_par.contact.problem import ContactState
+from ringwear_par.history.entering import Entering, entering, entry_error
 from ringwear_par.history.model import WearModel
 from ringwear_par.history.schemes import Step, advanced
 from ringwear_par.history.state import State
 from ringwear_par.schedules import in_time
+from ringwear_par.wear.increment import WearIncrement
 
 GAMMA = 1.0 - 1.0 / math.sqrt(2.0)
 # weights of the rates at 0, gamma and 1; what the integral of the quadratic through them has more
@@ -33,15 +39,20 @@ def step(model: WearModel, state: State, end: Numbers) -> Step:
     middle = state.time + GAMMA * length
     speeds = [in_time(model.omega, t) for t in (state.time, middle, end)]
 
-    first = model.increment(middle, speeds[1], state.wear, GAMMA * length)
+    enter = entering(model, state, length)
+    closing = None if enter is None else enter.closing(GAMMA * length, np.ones_like(enter.gap))
+    first = model.increment(middle, speeds[1], state.wear, GAMMA * length, closing)
     stage = model.contact(middle, state.wear, state.contact.pressure, first)
-    worn_first = first.depths(stage.pressure)
-    carried = state.wear + _SHARE * worn_first
-    last = model.increment(end, speeds[2], carried, GAMMA * length)
-    contact = model.contact(end, carried, stage.pressure, last)
-    worn_last = last.depths(contact.pressure)
+    worn_first = first.unhindered(stage.pressure)
+    counts = 1.0 if enter is None else enter.counts(stage.pressure, 0.0)
+    carried = state.wear + _SHARE * (counts * worn_first)
+    last, contact, counts_last = _last_stage(
+        model, enter, end, speeds[2], carried, length, stage.pressure
+    )
+    worn_last = last.unhindered(contact.pressure)
+    losses = worn_last if enter is None else last.depths(contact.pressure)
 
-    pressures = state.contact.pressure, stage.pressure, contact.pressure
+    pressures = state.contact.pressure, counts * stage.pressure, counts_last * contact.pressure
     powers = np.stack(
         [speed * model.torque(p) for speed, p in zip(speeds, pressures, strict=True)], axis=-1
     )
@@ -51,25 +62,79 @@ def step(model: WearModel, state: State, end: Numbers) -> Step:
         residual=larger(stage.residual, contact.residual),
     )
     energy = length * inner(_WEIGHTS, powers)
-    depths = _SHARE * worn_first + worn_last
+    depths = _SHARE * (counts * worn_first) + losses
     then = last.rates(contact.pressure, worn_last)
     volumes = length * model.integrals(
-        _WEIGHTS[1] * first.rates(stage.pressure, worn_first) + _WEIGHTS[2] * then
+        _WEIGHTS[1] * (counts * first.rates(stage.pressure, worn_first))
+        + _WEIGHTS[2] * (counts_last * then)
     )
     if not model.rates_last:
         then = model.rates(end, speeds[2], state.wear + depths, contact.pressure)
     after = advanced(model, state, end, depths, volumes, energy, contact, then)
+    standard = worn_last  # in a last stage of its usual length
+    if enter is not None:
+        standard = np.where(enter.late, 0.0, worn_last / np.where(enter.late, 1.0, counts_last))
     defect = (
         _DEFECT[0] * columns(length) * state.rates
-        + (_DEFECT[1] * worn_first + _DEFECT[2] * worn_last) / GAMMA
+        + (_DEFECT[1] * worn_first + _DEFECT[2] * standard) / GAMMA
     ).sum(axis=0)
+    if enter is not None:  # those make one step of first order, see ``entry_error``
+        defect = np.where(enter.late, 0.0, defect)
+    off = entry_error(model, enter, state, after, worn_last)
     if defect.any():
         # the wear that the defect undoes by the pressure that it takes away
         relief = model.pressure_response(defect)
+        off = larger(off, np.abs(relief).max(axis=-1))
         defect = defect + last.linear(contact.pressure, relief)
     return Step(
         after,
         np.abs(defect).max(axis=-1),
         abs(length * inner(_DEFECT, powers)),
         powers.max(axis=-1),
+        _over_mean(off, model, contact),
     )
+
+
+def _last_stage(
+    model: WearModel,
+    enter: Entering | None,
+    end: Numbers,
+    speed: Numbers,
+    carried: FloatArray,
+    length: Numbers,
+    near: FloatArray,
+) -> tuple[WearIncrement, ContactState, FloatArray | float]:
+    """Return the last stage, its contact, and how many times its weight it counts, (..., n).
+
+    ``near`` are the pressures of the stage before, (..., n) MPa.
+    """
+    step = GAMMA * length
+    if enter is None:
+        last = model.increment(end, speed, carried, step)
+        contact = model.contact(end, carried, near, last)
+        return last, contact, 1.0
+    counts = np.where(enter.late, 1.0 / GAMMA, 1.0)
+    last = model.increment(end, speed, carried, step, enter.closing(step, counts))
+    contact = model.contact(end, carried, near, last)
+    p, inside = contact.pressure, last.share(last.unhindered(contact.pressure))
+    if enter.force_kept:
+        # what the others count depends on what those that enter carry: so little that twice will do
+        counts = np.where(enter.late, counts, enter.counts(p, inside / GAMMA))
+        last = model.increment(end, speed, carried, step, enter.closing(step, counts))
+        found = None if p.ndim == 1 else (~enter.late.any(axis=-1), contact)
+        again = model.contact(end, carried, near, last, found=found)
+        more: Numbers = (
+            contact.iterations if found is None else np.where(found[0], 0, contact.iterations)
+        )
+        contact = replace(again, iterations=again.iterations + more)
+        inside = last.share(last.unhindered(contact.pressure))
+    return last, contact, counts * inside
+
+
+def _over_mean(off: Numbers, model: WearModel, contact: ContactState) -> Numbers:
+    """Return a pressure over the mean of those in contact; 0 out of contact."""
+    touching = inner(model.area, (contact.pressure > 0.0).astype(float))
+    if isinstance(touching, float):  # of one history, and quicker
+        return float(off * touching / contact.force) if contact.force > 0.0 else 0.0
+    force: Any = contact.force
+    return np.divide(off * touching, force, out=np.zeros_like(touching), where=force > 0.0)

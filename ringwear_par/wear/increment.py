@@ -13,7 +13,7 @@ from ringwear_par.wear.law import Law, LocalState, WearLaw, complete
 _MEMORY_ITERATIONS = 60
 #: relative change at which the wear of a step is found, and below which it may stop falling
 _ROUND_OFF, _NOISE = 1e-15, 1e-9
-_POTENTIAL_PANELS = 8
+_POTENTIAL_PANELS, _BISECTIONS = 8, 60
 _GAUSS = tuple(0.5 * v for v in np.polynomial.legendre.leggauss(8))
 
 
@@ -54,6 +54,27 @@ def averaged_rate(
 
 
 @dataclass(frozen=True)
+class Closing:
+    """Elements whose gap wear has to close in a step before it can take anything off.
+
+    Where the bodies around an element wear as fast as its gap closes, what it would lose in contact
+    all along is gap first and wear then: ``max(0, step rate(p) - gap)``.
+
+    Parameters
+    ----------
+    gap : (..., n) float, mm, at the start of the step; 0 in contact.
+    step : (..., n) float, s, of each element.
+    """
+
+    gap: FloatArray
+    step: FloatArray
+
+    def part(self, here: slice) -> "Closing":
+        """Return the same for some of the elements."""
+        return Closing(self.gap[..., here], self.step[..., here])
+
+
+@dataclass(frozen=True)
 class WearIncrement:
     """Wear of both bodies over one implicit step, as a function of the pressure at its end.
 
@@ -68,6 +89,8 @@ class WearIncrement:
     averages : (n, n) matrices of the non-local laws, None for local ones.
     obliquity : (n,) float, 1 / cos alpha of the sloping faces, None where they are flat: laws speak
         of what is lost along the normal, and all results here of what is lost along the axis.
+    closing : of local laws, elements that come into contact in the step; its steps are those of
+        the elements.
     """
 
     laws: tuple[WearLaw | Law | None, ...]
@@ -75,6 +98,7 @@ class WearIncrement:
     step: float | FloatArray
     averages: tuple[FloatArray | None, ...] = (None, None)
     obliquity: FloatArray | None = None
+    closing: Closing | None = None
 
     #: whether all laws are local, so that ``d_depth_dp`` is the whole derivative
     local: bool = field(init=False, repr=False)
@@ -89,7 +113,9 @@ class WearIncrement:
         ]
         object.__setattr__(self, "_each", each)
         object.__setattr__(self, "local", all(a is None for a in self.averages))
-        if isinstance(self.step, np.ndarray):
+        if self.closing is not None:
+            object.__setattr__(self, "step", self.closing.step)
+        elif isinstance(self.step, np.ndarray):
             object.__setattr__(self, "step", columns(self.step))
 
     def history(self, i: int) -> "WearIncrement":
@@ -100,6 +126,7 @@ class WearIncrement:
             history(self.step, i),
             self.averages,
             self.obliquity,
+            None if self.closing is None else Closing(self.closing.gap[i], self.closing.step[i]),
         )
 
     def _depth(
@@ -150,6 +177,8 @@ class WearIncrement:
         step, among = self.step, ""
         if len(place) > 1:
             at, step, among = at.history(place[0]), history(step, place[0]), f"history {place[0]}, "
+        if isinstance(step, np.ndarray):
+            step = step[place[-1]]
         return (
             f"wear law at time {at.time:g} s: the wear of {among}element {place[-1]} "
             f"(r = {at.r[place[-1]]:.6g} mm) over a step of {step:g} s does not settle; the rate "
@@ -163,8 +192,8 @@ class WearIncrement:
         after = self._after(law, at, p)
         return self.step * law.d_rate_dp(p, after) / (1.0 - self.step * law.d_rate_dwear(p, after))
 
-    def depths(self, p: FloatArray) -> FloatArray:
-        """Return what lower and upper lose, (2, ..., n) mm."""
+    def unhindered(self, p: FloatArray) -> FloatArray:
+        """Return what lower and upper would lose in contact all along, (2, ..., n) mm."""
         depths = np.zeros((2, *p.shape))
         for i, law, at, average in self._each:
             depths[i] = self._axial(self._depth(law, at, average, p))
@@ -173,6 +202,21 @@ class WearIncrement:
     def _axial(self, normal: FloatArray) -> FloatArray:
         """Return along the axis what is (..., n) along the normal."""
         return normal if self.obliquity is None else self.obliquity * normal
+
+    def share(self, unhindered: FloatArray) -> FloatArray:
+        """Return the share of the step, (..., n), that is left for wear once the gap is closed."""
+        total = unhindered[0] + unhindered[1]
+        share = np.ones_like(total)
+        if self.closing is not None:
+            open_, left = self.closing.gap > 0.0, total - self.closing.gap
+            share[open_] = 0.0
+            np.divide(left, total, out=share, where=open_ & (left > 0.0))
+        return share
+
+    def depths(self, p: FloatArray) -> FloatArray:
+        """Return what lower and upper lose, (2, ..., n) mm."""
+        depths = self.unhindered(p)
+        return depths if self.closing is None else depths * self.share(depths)
 
     def rates(self, p: FloatArray, depths: FloatArray) -> FloatArray:
         """Return the rates of wear at the end of the step, (2, ..., n) mm/s.
@@ -189,8 +233,13 @@ class WearIncrement:
 
     def depth(self, p: FloatArray) -> FloatArray:
         """Return the growth of the gap, (..., n) mm."""
+        return self._left(p) if self.closing is None else np.maximum(self._left(p), 0.0)
+
+    def _left(self, p: FloatArray) -> FloatArray:
+        """Return what a step in contact all along takes off beyond the gap, mm; may be negative."""
         each = [self._depth(law, at, average, p) for _, law, at, average in self._each]
-        return self._axial(_total(each))
+        total = self._axial(_total(each))
+        return total if self.closing is None else total - self.closing.gap
 
     def d_depth_dp(self, p: FloatArray) -> FloatArray:
         """Return d depth_e / d p_e, (..., n) mm/MPa; of local laws all there is."""
@@ -201,7 +250,8 @@ class WearIncrement:
             else:
                 slope = self._d_depth_dp(law, at, averaged(average, p))
                 each.append(((average * average.T) * slope[..., None, :]).sum(axis=-1))
-        return self._axial(_total(each))
+        total = self._axial(_total(each))
+        return total if self.closing is None else np.where(self._left(p) >= 0.0, total, 0.0)
 
     def jacobian(self, p: FloatArray) -> FloatArray:
         """Return d depth_e / d p_f, (..., n, n) mm/MPa."""
@@ -229,6 +279,18 @@ class WearIncrement:
 
         Non-local laws: area integrals of it are those of the potential, not its values.
         """
+        if self.closing is None:
+            return self._potential(p)
+        low, high = np.zeros_like(p), np.maximum(p, 0.0)  # of the pressure that closes the gap
+        for _ in range(_BISECTIONS):
+            middle = 0.5 * (low + high)
+            closed = self._left(middle) > 0.0
+            low, high = np.where(closed, low, middle), np.where(closed, middle, high)
+        low[self.closing.gap == 0.0] = 0.0
+        past = np.maximum(p, 0.0) - low
+        return self._potential(p) - self._potential(low) - self.closing.gap * past
+
+    def _potential(self, p: FloatArray) -> FloatArray:
         parts = []
         for _, law, at, average in self._each:
             q = np.maximum(p if average is None else averaged(average, p), 0.0)
@@ -262,6 +324,7 @@ class WearIncrement:
             self,
             at=tuple(at.part(here) for at in self.at),
             obliquity=None if self.obliquity is None else self.obliquity[here],
+            closing=None if self.closing is None else self.closing.part(here),
         )
 
 

@@ -155,6 +155,7 @@ PUSHED = ["load.control=displacement", "load.displacement=0.5"]
         (["mesh.contact=[40, 50]"], ["mesh.contact = [40, 50]", "in common with [28.5, 31.5]"]),
         (["mesh.contact=[3, 2]"], ["mesh.contact", "two increasing numbers"]),
         (["mesh.geometry=moving"], ['"fixed" or "updated"']),
+        (["time.pressure_tolerance=0"], ["time.pressure_tolerance = 0", "finite number > 0"]),
         (["mesh.geometry_tolerance=0"], ["mesh.geometry_tolerance = 0", "> 0 (mm)"]),
         (["upper.chamfer=0.1", "mesh.contact_elements=11"],
          ["case.toml", "mesh.contact_elements = 11", "3 pieces", "at least 12"]),

@@ -172,6 +172,8 @@ def test_no_text_at_all(tmp_path):
         (ADAPTIVE, ["time.end=20", "time.steps=3"], ["--set time.steps = 3: must be absent"]),
         (TEXT + "tolerance = 1e-5\n", [],
          ['case.toml: time.tolerance = 1e-05: needs time.scheme = "adaptive"']),
+        (TEXT + "pressure_tolerance = 0.1\n", [],
+         ['case.toml: time.pressure_tolerance = 0.1: needs time.scheme = "adaptive"']),
         (TEXT, ["time.tolerance=1e-5"],
          ['--set time.tolerance = 1e-05: needs time.scheme = "adaptive"']),
         (TEXT, ["time.scheme=explicit", "time.tolerance=1e-5"], ["--set time.tolerance"]),

@@ -1,0 +1,119 @@
+"""Elements that wear brings into contact within a step.
+
+Such an element is in contact for a part of the step only. A stage that has it wear for all of its
+time is off by as much as the element wears, and its pressure, which is to wear it off, by up to 1.4
+times what it should be. So these elements make one implicit step each, in which gap and wear go at
+the rate of their pressure (see ``Closing``). Where the force is kept, the others' stages count for
+as much longer as makes up for it: over a step, all elements together carry the load.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ringwear_par.arrays import BoolArray, FloatArray, Numbers, columns, inner
+from ringwear_par.history.model import WearModel
+from ringwear_par.history.state import State
+from ringwear_par.wear.increment import Closing
+
+#: gaps that a step may close, in what the fastest element wears in it
+_REACH = 2.0
+#: largest area of elements that enter, in that of those in contact
+_MOST = 0.25
+#: measured shares of the pressure at stake that elements are off by after they have entered, in a
+#: step of their own and in the stages of all others
+_ENTRY_ERROR, _STAGE_ERROR = 0.33, 0.67
+
+
+@dataclass(frozen=True)
+class Entering:
+    """The elements that wear may bring into contact in a step.
+
+    Parameters
+    ----------
+    gap : (..., n) float, mm, of these elements at the start, 0 elsewhere.
+    area : (n,) float, mm^2.
+    force_kept : whether the others carry what these do not.
+    """
+
+    gap: FloatArray
+    area: FloatArray
+    force_kept: bool
+
+    @property
+    def late(self) -> BoolArray:
+        """Which elements these are, (..., n)."""
+        return self.gap > 0.0
+
+    def closing(self, step: Numbers, stretch: FloatArray) -> Closing:
+        """Return what a stage closes; ``stretch`` is of the steps, s, of the elements."""
+        return Closing(self.gap, columns(step) * stretch)
+
+    def counts(self, p: FloatArray, counts: FloatArray | float) -> FloatArray:
+        """Return how many times its weight a stage counts for each element, (..., n).
+
+        Parameters
+        ----------
+        p : (..., n) float, MPa, of the stage.
+        counts : for the elements that enter.
+        """
+        late, area = self.late, self.area
+        ones = np.ones_like(p)
+        if self.force_kept:
+            lacking = np.asarray(inner(area, np.where(late, (1.0 - counts) * p, 0.0)))
+            carried = np.asarray(inner(area, np.where(late, 0.0, p)))
+            more = np.divide(lacking, carried, out=np.zeros_like(carried), where=carried > 0.0)
+            ones = ones + np.maximum(more, -0.9)[..., None]  # wear never falls
+        return np.where(late, counts, ones)
+
+
+def entering(model: WearModel, state: State, length: Numbers) -> Entering | None:
+    """Return the elements that wear may bring into contact; None where there are none.
+
+    Where an element that wears yields more elastically than it wears, its gap is not closed by
+    wear; many elements that enter at once change all pressures; and non-local laws wear them before
+    they touch. In these cases stages do as for all others, and ``entry_error`` judges.
+    """
+    p, gap = state.contact.pressure, state.contact.gap
+    if not model.wears_locally or (p > 0.0).all():
+        return None
+    worn = columns(length * state.rates.sum(axis=0).max(axis=-1))
+    late = (p <= 0.0) & (gap > 0.0) & (gap < _REACH * worn)
+    late &= worn > model.yielding(columns(p.max(axis=-1)))
+    # the others can make up for what a few of them carry
+    touching = np.asarray(inner(model.area, (p > 0.0).astype(float)))
+    joining = np.asarray(inner(model.area, (late & (gap < worn)).astype(float)))
+    late &= (joining <= _MOST * touching)[..., None]
+    if not late.any():
+        return None
+    return Entering(np.where(late, gap, 0.0), model.area, model.force is not None)
+
+
+def entry_error(
+    model: WearModel,
+    enter: Entering | None,
+    before: State,
+    after: State,
+    unhindered: FloatArray,
+) -> Numbers:
+    """Return the estimated error of the pressure of elements that a step brought into contact, MPa.
+
+    Such a pressure is right where the wear of the element is far more than what it yields, or far
+    less: it is then what wears it off as fast as the gap closes, or what elasticity alone makes of
+    the overlap. In between it depends on when the element entered.
+
+    Parameters
+    ----------
+    unhindered : (2, ..., n) float, mm, what the elements would have worn in contact all along.
+    """
+    p = after.contact.pressure
+    came = (before.contact.pressure <= 0.0) & (p > 0.0)
+    if not came.any():
+        return 0.0 if p.ndim == 1 else np.zeros(len(p))
+    elastic, most = model.yielding(p), unhindered.sum(axis=0)
+    worn = (after.wear - before.wear).sum(axis=0)
+    size = np.maximum((elastic + worn) * (elastic + most), np.finfo(float).tiny)
+    share: FloatArray | float = _STAGE_ERROR
+    if enter is not None:
+        share = np.where(enter.late, _ENTRY_ERROR, _STAGE_ERROR)
+    return np.where(came, share * p * elastic * most / size, 0.0).max(axis=-1)

@@ -1,0 +1,139 @@
+"""Pressures of adaptive steps while contact grows: a crowned ring and a sphere that wear in."""
+
+from dataclasses import astuple, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ringwear_par.cases.case import Output
+from ringwear_par.cases.reading import read_case
+from ringwear_par.history import sdirk2
+from ringwear_par.history.balances import balances
+from ringwear_par.history.entering import entering
+from ringwear_par.history.model import WearModel
+from ringwear_par.history.pairs import assemble
+from ringwear_par.history.trace import trace
+from ringwear_par.wear import LocalState
+from ringwear_par.wear.archard import ArchardLaw
+from ringwear_par.wear.increment import Closing, WearIncrement
+
+CASES = Path(__file__).parents[2] / "scripts" / "cases"
+SPHERE = {"time": None, "time.scheme": "adaptive", "time.end": 200.0}
+
+
+def compared(case, comm, tolerance):
+    """Return a history and the states of a far finer one at the same times."""
+    pair = assemble(case, comm)
+    history = trace(case, comm, pair=pair)
+    finer = replace(case.time, tolerance=tolerance, pressure_tolerance=np.inf)
+    output = Output(times=tuple(state.time for state in history.states[1:]))
+    seen = trace(replace(case, time=finer, output=output), comm, pair=pair)
+    exact = {s.time: s for s in (*seen.states, *(shown.state for shown in seen.passing))}
+    return history, [(s, exact[s.time]) for s in history.states[1:]]
+
+
+def pressure_errors(pairs):
+    """Return the largest error of pressure of each state, relative to its largest pressure."""
+    return np.array(
+        [
+            np.abs(s.contact.pressure - e.contact.pressure).max() / e.contact.pressure.max()
+            for s, e in pairs
+        ]
+    )
+
+
+def test_the_crown_has_no_peaks_where_contact_grows(comm):
+    case = read_case(CASES / "crown.toml", {"mesh.contact_elements": 32, "time.end": 300.0})
+    history, pairs = compared(case, comm, 1e-8)
+    errors = pressure_errors(pairs)
+    loose = replace(case, time=replace(case.time, pressure_tolerance=1e3))
+    assert errors.max() < 0.25  # stages that know nothing of entering elements: 1.4
+    assert np.median(errors) < 0.1
+    assert history.steps <= 4 * trace(loose, comm).steps
+    assert history.balances.worst <= 1e-9
+    assert history.balances.volume <= 1e-12
+    assert history.balances.energy <= 1e-12
+
+
+def test_a_smaller_tolerance_of_pressure_is_more_accurate(comm):
+    errors = []
+    for tolerance in (0.3, 0.03):
+        changes = {"mesh.contact_elements": 32, "time.end": 100.0,
+                   "time.pressure_tolerance": tolerance}  # fmt: skip
+        _, pairs = compared(read_case(CASES / "crown.toml", changes), comm, 1e-8)
+        errors.append(pressure_errors(pairs))
+    assert np.median(errors[1]) < 0.7 * np.median(errors[0])
+    assert errors[1].max() < errors[0].max()
+
+
+def test_the_spheres_penetration_does_not_wobble(comm):
+    case = read_case(CASES / "sphere.toml", {**SPHERE, "mesh.contact_elements": 48})
+    _, pairs = compared(case, comm, 1e-8)
+    assert pressure_errors(pairs).max() < 0.05
+    approach, exact = (np.array([pair[i].contact.approach for pair in pairs]) for i in (0, 1))
+    assert np.abs(approach / exact - 1.0).max() < 1e-3
+
+
+@pytest.fixture(scope="module")
+def crown(comm):
+    case = read_case(CASES / "crown.toml", {"mesh.contact_elements": 32})
+    return case, assemble(case, comm)
+
+
+def test_elements_enter_where_the_contact_is_about_to_grow(crown, comm):
+    case, pair = crown
+    state = trace(replace(case, time=replace(case.time, until=40.0)), comm, pair=pair).last
+    with WearModel(case, comm, pair) as model:
+        assert entering(model, state, 1e-6) is None
+        late = entering(model, state, 10.0).late
+        touching = np.flatnonzero(state.contact.pressure > 0.0)
+        assert set(np.flatnonzero(late)) <= {*range(touching[0]), *range(touching[-1] + 1, 32)}
+        assert late[touching[0] - 1] or late[touching[-1] + 1]
+        still = replace(state, rates=np.zeros_like(state.rates))
+        assert entering(model, still, 10.0) is None
+
+
+def test_steps_with_entering_elements_together_are_as_if_alone(crown, comm):
+    """One history whose contact grows, one that has barely begun to and one at rest."""
+    case, pair = crown
+    cases = [replace(case, wear_upper=ArchardLaw(k)) for k in (1e-7, 1e-9, 3e-7)]
+    ends = [np.array([20.0, 20.0, 5.0]), np.array([26.0, 26.0, 9.0]), np.array([33.0, 28.0, 12.0])]
+    with WearModel(cases, comm, pair) as model:
+        state, together, grown = model.initial(), [], 0
+        for end in ends:
+            grown += entering(model, state, end - state.time) is not None
+            together.append(sdirk2.step(model, state, end))
+            state = together[-1].state
+        off = balances(model, state)
+        assert off["volume"].max() < 1e-12
+        assert off["energy"].max() < 1e-12
+    assert grown
+    for i, each in enumerate(cases):
+        with WearModel(each, comm, pair) as model:
+            state = model.initial()
+            for end, of_all in zip(ends, together, strict=True):
+                alone = sdirk2.step(model, state, float(end[i]))
+                state = alone.state
+                assert np.array_equal(of_all.state.wear[:, i], state.wear)
+                assert np.array_equal(of_all.state.contact.pressure[i], state.contact.pressure)
+                for many, one in zip(astuple(of_all)[1:], astuple(alone)[1:], strict=True):
+                    assert many[i] == one
+
+
+def test_wear_that_closes_a_gap_first():
+    """Depth, its derivative and its potential go together, and gap and wear are those of a step."""
+    p = np.array([0.0, 1.0, 2.0, 5.0, 5.0])
+    nothing = np.zeros(5)
+    at = LocalState(0.0, np.full(5, 12.0), np.full(5, 10.0), 0.1, nothing, nothing)
+    closing = Closing(np.array([1e-6, 1e-6, 3e-6, 3e-6, 0.0]), np.full(5, 2.0))
+    laws = ArchardLaw(1e-7), ArchardLaw(5e-8)
+    wear = WearIncrement(laws, (at, at), 2.0, closing=closing)
+    plain = WearIncrement(laws, (at, at), 2.0)
+    assert wear.depth(p) == pytest.approx(np.maximum(plain.depth(p) - closing.gap, 0.0))
+    assert wear.depths(p).sum(axis=0) == pytest.approx(wear.depth(p), rel=1e-12)
+    worn = wear.depth(p) > 0.0
+    assert wear.d_depth_dp(p)[worn] == pytest.approx(plain.d_depth_dp(p)[worn])
+    assert not wear.d_depth_dp(p)[~worn].any()
+    slope = (wear.potential(p + 1e-4) - wear.potential(p - 1e-4)) / 2e-4
+    assert slope[1:] == pytest.approx(wear.depth(p)[1:], rel=1e-6, abs=1e-16)
