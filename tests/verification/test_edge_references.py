@@ -28,6 +28,8 @@ from ringwear_par.verification.fine import (
     stored,
 )
 
+pytestmark = pytest.mark.serial
+
 
 @pytest.mark.parametrize(
     ("name", "wear"),
@@ -123,7 +125,7 @@ def test_wrong_pressures_are_told():
     assert distance == pytest.approx(known.line.r[2] - CONTACT[0])
 
 
-def test_table_has_a_row_for_each_mesh(monkeypatch):
+def test_table_has_a_row_for_each_mesh():
     fine: dict[str, FineSolution] = {"flush": stored("flush")}
     rows = script.table(fine, sizes=(16, 32)).splitlines()
     assert len(rows) == 4
