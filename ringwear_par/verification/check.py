@@ -3,7 +3,13 @@
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Literal
 
+#: what a computed solution is held against. "reference": a solution that is known exactly, or
+#: converged (finite elements; a mesh or steps far finer than those checked). "identity": a balance
+#: or symmetry, which holds to round-off (on held faces: vanishes with the mesh). "bound": a number,
+#: as of steps, that must not exceed another
+Kind = Literal["reference", "identity", "bound"]
 #: numbers of elements at which errors are computed, to see their order
 SIZES = (32, 64, 128)
 #: Poisson's ratio of all checks
@@ -21,6 +27,7 @@ class Check:
     errors : one for each size.
     tolerance : largest error allowed at the last size.
     digits : relative accuracy of the reference itself; errors near it show no order.
+    kind : what it is held against.
     """
 
     name: str
@@ -28,6 +35,7 @@ class Check:
     errors: tuple[float, ...]
     tolerance: float
     digits: float = 1e-7
+    kind: Kind = "reference"
 
     @property
     def passed(self) -> bool:
@@ -49,3 +57,13 @@ class Check:
 def converging(name: str, error: Callable[[int], float], tolerance: float) -> Check:
     """Return the check of an error that is a function of the number of elements."""
     return Check(name, SIZES, tuple(error(n) for n in SIZES), tolerance)
+
+
+def identity(name: str, n: int, error: float, tolerance: float) -> Check:
+    """Return the check of a balance or symmetry on n elements."""
+    return Check(name, (n,), (error,), tolerance, kind="identity")
+
+
+def bound(name: str, n: int, value: float, most: float) -> Check:
+    """Return the check that a number, found on n elements, does not exceed another."""
+    return Check(name, (n,), (value,), most, kind="bound")

@@ -15,7 +15,7 @@ from ringwear_par.history.model import WearModel
 from ringwear_par.history.pairs import assemble
 from ringwear_par.history.trace import Trace, trace
 from ringwear_par.verification import reference
-from ringwear_par.verification.check import NU, Check
+from ringwear_par.verification.check import NU, Check, bound, identity
 from ringwear_par.verification.paper import OMEGA, paper_case
 from ringwear_par.wear.threshold import ThresholdLaw
 
@@ -62,12 +62,11 @@ def steady_checks(pair: ContactPair, comm: MPI.Comm) -> Iterator[Check]:
                     (abs(_approach_rate(history) / (kappa * OMEGA * c) - 1.0),), 1e-3)  # fmt: skip
         worst = history.balances
         if p0 == 0.0:
-            yield Check("worn volume = k x dissipated energy, worst of all steps", (_N,),
-                        (worst.energy,), 1e-10)  # fmt: skip
-        yield Check(f"force balance, worst of all steps, p0 = {p0:g} MPa", (_N,),
-                    (worst.force,), 1e-10)  # fmt: skip
-        yield Check(f"volume balance, worst of all steps, p0 = {p0:g} MPa", (_N,),
-                    (worst.volume,), 1e-12)  # fmt: skip
+            yield identity("worn volume = k x dissipated energy, worst of all steps", _N,
+                           worst.energy, 1e-10)  # fmt: skip
+        said = f"worst of all steps, p0 = {p0:g} MPa"
+        yield identity(f"force balance, {said}", _N, worst.force, 1e-10)
+        yield identity(f"volume balance, {said}", _N, worst.volume, 1e-12)
 
     both = paper_case(Mesh(_N), p0=(0.0, 0.0), stepping=_LONG, k=_BOTH)
     history = trace(both, comm, pair=pair)
@@ -76,14 +75,14 @@ def steady_checks(pair: ContactPair, comm: MPI.Comm) -> Iterator[Check]:
                 (abs(_approach_rate(history) / exact_rate - 1.0),), 1e-3)  # fmt: skip
     lower, upper = history.last.wear
     split = float(np.abs(upper / lower / 3.0 - 1.0).max())
-    yield Check("both wear: depths split k1 : k2", (_N,), (split,), 1e-10)
+    yield identity("both wear: depths split k1 : k2", _N, split, 1e-10)
 
     fixed = paper_case(Mesh(_N), p0=(0.0, None), stepping=_LONG)
     fixed = replace(fixed, load=Load(fixed.load.omega, displacement=0.0585))
     pressure = trace(fixed, comm, pair=pair).last.contact.pressure
     mean = 80.0  # MPa, at the start
-    yield Check("fixed approach: pressure falls to 0, relative to its first mean", (_N,),
-                (float(pressure.max()) / mean,), 1e-3)  # fmt: skip
+    yield bound("fixed approach: pressure falls to 0, relative to its first mean", _N,
+                float(pressure.max()) / mean, 1e-3)  # fmt: skip
 
 
 def adaptive_checks(pair: ContactPair, comm: MPI.Comm) -> Iterator[Check]:
@@ -100,8 +99,8 @@ def adaptive_checks(pair: ContactPair, comm: MPI.Comm) -> Iterator[Check]:
             error = np.abs(found.last.wear - history(case, end, 1e-9).last.wear).max()
             yield Check(f"adaptive, p0 = {p0:g} MPa, {end:g} s: wear, mm", (_N,),
                         (float(error),), 1e-5)  # fmt: skip
-            yield Check(f"adaptive, p0 = {p0:g} MPa, {end:g} s: number of steps", (_N,),
-                        (float(found.steps),), float(most))  # fmt: skip
+            yield bound(f"adaptive, p0 = {p0:g} MPa, {end:g} s: number of steps", _N,
+                        float(found.steps), float(most))  # fmt: skip
 
     thresholds = (40.0, 60.0)
     both = paper_case(Mesh(_N), p0=thresholds, k=_BOTH)
@@ -113,10 +112,10 @@ def adaptive_checks(pair: ContactPair, comm: MPI.Comm) -> Iterator[Check]:
 
     one = history(paper_case(Mesh(_N), p0=(0.0, 0.0), k=_BOTH), 300.0)
     two = history(paper_case(Mesh(_N), p0=(0.0, 0.0), k=(2e-7, 6e-7)), 150.0)
-    yield Check("similarity: wear of twice k in half the time", (_N,),
-                (float(np.abs(two.last.wear / one.last.wear - 1.0).max()),), 1e-8)  # fmt: skip
-    yield Check("both wear: worn volumes = k1, k2 x dissipated energy", (_N,),
-                (one.balances.energy,), 1e-10)  # fmt: skip
+    yield identity("similarity: wear of twice k in half the time", _N,
+                   float(np.abs(two.last.wear / one.last.wear - 1.0).max()), 1e-8)  # fmt: skip
+    yield identity("both wear: worn volumes = k1, k2 x dissipated energy", _N,
+                   one.balances.energy, 1e-10)  # fmt: skip
 
 
 def round_face(r: tuple[float, float], radius: float) -> Polyline:
@@ -144,9 +143,8 @@ def growing_checks(comm: MPI.Comm) -> Iterator[Check]:
         said = f"worn {name}, contact of {first} to {last} elements"
         volume, energy = history.balances.volume, history.balances.energy
         # what does not grow checks nothing
-        yield Check(f"{said}: volume balance", (48,), (volume if last > first else math.inf,),
-                    1e-10)  # fmt: skip
-        yield Check(f"{said}: worn volume = k x energy", (48,), (energy,), 1e-10)
+        yield identity(f"{said}: volume balance", 48, volume if last > first else math.inf, 1e-10)
+        yield identity(f"{said}: worn volume = k x energy", 48, energy, 1e-10)
 
 
 def explicit_limit_error(n: int, comm: MPI.Comm) -> float:

@@ -1,6 +1,7 @@
 """Exact and converged solutions, for tests and ``ringwear verify``. Units: mm, N, MPa, s."""
 
 import math
+from collections.abc import Iterable
 
 import numpy as np
 
@@ -27,6 +28,29 @@ EXPLICIT_LIMIT = 1.485
 PAPER_APPROACH = 0.0365486
 PAPER_TORQUE = 84908.2
 PAPER_PRESSURE = {30.0: 34.392, 28.6: 85.388, 31.4: 84.186}
+#: other rings under the same load (see ``fine``), independent finite elements: approach (mm), p(30)
+#: and mean pressures (MPa) at the inner and the outer edge, between these distances (mm) from it
+EDGE_DISTANCES = (0.0, 0.001, 0.005, 0.02, 0.1, 0.3)
+EDGE_APPROACH = {"soft on stiff": 0.0993234, "flush": 0.1158667}
+EDGE_MIDDLE = {"soft on stiff": 48.83, "flush": 50.06}
+EDGE_PRESSURE = {
+    "soft on stiff": (
+        (71.37, 66.08, 62.49, 58.68, 55.48),
+        (60.33, 55.89, 52.93, 50.01, 48.04),
+    ),
+    "flush": (
+        (54.43, 54.42, 54.40, 54.26, 53.85),
+        (45.76, 45.77, 45.79, 45.93, 46.32),
+    ),
+}
+#: matched cones on flush rings, E = 1e4 under 1e5, same load, independent finite elements: approach
+#: (mm) and pressures (MPa) at these radii (mm), by the degrees by which the faces rise outwards
+CONE_RADII = (28.6, 29.0, 30.0, 31.0, 31.4)
+CONE_APPROACH = {0.0: 0.106211, 1.0: 0.107978, -1.0: 0.104985}
+CONE_PRESSURE = {
+    1.0: (60.03, 56.24, 50.07, 44.07, 40.74),
+    -1.0: (48.43, 49.71, 50.00, 50.24, 51.49),
+}
 
 
 def contact_modulus(*bodies: tuple[float, float]) -> float:
@@ -78,3 +102,15 @@ def reissner_sagoci_torque(shear: float, a: float, angle: float) -> float:
 def steady_constant(force: float, p0: float, a: float, b: float) -> float:
     """Return c (N/mm) of the steady pressure p0 + c/r at constant force in full contact."""
     return (force - math.pi * p0 * (b * b - a * a)) / (2.0 * math.pi * (b - a))
+
+
+def bathed_approach(apexes: Iterable[float], young: Iterable[float], nu: float, p: float) -> float:
+    """Return the approach (mm) of matched cones all of whose free faces bear p (MPa) as well.
+
+    Both bodies shrink in proportion, cones stay cones, and their contact bears p everywhere.
+
+    Parameters
+    ----------
+    apexes : mm, heights of the apex of the cones above the fixed faces, which leave u_r free.
+    """
+    return (1.0 - 2.0 * nu) * p * sum(h / e for h, e in zip(apexes, young, strict=True))

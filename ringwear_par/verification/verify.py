@@ -1,6 +1,7 @@
 """``ringwear verify``: computed solutions against the exact ones of ``reference``."""
 
 import time
+from collections import Counter
 from collections.abc import Iterator
 
 from mpi4py import MPI
@@ -8,21 +9,25 @@ from mpi4py import MPI
 from ringwear_par.elasticity.assembly import load_kernels
 from ringwear_par.errors import ComputationError
 from ringwear_par.options import reject_unused_options
-from ringwear_par.verification.check import Check
+from ringwear_par.verification.check import Check, Kind
+from ringwear_par.verification.edges import edge_checks
 from ringwear_par.verification.elasticity import elasticity_checks
 from ringwear_par.verification.half_space import half_space_checks, sphere_checks
 from ringwear_par.verification.histories import history_checks
 from ringwear_par.verification.paper import paper_checks
+from ringwear_par.verification.slopes import slope_checks
 
-_WIDTH = 66
+_WIDTH = 78
 
 
 def checks(comm: MPI.Comm) -> Iterator[Check]:
-    """Run all reference solutions, one after another. Collective on comm."""
+    """Run all checks, one after another. Collective on comm."""
     yield from elasticity_checks(comm)
     yield from half_space_checks(comm)
     yield from sphere_checks(comm)
     yield from paper_checks(comm)
+    yield from edge_checks(comm)
+    yield from slope_checks(comm)
     yield from history_checks(comm)
 
 
@@ -34,13 +39,15 @@ def verify(comm: MPI.Comm) -> None:
     ComputationError : some are not passed; they are named.
     """
     load_kernels(comm)
-    started, failed, total = time.perf_counter(), [], 0
+    started, failed = time.perf_counter(), []
+    count: Counter[Kind] = Counter()
     if comm.rank == 0:
         print(
-            f"{'':4} {'compared':{_WIDTH}} {'elements':>8} {'error':>9} {'allowed':>8} {'order':>6}"
+            f"{'':4} {'compared':{_WIDTH}} {'kind':9} {'elements':>8} {'error':>9} {'allowed':>8} "
+            f"{'order':>6}"
         )
     for check in checks(comm):
-        total += 1
+        count[check.kind] += 1
         if not check.passed:
             failed.append(check.name)
         if comm.rank == 0:
@@ -48,16 +55,27 @@ def verify(comm: MPI.Comm) -> None:
     reject_unused_options()
     if comm.rank == 0:
         seconds = time.perf_counter() - started
-        print(f"{total - len(failed)} of {total} passed in {seconds:.0f} s", flush=True)
+        passed = f"{len(failed)} not passed" if failed else "all passed"
+        print(f"{_counted(count)}: {passed} in {seconds:.0f} s", flush=True)
     if failed:
         raise ComputationError(
-            f"{len(failed)} of {total} reference solutions are not met: {'; '.join(failed)}"
+            f"{len(failed)} of {count.total()} checks are not passed: {'; '.join(failed)}"
         )
+
+
+def _counted(count: Counter[Kind]) -> str:
+    """Return how many checks there are of each kind."""
+    plurals: dict[Kind, tuple[str, str]] = {
+        "reference": ("reference solution", "reference solutions"),
+        "identity": ("identity", "identities"),
+        "bound": ("bound", "bounds"),
+    }
+    return ", ".join(f"{count[k]} {words[count[k] != 1]}" for k, words in plurals.items())
 
 
 def _row(check: Check) -> str:
     order = f"{check.order:6.2f}" if check.order is not None else f"{'-':>6}"
     return (
-        f"{'ok' if check.passed else 'FAIL':4} {check.name:{_WIDTH}} {check.sizes[-1]:8d} "
-        f"{check.errors[-1]:9.1e} {check.tolerance:8.0e} {order}"
+        f"{'ok' if check.passed else 'FAIL':4} {check.name:{_WIDTH}} {check.kind:9} "
+        f"{check.sizes[-1]:8d} {check.errors[-1]:9.1e} {check.tolerance:8.0e} {order}"
     )

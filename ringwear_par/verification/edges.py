@@ -1,0 +1,225 @@
+"""Edges where pressure is singular and where it is regular, unworn and worn, of flat faces."""
+
+import math
+from collections.abc import Iterable, Iterator, Sequence
+
+import numpy as np
+from mpi4py import MPI
+
+from ringwear_par.arrays import FloatArray
+from ringwear_par.cases.case import SAME_TIME, Stepping
+from ringwear_par.elasticity.mesh import ContactLine, Mesh
+from ringwear_par.elasticity.pair import ContactPair
+from ringwear_par.history.bodies import operator_key
+from ringwear_par.history.pairs import assemble
+from ringwear_par.history.trace import Trace, trace
+from ringwear_par.verification import reference
+from ringwear_par.verification.check import SIZES, Check, identity
+from ringwear_par.verification.fine import (
+    CONTACT,
+    FORCE,
+    SORTS,
+    SPEED,
+    TIMES,
+    FineSolution,
+    Rings,
+    digits,
+    ring_case,
+    ring_means,
+    stored,
+)
+from ringwear_par.verification.half_space import pressure_at
+
+#: mm, from an edge: farther inside, the shape of the pressure at the edge is resolved
+INSIDE = 0.02
+#: long steps, to the steady state
+_STEADY = Stepping("implicit", 1000.0, 8)
+#: of both bodies where both wear, 1/MPa
+BOTH = (1e-7, 3e-7)
+
+
+def from_edge(line: ContactLine) -> FloatArray:
+    """Return the distances of the elements from the nearer edge, mm."""
+    return np.minimum(line.r - line.edges[0], line.edges[-1] - line.r)
+
+
+def pressure_errors(pressure: FloatArray, fine: FineSolution) -> FloatArray:
+    """Return relative errors of pressures on the elements of a fine solution.
+
+    Where faces lift off, pressures below the mean one are compared in units of that.
+    """
+    size = fine.pressure
+    if not fine.wear:
+        size = np.maximum(size, fine.line.area @ size / fine.line.area.sum())
+    return np.abs(pressure - fine.pressure) / size
+
+
+def worn_at(history: Trace) -> dict[float, FloatArray]:
+    """Return the wear of the lower body at TIMES, (n,) mm, of an adaptive history."""
+    states = [snapshot.state for snapshot in history.passing] + history.states
+    return {
+        time: next(s.wear[0] for s in states if abs(s.time - time) <= SAME_TIME * time)
+        for time in TIMES
+    }
+
+
+def errors_against(fine: FineSolution, history: Trace) -> dict[str, float]:
+    """Return the errors of a history against a fine solution on the elements of the history.
+
+    Returns
+    -------
+    Relative: ``approach``, ``pressure`` (worst element), ``inside`` (worst from INSIDE on), all
+    unworn. In mm: ``wear 1``, ``wear 10``, ``wear 200`` (worst element, by time in s). ``open``:
+    number of elements without pressure, of all states together. No wear where faces lift off.
+    """
+    first, line = history.states[0].contact, history.model.line
+    off = pressure_errors(first.pressure, fine)
+    return {
+        "approach": abs(first.approach / fine.approach - 1.0),
+        "pressure": float(off.max()),
+        "inside": float(off[from_edge(line) > INSIDE].max()),
+        "open": float(sum((s.contact.pressure <= 0.0).sum() for s in history.states)),
+        **{
+            f"wear {time:g}": float(np.abs(worn_at(history)[time] - wear).max())
+            for time, wear in fine.wear.items()
+        },
+    }
+
+
+def finite_element_errors(
+    name: str, mesh: Mesh, pressure: FloatArray, approach: float
+) -> dict[str, float]:
+    """Return relative errors against finite elements: ``approach``, ``ring means``, ``p(30)``.
+
+    Parameters
+    ----------
+    pressure : (n,) float, MPa, on the contact elements of a mesh.
+    """
+    found: list[float] = []
+    exact: list[float] = []
+    distances = np.array(reference.EDGE_DISTANCES)
+    inner, outer = reference.EDGE_PRESSURE[name]
+    for radii, means in (
+        (CONTACT[0] + distances, inner),
+        (CONTACT[1] - distances[::-1], outer[::-1]),
+    ):
+        found.extend(ring_means(mesh, pressure, radii))
+        exact.extend(means)
+    line = FineSolution(mesh, approach, pressure, {}).line
+    return {
+        "approach": abs(approach / reference.EDGE_APPROACH[name] - 1.0),
+        "ring means": float(np.abs(np.array(found) / exact - 1.0).max()),
+        "p(30)": abs(pressure_at(line, pressure, 30.0) / reference.EDGE_MIDDLE[name] - 1.0),
+    }
+
+
+#: what is checked of a history: error, text, the largest allowed at 128 elements, key of digits
+ROWS = (
+    ("approach", "approach", 1e-5, "approach"),
+    ("pressure", "pressure, worst of all elements", 8e-2, "pressure"),
+    ("inside", "pressure, worst from 0.02 mm on", 5e-3, "inside"),
+    *((f"wear {t:g}", f"wear after {t:g} s, worst element, mm", 1e-5, "wear") for t in TIMES),
+)
+#: where pressure is regular up to the edge, and the largest error of any element there
+_REGULAR, _REGULAR_ERROR = ("flush", "flush, equal moduli"), 1e-4
+
+
+def rows_against(
+    name: str, fine: Sequence[FineSolution], histories: Sequence[Trace]
+) -> Iterator[Check]:
+    """Return the checks of histories at SIZES against a stored solution."""
+    found = [errors_against(f, h) for f, h in zip(fine, histories, strict=True)]
+    lifts = not fine[0].wear
+    for key, text, tolerance, accuracy in ROWS:
+        if key not in found[0]:
+            continue
+        if name in _REGULAR and accuracy in ("pressure", "inside"):
+            tolerance = _REGULAR_ERROR
+        if lifts and accuracy in ("pressure", "inside"):
+            text += ", of >= 50 MPa"
+        yield Check(f"{name}: {text}", SIZES, tuple(each[key] for each in found), tolerance,
+                    digits(name)[accuracy])  # fmt: skip
+    if not lifts:
+        yield Check(f"{name}: elements without pressure", SIZES,
+                    tuple(each["open"] for each in found), 0.0, kind="bound")  # fmt: skip
+
+
+def edge_checks(comm: MPI.Comm) -> Iterator[Check]:
+    """Compare flat rings with fine solutions and with finite elements. Collective on comm."""
+    pairs: dict[object, ContactPair] = {}  # of a shape and mesh; they serve all moduli
+
+    def pair_of(rings: Rings, n: int) -> ContactPair:
+        case = ring_case(rings, Mesh(n))
+        key = operator_key(case)
+        if key not in pairs:
+            pairs[key] = assemble(case, comm)
+        return pairs[key]
+
+    for name, rings in SORTS.items():
+        if rings.degrees:
+            continue
+        histories = [trace(ring_case(rings, Mesh(n)), comm, pair=pair_of(rings, n)) for n in SIZES]
+        yield from rows_against(name, [stored(name).on(Mesh(n)) for n in SIZES], histories)
+        if name in reference.EDGE_APPROACH:
+            yield from _finite_element_rows(name, histories)
+        if name == "soft on stiff":
+            yield from steady_rows(name, rings, [pair_of(rings, n) for n in SIZES], comm)
+            yield from both_wear(name, rings, pair_of(rings, 64), comm)
+
+
+def _finite_element_rows(name: str, histories: Iterable[Trace]) -> Iterator[Check]:
+    found = [
+        finite_element_errors(name, Mesh(n), first.pressure, first.approach)
+        for n, first in ((h.model.line.n, h.states[0].contact) for h in histories)
+    ]
+    for key, tolerance, accuracy in (
+        ("approach", 3e-5, 1e-6), ("ring means", 5e-3, 2e-4), ("p(30)", 1e-3, 1e-4),
+    ):  # fmt: skip
+        yield Check(f"{name}, finite elements: {key}", SIZES,
+                    tuple(each[key] for each in found), tolerance, accuracy)  # fmt: skip
+
+
+def both_wear(name: str, rings: Rings, pair: ContactPair, comm: MPI.Comm) -> Iterator[Check]:
+    """Check the balances of both bodies' wear in adaptive histories. Collective on comm."""
+    n = pair.line.n
+    history = trace(ring_case(rings, Mesh(n), k=BOTH), comm, pair=pair)
+    worst, states = history.balances, history.states[1:]
+    said, split = f"{name}, both wear", 0.0
+    for lower, upper in (state.wear for state in states):
+        off = np.abs(upper * BOTH[0] / BOTH[1] - lower)
+        split = max(split, float((off / np.maximum(lower, np.finfo(float).tiny)).max()))
+    yield identity(f"{said}: worn volumes = k1, k2 x energy, all steps", n, worst.energy, 1e-12)
+    yield identity(f"{said}: depths split k1 : k2, all steps", n, split, 1e-12)
+    yield identity(f"{said}: volume balance, all steps", n, worst.volume, 1e-12)
+    yield identity(f"{said}: force balance, all steps", n, worst.force, 1e-12)
+
+
+def steady_rows(
+    name: str, rings: Rings, pairs: Sequence[ContactPair], comm: MPI.Comm
+) -> Iterator[Check]:
+    """Compare the steady state of both bodies' wear with what is known of it. Collective on comm.
+
+    The vertical rate k mu p omega r / cos alpha is uniform, so that p = c / r as on flat faces.
+    The approach rate is mu (k1 + k2) omega c / cos alpha, the torque mu c times the contact area
+    over cos alpha.
+    """
+    c = reference.steady_constant(FORCE, 0.0, *CONTACT)
+    a, b = CONTACT
+    found = []
+    for pair in pairs:
+        case = ring_case(rings, Mesh(pair.line.n), _STEADY, BOTH)
+        history = trace(case, comm, pair=pair)
+        before, last = (state.contact for state in history.states[-2:])
+        rate = (last.approach - before.approach) / _STEADY.step
+        torque = float(history.model.torque(last.pressure))
+        oblique = case.friction * c / math.cos(math.radians(rings.degrees))
+        found.append(
+            (
+                float(np.abs(last.pressure * pair.line.arm / c - 1.0).max()),
+                abs(rate / (oblique * sum(BOTH) * SPEED) - 1.0),
+                abs(torque / (oblique * math.pi * (b * b - a * a)) - 1.0),
+            )
+        )
+    for i, text in enumerate(("pressure c/r", "approach rate", "torque")):
+        yield Check(f"{name}, both wear, steady: {text}", SIZES,
+                    tuple(each[i] for each in found), 1e-6, 1e-9)  # fmt: skip

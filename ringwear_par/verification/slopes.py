@@ -1,0 +1,173 @@
+"""Sloping faces: matched cones against finite elements, closed forms and fine solutions."""
+
+import math
+from collections.abc import Iterator
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+from mpi4py import MPI
+
+from ringwear_par.arrays import FloatArray
+from ringwear_par.cases.case import Case
+from ringwear_par.elasticity.body import boundary_conditions, solve_body
+from ringwear_par.elasticity.mesh import ContactLine, Mesh, boundary_mesh, contact_line
+from ringwear_par.elasticity.sections import Body, Section
+from ringwear_par.history.bodies import bodies, young
+from ringwear_par.history.model import WearModel
+from ringwear_par.history.pairs import assemble
+from ringwear_par.history.trace import trace
+from ringwear_par.verification import reference
+from ringwear_par.verification.check import NU, SIZES, Check, converging, identity
+from ringwear_par.verification.edges import INSIDE, both_wear, from_edge, rows_against, steady_rows
+from ringwear_par.verification.fine import (
+    CONTACT,
+    SORTS,
+    Rings,
+    ring_case,
+    stored,
+)
+from ringwear_par.verification.half_space import pressure_at
+
+_CONE = SORTS["cones of 5 degrees"]
+
+
+def slope_checks(comm: MPI.Comm) -> Iterator[Check]:
+    """Check matched cones, unworn and worn. Collective on comm."""
+    yield converging("torsion of a ring with a conical top of 10 degrees: u_theta",
+                     partial(torsion_error, comm=comm), 1e-3)  # fmt: skip
+    bathed = [bathed_errors(n, comm) for n in SIZES]
+    for i, (text, tolerance) in enumerate(
+        (
+            ("approach", 1e-6),
+            ("uniform pressure from 0.02 mm on", 1e-3),
+            ("uniform pressure, collocated", 1e-6),
+        )
+    ):
+        yield Check(f"cones of 5 degrees bathed in their pressure: {text}", SIZES,
+                    tuple(each[i] for each in bathed), tolerance)  # fmt: skip
+    for degrees in reference.CONE_APPROACH:
+        yield from _finite_element_rows(degrees, comm)
+    for degrees in (5, 10):
+        yield from _fine_rows(f"cones of {degrees} degrees", comm)
+
+
+def cone_errors(
+    degrees: float, line: ContactLine, pressure: FloatArray, approach: float
+) -> dict[str, float]:
+    """Return relative errors against finite elements: ``approach`` and, but for 0 degrees, p(r)."""
+    errors = {"approach": abs(approach / reference.CONE_APPROACH[degrees] - 1.0)}
+    if degrees in reference.CONE_PRESSURE:
+        found = np.array([pressure_at(line, pressure, r) for r in reference.CONE_RADII])
+        errors["p(r)"] = float(np.abs(found / reference.CONE_PRESSURE[degrees] - 1.0).max())
+    return errors
+
+
+def _finite_element_rows(degrees: float, comm: MPI.Comm) -> Iterator[Check]:
+    found: list[dict[str, float]] = []
+    for n in SIZES:
+        with WearModel(ring_case(Rings(CONTACT, (1e4, 1e5), degrees), Mesh(n)), comm) as model:
+            first = model.initial().contact
+        found.append(cone_errors(degrees, model.line, first.pressure, first.approach))
+    way = {0.0: "flat", 1.0: "rising"}.get(degrees, "falling")
+    said = f"matched cones of {abs(degrees):g} degree, {way}" if degrees else "flat flush rings"
+    texts = {"approach": "approach", "p(r)": "p, worst of 5 radii"}
+    limits = {"approach": (1e-4, 5e-6), "p(r)": (2e-3, 2e-4)}
+    for key in found[0]:
+        yield Check(f"{said}, finite elements: {texts[key]}", SIZES,
+                    tuple(each[key] for each in found), *limits[key])  # fmt: skip
+
+
+def _fine_rows(name: str, comm: MPI.Comm) -> Iterator[Check]:
+    """Check cones against their fine solution, their torque, held faces, and what is steady."""
+    rings, fine = SORTS[name], stored(name)
+    cases = [ring_case(rings, Mesh(n)) for n in SIZES]
+    pairs = [assemble(case, comm) for case in cases]
+    histories = [trace(case, comm, pair=pair) for case, pair in zip(cases, pairs, strict=True)]
+    yield from rows_against(name, [fine.on(Mesh(n)) for n in SIZES], histories)
+    first, model = histories[-1].states[0].contact, histories[-1].model
+    n, line = model.line.n, model.line
+    flat = model.friction * (line.area * line.arm) @ first.pressure
+    error = abs(model.torque(first.pressure) / flat * math.cos(math.radians(rings.degrees)) - 1.0)
+    yield identity(f"{name}: torque, 1 / cos alpha of a flat face's", n,
+                   float(error), 1e-12)  # fmt: skip
+    for text, found in (
+        ("force", [h.balances.reaction for h in histories]),
+        ("torque", [h.balances.torque for h in histories]),
+    ):
+        yield Check(f"{name}: {text} on the held faces, all steps", SIZES, tuple(found), 1e-4,
+                    kind="identity")  # fmt: skip
+    yield from steady_rows(name, rings, pairs, comm)
+    yield from both_wear(name, rings, pairs[1], comm)
+
+
+def bathed_errors(n: int, comm: MPI.Comm) -> tuple[float, float, float]:
+    """Return the errors of cones of 5 degrees all of whose free faces bear 1 MPa, as the contact.
+
+    The force is that of 1 MPa in the contact; fixed faces leave u_r free. Of approach, of pressures
+    away from the edges, and of every pressure by the collocated equations as they are. (The
+    symmetric compliance is made for the pressures of faces of this shape, singular here at the
+    edges; of this one, which is not, it misses the outermost elements by tens of per cent. Without
+    pressure beside the contact there is none such before wear, which makes it by itself.)
+    """
+    case = ring_case(_CONE, Mesh(n))
+    case = replace(case, lower=replace(case.lower, grip="platen"),
+                   upper=replace(case.upper, grip="platen"))  # fmt: skip
+    pair = assemble(case, comm)
+    both, moduli, line = bodies(case), young(case), pair.line
+    sides = zip(both, moduli, (pair.slope, -pair.slope), strict=True)
+    given = sum((_bath(body, case, t, comm) / e for body, e, t in sides), np.zeros(n))
+    collocated = line.area[:, None] * (pair.normal[0] / moduli[0] + pair.normal[1] / moduli[1])
+    found = []
+    for matrix in (pair.compliance(moduli).matrix, collocated):
+        unit, bath = np.linalg.solve(matrix, np.stack([line.area, line.area * given], axis=1)).T
+        approach = float(line.area @ (1.0 + bath) / (line.area @ unit))
+        found.append((approach, np.abs(approach * unit - bath - 1.0)))
+    rise = math.tan(math.radians(_CONE.degrees)) * CONTACT[0]
+    apexes = (
+        body.section.height + float(body.section.points[0, 1]) - side * rise
+        for body, side in zip(both, (1.0, -1.0), strict=True)
+    )
+    exact = reference.bathed_approach(apexes, moduli, NU, 1.0)
+    (approach, off), (_, every) = found
+    return (
+        abs(approach / exact - 1.0),
+        float(off[from_edge(line) > INSIDE].max()),
+        float(every.max()),
+    )
+
+
+def _bath(body: Body, case: Case, slope: FloatArray, comm: MPI.Comm) -> FloatArray:
+    """Return what a contact face gives way, mm at E = 1, under 1 MPa on the sides of a body."""
+    line, mesh = case.line, case.mesh
+    boundary = boundary_mesh(body.section, line, mesh)
+    loaded = boundary_conditions(boundary, body.grip, slope)
+    load, traction = np.full_like(loaded.load, -1), np.zeros_like(loaded.traction)
+    for side, value in ((boundary.inner_side, 1.0), (boundary.outer_side, -1.0)):
+        load[side, 0], traction[side, 0] = 0, value
+    middle = boundary.elements[boundary.contact, 1]
+    response = solve_body(
+        boundary, loaded._replace(load=load, traction=traction, n_loads=1), body.poisson,
+        mesh.quadrature_tolerance, middle, boundary.contact, comm,
+    )  # fmt: skip
+    radial, axial = response.displacement[:, 0, 0], response.displacement[:, 1, 0]
+    return slope * radial - axial
+
+
+def torsion_error(n: int, comm: MPI.Comm) -> float:
+    """Return the error of u_theta = twist r (z + h) on a conical top of a hollow cylinder.
+
+    Its traction per true area is shear x twist x r cos alpha.
+    """
+    alpha, (a, b), height = math.radians(10.0), (20.0, 40.0), 20.0
+    section = Section((a, b), height, ((a, -(b - a) * math.tan(alpha)), (b, 0.0)))
+    mesh = Mesh(n)
+    line = contact_line((a, b), mesh)
+    boundary = boundary_mesh(section, line, mesh)
+    conditions = boundary_conditions(boundary, "clamped", np.full(n, math.tan(alpha)))
+    middle = boundary.elements[boundary.contact, 1]
+    response = solve_body(boundary, conditions, NU, 1e-8, middle, boundary.contact, comm)
+    r, z = boundary.nodes[middle].T
+    shear = 0.5 / (1.0 + NU)
+    u = response.displacement[:, 2] @ (shear * r * math.cos(alpha))
+    return float(np.abs(u / (r * (z + height)) - 1.0).max())
