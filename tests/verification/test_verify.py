@@ -27,12 +27,14 @@ def unworn(case, comm):
     return line, approach, p * approach
 
 
+@pytest.mark.most_ranks(2)
 def test_every_reference_solution_is_met(checks):
     failed = [c for c in checks.values() if not c.passed]
     assert len(checks) >= 40
     assert failed == []
 
 
+@pytest.mark.most_ranks(2)
 @pytest.mark.parametrize(
     ("name", "order"),
     [
@@ -53,6 +55,7 @@ def test_observed_orders(checks, name, order):
     assert checks[name].order > order
 
 
+@pytest.mark.most_ranks(2)
 def test_hertz_pressure_at_the_axis(comm):
     """The innermost elements too, not only a fit through many."""
     *_, p_max = reference.hertz(reference.contact_modulus((1.0, NU)), 10.0, 0.1)
@@ -78,6 +81,7 @@ def test_default_mesh_meets_its_figures(comm):
         assert pressure_at(line, p, r) == pytest.approx(exact, rel=tolerance)
 
 
+@pytest.mark.most_ranks(2)
 def test_interior_pressure_converges_without_checkerboard(comm):
     """p(29) is 44.65 MPa; nodal gaps gave 45, 32, 75 MPa for 32, 64, 128 elements."""
     for n, tolerance in ((32, 1e-2), (64, 3e-3), (128, 1.5e-3)):
