@@ -14,6 +14,7 @@ from waiting import STEPS, Waiting
 
 from ringwear_par.errors import ComputationError
 from ringwear_par.results import watch
+from ringwear_par.studies import workers
 from ringwear_par.studies.sweep import run_sweep
 from ringwear_par.wear.threshold import ThresholdLaw
 
@@ -102,10 +103,33 @@ def held(unhurried):
     waiting.release()
 
 
-def test_killed_sweeps_go_on(tmp_path):
-    study = faults.write_study(tmp_path, count=12)
-    trials = faults.run_trials(study, tmp_path, 3, 2, 7, SHELL_ENVIRONMENT)
-    assert [trial.faults for trial in trials] == [()] * 3
+def test_a_sweep_killed_at_a_random_moment_goes_on(tmp_path):
+    study = faults.write_study(tmp_path, count=4)
+    trials = faults.run_trials(study, tmp_path, 1, 2, 6, SHELL_ENVIRONMENT)
+    assert [trial.faults for trial in trials] == [()]
+
+
+@pytest.mark.parametrize("everybody", [False, True])
+def test_a_sweep_killed_under_way_goes_on(tmp_path, held, everybody):
+    (waiting, reference), output = held, tmp_path / "out"
+    process = start(waiting.study, output)
+    try:
+        until(lambda: waiting.waits == 2, process)
+        family = faults.children(process.pid)
+        for pid in (process.pid, *family) if everybody else family[-1:]:
+            faults.kill(pid)
+        process.communicate(timeout=60)
+    finally:
+        end(process) if process.poll() is None else None
+    faults.wait_for_end(family)
+    waiting.release()
+    before = faults.done_before(output)
+    assert len(before) == waiting.cases // 2
+    result = sweep(waiting.study, output)
+    assert result.returncode == 0, result.stderr
+    assert f"{len(before)} of {waiting.cases} cases are there already" in result.stderr
+    assert kept(before, output)
+    assert not faults.differences(output, reference)
 
 
 @pytest.fixture
@@ -314,9 +338,12 @@ def test_signal_to_one_rank(tmp_path, held, number):
 
 
 def test_no_checkpoint_is_left(tmp_path, monkeypatch, comm):
-    study = faults.write_study(tmp_path, count=2, steps=30, elements=(16,))
-    monkeypatch.setattr(watch, "CHECKPOINT_SECONDS", 0.001)
+    study = faults.write_study(tmp_path, count=2, steps=4, elements=(16,))
+    monkeypatch.setattr(watch, "CHECKPOINT_SECONDS", 0.0)
+    written, write = [], workers.write_result
+    monkeypatch.setattr(workers, "write_result", lambda *w: (written.append(w), write(*w))[1])
     run_sweep(study, tmp_path / "out", comm)
+    assert len(written) == 10 * 3
     assert not (tmp_path / "out" / "inflight").exists()
 
 
