@@ -20,7 +20,8 @@ GRACE = 180.0
 
 def pytest_configure(config):
     config._failures, config._sync = [], None
-    config.addinivalue_line("markers", "serial: starts programs of its own; skipped under mpirun")
+    config.addinivalue_line("markers", "serial: starts programs, or has no use of ranks")
+    config.addinivalue_line("markers", "most_ranks(n): more than n ranks would but repeat it")
     if getattr(config.option, "numprocesses", None) and not hasattr(config, "workerinput"):
         return  # workers run the tests, and would inherit what MPI puts into the environment
     import petsc4py
@@ -42,10 +43,15 @@ def pytest_unconfigure(config):
 
 
 def pytest_collection_modifyitems(config, items):
-    if config._sync is not None:
-        for item in items:
-            if item.get_closest_marker("serial"):
-                item.add_marker(pytest.mark.skip(reason="starts programs of its own"))
+    if config._sync is None:
+        return
+    for item in items:
+        most = item.get_closest_marker("most_ranks")
+        if item.get_closest_marker("serial"):
+            item.add_marker(pytest.mark.skip(reason="starts programs, or has no use of ranks"))
+        elif most is not None and config._sync.size > most.args[0]:
+            reason = f"{most.args[0]} ranks show as much"
+            item.add_marker(pytest.mark.skip(reason=reason))
 
 
 @pytest.hookimpl(hookwrapper=True)

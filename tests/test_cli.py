@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 from conftest import SHELL_ENVIRONMENT
+from waiting import Waiting
 
 from ringwear_par.results.files import read_status
 
@@ -34,7 +35,7 @@ def sentences(result):
 
 RANKS = [
     0,
-    pytest.param(3, marks=pytest.mark.skipif(not shutil.which("mpirun"), reason="no mpirun")),
+    pytest.param(2, marks=pytest.mark.skipif(not shutil.which("mpirun"), reason="no mpirun")),
 ]
 
 
@@ -53,28 +54,16 @@ def test_run_plot_and_status_0(tmp_path, ranks):
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (["nowhere.toml", "-o", "a.h5"], "nowhere.toml: cannot be read"),
         ([PAPER, "-o", "a.h5", "--set", "lower.young=-1"], "lower.young = -1"),
-        ([PAPER, "-o", "a.h5", "--set", "wear.lower.K=1"], "did you mean wear.lower.k?"),
-        ([PAPER, "-o", "a.h5", "--set", "time.tolerance=1e-5"], 'needs time.scheme = "adaptive"'),
-        ([PAPER, "-o", "no/a.h5"], "its folder no does not exist"),
-        ([PAPER, "-o", "taken.h5"], "not a result file of ringwear"),
-        ([PAPER, "-o", "a.h5", "--plot", "no/a.png"], "its folder no does not exist"),
         ([PAPER, "-o", "a.h5", "--set", "mesh.contact_elements=1000000000"], "GB of memory"),
         ([PAPER, "-o", "a.h5", "--", "-contact_tao_typ", "tron"], "did you mean -contact_tao_type"),
-        ([PAPER, "-o", "a.h5", "--", "-bem_nonsense", "3"], "-bem_nonsense: no solver"),
         ([PAPER, "-o", "a.h5", "--", "-contact_tao_type", "lmvm"], "must be one of python, tron"),
         ([PAPER, "-o", "a.h5", "--", "-bem_pc_type", "nonsense"], "-bem_... options"),
-        ([PAPER, "-o", "a.h5", "--plot", "a.xyz"], "its ending must be one of"),
-        (
-            [PAPER, "-o", "a.h5", "--plot", "a.png", "--set", "output.fields=['gap']"],
-            "output.fields",
-        ),
-        ([PAPER, "-o", "a.h5", "--set", "time.steps=1000000000000"], "GB of memory"),
         ([PAPER], "the following arguments are required"),
     ],
 )
 def test_bad_input_is_said_once_with_status_2(tmp_path, ranks, words, said):
+    """What depends on how a program starts, parses and ends; for the rest see test_refusals.py."""
     (tmp_path / "taken.h5").write_text("precious")
     result = ringwear("run", *words, ranks=ranks, cwd=tmp_path)
     assert result.returncode == 2, result.stderr
@@ -101,25 +90,6 @@ def test_failed_computation_has_status_1(tmp_path):
     assert not list(tmp_path.iterdir())
 
 
-def wait_for_handlers(output, ranks, deadline=90.0):
-    """Wait until all processes that write to output have their own handler of SIGUSR1."""
-    bit, started = 1 << (signal.SIGUSR1 - 1), time.monotonic()
-    while time.monotonic() - started < deadline:
-        ready = 0
-        for process in Path("/proc").glob("[0-9]*"):
-            try:
-                words = (process / "cmdline").read_bytes().split(b"\0")
-                status = (process / "status").read_text()
-            except OSError:
-                continue
-            caught = int(status.split("SigCgt:")[1].split()[0], 16) if "SigCgt:" in status else 0
-            ready += str(output).encode() in words and b"mpirun" not in words and bool(caught & bit)
-        if ready == ranks:
-            return
-        time.sleep(0.05)
-    raise AssertionError("the run did not begin to step")
-
-
 @pytest.mark.parametrize("kind", ["jacobi", "none", "cholesky"])
 def test_a_solver_that_does_not_solve_is_an_error(tmp_path, kind):
     result = ringwear("run", PAPER, "-o", "a.h5", "--set", *SMALL, "--", "-bem_pc_type", kind,
@@ -132,15 +102,20 @@ def test_a_solver_that_does_not_solve_is_an_error(tmp_path, kind):
 @pytest.mark.parametrize("ranks", [0, 2])
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGUSR1])
 def test_a_signal_ends_the_run_with_its_steps_on_disk(tmp_path, ranks, number):
-    output = tmp_path / "a.h5"
+    (tmp_path / "case").mkdir()
+    (tmp_path / "out").mkdir()
+    waiting, output = Waiting(tmp_path / "case"), tmp_path / "out" / "a.h5"
+    waiting.hold(0.05)  # mpirun kills a second after its signal
     launcher = ["mpirun", "-n", str(ranks)] if ranks else []
-    command = [*launcher, *RINGWEAR, "run", str(PAPER), "-o", str(output), "--set",
-               "mesh.contact_elements=16", "time.steps=2000000", "output.every=1000"]  # fmt: skip
+    command = [*launcher, *RINGWEAR, "run", str(waiting.case), "-o", str(output), "--set",
+               "time.steps=2000"]  # fmt: skip
     with subprocess.Popen(command, env=SHELL_ENVIRONMENT, text=True, stdout=subprocess.PIPE,
                           stderr=subprocess.PIPE) as process:  # fmt: skip
         try:
-            wait_for_handlers(output, ranks or 1)
-            time.sleep(1.0)
+            limit = time.monotonic() + 90.0
+            while waiting.waits < (ranks or 1) and process.poll() is None:
+                assert time.monotonic() < limit, "the run did not begin to step"
+                time.sleep(0.02)
             process.send_signal(number)
             _, errors = process.communicate(timeout=60)
         finally:
@@ -151,8 +126,8 @@ def test_a_signal_ends_the_run_with_its_steps_on_disk(tmp_path, ranks, number):
     assert step > 1
     if ranks == 0:
         assert process.returncode == 1
-        assert f"stopped by {number.name} after step {step} of 2000000" in errors
-    assert [p.name for p in tmp_path.iterdir()] == ["a.h5"]
+        assert f"stopped by {number.name} after step {step} of 2000" in errors
+    assert [p.name for p in output.parent.iterdir()] == ["a.h5"]
 
 
 def test_info_schema_help_and_version():
@@ -162,10 +137,9 @@ def test_info_schema_help_and_version():
     assert "ranks: 2" in info.stdout
     assert "lower.young" in ringwear("info", "--schema").stdout
     assert ringwear("--version", ranks=2).stdout.count("ringwear") == 1
-    for command in ("run", "plot", "verify", "info"):
-        told = ringwear(command, "--help")
-        assert told.returncode == 0
-        assert "1 the computation failed or was stopped" in told.stdout
+    told = ringwear("run", "--help")
+    assert told.returncode == 0
+    assert "1 the computation failed or was stopped" in told.stdout
 
 
 def test_petsc_options_reach_the_solvers(tmp_path):

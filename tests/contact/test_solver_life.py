@@ -152,12 +152,15 @@ from mpi4py import MPI
 from ringwear_par.contact import solver as module
 from ringwear_par.contact.solver import ContactSolver
 
-how, limit = sys.argv[1], int(sys.argv[2])
+how = sys.argv[1]
 
 def made():
-    solver = ContactSolver(np.eye(8) + 0.1, np.ones(8), MPI.COMM_WORLD, limit)
-    solver.solve(np.zeros(8), force=3.0)
-    return solver
+    both = [
+        ContactSolver(np.eye(8) + 0.1, np.ones(8), MPI.COMM_WORLD, limit) for limit in (100, 0)
+    ]  # replicated and distributed
+    for solver in both:
+        solver.solve(np.zeros(8), force=3.0)
+    return both
 
 kept = made()
 
@@ -176,9 +179,11 @@ elif how == "keeps what was raised":
         last = error
     sys.exit(3)
 elif how == "destroyed":
-    kept.destroy()
+    for solver in kept:
+        solver.destroy()
 elif how == "in a circle":
-    kept.itself = kept
+    for solver in kept:
+        solver.itself = solver
 """
 
 RANKS = [
@@ -198,7 +203,6 @@ def _run(command, ranks):
 
 @pytest.mark.serial
 @pytest.mark.parametrize("ranks", RANKS)
-@pytest.mark.parametrize("limit", [100, 0], ids=["replicated", "distributed"])
 @pytest.mark.parametrize(
     ("how", "status"),
     [
@@ -209,11 +213,11 @@ def _run(command, ranks):
         ("in a circle", 0),
     ],
 )
-def test_a_process_ends_with_its_own_status(tmp_path, ranks, limit, how, status):
+def test_a_process_ends_with_its_own_status(tmp_path, ranks, how, status):
     """Whoever uses the package need not know of destroy()."""
     program = tmp_path / "program.py"
     program.write_text(PROGRAM)
-    done = _run([sys.executable, str(program), how, str(limit)], ranks)
+    done = _run([sys.executable, str(program), how], ranks)
     assert done.returncode == status, done.stderr
     said = done.stdout + done.stderr
     _said_nothing_odd(said)
@@ -253,10 +257,9 @@ keys = {
     "mesh.contact_elements": 16, "time.step": 1.0, "time.steps": 4,
     "wear.lower": None, "wear.lower.law": "user", "wear.lower.file": file,
 }
-case = rw.read_case("scripts/cases/paper.toml", keys)
-if kind == "object":
-    case = replace(case, wear_lower=Mine())
-if how == "caught":
+of_file = rw.read_case("scripts/cases/paper.toml", keys)
+kinds = {"file": of_file, "object": replace(of_file, wear_lower=Mine())}
+for case in kinds.values() if how == "caught" else ():
     good = rw.read_case("scripts/cases/paper.toml", {**keys, "time.steps": 1})
     good, failed = rw.simulate_all([good, case])
     assert isinstance(good, rw.Result) and isinstance(failed, rw.FailedResult)
@@ -271,15 +274,17 @@ if how == "caught":
         cause = cause.__cause__
     # errors that ranks tell each other have lost theirs
     assert "rate" in frames or MPI.COMM_WORLD.size > 1, frames
-else:
-    rw.simulate(case)
+if how == "not caught":
+    rw.simulate(kinds[kind])
 """
 
 
 @pytest.mark.serial
 @pytest.mark.parametrize("ranks", RANKS)
-@pytest.mark.parametrize("kind", ["file", "object"])
-@pytest.mark.parametrize(("how", "status"), [("caught", 0), ("not caught", 1)])
+@pytest.mark.parametrize(
+    ("how", "kind", "status"),
+    [("caught", "both", 0), ("not caught", "file", 1), ("not caught", "object", 1)],
+)
 def test_a_law_that_fails_in_the_midst_leaves_the_status_alone(tmp_path, ranks, kind, how, status):
     """What a law raised holds frames, and these TAO's own references to itself."""
     program, law = tmp_path / "program.py", tmp_path / "law.py"

@@ -44,6 +44,7 @@ def stepped(paper_pair, comm):
     return stepped
 
 
+@pytest.mark.most_ranks(2)
 @pytest.mark.parametrize("p0", [0.0, 40.0])
 def test_the_papers_case_in_few_steps(stepped, p0):
     """200 s within 0.01 um everywhere in 20 steps, 2000 s in 30, at the default tolerance."""
@@ -61,6 +62,7 @@ def test_the_papers_case_in_few_steps(stepped, p0):
         assert history.balances.energy <= 1e-12
 
 
+@pytest.mark.most_ranks(2)
 def test_stages_are_of_second_order(stepped, paper_pair, comm):
     """Steps of equal length from a state that has left the singular transient behind."""
     case, pair = paper_pair
@@ -80,6 +82,7 @@ def test_stages_are_of_second_order(stepped, paper_pair, comm):
     assert (orders > 1.7).all(), orders
 
 
+@pytest.mark.most_ranks(2)
 def test_a_smaller_tolerance_is_more_accurate(stepped):
     _, exact, _ = stepped(time=until(200.0, 1e-9))
     errors = []
@@ -96,6 +99,7 @@ def test_wear_never_falls(stepped):
         assert (after.wear >= before.wear).all()
 
 
+@pytest.mark.most_ranks(2)
 def test_times_of_output_are_as_accurate_and_change_nothing(stepped):
     times = (0.3, 20.0, 20.5, 117.0)
     _, plain, _ = stepped(time=until(200.0))
@@ -197,6 +201,7 @@ def test_a_coefficient_switched_on_and_off(stepped):
     assert all(np.array_equal(s.wear, resting[0].wear) for s in resting)
 
 
+@pytest.mark.most_ranks(2)
 @pytest.mark.parametrize(
     "law",
     [
@@ -222,6 +227,7 @@ def test_other_laws_converge_to_the_same_from_all_schemes(stepped, law):
     assert errors[1] < 0.02 * size
 
 
+@pytest.mark.most_ranks(2)
 def test_similarity(stepped):
     """Only kappa omega t enters: twice k and half the time, or half omega and twice the time."""
     _, one, _ = stepped(time=until(100.0), wear_lower=ThresholdLaw(1e-7, 40.0))

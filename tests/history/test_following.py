@@ -50,6 +50,7 @@ def test_following_changes_little_and_keeps_the_balances(comm, scheme):
         )
 
 
+@pytest.mark.most_ranks(2)
 def test_tolerance_tends_to_zero(comm):
     case = paper_case(UPDATED, p0=(0.0, None), stepping=Stepping("implicit", 5.0, 40))
     approach = {}
@@ -76,6 +77,7 @@ def test_restart_equals_an_uninterrupted_run(shared_path, comm, stopped_after, s
                 assert np.array_equal(one[name][:], two[name][:]), name
 
 
+@pytest.mark.most_ranks(2)
 @pytest.mark.parametrize("geometry", ["fixed", "updated"])
 @pytest.mark.parametrize("shape", ["sphere", "torus"])
 def test_volume_balance_while_the_contact_grows(comm, shape, geometry):

@@ -111,6 +111,7 @@ def test_fixed_approach_unloads(stepped):
     assert states[-1].contact.pressure.max() == pytest.approx(40.0, rel=1e-3)
 
 
+@pytest.mark.most_ranks(2)
 def test_both_schemes_are_of_first_order_and_meet(stepped):
     """Against a fine run, at 20 s on a coarse mesh, where explicit steps are stable."""
     from ringwear_par.elasticity.mesh import Mesh
@@ -137,6 +138,7 @@ def test_both_schemes_are_of_first_order_and_meet(stepped):
         assert orders == pytest.approx([1, 1], abs=0.15)
 
 
+@pytest.mark.most_ranks(2)
 def test_explicit_limit_separates_smooth_from_oscillating(stepped, paper_pair, comm):
     with WearModel(paper_pair[0], comm, paper_pair[1]) as model:
         limit = model.stable_step()

@@ -7,6 +7,8 @@ import pytest
 import step_stability as script
 from mpi4py import MPI
 
+pytestmark = pytest.mark.most_ranks(2)
+
 
 @pytest.fixture(scope="module")
 def both(comm):

@@ -3,7 +3,6 @@
 import csv
 import re
 import shutil
-import signal
 import subprocess
 import sys
 import time
@@ -11,6 +10,7 @@ from pathlib import Path
 
 import pytest
 from conftest import SHELL_ENVIRONMENT
+from waiting import Waiting
 
 from ringwear_par.results.files import read_status
 
@@ -26,12 +26,10 @@ CANNOT = 77
 #: states of a job that has not ended
 UNDER_WAY = {"PENDING", "CONFIGURING", "RUNNING", "COMPLETING", "REQUEUED", "SUSPENDED"}
 SMALL = ["mesh.contact_elements=16", "time.steps=20"]
-#: steps that take minutes
-LONG = ["mesh.contact_elements=16", "time.steps=3000000", "output.every=1000"]
 STUDY = """
 case = "small.toml"
 [vary]
-"wear.lower.k" = { log = [1e-8, 1e-6], count = COUNT }
+"wear.lower.k" = { log = [1e-8, 1e-6], count = 2 }
 "wear.lower.p0" = { values = [0, 20] }
 [design]
 method = "grid"
@@ -109,31 +107,19 @@ def cluster(slurm, tmp_path):
     return Cluster(slurm, tmp_path)
 
 
-def write_study(folder, count=2, steps=20):
-    """A study of 2 x count cases."""
-    text = re.sub(r"steps = \d+", f"steps = {steps}", PAPER.read_text())
+def write_study(folder):
+    """A study of 4 cases."""
+    text = re.sub(r"steps = \d+", "steps = 20", PAPER.read_text())
     (folder / "small.toml").write_text(text + "\n[mesh]\ncontact_elements = 16\n")
-    (folder / "study.toml").write_text(STUDY.replace("COUNT", str(count)))
+    (folder / "study.toml").write_text(STUDY)
 
 
-def wait_for_ranks(number, *words, timeout=120.0):
-    """Wait until the ranks of a command with these arguments have a handler of SIGUSR1."""
-    bit, started = 1 << (signal.SIGUSR1 - 1), time.monotonic()
-    wanted = {str(word).encode() for word in words}
-    while time.monotonic() - started < timeout:
-        ready = 0
-        for process in Path("/proc").glob("[0-9]*"):
-            try:
-                present = set((process / "cmdline").read_bytes().split(b"\0"))
-                status = (process / "status").read_text()
-            except OSError:
-                continue
-            if wanted <= present and b"mpirun" not in present:
-                ready += bool(int(status.split("SigCgt:")[1].split()[0], 16) & bit)
-        if ready == number:
-            return
-        time.sleep(0.05)
-    raise AssertionError(f"{number} ranks of {words} did not begin to step")
+def wait_for_waiting(number, waiting, timeout=120.0):
+    """Wait until so many processes compute cases that wait."""
+    started = time.monotonic()
+    while waiting.waits < number:
+        assert time.monotonic() - started < timeout, "no case began to wait"
+        time.sleep(0.02)
 
 
 def statuses(folder):
@@ -151,17 +137,18 @@ def test_a_run(cluster, tmp_path, launcher):
 
 
 def test_a_run_at_its_wall_limit_goes_on_by_itself(cluster, tmp_path):
-    job = cluster.submit("-n2", SLURM / "run.sbatch", "paper.toml", tmp_path / "a.h5",
-                         "--set", *LONG)  # fmt: skip
-    wait_for_ranks(2, "run", tmp_path / "a.h5")
-    time.sleep(0.5)
+    waiting = Waiting(tmp_path)
+    waiting.hold(0.05)  # at scancel, mpirun kills a second after the signal
+    job = cluster.submit("-n2", SLURM / "run.sbatch", waiting.case, tmp_path / "a.h5",
+                         "--set", "time.steps=2000")  # fmt: skip
+    wait_for_waiting(2, waiting)
     cluster.signal(job)
     status, step = read_status(tmp_path / "a.h5")
     assert status == "incomplete"
+    waiting.hold(0.05)
     cluster.wait(job, lambda _: f"after step {step} (" in cluster.output())
     # and scancel is the end of it
-    wait_for_ranks(2, "run", tmp_path / "a.h5")
-    time.sleep(0.5)
+    wait_for_waiting(2, waiting)
     cluster("scancel", job)
     (end,) = cluster.wait(job)
     assert (end["JobState"], end["Restarts"]) == ("CANCELLED", "1")
@@ -171,11 +158,12 @@ def test_a_run_at_its_wall_limit_goes_on_by_itself(cluster, tmp_path):
 
 
 def test_a_sweep_at_its_wall_limit_goes_on_by_itself(cluster, tmp_path):
-    write_study(tmp_path, steps=8000)
+    waiting = Waiting(tmp_path, thresholds=(0, 20))
+    waiting.hold()
     job = cluster.submit("-n2", SLURM / "sweep.sbatch", "study.toml", tmp_path / "out")
-    wait_for_ranks(2, "sweep", tmp_path / "out")
-    time.sleep(0.5)
+    wait_for_waiting(2, waiting)
     cluster.signal(job)
+    waiting.release()
     assert (tmp_path / "out" / "STOPPED").exists()
     (end,) = cluster.wait(job)
     assert (end["JobState"], end["ExitCode"]) == ("COMPLETED", "0:0"), cluster.output()
@@ -184,15 +172,16 @@ def test_a_sweep_at_its_wall_limit_goes_on_by_itself(cluster, tmp_path):
 
 
 def test_an_array_of_slices_and_its_merge(cluster, tmp_path):
-    write_study(tmp_path, count=3, steps=8000)
+    waiting = Waiting(tmp_path, thresholds=(0, 20, 40))
+    waiting.hold()
     array = cluster.submit("-n1", "--array=1-3", SLURM / "array.sbatch", "study.toml",
                            tmp_path / "out")  # fmt: skip
     merge = cluster.submit("-n2", f"--dependency=afterany:{array}", SLURM / "sweep.sbatch",
                            "study.toml", tmp_path / "out")  # fmt: skip
+    wait_for_waiting(2, waiting)  # the second slice and the last: the first is the smaller k
     # SLURM_JOB_ID of the last task is the number of the whole array
-    wait_for_ranks(1, "3/3", tmp_path / "out")
-    time.sleep(0.2)
     cluster.signal(f"{array}_3")
+    waiting.release()
     (end,) = cluster.wait(merge)
     assert (end["JobState"], end["ExitCode"]) == ("COMPLETED", "0:0"), cluster.output()
     tasks = {task["ArrayTaskId"]: task for task in cluster.jobs(array)}

@@ -69,6 +69,7 @@ def test_a_case_of_a_study_is_told_by_its_text(write):
     assert study.case(3) is not case
 
 
+@pytest.mark.serial
 @pytest.mark.parametrize("method", ["sobol", "random"])
 @pytest.mark.parametrize("more", [8, 13, 40])
 def test_a_longer_design_extends_a_shorter_one(write, method, more):
@@ -77,6 +78,7 @@ def test_a_longer_design_extends_a_shorter_one(write, method, more):
     assert long.ids[:7] == short.ids
 
 
+@pytest.mark.serial
 @pytest.mark.parametrize("method", ["sobol", "latin-hypercube", "random"])
 def test_samples_fill_their_ranges(write, method):
     study = sampled(write, method, 256)

@@ -10,9 +10,11 @@ import h5py
 import pytest
 import try_faults as faults
 from conftest import SHELL_ENVIRONMENT
+from waiting import STEPS, Waiting
 
 from ringwear_par.errors import ComputationError
 from ringwear_par.results import watch
+from ringwear_par.studies import workers
 from ringwear_par.studies.sweep import run_sweep
 from ringwear_par.wear.threshold import ThresholdLaw
 
@@ -20,8 +22,8 @@ pytestmark = [
     pytest.mark.serial,
     pytest.mark.skipif(not shutil.which("mpirun"), reason="no mpirun"),
 ]
-#: cases of the short study, and of the long one
-SHORT, LONG = 60, 10
+#: cases of the short study
+SHORT = 60
 
 
 def sweep(study, output, *words, ranks=2, patience=100):
@@ -84,18 +86,50 @@ def short(tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def long(tmp_path_factory):
-    """A study of few, long cases, and its folder of results."""
-    folder = tmp_path_factory.mktemp("long")
-    study = faults.write_study(folder, count=2, steps=6000, elements=(16,))
-    faults.run_reference(study, folder / "reference", 2, SHELL_ENVIRONMENT)
-    return study, folder / "reference"
+def unhurried(tmp_path_factory):
+    """A study whose cases can wait under way, and its folder of results."""
+    folder = tmp_path_factory.mktemp("waiting")
+    waiting = Waiting(folder)
+    faults.run_reference(waiting.study, folder / "reference", 2, SHELL_ENVIRONMENT)
+    return waiting, folder / "reference"
 
 
-def test_killed_sweeps_go_on(tmp_path):
-    study = faults.write_study(tmp_path, count=12)
-    trials = faults.run_trials(study, tmp_path, 3, 2, 7, SHELL_ENVIRONMENT)
-    assert [trial.faults for trial in trials] == [()] * 3
+@pytest.fixture
+def held(unhurried):
+    """The same; from now on half of its cases wait."""
+    waiting, reference = unhurried
+    waiting.hold()
+    yield waiting, reference
+    waiting.release()
+
+
+def test_a_sweep_killed_at_a_random_moment_goes_on(tmp_path):
+    study = faults.write_study(tmp_path, count=4)
+    trials = faults.run_trials(study, tmp_path, 1, 2, 6, SHELL_ENVIRONMENT)
+    assert [trial.faults for trial in trials] == [()]
+
+
+@pytest.mark.parametrize("everybody", [False, True])
+def test_a_sweep_killed_under_way_goes_on(tmp_path, held, everybody):
+    (waiting, reference), output = held, tmp_path / "out"
+    process = start(waiting.study, output)
+    try:
+        until(lambda: waiting.waits == 2, process)
+        family = faults.children(process.pid)
+        for pid in (process.pid, *family) if everybody else family[-1:]:
+            faults.kill(pid)
+        process.communicate(timeout=60)
+    finally:
+        end(process) if process.poll() is None else None
+    faults.wait_for_end(family)
+    waiting.release()
+    before = faults.done_before(output)
+    assert len(before) == waiting.cases // 2
+    result = sweep(waiting.study, output)
+    assert result.returncode == 0, result.stderr
+    assert f"{len(before)} of {waiting.cases} cases are there already" in result.stderr
+    assert kept(before, output)
+    assert not faults.differences(output, reference)
 
 
 @pytest.fixture
@@ -225,14 +259,15 @@ def test_dry_run_changes_nothing(tmp_path, short):
     assert (output / "results.h5").exists()
 
 
-def test_damaged_shard(tmp_path, long):
-    study, reference = long
-    output = tmp_path / "out"
-    process = start(study, output)
+def test_damaged_shard(tmp_path, held):
+    (waiting, reference), output = held, tmp_path / "out"
+    process = start(waiting.study, output)
     try:
-        until(lambda: len(faults.done_before(output)) > 2, process)
+        until(lambda: waiting.waits == 2, process)
     finally:
         end(process)
+    waiting.release()
+    assert len(faults.done_before(output)) == waiting.cases // 2
     shard = sorted((output / "shards").glob("*.sqlite"))[0]
     for path in shard.parent.glob(f"{shard.name}-*"):
         path.unlink()
@@ -241,7 +276,7 @@ def test_damaged_shard(tmp_path, long):
         file.write(b"nonsense" * 100)
     with shard.open("rb+") as file:
         file.write(b"no database any more")
-    result = sweep(study, output)
+    result = sweep(waiting.study, output)
     assert result.returncode == 0, result.stderr
     (told,) = [line for line in sentences(result.stderr) if "is damaged" in line]
     aside = shard.with_suffix(".damaged")
@@ -255,24 +290,16 @@ def test_damaged_shard(tmp_path, long):
     assert found, "not kept after all"
 
 
-@pytest.mark.parametrize("where", ["/proc/no", "/sys/no", "/dev/null"])
-def test_folder_that_cannot_be_written(short, where):
-    result = sweep(short[0], where)
-    assert result.returncode == 2, result.stderr
-    assert len(sentences(result.stderr)) == 1
-    assert "Traceback" not in result.stderr
-
-
-def test_two_sweeps_in_one_folder(tmp_path, long):
-    study, reference = long
-    output = tmp_path / "out"
-    process = start(study, output)
+def test_two_sweeps_in_one_folder(tmp_path, held):
+    (waiting, reference), output = held, tmp_path / "out"
+    process = start(waiting.study, output)
     try:
         until(lambda: any((output / "shards").glob("*.sqlite")), process)
-        second = sweep(study, output, ranks=0)
+        second = sweep(waiting.study, output, ranks=0)
         assert second.returncode == 2, second.stderr
         (told,) = sentences(second.stderr)
         assert "another sweep is at work" in told
+        waiting.release()
         _, stderr = process.communicate(timeout=100)
         assert process.returncode == 0, stderr
     finally:
@@ -281,14 +308,13 @@ def test_two_sweeps_in_one_folder(tmp_path, long):
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGUSR1])
-def test_signal_to_one_rank(tmp_path, long, number):
-    study, reference = long
-    output = tmp_path / "out"
-    process = start(study, output)
+def test_signal_to_one_rank(tmp_path, held, number):
+    (waiting, reference), output = held, tmp_path / "out"
+    process = start(waiting.study, output)
     try:
-        until(lambda: len(faults.done_before(output)) > 1, process)
-        time.sleep(0.2)
+        until(lambda: waiting.waits == 2, process)
         faults.kill(faults.children(process.pid)[-1], number)
+        waiting.release()
         _, stderr = process.communicate(timeout=100)
     finally:
         end(process) if process.poll() is None else None
@@ -302,19 +328,22 @@ def test_signal_to_one_rank(tmp_path, long, number):
     assert inflight
     with h5py.File(output / "results.h5", "r") as file:
         steps = dict(zip(file["case"].asstr()[:], file["steps_stored"][:], strict=True))
-    assert all(1 < steps[identity] < 6001 for identity in inflight)
-    assert status.count("done") + len(inflight) < LONG
+    assert all(1 < steps[identity] < STEPS + 1 for identity in inflight)
+    assert status.count("done") + len(inflight) < waiting.cases
     before = faults.done_before(output)
-    result = sweep(study, output)
+    result = sweep(waiting.study, output)
     assert result.returncode == 0, result.stderr
     assert kept(before, output)
     assert not faults.differences(output, reference)
 
 
 def test_no_checkpoint_is_left(tmp_path, monkeypatch, comm):
-    study = faults.write_study(tmp_path, count=2, steps=30, elements=(16,))
-    monkeypatch.setattr(watch, "CHECKPOINT_SECONDS", 0.001)
+    study = faults.write_study(tmp_path, count=2, steps=4, elements=(16,))
+    monkeypatch.setattr(watch, "CHECKPOINT_SECONDS", 0.0)
+    written, write = [], workers.write_result
+    monkeypatch.setattr(workers, "write_result", lambda *w: (written.append(w), write(*w))[1])
     run_sweep(study, tmp_path / "out", comm)
+    assert len(written) == 10 * 3
     assert not (tmp_path / "out" / "inflight").exists()
 
 

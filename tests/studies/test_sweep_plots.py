@@ -67,6 +67,12 @@ def sample(keys, count, seed=3):
         return qmc.Sobol(len(keys), seed=seed).random(count)
 
 
+@pytest.fixture
+def few_resamples(monkeypatch):
+    """Where it does not matter how well confidence is known: nearly all of the time goes there."""
+    monkeypatch.setattr("ringwear_par.studies.sensitivity._RESAMPLES", 20)
+
+
 KEYS = ("load.pressure", "load.omega", "upper.r[1]")
 
 
@@ -100,6 +106,7 @@ def test_first_order_indices_of_known_models(tmp_path, model, exact):
     assert (volume.delta[1:] < 0.1).all()
 
 
+@pytest.mark.usefixtures("few_resamples")
 def test_moment_independent_index_of_a_sum(tmp_path):
     """Of x + y, both uniform, it is 1/3: half the mean area between a square and a triangle."""
     u = sample(KEYS[:2], 4096)
@@ -108,6 +115,7 @@ def test_moment_independent_index_of_a_sum(tmp_path):
     assert found.s1 == pytest.approx([0.5, 0.5], abs=0.03)
 
 
+@pytest.mark.usefixtures("few_resamples")
 def test_indices_of_an_output_that_spans_decades(tmp_path):
     """A monotone function leaves delta as it is; SALib's own estimate here is 70."""
     u = sample(KEYS, 1024)
@@ -119,6 +127,7 @@ def test_indices_of_an_output_that_spans_decades(tmp_path):
     assert (wide.delta[1:] < 0.1).all()
 
 
+@pytest.mark.usefixtures("few_resamples")
 def test_indices_do_not_depend_on_units_nor_touch_the_random_state(tmp_path):
     u = sample(KEYS, 256)
     small = write(tmp_path / "a", KEYS, u, 1e-9 * linear(u), "sobol")
@@ -133,6 +142,7 @@ def test_indices_do_not_depend_on_units_nor_touch_the_random_state(tmp_path):
         assert (getattr(one, name) == getattr(again, name)).all()
 
 
+@pytest.mark.usefixtures("few_resamples")
 def test_indices_follow_from_done_cases_and_numbers_only(tmp_path):
     u = sample(KEYS, 512)
     bad = np.arange(512) % 4 == 0
@@ -184,6 +194,7 @@ def test_no_indices_of_a_grid(tmp_path, caplog):
     assert not caplog.records
 
 
+@pytest.mark.usefixtures("few_resamples")
 def test_indices_are_drawn(tmp_path):
     u = sample(KEYS, 128)
     ensemble = write(tmp_path, KEYS, u, linear(u), "latin-hypercube", lower=u[:, 1])
@@ -351,6 +362,7 @@ def test_wrong_requests(tmp_path):
     assert sorted(tmp_path.iterdir()) == before
 
 
+@pytest.mark.usefixtures("few_resamples")
 def test_many_cases_are_drawn_from_a_part_of_their_histories(tmp_path, monkeypatch):
     count = 20000
     u = sample(KEYS, count)

@@ -33,6 +33,7 @@ def unworn(case, comm):
     return line, approach, p * approach
 
 
+@pytest.mark.most_ranks(2)
 def test_every_check_is_passed(checks):
     failed = [c for c in checks.values() if not c.passed]
     kinds = Counter(c.kind for c in checks.values())
@@ -40,6 +41,7 @@ def test_every_check_is_passed(checks):
     assert failed == []
 
 
+@pytest.mark.most_ranks(2)
 def test_identities_hold_to_round_off(checks):
     """On held faces but for the mesh, whose order they show."""
     for check in checks.values():
@@ -48,6 +50,7 @@ def test_identities_hold_to_round_off(checks):
             assert check.order > 2.5 if held else check.errors[-1] < 1e-12, check.name
 
 
+@pytest.mark.most_ranks(2)
 @pytest.mark.parametrize(
     ("name", "order"),
     [
@@ -69,7 +72,6 @@ def test_identities_hold_to_round_off(checks):
         ("flush: pressure, worst of all elements", 2.2),
         ("flush: wear after 10 s, worst element, mm", 2.2),
         ("torsion of a ring with a conical top of 10 degrees: u_theta", 1.8),
-        ("cones of 5 degrees bathed in their pressure: approach", 3.0),
         ("cones of 5 degrees: pressure, worst from 0.02 mm on", 1.7),
         ("cones of 5 degrees, both wear, steady: torque", 1.9),
         ("cones of 10 degrees: approach", 1.7),
@@ -79,6 +81,7 @@ def test_observed_orders(checks, name, order):
     assert checks[name].order > order
 
 
+@pytest.mark.most_ranks(2)
 @pytest.mark.parametrize("name", ["sphere (Hertz): force", "rigid cone: force"])
 def test_growing_contacts_converge(checks, name):
     """Where in an element contact ends differs from mesh to mesh, and so does the order."""
@@ -86,6 +89,7 @@ def test_growing_contacts_converge(checks, name):
     assert coarse > 1.9 * middle > 1.9 * 1.9 * fine
 
 
+@pytest.mark.most_ranks(2)
 def test_default_mesh_at_every_sort_of_edge(checks):
     """64 elements: 3e-5 of the approach, 0.5 % from 0.02 mm on, 0.01 um of wear; none open."""
     for name, rings in SORTS.items():
@@ -98,6 +102,7 @@ def test_default_mesh_at_every_sort_of_edge(checks):
                 assert checks[f"{name}: {text}"].errors[1] <= most, (name, text)
 
 
+@pytest.mark.most_ranks(2)
 def test_hertz_pressure_at_the_axis(comm):
     """The innermost elements too, not only a fit through many."""
     *_, p_max = reference.hertz(reference.contact_modulus((1.0, NU)), 10.0, 0.1)
@@ -123,6 +128,7 @@ def test_default_mesh_meets_its_figures(comm):
         assert pressure_at(line, p, r) == pytest.approx(exact, rel=tolerance)
 
 
+@pytest.mark.most_ranks(2)
 def test_interior_pressure_converges_without_checkerboard(comm):
     """p(29) is 44.65 MPa; nodal gaps gave 45, 32, 75 MPa for 32, 64, 128 elements."""
     for n, tolerance in ((32, 1e-2), (64, 3e-3), (128, 1.5e-3)):

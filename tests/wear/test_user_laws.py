@@ -181,6 +181,7 @@ def test_restart_wants_the_same_law(law, shared_path, comm):
     run_case(PAPER, output, [*keys, "time.end=40"], comm=comm, restart=True)
 
 
+@pytest.mark.most_ranks(2)
 def test_wear_that_grows_too_fast_with_itself_is_told(law, shared_path, comm):
     """Fixed steps say so; adaptive ones become smaller until half of the body is gone."""
     growing = """
@@ -196,6 +197,7 @@ def wear_slope(p, at): return 1e-8 * at.speed * p / 1e-3
         run_case(PAPER, shared_path / "a.h5", [*law(growing), "time.end=2000"], comm=comm)
 
 
+@pytest.mark.most_ranks(2)
 def test_round_off_of_a_memory_law_does_not_matter(law, shared_path, comm):
     noisy = """
 import numpy as np
@@ -298,6 +300,7 @@ def test_times_of_output_are_stored_once_and_named_once(shared_path, comm):
             assert (np.diff(file["steps_made"][:]) >= 0).all()
 
 
+@pytest.mark.most_ranks(2)
 def test_a_rate_is_all_that_a_history_needs(law, comm):
     """In a file or of any object; what they do not say is found as exactly as if they had."""
 

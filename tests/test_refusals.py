@@ -1,0 +1,90 @@
+"""What the command refuses: one sentence from all ranks together, status 2, and nothing written.
+
+In this process, on its ranks; test_cli.py starts the command as a user does.
+"""
+
+import sys
+from pathlib import Path
+
+import pytest
+from petsc4py import PETSc
+from swept import write_study
+
+from ringwear_par.cli import main
+
+PAPER = str(Path(__file__).parents[1] / "scripts" / "cases" / "paper.toml")
+
+
+@pytest.fixture
+def ringwear(shared_path, comm, monkeypatch, capfd):
+    """Function that runs the command: its status here, and what all ranks say of errors."""
+    monkeypatch.chdir(shared_path)
+
+    def ringwear(*words):
+        with monkeypatch.context() as patch:
+            patch.setattr(sys, "stdout", sys.stdout)
+            status = main(words)
+            if comm.rank > 0:
+                sys.stdout.close()
+        said = comm.allgather(capfd.readouterr().err)
+        return status, "".join(said)
+
+    return ringwear
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["nowhere.toml", "-o", "a.h5"], "nowhere.toml: cannot be read"),
+        ([PAPER, "-o", "a.h5", "--set", "wear.lower.K=1"], "did you mean wear.lower.k?"),
+        ([PAPER, "-o", "a.h5", "--set", "time.tolerance=1e-5"], 'needs time.scheme = "adaptive"'),
+        ([PAPER, "-o", "no/a.h5"], "its folder no does not exist"),
+        ([PAPER, "-o", "taken.h5"], "not a result file of ringwear"),
+        ([PAPER, "-o", "a.h5", "--plot", "no/a.png"], "its folder no does not exist"),
+        ([PAPER, "-o", "a.h5", "--plot", "a.xyz"], "its ending must be one of"),
+        (
+            [PAPER, "-o", "a.h5", "--plot", "a.png", "--set", "output.fields=['gap']"],
+            "output.fields",
+        ),
+        ([PAPER, "-o", "a.h5", "--set", "time.steps=1000000000000"], "GB of memory"),
+        ([PAPER, "-o", "a.h5", "--", "-bem_nonsense", "3"], "-bem_nonsense: no solver"),
+    ],
+)
+def test_bad_input_is_said_once_with_status_2(ringwear, shared_path, comm, words, said):
+    if comm.rank == 0:
+        (shared_path / "taken.h5").write_text("precious")
+    comm.Barrier()
+    options = PETSc.Options()
+    if "--" in words:  # PETSc is under way here, and takes no more words
+        name, value = words[words.index("--") + 1 :]
+        options[name.lstrip("-")] = value
+    try:
+        status, errors = ringwear("run", *words)
+    finally:
+        if "--" in words:
+            options.delValue(name.lstrip("-"))
+    assert status == 2
+    assert "Traceback" not in errors
+    assert errors.startswith("ringwear: ")
+    assert errors.count("ringwear: ") == errors.count("\n") == 1
+    assert said in errors
+    assert [p.name for p in shared_path.iterdir()] == ["taken.h5"]
+
+
+@pytest.mark.skipif(not Path("/proc/self").exists(), reason="no such folders here")
+@pytest.mark.parametrize("where", ["/proc/no", "/sys/no", "/dev/null"])
+def test_a_folder_that_cannot_be_written_is_refused(ringwear, shared_path, comm, where):
+    study = write_study(shared_path, comm)
+    status, errors = ringwear("sweep", str(study), "-o", where)
+    assert status == 2, errors
+    assert errors.startswith("ringwear: ")
+    assert errors.count("ringwear: ") == errors.count("\n") == 1
+
+
+@pytest.mark.serial
+@pytest.mark.parametrize("command", ["sweep", "plot", "export", "laws", "verify", "info"])
+def test_help_tells_the_exit_statuses(capsys, command):
+    with pytest.raises(SystemExit) as ended:
+        main([command, "--help"])
+    assert ended.value.code == 0
+    assert "1 the computation failed or was stopped" in capsys.readouterr().out
