@@ -1,6 +1,7 @@
 """The variables of results: one table that recorder, files, tables and ensembles read.
 
-Depths of wear are losses, so never negative: downward for lower, upward for upper.
+Depths of wear are losses, so never negative: vertically downward for lower, upward for upper, also
+where faces slope. Pressure is normal to the faces.
 """
 
 from dataclasses import dataclass, replace
@@ -89,10 +90,10 @@ HISTORIES = _table(
 )  # fmt: skip
 #: fields along the contact line at each stored state, or at the last one (``at_last_step``)
 PROFILES = _table(
-    Variable("pressure", ("step", "element"), "MPa", "contact pressure"),
-    Variable("gap", ("step", "element"), "mm", "gap between the deformed profiles"),
-    Variable("wear_lower", ("step", "element"), "mm", "wear depth of the lower ring, downward"),
-    Variable("wear_upper", ("step", "element"), "mm", "wear depth of the upper ring, upward"),
+    Variable("pressure", ("step", "element"), "MPa", "contact pressure, normal to the faces"),
+    Variable("gap", ("step", "element"), "mm", "gap between the deformed profiles, along the axis"),
+    Variable("wear_lower", ("step", "element"), "mm", "wear depth of the lower ring, vertically downward"),
+    Variable("wear_upper", ("step", "element"), "mm", "wear depth of the upper ring, vertically upward"),
 )
 #: coordinates of the result file that are no dimensions
 COORDINATES = ("time", *LINE)
@@ -150,9 +151,9 @@ BOUNDARY_FIELDS: dict[str, tuple[Variable, ...]] = {
         "traction_{}", _AXES, "boundary_element", "MPa", "traction along {}"
     ),
     "pressure": _components(
-        "pressure", ("",), "boundary_element", "MPa", "contact pressure, 0 elsewhere"
+        "pressure", ("",), "boundary_element", "MPa", "contact pressure, normal to the faces, 0 elsewhere"
     ),
     "wear": _components(
-        "wear", ("",), "boundary_element", "mm", "wear depth, 0 off the contact"
+        "wear", ("",), "boundary_element", "mm", "vertical wear depth, 0 off the contact"
     ),
 }  # fmt: skip
