@@ -39,13 +39,14 @@ from mpi4py import MPI
 from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.case import Case, Stepping
 from ringwear_par.cases.reading import read_case
+from ringwear_par.contact.correction import CORRECTIONS
 from ringwear_par.elasticity.body import boundary_conditions, solve_body
 from ringwear_par.elasticity.mesh import ContactLine, boundary_mesh
 from ringwear_par.elasticity.pair import ContactCompliance, ContactPair, largest_stable_step
 from ringwear_par.errors import RingwearError
 from ringwear_par.history.bodies import young
 from ringwear_par.history.euler import backward, forward
-from ringwear_par.history.model import CORRECTIONS, WearModel
+from ringwear_par.history.model import WearModel
 from ringwear_par.history.pairs import assemble
 from ringwear_par.history.simulate import simulate
 from ringwear_par.history.snapshots import Snapshot

@@ -29,10 +29,9 @@ def symmetric(line: ContactLine, normal: FloatArray) -> FloatArray:
 
     by which the pressures P under a rigid flat and a rigid bowed face are those of the collocated
     equations, and near edges and corners what behaves like them. K is positive definite where S and
-    the symmetric part of Y'P are. Where there is contact at the axis but not at the edges, these two
+    the symmetric part of Y'P are. Where there is contact at the axis but not at the edges, these
     faces are no guide: S has been corrected there before. What K still has more than the collocated
-    compliance, histories take from the gap (``WearModel.contact``); K is so near that this converges
-    by a factor of about 30 each time, where from S alone it need not.
+    compliance, histories take from the gap (``contact.correction``).
 
     Parameters
     ----------

@@ -9,7 +9,8 @@ rate.
 import numpy as np
 
 from ringwear_par.arrays import Numbers, columns
-from ringwear_par.history.model import CORRECTIONS, WearModel
+from ringwear_par.contact.correction import CORRECTIONS
+from ringwear_par.history.model import WearModel
 from ringwear_par.history.schemes import Step, advanced
 from ringwear_par.history.state import State
 from ringwear_par.schedules import mean

@@ -17,6 +17,7 @@ from mpi4py import MPI
 
 from ringwear_par.arrays import BoolArray, FloatArray, Numbers, columns, inner
 from ringwear_par.cases.case import Case
+from ringwear_par.contact.correction import CORRECTIONS, CorrectedContact
 from ringwear_par.contact.problem import ContactState, WarmStart
 from ringwear_par.contact.solver import ContactSolver
 from ringwear_par.elasticity.pair import BodyCost, ContactPair, largest_stable_step
@@ -28,10 +29,6 @@ from ringwear_par.history.state import Start, State
 from ringwear_par.schedules import Quantity, in_time, integral, largest, stack
 from ringwear_par.wear.increment import Closing, WearIncrement, averaged_rate, averaging
 from ringwear_par.wear.law import LocalState, stack_laws
-
-#: relative error at which pressures count as those of the collocated equations, and how often
-#: those are corrected at most that no others are near, or that are stepped explicitly
-_COLLOCATED, CORRECTIONS = 1e-4, 5
 
 
 class WearModel:
@@ -100,36 +97,37 @@ class WearModel:
         self.wears_locally = self._wears and not any(
             law is not None and law.length for law in self.laws
         )
-        self._take(self.pair)
-        #: pressures that the compliance was corrected at, and found, of the last solutions
-        self._solutions: dict[int, tuple[FloatArray, FloatArray]] = {}
-        self._collocated: tuple[float, int] | None = None  # once the history has ended
         #: the wear that the present elasticity is of
         self._followed = np.zeros((2, *self._shape))
         self._lent = solver is not None
+        # once the history has ended
         self._warm: WarmStart | None = None
+        self._collocated: tuple[float, int] | None = None
         if solver is not None:
             solver.cold_start()
-            self._solvers = [solver]
+            solvers = [solver]
         else:
-            matrix = self.compliance.matrix
-            self._solvers = [ContactSolver(matrix, self.area, comm) for _ in self.cases]
+            matrix = self.pair.compliance(young(case)).matrix
+            solvers = [ContactSolver(matrix, self.area, comm) for _ in self.cases]
+        self._contacts = [CorrectedContact(each, self.area) for each in solvers]
+        self._take(self.pair)
 
     def __enter__(self) -> "WearModel":
         return self
 
     def __exit__(self, failure: type[BaseException] | None, *_: object) -> None:
         if failure is not None:  # where a failed solution ended is no place to start
-            self._solvers[0].cold_start()
-            self._solutions.clear()
+            self._contacts[0].forget()
         self._collocated = self.collocation_error
-        self._warm = self._solvers[0].warm()
+        self._warm = self._contacts[0].solver.warm()
         if not self._lent:
-            for solver in self._solvers:
-                solver.destroy()
+            for contact in self._contacts:
+                contact.solver.destroy()
 
     def _take(self, pair: ContactPair) -> None:
         self.compliance = pair.compliance(young(self.case))
+        for contact in self._contacts:
+            contact.excess = self.compliance.excess
         true_area = self.area * self.compliance.obliquity
         #: 1 / cos alpha of sloping faces, None where all are flat
         self._obliquity = self.compliance.obliquity if pair.slope.any() else None
@@ -166,11 +164,11 @@ class WearModel:
 
     def _check_interpenetration(self) -> None:
         """Refuse undeformed bodies that overlap by more than the largest force presses them."""
-        for case, solver in zip(self.cases, self._solvers, strict=True):
+        for case, contact in zip(self.cases, self._contacts, strict=True):
             overlap = case.interpenetration
             if case.load.force is None or overlap == 0.0:
                 continue
-            pressed = _pressed(solver, case)
+            pressed = _pressed(contact.solver, case)
             if pressed.approach < 0.0:
                 e = int(case.initial_gap.argmin())
                 raise UnfitError(
@@ -184,12 +182,12 @@ class WearModel:
         if start.state.shape is not None:
             self._follow(start.state.shape)
         self.updates = start.updates
-        self._solvers[0].warm_start(start.warm)
+        self._contacts[0].solver.warm_start(start.warm)
         return start.state
 
     def warm(self) -> WarmStart:
         """Return where the next contact solution starts, after the end too. Collective."""
-        return self._solvers[0].warm() if self._warm is None else self._warm
+        return self._contacts[0].solver.warm() if self._warm is None else self._warm
 
     # -- elements that follow the wear -------------------------------------------------------------
 
@@ -218,7 +216,7 @@ class WearModel:
             return
         pair = self._geometry.update(shape)
         self._take(pair)
-        self._solvers[0].set_compliance(self.compliance.matrix)
+        self._contacts[0].solver.set_compliance(self.compliance.matrix)
         self._followed, self.following = shape, self.following + pair.cost
 
     # -- contact, eq. (3) --------------------------------------------------------------------------
@@ -234,15 +232,11 @@ class WearModel:
     ) -> ContactState:
         """Return the contact at a time, under the loads of that time. Collective.
 
-        The compliance is symmetric, so that contact is a minimisation; what it has more than the
-        collocated one is taken from the gap, at pressures near the solution. (Deferred correction;
-        repeated from the solution on, it converges by a factor of about 30 each time.)
-
         Parameters
         ----------
         time : float or (B,), s.
         wear : (2, ..., n) float, mm, by which the profiles are worn.
-        near : (..., n) float, MPa, pressures at the start of the step.
+        near : (..., n) float, MPa, pressures near the solution, see ``contact.correction``.
         during : wear of an implicit step, which is part of the contact problem.
         corrections : how often at most to repeat this from the solution on.
         found : which of B histories have their solution already, and it.
@@ -259,80 +253,43 @@ class WearModel:
         if not self._wears:
             during = None
         if gap.ndim == 1:
-            return self._solved(0, gap, near, force, approach, during, corrections)
+            return self._contacts[0].solve(
+                gap, near, force=force, approach=approach, wear=during, corrections=corrections
+            )
         return _stacked(
             [
                 _one(found[1], i)
                 if found is not None and found[0][i]
-                else self._solved(
-                    i,
+                else contact.solve(
                     gap[i],
                     near[i],
-                    None if force is None else float(force[i]),
-                    None if approach is None else float(approach[i]),
-                    None if during is None else during.history(i),
-                    corrections,
+                    force=None if force is None else float(force[i]),
+                    approach=None if approach is None else float(approach[i]),
+                    wear=None if during is None else during.history(i),
+                    corrections=corrections,
                 )
-                for i in range(len(gap))
+                for i, contact in enumerate(self._contacts)
             ]
         )
 
-    def _solved(
-        self,
-        i: int,
-        gap: FloatArray,
-        near: FloatArray,
-        force: float | None,
-        approach: float | None,
-        during: WearIncrement | None,
-        corrections: int,
-    ) -> ContactState:
-        """Return the contact of one history, see ``contact``."""
-        solver, excess, before = self._solvers[i], self.compliance.excess, 0
-        while True:
-            found = solver.solve(gap - excess @ near, force=force, approach=approach, wear=during)
-            if before:
-                found = replace(found, iterations=before + found.iterations)
-            self._solutions[i] = near, found.pressure
-            if corrections == 0 or self._collocation_errors(i).max() <= _COLLOCATED:
-                return found
-            near, before, corrections = found.pressure, found.iterations, corrections - 1
-
-    def _collocation_errors(self, i: int) -> FloatArray:
-        """Return (n,), how far about the last pressures of a history are off the collocated ones.
-
-        Relative to the pressure or to its mean, whichever is larger. Collective.
-        """
-        near, p = self._solutions[i]
-        touching = p > 0.0
-        if not touching.any():
-            return np.zeros_like(p)
-        off = self._solvers[i].response(self.compliance.excess @ (p - near), self.force is not None)
-        mean = float(self.area @ p) / float(self.area[touching].sum())
-        return np.abs(off) / np.maximum(p, mean)
-
     @property
     def collocation_error(self) -> tuple[float, int]:
-        """About how far the last pressures are off the collocated ones, and where most. Collective.
+        """What making the compliance symmetric does to the last pressures: worst error, element.
 
-        What is left of making the compliance symmetric: the worst error, relative to the pressure
-        or to its mean, whichever is larger, and its element.
+        See ``CorrectedContact.errors``. Collective.
         """
         if self._collocated is not None:
             return self._collocated
-        if not self._solutions:
-            return 0.0, 0
-        errors = self._collocation_errors(0)
+        errors = self._contacts[0].errors()
         return float(errors.max()), int(errors.argmax())
 
     def pressure_response(self, gap: FloatArray) -> FloatArray:
         """Return what a small growth (..., n) mm of the gap does to the last pressures, MPa."""
         kept = self.force is not None
         if gap.ndim == 1:
-            return self._solvers[0].response(gap, kept)
-        return np.stack(
-            [each.response(g, kept) for each, g in zip(self._solvers, gap, strict=True)]
-        )
+            return self._contacts[0].solver.response(gap, kept)
+        each = zip(self._contacts, gap, strict=True)
+        return np.stack([contact.solver.response(g, kept) for contact, g in each])
 
     def yielding(self, p: FloatArray) -> FloatArray:
         """Return what each element yields, (..., n) mm, to its own pressure alone, MPa."""
@@ -440,7 +397,7 @@ class WearModel:
 
         Unworn, under the largest load and speed, with the steepest of what laws do in time.
         """
-        case, solver = self.case, self._solvers[0]
+        case, solver = self.case, self._contacts[0].solver
         warm = solver.warm()
         p = np.full_like(self.area, _pressed(solver, case).pressure.max())
         solver.warm_start(warm)

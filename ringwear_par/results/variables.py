@@ -92,8 +92,12 @@ HISTORIES = _table(
 PROFILES = _table(
     Variable("pressure", ("step", "element"), "MPa", "contact pressure, normal to the faces"),
     Variable("gap", ("step", "element"), "mm", "gap between the deformed profiles, along the axis"),
-    Variable("wear_lower", ("step", "element"), "mm", "wear depth of the lower ring, vertically downward"),
-    Variable("wear_upper", ("step", "element"), "mm", "wear depth of the upper ring, vertically upward"),
+    Variable(
+        "wear_lower", ("step", "element"), "mm", "depth worn off the lower ring, along the axis"
+    ),
+    Variable(
+        "wear_upper", ("step", "element"), "mm", "depth worn off the upper ring, along the axis"
+    ),
 )
 #: coordinates of the result file that are no dimensions
 COORDINATES = ("time", *LINE)
@@ -151,9 +155,9 @@ BOUNDARY_FIELDS: dict[str, tuple[Variable, ...]] = {
         "traction_{}", _AXES, "boundary_element", "MPa", "traction along {}"
     ),
     "pressure": _components(
-        "pressure", ("",), "boundary_element", "MPa", "contact pressure, normal to the faces, 0 elsewhere"
+        "pressure", ("",), "boundary_element", "MPa", "contact pressure, 0 elsewhere"
     ),
     "wear": _components(
-        "wear", ("",), "boundary_element", "mm", "vertical wear depth, 0 off the contact"
+        "wear", ("",), "boundary_element", "mm", "worn depth along the axis, 0 off the contact"
     ),
 }  # fmt: skip

@@ -10,11 +10,12 @@ from mpi4py import MPI
 
 from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.case import Case
+from ringwear_par.contact.correction import CORRECTIONS
 from ringwear_par.elasticity.body import boundary_conditions, solve_body
 from ringwear_par.elasticity.mesh import ContactLine, Mesh, boundary_mesh, contact_line
 from ringwear_par.elasticity.sections import Body, Section
 from ringwear_par.history.bodies import bodies, young
-from ringwear_par.history.model import CORRECTIONS, WearModel
+from ringwear_par.history.model import WearModel
 from ringwear_par.history.pairs import assemble
 from ringwear_par.history.trace import trace
 from ringwear_par.verification import reference
