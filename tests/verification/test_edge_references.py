@@ -62,12 +62,11 @@ def test_stored_wear_is_of_all_the_force():
 
 
 def test_exact_in_time_is_what_short_steps_come_to():
-    """The package's own compliance on both sides, so that only time differs."""
+    """The package's own collocated compliance on both sides, so that only time differs."""
     case = ring_case(SORTS["paper"], Mesh(32))
     pair = assemble(case, MPI.COMM_SELF)
-    compliance = pair.compliance(young(case))
-    matrix = compliance.matrix / pair.line.area[:, None]
-    exact = script.fine_solution(case, matrix, compliance.obliquity)
+    obliquity = pair.compliance(young(case)).obliquity
+    exact = script.fine_solution(case, script.collocated(pair, young(case)), obliquity)
     adaptive = replace(case, time=replace(case.time, tolerance=1e-9))
     worn = trace(adaptive, MPI.COMM_SELF, pair=pair).last.wear[0]
     assert worn == pytest.approx(exact.wear[200.0], abs=1e-7)
