@@ -28,9 +28,10 @@ def symmetric(line: ContactLine, normal: FloatArray) -> FloatArray:
         K = S - S P (P'S P)^-1 P'S + Y (Y'P)^-1 Y',    Y = diag(m) C P,
 
     by which the pressures P under a rigid flat and a rigid bowed face are those of the collocated
-    equations. Any other pressure is, near an edge or a corner, one of these times something smooth.
-    K is positive definite where S and the symmetric part of Y'P are. Where there is contact at the
-    axis but not at the edges, these two faces are no guide: S has been corrected there before.
+    equations, as far as Y'P is symmetric: what it is not vanishes with the mesh. Any other pressure
+    is, near an edge or a corner, one of these times something smooth. K is positive definite where
+    S and the symmetric part of Y'P are. Where there is contact at the axis but not at the edges,
+    these two faces are no guide: S has been corrected there before.
 
     Parameters
     ----------
