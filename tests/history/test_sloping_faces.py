@@ -105,6 +105,30 @@ def test_other_laws_keep_their_balances_on_cones(cones, laws, comm):
             assert state.wear[0].max() > 1e-5
 
 
+@pytest.mark.parametrize("step", [euler.forward, euler.backward, sdirk2.step])
+def test_histories_on_cones_together_are_as_if_alone(cones, step, comm):
+    """To the last bit, with a law that remembers and one that averages."""
+    base, pair = cones
+    several = [
+        replace(base, wear_lower=RunningInLaw(1e-7, k, depth=2e-4), friction=mu,
+                wear_upper=NonLocalLaw(3e-8, 20.0, length=0.1))
+        for k, mu in ((9e-7, 0.1), (3e-7, 0.3), (1e-7, 0.2))
+    ]  # fmt: skip
+    ends = np.array([0.3, 0.2, 0.5])
+    with WearModel(several, comm, pair) as model:
+        first = step(model, model.initial(), ends).state
+        second = step(model, first, 2.0 * ends).state
+        assert balances(model, second)["volume"].max() < 1e-12
+    for i, case in enumerate(several):
+        with WearModel(case, comm, pair) as model:
+            alone = step(model, model.initial(), float(ends[i])).state
+            alone = step(model, alone, 2.0 * float(ends[i])).state
+        assert np.array_equal(second.wear[:, i], alone.wear)
+        assert np.array_equal(second.worn[:, i], alone.worn)
+        assert np.array_equal(second.contact.pressure[i], alone.contact.pressure)
+        assert second.energy[i] == alone.energy
+
+
 def test_averages_keep_the_volume_of_the_true_area(cones, comm):
     """Of a non-local law whose rate is k mu V times the averaged pressure, averaged again."""
     base, pair = cones
