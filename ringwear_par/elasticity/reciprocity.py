@@ -28,10 +28,11 @@ def symmetric(line: ContactLine, normal: FloatArray) -> FloatArray:
         K = S - S P (P'S P)^-1 P'S + Y (Y'P)^-1 Y',    Y = diag(m) C P,
 
     by which the pressures P under a rigid flat and a rigid bowed face are those of the collocated
-    equations, and near edges and corners what behaves like them. K is positive definite where S and
-    the symmetric part of Y'P are. Where there is contact at the axis but not at the edges, these
-    faces are no guide: S has been corrected there before. What K still has more than the collocated
-    compliance, histories take from the gap (``contact.correction``).
+    equations, as far as Y'P is symmetric (what it is not vanishes with the mesh), and near edges
+    and corners what behaves like them. K is positive definite where S and the symmetric part of Y'P
+    are. Where there is contact at the axis but not at the edges, these two faces are no guide: S
+    has been corrected there before. What K still has more than the collocated compliance, histories
+    take from the gap (``contact.correction``).
 
     Parameters
     ----------

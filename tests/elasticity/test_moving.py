@@ -14,6 +14,7 @@ from ringwear_par.elasticity.updated import moving_parts
 from ringwear_par.errors import ComputationError
 from ringwear_par.history.bodies import bodies
 from ringwear_par.history.pairs import assemble, updated_geometry
+from ringwear_par.verification.fine import SORTS, ring_case
 from ringwear_par.verification.paper import paper_case
 from ringwear_par.wear.threshold import ThresholdLaw
 
@@ -40,10 +41,12 @@ def cases():
     both = paper_case(Mesh(32), p0=(0.0, 0.0))
     chamfered = read_case(CASES / "chamfer.toml", ["mesh.contact_elements=32"])
     sphere = read_case(CASES / "sphere.toml", ["mesh.contact_elements=32"])
-    return both, chamfered, sphere, read_case(CASES / "overlap.toml", ["mesh.contact_elements=32"])
+    overlap = read_case(CASES / "overlap.toml", ["mesh.contact_elements=32"])
+    cones = ring_case(SORTS["cones of 5 degrees"], Mesh(32), k=(1e-7, 1e-7))
+    return both, chamfered, sphere, overlap, replace(cones, mesh=Mesh(32, geometry="updated"))
 
 
-@pytest.mark.parametrize("which", range(4))
+@pytest.mark.parametrize("which", range(5))
 def test_an_update_is_a_fresh_assembly(cases, which, comm):
     case = cases[which]
     moving = updated_geometry(case, comm)

@@ -1,0 +1,175 @@
+"""The symmetric compliance: what is exact of it, and what the symmetric part alone does instead."""
+
+from dataclasses import replace
+
+import active_set
+import numpy as np
+import pytest
+
+from ringwear_par.elasticity import reciprocity
+from ringwear_par.elasticity.mesh import Mesh, contact_line
+from ringwear_par.elasticity.pair import assemble_pair
+from ringwear_par.elasticity.reciprocity import symmetric
+from ringwear_par.elasticity.sections import Body, Section
+from ringwear_par.errors import ComputationError
+
+CONTACT, FORCE = (28.5, 31.5), 28274.334
+WIDE, NARROW = Section((20.0, 40.0), 20.0), Section(CONTACT, 20.0)
+#: lower and upper, and the radii of their contact
+BODIES = {
+    "stiff on soft": (WIDE, 1e4, NARROW, 1e5),
+    "soft on stiff": (WIDE, 1e5, NARROW, 1e4),
+    "flush": (NARROW, 5e4, NARROW, 1e4),
+    "discs": (Section((0.0, 15.0), 10.0), 1e4, Section((0.0, 4.0), 6.0), 1e5),
+}
+SIZES = (16, 32)
+
+
+def collocated(compliance):
+    """Return C, as the equations have it."""
+    return compliance.matrix / compliance.line.area[:, None] - compliance.excess
+
+
+def flat_pressure(matrix, area):
+    """Pressures under a rigid flat face that bears FORCE, of an area-weighted compliance."""
+    p = np.linalg.solve(matrix, area)
+    return p * FORCE / (area @ p)
+
+
+def faces(line):
+    """A rigid flat and a rigid bowed face, (n, 2), as the correction has them."""
+    m, r = line.area, line.r
+    return np.stack([np.ones_like(r), r**2 - m @ r**2 / m.sum()], axis=1)
+
+
+@pytest.fixture(scope="module")
+def compliances(comm):
+    """Of all bodies on both meshes."""
+    found = {}
+    for name, (lower, soft, upper, hard) in BODIES.items():
+        a, b = max(lower.r[0], upper.r[0]), min(lower.r[1], upper.r[1])
+        both = Body(lower, soft, 0.3, "clamped"), Body(upper, hard, 0.3, "clamped")
+        for n in SIZES:
+            pair = assemble_pair(both, contact_line((a, b), Mesh(n)), Mesh(n), comm)
+            found[name, n] = pair.compliance((soft, hard))
+    return found
+
+
+@pytest.mark.parametrize("name", BODIES)
+def test_it_is_symmetric_to_the_last_bit_and_positive_definite(compliances, name):
+    for n in SIZES:
+        matrix = compliances[name, n].matrix
+        assert np.array_equal(matrix, matrix.T)
+        assert np.linalg.eigvalsh(matrix).min() > 0.0
+
+
+@pytest.mark.parametrize("name", BODIES)
+def test_pressures_under_rigid_faces_are_those_of_the_collocated_equations(compliances, name):
+    """K P lies in the span of Y = diag(m) C P: exactly.
+
+    It is Y where Y'P is symmetric, as reciprocity has it; no symmetric K can do better. What this
+    leaves falls with the mesh.
+    """
+    left, pressures = [], []
+    for n in SIZES:
+        compliance = compliances[name, n]
+        m, normal, face = compliance.line.area, collocated(compliance), faces(compliance.line)
+        face /= np.abs(face).max(axis=0)
+        p = np.linalg.solve(normal, face)
+        y = m[:, None] * face
+        found = compliance.matrix @ p
+        share = np.linalg.lstsq(y, found, rcond=None)[0]
+        assert np.abs(found - y @ share).max() < 1e-10 * np.abs(y).max()
+        middle = y.T @ p
+        exact = np.linalg.solve(0.5 * (middle + middle.T), middle)
+        assert share == pytest.approx(exact, rel=1e-8, abs=1e-10)
+        left.append(np.abs(share - np.eye(2)).max())
+        exact_p, new_p = (flat_pressure(a, m) for a in (m[:, None] * normal, compliance.matrix))
+        pressures.append(np.abs(new_p / exact_p - 1.0).max())
+    assert left[1] < 0.3 * left[0] < 2e-3
+    assert pressures[1] < 0.3 * pressures[0] < 2e-3
+
+
+@pytest.mark.parametrize("name", ["soft on stiff", "flush"])
+def test_the_symmetric_part_alone_spoils_regular_edges(compliances, name):
+    """By half of their pressure or more, and by more on finer meshes: the reason for it all."""
+    spoilt = []
+    for n in SIZES:
+        compliance = compliances[name, n]
+        m = compliance.line.area
+        weighted = m[:, None] * collocated(compliance)
+        exact = flat_pressure(weighted, m)
+        plain, new = (
+            flat_pressure(a, m) for a in (0.5 * (weighted + weighted.T), compliance.matrix)
+        )
+        spoilt.append(np.abs(plain / exact - 1.0)[[0, -1]].max())
+        assert (exact > 0.0).all()
+        assert new == pytest.approx(exact, rel=2e-3)
+    assert spoilt[0] > 0.5
+    assert spoilt[1] > spoilt[0]
+    assert plain[-1] < 0.0  # the outermost element would lift off
+
+
+@pytest.mark.parametrize("name", ["soft on stiff", "flush"])
+def test_no_element_of_a_regular_edge_lifts_off(compliances, name):
+    compliance = compliances[name, 32]
+    m = compliance.line.area
+    gap = np.zeros_like(m)
+    p, _ = active_set.solve(compliance.matrix, m, gap, force=FORCE)
+    assert (p > 0.0).all()
+    weighted = m[:, None] * collocated(compliance)
+    plain, _ = active_set.solve(0.5 * (weighted + weighted.T), m, gap, force=FORCE)
+    assert not (plain > 0.0).all()
+
+
+def test_contact_at_the_axis_alone_is_right_too(compliances, monkeypatch):
+    """Rigid faces bear at the edge of discs, a sphere does not: what the diagonal is for."""
+    compliance = compliances["discs", 32]
+    line, normal = compliance.line, collocated(compliance)
+    gap = line.r**2 / 40.0
+    exact, _ = active_set.solve(line.area[:, None] * normal, line.area, gap, force=2000.0)
+    assert exact[0] > 0.0 == exact[-1]
+    with monkeypatch.context() as patch:
+        patch.setattr(reciprocity, "_near_axis", lambda line, weighted: np.zeros(line.n))
+        plain = symmetric(line, normal)
+    errors = []
+    for matrix in (plain, compliance.matrix):
+        p, _ = active_set.solve(matrix, line.area, gap, force=2000.0)
+        errors.append(abs(p[0] / exact[0] - 1.0))
+    assert errors[0] > 3.0 * errors[1]
+    assert errors[1] < 0.02
+
+
+def test_the_diagonal_near_the_axis_is_of_wide_elements_and_small(compliances):
+    compliance = compliances["discs", 32]
+    line, weighted = compliance.line, compliance.line.area[:, None] * collocated(compliance)
+    more = reciprocity._near_axis(line, weighted)
+    far = line.width < 0.1 * line.r
+    assert more.any()
+    assert far.any()
+    assert not more[far].any()
+    assert (np.abs(more) <= 0.25 * weighted.diagonal()).all()
+
+
+def test_excess_is_what_the_collocated_compliance_lacks(compliances):
+    """And nothing where that is symmetric already."""
+    compliance = compliances["flush", 16]
+    m = compliance.line.area
+    again = symmetric(compliance.line, compliance.matrix / m[:, None])
+    assert again == pytest.approx(compliance.matrix, rel=1e-9)
+    assert np.abs(m[:, None] * compliance.excess).max() > 1e-4 * np.abs(compliance.matrix).max()
+
+
+def test_what_is_not_positive_definite_is_told(comm):
+    """Where the two faces say nothing of it, as well."""
+    lower, upper = Body(WIDE, 1.0, 0.3, "clamped"), Body(NARROW, 1.0, 0.3, "clamped")
+    pair = assemble_pair((lower, upper), contact_line(CONTACT, Mesh(16)), Mesh(16), comm)
+    assert pair.compliance((1.0, 1.0)).matrix.shape == (16, 16)
+    normal = pair.normal.copy()
+    normal[1, 8, 8] *= -1.0
+    normal[1, 4, 4] *= -1.0
+    wrong = replace(pair, normal=normal)
+    with pytest.raises(np.linalg.LinAlgError):
+        symmetric(pair.line, normal.sum(axis=0))
+    with pytest.raises(ComputationError, match="not positive definite; a finer mesh"):
+        wrong.compliance((1.0, 1.0))

@@ -1,0 +1,241 @@
+"""Slopes of faces, the one that pressure acts along, and the elasticity of sloping pairs."""
+
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ringwear_par.cases.case import Stepping
+from ringwear_par.cases.reading import read_case
+from ringwear_par.elasticity.body import compliance
+from ringwear_par.elasticity.boundary_fields import FACES
+from ringwear_par.elasticity.mesh import Mesh, contact_line
+from ringwear_par.elasticity.pair import assemble_pair
+from ringwear_par.elasticity.sections import Body, Section
+from ringwear_par.elasticity.slopes import case_slopes, common_slope, face_slope, obliquity
+from ringwear_par.history.bodies import bodies, young
+from ringwear_par.history.model import WearModel
+from ringwear_par.history.pairs import assemble, boundary_recovery
+from ringwear_par.history.trace import trace
+from ringwear_par.verification.fine import SORTS, Rings, ring_case
+
+CASES = Path(__file__).parents[2] / "scripts" / "cases"
+CONTACT = (28.5, 31.5)
+TAN = math.tan(math.radians(10.0))
+
+
+def cone(tangent, r=CONTACT, height=20.0):
+    """A ring whose face rises outwards by a tangent, in its own frame."""
+    rise = tangent * (r[1] - r[0])
+    return Section(r, height, ((r[0], min(-rise, 0.0)), (r[1], min(rise, 0.0))))
+
+
+# -- faces -----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("tangent", [TAN, -TAN, 1.0])
+def test_cones_slope_alike_on_all_elements(tangent):
+    line = contact_line(CONTACT, Mesh(24, grading=3.0))
+    assert face_slope(cone(tangent), line, Mesh(24)) == pytest.approx(
+        np.full(24, tangent), rel=1e-8
+    )
+    assert not face_slope(Section(CONTACT, 20.0), line, Mesh(24)).any()
+    assert obliquity(np.array([0.0, 1.0])) == pytest.approx([1.0, math.sqrt(2.0)])
+
+
+def test_a_sphere_slopes_as_one_and_not_in_steps_of_its_samples():
+    case = read_case(CASES / "sphere.toml", {"mesh.contact_elements": 48})
+    lower, upper = case_slopes(case.sections, case.line, case.mesh)
+    r, steep = case.line.r, case.line.r > 0.1
+    exact = r / np.sqrt(20.0**2 - r**2)  # rises outwards in the frame of the case
+    assert not lower.any()
+    assert upper[steep] == pytest.approx(exact[steep], rel=3e-4)  # samples of 7 decimals
+    assert upper == pytest.approx(exact, abs=1e-5)
+
+
+def test_a_linear_wear_depth_adds_its_slope_up_to_the_ends():
+    mesh = Mesh(32, grading=3.5, geometry="updated", geometry_tolerance=0.005)
+    line = contact_line(CONTACT, mesh)
+    worn = 0.05 + 0.02 * (line.gap_point - 30.0)
+    assert line.width.min() < 0.2 * mesh.geometry_tolerance < line.width.max()
+    for tangent in (0.0, TAN):
+        found = face_slope(cone(tangent) if tangent else Section(CONTACT, 20.0), line, mesh, worn)
+        assert found == pytest.approx(np.full(32, tangent - 0.02), rel=1e-8)
+    # the same depths worn off the upper body, whose frame stands upside down
+    sections = Section(CONTACT, 20.0), Section(CONTACT, 20.0)
+    both = case_slopes(sections, line, mesh, np.stack([worn, worn]))
+    assert both[0] == pytest.approx(np.full(32, -0.02), rel=1e-8)
+    assert both[1] == pytest.approx(np.full(32, 0.02), rel=1e-8)
+    # no wear is as good as none told
+    assert np.array_equal(
+        face_slope(cone(TAN), line, mesh, np.zeros(32)), face_slope(cone(TAN), line, mesh)
+    )
+
+
+def test_round_off_of_depths_is_no_slope():
+    """Elements of 1e-6 mm and depths that are wrong by 1e-9 mm: a slope of 1e-3, if looked at."""
+    mesh = Mesh(128, grading=4.0, geometry="updated", geometry_tolerance=0.005)
+    line = contact_line(CONTACT, mesh)
+    assert line.width.min() < 2e-6
+    noise = 1e-9 * np.where(np.arange(128) % 2, 1.0, -1.0)
+    assert np.abs(np.diff(noise) / np.diff(line.r)).max() > 1e-4
+    smooth = 0.02 + 1e-3 * (line.gap_point - 30.0) ** 2
+    flat = Section(CONTACT, 20.0)
+    clean, found = (face_slope(flat, line, mesh, smooth + more) for more in (0.0, noise))
+    assert np.abs(found - clean).max() < 1e-6
+    assert clean == pytest.approx(-2e-3 * (line.gap_point - 30.0), abs=1e-5)
+
+
+def test_pressure_acts_along_the_flatter_face_or_the_axis():
+    table = [  # lower, upper, common
+        (0.1, 0.2, 0.1),
+        (0.2, 0.1, 0.1),
+        (-0.1, -0.2, -0.1),
+        (-0.3, -0.2, -0.2),
+        (0.1, 0.1, 0.1),
+        (0.1, -0.1, 0.0),
+        (-0.1, 0.2, 0.0),
+        (0.0, 1.0, 0.0),
+        (1.0, 0.0, 0.0),
+        (0.0, 0.0, 0.0),
+    ]
+    lower, upper, common = np.array(table).T
+    assert np.array_equal(common_slope(np.stack([lower, upper])), common)
+
+
+# -- pairs -----------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def cones(comm):
+    """Matched cones of 10 degrees on two meshes, with their pairs."""
+    cases = [ring_case(SORTS["cones of 10 degrees"], Mesh(n)) for n in (16, 32)]
+    return [(case, assemble(case, comm)) for case in cases]
+
+
+def test_a_pair_upside_down_is_the_same_pair(comm):
+    """Unlike bodies on unlike cones, exchanged, as if the whole rig had been turned over."""
+    mesh = Mesh(16)
+    lower = Body(Section((27.0, 33.0), 15.0, ((27.0, -1.5), (33.0, 0.0))), 1e4, 0.3, "clamped")
+    upper = Body(cone(-TAN), 5e4, 0.2, "platen")
+    line = contact_line(CONTACT, mesh)
+    one, other = (
+        assemble_pair(both, line, mesh, comm) for both in ((lower, upper), (upper, lower))
+    )
+    # lower rises outwards by 0.25, upper by TAN: in the frame of the case its own sign is turned
+    assert one.slope == pytest.approx(np.full(16, TAN), rel=1e-8)
+    assert other.slope == pytest.approx(-one.slope, rel=1e-8)
+    for name in ("normal", "twist", "force_reaction", "torque_reaction"):
+        a, b = getattr(one, name), getattr(other, name)[::-1]
+        assert np.abs(a - b).max() <= 1e-12 * np.abs(a).max(), name
+    mine, turned = one.compliance((1e4, 5e4)), other.compliance((5e4, 1e4))
+    assert turned.matrix == pytest.approx(mine.matrix, rel=1e-9)
+
+
+def test_histories_upside_down_wear_the_exchanged_bodies(comm):
+    rings = Rings(CONTACT, (1e4, 1e5), 10.0)
+    case = ring_case(rings, Mesh(16), Stepping("implicit", 5.0, 4), (1e-7, 3e-7))
+    lower, upper = case.rings
+    turned = replace(
+        case,
+        lower=replace(lower, young=upper.young, face=upper.face),
+        upper=replace(upper, young=lower.young, face=lower.face),
+        wear_lower=case.wear_upper,
+        wear_upper=case.wear_lower,
+    )
+    one, other = (trace(each, comm).last for each in (case, turned))
+    assert not np.allclose(case_slopes(turned.sections, case.line, case.mesh), TAN)
+    assert other.contact.pressure == pytest.approx(one.contact.pressure, rel=1e-9)
+    assert other.wear[::-1] == pytest.approx(one.wear, rel=1e-9)
+    assert other.contact.approach == pytest.approx(one.contact.approach, rel=1e-9)
+
+
+def test_falling_cones_are_not_rising_ones(comm):
+    """The sign of a slope matters: pressure pushes outwards, or inwards."""
+    mesh, found = Mesh(16), []
+    for degrees in (10.0, -10.0):
+        case = ring_case(Rings(CONTACT, (1e4, 1e5), degrees), mesh)
+        with WearModel(case, comm) as model:
+            found.append(model.initial().contact.pressure)
+    assert np.abs(found[0] - found[1]).max() > 5.0
+
+
+def asymmetry(line, normal):
+    """Largest ``|m C - (m C)'|`` over the largest ``|m C|`` of the middle half of the elements."""
+    inside = slice(line.n // 4, -line.n // 4)
+    weighted = (line.area[:, None] * normal)[inside, inside]
+    return np.abs(weighted - weighted.T).max() / np.abs(weighted).max()
+
+
+def test_cones_are_reciprocal(cones, comm):
+    """Pressure along the normal, and what gives way along it; along the axis would not do."""
+    defects, of_one, axial = [], [], []
+    for case, pair in cones:
+        line, compliance_of_both = pair.line, pair.compliance(young(case))
+        assert compliance_of_both.slope == pytest.approx(np.full(line.n, TAN), rel=1e-8)
+        assert compliance_of_both.obliquity == pytest.approx(1.0 / math.cos(math.radians(10.0)))
+        assert compliance_of_both.symmetry_defect < 0.02
+        collocated = compliance_of_both.matrix / line.area[:, None] - compliance_of_both.excess
+        defects.append(asymmetry(line, collocated))
+        lower = compliance(bodies(case)[0], line, case.mesh, comm, slope=pair.slope)
+        of_one.append(asymmetry(line, lower.normal))
+        axial.append(asymmetry(line, -lower.response.displacement[:, 1]))
+    assert defects[1] < 0.5 * defects[0] < 0.01
+    assert of_one[1] < 0.5 * of_one[0] < 0.01
+    assert min(axial) > 0.01
+
+
+def test_reactions_of_cones_are_those_of_equilibrium(cones):
+    """Projected area for the force, true area for the torque."""
+    errors = []
+    for _, pair in cones:
+        line, oblique = pair.line, 1.0 / math.cos(math.radians(10.0))
+        force = np.abs(pair.force_reaction / line.area - 1.0).max()
+        torque = np.abs(pair.torque_reaction / (line.area * line.arm * oblique) - 1.0).max()
+        errors.append(max(force, torque))
+    assert errors[1] < 0.7 * errors[0] < 0.01
+
+
+# -- fields ----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("degrees", [0.0, 5.0, -10.0])
+def test_displaced_faces_meet_along_the_common_normal(degrees, comm):
+    """And their tractions are p along it, and mu p around the axis, per true area."""
+    case = ring_case(Rings(CONTACT, (1e4, 1e5), degrees), Mesh(32))
+    t = math.tan(math.radians(degrees))
+    cos = math.cos(math.radians(degrees))
+    with WearModel(case, comm) as model:
+        contact = model.initial().contact
+    p, touching = contact.pressure, contact.pressure > 0.0
+    recovery = boundary_recovery(case, comm)
+    both = recovery.fields(p, contact.approach, case.friction, np.zeros((2, 32)))
+    moved, normals = [], np.array([-t, 1.0]) * cos  # of the lower face, outwards
+    for sign, body in zip((1.0, -1.0), both, strict=True):
+        elements = np.flatnonzero(body.face == FACES.index("contact"))
+        middle = body.elements[elements, 1]
+        order = np.argsort(body.nodes[middle, 0])
+        elements, middle = elements[order], middle[order]
+        moved.append(body.nodes[middle] + body.displacement[middle, :2])
+        traction = body.traction[elements]
+        assert traction[:, :2] == pytest.approx(-sign * p[:, None] * normals, rel=1e-9, abs=1e-12)
+        assert np.hypot(*traction[:, :2].T) == pytest.approx(p, rel=1e-9)
+        assert traction[:, 2] == pytest.approx(sign * case.friction * p, rel=1e-9)
+        # what the held face bears
+        held = body.face == FACES.index("fixed")
+        a, b = (body.nodes[body.elements[held, i], 0] for i in (0, 2))
+        area, moment = np.pi * np.abs(b**2 - a**2), 2.0 * np.pi / 3.0 * np.abs(b**3 - a**3)
+        force, torque = area @ body.traction[held, 1], moment @ body.traction[held, 2]
+        line = case.line
+        assert force == pytest.approx(sign * line.area @ p, rel=1e-4)
+        turned = case.friction * (line.area * line.arm) @ p / cos
+        assert torque == pytest.approx(-sign * turned, rel=1e-4)
+    apart = ((moved[1] - moved[0]) @ normals)[touching]
+    sheared = ((moved[1] - moved[0]) @ np.array([normals[1], -normals[0]]))[touching]
+    assert np.abs(apart).max() < 1e-4 * contact.approach
+    if degrees:  # they slide along each other, and along the axis there is a gap or an overlap
+        along = (moved[1] - moved[0])[touching, 1]
+        assert np.abs(sheared).max() > 0.005 * contact.approach
+        assert np.abs(along).max() > 20.0 * np.abs(apart).max()

@@ -1,0 +1,283 @@
+"""Deferred correction: pressures are those of the collocated, unsymmetric equations."""
+
+import itertools
+from dataclasses import replace
+from pathlib import Path
+
+import active_set
+import numpy as np
+import pytest
+import random_cases
+from mpi4py import MPI
+from stored import contents
+
+from ringwear_par.cases.case import Load, Stepping
+from ringwear_par.cases.reading import make_case, read_case
+from ringwear_par.contact.solver import ContactSolver
+from ringwear_par.errors import ComputationError
+from ringwear_par.history import euler
+from ringwear_par.history.bodies import young
+from ringwear_par.history.model import CORRECTIONS, WearModel
+from ringwear_par.history.pairs import assemble
+from ringwear_par.history.simulate import METHODS
+from ringwear_par.history.trace import trace
+from ringwear_par.results.run import run_case
+from ringwear_par.schedules import in_time
+from ringwear_par.wear.threshold import ThresholdLaw
+
+CHAMFER = Path(__file__).parents[2] / "scripts" / "cases" / "chamfer.toml"
+#: of scripts/random_cases.py with seed 1: contact that does not reach the edges, or has a corner
+NUMBERS = (12, 100, 120, 144)
+
+
+@pytest.fixture(scope="module")
+def cases(comm):
+    """Random cases by number, with their pairs."""
+    found = {}
+    for number in NUMBERS:
+        keys, _ = random_cases.random_case(np.random.default_rng((1, number)))
+        case = make_case(keys, f"case {number}")
+        found[number] = case, assemble(case, comm)
+    return found
+
+
+def weighted(case, pair):
+    """Return ``diag(m) C``, as the collocated equations have it."""
+    compliance, m = pair.compliance(young(case)), pair.line.area
+    return compliance.matrix - m[:, None] * compliance.excess
+
+
+def loads(case, time):
+    load = case.load
+    if load.force is not None:
+        return {"force": in_time(load.force, time)}
+    return {"approach": in_time(load.displacement, time)}
+
+
+def errors(found, exact, area):
+    """Relative to the pressure or to its mean, whichever is larger."""
+    mean = area @ exact / area[exact > 0.0].sum()
+    return np.abs(found - exact) / np.maximum(exact, mean)
+
+
+def first_pressure(case, pair, comm, corrections=CORRECTIONS):
+    n = pair.line.n
+    with WearModel(case, comm, pair) as model:
+        found = model.contact(0.0, np.zeros((2, n)), np.zeros(n), None, corrections)
+    return found.pressure
+
+
+@pytest.mark.parametrize("number", NUMBERS)
+def test_first_pressures_are_those_of_the_collocated_equations(cases, number, comm):
+    case, pair = cases[number]
+    m = pair.line.area
+    exact, approach = active_set.solve(weighted(case, pair), m, case.initial_gap, **loads(case, 0))
+    with WearModel(case, comm, pair) as model:
+        first = model.initial().contact
+        told, _ = model.collocation_error
+    assert errors(first.pressure, exact, m).max() < 1e-3
+    assert told < 1e-4
+    assert first.approach == pytest.approx(approach, rel=1e-6)
+    # what there is to correct, and where: nobody would see it in a balance
+    plain = errors(first_pressure(case, pair, comm, 0), exact, m)
+    assert plain.max() > 0.2
+    assert plain.argmax() in (0, pair.line.n - 1)
+
+
+@pytest.mark.parametrize("number", NUMBERS)
+def test_each_correction_leaves_a_fraction(cases, number, comm):
+    """A factor of 0.2 or better in the mean of all corrections, in any one of them of 0.25."""
+    case, pair = cases[number]
+    exact, _ = active_set.solve(
+        weighted(case, pair), pair.line.area, case.initial_gap, **loads(case, 0)
+    )
+    p, off = np.zeros(pair.line.n), []
+    with WearModel(case, comm, pair) as model:
+        for _ in range(CORRECTIONS):
+            p = model.contact(0.0, np.zeros((2, pair.line.n)), p).pressure
+            off.append(errors(p, exact, pair.line.area).max())
+    assert (off[-1] / off[0]) ** (1.0 / (CORRECTIONS - 1)) < 0.2
+    assert all(b < 0.25 * a for a, b in itertools.pairwise(off))
+
+
+def test_corrections_end_once_there_is_nothing_to_correct(cases, comm, monkeypatch):
+    case, pair = cases[12]
+    solve, calls = ContactSolver.solve, []
+
+    def counted(self, *args, **kwargs):
+        calls.append(1)
+        return solve(self, *args, **kwargs)
+
+    monkeypatch.setattr(ContactSolver, "solve", counted)
+    p = first_pressure(case, pair, comm)
+    assert 2 <= len(calls) <= CORRECTIONS + 1
+    made = len(calls)
+    with WearModel(case, comm, pair) as model:  # from the solution on there is none to make
+        again = model.contact(0.0, np.zeros((2, pair.line.n)), p, None, CORRECTIONS)
+        assert len(calls) == made + 1
+    assert errors(again.pressure, p, pair.line.area).max() < 1e-3
+
+
+@pytest.mark.parametrize("corrections", [0, CORRECTIONS])
+def test_pressures_of_an_implicit_step_are_those_of_the_collocated_equations(
+    cases, corrections, comm
+):
+    """Of gap and wear together, by an independent solver; steps go on from pressures near by."""
+    case, pair = cases[12]
+    law, step = ThresholdLaw(1e-6, 15.0), 2.0
+    case = replace(case, wear_lower=law, wear_upper=None, time=Stepping("implicit", step, 10))
+    omega = case.load.omega
+    assert isinstance(omega, float)
+    line = pair.line
+    history = trace(case, comm, pair=pair)
+    before = history.states[-2]
+    with WearModel(case, comm, pair) as model:
+        during = model.increment(step * 10, omega, before.wear, step)
+        found = model.contact(step * 10, before.wear, before.contact.pressure, during, corrections)
+        told, _ = model.collocation_error
+    rise = step * law.k * case.friction * omega * line.arm
+    gap = case.initial_gap + before.wear.sum(axis=0)
+    exact, _ = active_set.solve(
+        weighted(case, pair), line.area, gap, laws=[law.p0], rise=[rise],
+        **loads(case, step * 10),
+    )  # fmt: skip
+    off = errors(found.pressure, exact, line.area).max()
+    assert off < (1e-4 if corrections else 1e-2)
+    assert off < 2.0 * told + 1e-6
+    if not corrections:
+        assert found.pressure == pytest.approx(history.last.contact.pressure, rel=1e-9)
+        assert told < 5e-2
+
+
+@pytest.mark.parametrize("number", NUMBERS)
+def test_last_pressures_of_a_history_are_near_the_collocated_ones(cases, number, comm, monkeypatch):
+    """The last step again, all its contacts corrected to the end; the error told is no less."""
+    case, pair = cases[number]
+    history = trace(case, comm, pair=pair)
+    told, e = history.model.collocation_error
+    assert 0 <= e < pair.line.n
+    scheme, _ = METHODS[case.time.scheme]
+    with WearModel(case, comm, pair) as model:
+        contact = model.contact
+
+        def corrected(time, wear, near, during=None, corrections=0, found=None):
+            for _ in range(8):
+                solution = contact(time, wear, near, during, 0, found)
+                near = solution.pressure
+            return solution
+
+        monkeypatch.setattr(model, "contact", corrected)
+        exact = scheme(model, history.states[-2], history.last.time).state.contact.pressure
+        assert model.collocation_error[0] < 1e-6
+    off = errors(history.last.contact.pressure, exact, pair.line.area)
+    assert told < 0.05
+    assert off.max() < 0.02
+    assert off.max() < 2.0 * told + 1e-6
+
+
+def test_explicit_steps_are_corrected_each(comm):
+    """Their pressures are those of the collocated equations, though the load grows tenfold."""
+    case = read_case(CHAMFER, {
+        "mesh.contact_elements": 24, "time": {"scheme": "explicit", "step": 0.1, "steps": 4},
+        "load.pressure": [[0.0, 20.0], [0.2, 200.0], [0.3, 30.0], [0.4, 100.0]],
+    })  # fmt: skip
+    pair = assemble(case, comm)
+    history = trace(case, comm, pair=pair)
+    m, matrix = pair.line.area, weighted(case, pair)
+    plain = ContactSolver(pair.compliance(young(case)).matrix, m, comm)
+    before, uncorrected = np.zeros_like(m), []
+    with plain:
+        for state in history.states:
+            gap = case.initial_gap + state.wear.sum(axis=0)
+            exact, _ = active_set.solve(matrix, m, gap, **loads(case, state.time))
+            assert errors(state.contact.pressure, exact, m).max() < 2e-4
+            less = gap - pair.compliance(young(case)).excess @ before
+            found = plain.solve(less, **loads(case, state.time)).pressure
+            uncorrected.append(errors(found, exact, m).max())
+            before = state.contact.pressure
+    assert min(uncorrected) > 5e-4
+
+
+def test_histories_together_are_corrected_as_if_alone(cases, comm):
+    """To the last bit, though they need unlike numbers of corrections."""
+    base, pair = cases[12]
+    force = base.load.force if isinstance(base.load.force, float) else 2e3
+    several = [
+        replace(base, load=Load(5.0, factor * force), friction=mu)
+        for factor, mu in ((1.0, 0.1), (0.02, 0.3), (30.0, 0.2))
+    ]
+    with WearModel(several, comm, pair) as model:
+        first = model.initial()
+        second = euler.forward(model, first, np.array([0.01, 0.02, 0.03])).state
+    counts = set()
+    for i, case in enumerate(several):
+        with WearModel(case, comm, pair) as model:
+            alone = model.initial()
+            after = euler.forward(model, alone, (0.01, 0.02, 0.03)[i]).state
+        for together, single in ((first, alone), (second, after)):
+            for name in ("pressure", "gap", "approach", "force", "iterations", "residual"):
+                of_all, mine = getattr(together.contact, name), getattr(single.contact, name)
+                assert np.array_equal(of_all[i], mine), name
+            assert np.array_equal(together.wear[:, i], single.wear)
+        exact, _ = active_set.solve(
+            weighted(case, pair), pair.line.area, case.initial_gap, **loads(case, 0)
+        )
+        assert errors(alone.contact.pressure, exact, pair.line.area).max() < 1e-3
+        counts.add(int(alone.contact.iterations))
+    assert len(counts) > 1
+
+
+@pytest.mark.parametrize("time", [
+    '{scheme="explicit", step=0.1, steps=12}', '{scheme="implicit", step=4.0, steps=12}',
+])  # fmt: skip
+def test_a_restart_goes_on_to_the_last_bit(time, shared_path, comm, stopped_after):
+    keys = ["mesh.contact_elements=24", f"time={time}", "wear.lower.p0=0", "upper.grip=platen"]
+    whole, parts = shared_path / "whole.h5", shared_path / "parts.h5"
+    run_case(CHAMFER, whole, keys, comm=comm)
+    with stopped_after(5), pytest.raises(ComputationError, match="SIGTERM after step 5"):
+        run_case(CHAMFER, parts, keys, comm=comm)
+    run_case(CHAMFER, parts, keys, comm=comm, restart=True)
+    if comm.rank == 0:
+        one, two = contents(whole), contents(parts)
+        assert one.keys() == two.keys()
+        for name, value in one.items():
+            assert np.array_equal(value, two[name]), name
+
+
+@pytest.mark.parametrize("number", NUMBERS)
+def test_ranks_find_the_same(cases, number, comm):
+    """Assembled and solved together as by one rank alone; each rank corrects by itself."""
+    case, pair = cases[number]
+    alone = trace(case, MPI.COMM_SELF)
+    together = trace(case, comm, pair=pair)
+    assert together.steps == alone.steps
+    for one, other in ((together.states[i].contact, alone.states[i].contact) for i in (0, -1)):
+        size = np.abs(other.pressure).max()
+        assert one.pressure == pytest.approx(other.pressure, rel=1e-9, abs=1e-9 * size)
+        everywhere = comm.allgather(one.pressure.tobytes())
+        assert len(set(everywhere)) == 1
+    assert together.last.wear == pytest.approx(alone.last.wear, rel=1e-9, abs=1e-12)
+
+
+def test_a_problem_shared_out_by_rows_is_corrected_as_well(cases, comm):
+    case, pair = cases[100]
+    matrix, m = pair.compliance(young(case)).matrix, pair.line.area
+    exact, _ = active_set.solve(weighted(case, pair), m, case.initial_gap, **loads(case, 0))
+    with (
+        ContactSolver(matrix, m, comm, replicated_limit=4) as solver,
+        WearModel(case, comm, pair, solver) as model,
+    ):
+        assert solver.distributed == (comm.size > 1)
+        found = model.initial().contact.pressure
+    assert errors(found, exact, m).max() < 1e-3
+    assert len(set(comm.allgather(found.tobytes()))) == 1
+
+
+def test_the_error_is_told_after_the_end_too(cases, comm):
+    case, pair = cases[12]
+    with WearModel(case, comm, pair) as model:
+        assert model.collocation_error == (0.0, 0)
+        model.initial()
+        inside = model.collocation_error
+    assert model.collocation_error == inside
+    assert 0.0 < inside[0] < 1e-4

@@ -1,0 +1,368 @@
+"""Wear of sloping faces: true areas, laws along the normal, faces that turn, doubts."""
+
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from wearing import sliding
+
+from ringwear_par.cases.case import Stepping
+from ringwear_par.cases.reading import read_case
+from ringwear_par.elasticity.body import compliance
+from ringwear_par.elasticity.mesh import Mesh, node_wear
+from ringwear_par.elasticity.slopes import case_slopes, common_slope
+from ringwear_par.history import euler, sdirk2
+from ringwear_par.history.balances import WorstBalances, balances
+from ringwear_par.history.bodies import bodies
+from ringwear_par.history.model import WearModel
+from ringwear_par.history.pairs import assemble, updated_geometry
+from ringwear_par.history.simulate import simulate
+from ringwear_par.history.trace import trace
+from ringwear_par.results.doubts import doubts
+from ringwear_par.verification.fine import CONTACT, Rings, ring_case
+from ringwear_par.verification.paper import paper_case
+from ringwear_par.wear.archard import ArchardLaw
+from ringwear_par.wear.increment import WearIncrement, averaging
+from ringwear_par.wear.non_local import NonLocalLaw
+from ringwear_par.wear.power import PowerLaw
+from ringwear_par.wear.running_in import RunningInLaw
+from ringwear_par.wear.threshold import ThresholdLaw
+
+CASES = Path(__file__).parents[2] / "scripts" / "cases"
+CHAMFER, PAPER = CASES / "chamfer.toml", CASES / "paper.toml"
+DEGREES = 10.0
+COS = math.cos(math.radians(DEGREES))
+K = (1e-7, 3e-7)
+
+
+@pytest.fixture(scope="module")
+def cones(comm):
+    """Matched cones, both of which wear, and their pair."""
+    case = ring_case(Rings(CONTACT, (1e4, 1e5), DEGREES), Mesh(24),
+                     Stepping("implicit", 2.0, 5), K)  # fmt: skip
+    return case, assemble(case, comm)
+
+
+# -- true areas ------------------------------------------------------------------------------------
+
+
+def test_torque_and_energy_are_those_of_the_true_area(cones, comm):
+    case, pair = cones
+    line = pair.line
+    with WearModel(case, comm, pair) as model:
+        state = model.initial()
+        p = state.contact.pressure
+        flat = case.friction * float((line.area * line.arm) @ p)
+        assert model.torque(p) == pytest.approx(flat / COS, rel=1e-12)
+        assert line.area @ p == pytest.approx(case.load.force, rel=1e-12)
+        step = euler.backward(model, state, 2.0).state
+        flat = case.friction * float((line.area * line.arm) @ step.contact.pressure)
+        power = case.load.omega * flat / COS
+        assert step.energy == pytest.approx(2.0 * power, rel=1e-12)
+        # depths along the axis; along the normal they are k p s
+        distance = case.load.omega * line.arm * 2.0
+        for k, worn in zip(K, step.wear, strict=True):
+            exact = k * case.friction * step.contact.pressure * distance
+            assert worn * COS == pytest.approx(exact, rel=1e-9)
+
+
+@pytest.mark.parametrize("scheme", ["explicit", "implicit", "adaptive"])
+def test_worn_volumes_are_k_times_the_energy(cones, scheme, comm):
+    case, pair = cones
+    time = Stepping("adaptive", until=50.0) if scheme == "adaptive" else Stepping(scheme, 0.1, 5)
+    history = trace(replace(case, time=time), comm, pair=pair)
+    last, line = history.last, pair.line
+    for k, worn in zip(K, last.wear, strict=True):
+        assert line.area @ worn == pytest.approx(k * last.energy, rel=1e-11)
+    assert history.balances.energy < 1e-11
+    assert history.balances.volume < 1e-12
+    assert last.wear.min() >= 0.0
+
+
+LAWS = {
+    "non-local": (NonLocalLaw(1e-7, 20.0, length=0.3), NonLocalLaw(3e-8, 0.0, length=0.1)),
+    "running-in, depth": (RunningInLaw(1e-7, 9e-7, 20.0, depth=2e-4), ThresholdLaw(1e-8)),
+    "running-in, distance": (RunningInLaw(1e-7, 9e-7, distance=200.0), None),
+}
+
+
+@pytest.mark.parametrize("laws", LAWS.values(), ids=LAWS)
+def test_other_laws_keep_their_balances_on_cones(cones, laws, comm):
+    base, pair = cones
+    case = replace(base, wear_lower=laws[0], wear_upper=laws[1])
+    for step in (euler.backward, euler.forward, sdirk2.step):
+        with WearModel(case, comm, pair) as model:
+            state = model.initial()
+            for end in (0.5, 1.0, 2.0):
+                state = step(model, state, end).state
+                found = balances(model, state)
+                assert found["volume"] < 1e-12
+                assert found["energy"] < 1e-12
+                assert found["force"] < 1e-12
+                assert found["residual"] < 1e-9
+            assert state.wear[0].max() > 1e-5
+
+
+@pytest.mark.parametrize("step", [euler.forward, euler.backward, sdirk2.step])
+def test_histories_on_cones_together_are_as_if_alone(cones, step, comm):
+    """To the last bit, with a law that remembers and one that averages."""
+    base, pair = cones
+    several = [
+        replace(base, wear_lower=RunningInLaw(1e-7, k, depth=2e-4), friction=mu,
+                wear_upper=NonLocalLaw(3e-8, 20.0, length=0.1))
+        for k, mu in ((9e-7, 0.1), (3e-7, 0.3), (1e-7, 0.2))
+    ]  # fmt: skip
+    ends = np.array([0.3, 0.2, 0.5])
+    with WearModel(several, comm, pair) as model:
+        first = step(model, model.initial(), ends).state
+        second = step(model, first, 2.0 * ends).state
+        assert balances(model, second)["volume"].max() < 1e-12
+    for i, case in enumerate(several):
+        with WearModel(case, comm, pair) as model:
+            alone = step(model, model.initial(), float(ends[i])).state
+            alone = step(model, alone, 2.0 * float(ends[i])).state
+        assert np.array_equal(second.wear[:, i], alone.wear)
+        assert np.array_equal(second.worn[:, i], alone.worn)
+        assert np.array_equal(second.contact.pressure[i], alone.contact.pressure)
+        assert second.energy[i] == alone.energy
+
+
+def test_averages_keep_the_volume_of_the_true_area(cones, comm):
+    """Of a non-local law whose rate is k mu V times the averaged pressure, averaged again."""
+    base, pair = cones
+    law = NonLocalLaw(1e-7, 0.0, length=0.3)
+    case, line = replace(base, wear_lower=law, wear_upper=None), pair.line
+    with WearModel(case, comm, pair) as model:
+        state = euler.backward(model, model.initial(), 2.0).state
+        worn, p = state.wear[0], state.contact.pressure
+        average = averaging(line.r, line.area / COS, 0.3)
+    speed = case.load.omega * line.arm
+    exact = average @ (2.0 * law.k * case.friction * speed * (average @ p))
+    assert worn * COS == pytest.approx(exact, rel=1e-9)
+    assert line.area @ worn == pytest.approx(line.area / COS @ exact, rel=1e-9)
+
+
+def test_running_in_remembers_depths_along_the_normal(cones, comm):
+    """At the end of the second step, the wear of both is what the law is told of."""
+    base, pair = cones
+    law = RunningInLaw(1e-7, 9e-7, 0.0, depth=2e-4)
+    case = replace(base, wear_lower=law, wear_upper=None)
+    with WearModel(case, comm, pair) as model:
+        first = euler.backward(model, model.initial(), 2.0).state
+        second = euler.backward(model, first, 5.0).state
+    depth, p = second.wear[0] * COS, second.contact.pressure
+    k = law.k + (law.k_start - law.k) * np.exp(-depth / law.depth)
+    rate = k * case.friction * case.load.omega * pair.line.arm * p
+    assert (second.wear[0] - first.wear[0]) * COS == pytest.approx(3.0 * rate, rel=1e-8)
+    assert depth.max() > 0.3 * law.depth
+
+
+# -- the increment of a step, which is part of the contact problem ---------------------------------
+
+
+def increment(line, laws, obliquity, step=3.0):
+    """The wear of a step on faces whose slope differs from element to element."""
+    at = replace(sliding(0.1 * line.arm, wear=np.full(line.n, 1e-5)), r=line.r)
+    averages = tuple(
+        averaging(line.r, line.area * obliquity, law.length) if law is not None and law.length
+        else None for law in laws
+    )  # fmt: skip
+    return WearIncrement(laws, (at, at), step, averages, obliquity)
+
+
+def orders(f, slope, direction):
+    """Orders of Taylor remainders of first order, of halved steps."""
+    steps = 0.5 ** np.arange(4)
+    left = [np.abs(f(h * direction) - f(0.0 * direction) - h * slope).max() for h in steps]
+    assert left[0] > 0.0
+    return np.log2(np.array(left[:-1]) / left[1:])
+
+
+@pytest.mark.parametrize("laws", LAWS.values(), ids=LAWS)
+def test_potential_depth_and_jacobian_of_a_step_go_together(cones, laws):
+    """Its gradient is the area-weighted depth, and the Hessian symmetric: Taylor remainders."""
+    line = cones[1].line
+    x = np.linspace(0.0, 1.0, line.n)
+    obliquity = np.hypot(1.0, np.sin(4.0 * x))
+    assert np.ptp(obliquity) > 0.25
+    step = increment(line, laws, obliquity)
+    p, direction = 50.0 + 20.0 * np.cos(9.0 * x), 4.0 * np.cos(23.0 * x)
+    area, jacobian = line.area, step.jacobian(p)
+
+    def total(change):
+        return area @ step.potential(p + change)
+
+    h = 1e-3
+    central = (total(h * direction) - total(-h * direction)) / (2.0 * h)
+    assert central == pytest.approx(area @ (step.depth(p) * direction), rel=1e-6)
+    found = (step.depth(p + h * direction) - step.depth(p - h * direction)) / (2.0 * h)
+    along = jacobian @ direction
+    assert found == pytest.approx(along, rel=1e-5, abs=1e-7 * np.abs(along).max())
+    assert step.linear(p, direction) == pytest.approx(along, rel=1e-12, abs=1e-25)
+    assert step.d_depth_dp(p) == pytest.approx(np.diag(jacobian), rel=1e-12)
+    weighted = area[:, None] * jacobian
+    assert np.abs(weighted - weighted.T).max() < 1e-11 * weighted.max()
+    assert np.linalg.eigvalsh(0.5 * (weighted + weighted.T)).min() > -1e-11 * weighted.max()
+    assert (orders(total, area @ (step.depth(p) * direction), direction) > 1.9).all()
+    # an average of depths would be another potential; depths of the step and rates are one
+    assert step.depths(p).sum(axis=0) == pytest.approx(step.depth(p), rel=1e-12)
+    assert 3.0 * step.rates(p, step.depths(p)) == pytest.approx(step.depths(p), rel=1e-9)
+
+
+def test_taylor_remainders_of_a_curved_law_on_sloping_faces(cones):
+    line = cones[1].line
+    x = np.linspace(0.0, 1.0, line.n)
+    obliquity = np.hypot(1.0, np.sin(4.0 * x))
+    laws = PowerLaw(1e-9, 2.5, 0.7), RunningInLaw(1e-7, 9e-7, 20.0, depth=2e-5)
+    step, flat = increment(line, laws, obliquity), increment(line, laws, np.ones(line.n))
+    p, direction = 50.0 + 20.0 * np.cos(9.0 * x), 4.0 * np.cos(23.0 * x)
+    slope = step.jacobian(p) @ direction
+    assert (orders(lambda d: step.depth(p + d), slope, direction) > 1.9).all()
+    assert step.depth(p) == pytest.approx(obliquity * flat.depth(p), rel=1e-12)
+    assert step.jacobian(p) == pytest.approx(obliquity[:, None] * flat.jacobian(p), rel=1e-12)
+    assert step.potential(p) == pytest.approx(obliquity * flat.potential(p), rel=1e-12)
+    here = slice(5, 11)
+    assert step.part(here).depth(p[here]) == pytest.approx(step.depth(p)[here], rel=1e-12)
+
+
+# -- faces that turn as they wear ------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def cutting(comm):
+    """A chamfered hard ring that has cut some tens of um into a soft flat one."""
+    keys = {
+        "mesh.contact_elements": 32, "mesh.geometry": "updated",
+        "mesh.geometry_tolerance": 0.005, "upper.chamfer": 0.2, "upper.young": 210e3,
+        "wear.lower": {"law": "archard", "k": 2e-8}, "time": {"scheme": "adaptive", "end": 400.0},
+    }  # fmt: skip
+    return trace(read_case(CHAMFER, keys), comm)
+
+
+def test_pressure_on_a_conforming_chamfer_is_that_beside_it_times_the_cosine(cutting):
+    """All of the face goes down at one rate along the axis: k p V / cos alpha."""
+    last, slope = cutting.last, cutting.model.compliance.slope
+    p, line = last.contact.pressure, cutting.model.line
+    assert 0.05 < last.wear[0].max() < 0.1
+    assert not last.wear[1].any()
+    for side, sign in ((line.r < 30.0, -1.0), (line.r > 30.0, 1.0)):
+        conforming = side & (sign * slope > 0.95)
+        beside = side & (slope == 0.0) & (np.abs(line.r - 30.0) < 1.3) & (p > 0.0)
+        beside &= np.abs(line.r - 30.0) > 1.2
+        assert conforming.any()
+        assert beside.any()
+        share = p[conforming] / p[beside].mean()
+        assert share == pytest.approx(1.0 / math.sqrt(2.0), rel=0.05)
+        rates = last.rates[0][side & (p > 0.0)]
+        assert np.ptp(rates) < 0.03 * rates.mean()
+    assert cutting.balances.volume < 1e-12
+    assert cutting.balances.energy < 1e-12
+    assert cutting.balances.torque < 1e-3
+
+
+def test_a_body_that_does_not_wear_is_solved_again_when_the_slope_turns(cutting, comm):
+    """And not otherwise; what it gives way is that of a fresh assembly with that slope."""
+    case = cutting.model.case
+    moving, n = updated_geometry(case, comm), case.line.n
+    pairs = [moving.update(np.zeros((2, n)))]
+    assert not pairs[0].slope.any()
+    worn = cutting.last.shape
+    pairs.append(moving.update(worn))
+    assert np.abs(pairs[1].slope).max() > 0.9
+    assert np.abs(pairs[1].normal[1] - pairs[0].normal[1]).max() > 1e-3 * pairs[0].normal[1].max()
+    slope = common_slope(case_slopes(case.sections, case.line, case.mesh, worn))
+    assert np.array_equal(pairs[1].slope, slope)
+    both = zip(bodies(case), worn, (slope, -slope), strict=True)
+    for i, (body, depth, own) in enumerate(both):
+        fresh = compliance(body, case.line, case.mesh, comm, node_wear(case.line, depth), own)
+        for name, exact in (
+            ("normal", fresh.normal), ("twist", case.line.area @ fresh.torsion),
+            ("force_reaction", fresh.force_reaction), ("torque_reaction", fresh.torque_reaction),
+        ):  # fmt: skip
+            found = getattr(pairs[1], name)[i]
+            assert np.abs(found - exact).max() <= 1e-12 * np.abs(exact).max(), name
+    # deeper by the same everywhere: the slope stays, and so does the upper body
+    uniform = np.stack([np.full(n, 0.01), np.zeros(n)])
+    first = moving.update(uniform)
+    again = moving.update(2.0 * uniform)
+    assert np.array_equal(first.slope, again.slope)
+    assert np.array_equal(first.normal[1], again.normal[1])
+    assert not np.array_equal(first.normal[0], again.normal[0])
+    assert again.cost.kernel_evaluations < first.cost.kernel_evaluations
+
+
+# -- doubts ----------------------------------------------------------------------------------------
+
+
+def flags(case, comm):
+    """Doubts about the last state of a history, by their flags."""
+    found = {}
+
+    def look(snapshot):
+        if snapshot.finished:
+            worst = WorstBalances()
+            worst(snapshot)
+            found.update({d.flag: d.text for d in doubts(snapshot.model, snapshot.state,
+                                                         worst.worst)})  # fmt: skip
+        return False
+
+    simulate(case, comm, observers=[look])
+    return found
+
+
+def test_a_steep_cone_that_bears_on_a_flat_face_is_told_with_its_place(comm):
+    steep = {
+        "mesh.contact_elements": 24, "time.steps": 2,
+        "upper.profile": [[28.5, 20.9], [30.0, 20.0], [31.5, 20.9]], "load.pressure": 20.0,
+        "lower.young": 1e3, "upper.young": 2e5,
+    }  # fmt: skip
+    case = read_case(PAPER, steep)
+    text = flags(case, comm)["unlike_slopes"]
+    words = text.split()
+    r = float(words[words.index("r") + 2])
+    assert np.abs(case.line.r - r).min() < 1e-4
+    assert abs(r - 30.0) < 0.5
+    assert "upper by" in text
+    angle = float(text.split("upper by ")[1].split()[0])
+    assert abs(angle) == pytest.approx(math.degrees(math.atan(0.9 / 1.5)), rel=1e-2)
+    share = float(text.split("elements that bear ")[1].split()[0])
+    assert 0.01 < share <= 1.0
+    assert text.count("\n") == 0
+    assert 'mesh.geometry = "updated" follows the worn faces' in text
+    gentle = read_case(
+        PAPER, {**steep, "upper.profile": [[28.5, 20.1], [30.0, 20.0], [31.5, 20.1]]}
+    )
+    assert "unlike_slopes" not in flags(gentle, comm)
+
+
+def test_matched_cones_and_the_flat_rings_of_the_paper_are_not_doubted(cones, comm):
+    matched = ring_case(Rings(CONTACT, (1e4, 1e5), 20.0), Mesh(24), Stepping("implicit", 2.0, 2), K)
+    for case in (cones[0], matched, paper_case(Mesh(24))):
+        assert "unlike_slopes" not in flags(case, comm)
+
+
+def test_faces_that_have_worn_to_each_other_are_doubted_only_if_the_elements_have_not(comm):
+    """Over a chamfer of 45 degrees, once it bears load: what "updated" is advised for."""
+    keys = {
+        "mesh.contact_elements": 24, "upper.chamfer": 0.2, "upper.young": 210e3,
+        "wear.lower": {"law": "archard", "k": 2e-8}, "time": {"scheme": "adaptive", "end": 300.0},
+    }  # fmt: skip
+    told = flags(read_case(CHAMFER, keys), comm)["unlike_slopes"]
+    assert "pressure acts along the normal of a face of 0 degrees" in told
+    assert told.endswith('"updated" follows the worn faces')
+    following = read_case(CHAMFER, {**keys, "mesh.geometry": "updated"})
+    assert 'mesh.geometry = "updated"' not in flags(following, comm).get("unlike_slopes", "")
+
+
+def test_archard_on_a_cone_is_worn_along_the_axis_by_more(cones, comm):
+    """The law knows no friction; the depth along the axis is that along the normal / cos alpha."""
+    base, pair = cones
+    case = replace(base, wear_lower=ArchardLaw(1e-8), wear_upper=None)
+    with WearModel(case, comm, pair) as model:
+        state = model.initial()
+        rates = model.rates_at(0.0, state.wear, state.contact.pressure)
+    exact = 1e-8 * state.contact.pressure * case.load.omega * pair.line.arm
+    assert rates[0] * COS == pytest.approx(exact, rel=1e-12)
+    assert not rates[1].any()
