@@ -39,7 +39,6 @@ from mpi4py import MPI
 from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.case import Case, Stepping
 from ringwear_par.cases.reading import read_case
-from ringwear_par.contact.correction import CORRECTIONS
 from ringwear_par.elasticity.body import boundary_conditions, solve_body
 from ringwear_par.elasticity.mesh import ContactLine, boundary_mesh
 from ringwear_par.elasticity.pair import ContactCompliance, ContactPair, largest_stable_step
@@ -191,7 +190,7 @@ def grows(model: WearModel, state: State, step: float, n_steps: int = 60) -> boo
     bump = np.zeros_like(state.wear)
     bump[0] = 1e-2 * (model.compliance.matrix @ sign) / model.area
     wear = state.wear + bump
-    contact = model.contact(state.time, wear, state.contact.pressure, None, CORRECTIONS)
+    contact = model.contact(state.time, wear, state.contact.pressure)
     rates = model.rates_at(state.time, wear, contact.pressure)
     changed = replace(state, wear=wear, contact=contact, rates=rates)
     sizes = []

@@ -95,8 +95,8 @@ def entry_error(
     before: State,
     after: State,
     unhindered: FloatArray,
-) -> Numbers:
-    """Return the estimated error of the pressure of elements that a step brought into contact, MPa.
+) -> FloatArray:
+    """Return the estimated errors of pressure of elements that came into contact, (..., n) MPa.
 
     Such a pressure is right where the wear of the element is far more than what it yields, or far
     less: it is then what wears it off as fast as the gap closes, or what elasticity alone makes of
@@ -109,11 +109,11 @@ def entry_error(
     p = after.contact.pressure
     came = (before.contact.pressure <= 0.0) & (p > 0.0)
     if not came.any():
-        return 0.0 if p.ndim == 1 else np.zeros(len(p))
+        return np.zeros_like(p)
     elastic, most = model.yielding(p), unhindered.sum(axis=0)
     worn = (after.wear - before.wear).sum(axis=0)
     size = np.maximum((elastic + worn) * (elastic + most), np.finfo(float).tiny)
     share: FloatArray | float = _STAGE_ERROR
     if enter is not None:
         share = np.where(enter.late, _ENTRY_ERROR, _STAGE_ERROR)
-    return np.where(came, share * p * elastic * most / size, 0.0).max(axis=-1)
+    return np.where(came, share * p * elastic * most / size, 0.0)

@@ -9,7 +9,6 @@ rate.
 import numpy as np
 
 from ringwear_par.arrays import Numbers, columns
-from ringwear_par.contact.correction import CORRECTIONS
 from ringwear_par.history.model import WearModel
 from ringwear_par.history.schemes import Step, advanced
 from ringwear_par.history.state import State
@@ -24,7 +23,7 @@ def forward(model: WearModel, state: State, end: Numbers) -> Step:
     if not model.steady_speed:
         rates = model.rates(state.time, omega, state.wear, p)
     depths, volumes = columns(length) * rates, length * model.integrals(rates)
-    contact = model.contact(end, state.wear + depths, p, None, CORRECTIONS)
+    contact = model.contact(end, state.wear + depths, p)
     then = model.rates_at(end, state.wear + depths, contact.pressure)
     energy = length * omega * model.torque(p)
     after = advanced(model, state, end, depths, volumes, energy, contact, then)

@@ -17,7 +17,7 @@ from mpi4py import MPI
 
 from ringwear_par.arrays import BoolArray, FloatArray, Numbers, columns, inner
 from ringwear_par.cases.case import Case
-from ringwear_par.contact.correction import CORRECTIONS, CorrectedContact
+from ringwear_par.contact.correction import CorrectedContact
 from ringwear_par.contact.problem import ContactState, WarmStart
 from ringwear_par.contact.solver import ContactSolver
 from ringwear_par.elasticity.pair import BodyCost, ContactPair, largest_stable_step
@@ -100,9 +100,7 @@ class WearModel:
         #: the wear that the present elasticity is of
         self._followed = np.zeros((2, *self._shape))
         self._lent = solver is not None
-        # once the history has ended
-        self._warm: WarmStart | None = None
-        self._collocated: tuple[float, int] | None = None
+        self._warm: WarmStart | None = None  # once the history has ended
         if solver is not None:
             solver.cold_start()
             solvers = [solver]
@@ -117,8 +115,7 @@ class WearModel:
 
     def __exit__(self, failure: type[BaseException] | None, *_: object) -> None:
         if failure is not None:  # where a failed solution ended is no place to start
-            self._contacts[0].forget()
-        self._collocated = self.collocation_error
+            self._contacts[0].solver.cold_start()
         self._warm = self._contacts[0].solver.warm()
         if not self._lent:
             for contact in self._contacts:
@@ -127,7 +124,7 @@ class WearModel:
     def _take(self, pair: ContactPair) -> None:
         self.compliance = pair.compliance(young(self.case))
         for contact in self._contacts:
-            contact.excess = self.compliance.excess
+            contact.take(self.compliance.matrix, self.compliance.excess)
         true_area = self.area * self.compliance.obliquity
         #: 1 / cos alpha of sloping faces, None where all are flat
         self._obliquity = self.compliance.obliquity if pair.slope.any() else None
@@ -154,7 +151,7 @@ class WearModel:
         wear = np.zeros((2, *self._shape))
         nothing: Numbers = 0.0 if wear.ndim == 2 else np.zeros(len(self.cases))
         try:
-            contact = self.contact(nothing, wear, np.zeros(self._shape), None, CORRECTIONS)
+            contact = self.contact(nothing, wear, np.zeros(self._shape), exact=True)
         except ComputationError as error:
             raise ComputationError(f"step 0 (before any wear): {error}") from error
         self._check_interpenetration()
@@ -207,7 +204,7 @@ class WearModel:
         self._follow(state.wear)
         self.updates += 1
         # the rates at the start of the next step are to be those of the new elasticity
-        contact = self.contact(state.time, state.wear, state.contact.pressure, None, CORRECTIONS)
+        contact = self.contact(state.time, state.wear, state.contact.pressure, exact=True)
         rates = self.rates_at(state.time, state.wear, contact.pressure)
         return replace(state, shape=state.wear, contact=contact, rates=rates)
 
@@ -227,8 +224,8 @@ class WearModel:
         wear: FloatArray,
         near: FloatArray,
         during: WearIncrement | None = None,
-        corrections: int = 0,
         found: tuple[BoolArray, ContactState] | None = None,
+        exact: bool = False,
     ) -> ContactState:
         """Return the contact at a time, under the loads of that time. Collective.
 
@@ -238,8 +235,8 @@ class WearModel:
         wear : (2, ..., n) float, mm, by which the profiles are worn.
         near : (..., n) float, MPa, pressures near the solution, see ``contact.correction``.
         during : wear of an implicit step, which is part of the contact problem.
-        corrections : how often at most to repeat this from the solution on.
         found : which of B histories have their solution already, and it.
+        exact : whether no other pressures are near, see ``contact.correction``.
 
         Raises
         ------
@@ -254,7 +251,7 @@ class WearModel:
             during = None
         if gap.ndim == 1:
             return self._contacts[0].solve(
-                gap, near, force=force, approach=approach, wear=during, corrections=corrections
+                gap, near, force=force, approach=approach, wear=during, exact=exact
             )
         return _stacked(
             [
@@ -266,22 +263,19 @@ class WearModel:
                     force=None if force is None else float(force[i]),
                     approach=None if approach is None else float(approach[i]),
                     wear=None if during is None else during.history(i),
-                    corrections=corrections,
+                    exact=exact,
                 )
                 for i, contact in enumerate(self._contacts)
             ]
         )
 
     @property
-    def collocation_error(self) -> tuple[float, int]:
-        """What making the compliance symmetric does to the last pressures: worst error, element.
+    def asymmetry(self) -> tuple[float, int]:
+        """What making the compliance symmetric has left of errors of pressure: worst, element.
 
-        See ``CorrectedContact.errors``. Collective.
+        Of all contacts so far, see ``contact.correction``.
         """
-        if self._collocated is not None:
-            return self._collocated
-        errors = self._contacts[0].errors()
-        return float(errors.max()), int(errors.argmax())
+        return self._contacts[0].worst
 
     def pressure_response(self, gap: FloatArray) -> FloatArray:
         """Return what a small growth (..., n) mm of the gap does to the last pressures, MPa."""
@@ -290,6 +284,11 @@ class WearModel:
             return self._contacts[0].solver.response(gap, kept)
         each = zip(self._contacts, gap, strict=True)
         return np.stack([contact.solver.response(g, kept) for contact, g in each])
+
+    @property
+    def slight_pressure(self) -> float:
+        """About what an approach as small as ``time.tolerance`` presses, MPa."""
+        return self.case.time.tolerance * float(self.area.sum() / self.compliance.matrix.sum())
 
     def yielding(self, p: FloatArray) -> FloatArray:
         """Return what each element yields, (..., n) mm, to its own pressure alone, MPa."""

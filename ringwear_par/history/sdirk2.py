@@ -11,7 +11,6 @@ contact within a step are dealt with apart: see ``entering``.
 
 import math
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
@@ -46,9 +45,8 @@ def step(model: WearModel, state: State, end: Numbers) -> Step:
     worn_first = first.unhindered(stage.pressure)
     counts = 1.0 if enter is None else enter.counts(stage.pressure, 0.0)
     carried = state.wear + _SHARE * (counts * worn_first)
-    last, contact, counts_last = _last_stage(
-        model, enter, end, speeds[2], carried, length, stage.pressure
-    )
+    near = stage.pressure
+    last, contact, counts_last = _last_stage(model, enter, end, speeds[2], carried, length, near)
     worn_last = last.unhindered(contact.pressure)
     losses = worn_last if enter is None else last.depths(contact.pressure)
 
@@ -84,14 +82,14 @@ def step(model: WearModel, state: State, end: Numbers) -> Step:
     if defect.any():
         # the wear that the defect undoes by the pressure that it takes away
         relief = model.pressure_response(defect)
-        off = larger(off, np.abs(relief).max(axis=-1))
+        off = np.maximum(off, np.abs(relief))
         defect = defect + last.linear(contact.pressure, relief)
     return Step(
         after,
         np.abs(defect).max(axis=-1),
         abs(length * inner(_DEFECT, powers)),
         powers.max(axis=-1),
-        _over_mean(off, model, contact),
+        (off / _scale(model, state.contact, contact)).max(axis=-1),
     )
 
 
@@ -106,7 +104,7 @@ def _last_stage(
 ) -> tuple[WearIncrement, ContactState, FloatArray | float]:
     """Return the last stage, its contact, and how many times its weight it counts, (..., n).
 
-    ``near`` are the pressures of the stage before, (..., n) MPa.
+    ``near`` are pressures near those at its end, (..., n) MPa.
     """
     step = GAMMA * length
     if enter is None:
@@ -131,10 +129,12 @@ def _last_stage(
     return last, contact, counts * inside
 
 
-def _over_mean(off: Numbers, model: WearModel, contact: ContactState) -> Numbers:
-    """Return a pressure over the mean of those in contact; 0 out of contact."""
-    touching = inner(model.area, (contact.pressure > 0.0).astype(float))
-    if isinstance(touching, float):  # of one history, and quicker
-        return float(off * touching / contact.force) if contact.force > 0.0 else 0.0
-    force: Any = contact.force
-    return np.divide(off * touching, force, out=np.zeros_like(touching), where=force > 0.0)
+def _scale(model: WearModel, before: ContactState, after: ContactState) -> FloatArray:
+    """Return what errors of pressure are relative to, (..., n) MPa.
+
+    The pressure at the start of the step or the mean pressure at its end, whichever is larger; but
+    not less than what an approach as small as the tolerance of wear presses.
+    """
+    touching = inner(model.area, (after.pressure > 0.0).astype(float))
+    mean = after.force / np.maximum(touching, model.area.min())
+    return np.maximum(before.pressure, columns(np.maximum(mean, model.slight_pressure)))

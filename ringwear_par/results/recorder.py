@@ -217,7 +217,6 @@ class Recorder:
                 "time_end": case.time.end,
                 **self.seconds(),
                 "symmetry_defect": model.compliance.symmetry_defect,
-                "collocation_error": model.collocation_error[0],
                 "user_laws": json.dumps(law_sources(case)),
                 **{
                     f"law_{body}": "" if law is None else law.describe()

@@ -9,6 +9,7 @@ from mpi4py import MPI
 from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.case import Case
 from ringwear_par.elasticity.pair import ContactPair
+from ringwear_par.elasticity.slopes import case_slopes, common_slope
 from ringwear_par.errors import ComputationError, InputError
 from ringwear_par.history.bodies import operator_key
 from ringwear_par.history.pairs import assemble
@@ -37,8 +38,7 @@ def write_operator(path: Path, case: Case, comm: MPI.Comm) -> None:
     try:
         with together(comm):
             pair = assemble(case, comm)
-            slope = np.stack([pair.slope, pair.slope])
-            rest = (pair.twist, pair.force_reaction, pair.torque_reaction, slope)
+            rest = (pair.twist, pair.force_reaction, pair.torque_reaction)
             stacked = np.concatenate([pair.normal, np.stack(rest, axis=1)], axis=1)
     except InputError:
         raise
@@ -77,12 +77,13 @@ def map_operator(path: Path, case: Case, comm: MPI.Comm) -> ContactPair:
     with together(comm):
         stacked = _mapped(path)
     n = stacked.shape[2]
-    twist, force, torque, (slope, _) = (stacked[:, n + i] for i in range(4))
-    return ContactPair(case.line, stacked[:, :n], twist, force, torque, slope, operator_key(case))
+    parts = stacked[:, :n], stacked[:, n], stacked[:, n + 1], stacked[:, n + 2]
+    slope = common_slope(case_slopes(case.sections, case.line, case.mesh))
+    return ContactPair(case.line, *parts, slope, operator_key(case))
 
 
 def _mapped(path: Path) -> FloatArray:
-    """Return two stacked (n + 4, n) matrices; network disks show files late, and piece by piece."""
+    """Return two stacked (n + 3, n) matrices; network disks show files late, and piece by piece."""
     limit = time.monotonic() + _PATIENCE_SECONDS
     while True:
         try:

@@ -17,7 +17,7 @@ from ringwear_par.contact.solver import ContactSolver
 from ringwear_par.errors import ComputationError
 from ringwear_par.history import euler
 from ringwear_par.history.bodies import young
-from ringwear_par.history.model import CORRECTIONS, WearModel
+from ringwear_par.history.model import WearModel
 from ringwear_par.history.pairs import assemble
 from ringwear_par.history.simulate import METHODS
 from ringwear_par.history.trace import trace
@@ -60,11 +60,10 @@ def errors(found, exact, area):
     return np.abs(found - exact) / np.maximum(exact, mean)
 
 
-def first_pressure(case, pair, comm, corrections=CORRECTIONS):
-    n = pair.line.n
-    with WearModel(case, comm, pair) as model:
-        found = model.contact(0.0, np.zeros((2, n)), np.zeros(n), None, corrections)
-    return found.pressure
+def plain_pressure(case, pair, gap, comm, time=0.0):
+    """Of the symmetric compliance alone."""
+    with ContactSolver(pair.compliance(young(case)).matrix, pair.line.area, comm) as solver:
+        return solver.solve(gap, **loads(case, time)).pressure
 
 
 @pytest.mark.parametrize("number", NUMBERS)
@@ -74,12 +73,12 @@ def test_first_pressures_are_those_of_the_collocated_equations(cases, number, co
     exact, approach = active_set.solve(weighted(case, pair), m, case.initial_gap, **loads(case, 0))
     with WearModel(case, comm, pair) as model:
         first = model.initial().contact
-        told, _ = model.collocation_error
+        told, _ = model.asymmetry
     assert errors(first.pressure, exact, m).max() < 1e-3
-    assert told < 1e-4
+    assert told <= 1e-4
     assert first.approach == pytest.approx(approach, rel=1e-6)
     # what there is to correct, and where: nobody would see it in a balance
-    plain = errors(first_pressure(case, pair, comm, 0), exact, m)
+    plain = errors(plain_pressure(case, pair, case.initial_gap, comm), exact, m)
     assert plain.max() > 0.2
     assert plain.argmax() in (0, pair.line.n - 1)
 
@@ -91,12 +90,12 @@ def test_each_correction_leaves_a_fraction(cases, number, comm):
     exact, _ = active_set.solve(
         weighted(case, pair), pair.line.area, case.initial_gap, **loads(case, 0)
     )
+    excess = pair.compliance(young(case)).excess
     p, off = np.zeros(pair.line.n), []
-    with WearModel(case, comm, pair) as model:
-        for _ in range(CORRECTIONS):
-            p = model.contact(0.0, np.zeros((2, pair.line.n)), p).pressure
-            off.append(errors(p, exact, pair.line.area).max())
-    assert (off[-1] / off[0]) ** (1.0 / (CORRECTIONS - 1)) < 0.2
+    for _ in range(5):
+        p = plain_pressure(case, pair, case.initial_gap - excess @ p, comm)
+        off.append(errors(p, exact, pair.line.area).max())
+    assert (off[-1] / off[0]) ** (1.0 / 4.0) < 0.2
     assert all(b < 0.25 * a for a, b in itertools.pairwise(off))
 
 
@@ -109,19 +108,18 @@ def test_corrections_end_once_there_is_nothing_to_correct(cases, comm, monkeypat
         return solve(self, *args, **kwargs)
 
     monkeypatch.setattr(ContactSolver, "solve", counted)
-    p = first_pressure(case, pair, comm)
-    assert 2 <= len(calls) <= CORRECTIONS + 1
-    made = len(calls)
-    with WearModel(case, comm, pair) as model:  # from the solution on there is none to make
-        again = model.contact(0.0, np.zeros((2, pair.line.n)), p, None, CORRECTIONS)
+    nothing = np.zeros((2, pair.line.n))
+    with WearModel(case, comm, pair) as model:
+        p = model.contact(0.0, nothing, nothing[0], exact=True).pressure
+        made = len(calls)
+        assert 2 <= made <= 6
+        again = model.contact(0.0, nothing, p, exact=True)  # from the solution on: none to make
         assert len(calls) == made + 1
     assert errors(again.pressure, p, pair.line.area).max() < 1e-3
 
 
-@pytest.mark.parametrize("corrections", [0, CORRECTIONS])
-def test_pressures_of_an_implicit_step_are_those_of_the_collocated_equations(
-    cases, corrections, comm
-):
+@pytest.mark.parametrize("exact", [False, True])
+def test_pressures_of_an_implicit_step_are_those_of_the_collocated_equations(cases, exact, comm):
     """Of gap and wear together, by an independent solver; steps go on from pressures near by."""
     case, pair = cases[12]
     law, step = ThresholdLaw(1e-6, 15.0), 2.0
@@ -129,50 +127,63 @@ def test_pressures_of_an_implicit_step_are_those_of_the_collocated_equations(
     omega = case.load.omega
     assert isinstance(omega, float)
     line = pair.line
-    history = trace(case, comm, pair=pair)
-    before = history.states[-2]
+    before = trace(case, comm, pair=pair).states[-2]
     with WearModel(case, comm, pair) as model:
         during = model.increment(step * 10, omega, before.wear, step)
-        found = model.contact(step * 10, before.wear, before.contact.pressure, during, corrections)
-        told, _ = model.collocation_error
+        found = model.contact(step * 10, before.wear, before.contact.pressure, during, exact=exact)
     rise = step * law.k * case.friction * omega * line.arm
     gap = case.initial_gap + before.wear.sum(axis=0)
-    exact, _ = active_set.solve(
+    right, _ = active_set.solve(
         weighted(case, pair), line.area, gap, laws=[law.p0], rise=[rise],
         **loads(case, step * 10),
     )  # fmt: skip
-    off = errors(found.pressure, exact, line.area).max()
-    assert off < (1e-4 if corrections else 1e-2)
-    assert off < 2.0 * told + 1e-6
-    if not corrections:
-        assert found.pressure == pytest.approx(history.last.contact.pressure, rel=1e-9)
-        assert told < 5e-2
+    assert errors(found.pressure, right, line.area).max() < (2e-4 if exact else 1e-2)
 
 
 @pytest.mark.parametrize("number", NUMBERS)
 def test_last_pressures_of_a_history_are_near_the_collocated_ones(cases, number, comm, monkeypatch):
-    """The last step again, all its contacts corrected to the end; the error told is no less."""
+    """The last step again, all its contacts corrected to the end."""
     case, pair = cases[number]
     history = trace(case, comm, pair=pair)
-    told, e = history.model.collocation_error
+    told, e = history.model.asymmetry
     assert 0 <= e < pair.line.n
+    assert told <= 1e-2
     scheme, _ = METHODS[case.time.scheme]
     with WearModel(case, comm, pair) as model:
         contact = model.contact
 
-        def corrected(time, wear, near, during=None, corrections=0, found=None):
-            for _ in range(8):
-                solution = contact(time, wear, near, during, 0, found)
+        def corrected(time, wear, near, during=None, found=None, exact=False):
+            for _ in range(4):
+                solution = contact(time, wear, near, during, found, exact=True)
                 near = solution.pressure
             return solution
 
         monkeypatch.setattr(model, "contact", corrected)
-        exact = scheme(model, history.states[-2], history.last.time).state.contact.pressure
-        assert model.collocation_error[0] < 1e-6
-    off = errors(history.last.contact.pressure, exact, pair.line.area)
-    assert told < 0.05
-    assert off.max() < 0.02
-    assert off.max() < 2.0 * told + 1e-6
+        right = scheme(model, history.states[-2], history.last.time).state.contact.pressure
+    assert errors(history.last.contact.pressure, right, pair.line.area).max() < 0.02
+
+
+@pytest.mark.parametrize(
+    ("name", "load"),
+    [
+        ("overlap", {"load.displacement": [[0.0, 0.08], [4.0, 5e-6], [9.0, 5e-6]]}),
+        ("sphere", {"load.displacement": [[0.0, 4e-3], [4.0, 4e-6], [9.0, 4e-6]]}),
+        ("chamfer", {"load.pressure": [[0.0, 80.0], [4.0, 0.0], [9.0, 0.0]]}),
+    ],
+)
+def test_contact_does_not_remember_the_load_before(name, load, comm):
+    """Without wear, the same load gives the same contact, whatever was before it."""
+    key = next(iter(load))
+    case = read_case(CHAMFER.with_name(f"{name}.toml"), {
+        "wear.lower": None, "wear.upper": None, "load.force": None, "load.pressure": None,
+        "mesh.contact_elements": 32, "time": {"scheme": "implicit", "step": 1.0, "steps": 6},
+        "load.control": "force" if key == "load.pressure" else "displacement", **load,
+    })  # fmt: skip
+    states = trace(case, comm).states
+    first, later = states[4].contact, states[5].contact
+    size = max(first.pressure.max(), later.pressure.max(), 1e-12)
+    assert np.abs(first.pressure - later.pressure).max() <= 2e-2 * size
+    assert first.approach == pytest.approx(later.approach, rel=1e-4)
 
 
 def test_explicit_steps_are_corrected_each(comm):
@@ -190,7 +201,7 @@ def test_explicit_steps_are_corrected_each(comm):
         for state in history.states:
             gap = case.initial_gap + state.wear.sum(axis=0)
             exact, _ = active_set.solve(matrix, m, gap, **loads(case, state.time))
-            assert errors(state.contact.pressure, exact, m).max() < 2e-4
+            assert errors(state.contact.pressure, exact, m).max() < 1e-2
             less = gap - pair.compliance(young(case)).excess @ before
             found = plain.solve(less, **loads(case, state.time)).pressure
             uncorrected.append(errors(found, exact, m).max())
@@ -271,13 +282,3 @@ def test_a_problem_shared_out_by_rows_is_corrected_as_well(cases, comm):
         found = model.initial().contact.pressure
     assert errors(found, exact, m).max() < 1e-3
     assert len(set(comm.allgather(found.tobytes()))) == 1
-
-
-def test_the_error_is_told_after_the_end_too(cases, comm):
-    case, pair = cases[12]
-    with WearModel(case, comm, pair) as model:
-        assert model.collocation_error == (0.0, 0)
-        model.initial()
-        inside = model.collocation_error
-    assert model.collocation_error == inside
-    assert 0.0 < inside[0] < 1e-4
