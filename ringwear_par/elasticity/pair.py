@@ -71,6 +71,11 @@ class ContactCompliance:
     excess: FloatArray
 
     @property
+    def collocated(self) -> FloatArray:
+        """(n, n) mm/MPa, the collocated compliance C."""
+        return self.matrix / self.line.area[:, None] - self.excess
+
+    @property
     def obliquity(self) -> FloatArray:
         """(n,), 1 / cos alpha: true area, on which friction and wear act, over projected area."""
         return obliquity(self.slope)

@@ -97,6 +97,8 @@ class WearModel:
         self.wears_locally = self._wears and not any(
             law is not None and law.length for law in self.laws
         )
+        #: what elements are nearer than their profiles say
+        self._fit: FloatArray | None = None
         #: the wear that the present elasticity is of
         self._followed = np.zeros((2, *self._shape))
         self._lent = solver is not None
@@ -178,6 +180,7 @@ class WearModel:
         """Go on from a stored state as if it had just been computed. Collective."""
         if start.state.shape is not None:
             self._follow(start.state.shape)
+        self._fit = start.state.fit
         self.updates = start.updates
         self._contacts[0].solver.warm_start(start.warm)
         return start.state
@@ -201,12 +204,19 @@ class WearModel:
         if np.abs(state.wear - shape).max() <= self.case.mesh.geometry_tolerance:
             self._follow(shape)
             return replace(state, shape=shape)
+        before = self.compliance
         self._follow(state.wear)
         self.updates += 1
+        # faces that wear has made to slope alike touch as they are displaced: what the turned slope
+        # makes of displacements that there are already is no gap
+        turned = self.compliance.slope != before.slope
+        gained = (self.compliance.collocated - before.collocated) @ state.contact.pressure
+        fit = np.where(turned, gained, 0.0) + (0.0 if state.fit is None else state.fit)
+        self._fit = fit
         # the rates at the start of the next step are to be those of the new elasticity
         contact = self.contact(state.time, state.wear, state.contact.pressure, exact=True)
         rates = self.rates_at(state.time, state.wear, contact.pressure)
-        return replace(state, shape=state.wear, contact=contact, rates=rates)
+        return replace(state, shape=state.wear, fit=fit, contact=contact, rates=rates)
 
     def _follow(self, shape: FloatArray) -> None:
         if self._geometry is None or np.array_equal(shape, self._followed):
@@ -243,6 +253,8 @@ class WearModel:
         ComputationError : the contact was not found.
         """
         gap = self._initial_gap + wear[0] + wear[1]
+        if self._fit is not None:
+            gap = gap - self._fit
         force: Numbers = None if self.force is None else in_time(self.force, time)
         approach: Numbers = None
         if self.displacement is not None:

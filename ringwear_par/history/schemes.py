@@ -67,6 +67,6 @@ def advanced(
     return model.checked(
         State(
             end, state.wear + depths, state.worn + volumes, state.energy + energy, contact, rates,
-            state.shape,
+            state.shape, state.fit,
         )
     )  # fmt: skip

@@ -19,6 +19,8 @@ class State:
     contact : the contact solution with these profiles.
     rates : (2, ..., n) float, mm/s, at which lower and upper wear now.
     shape : (2, ..., n) float, mm, the wear that the elements have followed; None where they do not.
+    fit : (..., n) float, mm, what elements are nearer than their profiles say since their slopes
+        turned, see ``WearModel.update_geometry``; None where they do not.
     """
 
     time: Numbers
@@ -28,6 +30,7 @@ class State:
     contact: ContactState
     rates: FloatArray
     shape: FloatArray | None = None
+    fit: FloatArray | None = None
 
 
 @dataclass(frozen=True)

@@ -23,6 +23,7 @@ _ARRAYS = (
     Variable("worn", ("body",), "mm3", "time integral of the rate of the worn volume"),
     Variable("rates", ("body", "element"), "mm/s", "rate of wear"),
     Variable("shape", ("body", "element"), "mm", "wear depth that the elements have followed"),
+    Variable("fit", ("element",), "mm", "what elements are nearer since their slopes turned"),
     Variable("pressure", ("element",), "MPa", "contact pressure"),
     Variable("gap", ("element",), "mm", "gap between the deformed profiles"),
     Variable("warm_scaled_pressure", ("element",), "1", "unknowns of the contact solver"),
@@ -83,6 +84,8 @@ def take(
     }
     if state.shape is not None:
         arrays["shape"] = state.shape
+    if state.fit is not None:
+        arrays["fit"] = state.fit
     return Checkpoint(numbers, arrays)
 
 
@@ -105,7 +108,7 @@ def restored(result: "Result") -> "Start":
     )  # fmt: skip
     state = State(
         float(numbers["time"]), arrays["wear"], arrays["worn"], float(numbers["energy"]),
-        contact, arrays["rates"], arrays.get("shape"),
+        contact, arrays["rates"], arrays.get("shape"), arrays.get("fit"),
     )  # fmt: skip
     progress = Progress(
         int(numbers["step"]), float(numbers["next_step"]), int(numbers["rejected"]),
