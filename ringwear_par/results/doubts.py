@@ -100,9 +100,10 @@ def _unlike_slopes(model: WearModel, state: State) -> list[Doubt]:
     return [
         Doubt(
             "unlike_slopes",
-            f"faces that touch slope by different angles on elements that bear {share:.2g} of the "
-            f"load: at r = {line.r[e]:.6g} mm lower by {lower:.3g}, upper by {upper:.3g} degrees, "
-            f"while pressure acts along the normal of a face of {acts:.3g} degrees"
+            f"{100.0 * share:.2g} % of the load is borne where the pressure acts along a normal "
+            f"more than {_MOST_ANGLE:g} degrees off that of a face: at r = {line.r[e]:.6g} mm lower "
+            f"slopes by {lower:.3g}, upper by {upper:.3g} degrees, and the pressure is that on a "
+            f"face of {acts:.3g} degrees"
             + ('; mesh.geometry = "updated" follows the worn faces' * (not case.follows_wear)),
         )
     ]

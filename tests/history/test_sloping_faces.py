@@ -256,7 +256,10 @@ def test_pressure_on_a_conforming_chamfer_is_that_beside_it_times_the_cosine(cut
         share = p[conforming] / p[beside].mean()
         assert share == pytest.approx(1.0 / math.sqrt(2.0), rel=0.05)
         rates = last.rates[0][side & (p > 0.0)]
-        assert np.ptp(rates) < 0.03 * rates.mean()
+        assert np.ptp(rates) < 0.05 * rates.mean()
+    # no jumps where slopes turn: singular edges have worn off in the first states
+    largest = np.array([state.contact.pressure.max() for state in cutting.states])
+    assert largest[cutting.steps // 4 :].max() < 1.5 * p.max()
     assert cutting.balances.volume < 1e-12
     assert cutting.balances.energy < 1e-12
     assert cutting.balances.torque < 1e-3
@@ -327,8 +330,8 @@ def test_a_steep_cone_that_bears_on_a_flat_face_is_told_with_its_place(comm):
     assert "upper by" in text
     angle = float(text.split("upper by ")[1].split()[0])
     assert abs(angle) == pytest.approx(math.degrees(math.atan(0.9 / 1.5)), rel=1e-2)
-    share = float(text.split("elements that bear ")[1].split()[0])
-    assert 0.01 < share <= 1.0
+    share = float(text.split()[0])
+    assert 5.0 < share <= 100.0
     assert text.count("\n") == 0
     assert 'mesh.geometry = "updated" follows the worn faces' in text
     gentle = read_case(
@@ -350,7 +353,7 @@ def test_faces_that_have_worn_to_each_other_are_doubted_only_if_the_elements_hav
         "wear.lower": {"law": "archard", "k": 2e-8}, "time": {"scheme": "adaptive", "end": 300.0},
     }  # fmt: skip
     told = flags(read_case(CHAMFER, keys), comm)["unlike_slopes"]
-    assert "pressure acts along the normal of a face of 0 degrees" in told
+    assert "the pressure is that on a face of 0 degrees" in told
     assert told.endswith('"updated" follows the worn faces')
     following = read_case(CHAMFER, {**keys, "mesh.geometry": "updated"})
     assert 'mesh.geometry = "updated"' not in flags(following, comm).get("unlike_slopes", "")
