@@ -257,9 +257,9 @@ def test_pressure_on_a_conforming_chamfer_is_that_beside_it_times_the_cosine(cut
         assert share == pytest.approx(1.0 / math.sqrt(2.0), rel=0.05)
         rates = last.rates[0][side & (p > 0.0)]
         assert np.ptp(rates) < 0.05 * rates.mean()
-    # no jumps where slopes turn: singular edges have worn off in the first states
+    # no jumps where slopes turn: the singular edges' pressures fall
     largest = np.array([state.contact.pressure.max() for state in cutting.states])
-    assert largest[cutting.steps // 4 :].max() < 1.5 * p.max()
+    assert (largest[1:] < 1.1 * largest[:-1]).all()
     assert cutting.balances.volume < 1e-12
     assert cutting.balances.energy < 1e-12
     assert cutting.balances.torque < 1e-3
