@@ -102,8 +102,8 @@ def _unlike_slopes(model: WearModel, state: State) -> list[Doubt]:
             "unlike_slopes",
             f"{100.0 * share:.2g} % of the load is borne where the pressure acts along a normal "
             f"more than {_MOST_ANGLE:g} degrees off that of a face: at r = {line.r[e]:.6g} mm "
-            f"lower slopes by {lower:.3g}, upper by {upper:.3g} degrees, and the pressure is that on a "
-            f"face of {acts:.3g} degrees"
+            f"lower slopes by {lower:.3g}, upper by {upper:.3g} degrees, and the pressure is that "
+            f"on a face of {acts:.3g} degrees"
             + ('; mesh.geometry = "updated" follows the worn faces' * (not case.follows_wear)),
         )
     ]
