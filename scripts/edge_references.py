@@ -25,10 +25,8 @@ import ringwear_par.verification as package
 from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.case import Case
 from ringwear_par.elasticity.mesh import Mesh
-from ringwear_par.elasticity.pair import ContactPair
 from ringwear_par.errors import ComputationError
-from ringwear_par.history.bodies import operator_key, young
-from ringwear_par.history.pairs import assemble
+from ringwear_par.history.bodies import young
 from ringwear_par.history.trace import trace
 from ringwear_par.verification import reference
 from ringwear_par.verification.edges import (
@@ -46,6 +44,7 @@ from ringwear_par.verification.fine import (
     TIMES,
     FineSolution,
     K,
+    Pairs,
     ring_case,
 )
 from ringwear_par.verification.slopes import cone_errors
@@ -116,33 +115,13 @@ def fine_solution(case: Case, matrix: FloatArray, obliquity: FloatArray) -> Fine
     return FineSolution(case.mesh, approach, p, {time: worn(time) for time in TIMES})
 
 
-def collocated(pair: ContactPair, moduli: tuple[float, float]) -> FloatArray:
-    """Return the compliance C of a pair as collocation gives it, mm/MPa."""
-    return pair.normal[0] / moduli[0] + pair.normal[1] / moduli[1]
-
-
-class Pairs:
-    """Pairs of shapes and meshes, each assembled once."""
-
-    def __init__(self) -> None:
-        self._pairs: dict[object, ContactPair] = {}
-
-    def of(self, case: Case) -> ContactPair:
-        """Return the pair of a case."""
-        key = operator_key(case)
-        if key not in self._pairs:
-            self._pairs[key] = assemble(case, MPI.COMM_SELF)
-        return self._pairs[key]
-
-
 def fine_solutions(mesh: Mesh, names: Iterable[str] = SORTS) -> dict[str, FineSolution]:
     """Return the solutions of some of SORTS on a mesh."""
-    pairs, found = Pairs(), {}
+    pairs, found = Pairs(MPI.COMM_SELF), {}
     for name in names:
         case = ring_case(SORTS[name], mesh)
-        pair = pairs.of(case)
-        matrix = collocated(pair, young(case))
-        found[name] = fine_solution(case, matrix, np.hypot(1.0, pair.slope))
+        compliance = pairs.of(case).compliance(young(case))
+        found[name] = fine_solution(case, compliance.collocated, compliance.obliquity)
     return found
 
 
@@ -199,7 +178,7 @@ def from_where(fine: FineSolution, pressure: FloatArray, most: float) -> float:
 
 def table(fine: dict[str, FineSolution], sizes: Sequence[int] = (32, 64, 128, 256)) -> str:
     """Return how good the package's solutions are, by the distance from an edge, as Markdown."""
-    pairs = Pairs()
+    pairs = Pairs(MPI.COMM_SELF)
     rows = [
         "| edges | elements | outermost, um | worst element | 5 % from, um | 1 % from, um "
         "| 0.1 % from, um | approach | wear 200 s, um | with fine steps, um |",

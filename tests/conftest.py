@@ -114,6 +114,23 @@ def stopped_after(monkeypatch, comm):
     return stopped_after
 
 
+@pytest.fixture
+def restarted(shared_path, comm, stopped_after):
+    """Run a case at once, and again stopped after a step and restarted; return both files."""
+    from ringwear_par.errors import ComputationError
+    from ringwear_par.results.run import run_case
+
+    def restarted(case, overrides, step, match="SIGTERM after step"):
+        whole, parts = shared_path / "whole.h5", shared_path / "parts.h5"
+        run_case(case, whole, overrides, comm=comm)
+        with stopped_after(step), pytest.raises(ComputationError, match=match):
+            run_case(case, parts, overrides, comm=comm)
+        run_case(case, parts, overrides, comm=comm, restart=True)
+        return whole, parts
+
+    return restarted
+
+
 @pytest.fixture(scope="session")
 def paper_pair(comm):
     """The paper's case at 80 MPa and p0 = 40 MPa, and its contact pair."""

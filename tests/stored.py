@@ -1,6 +1,7 @@
 """What result files hold."""
 
 import h5py
+import numpy as np
 
 
 def contents(path):
@@ -11,3 +12,12 @@ def contents(path):
             lambda name, item: found.update({name: item[()]}) if hasattr(item, "shape") else None
         )
     return found
+
+
+def assert_same(whole, parts):
+    """Two files hold the same to the last bit; return what the first holds."""
+    one, two = contents(whole), contents(parts)
+    assert one.keys() == two.keys()
+    for name, value in one.items():
+        assert np.array_equal(value, two[name]), name
+    return one

@@ -70,7 +70,7 @@ class CorrectedContact:
         """
         most = _EXACT if exact else _NEAR_ENOUGH
         shift, iterations = self._shift(near), 0
-        for left in range(_CORRECTIONS, -1, -1):
+        for _ in range(1 + _CORRECTIONS):
             found = self.solver.solve(gap - shift, force=force, approach=approach, wear=wear)
             iterations += found.iterations
             before, shift = shift, self._shift(found.pressure)
@@ -78,7 +78,7 @@ class CorrectedContact:
             again = error > most
             if self.solver.distributed:  # ranks must not differ by round-off
                 again = self.solver.comm.bcast(again)
-            if not again or not left:
+            if not again:
                 break
         if error > self.worst[0]:
             self.worst = error, e
@@ -92,7 +92,7 @@ class CorrectedContact:
         Relative to the pressure or to its mean, whichever is larger.
         """
         p, area = found.pressure, self._area
-        errors = np.abs(change) * self._stiffness  # more than what all elements together do
+        errors = np.abs(change) * self._stiffness  # of each element alone: in few operations
         errors = errors / np.maximum(p, max(found.force / self._total, _TINY))
         e = int(errors.argmax())
         if errors[e] <= most or self.solver.distributed:

@@ -2,6 +2,7 @@
 
 from collections.abc import Hashable, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 from mpi4py import MPI
@@ -12,7 +13,7 @@ from ringwear_par.elasticity.body import Compliance, compliance
 from ringwear_par.elasticity.mesh import ContactLine, Mesh, pair_key
 from ringwear_par.elasticity.reciprocity import symmetric
 from ringwear_par.elasticity.sections import Body
-from ringwear_par.elasticity.slopes import case_slopes, common_slope, obliquity
+from ringwear_par.elasticity.slopes import obliquity, pair_slope
 from ringwear_par.errors import ComputationError
 
 
@@ -57,8 +58,7 @@ class ContactCompliance:
         faces of lower and upper per unit pressure and unit shear on each element. Equilibrium asks
         for the area, and true area times arm; the difference vanishes with the mesh.
     slope : (n,) float, tan alpha of the normals that pressure acts along, see ``slopes``.
-    excess : (n, n) float, mm/MPa, what the symmetric compliance has more than the collocated one:
-        K / m - C.
+    collocated : (n, n) float, mm/MPa, the compliance C as collocation gives it.
     """
 
     line: ContactLine
@@ -68,12 +68,12 @@ class ContactCompliance:
     force_reaction: FloatArray
     torque_reaction: FloatArray
     slope: FloatArray
-    excess: FloatArray
+    collocated: FloatArray
 
-    @property
-    def collocated(self) -> FloatArray:
-        """(n, n) mm/MPa, the collocated compliance C."""
-        return self.matrix / self.line.area[:, None] - self.excess
+    @cached_property
+    def excess(self) -> FloatArray:
+        """(n, n) mm/MPa, what the symmetric compliance has more than the collocated: K / m - C."""
+        return self.matrix / self.line.area[:, None] - self.collocated
 
     @property
     def obliquity(self) -> FloatArray:
@@ -150,7 +150,7 @@ class ContactPair:
             self.force_reaction,
             self.torque_reaction,
             self.slope,
-            matrix / line.area[:, None] - normal,
+            normal,
         )
 
 
@@ -168,7 +168,7 @@ def assemble_pair(
     ComputationError : a factorisation failed.
     """
     lower, upper = bodies
-    slope = common_slope(case_slopes((lower.section, upper.section), line, mesh))
+    slope = pair_slope((lower.section, upper.section), line, mesh)
     compliances = [
         compliance(body, line, mesh, comm, slope=own)
         for body, own in zip(bodies, (slope, -slope), strict=True)

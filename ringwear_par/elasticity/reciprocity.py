@@ -50,23 +50,22 @@ def symmetric(line: ContactLine, normal: FloatArray) -> FloatArray:
     total = m.sum()
     weighted = m[:, None] * normal
     part = 0.5 * (weighted + weighted.T)
-    if line.edges[0] == 0.0:
-        part += np.diag(_near_axis(line, weighted))
     faces = np.stack([np.ones_like(r), r**2 - m @ r**2 / total], axis=1)
     p = np.linalg.solve(normal, faces)
+    if line.edges[0] == 0.0:
+        part += np.diag(_near_axis(line, weighted, p[:, 0]))
     p /= (scale := np.sqrt(m @ p**2 / total))
     y = m[:, None] * (faces / scale)
     sp = part @ p
     return _definite(part - _square(sp, p.T @ sp) + _square(y, y.T @ p))
 
 
-def _near_axis(line: ContactLine, weighted: FloatArray) -> FloatArray:
+def _near_axis(line: ContactLine, weighted: FloatArray, flat: FloatArray) -> FloatArray:
     """Return (n,) mm^3/MPa, what the symmetric part lacks on its diagonal near the axis.
 
-    With it, the equations of these elements hold under a rigid flat face, whose pressure varies
-    smoothly there, as any does.
+    With it, the equations of these elements hold under a rigid flat face, whose pressure ``flat``
+    varies smoothly there, as any does.
     """
-    flat = np.linalg.solve(weighted, line.area)
     lost = 0.5 * ((weighted - weighted.T) @ flat)
     most = _MOST_CHANGED * weighted.diagonal() * flat
     guided = (line.width > _NEAR_AXIS * line.r) & (np.abs(lost) < most)

@@ -8,7 +8,7 @@ from ringwear_par.elasticity.body import BoundaryResponse, boundary_response, in
 from ringwear_par.elasticity.boundary_fields import BODIES, FACES, BoundaryFields, Which
 from ringwear_par.elasticity.mesh import BoundaryMesh, ContactLine, Mesh, boundary_mesh, node_wear
 from ringwear_par.elasticity.sections import Body
-from ringwear_par.elasticity.slopes import case_slopes, common_slope
+from ringwear_par.elasticity.slopes import pair_slope
 
 
 class BoundaryRecovery:
@@ -70,7 +70,7 @@ class BoundaryRecovery:
         if shape is not None and not shape.any():
             shape = None
         sections = self._bodies[0].section, self._bodies[1].section
-        slope = common_slope(case_slopes(sections, self._line, self._mesh, shape))
+        slope = pair_slope(sections, self._line, self._mesh, shape)
         lower, upper = (
             self._of_body(
                 i, pressure, approach, friction, wear[i], own, None if shape is None else shape[i]

@@ -66,6 +66,19 @@ def common_slope(slopes: FloatArray) -> FloatArray:
     return np.where(lower * upper > 0.0, flatter, 0.0)
 
 
+def pair_slope(
+    sections: tuple[Section, Section],
+    line: ContactLine,
+    mesh: Mesh,
+    worn: FloatArray | None = None,
+) -> FloatArray:
+    """Return (n,), tan alpha of the normals that pressure acts along, in the frame of the case.
+
+    Arguments are those of ``case_slopes``. Lower has it in its own frame, upper the negative.
+    """
+    return common_slope(case_slopes(sections, line, mesh, worn))
+
+
 def obliquity(slope: FloatArray) -> FloatArray:
     """Return 1 / cos alpha: true area over projected area, of slopes tan alpha."""
     return np.hypot(1.0, slope)

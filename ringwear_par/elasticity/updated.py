@@ -24,7 +24,7 @@ from ringwear_par.elasticity.mesh import ContactLine, Mesh, boundary_mesh, node_
 from ringwear_par.elasticity.pair import ContactPair, join_bodies
 from ringwear_par.elasticity.quadrature import quadrature
 from ringwear_par.elasticity.sections import Body, Section
-from ringwear_par.elasticity.slopes import case_slopes, common_slope
+from ringwear_par.elasticity.slopes import case_slopes, pair_slope
 
 
 def moving_parts(section: Section, line: ContactLine, mesh: Mesh, wears: bool = True) -> Moving:
@@ -126,7 +126,7 @@ class UpdatedGeometry:
         ComputationError : the wear leaves too little of a body, or a factorisation failed.
         """
         worn = np.where(np.array(self._wears)[:, None], worn, 0.0)
-        slope = common_slope(case_slopes(self._sections, self._line, self._mesh, worn))
+        slope = pair_slope(self._sections, self._line, self._mesh, worn)
         compliances, new = [], []
         for i, own in enumerate((slope, -slope)):
             still = self._still[i]

@@ -5,25 +5,24 @@ rates and increments.
 
 One history or B histories on the same pair: fields are (..., n), numbers of a history float or
 (B,); what differs between histories (load, laws, friction, time) is an array over the first axis.
-The contact of each history is solved by a solver of its own.
+The contact of each history is solved by a solver of its own (``contacts``).
 """
 
 from collections.abc import Sequence
-from dataclasses import fields, replace
-from typing import Any
+from dataclasses import replace
 
 import numpy as np
 from mpi4py import MPI
 
 from ringwear_par.arrays import BoolArray, FloatArray, Numbers, columns, inner
 from ringwear_par.cases.case import Case
-from ringwear_par.contact.correction import CorrectedContact
 from ringwear_par.contact.problem import ContactState, WarmStart
 from ringwear_par.contact.solver import ContactSolver
 from ringwear_par.elasticity.pair import BodyCost, ContactPair, largest_stable_step
 from ringwear_par.elasticity.updated import UpdatedGeometry
 from ringwear_par.errors import ComputationError, UnfitError
 from ringwear_par.history.bodies import young
+from ringwear_par.history.contacts import Contacts
 from ringwear_par.history.pairs import assemble, updated_geometry
 from ringwear_par.history.state import Start, State
 from ringwear_par.schedules import Quantity, in_time, integral, largest, stack
@@ -109,7 +108,7 @@ class WearModel:
         else:
             matrix = self.pair.compliance(young(case)).matrix
             solvers = [ContactSolver(matrix, self.area, comm) for _ in self.cases]
-        self._contacts = [CorrectedContact(each, self.area) for each in solvers]
+        self._contacts = Contacts(solvers, self.area)
         self._take(self.pair)
 
     def __enter__(self) -> "WearModel":
@@ -117,16 +116,15 @@ class WearModel:
 
     def __exit__(self, failure: type[BaseException] | None, *_: object) -> None:
         if failure is not None:  # where a failed solution ended is no place to start
-            self._contacts[0].solver.cold_start()
-        self._warm = self._contacts[0].solver.warm()
+            self._contacts.solvers[0].cold_start()
+        self._warm = self._contacts.solvers[0].warm()
         if not self._lent:
-            for contact in self._contacts:
-                contact.solver.destroy()
+            for solver in self._contacts.solvers:
+                solver.destroy()
 
     def _take(self, pair: ContactPair) -> None:
         self.compliance = pair.compliance(young(self.case))
-        for contact in self._contacts:
-            contact.take(self.compliance.matrix, self.compliance.excess)
+        self._contacts.take(self.compliance.matrix, self.compliance.excess)
         true_area = self.area * self.compliance.obliquity
         #: 1 / cos alpha of sloping faces, None where all are flat
         self._obliquity = self.compliance.obliquity if pair.slope.any() else None
@@ -163,11 +161,11 @@ class WearModel:
 
     def _check_interpenetration(self) -> None:
         """Refuse undeformed bodies that overlap by more than the largest force presses them."""
-        for case, contact in zip(self.cases, self._contacts, strict=True):
+        for case, solver in zip(self.cases, self._contacts.solvers, strict=True):
             overlap = case.interpenetration
             if case.load.force is None or overlap == 0.0:
                 continue
-            pressed = _pressed(contact.solver, case)
+            pressed = _pressed(solver, case)
             if pressed.approach < 0.0:
                 e = int(case.initial_gap.argmin())
                 raise UnfitError(
@@ -182,12 +180,12 @@ class WearModel:
             self._follow(start.state.shape)
         self._fit = start.state.fit
         self.updates = start.updates
-        self._contacts[0].solver.warm_start(start.warm)
+        self._contacts.solvers[0].warm_start(start.warm)
         return start.state
 
     def warm(self) -> WarmStart:
         """Return where the next contact solution starts, after the end too. Collective."""
-        return self._contacts[0].solver.warm() if self._warm is None else self._warm
+        return self._contacts.solvers[0].warm() if self._warm is None else self._warm
 
     # -- elements that follow the wear -------------------------------------------------------------
 
@@ -223,7 +221,7 @@ class WearModel:
             return
         pair = self._geometry.update(shape)
         self._take(pair)
-        self._contacts[0].solver.set_compliance(self.compliance.matrix)
+        self._contacts.solvers[0].set_compliance(self.compliance.matrix)
         self._followed, self.following = shape, self.following + pair.cost
 
     # -- contact, eq. (3) --------------------------------------------------------------------------
@@ -261,25 +259,7 @@ class WearModel:
             approach = in_time(self.displacement, time)
         if not self._wears:
             during = None
-        if gap.ndim == 1:
-            return self._contacts[0].solve(
-                gap, near, force=force, approach=approach, wear=during, exact=exact
-            )
-        return _stacked(
-            [
-                _one(found[1], i)
-                if found is not None and found[0][i]
-                else contact.solve(
-                    gap[i],
-                    near[i],
-                    force=None if force is None else float(force[i]),
-                    approach=None if approach is None else float(approach[i]),
-                    wear=None if during is None else during.history(i),
-                    exact=exact,
-                )
-                for i, contact in enumerate(self._contacts)
-            ]
-        )
+        return self._contacts.solve(gap, near, force, approach, during, found, exact)
 
     @property
     def asymmetry(self) -> tuple[float, int]:
@@ -287,15 +267,11 @@ class WearModel:
 
         Of all contacts so far, see ``contact.correction``.
         """
-        return self._contacts[0].worst
+        return self._contacts.worst
 
     def pressure_response(self, gap: FloatArray) -> FloatArray:
         """Return what a small growth (..., n) mm of the gap does to the last pressures, MPa."""
-        kept = self.force is not None
-        if gap.ndim == 1:
-            return self._contacts[0].solver.response(gap, kept)
-        each = zip(self._contacts, gap, strict=True)
-        return np.stack([contact.solver.response(g, kept) for contact, g in each])
+        return self._contacts.response(gap, self.force is not None)
 
     @property
     def slight_pressure(self) -> float:
@@ -408,7 +384,7 @@ class WearModel:
 
         Unworn, under the largest load and speed, with the steepest of what laws do in time.
         """
-        case, solver = self.case, self._contacts[0].solver
+        case, solver = self.case, self._contacts.solvers[0]
         warm = solver.warm()
         p = np.full_like(self.area, _pressed(solver, case).pressure.max())
         solver.warm_start(warm)
@@ -430,20 +406,6 @@ def _pressed(solver: ContactSolver, case: Case) -> ContactState:
         force=None if force is None else largest(force),
         approach=None if displacement is None else largest(displacement),
     )
-
-
-def _stacked(solutions: Sequence[ContactState]) -> ContactState:
-    """Return the solutions of B histories as one."""
-
-    def of_all(name: str) -> Any:
-        return np.array([getattr(solution, name) for solution in solutions])
-
-    return ContactState(*(of_all(each.name) for each in fields(ContactState)))
-
-
-def _one(solutions: ContactState, i: int) -> ContactState:
-    """Return the solution of one of B histories."""
-    return ContactState(*(getattr(solutions, each.name)[i] for each in fields(ContactState)))
 
 
 def _stacked_loads(loads: Sequence[Quantity | None]) -> Quantity | None:

@@ -45,8 +45,9 @@ def step(model: WearModel, state: State, end: Numbers) -> Step:
     worn_first = first.unhindered(stage.pressure)
     counts = 1.0 if enter is None else enter.counts(stage.pressure, 0.0)
     carried = state.wear + _SHARE * (counts * worn_first)
-    near = stage.pressure
-    last, contact, counts_last = _last_stage(model, enter, end, speeds[2], carried, length, near)
+    last, contact, counts_last = _last_stage(
+        model, enter, end, speeds[2], carried, length, stage.pressure
+    )
     worn_last = last.unhindered(contact.pressure)
     losses = worn_last if enter is None else last.depths(contact.pressure)
 

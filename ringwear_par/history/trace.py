@@ -2,7 +2,7 @@
 
 from mpi4py import MPI
 
-from ringwear_par.cases.case import Case
+from ringwear_par.cases.case import SAME_TIME, Case
 from ringwear_par.contact.solver import ContactSolver
 from ringwear_par.elasticity.pair import ContactPair
 from ringwear_par.history.balances import Balances, WorstBalances
@@ -31,6 +31,16 @@ class Trace:
     def states(self) -> list[State]:
         """States that the history went on from, the start first."""
         return [snapshot.state for snapshot in self.snapshots]
+
+    def at(self, time: float) -> State:
+        """Return the state at a time (s), of all.
+
+        Raises
+        ------
+        StopIteration : there is none.
+        """
+        every = (*self.states, *(snapshot.state for snapshot in self.passing))
+        return next(s for s in every if abs(s.time - time) <= SAME_TIME * time)
 
     @property
     def last(self) -> State:

@@ -9,7 +9,7 @@ from mpi4py import MPI
 from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.case import Case
 from ringwear_par.elasticity.pair import ContactPair
-from ringwear_par.elasticity.slopes import case_slopes, common_slope
+from ringwear_par.elasticity.slopes import pair_slope
 from ringwear_par.errors import ComputationError, InputError
 from ringwear_par.history.bodies import operator_key
 from ringwear_par.history.pairs import assemble
@@ -78,7 +78,7 @@ def map_operator(path: Path, case: Case, comm: MPI.Comm) -> ContactPair:
         stacked = _mapped(path)
     n = stacked.shape[2]
     parts = stacked[:, :n], stacked[:, n], stacked[:, n + 1], stacked[:, n + 2]
-    slope = common_slope(case_slopes(case.sections, case.line, case.mesh))
+    slope = pair_slope(case.sections, case.line, case.mesh)
     return ContactPair(case.line, *parts, slope, operator_key(case))
 
 

@@ -7,11 +7,9 @@ import numpy as np
 from mpi4py import MPI
 
 from ringwear_par.arrays import FloatArray
-from ringwear_par.cases.case import SAME_TIME, Stepping
-from ringwear_par.elasticity.mesh import ContactLine, Mesh
+from ringwear_par.cases.case import Stepping
+from ringwear_par.elasticity.mesh import ContactLine, Mesh, contact_line
 from ringwear_par.elasticity.pair import ContactPair
-from ringwear_par.history.bodies import operator_key
-from ringwear_par.history.pairs import assemble
 from ringwear_par.history.trace import Trace, trace
 from ringwear_par.verification import reference
 from ringwear_par.verification.check import SIZES, Check, identity
@@ -22,6 +20,7 @@ from ringwear_par.verification.fine import (
     SPEED,
     TIMES,
     FineSolution,
+    Pairs,
     Rings,
     digits,
     ring_case,
@@ -54,15 +53,6 @@ def pressure_errors(pressure: FloatArray, fine: FineSolution) -> FloatArray:
     return np.abs(pressure - fine.pressure) / size
 
 
-def worn_at(history: Trace) -> dict[float, FloatArray]:
-    """Return the wear of the lower body at TIMES, (n,) mm, of an adaptive history."""
-    states = [snapshot.state for snapshot in history.passing] + history.states
-    return {
-        time: next(s.wear[0] for s in states if abs(s.time - time) <= SAME_TIME * time)
-        for time in TIMES
-    }
-
-
 def errors_against(fine: FineSolution, history: Trace) -> dict[str, float]:
     """Return the errors of a history against a fine solution on the elements of the history.
 
@@ -80,7 +70,7 @@ def errors_against(fine: FineSolution, history: Trace) -> dict[str, float]:
         "inside": float(off[from_edge(line) > INSIDE].max()),
         "open": float(sum((s.contact.pressure <= 0.0).sum() for s in history.states)),
         **{
-            f"wear {time:g}": float(np.abs(worn_at(history)[time] - wear).max())
+            f"wear {time:g}": float(np.abs(history.at(time).wear[0] - wear).max())
             for time, wear in fine.wear.items()
         },
     }
@@ -105,7 +95,7 @@ def finite_element_errors(
     ):
         found.extend(ring_means(mesh, pressure, radii))
         exact.extend(means)
-    line = FineSolution(mesh, approach, pressure, {}).line
+    line = contact_line(CONTACT, mesh)
     return {
         "approach": abs(approach / reference.EDGE_APPROACH[name] - 1.0),
         "ring means": float(np.abs(np.array(found) / exact - 1.0).max()),
@@ -146,14 +136,10 @@ def rows_against(
 
 def edge_checks(comm: MPI.Comm) -> Iterator[Check]:
     """Compare flat rings with fine solutions and with finite elements. Collective on comm."""
-    pairs: dict[object, ContactPair] = {}  # of a shape and mesh; they serve all moduli
+    pairs = Pairs(comm)
 
     def pair_of(rings: Rings, n: int) -> ContactPair:
-        case = ring_case(rings, Mesh(n))
-        key = operator_key(case)
-        if key not in pairs:
-            pairs[key] = assemble(case, comm)
-        return pairs[key]
+        return pairs.of(ring_case(rings, Mesh(n)))
 
     for name, rings in SORTS.items():
         if rings.degrees:

@@ -9,19 +9,23 @@ second mesh.
 
 import json
 import math
-from collections.abc import Sequence
+from collections.abc import Hashable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from importlib.resources import files
 from typing import Any
 
 import numpy as np
+from mpi4py import MPI
 from scipy.interpolate import CubicSpline
 from scipy.special import betaincinv
 
 from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.case import Case, Load, Output, Ring, Stepping
 from ringwear_par.elasticity.mesh import ContactLine, Mesh, contact_line
+from ringwear_par.elasticity.pair import ContactPair
+from ringwear_par.history.bodies import operator_key
+from ringwear_par.history.pairs import assemble
 from ringwear_par.verification.check import NU
 from ringwear_par.wear.threshold import ThresholdLaw
 
@@ -86,6 +90,26 @@ def ring_case(
         0.1, laws[0], laws[1], Load(SPEED, FORCE),
         stepping or Stepping("adaptive", until=TIMES[-1]), mesh, Output(times=TIMES),
     )  # fmt: skip
+
+
+class Pairs:
+    """Contact pairs of shapes and meshes, each assembled once; they serve all moduli.
+
+    Parameters
+    ----------
+    comm : communicator of the assemblies.
+    """
+
+    def __init__(self, comm: MPI.Comm) -> None:
+        self._comm = comm
+        self._pairs: dict[Hashable, ContactPair] = {}
+
+    def of(self, case: Case) -> ContactPair:
+        """Return the pair of a case. Collective."""
+        key = operator_key(case)
+        if key not in self._pairs:
+            self._pairs[key] = assemble(case, self._comm)
+        return self._pairs[key]
 
 
 @dataclass(frozen=True)

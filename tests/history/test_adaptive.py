@@ -17,7 +17,6 @@ from ringwear_par.history.model import WearModel
 from ringwear_par.history.simulate import METHODS
 from ringwear_par.history.trace import trace
 from ringwear_par.results import files as results
-from ringwear_par.results.run import run_case
 from ringwear_par.schedules import Table, integral
 from ringwear_par.verification.paper import OMEGA
 from ringwear_par.wear.non_local import NonLocalLaw
@@ -253,17 +252,11 @@ PAPER = "scripts/cases/paper.toml"
 
 @pytest.mark.parametrize("stop", [1, 6])
 @pytest.mark.parametrize("extra", [[], ["output.times=[1, 5, 6.5]"], ["output.profiles=last"]])
-def test_restart_equals_an_uninterrupted_run(shared_path, comm, stopped_after, stop, extra):
+def test_restart_equals_an_uninterrupted_run(comm, restarted, stop, extra):
     case = Path(__file__).parents[2] / PAPER
     keys = ["mesh.contact_elements=16", "time.scheme=adaptive", "time.end=50", *extra]
-    whole, parts = shared_path / "whole.h5", shared_path / "parts.h5"
-    run_case(case, whole, keys, comm=comm)
-    with (
-        stopped_after(stop),
-        pytest.raises(ComputationError, match=f"SIGTERM after step {stop} .at .* of 50 s"),
-    ):
-        run_case(case, parts, keys, comm=comm)
-    run_case(case, parts, keys, comm=comm, restart=True)
+    match = f"SIGTERM after step {stop} .at .* of 50 s"
+    whole, parts = restarted(case, keys, stop, match)
     if comm.rank == 0:
         assert results.read_status(parts)[0] == "complete"
         with h5py.File(whole) as one, h5py.File(parts) as two:

@@ -12,7 +12,6 @@ from ringwear_par.cases.case import Load, Ring, Stepping
 from ringwear_par.elasticity.mesh import Mesh
 from ringwear_par.errors import ComputationError, InputError
 from ringwear_par.history.trace import trace
-from ringwear_par.results.run import run_case
 from ringwear_par.verification.histories import round_face
 from ringwear_par.verification.paper import paper_case
 from ringwear_par.wear.threshold import ThresholdLaw
@@ -62,14 +61,10 @@ def test_tolerance_tends_to_zero(comm):
 
 
 @pytest.mark.parametrize("scheme", ["implicit", "adaptive"])
-def test_restart_equals_an_uninterrupted_run(shared_path, comm, stopped_after, scheme):
+def test_restart_equals_an_uninterrupted_run(comm, restarted, scheme):
     keys = ["mesh.contact_elements=16", "time.step=4", "time.steps=20", f"time.scheme={scheme}",
             "mesh.geometry=updated", "mesh.geometry_tolerance=0.001"]  # fmt: skip
-    whole, parts = shared_path / "whole.h5", shared_path / "parts.h5"
-    run_case(PAPER, whole, keys, comm=comm)
-    with stopped_after(9), pytest.raises(ComputationError, match="SIGTERM after step 9"):
-        run_case(PAPER, parts, keys, comm=comm)
-    run_case(PAPER, parts, keys, comm=comm, restart=True)
+    whole, parts = restarted(PAPER, keys, 9, "SIGTERM after step 9")
     if comm.rank == 0:
         with h5py.File(whole) as one, h5py.File(parts) as two:
             assert one["checkpoint"].attrs["assemblies"] >= 2

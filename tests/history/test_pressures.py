@@ -28,9 +28,8 @@ def compared(case, comm, tolerance):
     history = trace(case, comm, pair=pair)
     finer = replace(case.time, tolerance=tolerance, pressure_tolerance=np.inf)
     output = Output(times=tuple(state.time for state in history.states[1:]))
-    seen = trace(replace(case, time=finer, output=output), comm, pair=pair)
-    exact = {s.time: s for s in (*seen.states, *(shown.state for shown in seen.passing))}
-    return history, [(s, exact[s.time]) for s in history.states[1:]]
+    exact = trace(replace(case, time=finer, output=output), comm, pair=pair)
+    return history, [(s, exact.at(s.time)) for s in history.states[1:]]
 
 
 def pressure_errors(pairs):

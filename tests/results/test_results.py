@@ -6,7 +6,7 @@ import h5py
 import numpy as np
 import pytest
 import xarray
-from stored import contents
+from stored import assert_same, contents
 
 from ringwear_par.errors import ComputationError, InputError
 from ringwear_par.results import files as results
@@ -76,10 +76,7 @@ def test_restart_equals_an_uninterrupted_run(shared_path, comm, stopped_after, s
         run_case(PAPER, parts, [*SMALL, *extra], comm=comm)
     run_case(PAPER, parts, [*SMALL, *extra], comm=comm, restart=True)
     if comm.rank == 0:
-        one, two = contents(whole), contents(parts)
-        assert one.keys() == two.keys()
-        for name, value in one.items():
-            assert np.array_equal(value, two[name]), name
+        assert_same(whole, parts)
         assert results.read_status(parts) == ("complete", 20)
 
 

@@ -65,8 +65,8 @@ def test_exact_in_time_is_what_short_steps_come_to():
     """The package's own collocated compliance on both sides, so that only time differs."""
     case = ring_case(SORTS["paper"], Mesh(32))
     pair = assemble(case, MPI.COMM_SELF)
-    obliquity = pair.compliance(young(case)).obliquity
-    exact = script.fine_solution(case, script.collocated(pair, young(case)), obliquity)
+    compliance = pair.compliance(young(case))
+    exact = script.fine_solution(case, compliance.collocated, compliance.obliquity)
     adaptive = replace(case, time=replace(case.time, tolerance=1e-9))
     worn = trace(adaptive, MPI.COMM_SELF, pair=pair).last.wear[0]
     assert worn == pytest.approx(exact.wear[200.0], abs=1e-7)
@@ -82,7 +82,8 @@ def test_lift_off_is_found():
     """Cones of 10 degrees at their outer edge; no pressure is below zero, no gap closed there."""
     case = ring_case(SORTS["cones of 10 degrees"], Mesh(64))
     pair = assemble(case, MPI.COMM_SELF)
-    p, approach = script.unworn(case, matrix := script.collocated(pair, young(case)))
+    matrix = pair.compliance(young(case)).collocated
+    p, approach = script.unworn(case, matrix)
     apart = p == 0.0
     assert apart[-1]
     assert 1 < apart.sum() < 30
