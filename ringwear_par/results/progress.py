@@ -7,7 +7,6 @@ import time
 from collections.abc import Callable
 from typing import Any
 
-from mpi4py import MPI
 from tqdm import tqdm
 
 from ringwear_par.history.snapshots import Snapshot
@@ -63,14 +62,12 @@ class SweepProgress:
     done, failed : cases that had ended before.
     total : all cases.
     ended : returns how many are done and have failed since.
-    comm : communicator of the sweep.
     """
 
     def __init__(
-        self, done: int, failed: int, total: int, ended: Callable[[], tuple[int, int]],
-        comm: MPI.Comm,
-    ) -> None:  # fmt: skip
-        self._before, self._total, self._ended, self._comm = (done, failed), total, ended, comm
+        self, done: int, failed: int, total: int, ended: Callable[[], tuple[int, int]]
+    ) -> None:
+        self._before, self._total, self._ended = (done, failed), total, ended
         self._begun = self._told = time.perf_counter()
         self._bar: Any = tqdm(
             total=total, initial=done + failed, unit="case", leave=False, smoothing=0.0,
@@ -79,9 +76,7 @@ class SweepProgress:
         self._pause = PROGRESS_SECONDS if self._bar.disable else _BAR_SECONDS
 
     def __call__(self, snapshot: Snapshot | None = None) -> bool:
-        """Tell, if it is time; and let MPI serve the other ranks, which some networks need."""
-        if self._comm.size > 1:
-            self._comm.Iprobe()
+        """Tell, if it is time."""
         now = time.perf_counter()
         if now - self._told < self._pause:
             return False

@@ -15,8 +15,9 @@ from ringwear_par.history.bodies import operator_key
 from ringwear_par.history.pairs import assemble
 from ringwear_par.parallel import on_first_rank, together
 
-#: how long a file that is there may stay unseen by another machine, and between two looks
-_PATIENCE_SECONDS = 10.0
+#: how long a file that is there may stay unseen by another machine (NFS: a minute by default), and
+#: between two looks
+_PATIENCE_SECONDS = 75.0
 _NAP_SECONDS = 0.05
 
 

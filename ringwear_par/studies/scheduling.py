@@ -1,97 +1,215 @@
-"""The scheduler of a sweep: teams of ranks draw cases from shared counters, without a master.
+"""The scheduler of a sweep: teams of ranks draw cases from a board that rank 0 keeps.
 
 Every team first takes whole groups of cases, longest first, so that an operator is assembled once,
 by the team that takes its group. When no group is left untaken, a team that is free helps with the
-group that has most cases left. The counters are one MPI window, read and changed by Fetch_and_op.
+group that has most cases left.
+
+Rank 0 computes cases like all others, and answers them between two steps of its own. Questions with
+answers work on every network; memory that other ranks change without rank 0's doing does not (Open
+MPI 4 offers it over TCP and fails). A team asks for as many cases at once as keep it busy for some
+time, fewer towards the end, so that waiting for an answer costs little.
 """
 
-from collections.abc import Sequence
+import time
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 from mpi4py import MPI
 
 from ringwear_par.arrays import IntArray
 
-#: places of the counters before the groups' counters
-_GROUP, _STOP, _DONE, _FAILED = range(4)
-_PLACES = 4
+#: what a team is to be busy for with what it draws, s
+_BUSY_SECONDS = 0.5
+#: how long who waits for an answer sleeps between two looks
+_NAP_SECONDS = 0.0005
+#: questions: more cases, nobody to draw any more, whether that is so
+_DRAW, _STOP, _LOOK = range(3)
+_QUESTION, _ANSWER = 1, 2
+
+
+class Cases(NamedTuple):
+    """Some cases of a group, from a place in it on."""
+
+    group: int
+    first: int
+    number: int
+
+
+_NOTHING = Cases(0, 0, 0)
+
+
+class Board:
+    """Which cases are drawn, and what became of them.
+
+    Parameters
+    ----------
+    sizes : number of cases to be computed of each group.
+    teams : that draw.
+    """
+
+    def __init__(self, sizes: Sequence[int], teams: int) -> None:
+        self._sizes = np.array(sizes, dtype=np.int64)
+        self._left, self._ended = self._sizes.copy(), np.zeros_like(self._sizes)
+        self._seconds = np.zeros(len(sizes))
+        self._all_left, self._untaken = int(self._sizes.sum()), 0
+        self._teams = teams
+        self._groups: dict[int, int] = {}
+        self.done, self.failed, self.stopped = 0, 0, False
+
+    def draw(self, team: int) -> Cases | None:
+        """Return cases that nobody else draws; None if none are left, or all are to stop."""
+        if self.stopped or not self._all_left:
+            return None
+        group = self._groups.get(team)
+        if group is None or not self._left[group]:
+            group = self._groups[team] = self._next_group()
+        left = int(self._left[group])
+        # as long as there are other groups to take, teams need not share this one
+        share = left if self._untaken < len(self._sizes) else self._all_left // (2 * self._teams)
+        mean = self._seconds[group] / max(self._ended[group], 1)
+        busy = int(_BUSY_SECONDS / mean) if mean else 1
+        number = max(min(left, share, busy), 1)
+        self._left[group] -= number
+        self._all_left -= number
+        return Cases(group, int(self._sizes[group]) - left, number)
+
+    def _next_group(self) -> int:
+        while self._untaken < len(self._sizes):
+            group = self._untaken
+            self._untaken += 1
+            if self._left[group]:
+                return group
+        return int(self._left.argmax())
+
+    def count(self, group: int, done: int, failed: int, seconds: float) -> bool:
+        """Count cases that have ended; tell whether they were the last of their group."""
+        self.done += done
+        self.failed += failed
+        self._ended[group] += done + failed
+        self._seconds[group] += seconds
+        return bool(done + failed) and self._ended[group] == self._sizes[group]
 
 
 class Scheduler:
-    """Shared counters on rank 0 of a communicator. Making and destroying it is collective.
+    """Draws cases on the first rank of each team; the board is on rank 0 of a communicator.
+
+    Making and destroying it is collective. Rank 0 has to ``serve`` as long as others may ask.
 
     Parameters
     ----------
     sizes : number of cases to be computed of each group.
     comm : communicator.
+    teams : into which it is divided.
+    group_ended : called on rank 0 with the number of a group whose last case has ended.
     """
 
-    def __init__(self, sizes: Sequence[int], comm: MPI.Intracomm) -> None:
-        self._sizes = np.array(sizes, dtype=np.int64)
-        places = _PLACES + 2 * len(sizes)
-        self._window = MPI.Win.Allocate(8 * places if comm.rank == 0 else 0, 8, comm=comm)
-        if comm.rank == 0:
-            self._window.Lock(0, MPI.LOCK_EXCLUSIVE)
-            self._window.Put(np.zeros(places, dtype=np.int64), 0)
-            self._window.Unlock(0)
-        comm.Barrier()
-        self._group: int | None = None
+    def __init__(
+        self,
+        sizes: Sequence[int],
+        comm: MPI.Intracomm,
+        teams: int,
+        group_ended: Callable[[int], None],
+    ) -> None:
+        self._comm = comm.Dup()  # no message of anybody else
+        self._board = Board(sizes, teams) if comm.rank == 0 else None
+        self._group_ended = group_ended
+        self._cases, self._stopped = _NOTHING, False
+        self._done, self._failed, self._since = 0, 0, time.perf_counter()
 
     def draw(self) -> tuple[int, int] | None:
         """Return group and number in the group of a case that nobody else draws. Not collective.
 
         None if there is none left, or all are asked to stop.
         """
-        if self.stopped:
+        if not self._cases.number and not self._stopped:
+            self._ask(_DRAW)
+        group, first, number = self._cases
+        if not number or self._stopped:
             return None
-        while True:
-            if self._group is not None:
-                number = self._add(_PLACES + self._group, 1)
-                if number < self._sizes[self._group]:
-                    return self._group, number
-                self._group = None
-            group = self._add(_GROUP, 1)
-            if group >= len(self._sizes):
-                left = self._sizes - self._read()[_PLACES : _PLACES + len(self._sizes)]
-                group = int(left.argmax()) if len(left) else 0
-                if not len(left) or left[group] <= 0:
-                    return None
-            self._group = group
+        self._cases = Cases(group, first + 1, number - 1)
+        return group, first
+
+    def count(self, failed: bool) -> None:
+        """Count the case drawn last, which has ended. Not collective."""
+        self._done += not failed
+        self._failed += failed
 
     def ask_to_stop(self) -> None:
         """Let nobody draw any more. Not collective."""
-        self._add(_STOP, 1)
+        if not self._stopped or self._done + self._failed:
+            self._ask(_STOP)
 
     @property
     def stopped(self) -> bool:
         """Whether somebody asked to stop."""
-        return self._add(_STOP, 0) > 0
-
-    def count(self, group: int, failed: bool) -> bool:
-        """Count a case that has ended; tell whether it was the group's last. Not collective."""
-        self._add(_FAILED if failed else _DONE, 1)
-        ended = self._add(_PLACES + len(self._sizes) + group, 1) + 1
-        return ended == int(self._sizes[group])
+        if not self._stopped:
+            self._ask(_LOOK)
+        return self._stopped
 
     def ended(self) -> tuple[int, int]:
-        """Return how many cases are done, and how many have failed. Not collective."""
-        places = self._read()
-        return int(places[_DONE]), int(places[_FAILED])
+        """Return how many cases are done, and how many have failed: (0, 0) but on rank 0."""
+        return (0, 0) if self._board is None else (self._board.done, self._board.failed)
+
+    def serve(self, _: Any = None) -> bool:
+        """Answer whoever has asked, on rank 0: an observer of its histories. Not collective."""
+        if self._board is not None and self._comm.size > 1:
+            status, question = MPI.Status(), np.empty(5, dtype=np.int64)
+            while self._comm.Iprobe(MPI.ANY_SOURCE, _QUESTION, status):
+                source = status.Get_source()
+                self._comm.Recv(question, source, _QUESTION)
+                self._comm.Send(self._answer(source, question), source, _ANSWER)
+        return False
+
+    def wait_for_all(self, meanwhile: Callable[[], None]) -> None:
+        """Wait for the other ranks, asleep, not spinning. Collective.
+
+        Parameters
+        ----------
+        meanwhile : called now and then; may ask to stop.
+        """
+        everybody = self._comm.Ibarrier()
+        while not everybody.Test():
+            self.serve()
+            meanwhile()
+            time.sleep(_NAP_SECONDS)
+        # what was asked until then is still to be answered
+        everybody = self._comm.Ibarrier()
+        while not everybody.Test():
+            self.serve()
+            time.sleep(_NAP_SECONDS)
 
     def destroy(self) -> None:
-        """Free the window. Collective."""
-        self._window.Free()
+        """Free the communicator. Collective."""
+        self._comm.Free()
 
-    def _add(self, place: int, more: int) -> int:
-        before = np.zeros(1, dtype=np.int64)
-        self._window.Lock(0, MPI.LOCK_SHARED)
-        self._window.Fetch_and_op(np.array([more], dtype=np.int64), before, 0, place, MPI.SUM)
-        self._window.Unlock(0)
-        return int(before[0])
+    def _ask(self, what: int) -> None:
+        """Tell what has ended since; note what rank 0 answers."""
+        microseconds = round(1e6 * (time.perf_counter() - self._since))
+        question = np.array(
+            [what, self._cases.group, self._done, self._failed, microseconds], dtype=np.int64
+        )
+        if self._board is not None:
+            answer = self._answer(0, question)
+        else:
+            answer = np.empty(4, dtype=np.int64)
+            answered = self._comm.Irecv(answer, 0, _ANSWER)
+            self._comm.Send(question, 0, _QUESTION)
+            while not answered.Test():
+                time.sleep(_NAP_SECONDS)
+        self._done, self._failed, self._since = 0, 0, time.perf_counter()
+        *drawn, stopped = answer.tolist()
+        self._stopped = bool(stopped)
+        if what == _DRAW:
+            self._cases = Cases(*drawn)
 
-    def _read(self) -> IntArray:
-        places = np.zeros(_PLACES + 2 * len(self._sizes), dtype=np.int64)
-        self._window.Lock(0, MPI.LOCK_SHARED)
-        self._window.Get(places, 0)
-        self._window.Unlock(0)
-        return places
+    def _answer(self, rank: int, question: IntArray) -> IntArray:
+        """Return the answer to a rank: what it has drawn, and whether all are to stop."""
+        board = self._board
+        assert board is not None
+        what, group, done, failed, microseconds = question.tolist()
+        if done + failed and board.count(group, done, failed, 1e-6 * microseconds):
+            self._group_ended(group)
+        board.stopped |= what == _STOP
+        drawn = board.draw(rank) if what == _DRAW else None
+        return np.array([*(drawn or _NOTHING), board.stopped], dtype=np.int64)

@@ -37,9 +37,6 @@ from ringwear_par.studies.workers import Timings, Worker, provide_operator
 
 log = logging.getLogger(__name__)
 
-#: how long a team that waits for the others sleeps between two looks
-_NAP_SECONDS = 0.002
-
 Source = Study | Path | str | Mapping[str, Any]
 
 
@@ -158,12 +155,17 @@ def _compute(
         for group in plan.left:
             provide_operator(plan, group, comm, timings)
         comm.Barrier()
-    scheduler = Scheduler([len(cases) for cases in plan.todo], comm)
+
+    def group_ended(group: int) -> None:
+        plan.store.operator(group).unlink(missing_ok=True)
+
+    sizes = [len(cases) for cases in plan.todo]
+    scheduler = Scheduler(sizes, comm, plan.request.teams, group_ended)
     trouble: RingwearError | None = None
     with StopSignals() as signals, ExitStack() as at_end:
         progress = None
         if comm.rank == 0:
-            progress = SweepProgress(plan.done, plan.failed, plan.total, scheduler.ended, comm)
+            progress = SweepProgress(plan.done, plan.failed, plan.total, scheduler.ended)
             at_end.callback(progress.close)
         number = comm.rank // team.size
         try:
@@ -172,8 +174,15 @@ def _compute(
         except RingwearError as error:
             trouble = error
             scheduler.ask_to_stop()
-        _wait_for_all(comm, scheduler, signals, progress)
-        done, failed = scheduler.ended()
+
+        def meanwhile() -> None:
+            if signals.received:
+                scheduler.ask_to_stop()
+            if progress is not None:
+                progress()
+
+        scheduler.wait_for_all(meanwhile)
+        done, failed = comm.bcast(scheduler.ended())
         scheduler.destroy()
         troubles = [error for error in comm.allgather(trouble) if error is not None]
         received = max(comm.allgather(signals.received))
@@ -195,22 +204,6 @@ def _compute(
             on_first_rank(comm, lambda: _merge(plan, summary))
     summary = replace(summary, seconds=time.perf_counter() - started)
     return summary, _trouble(plan, summary, troubles, received, comm)
-
-
-def _wait_for_all(
-    comm: MPI.Intracomm,
-    scheduler: Scheduler,
-    signals: StopSignals,
-    progress: SweepProgress | None,
-) -> None:
-    """Wait for the other teams, asleep, not spinning. Collective."""
-    request = comm.Ibarrier()
-    while not request.Test():
-        if signals.received and not scheduler.stopped:
-            scheduler.ask_to_stop()
-        if progress is not None:
-            progress()
-        time.sleep(_NAP_SECONDS)
 
 
 def _trouble(

@@ -36,7 +36,7 @@ from ringwear_par.studies.shards import Record, Shard
 log = logging.getLogger(__name__)
 
 #: how long a team that waits for an operator sleeps between two looks
-_NAP_SECONDS = 0.002
+_NAP_SECONDS = 0.01
 
 
 @dataclass
@@ -125,9 +125,8 @@ class Worker:
                     scheduler.ask_to_stop()
                 return
             self._store(record)
-            group = drawn[0]
-            if first and scheduler.count(group, record.status == "failed"):
-                self._plan.store.operator(group).unlink(missing_ok=True)
+            if first:
+                scheduler.count(record.status == "failed")
 
     def _store(self, record: Record) -> None:
         t0 = time.perf_counter()
@@ -202,7 +201,9 @@ class Worker:
             on_first_rank(team, lambda: write_result(path, result))
 
         watch = Watch(self._signals, save, team)
-        observers: list[Observer] = [recorder, self._check_options, watch]
+        observers: list[Observer] = [
+            recorder, self._check_options, watch, self._scheduler.serve,
+        ]  # fmt: skip
         if self._progress is not None:
             observers.append(self._progress)
         simulate(case, team, pair=pair, solver=solver, start=recorder.start, observers=observers)
@@ -259,16 +260,19 @@ class Worker:
                 return ""
             if failure.exists():
                 return failure.read_text(encoding="utf-8")
+            if received:
+                self._scheduler.ask_to_stop()
             if self._scheduler.stopped:
                 raise _StoppedError
+            self._scheduler.serve()
             if self._progress is not None:
                 self._progress()
             return None
 
+        received = 0
         while (reason := on_first_rank(team, look)) is None:
-            if self._signals.received:  # by any rank of the team
-                self._scheduler.ask_to_stop()
             time.sleep(_NAP_SECONDS)
+            received = team.allreduce(self._signals.received, MPI.MAX)  # by any of its ranks
         if reason:
             raise ComputationError(reason)
         operator = map_operator(path, case, team)

@@ -1,37 +1,109 @@
 """Drawing cases: each exactly once, whoever draws."""
 
-from ringwear_par.studies.scheduling import Scheduler
+import pytest
+
+from ringwear_par.studies import scheduling
+from ringwear_par.studies.scheduling import Board, Cases, Scheduler
 
 
-def test_each_case_is_drawn_once(comm):
-    sizes = [50, 0, 7, 1, 300]
-    board = Scheduler(sizes, comm)
-    drawn, last = [], 0
-    while (case := board.draw()) is not None:
+@pytest.fixture
+def scheduler(comm):
+    """Make a scheduler, each rank a team; notes the groups that have ended."""
+    made = []
+
+    def scheduler(sizes):
+        ended = []
+        made.append(Scheduler(sizes, comm, comm.size, ended.append))
+        return made[-1], ended
+
+    yield scheduler
+    for each in made:
+        each.destroy()
+
+
+def work(scheduler):
+    """Draw, count and answer until nothing is left; return what was drawn."""
+    drawn = []
+    while (case := scheduler.draw()) is not None:
         drawn.append(case)
-        last += board.count(case[0], failed=case[1] % 10 == 9)
+        scheduler.count(failed=case[1] % 10 == 9)
+        scheduler.serve()
+    return drawn
+
+
+@pytest.mark.parametrize("busy", [0.0, scheduling._BUSY_SECONDS])
+def test_each_case_is_drawn_once(comm, scheduler, monkeypatch, busy):
+    monkeypatch.setattr(scheduling, "_BUSY_SECONDS", busy)
+    sizes = [50, 0, 7, 1, 300]
+    board, ended = scheduler(sizes)
+    drawn = work(board)
+    board.wait_for_all(lambda: None)
     everything = sorted(case for part in comm.allgather(drawn) for case in part)
     assert everything == [(g, i) for g, size in enumerate(sizes) for i in range(size)]
-    assert comm.allreduce(last) == 4  # groups that have cases end once each
-    comm.Barrier()
-    assert board.ended() == (358 - 35, 35)
-    comm.Barrier()
-    board.destroy()
+    assert board.ended() == ((358 - 35, 35) if comm.rank == 0 else (0, 0))
+    assert sorted(ended) == ([0, 2, 3, 4] if comm.rank == 0 else [])
 
 
-def test_nobody_draws_after_a_stop(comm):
-    board = Scheduler([10], comm)
+def test_nobody_draws_after_a_stop(comm, scheduler):
+    board, _ = scheduler([1000])
     if comm.rank == comm.size - 1:
         board.ask_to_stop()
-    comm.Barrier()
-    assert board.stopped
+    while not board.stopped:
+        board.serve()
     assert board.draw() is None
-    comm.Barrier()
-    board.destroy()
+    board.wait_for_all(lambda: None)
 
 
-def test_a_board_without_cases(comm):
-    board = Scheduler([], comm)
+@pytest.mark.mpi(min_size=2)
+def test_who_waits_may_ask_all_to_stop(comm, scheduler):
+    board, _ = scheduler([10])
+    while comm.rank == 0 and not board.stopped:
+        board.serve()
+    board.wait_for_all(board.ask_to_stop)
     assert board.draw() is None
-    comm.Barrier()
-    board.destroy()
+
+
+def test_what_was_counted_before_a_stop_is_told(comm, scheduler):
+    board, _ = scheduler([10**6])
+    mine = 0
+    while mine < 5 and board.draw() is not None:  # by now several cases are in hand
+        board.count(failed=False)
+        board.serve()
+        mine += 1
+    board.ask_to_stop()
+    board.wait_for_all(lambda: None)
+    done = comm.allreduce(mine)
+    assert comm.bcast(board.ended()) == (done, 0)
+
+
+def test_a_board_without_cases(scheduler):
+    board, ended = scheduler([])
+    assert work(board) == []
+    board.wait_for_all(lambda: None)
+    assert ended == []
+
+
+def test_teams_take_groups_before_they_share_one():
+    board = Board([4, 6, 2], 3)
+    taken = [board.draw(team) for team in (0, 1, 2)]
+    assert taken == [Cases(0, 0, 1), Cases(1, 0, 1), Cases(2, 0, 1)]
+    assert board.draw(2) == Cases(2, 1, 1)
+    assert board.draw(2) == Cases(1, 1, 1)  # the most are left there
+
+
+def test_what_is_drawn_at_once_keeps_a_team_busy_and_shrinks_towards_the_end():
+    seconds, teams = 0.01, 2
+    board = Board([1000], teams)
+    assert board.draw(0) == Cases(0, 0, 1)  # nothing is known of its time
+    board.count(0, 1, 0, seconds)
+    drawn = []
+    while (cases := board.draw(0)) is not None:
+        drawn.append(cases.number)
+        last = board.count(0, cases.number, 0, cases.number * seconds)
+    assert drawn[0] == round(scheduling._BUSY_SECONDS / seconds)
+    left = 999
+    for count in drawn:
+        assert count <= max(left / (2 * teams), 1)
+        left -= count
+    assert drawn == sorted(drawn, reverse=True)
+    assert (left, last, board.done) == (0, True, 1000)
