@@ -1,10 +1,37 @@
-"""The two ways a command can fail, with their exit statuses."""
+"""The two ways a command can fail, with their exit statuses; and how messages show texts."""
+
+#: longest value, key or word of a user, and longest sentence that messages show in full
+_LONGEST_VALUE, _LONGEST_SENTENCE = 72, 1000
+#: faults of one input that are told one by one
+_MOST_FAULTS = 100
+
+
+def legible(text: str, most: int = _LONGEST_VALUE) -> str:
+    """Return a text as messages show it: on one line, escaped where it would not be seen.
+
+    The middle of a long one is left out.
+    """
+    text = _cut(text, most)
+    if text.isprintable():
+        return text
+    seen = (c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
+    return _cut("".join(seen), most)
+
+
+def _cut(text: str, most: int) -> str:
+    if len(text) <= most:
+        return text
+    tail = (most - 5) // 4
+    return f"{text[: most - 5 - tail]} ... {text[-tail:]}"
 
 
 class RingwearError(Exception):
     """A failure that is told to the user in one sentence; exit status 1."""
 
     exit_status = 1
+
+    def __init__(self, sentence: str = "") -> None:
+        super().__init__(legible(sentence, _LONGEST_SENTENCE))
 
 
 class ComputationError(RingwearError):
@@ -26,8 +53,11 @@ class InputError(RingwearError):
     exit_status = 2
 
     def __init__(self, *faults: str) -> None:
-        super().__init__("\n".join(faults))
-        self.faults = faults
+        more = len(faults) - _MOST_FAULTS
+        if more > 0:
+            faults = (*faults[:_MOST_FAULTS], f"and {more} faults more")
+        self.faults = tuple(legible(fault, _LONGEST_SENTENCE) for fault in faults)
+        Exception.__init__(self, "\n".join(self.faults))
 
     def __reduce__(self) -> tuple[type["InputError"], tuple[str, ...]]:
         return type(self), self.faults

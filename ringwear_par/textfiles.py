@@ -1,8 +1,13 @@
 """Users' text files: cases, studies, tables, laws; one reader for all."""
 
+import tomllib
 from pathlib import Path
+from typing import Any
 
-from ringwear_par.errors import InputError
+from ringwear_par.errors import InputError, legible
+
+#: tables and arrays within each other; a case needs six
+_DEEPEST = 32
 
 
 def read_text(path: Path) -> str:
@@ -18,3 +23,55 @@ def read_text(path: Path) -> str:
         raise InputError(f"{path}: is not a text file in UTF-8") from error
     except OSError as error:
         raise InputError(f"{path}: cannot be read: {error.strerror or error}") from error
+    except ValueError as error:  # of a name with a zero byte
+        raise InputError(f"{path}: cannot be read: {error}") from error
+    except MemoryError as error:
+        raise InputError(f"{path}: cannot be read: it is too large") from error
+
+
+def parse_toml(text: str, name: str) -> dict[str, Any]:
+    """Return the tables of a TOML text that messages call ``name``.
+
+    Raises
+    ------
+    InputError : it is none, or nested too deeply.
+    """
+    try:
+        tables = tomllib.loads(text)
+    except ValueError as error:  # of TOML, or a whole number too long for Python
+        raise InputError(f"{name}: is not valid TOML: {legible(str(error))}") from error
+    except RecursionError as error:
+        raise InputError(f"{name}: {_TOO_DEEP}") from error
+    refuse_depth(tables, name)
+    return tables
+
+
+def parse_value(text: str) -> Any:
+    """Return the value of a TOML text, or the text itself where it is none."""
+    try:
+        return parse_toml(f"value = {text}", "value")["value"]
+    except InputError:
+        return text.strip()
+
+
+def refuse_depth(tables: Any, name: str) -> None:
+    """Refuse values within each other so deep that whatever walks through them would fail.
+
+    Raises
+    ------
+    InputError : they are.
+    """
+    inner = [tables]
+    for _ in range(_DEEPEST):
+        inner = [
+            entry
+            for value in inner
+            for entry in (value.values() if isinstance(value, dict) else value)
+            if isinstance(entry, dict | list | tuple)
+        ]
+        if not inner:
+            return
+    raise InputError(f"{name}: {_TOO_DEEP}")
+
+
+_TOO_DEEP = f"has values nested in each other too deeply; must be at most {_DEEPEST} deep"

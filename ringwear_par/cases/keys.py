@@ -1,7 +1,6 @@
 """Dotted keys of a case: out of TOML or a dict, and some of them set anew."""
 
 import itertools
-import tomllib
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -11,7 +10,8 @@ import numpy as np
 from ringwear_par.cases.faults import LOADS, unread_keys
 from ringwear_par.cases.laws import law_keys
 from ringwear_par.cases.schema import BY_PATH, TABLES
-from ringwear_par.errors import InputError
+from ringwear_par.errors import InputError, legible
+from ringwear_par.textfiles import parse_toml, parse_value, refuse_depth
 
 #: keys that exclude each other: an overriding one takes the place of the others
 _ALTERNATIVES = (
@@ -19,6 +19,7 @@ _ALTERNATIVES = (
     frozenset({"upper.chamfer", "upper.profile"}),
     frozenset({"output.every", "output.times"}),
 )
+_FILES = frozenset({"wear.lower.file", "wear.upper.file"})
 _FIXED_STEPS = frozenset({"time.step", "time.steps"})
 
 
@@ -29,10 +30,7 @@ def read_keys(text: str, name: str = "case") -> dict[str, Any]:
     ------
     InputError : it is no TOML, or a study.
     """
-    try:
-        tables = tomllib.loads(text)
-    except ValueError as error:  # of TOML, or a whole number too long for Python
-        raise InputError(f"{name}: is not valid TOML: {error}") from error
+    tables = parse_toml(text, name)
     refuse_study(tables, name)
     return flatten(tables, name)
 
@@ -68,24 +66,28 @@ def parse_overrides(overrides: Sequence[str]) -> dict[str, Any]:
     for item in overrides:
         path, equals, text = item.partition("=")
         if not equals or not path.strip():
-            faults.append(f"--set {item}: must be KEY=VALUE, such as load.pressure=50")
+            faults.append(f"--set {legible(item)}: must be KEY=VALUE, such as load.pressure=50")
             continue
-        try:
-            values[path.strip()] = tomllib.loads(f"value = {text}")["value"]
-        except ValueError:
-            values[path.strip()] = text.strip()
+        values[path.strip()] = parse_value(text)
     if faults:
         raise InputError(*faults)
     return values
 
 
 def flatten(tables: Mapping[str, Any], name: str) -> dict[str, Any]:
-    """Return dotted keys and plain values of nested tables that messages call ``name``."""
+    """Return dotted keys and plain values of nested tables that messages call ``name``.
+
+    Raises
+    ------
+    InputError : a key is given twice, or values are nested too deeply.
+    """
+    refuse_depth(tables, name)
     flat: dict[str, Any] = {}
     twice = []
     for path, value in _entries(tables, ""):
         if path in flat:
-            twice.append(f"{name}: {path}: is given twice, in a table and by its dotted name")
+            shown = legible(path)
+            twice.append(f"{name}: {shown}: is given twice, in a table and by its dotted name")
         flat[path] = value
     if twice:
         raise InputError(*twice)
@@ -114,11 +116,22 @@ def _plain(value: Any) -> Any:
     return str(value) if isinstance(value, Path) else value
 
 
+def named_files(keys: Mapping[str, Any]) -> dict[str, Any]:
+    """Return those of dotted keys that name files, Python code that a case would run."""
+    return {path: value for path, value in keys.items() if path in _FILES}
+
+
 def find_files(keys: Mapping[str, Any], folder: Path) -> dict[str, Any]:
     """Return dotted keys with the files that they name in full, relative ones from a folder."""
-    files = {f"wear.{ring}.file" for ring in ("lower", "upper")}
+
+    def in_full(name: str) -> str:
+        try:
+            return str((folder / name).resolve())
+        except (OSError, RuntimeError, ValueError):  # who reads it will be told
+            return name
+
     return {
-        path: str((folder / value).resolve()) if path in files and isinstance(value, str) else value
+        path: in_full(value) if path in _FILES and isinstance(value, str) else value
         for path, value in keys.items()
     }
 

@@ -43,6 +43,12 @@ def law_sources(case: Case) -> dict[str, str]:
     return {body: law.source for body, law in laws if isinstance(law, UserLaw)}
 
 
+def law_files(case: Case) -> dict[str, str]:
+    """Return the names of the Python files of a case's laws by key."""
+    laws = zip(_BODIES, case.laws, strict=True)
+    return {f"wear.{body}.file": law.file for body, law in laws if isinstance(law, UserLaw)}
+
+
 def refuse_bad_laws(case: Case, name: str, slopes: bool = True) -> None:
     """Refuse users' laws that are none, or whose slopes are wrong: from files, and objects.
 

@@ -27,7 +27,7 @@ from ringwear_par.cases.text import shortened, toml_text
 from ringwear_par.cases.values import RejectedError
 from ringwear_par.elasticity.mesh import Mesh
 from ringwear_par.elasticity.sections import Grip, Polyline
-from ringwear_par.errors import InputError
+from ringwear_par.errors import InputError, legible
 from ringwear_par.schedules import Quantity, Table
 from ringwear_par.textfiles import read_text
 from ringwear_par.wear.law import Law
@@ -129,7 +129,7 @@ def _read_values(keys: Mapping[str, Any], origin: Origin) -> tuple[dict[str, Any
             said = f"{path} = {shortened(value)}"
             faults.append(f"{origin.of(path)}{said}: must be a table, [{path}]")
         else:
-            faults.append(f"{origin.of(path)}{path}: unknown key{nearest_key(path)}")
+            faults.append(f"{origin.of(path)}{legible(path)}: unknown key{nearest_key(path)}")
     for key in KEYS:
         if key.path not in keys:
             if key.default is not ...:

@@ -67,6 +67,8 @@ _ALIASES: dict[str, tuple[str, ...]] = {
 }
 #: least likeness of last parts in one table, of last parts of one or two letters, and elsewhere
 _NEAR, _NEAR_SHORT, _NEAR_ELSEWHERE = 0.6, 0.5, 0.75
+#: longer than any key, and slow to compare
+_LONGEST = 100
 
 
 def nearest_key(path: str) -> str:
@@ -74,6 +76,8 @@ def nearest_key(path: str) -> str:
 
     Last parts are compared first, and those of the same table before all others.
     """
+    if len(path) > _LONGEST:
+        return ""
     table, _, last = path.rpartition(".")
     there = [known for known in BY_PATH if known.rpartition(".")[0] == table]
     near = _near(last, there, _NEAR if len(last) > 2 else _NEAR_SHORT)

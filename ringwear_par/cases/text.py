@@ -4,8 +4,10 @@ import json
 from collections.abc import Mapping
 from typing import Any
 
-#: longest value that a message shows in full
-_SHOWN = 120
+from ringwear_par.errors import legible
+
+#: what Python writes and reads in decimal digits at any setting
+_WRITTEN = 10**640
 
 
 def toml_value(value: Any) -> str:
@@ -19,13 +21,14 @@ def toml_value(value: Any) -> str:
     if isinstance(value, dict):
         items = ", ".join(f"{toml_value(str(k))} = {toml_value(v)}" for k, v in value.items())
         return "{ " + items + " }"
+    if isinstance(value, int) and abs(value) >= _WRITTEN:
+        return hex(value)
     return repr(value) if isinstance(value, int | float) else str(value)
 
 
 def shortened(value: Any) -> str:
     """Return a value as messages show it."""
-    text = toml_value(value)
-    return text if len(text) <= _SHOWN else f"{text[:80]} ... {text[-20:]}"
+    return legible(toml_value(value))
 
 
 def toml_text(keys: Mapping[str, Any]) -> str:

@@ -125,6 +125,8 @@ def parameters() -> Values:
     def read(value: Any) -> tuple[tuple[str, Quantity], ...]:
         if not isinstance(value, dict):
             raise RejectedError
+        if not all(name.isprintable() for name in value):
+            raise RejectedError("their names must be printable")
         return tuple((name, entry.read(v)) for name, v in value.items())
 
     entry = quantity(-math.inf)
@@ -246,8 +248,10 @@ def text(allowed: str = "a text") -> Values:
     """Return texts that can be written to a file."""
 
     def read(value: Any) -> str:
-        if not isinstance(value, str) or any("\ud800" <= c <= "\udfff" for c in value):
+        if not isinstance(value, str):
             raise RejectedError
+        if any(c == "\0" or "\ud800" <= c <= "\udfff" for c in value):
+            raise RejectedError("no zero bytes or halves of characters")
         return value
 
     return Values("text", read, allowed)

@@ -30,6 +30,10 @@ _ARRAYS = (
     Variable("warm_rate", ("element",), "MPa/mm", "derivative of pressure by approach"),
     Variable("warm_gap", ("element",), "mm", "gap of the last contact problem"),
 )
+_NUMBERS = (
+    "step", "time", "energy", "iterations", "next_step", "rejected", "assemblies", "approach",
+    "force", "pending_iterations", "warm_approach", "warm_force",
+)  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,7 +136,23 @@ def write_checkpoint(group: "h5py.Group", checkpoint: Checkpoint) -> None:
             write_variable(group, variable, checkpoint.arrays[variable.name])
 
 
-def read_checkpoint(group: "h5py.Group") -> Checkpoint:
-    """Return the checkpoint in a group of a result file."""
-    arrays = {v.name: group[v.name][:] for v in _ARRAYS if v.name in group}
-    return Checkpoint(dict(group.attrs), arrays)
+def read_checkpoint(group: "h5py.Group", sizes: Mapping[str, int]) -> Checkpoint | None:
+    """Return the checkpoint in a group of a result file, None where an older version wrote less.
+
+    Parameters
+    ----------
+    sizes : of the dimensions of the file.
+
+    Raises
+    ------
+    Exception : it is damaged, see ``reading``.
+    """
+    from ringwear_par.results.reading import read_array, read_number
+
+    known = {**sizes, "body": 2}
+    arrays = {v.name: read_array(group, v, known) for v in _ARRAYS if v.name in group}
+    numbers = {name: read_number(group.attrs[name]) for name in _NUMBERS if name in group.attrs}
+    needed = {variable.name for variable in _ARRAYS} - {"shape", "fit"}
+    if len(numbers) < len(_NUMBERS) or not needed <= arrays.keys():
+        return None
+    return Checkpoint(numbers, arrays)

@@ -1,25 +1,44 @@
 """Result files read: see ``writing`` for what they are."""
 
+import json
 from pathlib import Path
 from typing import Any
 
 import h5py
 import numpy as np
 
-from ringwear_par.elasticity.boundary_fields import BODIES, BoundaryFields, BoundaryState
+from ringwear_par.elasticity.boundary_fields import BODIES, FACES, BoundaryFields, BoundaryState
 from ringwear_par.elasticity.mesh import ContactLine
-from ringwear_par.errors import InputError
 from ringwear_par.results.checkpoints import Checkpoint, read_checkpoint
+from ringwear_par.results.reading import read_array, read_number, read_text, reading
 from ringwear_par.results.result import Result, balance_attributes
 from ringwear_par.results.variables import (
     BOUNDARY_FIELDS,
+    BOUNDARY_MESH,
+    BOUNDARY_STEPS_MADE,
+    BOUNDARY_TIME,
+    EDGES,
     HISTORIES,
     PROFILES,
     SOFTWARE,
+    STEP,
+    STEPS_MADE,
+    Variable,
 )
 
+_WHAT = "a result file of ringwear"
 #: balances in the order in which files of version 0.1.0 have them, without names
 _BALANCES = ("force", "torque", "reaction", "volume", "energy", "residual")
+#: attributes that every file has; those that it may have, texts and numbers
+_ALWAYS = {"case", "title", "status", "version"}
+_TEXTS = _ALWAYS | {
+    "begun_by", "scheme", "user_laws", "law_lower", "law_upper", "doubts", "error",
+}  # fmt: skip
+_NUMBERS = {
+    "ranks", "time_step", "time_steps", "time_end", "symmetry_defect", "energy_identity",
+    "step_error_time",
+}  # fmt: skip
+_NUMBERED = ("balance_", "seconds_")
 
 
 def read_status(path: Path) -> tuple[str, int] | None:
@@ -31,25 +50,22 @@ def read_status(path: Path) -> tuple[str, int] | None:
     """
     if not path.exists():
         return None
-    try:
-        with h5py.File(path, "r") as file:
-            if file.attrs.get("software") == SOFTWARE:
-                status = str(file.attrs["status"])
-                if "checkpoint" in file:
-                    return status, int(file["checkpoint"].attrs["step"])
-                return status, int(_steps_made(file)[-1])
-    except (OSError, KeyError):
-        pass
-    raise InputError(
-        f"{path}: exists and is not a result file of ringwear, or is damaged; must be a new name "
-        "or such a file"
-    )
+    with reading(path, SOFTWARE, _WHAT, "; must be a new name or such a file") as file:
+        status = read_text(file.attrs["status"])
+        if "checkpoint" in file:
+            return status, int(file["checkpoint"].attrs["step"])
+        return status, int(_steps_made(file, {})[-1])
 
 
 def read_error(path: Path) -> str:
-    """Return why the run in a result file failed, "" if it did not. Not collective."""
-    with h5py.File(path, "r") as file:
-        return str(file.attrs.get("error", ""))
+    """Return why the run in a result file failed, "" if it did not. Not collective.
+
+    Raises
+    ------
+    InputError : it is no result file.
+    """
+    with reading(path, SOFTWARE, _WHAT) as file:
+        return read_text(file.attrs.get("error", ""))
 
 
 def open_result(path: str | Path) -> Result:
@@ -60,15 +76,8 @@ def open_result(path: str | Path) -> Result:
     InputError : it is not one.
     """
     path = Path(path)
-    if not path.exists():
-        raise InputError(f"{path}: does not exist; must be a result file of ringwear")
-    try:
-        with h5py.File(path, "r") as file:
-            if file.attrs.get("software") == SOFTWARE:
-                return _read(file, path)
-    except (OSError, KeyError, RuntimeError):
-        pass
-    raise InputError(f"{path}: is not a result file of ringwear, or is damaged")
+    with reading(path, SOFTWARE, _WHAT) as file:
+        return _read(file, path)
 
 
 def result_of(source: Result | str | Path) -> Result:
@@ -77,21 +86,34 @@ def result_of(source: Result | str | Path) -> Result:
 
 
 def _read(file: h5py.File, path: Path) -> Result:
-    attributes = dict(file.attrs)
-    for name in ("software", "coordinates"):
-        del attributes[name]
+    """Return what a file holds; any exception means that it is damaged."""
+    attributes = _attributes(file)
+    ours = "line" in file  # not so in version 0.1.0
+    if ours:
+        edges = read_array(file["line"], EDGES, {})
+    else:
+        edges = read_array(file["checkpoint"], EDGES, {})
+        values = file["checkpoint"].attrs["balances"].tolist()
+        attributes |= balance_attributes(dict(zip(_BALANCES, values, strict=True)))
+    if not (len(edges) > 1 and np.isfinite(edges).all() and (np.diff(edges) > 0.0).all()):
+        raise ValueError("edges")
+    sizes = {"element": len(edges) - 1}
     checkpoint: Checkpoint | None = None
     if "checkpoint" in file:
-        checkpoint = read_checkpoint(file["checkpoint"])
-        if "line" not in file:  # version 0.1.0
-            values = file["checkpoint"].attrs["balances"].tolist()
-            attributes |= balance_attributes(dict(zip(_BALANCES, values, strict=True)))
+        checkpoint = read_checkpoint(file["checkpoint"], sizes)
+    step = read_array(file, STEP, sizes)
+    histories = {name: read_array(file, variable, sizes) for name, variable in HISTORIES.items()}
+    _check_times(histories["time"])
     return Result(
-        ContactLine(file["line/edges" if "line" in file else "checkpoint/edges"][:]),
-        file["step"][:],
-        _steps_made(file),
-        {name: file[name][:] for name in HISTORIES},
-        {name: file[name][:] for name in PROFILES if name in file},
+        ContactLine(edges),
+        step,
+        _steps_made(file, sizes),
+        histories,
+        {
+            name: read_array(file, _as_stored(file, variable), sizes)
+            for name, variable in PROFILES.items()
+            if name in file
+        },
         _read_boundary(file),
         attributes,
         checkpoint,
@@ -99,8 +121,35 @@ def _read(file: h5py.File, path: Path) -> Result:
     )
 
 
-def _steps_made(group: h5py.Group) -> Any:
-    return group["steps_made" if "steps_made" in group else "step"][:]
+def _attributes(file: h5py.File) -> dict[str, Any]:
+    found = dict(file.attrs)
+    for name in ("software", "coordinates"):
+        del found[name]
+    for name in _TEXTS & (found.keys() | _ALWAYS):
+        read_text(found[name])
+    for name in found:
+        if name in _NUMBERS or name.startswith(_NUMBERED):
+            read_number(found[name])
+    if found["status"] not in ("complete", "incomplete"):
+        raise ValueError("status")
+    doubts, laws = json.loads(found.get("doubts", "[]")), json.loads(found.get("user_laws", "{}"))
+    for text in (*doubts, *laws, *laws.values()):
+        read_text(text)
+    return found
+
+
+def _check_times(times: Any) -> None:
+    if not (len(times) and np.isfinite(times).all() and (np.diff(times) >= 0.0).all()):
+        raise ValueError("time")
+
+
+def _as_stored(file: h5py.File, variable: Variable) -> Variable:
+    """Return a field as it is stored, at all steps or the last."""
+    return variable if file[variable.name].ndim == 2 else variable.at_last_step()
+
+
+def _steps_made(file: h5py.File, sizes: dict[str, int]) -> Any:
+    return read_array(file, STEPS_MADE if STEPS_MADE.name in file else STEP, sizes)
 
 
 def _read_boundary(file: h5py.File) -> tuple[BoundaryState, ...]:
@@ -108,23 +157,33 @@ def _read_boundary(file: h5py.File) -> tuple[BoundaryState, ...]:
     if "boundary" not in file:
         return ()
     groups = [file["boundary"][name] for name in BODIES]
-    steps, times = _steps_made(groups[0]).tolist(), groups[0]["time"][:].tolist()
+    sizes: dict[str, int] = {}
+    times = read_array(groups[0], BOUNDARY_TIME, sizes)
+    _check_times(times)
+    made = BOUNDARY_STEPS_MADE  # of another name in version 0.1.0
+    numbers = made if made.name in groups[0] else made.named("step")
+    steps = read_array(groups[0], numbers, sizes).tolist()
+    bodies = [_read_body(group, len(times)) for group in groups]
     return tuple(
         BoundaryState(step, time, (lower, upper))
-        for step, time, lower, upper in zip(steps, times, *map(_read_body, groups), strict=True)
+        for step, time, lower, upper in zip(steps, times.tolist(), *bodies, strict=True)
     )
 
 
-def _read_body(group: h5py.Group) -> list[BoundaryFields]:
-    elements, face = group["nodes"][:], group["face"][:]
+def _read_body(group: h5py.Group, states: int) -> list[BoundaryFields]:
+    sizes = {"boundary_step": states, "corner": 3}
+    elements, face = (read_array(group, variable, sizes) for variable in BOUNDARY_MESH.values())
     table = {
-        attribute: np.stack([group[variable.name][:] for variable in variables], axis=-1)
+        attribute: np.stack([read_array(group, v, sizes) for v in variables], axis=-1)
         for attribute, variables in BOUNDARY_FIELDS.items()
     }
+    for numbers, size in ((elements, sizes["boundary_node"]), (face, len(FACES))):
+        if not ((numbers >= 0) & (numbers < size)).all():
+            raise ValueError(group.name)
     return [
         BoundaryFields(
             table["nodes"][t], elements, face, table["displacement"][t], table["traction"][t],
             table["pressure"][t, :, 0], table["wear"][t, :, 0],
         )
-        for t in range(len(group["time"]))
+        for t in range(states)
     ]  # fmt: skip

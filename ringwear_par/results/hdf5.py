@@ -8,6 +8,7 @@ from typing import Any
 import h5py
 
 from ringwear_par.atomic import atomic_write
+from ringwear_par.results.reading import seal
 from ringwear_par.results.variables import Variable
 
 
@@ -20,8 +21,10 @@ def atomic_hdf5(path: Path) -> Iterator[h5py.File]:
     OSError : the disk or the folder.
     """
     try:
-        with atomic_write(path) as temporary, h5py.File(temporary, "w") as file:
-            yield file
+        with atomic_write(path) as temporary:
+            with h5py.File(temporary, "w") as file:
+                yield file
+            seal(temporary)
     except RuntimeError as error:  # what h5py makes of some failures of the disk
         raise OSError(None, str(error), str(path)) from error
 

@@ -13,7 +13,8 @@ from mpi4py import MPI
 from ringwear_par import __version__
 from ringwear_par.atomic import check_writable
 from ringwear_par.cases.case import Case
-from ringwear_par.cases.law_trials import law_sources
+from ringwear_par.cases.keys import named_files, read_keys
+from ringwear_par.cases.law_trials import law_files, law_sources
 from ringwear_par.cases.reading import parse_case, read_case
 from ringwear_par.elasticity.assembly import load_kernels
 from ringwear_par.errors import ComputationError, InputError, RingwearError, UnfitError
@@ -247,12 +248,16 @@ def _difference(before: Result, case: Case) -> str:
             "was computed with another wear law in a Python file than there is now; --restart "
             "needs the same"
         )
+    growing = "time.end" if case.time.adaptive else "time.steps"
+    other = f"holds another case; --restart needs the same case, only {growing} may grow"
+    # to read a case is to run the laws that it names: of a stored one only what this one runs too
+    if named_files(read_keys(before.case, str(before.path))) != law_files(case):
+        return other
     stored = parse_case(before.case, str(before.path))
     same = replace(stored, time=case.time, title=case.title, text=case.text)
     longer = replace(stored.time, steps=case.time.steps, until=case.time.until)
-    growing = "time.end" if case.time.adaptive else "time.steps"
     if same != case or longer != case.time:
-        return f"holds another case; --restart needs the same case, only {growing} may grow"
+        return other
     reached = restored(before)
     if case.time.adaptive and reached.state.time > case.time.end:
         return (

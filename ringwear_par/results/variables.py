@@ -44,6 +44,10 @@ class Variable:
         """What files say of it."""
         return {"units": self.unit, "long_name": self.meaning}
 
+    def named(self, name: str) -> "Variable":
+        """Return the variable under another name."""
+        return replace(self, name=name)
+
     def at_last_step(self) -> "Variable":
         """Return the variable of the last stored step alone."""
         rest = tuple(name for name in self.dimensions if name != "step")

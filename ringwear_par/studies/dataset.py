@@ -19,11 +19,16 @@ from ringwear_par.atomic import atomic_write
 from ringwear_par.cases.keys import read_keys
 from ringwear_par.cases.schema import BY_PATH
 from ringwear_par.cases.text import toml_value
-from ringwear_par.results.variables import ELEMENT, HISTORIES, LINE, PROFILES, Variable
+from ringwear_par.errors import InputError
+from ringwear_par.results.hdf5 import atomic_hdf5
+from ringwear_par.results.reading import find_array, find_texts, read_array, reading
+from ringwear_par.results.variables import ELEMENT, HISTORIES, LINE, PROFILES, STEP, Variable
 from ringwear_par.studies.shards import UNKNOWN_VERSION, Entry, Record, join_flags, split_flags
 from ringwear_par.studies.variations import path_of, value_of
 
 SOFTWARE = "ringwear-par sweep"
+#: what messages call the file
+WHAT = "a results file of ringwear sweep"
 RESULTS, TABLE = "results.h5", "cases.csv"
 #: the last values that cases.csv shows
 FINAL = ("penetration", "worn_volume_lower", "worn_volume_upper")
@@ -36,7 +41,7 @@ _SAME_STEPS = "same_in_all_cases"
 #: variables that older files do not have, and what is said of their cases
 _OLDER = {"version": UNKNOWN_VERSION, "flags": ""}
 #: variables with dimension (case,)
-_OF_CASES = {
+OF_CASES = {
     variable.name: variable
     for variable in (
         Variable("case_toml", ("case",), "1", "the case as a case file"),
@@ -105,21 +110,16 @@ def write_ensemble(
     ------
     OSError : the disk or the folder.
     """
-    target = folder / RESULTS
-    try:
-        with (
-            atomic_write(folder / TABLE) as listed,  # both are whole before one is replaced
-            atomic_write(target) as temporary,
-            h5py.File(temporary, "w") as file,
-        ):
-            table = _write_histories(file, names, rows, fetch)
-            file.attrs.update({"software": SOFTWARE, **attributes})
-            with listed.open("w", newline="", encoding="utf-8") as handle:
-                writer = csv.writer(handle)
-                writer.writerow(("case", *names, *_COLUMNS))
-                writer.writerows(table)
-    except RuntimeError as error:  # what h5py makes of some failures of the disk
-        raise OSError(None, str(error), str(target)) from error
+    with (
+        atomic_write(folder / TABLE) as listed,  # both are whole before one is replaced
+        atomic_hdf5(folder / RESULTS) as file,
+    ):
+        table = _write_histories(file, names, rows, fetch)
+        file.attrs.update({"software": SOFTWARE, **attributes})
+        with listed.open("w", newline="", encoding="utf-8") as handle:
+            writer = csv.writer(handle)
+            writer.writerow(("case", *names, *_COLUMNS))
+            writer.writerows(table)
 
 
 def _write_histories(
@@ -145,8 +145,7 @@ def _write_histories(
     ]
     shapes = {}
     for variable in variables:
-        over_cases = replace(variable, dimensions=("case", *variable.dimensions))
-        shapes[variable.name] = _make(file, over_cases, float).shape[1:]
+        shapes[variable.name] = _make(file, over_cases(variable), float).shape[1:]
     columns = _empty_columns(rows)
     values = [row.values or (None,) * len(names) for row in rows]
     common: FloatArray | None = np.empty(0)
@@ -179,15 +178,20 @@ def _write_histories(
         file["step"].attrs[_SAME_STEPS] = 1
     for name, column in columns.items():
         kind = _TEXT if isinstance(column, list) else column.dtype
-        _make(file, _OF_CASES[name], kind)[:] = column
+        _make(file, OF_CASES[name], kind)[:] = column
     _write_varied(file, names, values)
     return _table(rows, values, columns)
+
+
+def over_cases(variable: Variable) -> Variable:
+    """Return a variable of one case as the results of all have it, padded with NaN."""
+    return replace(variable, dimensions=("case", *variable.dimensions), integer=False)
 
 
 def _empty_columns(rows: Sequence[Row]) -> dict[str, Any]:
     """Return the variables of cases of which nothing is stored: lists of texts, or arrays."""
     count = len(rows)
-    columns: dict[str, Any] = {name: np.full(count, np.nan) for name in _OF_CASES}
+    columns: dict[str, Any] = {name: np.full(count, np.nan) for name in OF_CASES}
     columns["case_toml"] = [row.toml for row in rows]
     columns["status"] = ["incomplete"] * count
     columns["in_study"] = ["yes" if row.in_study else "no" for row in rows]
@@ -288,19 +292,22 @@ def _write_varied(file: h5py.File, names: Sequence[str], values: Sequence[tuple[
 def read_entries(path: Path) -> dict[str, Entry] | None:
     """Return the begun cases of a results file by id; None if it is damaged. Not collective."""
     try:
-        with h5py.File(path, "r") as file:
-            if file.attrs.get("software") != SOFTWARE:
-                return None
-            ids, status = file["case"].asstr()[:], file["status"].asstr()[:]
-            stored, elements = file["steps_stored"][:], file["elements"][:]
-            begun = ~np.isnan(file["seconds"][:])
+        with reading(path, SOFTWARE, WHAT) as file:
+            sizes: dict[str, int] = {}
+            ids, status = (find_texts(file, name, sizes)[:] for name in ("case", "status"))
+            stored, elements, seconds = (
+                read_array(file, OF_CASES[name], sizes)
+                for name in ("steps_stored", "elements", "seconds")
+            )
+            begun = ~np.isnan(seconds)
             fields = tuple(name for name in PROFILES if name in file)
             deep = any(file[name].ndim == 3 for name in fields)
             version, flags = (
-                file[name].asstr()[:] if name in file else [default] * len(ids)
+                find_texts(file, name, sizes)[:] if name in file else [default] * len(ids)
                 for name, default in _OLDER.items()
             )
-    except (OSError, KeyError, RuntimeError):
+            _tables(file, sizes)  # which read_records will look for
+    except InputError:
         return None
     return {
         ids[i]: Entry(
@@ -311,33 +318,48 @@ def read_entries(path: Path) -> dict[str, Entry] | None:
     }  # fmt: skip
 
 
+def _tables(file: h5py.File, sizes: dict[str, int]) -> dict[str, h5py.Dataset]:
+    """Return the variables over cases and steps or elements."""
+    found = {}
+    for name, variable in {**HISTORIES, **LINE, **PROFILES}.items():
+        if name in file:
+            last = name in PROFILES and file[name].ndim == 2
+            own = over_cases(variable.at_last_step() if last else variable)
+            found[name] = find_array(file, own, sizes)
+    return found
+
+
 def read_records(path: Path, ids: Sequence[str]) -> Iterator[Record]:
     """Yield some cases of a results file. Not collective."""
-    with h5py.File(path, "r") as file:
-        places = {identity: i for i, identity in enumerate(file["case"].asstr()[:])}
+    with reading(path, SOFTWARE, WHAT) as file:
+        sizes: dict[str, int] = {}
+        places = {i: n for n, i in enumerate(find_texts(file, "case", sizes)[:])}
         wanted = np.array(sorted(places[identity] for identity in ids), dtype=int)
         if not len(wanted):
             return
 
-        def column(name: str) -> Any:
-            if name in _OLDER and name not in file:
-                return [_OLDER[name]] * len(wanted)
-            table = file[name].asstr() if file[name].dtype.kind == "O" else file[name]
+        def column(table: Any) -> Any:
             low, high = wanted[0], wanted[-1] + 1
             if high - low <= 4 * len(wanted):  # far faster than a choice of rows
                 return table[low:high][wanted - low]
             return table[wanted]
 
-        steps = file["step"][:].astype(float)
+        def texts(name: str) -> Any:
+            if name in _OLDER and name not in file:
+                return [_OLDER[name]] * len(wanted)
+            return column(find_texts(file, name, sizes))
+
+        steps = read_array(file, STEP, sizes).astype(float)
         # files of before the attribute: only where they are not just numbered does it matter
         same = file["step"].attrs.get(_SAME_STEPS, (steps != np.arange(len(steps))).any())
-        names = [name for name in (*HISTORIES, *LINE, *PROFILES) if name in file]
-        tables = {name: column(name) for name in names}
-        stored, elements = column("steps_stored"), column("elements")
-        texts = [column(name) for name in ("case", "case_toml", "status", "error")]
-        numbers = [column(name).tolist() for name in ("seconds", "imbalance")]
-        versions, flags = column("version"), column("flags")
-        for i, about in enumerate(zip(*texts, *numbers, strict=True)):
+        tables = {name: column(table) for name, table in _tables(file, sizes).items()}
+        stored, elements, *numbers = (
+            column(find_array(file, OF_CASES[name], sizes)).tolist()
+            for name in ("steps_stored", "elements", "seconds", "imbalance")
+        )
+        words = [texts(name) for name in ("case", "case_toml", "status", "error")]
+        versions, flags = texts("version"), texts("flags")
+        for i, about in enumerate(zip(*words, *numbers, strict=True)):
             identity, toml, status, error, seconds, imbalance = about
             s, e = slice(stored[i]), slice(elements[i])
             arrays = {"step": steps[s]} if same else {}

@@ -4,7 +4,6 @@ import csv
 import itertools
 import json
 import math
-import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,10 +15,10 @@ from ringwear_par.cases.case import Case
 from ringwear_par.cases.keys import find_files, flatten, kinds, override, read_keys
 from ringwear_par.cases.schema import BY_PATH
 from ringwear_par.cases.suggestions import nearest_key
-from ringwear_par.cases.text import toml_value
-from ringwear_par.errors import InputError
+from ringwear_par.cases.text import shortened, toml_value
+from ringwear_par.errors import InputError, legible
 from ringwear_par.studies.variations import Variation, has_entry, is_whole, path_of, read_variations
-from ringwear_par.textfiles import read_text
+from ringwear_par.textfiles import parse_toml, parse_value, read_text, refuse_depth
 
 METHODS = ("grid", "sobol", "latin-hypercube", "random", "list")
 SAMPLED = ("sobol", "latin-hypercube", "random")
@@ -62,31 +61,29 @@ def read_draft(source: Path | str | Mapping[str, Any]) -> Draft:
             raise InputError(
                 "study: case is a Case; must be the name of a case file, or its tables as a dict"
             )
+        refuse_depth(source, "study")
         name, folder, tables = "study", Path(), _plain(source)
         text = "".join(f"{toml_value(key)} = {toml_value(v)}\n" for key, v in tables.items())
     else:
         path = Path(source)
         name, folder, text = str(path), path.parent, read_text(path)
-        try:
-            tables = tomllib.loads(text)
-        except ValueError as error:  # of TOML, or a whole number too long for Python
-            raise InputError(f"{path}: is not valid TOML: {error}") from error
+        tables = parse_toml(text, name)
     if kinds(tables) == {"case"}:
         raise InputError(f"{name}: is a case, not a study; ringwear run computes it")
     faults = [
-        f"{name}: {key}: unknown key; must be one of case, vary, design"
+        f"{name}: {legible(key)}: unknown key; must be one of case, vary, design"
         for key in tables.keys() - {"case", "vary", "design"}
     ]
     base = _read_base(name, folder, tables, isinstance(source, Mapping), faults)
     vary, design = tables.get("vary", {}), tables.get("design", {})
     for key, table in (("vary", vary), ("design", design)):
         if not isinstance(table, dict):
-            faults.append(f"{name}: {key} = {toml_value(table)}: must be a table, [{key}]")
+            faults.append(f"{name}: {key} = {shortened(table)}: must be a table, [{key}]")
             raise InputError(*faults)
     method = design.get("method", "grid")
     if method not in METHODS:
         faults.append(
-            f"{name}: design.method = {toml_value(method)}: must be one of {', '.join(METHODS)}"
+            f"{name}: design.method = {shortened(method)}: must be one of {', '.join(METHODS)}"
         )
         raise InputError(*faults)
     faults += design_faults(name, design, method)
@@ -141,7 +138,7 @@ def _read_base(
     except InputError as error:
         faults += error.faults
         return {}
-    said = "is missing" if base is None else f"= {toml_value(base)}"
+    said = "is missing" if base is None else f"= {shortened(base)}"
     faults.append(f"{name}: case {said}: must be the name of a case file, relative to this one")
     return {}
 
@@ -153,20 +150,20 @@ def design_faults(name: str, design: Mapping[str, Any], method: str) -> list[str
     for key, value in design.items():
         if key != "method" and key not in allowed:
             faults.append(
-                f'{name}: design.{key} = {toml_value(value)}: must be absent; method = "{method}" '
-                f"knows {', '.join(('method', *allowed))}"
+                f"{name}: design.{legible(key)} = {shortened(value)}: must be absent; method = "
+                f'"{method}" knows {", ".join(("method", *allowed))}'
             )
     if method in SAMPLED:
         count, seed = design.get("count"), design.get("seed", 0)
         if not (isinstance(count, int) and is_whole(count) and 1 <= count <= _MOST_CASES):
-            said = "is missing" if count is None else f"= {toml_value(count)}"
+            said = "is missing" if count is None else f"= {shortened(count)}"
             faults.append(
                 f"{name}: design.count {said}: must be a whole number from 1 to {_MOST_CASES}"
             )
         if not is_whole(seed) or seed < 0:
-            faults.append(f"{name}: design.seed = {toml_value(seed)}: must be a whole number >= 0")
+            faults.append(f"{name}: design.seed = {shortened(seed)}: must be a whole number >= 0")
     if method == "list" and not isinstance(design.get("file"), str):
-        said = f"= {toml_value(design['file'])}" if "file" in design else "is missing"
+        said = f"= {shortened(design['file'])}" if "file" in design else "is missing"
         faults.append(
             f"{name}: design.file {said}: must be the name of a CSV file, relative to this one"
         )
@@ -211,7 +208,10 @@ def listed_rows(table: Path) -> tuple[tuple[str, ...], list[tuple[Any, ...]]]:
     ------
     InputError : its first faults, one sentence each.
     """
-    lines = [line for line in csv.reader(read_text(table).splitlines()) if line]
+    try:
+        lines = [line for line in csv.reader(read_text(table).splitlines()) if line]
+    except csv.Error as error:
+        raise InputError(f"{table}: is not a table of comma-separated values: {error}") from error
     if len(lines) < 2:
         raise InputError(f"{table}: has no cases; must be a line of case keys and one line a case")
     names = tuple(cell.strip() for cell in lines[0])
@@ -220,7 +220,8 @@ def listed_rows(table: Path) -> tuple[tuple[str, ...], list[tuple[Any, ...]]]:
     faults = []
     for name in names:
         if path_of(name) not in BY_PATH or name == "title":
-            faults.append(f"{table}: column {name}: unknown key{nearest_key(path_of(name))}")
+            hint = nearest_key(path_of(name))
+            faults.append(f"{table}: column {legible(name)}: unknown key{hint}")
         elif not has_entry(name):
             faults.append(f"{table}: column {name}: has no entries; must be the key itself")
         elif names.count(name) > 1:
@@ -232,14 +233,7 @@ def listed_rows(table: Path) -> tuple[tuple[str, ...], list[tuple[Any, ...]]]:
                 f"{table}: line {number}: has {len(line)} values; must have {len(names)}, as the "
                 "first line"
             )
-        rows.append(tuple(_cell(cell.strip()) for cell in line))
+        rows.append(tuple(parse_value(cell.strip()) for cell in line))
     if faults:
         raise InputError(*faults[:_FAULTS_TOLD])
     return names, rows
-
-
-def _cell(text: str) -> Any:
-    try:
-        return tomllib.loads(f"value = {text}")["value"]
-    except ValueError:
-        return text

@@ -8,8 +8,26 @@ import h5py
 import numpy as np
 
 from ringwear_par.arrays import BoolArray, FloatArray, IntArray
+from ringwear_par.cases.schema import BY_PATH
 from ringwear_par.errors import InputError
-from ringwear_par.studies.dataset import FINAL, RESULTS, SOFTWARE
+from ringwear_par.results.reading import (
+    find_array,
+    find_texts,
+    read_array,
+    read_number,
+    read_text,
+    reading,
+)
+from ringwear_par.results.variables import HISTORIES, Variable
+from ringwear_par.studies.dataset import (
+    FINAL,
+    OF_CASES,
+    RESULTS,
+    SOFTWARE,
+    WHAT,
+    over_cases,
+)
+from ringwear_par.studies.variations import path_of
 
 if TYPE_CHECKING:
     import xarray
@@ -43,9 +61,15 @@ class Ensemble:
     attributes: dict[str, Any]
 
     def histories(self, name: str, cases: IntArray) -> FloatArray:
-        """Read the histories of some cases (increasing numbers), (len(cases), steps)."""
-        with h5py.File(self.path, "r") as file:
-            return file[name][cases]
+        """Read the histories of some cases (increasing numbers), (len(cases), steps).
+
+        Raises
+        ------
+        InputError : the file is damaged.
+        """
+        with reading(self.path, SOFTWARE, WHAT) as file:
+            sizes = {"case": len(self.ids)}
+            return find_array(file, over_cases(HISTORIES[name]), sizes)[cases]
 
 
 def read_ensemble(folder: Path) -> Ensemble:
@@ -61,27 +85,39 @@ def read_ensemble(folder: Path) -> Ensemble:
             f"{path}: does not exist; must be written by ringwear sweep (without --slice), which "
             "goes on where it was interrupted"
         )
-    try:
-        with h5py.File(path, "r") as file:
-            if file.attrs.get("software") != SOFTWARE:
-                raise KeyError("software")
-            names = str(file.attrs["coordinates"]).split()
-            texts = {n: tuple(file[n].asstr()[:]) for n in ("case", "status", "error", "in_study")}
-            varied = {}
-            for name in names:
-                plain = file[name].dtype.kind == "f"
-                varied[name] = file[name][:] if plain else file[name].asstr()[:]
-            return Ensemble(
-                path, texts["case"], texts["status"], texts["error"],
-                np.array([word == "yes" for word in texts["in_study"]]),
-                file["seconds"][:], file["steps_stored"][:], varied,
-                {name: file[f"final_{name}"][:] for name in FINAL},
-                dict(file.attrs),
-            )  # fmt: skip
-    except (OSError, KeyError, RuntimeError) as error:
-        raise InputError(
-            f"{path}: is not a results file of ringwear sweep, or is damaged"
-        ) from error
+    with reading(path, SOFTWARE, WHAT) as file:
+        sizes: dict[str, int] = {}
+        ids, status, error, in_study = (
+            tuple(map(read_text, find_texts(file, name, sizes)[:]))
+            for name in ("case", "status", "error", "in_study")
+        )
+        attributes = dict(file.attrs)
+        for name in ("method", "study", "status", "coordinates"):
+            read_text(attributes[name])
+        read_number(attributes["ranks"])
+        steps = find_array(file, over_cases(HISTORIES["time"]), sizes).shape[1]
+        stored = read_array(file, OF_CASES["steps_stored"], sizes)
+        if not ((stored >= 0) & (stored <= steps)).all():
+            raise ValueError("steps_stored")
+        return Ensemble(
+            path, ids, status, error, np.array([word == "yes" for word in in_study]),
+            read_array(file, OF_CASES["seconds"], sizes), stored,
+            {name: _varied(file, name, sizes) for name in attributes["coordinates"].split()},
+            {name: read_array(file, OF_CASES[f"final_{name}"], sizes) for name in FINAL},
+            attributes,
+        )  # fmt: skip
+
+
+def _varied(file: h5py.File, name: str, sizes: dict[str, int]) -> Any:
+    """Return the values of a varied key: numbers, or texts."""
+    if path_of(name) not in BY_PATH:
+        raise ValueError(name)
+    if file[name].dtype.kind == "f":
+        return read_array(file, Variable(name, ("case",), "", ""), sizes)
+    texts = find_texts(file, name, sizes)[:]
+    for text in texts:
+        read_text(text)
+    return texts
 
 
 def open_ensemble(folder: Path | str) -> "xarray.Dataset":

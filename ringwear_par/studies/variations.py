@@ -11,7 +11,8 @@ from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.keys import override
 from ringwear_par.cases.schema import BY_PATH
 from ringwear_par.cases.suggestions import nearest_key
-from ringwear_par.cases.text import toml_value
+from ringwear_par.cases.text import shortened
+from ringwear_par.errors import legible
 
 
 @dataclass(frozen=True)
@@ -132,7 +133,7 @@ def read_variations(
     variations = []
     for key, entry in _unnested(vary).items():
         path = path_of(key)
-        said = f'{name}: vary."{key}"'
+        said = f'{name}: vary."{legible(key)}"'
         if path not in BY_PATH:
             faults.append(f"{said}: unknown key{nearest_key(path)}")
         elif path == "title":
@@ -160,7 +161,9 @@ def _unnested(vary: Mapping[str, Any]) -> dict[str, Any]:
 def _variation(said: str, key: str, entry: Any, method: str, faults: list[str]) -> Variation | None:
     path, index = split_key(key)
     if not isinstance(entry, dict) or len(entry.keys() & {"values", "linear", "log"}) != 1:
-        shown = toml_value(entry) if not isinstance(entry, dict) else "{" + ", ".join(entry) + "}"
+        shown = shortened(entry)
+        if isinstance(entry, dict):
+            shown = legible("{" + ", ".join(entry) + "}")
         faults.append(
             f"{said} = {shown}: must be {{ values = [...] }}, {{ linear = [low, high], count = n }}"
             " or { log = [low, high], count = n }"
@@ -170,16 +173,17 @@ def _variation(said: str, key: str, entry: Any, method: str, faults: list[str]) 
     values, count = entry[spacing], entry.get("count")
     unknown = entry.keys() - {spacing, "count"}
     if unknown:
-        faults.append(f"{said}: {', '.join(sorted(unknown))}: must be {spacing} and count only")
-    told = "is missing" if count is None else f"= {toml_value(count)}"
+        shown = legible(", ".join(sorted(unknown)))
+        faults.append(f"{said}: {shown}: must be {spacing} and count only")
+    told = "is missing" if count is None else f"= {shortened(count)}"
     if spacing == "values":
         if not isinstance(values, list) or not values:
-            faults.append(f"{said}: values = {toml_value(values)}: must be a list of values")
+            faults.append(f"{said}: values = {shortened(values)}: must be a list of values")
             return None
         if count is not None:
             faults.append(f"{said}: count {told}: must be absent beside values")
         return Variation(key, path, index, "values", tuple(values))
-    shown = f"{said}: {spacing} = {toml_value(values)}"
+    shown = f"{said}: {spacing} = {shortened(values)}"
     numbers = isinstance(values, list) and len(values) == 2 and all(
         isinstance(v, int | float) and not isinstance(v, bool) and abs(v) < 1e300 for v in values
     )  # fmt: skip
