@@ -7,18 +7,24 @@ other module imports it.
 import argparse
 import logging
 import os
+import re
 import sys
 import time
 import traceback
 from collections.abc import Sequence
+from dataclasses import dataclass
+from io import TextIOWrapper
 from pathlib import Path
 from typing import Any, NoReturn
 
 from ringwear_par import __version__
-from ringwear_par.errors import InputError, RingwearError
+from ringwear_par.errors import InputError, RingwearError, legible
+from ringwear_par.stopping import StopAtOnce, Stopped
 
-#: how long a rank that fails waits for the others to fail alike
+#: how long a rank that fails waits for the others to fail alike, and one that is stopped: mpirun
+#: kills a second after its signal
 GRACE_SECONDS = 10.0
+STOP_SECONDS = 0.5
 #: what plot draws if it is not told
 PANELS = "wear,penetration"
 
@@ -33,7 +39,9 @@ class _Parser(argparse.ArgumentParser):
     """A parser whose complaints are said once, not once per rank."""
 
     def error(self, message: str) -> NoReturn:
-        raise InputError(f"{message} (see {self.prog} --help; PETSc's options go behind --)")
+        raise InputError(
+            f"{legible(message, 300)} (see {self.prog} --help; PETSc's options go behind --)"
+        )
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -56,7 +64,7 @@ def _parser() -> argparse.ArgumentParser:
         )
 
     run = command("run", "compute one wear history")
-    run.add_argument("-o", "--output", type=Path, required=True, metavar="RUN.h5")
+    run.add_argument("-o", "--output", type=_path, required=True, metavar="RUN.h5")
     _add_case(run)
     run.add_argument(
         "--restart", action="store_true",
@@ -66,11 +74,11 @@ def _parser() -> argparse.ArgumentParser:
         "--overwrite", action="store_true",
         help="replace what RUN.h5 holds, an interrupted run too",
     )  # fmt: skip
-    run.add_argument("--plot", type=Path, metavar="FIG.png", help="draw the history at the end")
+    run.add_argument("--plot", type=_path, metavar="FIG.png", help="draw the history at the end")
 
     sweep = command("sweep", "compute every case of a study, or go on with it")
-    sweep.add_argument("study", type=Path, metavar="STUDY.toml", help="study file")
-    sweep.add_argument("-o", "--output", type=Path, required=True, metavar="DIR")
+    sweep.add_argument("study", type=_path, metavar="STUDY.toml", help="study file")
+    sweep.add_argument("-o", "--output", type=_path, required=True, metavar="DIR")
     sweep.add_argument(
         "--ranks-per-case", type=int, default=1, metavar="M",
         help="ranks that share a case; must divide their number (default: %(default)s)",
@@ -93,8 +101,8 @@ def _parser() -> argparse.ArgumentParser:
     )  # fmt: skip
 
     plot = command("plot", "draw the figures of the paper from result files, or those of a sweep")
-    plot.add_argument("results", type=Path, nargs="+", metavar="RUN.h5 or DIR")
-    plot.add_argument("-o", "--output", type=Path, required=True, metavar="FIG.png")
+    plot.add_argument("results", type=_path, nargs="+", metavar="RUN.h5 or DIR")
+    plot.add_argument("-o", "--output", type=_path, required=True, metavar="FIG.png")
     plot.add_argument(
         "--panels", metavar="LIST",
         help=f"any of wear, penetration, pressure, section, in this order (default: {PANELS})",
@@ -105,14 +113,14 @@ def _parser() -> argparse.ArgumentParser:
     )  # fmt: skip
 
     plot.add_argument(
-        "--profiles-of", type=Path, nargs="+", metavar="RUN.h5",
+        "--profiles-of", type=_path, nargs="+", metavar="RUN.h5",
         help="draw the profiles of these files only (default: of all)",
     )  # fmt: skip
 
     export = command("export", "write a result file for ParaView or a spreadsheet")
-    export.add_argument("result", type=Path, metavar="RUN.h5")
+    export.add_argument("result", type=_path, metavar="RUN.h5")
     export.add_argument(
-        "-o", "--output", type=Path, required=True, metavar="OUT",
+        "-o", "--output", type=_path, required=True, metavar="OUT",
         help=".vtp: contours of both bodies; .vtu: their surfaces, revolved; .csv: histories",
     )  # fmt: skip
     export.add_argument(
@@ -141,7 +149,7 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _add_case(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("case", type=Path, metavar="CASE.toml", help="case file")
+    parser.add_argument("case", type=_path, metavar="CASE.toml", help="case file")
     parser.add_argument(
         "--set", action="extend", default=[], nargs="+", dest="overrides", metavar="KEY=VALUE",
         help="override a key of the case file, such as load.pressure=50",
@@ -149,10 +157,22 @@ def _add_case(parser: argparse.ArgumentParser) -> None:
 
 
 def _slice(text: str) -> tuple[int, int]:
+    if not re.fullmatch(r"[0-9]{1,20}/[0-9]{1,20}", text):
+        raise argparse.ArgumentTypeError(f"{legible(text)}: must be I/N, such as 2/8")
     first, _, last = text.partition("/")
-    if not (first.isdecimal() and last.isdecimal() and 1 <= int(first) <= int(last)):
-        raise argparse.ArgumentTypeError(f"{text}: must be I/N with I from 1 to N, such as 2/8")
     return int(first), int(last)
+
+
+def _path(text: str) -> Path:
+    """Return a path that there is, or may be."""
+    try:
+        os.stat(text)
+    except (FileNotFoundError, NotADirectoryError):
+        pass
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or error
+        raise argparse.ArgumentTypeError(f"{legible(text)}: {reason}") from error
+    return Path(text)
 
 
 def _run(args: argparse.Namespace, comm: Any) -> None:
@@ -250,37 +270,82 @@ def _check_launch(size: int) -> None:
             )
 
 
-def _others_come(together: Any) -> bool:
-    """Wait a little for the other ranks to fail as well; they may have gone on to a collective."""
-    if together is None:
+@dataclass
+class _World:
+    """The ranks of the command: nothing is known of them before MPI is there."""
+
+    comm: Any = None
+    together: Any = None
+
+    @property
+    def first(self) -> bool:
+        """Whether this rank speaks for all."""
+        if self.comm is not None:
+            return bool(self.comm.rank == 0)
+        names = ("OMPI_COMM_WORLD_RANK", "PMI_RANK", "PMIX_RANK")
+        return all(os.environ.get(name, "0") == "0" for name in names)
+
+    def others_come(self, patience: float) -> bool:
+        """Wait a little for the other ranks to fail, too; they may be waiting in a collective."""
+        if self.together is None:
+            return True
+        request, started = self.together.Ibarrier(), time.monotonic()
+        while not request.Test():
+            if time.monotonic() - started > patience:
+                return False
+            time.sleep(0.001)
         return True
-    request, started = together.Ibarrier(), time.monotonic()
-    while not request.Test():
-        if time.monotonic() - started > GRACE_SECONDS:
-            return False
-        time.sleep(0.001)
-    return True
+
+    def end(self, told: str, status: int, patience: float) -> int:
+        """Say once why the command ends, and return its status; end ranks that still wait."""
+        alike = self.others_come(patience)
+        if self.first or not alike:
+            lines = "\n".join(f"ringwear: {line}" for line in told.splitlines())
+            print(lines, file=sys.stderr, flush=True)
+        if not alike:
+            self.comm.Abort(status)
+        return status
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run a command and return its exit status. Collective on COMM_WORLD."""
     words = list(sys.argv[1:] if argv is None else argv)
+    world, status = _World(), None
+    try:
+        with StopAtOnce() as signals:  # before anything that takes its time is imported
+            status = _main(words, world, signals)
+    except Stopped as stopped:
+        if status is None:  # else it came too late
+            return world.end(f"stopped by {stopped}{_left(words)}", 1, STOP_SECONDS)
+    return status
+
+
+def _left(words: Sequence[str]) -> str:
+    """Return what a command leaves that is stopped before it has anything to keep."""
+    if "--dry-run" in words:
+        return "; nothing written"
+    return {
+        "run": " before the first step; nothing written",
+        "sweep": " before the first case; the same command goes on",
+        "plot": "; nothing written",
+        "export": "; nothing written",
+    }.get(words[0] if words else "", "")
+
+
+def _main(words: Sequence[str], world: _World, signals: StopAtOnce) -> int:
     cut = words.index("--") if "--" in words else len(words)
 
     from mpi4py import MPI
 
     from ringwear_par.options import start_petsc
 
-    comm = MPI.COMM_WORLD
-    together = comm.Dup() if comm.size > 1 else None
-    logging.basicConfig(
-        format="ringwear: %(message)s",
-        level=logging.INFO if comm.rank == 0 else logging.ERROR,
-        stream=sys.stderr,
-    )
-    logging.getLogger("matplotlib").setLevel(logging.WARNING)
+    world.comm = comm = MPI.COMM_WORLD
+    world.together = comm.Dup() if comm.size > 1 else None
+    _start_logging(comm.rank)
     if comm.rank > 0:  # --help and --version are for one rank to print
         sys.stdout = open(os.devnull, "w")  # noqa: SIM115
+    elif isinstance(sys.stdout, TextIOWrapper):  # any title can be printed
+        sys.stdout.reconfigure(errors="backslashreplace")
     try:
         args = _parser().parse_args(words[:cut])
         _check_launch(comm.size)
@@ -289,21 +354,29 @@ def main(argv: Sequence[str] | None = None) -> int:
         sys.stdout.flush()
         return 0
     except RingwearError as error:
-        alike = _others_come(together)
-        if comm.rank == 0 or not alike:
-            told = "\n".join(f"ringwear: {line}" for line in str(error).splitlines())
-            print(told, file=sys.stderr, flush=True)
-        if not alike:
-            comm.Abort(error.exit_status)
-        return error.exit_status
-    except KeyboardInterrupt:
-        return 130
+        signals.check()  # which may be what has made something fail
+        return world.end(str(error), error.exit_status, GRACE_SECONDS)
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 1
     except Exception:
+        signals.check()
         traceback.print_exc()
         sys.stderr.flush()
         if comm.size > 1:  # the other ranks would wait for this one for ever
             comm.Abort(1)
         return 1
+
+
+class _OneLine(logging.Formatter):
+    """Messages on one line, with what would not be seen escaped."""
+
+    def formatMessage(self, record: logging.LogRecord) -> str:  # noqa: N802
+        return legible(super().formatMessage(record), 1000)
+
+
+def _start_logging(rank: int) -> None:
+    handler = logging.StreamHandler(sys.stderr)
+    handler.setFormatter(_OneLine("ringwear: %(message)s"))
+    logging.basicConfig(level=logging.INFO if rank == 0 else logging.ERROR, handlers=[handler])
+    logging.getLogger("matplotlib").setLevel(logging.WARNING)

@@ -2,10 +2,18 @@
 
 import ctypes
 import difflib
-from collections.abc import Sequence
+import itertools
+import os
+import re
+import sys
+import tempfile
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
 from typing import TYPE_CHECKING
 
-from ringwear_par.errors import InputError
+from ringwear_par.errors import InputError, legible
+from ringwear_par.textfiles import read_text
 
 if TYPE_CHECKING:
     from ringwear_par.petsc import PETSc
@@ -18,10 +26,71 @@ def start_petsc(words: Sequence[str]) -> None:
     """Start PETSc with options of a command line. Collective on the world's communicator.
 
     Signals stay Python's own: checkpoints on SIGTERM, quiet ends of pipes.
+
+    Raises
+    ------
+    InputError : they are no options, or PETSc does not accept them.
     """
+    _refuse_words(words)
     import petsc4py
 
-    petsc4py.init(["ringwear", "-no_signal_handler", *words])
+    with _listening() as heard:
+        try:
+            petsc4py.init(["ringwear", *words, "-no_signal_handler"])
+            failure = None
+        except RuntimeError as error:  # what PETSc's own are
+            failure = error
+    if failure is not None:
+        reason = _reason(heard[0]) or str(failure)
+        raise InputError(f"-- {legible(' '.join(words))}: PETSc does not accept it: {reason}")
+    sys.stderr.write(heard[0])
+
+
+def _refuse_words(words: Sequence[str]) -> None:
+    """Refuse what is neither an option nor the value of one, and a file of options that is none."""
+    before = ""
+    for word in words:
+        if re.match(r"--?[A-Za-z]", word) and word not in ("-inf", "-nan"):
+            before = word
+        elif not before:
+            raise InputError(
+                f"-- {legible(word)}: must be an option of PETSc, such as -contact_tao_monitor, "
+                "and the value of one behind it"
+            )
+        else:
+            if before == "-options_file":
+                try:
+                    read_text(Path(word))
+                except InputError as error:
+                    raise InputError(f"-options_file {error}") from error
+            before = ""
+
+
+@contextmanager
+def _listening() -> Iterator[list[str]]:
+    """Keep what C code says on standard error, whose text is in the list afterwards."""
+    heard: list[str] = []
+    sys.stderr.flush()
+    with tempfile.TemporaryFile() as file:
+        kept = os.dup(2)
+        try:
+            os.dup2(file.fileno(), 2)
+            yield heard
+        finally:
+            os.dup2(kept, 2)
+            os.close(kept)
+            file.seek(0)
+            heard.append(file.read().decode(errors="replace"))
+
+
+def _reason(said: str) -> str:
+    """Return what PETSc's report of an error says of it, "" if it does not."""
+    lines = [line.partition("PETSC ERROR: ")[2] for line in said.splitlines()]
+    start = next((i for i, line in enumerate(lines) if "Error Message" in line), len(lines))
+    told = itertools.takewhile(
+        lambda line: line and not line.startswith(("WARNING!", "See ")), lines[start + 1 :]
+    )
+    return ": ".join(told)
 
 
 def set_from_options(solver: "PETSc.KSP | PETSc.TAO", prefix: str) -> None:

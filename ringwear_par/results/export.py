@@ -11,13 +11,14 @@ import numpy as np
 
 from ringwear_par.arrays import FloatArray, IntArray
 from ringwear_par.atomic import atomic_write, check_writable
+from ringwear_par.cases.text import shortened
 from ringwear_par.elasticity.boundary_fields import BoundaryFields, BoundaryState
 from ringwear_par.errors import InputError
 from ringwear_par.results.files import result_of
 from ringwear_par.results.result import Result
 from ringwear_par.results.variables import HISTORIES, PROFILES, Variable
 
-SEGMENTS = 72
+SEGMENTS, _MOST_SEGMENTS = 72, 3600
 _ENDINGS = (".vtp", ".vtu", ".csv")
 
 
@@ -95,8 +96,11 @@ def check_export(
     check_writable(output)
     if fields and ending != ".csv":
         raise InputError(f"--fields: {output} is no table; must be absent but for .csv")
-    if segments is not None and (ending != ".vtu" or segments < 3):
-        raise InputError(f"--revolve {segments}: must be at least 3, and for .vtu only")
+    if segments is not None and (ending != ".vtu" or not 3 <= segments <= _MOST_SEGMENTS):
+        raise InputError(
+            f"--revolve {shortened(segments)}: must be from 3 to {_MOST_SEGMENTS}, and for .vtu "
+            "only"
+        )
     for name, value in (("--time", time), ("--scale", scale)):
         if value is not None and (ending == ".csv" or not np.isfinite(value)):
             raise InputError(f"{name} {value:g}: must be a number, and for .vtp and .vtu only")

@@ -1,6 +1,7 @@
 """Figures from stored results: worn profiles, histories, pressure profiles, deformed sections."""
 
 import math
+import re
 from collections.abc import Callable, Iterable, Sequence
 from functools import partial
 from pathlib import Path
@@ -17,9 +18,11 @@ from ringwear_par.atomic import atomic_write, check_writable
 from ringwear_par.cases.case import Output
 from ringwear_par.cases.keys import read_keys
 from ringwear_par.cases.schema import UNITS
+from ringwear_par.cases.text import shortened
+from ringwear_par.cases.values import is_number
 from ringwear_par.elasticity.boundary_fields import FACES, BoundaryFields
 from ringwear_par.elasticity.mesh import ContactLine, node_wear
-from ringwear_par.errors import InputError
+from ringwear_par.errors import InputError, legible
 from ringwear_par.results.export import choose_state
 from ringwear_par.results.files import result_of
 from ringwear_par.results.result import FailedResult, Result
@@ -150,8 +153,8 @@ def _drawn_panels(
                 drawings.append(partial(_section, result=result, label=label))
         else:
             raise InputError(
-                f"--panels {','.join(panels)}: {panel!r} must be one of wear, penetration, "
-                "pressure, section"
+                f"--panels {legible(','.join(panels))}: {legible(panel)!r} must be one of wear, "
+                "penetration, pressure, section"
             )
     columns = min(len(drawings), _COLUMNS)
     lines = -(-len(drawings) // columns)
@@ -199,10 +202,10 @@ def _rows(result: Result, steps: str) -> list[int]:
         return sorted({int(np.abs(time - t).argmin()) for t in wished})
     rows = []
     for word in steps.split(","):
-        if not word.strip().isdecimal() or int(word) not in stored:
+        if not re.fullmatch(r"\s*[0-9]{1,18}\s*", word) or int(word) not in stored:
             raise InputError(
-                f"--steps {steps}: {word!r} is not a stored step of {result.name}; "
-                f"must be among 0..{last} as stored (output.every)"
+                f"--steps {legible(steps)}: {legible(word)!r} is not a stored step of "
+                f"{result.name}; must be among 0..{last} as stored (output.every)"
             )
         rows.append(int(np.flatnonzero(stored == int(word))[0]))
     return rows
@@ -236,8 +239,8 @@ def _labels(results: Sequence[Result]) -> list[str]:
     units = [f" {UNITS[path]}" if UNITS[path] not in ("-", "1") else "" for path in paths]
     return [
         ", ".join(
-            f"{name} = {case[path]:g}{unit}" if not isinstance(case[path], str | list | bool)
-            else f"{name} = {case[path]}"
+            f"{name} = {case[path]:g}{unit}" if is_number(case[path])
+            else f"{name} = {shortened(case[path])}"
             for name, path, unit in zip(names, paths, units, strict=True)
         )
         for case in cases

@@ -28,8 +28,9 @@ from ringwear_par.results.files import open_result, read_error, read_status
 from ringwear_par.results.progress import Progress
 from ringwear_par.results.recorder import Recorder
 from ringwear_par.results.result import Result
-from ringwear_par.results.watch import StopSignals, Watch
+from ringwear_par.results.watch import Watch
 from ringwear_par.results.writing import write_result
+from ringwear_par.stopping import StopSignals
 
 log = logging.getLogger(__name__)
 
@@ -95,36 +96,45 @@ def run_case(
         recorder.seconds_output += time.perf_counter() - begun
         return result
 
-    with StopSignals() as signals, ExitStack() as at_end:
-        watch = Watch(signals, save, comm)
-        observers: list[Observer] = [recorder, _check_options, watch]
-        if comm.rank == 0:
-            since = 0.0 if recorder.start is None else recorder.start.state.time
-            observers.append(at_end.enter_context(closing(Progress(since, case.time.end))))
-        try:
-            simulate(case, comm, start=recorder.start, observers=observers)
-        except UnfitError as error:
-            raise InputError(*(f"{path}: {fault}" for fault in error.faults)) from error
-        except InputError:
-            raise
-        except RingwearError as error:
-            if recorder.last is None or recorder.last.step is None:
+    signals = StopSignals()
+    with ExitStack() as noting:
+
+        def note_signals(snapshot: Snapshot) -> bool:
+            """Stop after a step, not at once, as soon as there is a state: an observer."""
+            if not signals.noted:
+                noting.enter_context(signals)
+            return False
+
+        with ExitStack() as at_end:
+            watch = Watch(signals, save, comm)
+            observers: list[Observer] = [recorder, note_signals, _check_options, watch]
+            if comm.rank == 0:
+                since = 0.0 if recorder.start is None else recorder.start.state.time
+                observers.append(at_end.enter_context(closing(Progress(since, case.time.end))))
+            try:
+                simulate(case, comm, start=recorder.start, observers=observers)
+            except UnfitError as error:
+                raise InputError(*(f"{path}: {fault}" for fault in error.faults)) from error
+            except InputError:
                 raise
-            save(str(error))
-            raise ComputationError(f"{error}; {output} holds the steps before it") from error
-        result = save()
-    if comm.rank == 0:
-        print(result.summary())
-        start_up = max(seconds_since_start() - (time.perf_counter() - started), 0.0)
-        print(_times(recorder.seconds(), start_up, loading, recorder.kernel_evaluations()))
-    last = recorder.last
-    if last is not None and not last.finished:
-        raise ComputationError(
-            f"stopped by {watch.signal_name} after step {last.progress.steps} "
-            f"{_progress(case, last.state.time)}; {output} holds them, and the same "
-            "command with --restart continues"
-        )
-    return _draw(output, figure, comm)
+            except RingwearError as error:
+                if recorder.last is None or recorder.last.step is None:
+                    raise
+                save(str(error))
+                raise ComputationError(f"{error}; {output} holds the steps before it") from error
+            result = save()
+        if comm.rank == 0:
+            print(result.summary())
+            start_up = max(seconds_since_start() - (time.perf_counter() - started), 0.0)
+            print(_times(recorder.seconds(), start_up, loading, recorder.kernel_evaluations()))
+        last = recorder.last
+        if last is not None and not last.finished:
+            raise ComputationError(
+                f"stopped by {watch.signal_name} after step {last.progress.steps} "
+                f"{_progress(case, last.state.time)}; {output} holds them, and the same "
+                "command with --restart continues"
+            )
+        return _draw(output, figure, comm)
 
 
 def _check_options(snapshot: Snapshot) -> bool:

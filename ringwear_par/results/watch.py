@@ -1,43 +1,20 @@
 """Observers that stop a history on a signal and write checkpoints on the way."""
 
 import logging
-import signal
 import time
 from collections.abc import Callable
-from types import FrameType
-from typing import Any
 
 import numpy as np
 from mpi4py import MPI
 
 from ringwear_par.errors import ComputationError
 from ringwear_par.history.snapshots import Snapshot
+from ringwear_par.stopping import StopSignals, name_of
 
 log = logging.getLogger(__name__)
 
 #: wall seconds between checkpoints
 CHECKPOINT_SECONDS = 30.0
-_SIGNALS = (signal.SIGTERM, signal.SIGUSR1, signal.SIGINT)
-
-
-class StopSignals:
-    """Notes signals that ask to stop, instead of dying of them; a context manager."""
-
-    def __init__(self) -> None:
-        self.received = 0
-        self._old: dict[int, Any] = {}
-
-    def __enter__(self) -> "StopSignals":
-        for number in _SIGNALS:
-            self._old[number] = signal.signal(number, self._receive)
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        for number, handler in self._old.items():
-            signal.signal(number, signal.SIG_DFL if handler is None else handler)
-
-    def _receive(self, number: int, frame: FrameType | None) -> None:
-        self.received = number
 
 
 class Watch:
@@ -59,7 +36,7 @@ class Watch:
     @property
     def signal_name(self) -> str:
         """Name of the signal that stopped the history."""
-        return signal.Signals(self.agreed).name
+        return name_of(self.agreed)
 
     def __call__(self, snapshot: Snapshot) -> bool:
         """Return whether to stop after this state. Collective."""

@@ -20,6 +20,8 @@ from ringwear_par.studies.study import Study
 
 log = logging.getLogger(__name__)
 
+_MOST_SLICES = 100_000
+
 
 @dataclass(frozen=True)
 class Request:
@@ -54,6 +56,13 @@ class Request:
         ------
         InputError : with what is allowed.
         """
+        if self.part is not None:
+            number, count = self.part
+            if not 1 <= number <= count <= _MOST_SLICES:
+                raise InputError(
+                    f"--slice {number}/{count}: must be I/N with I from 1 to N, and N at most "
+                    f"{_MOST_SLICES}"
+                )
         m = self.ranks_per_case
         if m < 1 or self.ranks % m:
             sizes = ", ".join(str(d) for d in range(1, self.ranks + 1) if self.ranks % d == 0)

@@ -8,7 +8,6 @@ drawn.
 
 import logging
 import resource
-import signal
 import time
 from collections.abc import Mapping
 from contextlib import ExitStack
@@ -25,7 +24,7 @@ from ringwear_par.history.limits import check_ranks
 from ringwear_par.info import versions
 from ringwear_par.parallel import on_first_rank, warn_of_threads
 from ringwear_par.results.progress import SweepProgress
-from ringwear_par.results.watch import StopSignals
+from ringwear_par.stopping import StopSignals, name_of
 from ringwear_par.studies.dataset import RESULTS, TABLE, Row, write_ensemble
 from ringwear_par.studies.ensemble import read_ensemble
 from ringwear_par.studies.estimate import estimate
@@ -221,7 +220,7 @@ def _trouble(
         return ComputationError(f"{troubles[0]}; {ended}, and the same command goes on")
     if summary.done + summary.failed < summary.total:
         on_first_rank(comm, lambda: plan.store.stopped.touch())
-        name = signal.Signals(received).name if received else "a team"
+        name = name_of(received) if received else "a team"
         return ComputationError(
             f"stopped by {name}, incomplete: {ended}, and the same command goes on"
         )

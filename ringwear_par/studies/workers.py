@@ -20,8 +20,9 @@ from ringwear_par.results.files import open_result
 from ringwear_par.results.progress import SweepProgress
 from ringwear_par.results.recorder import Recorder
 from ringwear_par.results.result import Result
-from ringwear_par.results.watch import StopSignals, Watch
+from ringwear_par.results.watch import Watch
 from ringwear_par.results.writing import write_result
+from ringwear_par.stopping import StopSignals
 from ringwear_par.studies.lending import SolverLender
 from ringwear_par.studies.operators import (
     StorageError,

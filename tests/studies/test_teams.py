@@ -10,7 +10,7 @@ from swept import CASE, table, write_study
 
 from ringwear_par.errors import ComputationError
 from ringwear_par.history.model import WearModel
-from ringwear_par.results.watch import StopSignals
+from ringwear_par.stopping import StopSignals
 from ringwear_par.studies import operators, workers
 from ringwear_par.studies.scheduling import Scheduler
 from ringwear_par.studies.sweep import sweep

@@ -1,0 +1,110 @@
+"""Signals that ask to stop: at once while there is nothing to keep, later after a step."""
+
+import os
+import signal
+import sys
+import time
+from types import FrameType
+from typing import Any
+
+SIGNALS = (signal.SIGTERM, signal.SIGUSR1, signal.SIGINT, signal.SIGHUP)
+#: after so long a signal is another wish, not the same one told twice
+_AGAIN_SECONDS = 1.0
+#: how long to wait until what cannot be stopped is over
+_LATER_SECONDS = 0.05
+
+
+def name_of(number: int) -> str:
+    """Return the name of a signal as messages tell it: of what a user sent, if that is known."""
+    name = signal.Signals(number).name
+    if number == signal.SIGTERM and "OMPI_COMM_WORLD_SIZE" in os.environ:
+        return f"{name} (mpirun's word for Ctrl-C and SIGHUP, too)"
+    return name
+
+
+class Stopped(BaseException):
+    """A signal asks to stop, and there is nothing to bring to an end first.
+
+    Parameters
+    ----------
+    number : of the signal.
+    """
+
+    def __init__(self, number: int) -> None:
+        super().__init__(name_of(number))
+        self.number = number
+
+
+class _Signals:
+    """Takes signals over; a context manager. One that is ignored stays so, as nohup wants it."""
+
+    def __init__(self) -> None:
+        #: the last signal received, or 0
+        self.received = 0
+        self._old: dict[int, Any] = {}
+
+    @property
+    def noted(self) -> bool:
+        """Whether signals are taken over."""
+        return bool(self._old)
+
+    def __enter__(self) -> Any:
+        for number in SIGNALS:
+            if number != signal.SIGHUP or signal.getsignal(number) != signal.SIG_IGN:
+                self._old[number] = signal.signal(number, self._receive)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        for number, handler in self._old.items():
+            signal.signal(number, signal.SIG_DFL if handler is None else handler)
+
+    def _receive(self, number: int, frame: FrameType | None) -> None:
+        self.received = number
+
+
+class StopSignals(_Signals):
+    """Notes signals that ask to stop, instead of dying of them; a context manager."""
+
+
+class StopAtOnce(_Signals):
+    """Turns signals that ask to stop into ``Stopped``; a context manager."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._time = 0.0
+        self._hook = sys.unraisablehook
+
+    def __enter__(self) -> Any:
+        sys.unraisablehook = self._unraisable
+        return super().__enter__()
+
+    def __exit__(self, *_: object) -> None:
+        if signal.SIGALRM in self._old:
+            signal.setitimer(signal.ITIMER_REAL, 0.0)
+        super().__exit__()
+        sys.unraisablehook = self._hook
+        if self.received:  # the program ends: without a traceback if it is told so again
+            signal.signal(signal.SIGINT, signal.SIG_DFL)
+
+    def check(self) -> None:
+        """Raise Stopped if a signal has come; what it ended may have raised something else."""
+        if self.received:
+            raise Stopped(self.received)
+
+    def _receive(self, number: int, frame: FrameType | None) -> None:
+        now = time.monotonic()
+        if not self.received or now - self._time > _AGAIN_SECONDS:
+            self.received, self._time = number, now
+            raise Stopped(number)
+
+    def _receive_again(self, number: int, frame: FrameType | None) -> None:
+        raise Stopped(self.received)
+
+    def _unraisable(self, unraisable: "sys.UnraisableHookArgs") -> None:
+        """Stop a little later where it came while an object was taken down, which ends nothing."""
+        if isinstance(unraisable.exc_value, Stopped):
+            old = signal.signal(signal.SIGALRM, self._receive_again)
+            self._old.setdefault(signal.SIGALRM, old)
+            signal.setitimer(signal.ITIMER_REAL, _LATER_SECONDS)
+        else:
+            self._hook(unraisable)
