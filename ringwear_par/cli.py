@@ -12,7 +12,6 @@ import sys
 import time
 import traceback
 from collections.abc import Sequence
-from dataclasses import dataclass
 from io import TextIOWrapper
 from pathlib import Path
 from typing import Any, NoReturn
@@ -270,12 +269,13 @@ def _check_launch(size: int) -> None:
             )
 
 
-@dataclass
 class _World:
     """The ranks of the command: nothing is known of them before MPI is there."""
 
-    comm: Any = None
-    together: Any = None
+    def __init__(self) -> None:
+        self.comm: Any = None
+        #: a communicator of their own, to fail together
+        self.together: Any = None
 
     @property
     def first(self) -> bool:

@@ -17,12 +17,18 @@ from ringwear_par.cases.schema import BY_PATH
 from ringwear_par.cases.suggestions import nearest_key
 from ringwear_par.cases.text import shortened, toml_value
 from ringwear_par.errors import InputError, legible
-from ringwear_par.studies.variations import Variation, has_entry, is_whole, path_of, read_variations
+from ringwear_par.studies.variations import (
+    MOST_CASES,
+    Variation,
+    has_entry,
+    is_whole,
+    path_of,
+    read_variations,
+)
 from ringwear_par.textfiles import parse_toml, parse_value, read_text, refuse_depth
 
 METHODS = ("grid", "sobol", "latin-hypercube", "random", "list")
 SAMPLED = ("sobol", "latin-hypercube", "random")
-_MOST_CASES = 10**7
 #: faults of a table told one by one
 _FAULTS_TOLD = 5
 
@@ -155,10 +161,10 @@ def design_faults(name: str, design: Mapping[str, Any], method: str) -> list[str
             )
     if method in SAMPLED:
         count, seed = design.get("count"), design.get("seed", 0)
-        if not (isinstance(count, int) and is_whole(count) and 1 <= count <= _MOST_CASES):
+        if not (isinstance(count, int) and is_whole(count) and 1 <= count <= MOST_CASES):
             said = "is missing" if count is None else f"= {shortened(count)}"
             faults.append(
-                f"{name}: design.count {said}: must be a whole number from 1 to {_MOST_CASES}"
+                f"{name}: design.count {said}: must be a whole number from 1 to {MOST_CASES}"
             )
         if not is_whole(seed) or seed < 0:
             faults.append(f"{name}: design.seed = {shortened(seed)}: must be a whole number >= 0")
@@ -182,8 +188,8 @@ def drawn_rows(
     if method == "grid":
         values = [v.grid() for v in variations]
         count = math.prod(map(len, values))
-        if count > _MOST_CASES:
-            raise InputError(f"{name}: the grid has {count} cases; must be at most {_MOST_CASES}")
+        if count > MOST_CASES:
+            raise InputError(f"{name}: the grid has {count} cases; must be at most {MOST_CASES}")
         return list(itertools.product(*values))
     from scipy.stats import qmc  # slow to import, and not needed to draw a figure
 

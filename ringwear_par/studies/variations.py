@@ -14,6 +14,9 @@ from ringwear_par.cases.suggestions import nearest_key
 from ringwear_par.cases.text import shortened
 from ringwear_par.errors import legible
 
+#: of a design
+MOST_CASES = 10**7
+
 
 @dataclass(frozen=True)
 class Variation:
@@ -193,8 +196,10 @@ def _variation(said: str, key: str, entry: Any, method: str, faults: list[str]) 
     if spacing == "log" and values[0] <= 0:
         faults.append(f"{shown}: must be two increasing numbers > 0")
         return None
-    if method == "grid" and not (isinstance(count, int) and is_whole(count) and count >= 2):
-        faults.append(f"{said}: count {told}: must be a whole number >= 2 in a grid")
+    if method == "grid" and not (is_whole(count) and 2 <= count <= MOST_CASES):
+        faults.append(
+            f"{said}: count {told}: must be a whole number from 2 to {MOST_CASES} in a grid"
+        )
         return None
     if method != "grid" and count is not None:
         faults.append(

@@ -189,7 +189,7 @@ def test_without_pyevtk(runs, tmp_path, monkeypatch):
         (["run.h5", "-o", "{}/a.csv", "--time", "10"], "--time 10: must be"),
         (["run.h5", "-o", "{}/a.csv", "--scale", "10"], "--scale 10: must be"),
         (["run.h5", "-o", "{}/a.vtp", "--revolve", "10"], "for .vtu only"),
-        (["run.h5", "-o", "{}/a.vtu", "--revolve", "2"], "must be at least 3"),
+        (["run.h5", "-o", "{}/a.vtu", "--revolve", "2"], "must be from 3 to 3600"),
         (["run.h5", "-o", "{}/a.vtu", "--fields"], "--fields"),
         (["plain.h5", "-o", "{}/a.vtu"], "output.boundary"),
     ],

@@ -1,0 +1,578 @@
+"""Damaged and malicious input: whatever it is, readers end in a sentence or read it.
+
+    python scripts/fuzz.py [--count 1000] [--seed 1] [--only NUMBER]
+
+Mutates cases, studies, tables, result files, results of sweeps, and command lines, and reads each
+in a process of its own; one of ``EVERY`` through the real command. Counts tracebacks, hangs
+(``CPU_SECONDS`` of work), crashes, sentences that are none, and files written or changed by what
+was refused; ends with status 1 if there is one of them.
+
+Files without their seal are told apart: those are for the HDF5 library alone to find out, which
+crashes of some, or never ends.
+"""
+
+import argparse
+import itertools
+import json
+import os
+import random
+import resource
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+import traceback
+import warnings
+from collections import Counter
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+
+import h5py
+import matplotlib
+import numpy as np
+
+from ringwear_par import cli
+from ringwear_par.atomic import check_writable
+from ringwear_par.cases.reading import read_case
+from ringwear_par.errors import InputError, RingwearError
+from ringwear_par.history.limits import check_case
+from ringwear_par.options import _refuse_words
+from ringwear_par.results.export import export
+from ringwear_par.results.figures import plot_files
+from ringwear_par.results.files import open_result, read_error, read_status
+from ringwear_par.results.reading import seal
+from ringwear_par.results.writing import write_result
+from ringwear_par.studies.dataset import read_entries, read_records
+from ringwear_par.studies.ensemble import read_ensemble
+from ringwear_par.studies.figures import plot_sweep
+from ringwear_par.studies.study import read_study
+
+CASES = Path(__file__).parent / "cases"
+SMALL = ["--set", "mesh.contact_elements=8", "time.steps=4"]
+#: an input that takes longer hangs
+CPU_SECONDS, WALL_SECONDS = 10, 100
+_MEMORY_BYTES = 6 * 2**30
+#: one of so many inputs goes through the real command
+EVERY = 20
+#: nothing else that users have may take longer, or is drawn that often
+_DRAWN = 0.15
+
+DEEP = "[" * 2000 + "]" * 2000
+NUMBERS = [
+    "0", "-0.0", "-1", "1e400", "-1e400", "nan", "inf", "1e308", "1e-308", "5e-324", "1" * 5000,
+    "1" * 4000, "0x" + "f" * 5000, "1e15", "999999999999", "1_000", "0b1", "2", "0.5", "1e5",
+]  # fmt: skip
+VALUES = [
+    *NUMBERS, DEEP, "[]", "{}", "true", "1979-05-27T07:32:00Z", "07:32:00", '""', "[1, 2, 3]",
+    '"' + "x" * 100_000 + '"', '"\\u0000"', '"a\\u0000b.py"', '"\\u001b[2J"', '"\\u202e"', "[nan]",
+    '"$x_$"', '"../../etc/passwd"', '"/dev/null"', '"."', '"threshold"', '"user"', '"adaptive"',
+    '"' + "d/" * 3000 + '"', "[[0, 1], [0, 2]]", "[[0, 1], [1, [2]]]", "{ r = 3 }", '["a"]',
+    "{ a = { b = 1 } }", "{ r = [[1, 2], [3, 4]] }", "[" + "1, " * 3000 + "1]", "'''\n'''",
+    "[[0, nan], [inf, 2]]", "{ linear = [1, 2], count = 3 }", "{ values = [] }",
+    "{ log = [0, 1], count = 2 }", "{ linear = [1, 2], count = 100000000000000000000 }",
+    "{ values = [[1], {a = 2}, nan] }",
+]  # fmt: skip
+PIECES = [
+    "\0", "\x1b[31m", "\ufeff", "\u2028", "\u202e", "\r", "\n\n", "=", '"', "'''", "[", "]", "[[",
+    "#", "{", "}", ",", ";", "\t", "\x7f", "a" * 200_000, ".".join("a" * 1500), "é", "\U0001f600",
+    "\\",
+]  # fmt: skip
+TEXTS = [
+    "", "$x_$", "a" * 50_000, "\x1b[2J", "line\nline", "nan", "{}", "[1]", "null", "[[[", DEEP,
+    '{"lower": 1}', "\u202e", "complete", "incomplete", "case", "time", "[wear", '["a\\ud800"]',
+    "\udc80",
+]  # fmt: skip
+WORDS = [
+    *NUMBERS, "\udcff", "x" * 5000, "x" * 100_000, "a=b", "=", "-", "--", "--nope", "foo", ".", "/",
+    "/dev/null", "/proc/self/mem", "1/" + "9" * 20, "1/" + "9" * 5000, "0/0", "2/1", "\x1b[2J",
+    "a\nb", "-options_file", "-foo", "nowhere.h5", "", " ", "é", "run.h5", "paper.toml", "lower=3",
+    "load.pressure=" + DEEP, "title='''\n'''", "=1", "..=2", "wear=1", "a.b.c=[1", "99999999",
+    'title="\\u0000"', "wear.lower.file=\udcff", "time.steps=" + "9" * 5000,
+]  # fmt: skip
+
+
+def mutated_text(rng: random.Random, text: str) -> bytes:
+    """Return a text with some things wrong, or with none of it."""
+    for _ in range(rng.choice([1, 1, 1, 2, 5])):
+        lines = text.split("\n")
+        kind = rng.randrange(10)
+        at = rng.randrange(len(lines))
+        if kind < 4:  # another value
+            named = [n for n, line in enumerate(lines) if "=" in line and not line.startswith("#")]
+            if named:
+                at = rng.choice(named)
+                key = lines[at].partition("=")[0]
+                lines[at] = f"{key}= {rng.choice(VALUES)}"
+        elif kind == 4:  # another key
+            key = rng.choice(
+                [".".join("a" * 1200), "x" * 90_000, '"\\u001b"', '""', "wear.lower.k"]
+            )
+            lines.insert(at, f"{key} = {rng.choice(VALUES)}")
+        elif kind == 5:
+            lines.insert(at, lines[rng.randrange(len(lines))])
+        elif kind == 6:
+            del lines[at]
+        elif kind == 7:
+            lines.insert(at, f"[{rng.choice(['lower', 'vary', 'a.b', 'wear.lower', 'x' * 999])}]")
+        elif kind == 8:
+            place = rng.randrange(len(lines[at]) + 1)
+            lines[at] = lines[at][:place] + rng.choice(PIECES) + lines[at][place:]
+        else:
+            lines[at] = "".join(rng.choice([c, c, c, rng.choice(PIECES)[:1]]) for c in lines[at])
+        text = "\n".join(lines) or "x"
+    content = text.encode(errors="surrogateescape")
+    if rng.random() < 0.1:
+        content = mutated_bytes(rng, content)
+    return content
+
+
+def mutated_table(rng: random.Random, text: str) -> bytes:
+    """Return a table of comma-separated values with some cells wrong."""
+    rows = [line.split(",") for line in text.splitlines()]
+    for _ in range(rng.choice([1, 1, 3])):
+        row = rng.choice(rows)
+        kind, at = rng.randrange(6), rng.randrange(len(row))
+        if kind < 3:
+            cells = [*VALUES, *PIECES, '"' + "1" * 200_000 + '"', '"', "wear.lower.law", "a;b"]
+            row[at] = rng.choice(cells)
+        elif kind == 3:
+            row.insert(at, rng.choice(NUMBERS))
+        elif kind == 4 and len(row) > 1:
+            del row[at]
+        else:
+            rows.append(list(row))
+    content = "\n".join(map(",".join, rows)).encode(errors="surrogateescape")
+    return mutated_bytes(rng, content) if rng.random() < 0.1 else content
+
+
+def mutated_bytes(rng: random.Random, content: bytes) -> bytes:
+    """Return bytes, damaged as disks and transfers do it."""
+    data, kind = bytearray(content), rng.randrange(7)
+    at = rng.randrange(len(data))
+    if kind < 3:
+        data[at] ^= 1 << rng.randrange(8)
+    elif kind == 3:
+        for _ in range(rng.choice([2, 8, 32])):
+            data[rng.randrange(len(data))] = rng.choice([0, 255, rng.randrange(256)])
+    elif kind == 4:
+        size = rng.choice([8, 64, 512, 4096])
+        data[at : at + size] = bytes(len(data[at : at + size]))
+    elif kind == 5:
+        del data[at:]
+    else:
+        data[at:at] = rng.randbytes(rng.choice([1, 8, 4096]))
+    return bytes(data)
+
+
+def edited(rng: random.Random, path: Path) -> None:
+    """Change a file as a program can that writes HDF5."""
+    with h5py.File(path, "r+") as file:
+        places = [file]
+        file.visititems(lambda _, item: places.append(item))
+        for _ in range(rng.choice([1, 1, 3])):
+            item = rng.choice(places)
+            with suppress(Exception):  # the item is gone, or cannot be that
+                if item.attrs and rng.random() < (0.8 if item == file else 0.3):
+                    _edit_attribute(rng, item)
+                elif isinstance(item, h5py.Dataset):
+                    _edit_dataset(rng, item)
+                elif item.name != "/":
+                    del item.parent[item.name]
+    if rng.random() < 0.5:
+        seal(path)
+
+
+def _edit_attribute(rng: random.Random, item: h5py.HLObject) -> None:
+    name = rng.choice(sorted(item.attrs))
+    if rng.random() < 0.2:
+        del item.attrs[name]
+        return
+    values = [
+        *TEXTS, np.nan, np.inf, -1, 0, 2**62, 1e308, np.bytes_(b"\xff"), np.zeros(3), True, 1j,
+        h5py.Empty("f"), np.array(["a", "b"], dtype=object), np.float32(3),
+    ]  # fmt: skip
+    item.attrs[name] = rng.choice(values)
+
+
+def _edit_dataset(rng: random.Random, item: h5py.Dataset) -> None:
+    group, name, values = item.parent, item.name.rpartition("/")[2], item[()]
+    kind = rng.randrange(9)
+    if kind < 3 and values.dtype.kind in "fi" and values.size:
+        flat = values.reshape(-1)
+        wrong = [0, -1, 10**9] if values.dtype.kind == "i" else [np.nan, np.inf, -1e308, -1.0]
+        flat[rng.randrange(flat.size)] = rng.choice(wrong)
+        item[()] = values
+        return
+    del group[name]
+    shape = values.shape
+    if kind == 3:
+        group.create_dataset(name, data=values[:-1])
+    elif kind == 4:
+        group.create_dataset(name, data=values[..., None])
+    elif kind == 5:  # more than there is anywhere
+        group.create_dataset(name, shape=(2**40, *shape[1:]), dtype=values.dtype, chunks=True)
+    elif kind == 6:
+        kinds = [h5py.string_dtype(), "c16", "i1", "S3", "f4", ">f8", h5py.ref_dtype]
+        group.create_dataset(name, shape=shape, dtype=rng.choice(kinds))
+    elif kind == 7:
+        links = [
+            h5py.SoftLink(f"/{name}"), h5py.SoftLink("/nowhere"), h5py.SoftLink("/"),
+            h5py.ExternalLink("/nowhere.h5", "/"), h5py.ExternalLink("/dev/null", "/x"),
+        ]  # fmt: skip
+        group[name] = rng.choice(links)
+    elif rng.random() < 0.5:
+        group.create_group(name)
+    else:
+        group.create_dataset(name, data=rng.choice([3.0, h5py.Empty("f"), b"x"]))
+
+
+# -- readers: of a folder that holds nothing but the input -----------------------------------------
+
+
+def read_a_case(folder: Path, _: random.Random) -> None:
+    path = folder / "case.toml"
+    check_case(read_case(path), 1, str(path))
+
+
+def read_a_study(folder: Path, _: random.Random) -> None:
+    study = read_study(folder / "study.toml")
+    study.case(0)
+
+
+def read_a_result(folder: Path, rng: random.Random) -> None:
+    path = folder / "run.h5"
+    read_status(path)
+    read_error(path)
+    result = open_result(path)
+    looks: list[Callable[[], object]] = [
+        result.summary, lambda: repr(result), result.variables, lambda: result.balances,
+        lambda: result.doubts, lambda: result.user_laws,
+        lambda: write_result(folder / "again.h5", result),
+        lambda: export(result, folder / "a.csv", fields=rng.random() < 0.5),
+    ]  # fmt: skip
+    if result.boundary:
+        looks.append(lambda: export(result, folder / "a.vtp"))
+        looks.append(lambda: export(path, folder / "a.vtu", time=0.0, scale=10.0))
+    if rng.random() < _DRAWN:
+        panels = "wear,penetration,pressure" + ",section" * bool(result.boundary)
+        looks.append(lambda: plot_files([path], folder / "a.png", panels))
+    _look(looks)
+
+
+def read_an_ensemble(folder: Path, rng: random.Random) -> None:
+    path = folder / "results.h5"
+    found = read_entries(path)
+    looks: list[Callable[[], object]] = [lambda: read_ensemble(folder)]
+    if found is not None:
+        looks.append(lambda: list(read_records(path, list(found))))
+    if rng.random() < _DRAWN:
+        looks.append(lambda: plot_sweep(folder, folder / "a.png"))
+    _look(looks)
+
+
+def _look(looks: list[Callable[[], object]]) -> None:
+    """Do all of it; a refusal, if any, comes last."""
+    refused = None
+    for look in looks:
+        try:
+            look()
+        except RingwearError as error:
+            refused = error
+    if refused is not None:
+        raise refused
+
+
+def read_words(folder: Path, _: random.Random) -> None:
+    words = json.loads((folder / "words.json").read_text())
+    os.chdir(folder)
+    cut = words.index("--") if "--" in words else len(words)
+    args = cli._parser().parse_args(words[:cut])
+    _refuse_words(words[cut + 1 :])
+    if "output" in args:
+        check_writable(args.output)
+    if args.command in ("run", "laws"):
+        check_case(read_case(args.case, args.overrides), 1, str(args.case))
+    elif args.command == "sweep":
+        from ringwear_par.studies.plan import Request
+
+        Request(args.output, 1, args.ranks_per_case, args.part).check()
+        read_study(args.study)
+    elif args.command == "plot":
+        plot_files(args.results, args.output, args.panels or "wear", args.steps or "")
+    elif args.command == "export":
+        export(args.result, args.output, args.time, args.revolve, args.scale, args.fields)
+
+
+# -- inputs ----------------------------------------------------------------------------------------
+
+
+class Inputs:
+    """Good input, and what is made of it.
+
+    Parameters
+    ----------
+    folder : for it.
+    """
+
+    KINDS = ("case", "study", "table", "result", "ensemble", "words", "unsealed")
+
+    def __init__(self, folder: Path) -> None:
+        self._cases = sorted(CASES.glob("*.toml"))
+        self._texts = {path: path.read_text(encoding="utf-8") for path in self._cases}
+        self._law = (CASES / "user_law.py").read_bytes()
+        self._runs = []
+        for name in ("paper", "fields", "user_law"):
+            path = folder / f"{name}.h5"
+            words = SMALL if name == "paper" else SMALL[:2]
+            _command("run", CASES / f"{name}.toml", "-o", path, *words)
+            self._runs.append(path.read_bytes())
+        text = self._texts[CASES / "paper.toml"].replace("steps = 200", "steps = 4")
+        (folder / "paper.toml").write_text(f"{text}\n[mesh]\ncontact_elements = 8\n")
+        (folder / "study.toml").write_text(
+            'case = "paper.toml"\n[vary]\n"load.pressure" = { linear = [50, 60], count = 3 }\n'
+            '"wear.lower.k" = { values = [1e-7, [[0, 1e-7], [1, 2e-7]]] }\n'
+        )
+        _command("sweep", folder / "study.toml", "-o", folder / "out")
+        self._ensemble = (folder / "out" / "results.h5").read_bytes()
+
+    def make(self, number: int, seed: int, folder: Path) -> tuple[str, list[str]]:
+        """Put an input into a folder; return its kind, and the words that read it."""
+        rng = random.Random(f"{seed} {number}")
+        kind = self.KINDS[number % len(self.KINDS)]
+        words = getattr(self, f"_make_{kind}")(rng, folder)
+        return kind, words
+
+    def _make_case(self, rng: random.Random, folder: Path) -> list[str]:
+        text = self._texts[
+            rng.choice([p for p in self._cases if p.stem not in ("study", "wear_law")])
+        ]
+        (folder / "case.toml").write_bytes(mutated_text(rng, text))
+        (folder / "user_law.py").write_bytes(self._law)
+        return ["laws", "case.toml"]
+
+    def _make_study(self, rng: random.Random, folder: Path) -> list[str]:
+        text = self._texts[CASES / rng.choice(["study.toml", "wear_law.toml"])]
+        paper = self._texts[CASES / "paper.toml"]
+        if rng.random() < 0.2:
+            (folder / "paper.toml").write_bytes(mutated_text(rng, paper))
+        else:
+            (folder / "paper.toml").write_text(paper)
+            text = mutated_text(rng, text).decode(errors="surrogateescape")
+        (folder / "study.toml").write_bytes(text.encode(errors="surrogateescape"))
+        return ["sweep", "study.toml", "-o", "out", "--dry-run"]
+
+    def _make_table(self, rng: random.Random, folder: Path) -> list[str]:
+        (folder / "paper.toml").write_text(self._texts[CASES / "paper.toml"])
+        study = 'case = "paper.toml"\n[design]\nmethod = "list"\nfile = "table.csv"\n'
+        (folder / "study.toml").write_text(study)
+        table = "load.pressure,wear.lower.k,upper.r[1]\n50,1e-7,31.5\n60,2e-7,32\n70,3e-7,32.5\n"
+        (folder / "table.csv").write_bytes(mutated_table(rng, table))
+        return ["sweep", "study.toml", "-o", "out", "--dry-run"]
+
+    def _make_result(self, rng: random.Random, folder: Path) -> list[str]:
+        path, content = folder / "run.h5", rng.choice(self._runs)
+        if rng.random() < 0.4:
+            path.write_bytes(mutated_bytes(rng, content))
+        else:
+            path.write_bytes(content)
+            edited(rng, path)
+        return rng.choice(
+            [
+                ["plot", "run.h5", "-o", "a.png", "--panels", "wear,penetration,pressure"],
+                ["export", "run.h5", "-o", "a.csv"],
+                ["run", str(CASES / "paper.toml"), "-o", "run.h5", *SMALL, "--restart"],
+            ]
+        )
+
+    def _make_unsealed(self, rng: random.Random, folder: Path) -> list[str]:
+        path, content = folder / "run.h5", rng.choice(self._runs)
+        path.write_bytes(mutated_bytes(rng, content[: content.rindex(b"\nringwear-par crc32")]))
+        return ["export", "run.h5", "-o", "a.csv"]
+
+    def _make_ensemble(self, rng: random.Random, folder: Path) -> list[str]:
+        path = folder / "results.h5"
+        if rng.random() < 0.4:
+            path.write_bytes(mutated_bytes(rng, self._ensemble))
+        else:
+            path.write_bytes(self._ensemble)
+            edited(rng, path)
+        return ["plot", ".", "-o", "a.png"]
+
+    def _make_words(self, rng: random.Random, folder: Path) -> list[str]:
+        shutil.copy(CASES / "paper.toml", folder)
+        shutil.copy(CASES / "study.toml", folder)
+        (folder / "run.h5").write_bytes(self._runs[1])
+        words = list(
+            rng.choice(
+                [
+                    ["run", "paper.toml", "-o", "a.h5", *SMALL],
+                    ["run", "paper.toml", "-o", "a.h5", *SMALL, "--", "-contact_tao_monitor"],
+                    ["sweep", "study.toml", "-o", "out", "--dry-run", "--slice", "1/2"],
+                    ["sweep", "study.toml", "-o", "out", "--dry-run", "--ranks-per-case", "1"],
+                    ["plot", "run.h5", "-o", "a.png", "--panels", "wear", "--steps", "1,2"],
+                    ["export", "run.h5", "-o", "a.vtu", "--revolve", "6", "--time", "1"],
+                    ["export", "run.h5", "-o", "a.vtp", "--scale", "2"],
+                    ["laws", "paper.toml", "--set", "wear.lower.k=2e-7"],
+                ]
+            )
+        )
+        for _ in range(rng.choice([1, 1, 2])):
+            at = rng.randrange(1, len(words))
+            if rng.random() < 0.6:
+                words[at] = rng.choice(WORDS)
+            elif rng.random() < 0.5:
+                words.insert(at, rng.choice(WORDS))
+            elif len(words) > 2:
+                del words[at]
+        words = [word for word in words if "\0" not in word]
+        (folder / "words.json").write_text(json.dumps(words))
+        return words
+
+
+def _command(*words: object) -> None:
+    subprocess.run(
+        [sys.executable, "-m", "ringwear_par", *map(str, words)], check=True, capture_output=True
+    )
+
+
+READERS = {
+    "case": read_a_case, "study": read_a_study, "table": read_a_study, "result": read_a_result,
+    "ensemble": read_an_ensemble, "words": read_words, "unsealed": read_a_result,
+}  # fmt: skip
+
+
+# -- one input in a process of its own -------------------------------------------------------------
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    """Return every file of a folder."""
+    return {str(p): p.read_bytes() for p in folder.rglob("*") if p.is_file() and not p.is_symlink()}
+
+
+def outcome(kind: str, folder: Path, words: list[str], rng: random.Random, real: bool) -> str:
+    """Return what came of an input: "read", "refused", or what is wrong with it."""
+    before = contents(folder)
+    with tempfile.TemporaryFile() as said:
+        child = os.fork()
+        if child == 0:
+            status = 3
+            try:
+                for number in (1, 2):
+                    os.dup2(said.fileno(), number)
+                resource.setrlimit(resource.RLIMIT_CPU, (CPU_SECONDS, CPU_SECONDS))
+                resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+                if real:
+                    os.chdir(folder)
+                    line = [sys.executable, "-m", "ringwear_par", *words]
+                    os.execv(
+                        sys.executable, [word.encode(errors="surrogateescape") for word in line]
+                    )
+                resource.setrlimit(resource.RLIMIT_AS, (_MEMORY_BYTES, _MEMORY_BYTES))
+                status = _read(kind, folder, rng)
+            except SystemExit as end:
+                status = int(end.code or 0)
+            except BaseException:
+                traceback.print_exc()
+            finally:
+                sys.stderr.flush()
+                os._exit(status)
+        ended = _wait(child)
+        said.seek(0)
+        text = said.read().decode(errors="replace")
+    if ended is None or (
+        os.WIFSIGNALED(ended) and os.WTERMSIG(ended) in (signal.SIGXCPU, signal.SIGKILL)
+    ):
+        return "hang"
+    if os.WIFSIGNALED(ended):
+        return f"crash: {signal.Signals(os.WTERMSIG(ended)).name}"
+    status = os.WEXITSTATUS(ended)
+    if "Traceback" in text or status not in (0, 1, 2):
+        return f"traceback: {text[-2000:]}"
+    if status == 0:
+        return "read"
+    told = [line for line in text.splitlines() if line.startswith("ringwear: ")]
+    if not told or not all(line.isprintable() and len(line) < 1100 for line in told):
+        return f"no sentence: {text[-500:]!r}"
+    if status == 1 and kind != "words" and words[0] != "run":
+        return f"status 1: {text[-500:]}"
+    if status == 2 and contents(folder) != before:
+        return f"written: {sorted(contents(folder).keys() ^ before.keys())} {told}"
+    return "refused"
+
+
+def _read(kind: str, folder: Path, rng: random.Random) -> int:
+    try:
+        READERS[kind](folder, rng)
+    except RingwearError as error:
+        if kind in ("result", "ensemble", "unsealed"):  # others of its uses may have been done
+            for path in folder.iterdir():
+                if path.name not in ("run.h5", "results.h5") and not path.name.count(".tmp"):
+                    path.unlink()
+        for line in str(error).splitlines():
+            print(f"ringwear: {line}")
+        sys.stdout.flush()
+        return 2 if isinstance(error, InputError) else 1
+    return 0
+
+
+def _wait(child: int) -> int | None:
+    """Return the status of a process, None if it had to be killed."""
+    limit = time.monotonic() + WALL_SECONDS
+    for nap in itertools.chain([0.002] * 500, itertools.repeat(0.05)):
+        ended, status = os.waitpid(child, os.WNOHANG)
+        if ended:
+            return status
+        if time.monotonic() > limit:
+            os.kill(child, signal.SIGKILL)
+            os.waitpid(child, 0)
+            return None
+        time.sleep(nap)
+    return None
+
+
+def main() -> int:
+    """Read the inputs; return 1 if one of them does what none may do."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--count", type=int, default=1000)
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--only", type=int, help="the number of one input, which is kept")
+    args = parser.parse_args()
+    matplotlib.use("agg")
+    warnings.simplefilter("ignore")
+    found: Counter[tuple[str, str]] = Counter()
+    started = time.perf_counter()
+    with tempfile.TemporaryDirectory(prefix="fuzz-") as top:
+        inputs = Inputs(Path(top))
+        numbers = range(args.count) if args.only is None else [args.only]
+        for number in numbers:
+            folder = Path(top) / f"{number:06d}"
+            folder.mkdir()
+            kind, words = inputs.make(number, args.seed, folder)
+            real = (number // len(inputs.KINDS)) % EVERY == 0
+            came = outcome(kind, folder, words, random.Random(number), real)
+            found[kind, came.partition(":")[0]] += 1
+            if came not in ("read", "refused") and kind != "unsealed":
+                print(f"input {number} ({kind}): {words}: {came}", flush=True)
+            if args.only is not None:
+                kept = shutil.copytree(folder, f"fuzz_{number}", dirs_exist_ok=True)
+                print(f"{kind}, {words}: {came}\n{kept}")
+            shutil.rmtree(folder)
+    for kind in inputs.KINDS:
+        told = ", ".join(f"{n} {what}" for (k, what), n in found.items() if k == kind)
+        print(f"{kind}: {told}")
+    ours = {key: n for key, n in found.items() if key[0] != "unsealed" or key[1] == "traceback"}
+    wrong = Counter(dict.fromkeys(("traceback", "hang", "crash", "no sentence", "written"), 0))
+    for (_, what), n in ours.items():
+        if what not in ("read", "refused"):
+            wrong[what] += n
+    told = ", ".join(f"{what} {n}" for what, n in wrong.items())
+    seconds = time.perf_counter() - started
+    print(f"{sum(found.values())} inputs (seed {args.seed}) in {seconds:.0f} s: {told}")
+    return 1 if wrong.total() else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
