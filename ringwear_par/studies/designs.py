@@ -186,11 +186,10 @@ def drawn_rows(
     InputError : it has too many cases or keys.
     """
     if method == "grid":
-        values = [v.grid() for v in variations]
-        count = math.prod(map(len, values))
+        count = math.prod(v.count or len(v.values) for v in variations)
         if count > MOST_CASES:
             raise InputError(f"{name}: the grid has {count} cases; must be at most {MOST_CASES}")
-        return list(itertools.product(*values))
+        return list(itertools.product(*(v.grid() for v in variations)))
     from scipy.stats import qmc  # slow to import, and not needed to draw a figure
 
     count, seed, d = design["count"], design.get("seed", 0), len(variations)

@@ -196,7 +196,9 @@ def _variation(said: str, key: str, entry: Any, method: str, faults: list[str]) 
     if spacing == "log" and values[0] <= 0:
         faults.append(f"{shown}: must be two increasing numbers > 0")
         return None
-    if method == "grid" and not (is_whole(count) and 2 <= count <= MOST_CASES):
+    if method == "grid" and not (
+        isinstance(count, int) and is_whole(count) and 2 <= count <= MOST_CASES
+    ):
         faults.append(
             f"{said}: count {told}: must be a whole number from 2 to {MOST_CASES} in a grid"
         )

@@ -1,0 +1,188 @@
+"""Signals at every stage of a command: a word, status 1, and nothing half-written."""
+
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+from conftest import SHELL_ENVIRONMENT
+from waiting import STEPS, Waiting
+
+pytestmark = pytest.mark.serial
+CASES = Path(__file__).parents[1] / "scripts" / "cases"
+PAPER, STUDY = str(CASES / "paper.toml"), str(CASES / "study.toml")
+#: the command, waiting for ever where it imports a module or calls a function
+WAITING = """
+import importlib, os, sys, time
+from pathlib import Path
+
+place, *words = sys.argv[1:]
+
+def wait(*args, **options):
+    Path(f"waits_{os.getpid()}").touch()
+    limit = time.monotonic() + 60.0
+    while time.monotonic() < limit:
+        time.sleep(0.005)
+    sys.exit("no signal came")
+
+class Finder:
+    def find_spec(self, name, path, target=None):
+        if name == place:
+            wait()
+
+module, colon, function = place.partition(":")
+if colon:
+    setattr(importlib.import_module(module), function, wait)
+else:
+    sys.meta_path.insert(0, Finder())
+from ringwear_par.cli import main
+sys.exit(main(words))
+"""
+
+
+@contextmanager
+def started(command, folder, **options):
+    """A program, killed at last."""
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+    with subprocess.Popen(
+        command, cwd=folder, env=SHELL_ENVIRONMENT, **pipes, **options
+    ) as process:
+        try:
+            yield process
+        finally:
+            process.kill()
+
+
+def wait_for(condition, process):
+    limit = time.monotonic() + 100.0
+    while not condition() and process.poll() is None:
+        assert time.monotonic() < limit
+        time.sleep(0.01)
+
+
+def stopped(place, number, words, folder, ranks=0):
+    """Send a signal to a command that waits at a place; return its end and what it said."""
+    launcher = ["mpirun", "-n", str(ranks)] if ranks else []
+    with started([*launcher, sys.executable, "-c", WAITING, place, *words], folder) as process:
+        wait_for(lambda: len(list(folder.glob("waits_*"))) == (ranks or 1), process)
+        process.send_signal(number)
+        _, errors = process.communicate(timeout=60)
+    for path in folder.glob("waits_*"):
+        path.unlink()
+    return process.returncode, errors
+
+
+NUMBERS = [signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGUSR1]
+FIRST_STEP = " before the first step; nothing written"
+
+
+@pytest.mark.parametrize(
+    ("place", "number", "words", "said"),
+    [
+        *(("mpi4py", number, ["run", PAPER, "-o", "a.h5"], FIRST_STEP) for number in NUMBERS),
+        ("petsc4py", signal.SIGINT, ["run", PAPER, "-o", "a.h5"], FIRST_STEP),
+        ("numpy", signal.SIGINT, ["run", PAPER, "-o", "a.h5"], FIRST_STEP),
+        *(
+            ("ringwear_par.history.model:assemble", n, ["run", PAPER, "-o", "a.h5"], FIRST_STEP)
+            for n in (signal.SIGINT, signal.SIGTERM)
+        ),
+        ("ringwear_par.studies.sweep", signal.SIGINT, ["sweep", STUDY, "-o", "out"],
+         " before the first case; the same command goes on"),
+        ("ringwear_par.studies.estimate:assemble", signal.SIGTERM,
+         ["sweep", STUDY, "-o", "out", "--dry-run"], "; nothing written"),
+        ("matplotlib", signal.SIGINT, ["plot", "r.h5", "-o", "a.png"], "; nothing written"),
+        ("ringwear_par.results.export", signal.SIGHUP, ["export", "r.h5", "-o", "a.csv"],
+         "; nothing written"),
+        ("ringwear_par.cases.law_trials", signal.SIGINT, ["laws", PAPER], ""),
+        ("ringwear_par.verification.verify", signal.SIGTERM, ["verify"], ""),
+    ],
+)  # fmt: skip
+def test_a_signal_before_there_is_anything_to_keep(tmp_path, place, number, words, said):
+    status, errors = stopped(place, number, words, tmp_path)
+    assert errors == f"ringwear: stopped by {number.name}{said}\n"
+    assert status == 1
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.skipif(not shutil.which("mpirun"), reason="no mpirun")
+@pytest.mark.parametrize("place", ["mpi4py", "ringwear_par.history.model:assemble"])
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGUSR1])
+def test_ranks_say_once_what_the_launcher_sent(tmp_path, place, number):
+    words = ["run", PAPER, "-o", "a.h5"]
+    status, errors = stopped(place, number, words, tmp_path, ranks=2)
+    told = [line for line in errors.splitlines() if line.startswith("ringwear: ")]
+    sent = {
+        signal.SIGINT: "SIGTERM (mpirun's word for Ctrl-C and SIGHUP, too)",
+        signal.SIGUSR1: "SIGUSR1",
+    }
+    assert told == [f"ringwear: stopped by {sent[number]}{FIRST_STEP}"]
+    assert "Traceback" not in errors
+    assert status != 0
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_terminal_that_closes_stops_a_run_as_sigterm_does(tmp_path):
+    waiting, output = Waiting(tmp_path), tmp_path / "a.h5"
+    waiting.hold(0.05)
+    command = [sys.executable, "-m", "ringwear_par", "run", str(waiting.case), "-o", str(output)]
+    with started(command, tmp_path) as process:
+        wait_for(lambda: waiting.waits, process)
+        process.send_signal(signal.SIGHUP)
+        _, errors = process.communicate(timeout=60)
+    assert process.returncode == 1
+    assert f"stopped by SIGHUP after step 5 of {STEPS}; {output} holds them" in errors
+    assert output.exists()
+
+
+def test_nohup_is_respected(tmp_path):
+    waiting, output = Waiting(tmp_path), tmp_path / "a.h5"
+    waiting.hold(0.05)
+    command = ["nohup", sys.executable, "-m", "ringwear_par", "run", str(waiting.case), "-o",
+               str(output)]  # fmt: skip
+    with started(command, tmp_path, stdin=subprocess.DEVNULL) as process:
+        wait_for(lambda: waiting.waits, process)
+        process.send_signal(signal.SIGHUP)
+        waiting.release()
+        _, errors = process.communicate(timeout=60)
+    assert process.returncode == 0, errors
+    assert "stopped" not in errors
+
+
+def test_a_signal_while_an_object_is_taken_down_stops_all_the_same():
+    program = """
+import os, signal, sys, time
+from ringwear_par.stopping import StopAtOnce, Stopped
+
+class Object:
+    def __del__(self):
+        os.kill(os.getpid(), signal.SIGINT)
+        time.sleep(0.0)
+
+try:
+    with StopAtOnce():
+        Object()
+        time.sleep(60.0)
+except Stopped as stopped:
+    sys.exit(f"stopped by {stopped}")
+"""
+    done = subprocess.run([sys.executable, "-c", program], env=SHELL_ENVIRONMENT, timeout=50,
+                          capture_output=True, text=True, check=False)  # fmt: skip
+    assert done.stderr == "stopped by SIGINT\n"
+
+
+@pytest.mark.skipif(not shutil.which("timeout"), reason="no timeout")
+def test_a_second_signal_does_not_take_the_word_away(tmp_path):
+    """As `timeout` sends it: to the program, and to its group."""
+    with started([sys.executable, "-c", WAITING, "mpi4py", "run", PAPER, "-o", "a.h5"], tmp_path,
+                 start_new_session=True) as process:  # fmt: skip
+        wait_for(lambda: list(tmp_path.glob("waits_*")), process)
+        process.send_signal(signal.SIGTERM)
+        os.killpg(process.pid, signal.SIGTERM)
+        _, errors = process.communicate(timeout=60)
+    assert errors == f"ringwear: stopped by SIGTERM{FIRST_STEP}\n"
+    assert process.returncode == 1
