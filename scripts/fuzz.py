@@ -56,7 +56,7 @@ SMALL = ["--set", "mesh.contact_elements=8", "time.steps=4"]
 CPU_SECONDS, WALL_SECONDS = 10, 100
 _MEMORY_BYTES = 6 * 2**30
 #: one of so many inputs goes through the real command
-EVERY = 20
+EVERY = 40
 #: nothing else that users have may take longer, or is drawn that often
 _DRAWN = 0.15
 

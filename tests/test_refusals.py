@@ -71,6 +71,39 @@ def test_bad_input_is_said_once_with_status_2(ringwear, shared_path, comm, words
     assert [p.name for p in shared_path.iterdir()] == ["taken.h5"]
 
 
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["sweep", "no.toml", "-o", "a", "--slice", "1/" + "9" * 20], "and N at most 100000"),
+        (["sweep", "no.toml", "-o", "a", "--slice", "1/" + "9" * 5000], "must be I/N"),
+        (["sweep", "no.toml", "-o", "a", "--slice", "3/2"], "I/N with I from 1 to N"),
+        (["sweep", "no.toml", "-o", "a", "--ranks-per-case", "9" * 5000], "invalid int value"),
+        (["export", "a.h5", "-o", "a.vtu", "--revolve", "99999999"], "must be from 3 to 3600"),
+        (["run", PAPER, "-o", "a.h5", "--", "foo"], "-- foo: must be an option of PETSc"),
+        (["run", PAPER, "-o", "a.h5", "--", "-foo", "1", "2"], "-- 2: must be an option of PETSc"),
+        (["run", PAPER, "-o", "a.h5", "--", "-options_file", "no"], "-options_file no: cannot be"),
+        (["run", "x" * 5000, "-o", "a.h5"], "x ... xxxxxxxxxxxxxxxx: File name too long"),
+        (["run", PAPER, "-o", "x" * 250], "cannot be written: File name too long"),
+        (
+            ["run", PAPER, "-o", "a.h5", "--set", "lower.young=\x1b\r"],
+            r'young = "\u001b": must',
+        ),
+        (["run", PAPER, "-o", "a.h5", "--set", "\x1b=1"], r"--set \x1b: unknown key"),
+        (["plot", "a\x1b.h5", "-o", "a.png"], r"a\x1b.h5: does not exist"),
+        (["plot", "/proc/self/mem", "-o", "a.png"], "mem: is not a result file of ringwear, or is"),
+        (["plot", "/dev/null", "-o", "a.png"], "/dev/null: is not a file; must be a result file"),
+    ],
+)
+def test_words_of_any_sort_are_refused_in_one_sentence(ringwear, shared_path, words, said):
+    status, errors = ringwear(*words)
+    assert status == 2
+    assert errors.startswith("ringwear: ")
+    assert errors.count("ringwear: ") == errors.count("\n") == 1
+    assert said in errors
+    assert len(errors) < 1100
+    assert not list(shared_path.iterdir())
+
+
 @pytest.mark.skipif(not Path("/proc/self").exists(), reason="no such folders here")
 @pytest.mark.parametrize("where", ["/proc/no", "/sys/no", "/dev/null"])
 def test_a_folder_that_cannot_be_written_is_refused(ringwear, shared_path, comm, where):

@@ -1,0 +1,131 @@
+"""Texts of strangers: too long, too deep, unseen; refused in a sentence that can be read."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ringwear_par import read_case, read_study
+from ringwear_par.cases.reading import parse_case
+from ringwear_par.errors import ComputationError, InputError, legible
+
+CASES = Path(__file__).parents[2] / "scripts" / "cases"
+PAPER = (CASES / "paper.toml").read_text()
+USER = (CASES / "user_law.toml").read_text()
+DEEP = "[" * 2000 + "]" * 2000
+
+
+def refusal(read, *args):
+    with pytest.raises(InputError) as caught:
+        read(*args)
+    for fault in caught.value.faults:
+        assert fault.isprintable()
+        assert len(fault) <= 1000
+    return str(caught.value)
+
+
+def with_value(key, value):
+    before, after = PAPER.split(f"{key} = ", 1)
+    return f"{before}{key} = {value}\n{after.partition(chr(10))[2]}"
+
+
+@pytest.mark.parametrize(
+    ("value", "said"),
+    [
+        ("1" * 5000, "is not valid TOML"),
+        ("1" * 600, f"young = {'1' * 51} ... {'1' * 16}: must be a finite number"),
+        ("0x" + "f" * 5000, f"young = 0x{'f' * 49} ... {'f' * 16}: must be a finite number"),
+        (DEEP, "nested in each other too deeply; must be at most 32 deep"),
+        ("[" * 100 + "]" * 100, "nested in each other too deeply; must be at most 32 deep"),
+        ("[" * 20 + "]" * 20, f"young = {'[' * 20}{']' * 20}: must be a finite number"),
+        ('"' + "x" * 100_000 + '"', f'young = "{"x" * 50} ... {"x" * 15}": must be a finite'),
+        ('"\\u202e\\u001b[2J"', r'young = "\u202e\u001b[2J": must be a finite number'),
+    ],
+)
+def test_a_value_that_is_none(value, said):
+    assert said in refusal(parse_case, with_value("young", value), "case.toml")
+
+
+def test_keys_too_deep_and_too_long():
+    deep = ".".join("a" * 1500) + " = 1\n"
+    assert "too deeply" in refusal(parse_case, deep + PAPER, "case.toml")
+    told = refusal(parse_case, f"{'k' * 90_000} = 1\n" + PAPER, "case.toml")
+    assert told == f"case.toml: {'k' * 51} ... {'k' * 16}: unknown key"
+    many = "".join(f"k{n} = 1\n" for n in range(1000))
+    told = refusal(parse_case, many + PAPER, "case.toml").splitlines()
+    assert len(told) == 101
+    assert told[-1] == "and 900 faults more"
+
+
+@pytest.mark.parametrize("source", ["law", "override"])
+def test_a_zero_byte_in_a_name(source, tmp_path):
+    text = USER.replace('"user_law.py"', '"user\\u0000law.py"')
+    assert text != USER
+    if source == "law":
+        (tmp_path / "case.toml").write_text(text)
+        told = refusal(read_case, tmp_path / "case.toml")
+    else:
+        told = refusal(read_case, CASES / "user_law.toml", {"wear.lower.file": "user\0law.py"})
+    assert "wear.lower.file" in told
+    refusal(read_case, "case\0.toml")
+
+
+def test_a_dict_that_holds_itself():
+    tables = {"lower": {}}
+    tables["lower"]["young"] = [tables]
+    assert "too deeply" in refusal(read_case, tables)
+    assert "too deeply" in refusal(read_study, {"case": tables, "vary": {}})
+
+
+def test_names_of_parameters_are_printed():
+    tables = {"wear.lower.parameters": {"k\x1b": 1.0}}
+    assert "their names must be printable" in refusal(read_case, CASES / "user_law.toml", tables)
+
+
+def study(folder, text, table=""):
+    (folder / "paper.toml").write_text(PAPER)
+    (folder / "study.toml").write_text('case = "paper.toml"\n' + text)
+    (folder / "table.csv").write_text(table)
+    return folder / "study.toml"
+
+
+LISTED = '[design]\nmethod = "list"\nfile = "table.csv"\n'
+
+
+@pytest.mark.parametrize(
+    ("text", "table", "said"),
+    [
+        (f"x = {DEEP}\n", "", "too deeply"),
+        (LISTED.replace("table.csv", "a\\u0000b"), "", "cannot be read: embedded null byte"),
+        (LISTED, "load.pressure\n" + "1" * 200_000, "is not a table of comma-separated values: f"),
+        (LISTED, "load.pressure\n" + "1" * 5000, "load.pressure = "),
+        (LISTED, "load.pressure\n" + DEEP, "load.pressure = "),
+        (LISTED, "x" * 1000 + "\n1", f"column {'x' * 51} ... {'x' * 16}: unknown key"),
+        (
+            '[vary]\n"load.pressure" = { linear = [1, 2], count = 100000000000000000000 }\n', "",
+            "count = 100000000000000000000: must be a whole number from 2 to 10000000 in a grid",
+        ),
+        ('[vary]\n"load.pressure" = 0x' + "f" * 3000, "", '"load.pressure" = 0xfff'),
+        (
+            "[vary]\n" + "".join(
+                f'"{key}" = {{ linear = [1, 2], count = 9999999 }}\n'
+                for key in ("load.pressure", "load.omega", "lower.young")
+            ), "", "must be at most 10000000",
+        ),
+    ],
+)  # fmt: skip
+def test_a_study_that_is_none(tmp_path, text, table, said):
+    assert said in refusal(read_study, study(tmp_path, text, table))
+
+
+def test_what_messages_show():
+    assert legible("a" * 72) == "a" * 72
+    assert len(legible("a" * 73)) == 72
+    assert legible("\x1b[2J\u202e\ud800\n") == r"\x1b[2J\u202e\ud800\n"
+    for text in ("\n" * 60, "\0" * 10_000, "é" * 500):
+        assert legible(legible(text)) == legible(text)
+    assert str(ComputationError("two\nlines")) == r"two\nlines"
+    fault = str(InputError("x" * 5000))
+    assert len(fault) == 1000
+    assert InputError(fault).faults == (fault,)
+    assert "nan" in refusal(read_case, CASES / "paper.toml", {"lower.young": np.float64("nan")})
