@@ -168,7 +168,7 @@ def _drawn_panels(
         draw(axes)
     titles = {str(result.attributes["title"]) for result in results} - {""}
     if len(titles) == 1:
-        figure.suptitle(titles.pop(), fontsize=8.0)
+        figure.suptitle(plain(titles.pop()), fontsize=8.0)
     return figure
 
 
@@ -224,15 +224,20 @@ def _field(result: Result, name: str) -> Any:
     return result.profiles[name]
 
 
+def plain(text: str) -> str:
+    """Return a text of a user as matplotlib draws it, letter by letter, on one line."""
+    return legible(text, 200).replace("$", r"\$")
+
+
 def _labels(results: Sequence[Result]) -> list[str]:
     """Name each result by what sets its case apart, or by its file where that is too much."""
-    cases = [read_keys(result.case) for result in results]
+    cases = [read_keys(result.case, result.name) for result in results]
     paths = [
         path for path in UNITS if path != "title" and len({str(c.get(path)) for c in cases}) > 1
     ]
     if not 1 <= len(paths) <= 2 or any(path not in case for path in paths for case in cases):
         return [
-            f"result {number}" if result.path is None else result.path.stem
+            f"result {number}" if result.path is None else plain(result.path.stem)
             for number, result in enumerate(results, 1)
         ]
     names = [path.rpartition(".")[2] for path in paths]
@@ -240,7 +245,7 @@ def _labels(results: Sequence[Result]) -> list[str]:
     return [
         ", ".join(
             f"{name} = {case[path]:g}{unit}" if is_number(case[path])
-            else f"{name} = {shortened(case[path])}"
+            else plain(f"{name} = {shortened(case[path])}")
             for name, path, unit in zip(names, paths, units, strict=True)
         )
         for case in cases

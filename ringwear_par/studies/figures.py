@@ -19,7 +19,7 @@ from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 from ringwear_par.arrays import FloatArray, IntArray
 from ringwear_par.cases.schema import UNITS
 from ringwear_par.errors import InputError
-from ringwear_par.results.figures import COLOURS, STYLE, check_figure, save_figure
+from ringwear_par.results.figures import COLOURS, STYLE, check_figure, plain, save_figure
 from ringwear_par.studies.designs import SAMPLED
 from ringwear_par.studies.ensemble import Ensemble, read_ensemble
 from ringwear_par.studies.sensitivity import (
@@ -203,12 +203,12 @@ def _key(name: str, column: Any) -> _Key:
     words = list(dict.fromkeys(column))
     codes = {word: float(i) for i, word in enumerate(words)}
     values = np.array([codes[word] for word in column])
-    return _Key(name, values, tuple(word or "none" for word in words))
+    return _Key(name, values, tuple(plain(word or "none") for word in words))
 
 
 def _labelled(name: str) -> str:
     unit = UNITS.get(name.partition("[")[0], "-")
-    return name if unit in ("-", "1") else f"{name} ({unit})"
+    return plain(name if unit in ("-", "1") else f"{name} ({unit})")
 
 
 def _said(key: _Key) -> list[str]:

@@ -139,3 +139,23 @@ def test_a_file_that_another_program_has_changed_is_read(run):
         file["time"][1] = float("nan")
     with pytest.raises(InputError, match="is not a result file of ringwear, or is damaged"):
         rw.open_result(run)
+
+
+@pytest.mark.parametrize("title", ["costs $x_$", "$", "a\nb", "\x1b[2J", "_"])
+def test_any_title_is_drawn_and_printed(run, title, tmp_path):
+    with h5py.File(run, "r+") as file:
+        file.attrs["title"] = title
+    result = rw.open_result(run)
+    assert all(line.isprintable() for line in result.summary().splitlines())
+    other = tmp_path / "$a_$.h5"
+    other.write_bytes(run.read_bytes())
+    rw.plot([result, other], "penetration").savefig(tmp_path / "a.png")
+
+
+def test_results_that_differ_in_a_table_are_labelled(run, tmp_path):
+    other = tmp_path / "other.h5"
+    with_table = ["--set", "wear.lower.k={ r = [[28, 1e-7], [32, 2e-7]] }", *SMALL[1:]]
+    assert main(["run", PAPER, "-o", str(other), *with_table]) == 0
+    (axes,) = rw.plot([run, other], "penetration").axes
+    told = [text.get_text() for text in axes.get_legend().get_texts()]
+    assert told == ["k = 1e-07 1/MPa", 'k = { "r" = [[28, 1e-07], [32, 2e-07]] }']
