@@ -18,7 +18,7 @@ from typing import Any, NoReturn
 
 from ringwear_par import __version__
 from ringwear_par.errors import InputError, RingwearError, legible
-from ringwear_par.stopping import StopAtOnce, Stopped
+from ringwear_par.stopping import StopAtOnce, Stopped, remark
 
 #: how long a rank that fails waits for the others to fail alike, and one that is stopped: mpirun
 #: kills a second after its signal
@@ -316,7 +316,9 @@ def main(argv: Sequence[str] | None = None) -> int:
             status = _main(words, world, signals)
     except Stopped as stopped:
         if status is None:  # else it came too late
-            return world.end(f"stopped by {stopped}{_left(words)}", 1, STOP_SECONDS)
+            return world.end(
+                f"stopped by {stopped}{_left(words)}{remark(stopped.number)}", 1, STOP_SECONDS
+            )
     return status
 
 

@@ -15,11 +15,15 @@ _LATER_SECONDS = 0.05
 
 
 def name_of(number: int) -> str:
-    """Return the name of a signal as messages tell it: of what a user sent, if that is known."""
-    name = signal.Signals(number).name
+    """Return the name of a signal."""
+    return signal.Signals(number).name
+
+
+def remark(number: int) -> str:
+    """Return the end of a sentence on a signal that may not be the one that the user sent."""
     if number == signal.SIGTERM and "OMPI_COMM_WORLD_SIZE" in os.environ:
-        return f"{name} (mpirun's word for Ctrl-C and SIGHUP, too)"
-    return name
+        return "; SIGTERM is mpirun's word for Ctrl-C and SIGHUP, too"
+    return ""
 
 
 class Stopped(BaseException):

@@ -57,7 +57,7 @@ CPU_SECONDS, WALL_SECONDS = 10, 100
 _MEMORY_BYTES = 6 * 2**30
 #: one of so many inputs goes through the real command
 EVERY = 40
-#: nothing else that users have may take longer, or is drawn that often
+#: share of the files that are drawn as well
 _DRAWN = 0.15
 
 DEEP = "[" * 2000 + "]" * 2000

@@ -30,7 +30,7 @@ from ringwear_par.results.recorder import Recorder
 from ringwear_par.results.result import Result
 from ringwear_par.results.watch import Watch
 from ringwear_par.results.writing import write_result
-from ringwear_par.stopping import StopSignals
+from ringwear_par.stopping import StopSignals, remark
 
 log = logging.getLogger(__name__)
 
@@ -132,7 +132,7 @@ def run_case(
             raise ComputationError(
                 f"stopped by {watch.signal_name} after step {last.progress.steps} "
                 f"{_progress(case, last.state.time)}; {output} holds them, and the same "
-                "command with --restart continues"
+                f"command with --restart continues{remark(watch.agreed)}"
             )
         return _draw(output, figure, comm)
 

@@ -24,7 +24,7 @@ from ringwear_par.history.limits import check_ranks
 from ringwear_par.info import versions
 from ringwear_par.parallel import on_first_rank, warn_of_threads
 from ringwear_par.results.progress import SweepProgress
-from ringwear_par.stopping import StopSignals, name_of
+from ringwear_par.stopping import StopSignals, name_of, remark
 from ringwear_par.studies.dataset import RESULTS, TABLE, Row, write_ensemble
 from ringwear_par.studies.ensemble import read_ensemble
 from ringwear_par.studies.estimate import estimate
@@ -223,6 +223,7 @@ def _trouble(
         name = name_of(received) if received else "a team"
         return ComputationError(
             f"stopped by {name}, incomplete: {ended}, and the same command goes on"
+            f"{remark(received)}"
         )
     if summary.failed:
         where = summary.folder / TABLE
