@@ -11,10 +11,12 @@ import sys
 import time
 import traceback
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, NoReturn
 
 from ringwear_par import __version__
+from ringwear_par.atomic import FULL
 from ringwear_par.errors import InputError, RingwearError
 
 #: how long a rank that fails waits for the others to fail alike
@@ -262,6 +264,11 @@ def _others_come(together: Any) -> bool:
     return True
 
 
+def _mute() -> None:
+    """Drop what standard output does not take, which Python would try again at its end."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
 def main(argv: Sequence[str] | None = None) -> int:
     """Run a command and return its exit status. Collective on COMM_WORLD."""
     words = list(sys.argv[1:] if argv is None else argv)
@@ -291,18 +298,25 @@ def main(argv: Sequence[str] | None = None) -> int:
     except RingwearError as error:
         alike = _others_come(together)
         if comm.rank == 0 or not alike:
-            told = "\n".join(f"ringwear: {line}" for line in str(error).splitlines())
-            print(told, file=sys.stderr, flush=True)
+            with suppress(OSError):  # nobody can be told
+                told = "\n".join(f"ringwear: {line}" for line in str(error).splitlines())
+                print(told, file=sys.stderr, flush=True)
         if not alike:
             comm.Abort(error.exit_status)
         return error.exit_status
     except KeyboardInterrupt:
         return 130
     except BrokenPipeError:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        _mute()
         return 1
-    except Exception:
-        traceback.print_exc()
+    except Exception as error:
+        if isinstance(error, OSError) and error.errno in FULL and error.filename is None:
+            with suppress(OSError):
+                told = f"ringwear: standard output: {error.strerror}"
+                print(told, file=sys.stderr, flush=True)
+            _mute()
+        else:
+            traceback.print_exc()
         sys.stderr.flush()
         if comm.size > 1:  # the other ranks would wait for this one for ever
             comm.Abort(1)

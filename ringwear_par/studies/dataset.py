@@ -19,6 +19,7 @@ from ringwear_par.atomic import atomic_write
 from ringwear_par.cases.keys import read_keys
 from ringwear_par.cases.schema import BY_PATH
 from ringwear_par.cases.text import toml_value
+from ringwear_par.results.hdf5 import atomic_hdf5
 from ringwear_par.results.variables import ELEMENT, HISTORIES, LINE, PROFILES, Variable
 from ringwear_par.studies.shards import UNKNOWN_VERSION, Entry, Record, join_flags, split_flags
 from ringwear_par.studies.variations import path_of, value_of
@@ -105,21 +106,16 @@ def write_ensemble(
     ------
     OSError : the disk or the folder.
     """
-    target = folder / RESULTS
-    try:
-        with (
-            atomic_write(folder / TABLE) as listed,  # both are whole before one is replaced
-            atomic_write(target) as temporary,
-            h5py.File(temporary, "w") as file,
-        ):
-            table = _write_histories(file, names, rows, fetch)
-            file.attrs.update({"software": SOFTWARE, **attributes})
-            with listed.open("w", newline="", encoding="utf-8") as handle:
-                writer = csv.writer(handle)
-                writer.writerow(("case", *names, *_COLUMNS))
-                writer.writerows(table)
-    except RuntimeError as error:  # what h5py makes of some failures of the disk
-        raise OSError(None, str(error), str(target)) from error
+    with (
+        atomic_write(folder / TABLE) as listed,  # both are whole before one is replaced
+        atomic_hdf5(folder / RESULTS) as (file, check_disk),
+    ):
+        table = _write_histories(file, names, rows, fetch, check_disk)
+        file.attrs.update({"software": SOFTWARE, **attributes})
+        with listed.open("w", newline="", encoding="utf-8") as handle:
+            writer = csv.writer(handle)
+            writer.writerow(("case", *names, *_COLUMNS))
+            writer.writerows(table)
 
 
 def _write_histories(
@@ -127,6 +123,7 @@ def _write_histories(
     names: Sequence[str],
     rows: Sequence[Row],
     fetch: Callable[[Sequence[Row]], Iterator[Record]],
+    check_disk: Callable[[], None],
 ) -> list[tuple[str, ...]]:
     """Fill the HDF5 file block by block, and return the rows of the table."""
     entries = [row.entry for row in rows if row.entry is not None]
@@ -173,6 +170,7 @@ def _write_histories(
                 common = None
         for name, table in tables.items():
             file[name][start : start + len(part)] = table
+        check_disk()
     if common is not None and len(common) == steps:
         file["step"][:] = common.astype(int)
         file["step"].attrs["long_name"] = "number of time steps made"
