@@ -19,6 +19,7 @@ from ringwear_par.atomic import atomic_write
 from ringwear_par.cases.keys import read_keys
 from ringwear_par.cases.schema import BY_PATH
 from ringwear_par.cases.text import toml_value
+from ringwear_par.errors import InputError
 from ringwear_par.results.hdf5 import atomic_hdf5
 from ringwear_par.results.variables import ELEMENT, HISTORIES, LINE, PROFILES, Variable
 from ringwear_par.studies.shards import UNKNOWN_VERSION, Entry, Record, join_flags, split_flags
@@ -156,8 +157,7 @@ def _write_histories(
             i = where[record.id]
             _note(columns, start + i, record)
             if part[i].values is None:
-                keys = read_keys(record.toml)
-                values[start + i] = tuple(value_of(keys, name) for name in names)
+                values[start + i] = _looked_up(record, names)
             stored = len(record.arrays.get("time", ()))
             for name, array in record.arrays.items():
                 if name == "step":
@@ -196,6 +196,15 @@ def _empty_columns(rows: Sequence[Row]) -> dict[str, Any]:
     return columns
 
 
+def _looked_up(record: Record, names: Sequence[str]) -> tuple[Any, ...]:
+    """Return the varied keys of a case that the study no longer has, None where it has no such."""
+    try:
+        keys = read_keys(record.toml)
+        return tuple(value_of(keys, name) for name in names)
+    except InputError:
+        return (None,) * len(names)
+
+
 def _note(columns: dict[str, Any], n: int, record: Record) -> None:
     """Take what is stored of a case over into the variables of cases."""
     arrays = record.arrays
@@ -204,8 +213,8 @@ def _note(columns: dict[str, Any], n: int, record: Record) -> None:
         columns[name][n] = getattr(record, name)
     columns["steps_stored"][n] = len(arrays.get("time", ()))
     columns["elements"][n] = len(arrays.get("r", ()))
-    if columns["steps_stored"][n]:
-        for name in FINAL:
+    for name in FINAL:
+        if len(arrays.get(name, ())):
             columns[f"final_{name}"][n] = arrays[name][-1]
 
 
