@@ -31,13 +31,13 @@ class _Disk(io.RawIOBase):
     def __init__(self, path: Path) -> None:
         self._handle = os.open(path, os.O_RDWR | os.O_CREAT | os.O_TRUNC, 0o666)
         self._place = 0
-        self._error: OSError | None = None
+        self._failure: tuple[int | None, str] | None = None  # an error would hold frames
         self._kept: list[tuple[int, bytes]] = []
 
     def check(self) -> None:
         """Raise what the disk has failed with, if it has."""
-        if self._error is not None:
-            raise self._error
+        if self._failure is not None:
+            raise OSError(*self._failure)
 
     def seek(self, offset: int, whence: int = os.SEEK_SET) -> int:
         """Go to a place, counted from the beginning or from the end."""
@@ -68,11 +68,11 @@ class _Disk(io.RawIOBase):
         """Write to the place: to the disk, to memory once that has failed."""
         left = memoryview(data)
         try:
-            while len(left) and self._error is None:
+            while len(left) and self._failure is None:
                 written = os.pwrite(self._handle, left, self._place + len(data) - len(left))
                 left = left[written:]
         except OSError as error:
-            self._error = error
+            self._failure = error.errno, error.strerror or str(error)
         if len(left):
             self._kept.append((self._place + len(data) - len(left), bytes(left)))
         return len(data)
@@ -81,10 +81,10 @@ class _Disk(io.RawIOBase):
         """Give the file a size."""
         size = self._place if size is None else size
         try:
-            if self._error is None:
+            if self._failure is None:
                 os.ftruncate(self._handle, size)
         except OSError as error:
-            self._error = error
+            self._failure = error.errno, error.strerror or str(error)
         return size
 
     def close(self) -> None:
@@ -96,6 +96,7 @@ class _Disk(io.RawIOBase):
         """
         if not self.closed:
             super().close()
+            self._kept.clear()
             os.close(self._handle)
 
 
