@@ -9,7 +9,7 @@ from pathlib import Path
 from ringwear_par.errors import ComputationError, InputError, RingwearError
 
 #: failures that another name would not mend
-FULL = (errno.ENOSPC, errno.EDQUOT, errno.EIO)
+_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EIO)
 
 
 def temporary_name(path: Path) -> Path:
@@ -45,7 +45,7 @@ def check_writable(path: Path) -> None:
 
 def unwritable(path: Path, error: OSError) -> RingwearError:
     """Return what a failure to write means to a user: another name, or room on the disk."""
-    kind = ComputationError if error.errno in FULL else InputError
+    kind = ComputationError if error.errno in _FULL else InputError
     return kind(f"{path}: cannot be written: {error.strerror or error}")
 
 

@@ -16,7 +16,6 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 from ringwear_par import __version__
-from ringwear_par.atomic import FULL
 from ringwear_par.errors import InputError, RingwearError
 
 #: how long a rank that fails waits for the others to fail alike
@@ -264,6 +263,15 @@ def _others_come(together: Any) -> bool:
     return True
 
 
+def _why_untold() -> str:
+    """Return why standard output takes nothing, "" if it does."""
+    try:
+        print(flush=True)
+    except OSError as error:
+        return error.strerror or str(error)
+    return ""
+
+
 def _mute() -> None:
     """Drop what standard output does not take, which Python would try again at its end."""
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
@@ -310,10 +318,10 @@ def main(argv: Sequence[str] | None = None) -> int:
         _mute()
         return 1
     except Exception as error:
-        if isinstance(error, OSError) and error.errno in FULL and error.filename is None:
+        untold = _why_untold() if isinstance(error, OSError) else ""
+        if untold:
             with suppress(OSError):
-                told = f"ringwear: standard output: {error.strerror}"
-                print(told, file=sys.stderr, flush=True)
+                print(f"ringwear: standard output: {untold}", file=sys.stderr, flush=True)
             _mute()
         else:
             traceback.print_exc()
