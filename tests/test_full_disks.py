@@ -15,6 +15,7 @@ from conftest import SHELL_ENVIRONMENT
 from stored import contents
 
 from ringwear_par.atomic import atomic_write
+from ringwear_par.elasticity import assembly
 from ringwear_par.results import watch
 from ringwear_par.results.files import open_result, read_status
 from ringwear_par.results.hdf5 import atomic_hdf5
@@ -306,6 +307,21 @@ def test_checkpoints_are_missed_once_a_cause(shared_path, comm, monkeypatch, cap
         "checkpoints are written again", f"{missed}No space left on device",
         "checkpoints are written again",
     ]  # fmt: skip
+
+
+def test_compiled_code_that_the_disk_does_not_take(comm, monkeypatch, caplog):
+    """Every function fails once, after it was compiled, and never again."""
+    attempts = []
+
+    def compiled(*_):
+        attempts.append(1)
+        if len(attempts) < 4:
+            raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(assembly, "_assemble_rows", compiled)
+    assembly.load_kernels(comm)
+    assert len(attempts) == 4
+    assert caplog.messages == ["compiled code is not kept, going on: No space left on device"]
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full")
