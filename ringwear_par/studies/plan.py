@@ -150,12 +150,12 @@ def make_plan(study: Study, request: Request, held: ExitStack | None) -> Plan:
         store.open()
         held.enter_context(locked(folder, store.part))
         store.clear()
-        entries, notes = store.scan(mend=True)
+        entries, notes = store.scan(study.ids, mend=True)
         for note in notes:
             log.warning("%s", note)
     elif (folder / "shards").is_dir() or (folder / RESULTS).exists():
         with locked(folder, store.part):
-            entries, _ = store.scan(mend=False)
+            entries, _ = store.scan(study.ids, mend=False)
     mine = _slice(study, part)
     ended = {"done"} if request.retry_failed else {"done", "failed"}
     status = [entries[i].status if i in entries else "" for i in study.ids]

@@ -7,7 +7,7 @@ of a study keep to files of their own until the whole is merged.
 
 import sqlite3
 from collections import defaultdict
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from itertools import chain, count
@@ -87,11 +87,12 @@ class Store:
         for path in (self.folder / "operators").glob(f"{self.part or '*'}_*"):
             path.unlink(missing_ok=True)
 
-    def scan(self, mend: bool) -> tuple[dict[str, Entry], list[str]]:
+    def scan(self, ids: Collection[str], mend: bool) -> tuple[dict[str, Entry], list[str]]:
         """Return the stored cases by id, and sentences on what is damaged. Needs the lock.
 
         Parameters
         ----------
+        ids : of the cases of the study, whose checkpoints have to be theirs.
         mend : move damaged files aside, drop damaged rows.
 
         Raises
@@ -99,7 +100,7 @@ class Store:
         ComputationError : a file is in use by a process of a killed sweep, or cannot be read.
         """
         entries: dict[str, Entry] = {}
-        notes = []
+        notes, mine = [], frozenset(ids)
         results = self.folder / RESULTS
         if results.exists():
             found = dataset.read_entries(results)
@@ -119,7 +120,10 @@ class Store:
         for path in sorted((self.folder / "inflight").glob("*.h5")):
             if entries.get(path.stem, _NOTHING).status not in ("done", "failed"):
                 try:
-                    entries[path.stem] = _entry(_interrupted(path), path)
+                    record = _interrupted(path)
+                    if path.stem in mine and _id_of(record) != path.stem:
+                        raise InputError(f"{path}: is of another case than its name says")
+                    entries[path.stem] = _entry(record, path)
                 except InputError as error:
                     if path.exists():  # else another slice has just ended the case
                         if mend:
@@ -213,7 +217,7 @@ def _interrupted(path: Path) -> Record:
 
     Raises
     ------
-    InputError : the file is damaged, or one of another case.
+    InputError : the file is damaged.
     """
     result = open_result(path)
     try:
@@ -227,9 +231,14 @@ def _interrupted(path: Path) -> Record:
             "width": result.line.width,
             **result.profiles,
         }
-        same = case_id(read_keys(result.case)) == path.stem
     except _DAMAGE as error:
         raise InputError(f"{path}: is damaged") from error
-    if not same:
-        raise InputError(f"{path}: holds another case than its name says")
     return Record(path.stem, result.case, "incomplete", "", seconds, worst, arrays, version)
+
+
+def _id_of(record: Record) -> str:
+    """Return the id that the text of a case says, "" if it says none."""
+    try:
+        return case_id(read_keys(record.toml))
+    except _DAMAGE:
+        return ""

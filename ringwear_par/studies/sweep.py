@@ -288,7 +288,7 @@ def _settle(plan: Plan, summary: Summary, well: bool) -> tuple[int, int]:
         plan.store.drop_operators()
     if not well:
         with suppress(RingwearError, OSError):  # there is trouble enough to tell
-            return plan.count(plan.store.scan(mend=False)[0])
+            return plan.count(plan.store.scan(plan.study.ids, mend=False)[0])
         return summary.done, summary.failed
     while True:
         entries = _scan(plan, summary.done + summary.failed)
@@ -305,7 +305,7 @@ def _scan(plan: Plan, counted: int) -> dict[str, Entry]:
     """Return what is stored; if that is less than counted, network disks may show it late."""
     limit = time.monotonic() + _PATIENCE_SECONDS
     while True:
-        entries, notes = plan.store.scan(mend=True)
+        entries, notes = plan.store.scan(plan.study.ids, mend=True)
         for note in notes:
             log.warning("%s", note)
         if notes or sum(plan.count(entries)) >= counted or time.monotonic() > limit:
