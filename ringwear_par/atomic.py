@@ -1,11 +1,15 @@
 """Output files: refused before work where they cannot be, whole where they are."""
 
+import errno
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from ringwear_par.errors import InputError
+from ringwear_par.errors import ComputationError, InputError, RingwearError
+
+#: failures that another name would not mend
+_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EIO)
 
 
 def temporary_name(path: Path) -> Path:
@@ -23,6 +27,7 @@ def check_writable(path: Path) -> None:
     Raises
     ------
     InputError : the reason, in one sentence.
+    ComputationError : the disk is full.
     """
     if path.is_dir():
         raise InputError(f"{path}: is a folder; must be a file name")
@@ -33,9 +38,15 @@ def check_writable(path: Path) -> None:
     probe = temporary_name(path)
     try:
         probe.touch()
-        probe.unlink()
+        probe.unlink(missing_ok=True)
     except OSError as error:
-        raise InputError(f"{path}: cannot be written: {error.strerror}") from error
+        raise unwritable(path, error) from error
+
+
+def unwritable(path: Path, error: OSError) -> RingwearError:
+    """Return what a failure to write means to a user: another name, or room on the disk."""
+    kind = ComputationError if error.errno in _FULL else InputError
+    return kind(f"{path}: cannot be written: {error.strerror or error}")
 
 
 @contextmanager
@@ -47,7 +58,7 @@ def atomic_write(path: Path) -> Iterator[Path]:
 
     Raises
     ------
-    OSError : the disk or the folder.
+    OSError : the disk or the folder; its ``filename`` is that of the file.
     """
     temporary = temporary_name(path)
     try:
@@ -55,5 +66,9 @@ def atomic_write(path: Path) -> Iterator[Path]:
         with temporary.open("rb+") as file:
             os.fsync(file.fileno())
         temporary.replace(path)
+    except OSError as error:
+        if error.filename is not None and Path(error.filename) != temporary:
+            raise
+        raise OSError(error.errno, error.strerror or str(error), str(path)) from error
     finally:
         temporary.unlink(missing_ok=True)

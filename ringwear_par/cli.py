@@ -12,6 +12,7 @@ import sys
 import time
 import traceback
 from collections.abc import Sequence
+from contextlib import suppress
 from io import TextIOWrapper
 from pathlib import Path
 from typing import Any, NoReturn
@@ -300,11 +301,26 @@ class _World:
         """Say once why the command ends, and return its status; end ranks that still wait."""
         alike = self.others_come(patience)
         if self.first or not alike:
-            lines = "\n".join(f"ringwear: {line}" for line in told.splitlines())
-            print(lines, file=sys.stderr, flush=True)
+            with suppress(OSError):  # nobody can be told
+                lines = "\n".join(f"ringwear: {line}" for line in told.splitlines())
+                print(lines, file=sys.stderr, flush=True)
         if not alike:
             self.comm.Abort(status)
         return status
+
+
+def _why_untold() -> str:
+    """Return why standard output takes nothing, "" if it does."""
+    try:
+        print(flush=True)
+    except OSError as error:
+        return error.strerror or str(error)
+    return ""
+
+
+def _mute() -> None:
+    """Drop what standard output does not take, which Python would try again at its end."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -359,11 +375,17 @@ def _main(words: Sequence[str], world: _World, signals: StopAtOnce) -> int:
         signals.check()  # which may be what has made something fail
         return world.end(str(error), error.exit_status, GRACE_SECONDS)
     except BrokenPipeError:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        _mute()
         return 1
-    except Exception:
+    except Exception as error:
         signals.check()
-        traceback.print_exc()
+        untold = _why_untold() if isinstance(error, OSError) else ""
+        if untold:
+            with suppress(OSError):
+                print(f"ringwear: standard output: {untold}", file=sys.stderr, flush=True)
+            _mute()
+        else:
+            traceback.print_exc()
         sys.stderr.flush()
         if comm.size > 1:  # the other ranks would wait for this one for ever
             comm.Abort(1)

@@ -2,11 +2,9 @@
 
 import os
 
-import h5py
 import pytest
 
 from ringwear_par.atomic import atomic_write
-from ringwear_par.results.hdf5 import atomic_hdf5
 
 
 def test_it_is_there_when_it_is_whole(tmp_path):
@@ -44,21 +42,3 @@ def test_contents_are_on_the_disk_before_the_name(tmp_path, monkeypatch):
         temporary.write_text("new")
     assert seen == [False]
     assert path.exists()
-
-
-def test_what_h5py_makes_of_a_full_disk_is_told_as_one(tmp_path):
-    def fill(file):
-        file["x"] = 1.0
-        raise RuntimeError("Unable to flush file: No space left on device")
-
-    with (
-        pytest.raises(OSError, match="No space left") as told,
-        atomic_hdf5(tmp_path / "a.h5") as file,
-    ):
-        fill(file)
-    assert told.value.filename == str(tmp_path / "a.h5")
-    assert not list(tmp_path.iterdir())
-    with atomic_hdf5(tmp_path / "a.h5") as file:
-        file["x"] = 1.0
-    with h5py.File(tmp_path / "a.h5") as file:
-        assert file["x"][()] == 1.0

@@ -1,5 +1,6 @@
 """Figures from stored results: worn profiles, histories, pressure profiles, deformed sections."""
 
+import io
 import math
 import re
 from collections.abc import Callable, Iterable, Sequence
@@ -112,8 +113,11 @@ def save_figure(figure: Figure, output: Path) -> None:
     ------
     OSError : the disk or the folder.
     """
-    with matplotlib.rc_context(STYLE), atomic_write(output) as temporary:
-        figure.savefig(temporary, format=output.suffix[1:].lower())
+    picture = io.BytesIO()  # backends leave files open where the disk fails
+    with matplotlib.rc_context(STYLE):
+        figure.savefig(picture, format=output.suffix[1:].lower())
+    with atomic_write(output) as temporary:
+        temporary.write_bytes(picture.getbuffer())
 
 
 def _place(source: Source) -> Result | Path:

@@ -88,13 +88,30 @@ def run_case(
                 "(attribute begun_by)", output, version, __version__,
             )  # fmt: skip
 
+    stored = None if recorder.start is None else recorder.start.progress.steps
+
     def save(error: str = "") -> Result:
         """Write what there is so far. Collective."""
+        nonlocal stored
         begun = time.perf_counter()
         result = recorder.result(error)
         on_first_rank(comm, lambda: write_result(output, result))
         recorder.seconds_output += time.perf_counter() - begun
+        stored = None if recorder.last is None else recorder.last.progress.steps
         return result
+
+    def save_at_end(error: str = "") -> Result:
+        """Write what there is; where that fails, say what there is then. Collective."""
+        try:
+            return save(error)
+        except ComputationError as failure:
+            told = (
+                "nothing of this run is stored"
+                if stored is None
+                else f"it holds the steps up to {stored}, and --restart goes on from there"
+            )
+            before = f"{error}; and " if error else ""
+            raise ComputationError(f"{before}{failure}; {told}") from failure
 
     signals = StopSignals()
     with ExitStack() as noting:
@@ -120,9 +137,9 @@ def run_case(
             except RingwearError as error:
                 if recorder.last is None or recorder.last.step is None:
                     raise
-                save(str(error))
+                save_at_end(str(error))
                 raise ComputationError(f"{error}; {output} holds the steps before it") from error
-            result = save()
+            result = save_at_end()
         if comm.rank == 0:
             print(result.summary())
             start_up = max(seconds_since_start() - (time.perf_counter() - started), 0.0)

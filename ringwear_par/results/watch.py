@@ -30,6 +30,8 @@ class Watch:
     def __init__(self, signals: StopSignals, save: Callable[[], object], comm: MPI.Comm) -> None:
         self._signals, self._save, self._comm = signals, save, comm
         self._saved = time.perf_counter()
+        #: why the last checkpoint was not written, "" if it was
+        self._lacking = ""
         #: the signal that the ranks agreed to stop for, or 0
         self.agreed = 0
 
@@ -50,10 +52,20 @@ class Watch:
             received, due = int(request[0]), bool(request[1])
         self.agreed = received
         if due and not received and not snapshot.finished:
-            try:
-                self._save()
-            except ComputationError as error:
-                if self._comm.rank == 0:
-                    log.warning("checkpoint not written, going on: %s", error)
-            self._saved = time.perf_counter()
+            self._write_checkpoint()
         return received != 0
+
+    def _write_checkpoint(self) -> None:
+        """Write a checkpoint; tell once why it cannot be, and once that it can again."""
+        lacking = ""
+        try:
+            self._save()
+        except ComputationError as error:
+            lacking = str(error)
+        if lacking != self._lacking and self._comm.rank == 0:
+            if lacking:
+                log.warning("checkpoint not written, going on: %s", lacking)
+            else:
+                log.info("checkpoints are written again")
+        self._lacking = lacking
+        self._saved = time.perf_counter()

@@ -37,9 +37,10 @@ def write_result(path: Path, result: "Result") -> None:
     ------
     OSError : the disk or the folder.
     """
-    with atomic_hdf5(path) as file:
+    with atomic_hdf5(path) as (file, check_disk):
         for variable, values in result.variables():
             write_variable(file, variable, values)
+        check_disk()
         line = file.create_group("line")
         write_variable(line, EDGE, np.arange(result.line.n + 1))
         write_variable(line, EDGES, result.line.edges)

@@ -112,9 +112,9 @@ def write_ensemble(
     """
     with (
         atomic_write(folder / TABLE) as listed,  # both are whole before one is replaced
-        atomic_hdf5(folder / RESULTS) as file,
+        atomic_hdf5(folder / RESULTS) as (file, check_disk),
     ):
-        table = _write_histories(file, names, rows, fetch)
+        table = _write_histories(file, names, rows, fetch, check_disk)
         file.attrs.update({"software": SOFTWARE, **attributes})
         with listed.open("w", newline="", encoding="utf-8") as handle:
             writer = csv.writer(handle)
@@ -127,6 +127,7 @@ def _write_histories(
     names: Sequence[str],
     rows: Sequence[Row],
     fetch: Callable[[Sequence[Row]], Iterator[Record]],
+    check_disk: Callable[[], None],
 ) -> list[tuple[str, ...]]:
     """Fill the HDF5 file block by block, and return the rows of the table."""
     entries = [row.entry for row in rows if row.entry is not None]
@@ -158,8 +159,7 @@ def _write_histories(
             i = where[record.id]
             _note(columns, start + i, record)
             if part[i].values is None:
-                keys = read_keys(record.toml)
-                values[start + i] = tuple(value_of(keys, name) for name in names)
+                values[start + i] = _looked_up(record, names)
             stored = len(record.arrays.get("time", ()))
             for name, array in record.arrays.items():
                 if name == "step":
@@ -172,6 +172,7 @@ def _write_histories(
                 common = None
         for name, table in tables.items():
             file[name][start : start + len(part)] = table
+        check_disk()
     if common is not None and len(common) == steps:
         file["step"][:] = common.astype(int)
         file["step"].attrs["long_name"] = "number of time steps made"
@@ -202,6 +203,15 @@ def _empty_columns(rows: Sequence[Row]) -> dict[str, Any]:
     return columns
 
 
+def _looked_up(record: Record, names: Sequence[str]) -> tuple[Any, ...]:
+    """Return the varied keys of a case that the study no longer has, None where it has no such."""
+    try:
+        keys = read_keys(record.toml)
+        return tuple(value_of(keys, name) for name in names)
+    except InputError:
+        return (None,) * len(names)
+
+
 def _note(columns: dict[str, Any], n: int, record: Record) -> None:
     """Take what is stored of a case over into the variables of cases."""
     arrays = record.arrays
@@ -210,8 +220,8 @@ def _note(columns: dict[str, Any], n: int, record: Record) -> None:
         columns[name][n] = getattr(record, name)
     columns["steps_stored"][n] = len(arrays.get("time", ()))
     columns["elements"][n] = len(arrays.get("r", ()))
-    if columns["steps_stored"][n]:
-        for name in FINAL:
+    for name in FINAL:
+        if len(arrays.get(name, ())):
             columns[f"final_{name}"][n] = arrays[name][-1]
 
 

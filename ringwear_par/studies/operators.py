@@ -54,7 +54,10 @@ def write_operator(path: Path, case: Case, comm: MPI.Comm) -> None:
                 temporary.replace(reason_of_failure(path))
             else:
                 with temporary.open("wb") as file:
-                    np.save(file, stacked)
+                    # numpy.save does not tell why it fails
+                    header = np.lib.format.header_data_from_array_1_0(stacked)
+                    np.lib.format.write_array_header_1_0(file, header)
+                    file.write(np.ascontiguousarray(stacked).data)
                 temporary.replace(path)
         except OSError as error:
             temporary.unlink(missing_ok=True)

@@ -83,7 +83,8 @@ class Plan:
     store : its folder.
     todo : for each group of the study, its cases that are to be computed here.
     interrupted : ids of cases that go on from a checkpoint.
-    done, failed, total : cases of this study, or slice, that have ended before; and in all.
+    mine : the cases of this study, or slice.
+    done, failed : how many of them had ended before.
     flagged : flags of each of those that have some.
     all_assemble : whether all ranks assemble each operator (there are fewer than teams) or the team
         that takes its group.
@@ -94,11 +95,22 @@ class Plan:
     store: Store
     todo: tuple[tuple[int, ...], ...]
     interrupted: frozenset[str]
+    mine: tuple[int, ...]
     done: int
     failed: int
-    total: int
     flagged: tuple[tuple[str, ...], ...]
     all_assemble: bool
+
+    @property
+    def total(self) -> int:
+        """Number of the cases of this study, or slice."""
+        return len(self.mine)
+
+    def count(self, entries: Mapping[str, Entry]) -> tuple[int, int]:
+        """Return how many of the cases are stored, done and failed."""
+        ids = (self.study.ids[n] for n in self.mine)
+        status = [entries[identity].status for identity in ids if identity in entries]
+        return status.count("done"), status.count("failed")
 
     @property
     def left(self) -> list[int]:
@@ -147,12 +159,12 @@ def make_plan(study: Study, request: Request, held: ExitStack | None) -> Plan:
         store.open()
         held.enter_context(locked(folder, store.part))
         store.clear()
-        entries, notes = store.scan(mend=True)
+        entries, notes = store.scan(study.ids, mend=True)
         for note in notes:
             log.warning("%s", note)
     elif (folder / "shards").is_dir() or (folder / RESULTS).exists():
         with locked(folder, store.part):
-            entries, _ = store.scan(mend=False)
+            entries, _ = store.scan(study.ids, mend=False)
     mine = _slice(study, part)
     ended = {"done"} if request.retry_failed else {"done", "failed"}
     status = [entries[i].status if i in entries else "" for i in study.ids]
@@ -169,9 +181,9 @@ def make_plan(study: Study, request: Request, held: ExitStack | None) -> Plan:
         store,
         todo,
         _interrupted(study, store, entries),
+        tuple(sorted(mine)),
         sum(entry.status == "done" for entry in kept),
         sum(entry.status == "failed" for entry in kept),
-        len(mine),
         tuple(entry.flags for entry in kept if entry.flags),
         len(study.groups) <= request.teams,
     )
@@ -184,8 +196,8 @@ def _interrupted(study: Study, store: Store, entries: Mapping[str, Entry]) -> fr
     return frozenset(
         identity
         for identity in study.ids
-        if store.inflight(identity).exists()
-        and identity in entries
+        if identity in entries
+        and entries[identity].path == store.inflight(identity)
         and entries[identity].version == ringwear_par.__version__
     )
 

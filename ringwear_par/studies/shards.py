@@ -6,19 +6,20 @@ by itself; what a power failure can take is what was committed in the last secon
 
 import fcntl
 import json
+import math
 import sqlite3
 import time
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
 
 import numpy as np
 
 from ringwear_par.arrays import FloatArray
 from ringwear_par.errors import ComputationError, InputError
-from ringwear_par.results.variables import PROFILES
+from ringwear_par.results.variables import HISTORIES, LINE, PROFILES
 
 FOLDER = "shards"
 _SYNC_SECONDS = 1.0
@@ -77,13 +78,34 @@ def split_flags(text: str) -> tuple[str, ...]:
 
 @lru_cache(maxsize=256)
 def _layout(text: str) -> dict[str, tuple[int, ...]]:
-    return {name: tuple(shape) for name, shape in json.loads(text).items()}
+    """Return the shapes of arrays by name.
+
+    Raises
+    ------
+    ValueError : they are none, or not those of a history.
+    """
+    try:
+        shapes = {name: tuple(shape) for name, shape in json.loads(text).items()}
+        steps, elements = (shapes.get(name, (0,)) for name in ("time", "r"))
+        flat = len(steps) == len(elements) == 1
+        allowed = {
+            **dict.fromkeys(("step", *HISTORIES), (steps,)),
+            **dict.fromkeys(LINE, (elements,)),
+            **dict.fromkeys(PROFILES, (elements, steps + elements)),
+        }
+        fit = flat and all(shape in allowed[name] for name, shape in shapes.items())
+        whole = all(isinstance(n, int) and n >= 0 for shape in shapes.values() for n in shape)
+    except (AttributeError, KeyError, TypeError, RecursionError) as error:
+        raise ValueError(str(error)) from error
+    if not fit or not whole:
+        raise ValueError(text)
+    return shapes
 
 
 def _unpacked(layout: str, data: bytes) -> dict[str, FloatArray]:
     values, arrays, start = np.frombuffer(data), {}, 0
     for name, shape in _layout(layout).items():
-        size = int(np.prod(shape))
+        size = math.prod(shape)
         arrays[name] = values[start : start + size].reshape(shape)
         start += size
     return arrays
@@ -91,6 +113,7 @@ def _unpacked(layout: str, data: bytes) -> dict[str, FloatArray]:
 
 def _connect(path: Path) -> sqlite3.Connection:
     connection = sqlite3.connect(path, timeout=_BUSY_SECONDS, isolation_level=None)
+    connection.text_factory = partial(str, encoding="utf-8", errors="replace")
     # one process a file: its index needs no memory shared with others, which not all disks offer
     connection.execute("PRAGMA locking_mode=EXCLUSIVE")
     return connection
@@ -120,8 +143,9 @@ class Shard:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        with self._told():
+        with self._told(), ExitStack() as at_failure:
             self._connection = _connect(path)
+            at_failure.callback(self._connection.close)
             self._connection.execute("PRAGMA journal_mode=WAL")
             self._connection.execute("PRAGMA synchronous=NORMAL")
             table = ", ".join(f"{name} {kind}" for name, kind in _COLUMNS.items())
@@ -129,6 +153,7 @@ class Shard:
             for name in _DEFAULTS.keys() - _columns_there(self._connection):
                 default = f"{_COLUMNS[name]} DEFAULT '{_DEFAULTS[name]}'"
                 self._connection.execute(f"ALTER TABLE cases ADD COLUMN {name} {default}")
+            at_failure.pop_all()
         self._synced = time.monotonic()
 
     @contextmanager
@@ -143,7 +168,7 @@ class Shard:
 
         Raises
         ------
-        ComputationError : the disk.
+        ComputationError : the disk, or somebody has removed the file.
         """
         layout = json.dumps({name: array.shape for name, array in record.arrays.items()})
         data = b"".join(
@@ -161,6 +186,8 @@ class Shard:
             if time.monotonic() - self._synced > _SYNC_SECONDS:
                 self._connection.execute("PRAGMA wal_checkpoint")
                 self._synced = time.monotonic()
+                if not self.path.exists():
+                    raise ComputationError(f"{self.path}: was removed while it was written to")
 
     def close(self) -> None:
         """Bring everything to the disk."""
@@ -198,31 +225,62 @@ class Entry:
     flags: tuple[str, ...] = ()
 
 
-def read_index(path: Path) -> dict[str, Entry] | None:
-    """Return the cases of a shard by id; None if it is damaged. Not collective.
+def read_index(path: Path, mend: bool = False) -> tuple[dict[str, Entry], int] | None:
+    """Return the cases of a shard by id, and how many rows are damaged. Not collective.
+
+    None if it is damaged as a whole. A file without contents, or without a table, holds nothing:
+    its sweep was killed before its first case.
+
+    Parameters
+    ----------
+    mend : drop rows that are damaged.
 
     Raises
     ------
     ComputationError : it is in use, or cannot be read.
     """
-    if path.stat().st_size == 0:
-        return None
+    tail = Path(f"{path}-wal")
+    if not path.stat().st_size and tail.exists() and tail.stat().st_size:
+        return None  # SQLite would take it for new
     try:
-        connection = _connect(path)
-        try:
+        with closing(_connect(path)) as connection:
             if connection.execute("PRAGMA quick_check").fetchone()[0] != "ok":
                 return None
-            if not connection.execute("SELECT 1 FROM sqlite_master WHERE name='cases'").fetchone():
-                return {}  # killed before its first case
-            names = _selected(connection, ("id", "status", "layout", "version", "flags"))
-            rows = connection.execute(f"SELECT {names} FROM cases").fetchall()
-        finally:
-            connection.close()
+            there = _columns_there(connection)
+            if not there:
+                return {}, 0
+            if _COLUMNS.keys() - _DEFAULTS.keys() - there:
+                return None
+            return _read_rows(path, connection, mend)
     except sqlite3.OperationalError as error:
         raise ComputationError(f"{path}: cannot be read: {error}") from error
     except sqlite3.DatabaseError:
         return None
-    return {identity: _entry(path, *row) for identity, *row in rows}
+
+
+def _read_rows(
+    path: Path, connection: sqlite3.Connection, mend: bool
+) -> tuple[dict[str, Entry], int]:
+    names = _selected(connection, ("id", "status", "layout", "version", "flags"))
+    rows = connection.execute(
+        f"SELECT rowid, {names}, typeof(toml), typeof(error), typeof(seconds), typeof(imbalance), "
+        "CASE typeof(data) WHEN 'blob' THEN length(data) END FROM cases"
+    )
+    entries, bad = {}, []
+    for row, identity, status, layout, version, flags, *types, size in rows:
+        try:
+            texts = all(isinstance(text, str) for text in (identity, layout, version, flags))
+            fit = types in (["text", "text", "real", kind] for kind in ("real", "null"))  # NaN
+            if not texts or not fit or status not in ("done", "failed"):
+                raise ValueError(identity)
+            if size != 8 * sum(map(math.prod, _layout(layout).values())):
+                raise ValueError(identity)
+            entries[identity] = _entry(path, status, layout, version, flags)
+        except ValueError:
+            bad.append((row,))
+    if mend and bad:
+        connection.executemany("DELETE FROM cases WHERE rowid = ?", bad)
+    return entries, len(bad)
 
 
 def _entry(path: Path, status: str, layout: str, version: str, flags: str) -> Entry:
@@ -234,19 +292,17 @@ def _entry(path: Path, status: str, layout: str, version: str, flags: str) -> En
 
 
 def read_records(path: Path, ids: Sequence[str]) -> Iterator[Record]:
-    """Yield some cases of a shard. Not collective."""
-    connection = _connect(path)
-    try:
+    """Yield some cases of a shard, of those that its index has. Not collective."""
+    with closing(_connect(path)) as connection:
         query = f"SELECT {_selected(connection, tuple(_COLUMNS))} FROM cases WHERE id = ?"
         for identity in ids:
             row = connection.execute(query, (identity,)).fetchone()
             _, toml, status, error, seconds, imbalance, layout, data, version, flags = row
             yield Record(
-                identity, toml, status, error, seconds, imbalance, _unpacked(layout, data),
-                version, split_flags(flags),
+                identity, toml, status, error, seconds,
+                math.nan if imbalance is None else imbalance,
+                _unpacked(layout, data), version, split_flags(flags),
             )  # fmt: skip
-    finally:
-        connection.close()
 
 
 @contextmanager
@@ -262,11 +318,19 @@ def locked(folder: Path, part: str) -> Iterator[None]:
     ------
     InputError : another sweep is at work there.
     """
-    with (folder / "lock").open("a") as whole, (folder / f"lock{part}").open("a") as own:
+    with ExitStack() as held:
+        whole = held.enter_context((folder / "lock").open("a"))
         _lock(whole, fcntl.LOCK_SH if part else fcntl.LOCK_EX, folder)
-        if part:
+        if part:  # only now: who has the whole may remove it
+            own = held.enter_context((folder / f"lock{part}").open("a"))
             _lock(own, fcntl.LOCK_EX, folder)
         yield
+
+
+def forget_slices(folder: Path) -> None:
+    """Remove the locks of slices. Needs the lock of the whole folder."""
+    for path in folder.glob("lock[0-9]*-[0-9]*"):
+        path.unlink(missing_ok=True)
 
 
 def _lock(file: object, kind: int, folder: Path) -> None:

@@ -5,21 +5,25 @@
 of a study keep to files of their own until the whole is merged.
 """
 
+import sqlite3
 from collections import defaultdict
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from itertools import chain, count
 from pathlib import Path
 
-import h5py
-
-from ringwear_par.errors import InputError
+from ringwear_par.atomic import check_writable, unwritable
+from ringwear_par.cases.keys import read_keys
+from ringwear_par.errors import ComputationError, InputError
 from ringwear_par.history.balances import Balances
+from ringwear_par.results.checkpoints import restored
 from ringwear_par.results.files import open_result
 from ringwear_par.results.variables import PROFILES
 from ringwear_par.studies import dataset, shards
 from ringwear_par.studies.dataset import RESULTS, Row
 from ringwear_par.studies.shards import Entry, Record
+from ringwear_par.studies.study import case_id
 
 _FOLDERS = ("shards", "inflight", "operators")
 
@@ -60,122 +64,181 @@ class Store:
         Raises
         ------
         InputError : the folder cannot be written.
+        ComputationError : its disk is full.
         """
         try:
             for name in _FOLDERS:
                 (self.folder / name).mkdir(parents=True, exist_ok=True)
-            probe = self.folder / f"probe{self.part}"
-            probe.touch()
-            probe.unlink()
         except OSError as error:
-            raise InputError(f"{self.folder}: cannot be written: {error.strerror}") from error
+            raise unwritable(self.folder, error) from error
+        check_writable(self.folder / RESULTS)
 
     def clear(self) -> None:
         """Remove what a killed sweep left half done. Needs the folder's lock."""
+        self.drop_operators()
         self.stopped.unlink(missing_ok=True)
-        left = [*(self.folder / "operators").glob(f"{self.part or '*'}_*")]
         if not self.part:
-            left += [*self.folder.glob("STOPPED.*"), *self.folder.glob("*.tmp*")]
-            left += [*(self.folder / "inflight").glob("*.tmp*")]
-        for path in left:
+            left = [*self.folder.glob("STOPPED.*"), *self.folder.glob("*.tmp*")]
+            for path in (*left, *(self.folder / "inflight").glob("*.tmp*")):
+                path.unlink(missing_ok=True)
+
+    def drop_operators(self) -> None:
+        """Remove the operators, which are assembled again where they are needed."""
+        for path in (self.folder / "operators").glob(f"{self.part or '*'}_*"):
             path.unlink(missing_ok=True)
 
-    def scan(self, mend: bool) -> tuple[dict[str, Entry], list[str]]:
+    def scan(self, ids: Collection[str], mend: bool) -> tuple[dict[str, Entry], list[str]]:
         """Return the stored cases by id, and sentences on what is damaged. Needs the lock.
 
         Parameters
         ----------
-        mend : move damaged files aside.
+        ids : of the cases of the study, whose checkpoints have to be theirs.
+        mend : move damaged files aside, drop damaged rows.
 
         Raises
         ------
-        ComputationError : a shard is in use by a process of a killed sweep.
+        ComputationError : a file is in use by a process of a killed sweep, or cannot be read.
         """
         entries: dict[str, Entry] = {}
-        notes = []
+        notes, mine = [], frozenset(ids)
         results = self.folder / RESULTS
         if results.exists():
             found = dataset.read_entries(results)
             if found is None:
-                aside = results.with_name("results.damaged.h5")
-                if mend:
-                    with suppress(FileNotFoundError):  # another slice was first
-                        results.replace(aside)
-                notes.append(f"{results}: is damaged (kept as {aside.name}); its cases run again")
+                notes.append(self.set_aside(results, mend))
             entries.update(found or {})
         for path in sorted((self.folder / "shards").glob(f"{self.part or '*'}_*.sqlite")):
-            found = shards.read_index(path)
-            if found is None:
-                aside = path.with_suffix(".damaged")
-                if mend:
-                    path.replace(aside)
-                    for tail in ("-wal", "-shm"):
-                        Path(f"{path}{tail}").unlink(missing_ok=True)
-                notes.append(f"{path}: is damaged (kept as {aside.name}); its cases run again")
-            for identity, entry in (found or {}).items():  # a failure never hides a success
+            index = shards.read_index(path, mend)
+            if index is None:
+                notes.append(self.set_aside(path, mend))
+                continue
+            if index[1]:
+                notes.append(f"{path}: {index[1]} of its rows are damaged; their cases run again")
+            for identity, entry in index[0].items():  # a failure never hides a success
                 if entries.get(identity, _NOTHING).status != "done":
                     entries[identity] = entry
         for path in sorted((self.folder / "inflight").glob("*.h5")):
             if entries.get(path.stem, _NOTHING).status not in ("done", "failed"):
-                interrupted = _interrupted(path)
-                if interrupted is None:
-                    if not path.exists():  # another slice has just ended the case
-                        continue
-                    if mend:
-                        path.unlink(missing_ok=True)
-                    notes.append(f"{path}: is damaged; this case starts anew")
-                else:
-                    entries[path.stem] = interrupted
+                try:
+                    record = _interrupted(path)
+                    if path.stem in mine and _id_of(record) != path.stem:
+                        raise InputError(f"{path}: is of another case than its name says")
+                    entries[path.stem] = _entry(record, path)
+                except InputError as error:
+                    if path.exists():  # else another slice has just ended the case
+                        if mend:
+                            path.unlink(missing_ok=True)
+                        notes.append(f"{error}; this case starts anew")
         return entries, notes
 
+    def set_aside(self, path: Path, mend: bool = True) -> str:
+        """Give a damaged file another name, which no file has, and return a sentence on it.
+
+        Parameters
+        ----------
+        mend : False: return the sentence only.
+        """
+        ending = path.suffix if path.name == RESULTS else ""
+        numbers = chain([""], count(2))
+        names = (path.with_name(f"{path.stem}.damaged{number}{ending}") for number in numbers)
+        aside = next(name for name in names if not name.exists())
+        if mend:
+            for tail in ("", "-wal", "-journal", "-shm"):  # those of SQLite
+                with suppress(FileNotFoundError):  # there is none, or another slice was first
+                    Path(f"{path}{tail}").replace(f"{aside}{tail}")
+        return f"{path}: is damaged (kept as {aside.name}); its cases run again"
+
     def fetch(self, rows: Sequence[Row]) -> Iterator[Record]:
-        """Yield the records of stored cases, in any order."""
+        """Yield the records of stored cases, in any order.
+
+        Raises
+        ------
+        DamagedError : a file that the scan took for whole.
+        """
         places: dict[Path, list[str]] = defaultdict(list)
         for row in rows:
             if row.entry is not None:
                 places[row.entry.path].append(row.id)
         for path, ids in places.items():
-            if path.suffix == ".sqlite":
-                yield from shards.read_records(path, ids)
-            elif path.name == RESULTS:
-                yield from dataset.read_records(path, ids)
-            else:
-                yield _interrupted_record(path)
+            try:
+                if path.suffix == ".sqlite":
+                    yield from shards.read_records(path, ids)
+                elif path.name == RESULTS:
+                    yield from dataset.read_records(path, ids)
+                else:
+                    yield _interrupted(path)
+            except OSError as error:
+                if error.errno:
+                    raise
+                raise DamagedError(path) from error  # h5py
+            except _DAMAGE as error:
+                raise DamagedError(path) from error
 
     def forget_shards(self) -> None:
-        """Remove what results.h5 holds by now."""
+        """Remove what results.h5 holds by now, and what slices have left."""
         for path in (self.folder / "shards").glob("*.sqlite*"):
             path.unlink(missing_ok=True)
+        shards.forget_slices(self.folder)
         for name in _FOLDERS:  # what is damaged or interrupted stays
             with suppress(OSError):
                 (self.folder / name).rmdir()
 
 
+class DamagedError(ComputationError):
+    """A file whose contents cannot be read.
+
+    Parameters
+    ----------
+    path : of the file.
+    """
+
+    def __init__(self, path: Path) -> None:
+        super().__init__(f"{path}: is damaged")
+        self.path = path
+
+
 _NOTHING = Entry("", 0, 0, (), False, Path(), "")
+#: what reading a damaged file ends in
+_DAMAGE = (
+    sqlite3.DatabaseError, RuntimeError, KeyError, IndexError, TypeError, ValueError, InputError,
+)  # fmt: skip
 
 
-def _interrupted(path: Path) -> Entry | None:
-    try:
-        with h5py.File(path, "r") as file:
-            fields = tuple(name for name in PROFILES if name in file)
-            deep = any(file[name].ndim == 2 for name in fields)
-            stored, elements, version = len(file["time"]), len(file["r"]), file.attrs["version"]
-            return Entry("incomplete", stored, elements, fields, deep, path, str(version))
-    except (OSError, KeyError, RuntimeError):
-        return None
+def _entry(record: Record, path: Path) -> Entry:
+    """Return what is known of an interrupted case."""
+    fields = tuple(name for name in PROFILES if name in record.arrays)
+    deep = any(record.arrays[name].ndim == 2 for name in fields)
+    steps, elements = (len(record.arrays[name]) for name in ("time", "r"))
+    return Entry(record.status, steps, elements, fields, deep, path, record.version)
 
 
-def _interrupted_record(path: Path) -> Record:
+def _interrupted(path: Path) -> Record:
+    """Read an interrupted case.
+
+    Raises
+    ------
+    InputError : the file is damaged.
+    """
     result = open_result(path)
-    arrays = {
-        "step": result.step,
-        **result.histories,
-        "r": result.line.r,
-        "width": result.line.width,
-        **result.profiles,
-    }
-    about, worst = result.attributes, Balances(**result.balances).worst
-    return Record(
-        path.stem, result.case, "incomplete", "", float(about["seconds_stepping"]), worst, arrays,
-        str(about["version"]),
-    )  # fmt: skip
+    try:
+        restored(result)
+        about, worst = result.attributes, Balances(**result.balances).worst
+        seconds, version = float(about["seconds_stepping"]), str(about["version"])
+        arrays = {
+            "step": result.step,
+            **result.histories,
+            "r": result.line.r,
+            "width": result.line.width,
+            **result.profiles,
+        }
+    except _DAMAGE as error:
+        raise InputError(f"{path}: is damaged") from error
+    return Record(path.stem, result.case, "incomplete", "", seconds, worst, arrays, version)
+
+
+def _id_of(record: Record) -> str:
+    """Return the id that the text of a case says, "" if it says none."""
+    try:
+        return case_id(read_keys(record.toml))
+    except _DAMAGE:
+        return ""

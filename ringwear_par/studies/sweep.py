@@ -10,7 +10,7 @@ import logging
 import resource
 import time
 from collections.abc import Mapping
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -28,13 +28,19 @@ from ringwear_par.stopping import StopSignals, name_of, remark
 from ringwear_par.studies.dataset import RESULTS, TABLE, Row, write_ensemble
 from ringwear_par.studies.ensemble import read_ensemble
 from ringwear_par.studies.estimate import estimate
+from ringwear_par.studies.operators import StorageError
 from ringwear_par.studies.plan import Plan, Request, make_plan
 from ringwear_par.studies.scheduling import Scheduler
+from ringwear_par.studies.shards import Entry
+from ringwear_par.studies.store import DamagedError
 from ringwear_par.studies.study import Study, read_study_together
 from ringwear_par.studies.summary import Summary
 from ringwear_par.studies.workers import Timings, Worker, provide_operator
 
 log = logging.getLogger(__name__)
+
+#: how long what another machine has stored may stay unseen, and between two looks
+_PATIENCE_SECONDS, _LATE_SECONDS = 10.0, 0.2
 
 Source = Study | Path | str | Mapping[str, Any]
 
@@ -151,9 +157,7 @@ def _compute(
     load_kernels(comm)
     timings = Timings()
     if plan.all_assemble:
-        for group in plan.left:
-            provide_operator(plan, group, comm, timings)
-        comm.Barrier()
+        _assemble_all(plan, comm, timings)
 
     def group_ended(group: int) -> None:
         plan.store.operator(group).unlink(missing_ok=True)
@@ -199,27 +203,58 @@ def _compute(
             every,
             plan.flagged + tuple(flags for t in every for flags in t.flagged),
         )
-        if not troubles and not plan.store.part:
-            on_first_rank(comm, lambda: _merge(plan, summary))
+        counted = summary.done + summary.failed
+        try:
+            done, failed = on_first_rank(comm, lambda: _settle(plan, summary, not troubles))
+            counted = max(counted, done + failed)
+            summary = replace(summary, done=done, failed=failed)
+        except RingwearError as error:  # of the disk
+            troubles.append(error)
     summary = replace(summary, seconds=time.perf_counter() - started)
-    return summary, _trouble(plan, summary, troubles, received, comm)
+    return summary, _trouble(plan, summary, counted, troubles, received, comm)
+
+
+def _assemble_all(plan: Plan, comm: MPI.Intracomm, timings: Timings) -> None:
+    """Provide all operators, by all ranks. Collective."""
+    try:
+        for group in plan.left:
+            provide_operator(plan, group, comm, timings)
+    except StorageError as error:
+        on_first_rank(comm, plan.store.drop_operators)
+        ended = f"{plan.done + plan.failed} of {plan.total} cases are stored"
+        raise ComputationError(f"{error}; {ended}, and the same command goes on") from error
+    comm.Barrier()
 
 
 def _trouble(
     plan: Plan,
     summary: Summary,
+    counted: int,
     troubles: list[RingwearError],
     received: int,
     comm: MPI.Intracomm,
 ) -> RingwearError | None:
-    """Return in one sentence what is wrong, if anything, the same on all ranks. Collective."""
+    """Return in one sentence what is wrong, if anything, the same on all ranks. Collective.
+
+    Parameters
+    ----------
+    counted : cases that have ended, of which ``summary`` says how many are stored.
+    """
     ended = f"{summary.done + summary.failed} of {summary.total} cases are stored"
     if troubles:
         if isinstance(troubles[0], InputError):
             return troubles[0]
         return ComputationError(f"{troubles[0]}; {ended}, and the same command goes on")
-    if summary.done + summary.failed < summary.total:
-        on_first_rank(comm, lambda: plan.store.stopped.touch())
+    if counted < summary.total:
+        on_first_rank(comm, lambda: _mark(plan.store.stopped))
+    lost = counted - summary.done - summary.failed
+    if lost > 0:
+        return ComputationError(
+            f"{summary.folder}: {lost} of {counted} cases that have ended are not stored any more "
+            f"(files in {summary.folder / 'shards'} were removed or damaged); {ended}, and the "
+            "same command computes the others again"
+        )
+    if counted < summary.total:
         name = name_of(received) if received else "a team"
         return ComputationError(
             f"stopped by {name}, incomplete: {ended}, and the same command goes on"
@@ -232,12 +267,66 @@ def _trouble(
     return None
 
 
-def _merge(plan: Plan, summary: Summary) -> None:
-    """Write results.h5 and cases.csv of all that is stored, then drop the shards. On one rank."""
+def _mark(path: Path) -> None:
+    """Make an empty file, or say why it cannot be."""
+    try:
+        path.touch()
+    except OSError as error:
+        log.warning("%s: cannot be written: %s", path, error.strerror)
+
+
+def _settle(plan: Plan, summary: Summary, well: bool) -> tuple[int, int]:
+    """Merge if all is well and this is no slice; return what is stored, done and failed.
+
+    On one rank.
+
+    Raises
+    ------
+    RingwearError, OSError : the disk.
+    """
+    with suppress(OSError):
+        plan.store.drop_operators()
+    if not well:
+        with suppress(RingwearError, OSError):  # there is trouble enough to tell
+            return plan.count(plan.store.scan(plan.study.ids, mend=False)[0])
+        return summary.done, summary.failed
+    while True:
+        entries = _scan(plan, summary.done + summary.failed)
+        try:
+            if not plan.store.part:
+                _merge(plan, summary, entries)
+        except DamagedError as error:
+            log.warning("%s", plan.store.set_aside(error.path))
+            continue
+        return plan.count(entries)
+
+
+def _scan(plan: Plan, counted: int) -> dict[str, Entry]:
+    """Return what is stored; if that is less than counted, network disks may show it late."""
+    limit = time.monotonic() + _PATIENCE_SECONDS
+    while True:
+        entries, notes = plan.store.scan(plan.study.ids, mend=True)
+        for note in notes:
+            log.warning("%s", note)
+        if notes or sum(plan.count(entries)) >= counted or time.monotonic() > limit:
+            return entries
+        time.sleep(_LATE_SECONDS)
+
+
+def _merge(plan: Plan, summary: Summary, entries: Mapping[str, Entry]) -> None:
+    """Write results.h5 and cases.csv of all that is stored, then drop the shards. On one rank.
+
+    Raises
+    ------
+    DamagedError : one of the files that are read.
+    OSError : the disk.
+    """
     study, store, ranks = plan.study, plan.store, len(summary.timings)
     if not summary.computed and (store.folder / RESULTS).exists():
-        ranks = int(read_ensemble(store.folder).attributes["ranks"])
-    entries, _ = store.scan(mend=True)
+        try:
+            ranks = int(read_ensemble(store.folder).attributes["ranks"])
+        except (InputError, KeyError, TypeError, ValueError) as error:
+            raise DamagedError(store.folder / RESULTS) from error
     rows = [
         Row(
             identity,
@@ -250,13 +339,14 @@ def _merge(plan: Plan, summary: Summary) -> None:
     ]
     here = set(study.ids)
     rows += [Row(i, None, "", False, entry) for i, entry in entries.items() if i not in here]
-    complete = summary.done + summary.failed == summary.total
+    ended = sum(plan.count(entries))
     attributes = {
-        "status": "complete" if complete else "incomplete",
+        "status": "complete" if ended == summary.total else "incomplete",
         "study": study.text,
         "method": study.method,
         "ranks": ranks,
         **versions(),
     }
     write_ensemble(store.folder, study.names, rows, store.fetch, attributes)
-    store.forget_shards()
+    if ended >= summary.done + summary.failed:  # else they may yet come to light
+        store.forget_shards()

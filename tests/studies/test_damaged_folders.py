@@ -1,0 +1,346 @@
+"""Folders of sweeps in which somebody has removed, damaged or left behind files."""
+
+import os
+import shutil
+import signal
+import sqlite3
+import subprocess
+import sys
+
+import h5py
+import pytest
+import try_faults as faults
+from conftest import SHELL_ENVIRONMENT
+from swept import write_study
+
+from ringwear_par.errors import ComputationError
+from ringwear_par.studies import shards, store, sweep, workers
+from ringwear_par.studies.sweep import run_sweep
+
+pytestmark = pytest.mark.serial
+STUDY = """
+[vary]
+"wear.lower.k" = { log = [1e-8, 1e-6], count = 3 }
+"upper.young" = { values = [5e4, 1e5] }
+[design]
+method = "grid"
+"""
+CASES = 6
+
+
+@pytest.fixture(scope="module")
+def swept(tmp_path_factory, comm):
+    """A study, its folder, and the folder of all cases before merging."""
+    folder = tmp_path_factory.mktemp("swept")
+    study = write_study(folder, comm, STUDY)
+    run_sweep(study, folder / "reference", comm)
+    run_sweep(study, folder / "slice", comm, part=(1, 1))
+    return study, folder / "reference", folder / "slice"
+
+
+@pytest.fixture
+def output(tmp_path, swept):
+    """A folder of shards that are not merged."""
+    shutil.copytree(swept[2], tmp_path / "out")
+    return tmp_path / "out"
+
+
+@pytest.fixture
+def told(caplog):
+    """Function that returns what has been said of damage since it was asked last."""
+
+    def told():
+        found = [m for m in caplog.messages if "damaged" in m or "anew" in m]
+        caplog.clear()
+        return found
+
+    return told
+
+
+def shard_of(output):
+    (path,) = (output / "shards").glob("*.sqlite")
+    return path
+
+
+def poison(path, statement, *values):
+    connection = sqlite3.connect(path)
+    with connection:
+        assert connection.execute(statement, values).rowcount == 1
+    connection.close()
+
+
+@pytest.mark.parametrize("moment", range(5))
+def test_a_sweep_killed_while_it_makes_its_shard(tmp_path, swept, comm, told, moment):
+    """Before each of its statements, before its first PRAGMA as the first."""
+    study, reference, _ = swept
+    (tmp_path / "out" / "shards").mkdir(parents=True)
+    path = tmp_path / "out" / "shards" / "all_0000.sqlite"
+    script = f"""
+import os, signal, sqlite3, sys
+from pathlib import Path
+from ringwear_par.studies import shards
+
+class Connection(sqlite3.Connection):
+    moments = iter(range({moment + 1}))
+
+    def execute(self, *words):
+        if next(self.moments) == {moment}:
+            os.kill(os.getpid(), signal.SIGKILL)
+        return super().execute(*words)
+
+connect = sqlite3.connect
+sqlite3.connect = lambda *words, **more: connect(*words, factory=Connection, **more)
+shards.Shard(Path(sys.argv[1]))
+"""
+    killed = subprocess.run(
+        [sys.executable, "-c", script, path], env=SHELL_ENVIRONMENT, timeout=60, check=False
+    )
+    assert killed.returncode == -signal.SIGKILL
+    if moment < 2:
+        assert path.stat().st_size == 0
+    else:
+        assert path.stat().st_size > 0
+    run_sweep(study, tmp_path / "out", comm)
+    assert not told()
+    assert not faults.differences(tmp_path / "out", reference)
+
+
+@pytest.mark.parametrize("seen_under_way", [False, True])
+def test_shards_that_are_removed_under_a_sweep(tmp_path, swept, comm, monkeypatch, seen_under_way):
+    study, reference, _ = swept
+    output, store_one = tmp_path / "out", workers.Worker._store
+    stored = []
+
+    def storing(self, record):
+        store_one(self, record)
+        stored.append(record)
+        if len(stored) == 2:
+            shutil.rmtree(output / "shards")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(workers.Worker, "_store", storing)
+        patch.setattr(shards, "_SYNC_SECONDS", 0.0 if seen_under_way else 1e9)
+        patch.setattr(sweep, "_PATIENCE_SECONDS", 0.3)
+        with pytest.raises(ComputationError) as trouble:
+            run_sweep(study, output, comm)
+    assert len(str(trouble.value).splitlines()) == 1
+    if seen_under_way:
+        assert len(stored) == 2
+        assert "all_0000.sqlite: was removed while it was written to; 0 of 6" in str(trouble.value)
+        assert not (output / "results.h5").exists()
+    else:
+        assert f"{output}: 6 of 6 cases that have ended are not stored any more" in str(
+            trouble.value
+        )
+        with h5py.File(output / "results.h5") as file:
+            assert file.attrs["status"] == "incomplete"
+            assert set(file["status"].asstr()[:]) == {"incomplete"}
+    assert "the same command" in str(trouble.value)
+    run_sweep(study, output, comm)
+    assert not faults.differences(output, reference)
+
+
+def test_a_shard_that_comes_to_light_late(output, swept, comm, monkeypatch):
+    """As on a disk of the network: not there at the first look, and nothing is lost."""
+    study, reference, _ = swept
+    before = faults.done_before(output)
+    looks, scan = [], store.Store.scan
+
+    def late(self, *words, **more):
+        looks.append(words)
+        entries, notes = scan(self, *words, **more)
+        if len(looks) != 2:
+            return entries, notes
+        return dict(list(entries.items())[:2]), notes
+
+    monkeypatch.setattr(store.Store, "scan", late)
+    run_sweep(study, output, comm)
+    assert len(looks) == 3
+    assert faults.seconds_by_id(output) == before
+    assert not faults.differences(output, reference)
+
+
+def test_slices_leave_nothing(tmp_path, swept, comm):
+    study, reference, _ = swept
+    for part in ((1, 3), (2, 3), (3, 3)):
+        run_sweep(study, tmp_path / "out", comm, part=part)
+    assert {path.name for path in tmp_path.glob("out/lock*")} == {
+        "lock", "lock1-3", "lock2-3", "lock3-3",
+    }  # fmt: skip
+    run_sweep(study, tmp_path / "out", comm)
+    assert not faults.differences(tmp_path / "out", reference)
+
+
+def test_damaged_files_are_kept_side_by_side(output, swept, comm, told):
+    study, reference, _ = swept
+    shard = shard_of(output)
+    (output / "results.h5").write_bytes(b"")
+    asides = ["results.damaged.h5", "1-1_0000.damaged", "1-1_0000.damaged2", "results.damaged2.h5"]
+    shard.write_bytes(b"")
+    shard.with_name(f"{shard.name}-wal").write_bytes(b"its journal")
+    run_sweep(study, output, comm)
+    assert told() == [
+        f"{path}: is damaged (kept as {aside}); its cases run again"
+        for path, aside in zip((output / "results.h5", shard), asides, strict=False)
+    ]
+    shard.write_bytes(b"two" * 1000)
+    run_sweep(study, output, comm)
+    assert told() == [f"{shard}: is damaged (kept as {asides[2]}); its cases run again"]
+    (output / "results.h5").write_bytes(b"three")
+    run_sweep(study, output, comm)
+    assert told() == [
+        f"{output / 'results.h5'}: is damaged (kept as {asides[3]}); its cases run again"
+    ]
+    kept = {path.name: path.read_bytes() for path in output.rglob("*damaged*")}
+    assert kept.pop("1-1_0000.damaged-wal") == b"its journal"
+    assert [kept.pop(name) for name in asides] == [b"", b"", b"two" * 1000, b"three"]
+    assert not kept
+    for path in output.rglob("*damaged*"):
+        path.unlink()
+    (output / "shards").rmdir()
+    assert not faults.differences(output, reference)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        "layout = '{'",
+        "layout = '[1, 2]'",
+        """layout = '{"time": 3}'""",
+        """layout = '{"time": [3], "r": [-1]}'""",
+        """layout = '{"time": [3, 3]}'""",
+        """layout = '{"unknown": [3]}'""",
+        f"layout = '{'[' * 5000}'",
+        "layout = CAST(x'ff' AS TEXT)",
+        "layout = NULL",
+        "data = x'00'",
+        "data = NULL",
+        "data = 'text'",
+        "status = NULL",
+        "status = 'incomplete'",
+        "toml = NULL",
+        "error = x'00'",
+        "seconds = NULL",
+        "seconds = 'long'",
+        "imbalance = 'much'",
+        "version = NULL",
+        "flags = 3.0",
+        "id = NULL",
+        "id = x'00'",
+    ],
+    ids=lambda change: change[:30],
+)
+def test_a_damaged_row_does_not_block_the_others(output, swept, comm, told, change):
+    study, reference, _ = swept
+    before, shard = faults.done_before(output), shard_of(output)
+    victim = sorted(before)[2]
+    poison(shard, f"UPDATE cases SET {change} WHERE id = ?", victim)
+    run_sweep(study, output, comm)
+    if change != "flags = 3.0":  # which is as good a text
+        assert told() == [f"{shard}: 1 of its rows are damaged; their cases run again"]
+        assert faults.seconds_by_id(output).pop(victim) != before.pop(victim)
+        assert not faults.differences(output, reference)
+    after = faults.seconds_by_id(output)
+    assert all(after[identity] == seconds for identity, seconds in before.items())
+
+
+def test_a_case_that_is_no_number(output, swept, comm, told):
+    """SQLite stores NaN as NULL."""
+    victim = sorted(faults.done_before(output))[0]
+    poison(shard_of(output), "UPDATE cases SET imbalance = ? WHERE id = ?", float("nan"), victim)
+    run_sweep(swept[0], output, comm)
+    assert not told()
+    with h5py.File(output / "results.h5") as file:
+        found = dict(zip(file["case"].asstr()[:], file["imbalance"][:], strict=True))
+    assert [identity for identity, value in found.items() if value != value] == [victim]
+
+
+def test_a_case_of_nobody(output, swept, comm, told):
+    """A row that the study does not know, and whose text says nothing, is listed and no more."""
+    study, reference, _ = swept
+    row = "'stranger', 'no = case =', 'done', '', 1.0, 0.0, '{}', x'', '1', ''"
+    poison(shard_of(output), f"INSERT INTO cases VALUES ({row})")
+    run_sweep(study, output, comm, mix_versions=True)
+    assert not told()
+    rows = faults.table(output)
+    (last,) = [row for row in rows if row["case"] == "stranger"]
+    assert (last["in_study"], last["wear.lower.k"]) == ("no", "")
+    assert [row for row in rows if row is not last] == faults.table(reference)
+
+
+@pytest.mark.parametrize("contents", ["no columns", "no table"])
+def test_other_tables(output, swept, comm, told, contents):
+    study, reference, _ = swept
+    shard = shard_of(output)
+    shard.unlink()
+    connection = sqlite3.connect(shard)
+    connection.execute(f"CREATE TABLE {'cases' if contents == 'no columns' else 'x'} (id TEXT)")
+    connection.close()
+    run_sweep(study, output, comm)
+    if contents == "no columns":
+        assert told() == [f"{shard}: is damaged (kept as 1-1_0000.damaged); its cases run again"]
+        (output / "shards" / "1-1_0000.damaged").unlink()
+        (output / "shards").rmdir()
+    assert not told()
+    assert not faults.differences(output, reference)
+
+
+@pytest.fixture
+def interrupted(tmp_path, swept, comm, stopped_after):
+    """A folder whose first case was interrupted; the name of its checkpoint."""
+    output = tmp_path / "out"
+    with stopped_after(7), pytest.raises(ComputationError, match="stopped by SIGTERM"):
+        run_sweep(swept[0], output, comm)
+    (path,) = (output / "inflight").iterdir()
+    return path
+
+
+@pytest.mark.parametrize("kind", ["whole", "empty", "text", "truncated", "no checkpoint", "other"])
+def test_checkpoints_in_flight(interrupted, swept, comm, told, kind):
+    study, reference, _ = swept
+    output = interrupted.parents[1]
+    spoilt = interrupted
+    if kind == "empty":
+        interrupted.write_bytes(b"")
+    elif kind == "text":
+        interrupted.write_text("precious")
+    elif kind == "truncated":
+        os.truncate(interrupted, interrupted.stat().st_size // 2)
+    elif kind == "no checkpoint":
+        with h5py.File(interrupted, "r+") as file:
+            del file["checkpoint"]
+    elif kind == "other":
+        other = sorted(faults.seconds_by_id(reference).keys() - {interrupted.stem})[0]
+        spoilt = interrupted.with_name(f"{other}.h5")
+        shutil.copy(interrupted, spoilt)
+    run_sweep(study, output, comm)
+    notes = told()
+    if kind == "whole":
+        assert not notes
+    else:
+        (note,) = notes
+        assert note.startswith(f"{spoilt}: ")
+        assert note.endswith("; this case starts anew")
+        assert ("is of another case than its name says" in note) == (kind == "other")
+    assert not faults.differences(output, reference)
+
+
+def test_results_that_fail_only_when_they_are_read(swept, tmp_path, comm, told, monkeypatch):
+    """Then they are set aside, the rest is merged, and another sweep computes what was in them."""
+    study, reference, _ = swept
+    output = tmp_path / "out"
+    shutil.copytree(reference, output)
+    changed = tmp_path / "study.toml"
+    shutil.copy(study.with_name("paper.toml"), tmp_path)
+    text = study.read_text(encoding="utf-8").replace("[5e4, 1e5]", "[5e4, 1e5, 2e5]")
+    changed.write_text(text, encoding="utf-8")
+    with h5py.File(output / "results.h5", "r+") as file:  # the index of cases is as it was
+        del file["approach"]
+        file["approach"] = "nothing"
+    monkeypatch.setattr(sweep, "_PATIENCE_SECONDS", 0.3)
+    with pytest.raises(ComputationError, match="6 of 9 cases that have ended are not stored"):
+        run_sweep(changed, output, comm)
+    (note,) = told()
+    assert note.startswith(f"{output / 'results.h5'}: is damaged (kept as results.damaged.h5)")
+    run_sweep(changed, output, comm)
+    assert [row["status"] for row in faults.table(output)] == ["done"] * 9

@@ -1,0 +1,336 @@
+"""Full disks: a sentence, status 1, the file that was there, and nothing else."""
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+import try_faults as faults
+from conftest import SHELL_ENVIRONMENT
+from stored import contents
+
+from ringwear_par.atomic import atomic_write
+from ringwear_par.elasticity import assembly
+from ringwear_par.results import watch
+from ringwear_par.results.files import open_result, read_status
+from ringwear_par.results.hdf5 import atomic_hdf5
+from ringwear_par.results.run import run_case
+from ringwear_par.studies.sweep import run_sweep
+
+pytestmark = pytest.mark.serial
+TESTS = Path(__file__).parent
+CASES = TESTS.parent / "scripts" / "cases"
+SMALL = ["mesh.contact_elements=16", "time.steps=20"]
+WIDE = ["mesh.contact_elements=64", "time.steps=8"]
+FULL = {"disk": "No space left on device", "limit": "File too large"}
+
+
+@pytest.fixture(params=["disk", "limit"])
+def full(request, tmp_path):
+    """Function that runs a command with less or more room: see full_disk.py, which runs it."""
+    folder, kind = tmp_path / "small", request.param
+    folder.mkdir()
+    if kind == "disk":
+        mount = ["mount", "-t", "tmpfs", "-o", "size=64m", "tmpfs", str(folder)]
+        if os.geteuid() or not shutil.which("mount"):
+            pytest.skip("only root may mount a small disk")
+        if subprocess.run(mount, capture_output=True, timeout=20, check=False).returncode:
+            pytest.skip("mounting a small disk is not allowed here")
+
+    def full(words, sizes, before=(), **more):
+        told = {
+            "folder": str(folder), "words": [str(w) for w in words], "sizes": sizes,
+            "before": {name: str(path) for name, path in dict(before).items()},
+            "keep": str(tmp_path / "kept"), **more,
+        }  # fmt: skip
+        found = subprocess.run(
+            [sys.executable, TESTS / "full_disk.py", kind], input=json.dumps(told), text=True,
+            env=SHELL_ENVIRONMENT, capture_output=True, timeout=200, check=False,
+        )  # fmt: skip
+        assert found.returncode == 0, found.stderr
+        assert not found.stderr
+        return [
+            (size, *result) for size, result in zip(sizes, json.loads(found.stdout), strict=True)
+        ]
+
+    full.folder, full.kept, full.words = folder, tmp_path / "kept", FULL[kind]
+    try:
+        yield full
+    finally:
+        if kind == "disk":
+            subprocess.run(["umount", "-l", str(folder)], timeout=20, check=True)
+
+
+@pytest.fixture(scope="module")
+def runs(tmp_path_factory, comm):
+    """Results: of the paper's case, of one that is over soon, and with fields."""
+    folder = tmp_path_factory.mktemp("runs")
+    run_case(CASES / "paper.toml", folder / "whole.h5", SMALL, comm=comm)
+    run_case(CASES / "paper.toml", folder / "old.h5", [SMALL[0], "time.steps=1"], comm=comm)
+    run_case(CASES / "paper.toml", folder / "wide.h5", WIDE, comm=comm)
+    run_case(CASES / "fields.toml", folder / "fields.h5", SMALL[:1], comm=comm)
+    return folder
+
+
+def sizes_for(size, count=12):
+    """Sizes from a page to what is more than enough for a file of this size."""
+    return [4096 * n for n in sorted({round(x) for x in np.geomspace(1, size / 2048 + 1, count)})]
+
+
+def names(folder):
+    return sorted(path.name for path in folder.iterdir())
+
+
+def check(full, results, name, old=None):
+    """All or nothing, and a sentence if nothing; return the folders where all was written."""
+    assert {status for _, status, *_ in results} == {0, 1}
+    whole = []
+    for size, status, said in results:
+        left = full.kept / str(size)
+        if status == 0:
+            whole.append(left)
+            assert said == []
+            assert name in names(left)
+            continue
+        assert not whole, "more room, and still not enough"
+        assert len(said) == 1, said
+        assert said[0].startswith(f"ringwear: {full.folder / name}: {full.words}")
+        assert names(left) == ([name] if old else [])
+        if old:
+            assert (left / name).read_bytes() == old.read_bytes()
+    return whole
+
+
+@pytest.mark.parametrize("there", [False, True])
+def test_run(full, runs, there):
+    words = ["run", CASES / "paper.toml", "-o", full.folder / "run.h5", "--set", *SMALL]
+    old = runs / "old.h5" if there else None
+    sizes = sizes_for((runs / "whole.h5").stat().st_size)
+    results = full(words, sizes, {"run.h5": old} if old else {})
+    reference = contents(runs / "whole.h5")
+    for left in check(full, results, "run.h5", old):
+        found = contents(left / "run.h5")
+        assert found.keys() == reference.keys()
+        assert all(np.array_equal(value, found[key]) for key, value in reference.items())
+    assert all("nothing of this run is stored" in said[0] for _, status, said in results if status)
+
+
+def test_run_with_checkpoints(full, runs):
+    """It goes on without them, says so once, and what it could write is there."""
+    words = ["run", CASES / "paper.toml", "-o", full.folder / "run.h5", "--set", *WIDE]
+    size = (runs / "wide.h5").stat().st_size  # two are there at a time
+    sizes = [int(share * size) // 4096 * 4096 for share in (0.1, 0.5, 0.7, 0.8, 0.9, 1.1, 1.6, 2.4)]
+    reached = set()
+    for size, status, said in full(words, sizes, checkpoint_seconds=0.0):
+        left = full.kept / str(size)
+        told = [line for line in said if "checkpoint not written, going on: " in line]
+        assert len(told) <= 1, said
+        if status == 0:
+            assert read_status(left / "run.h5") == ("complete", 8)
+            assert said == told
+            continue
+        assert said[:-1] == told
+        assert said[-1].startswith(f"ringwear: {full.folder / 'run.h5'}: {full.words}")
+        if "nothing of this run is stored" in said[-1]:
+            assert told
+            assert not names(left)
+            continue
+        assert names(left) == ["run.h5"]
+        steps = read_status(left / "run.h5")[1]
+        assert f"it holds the steps up to {steps}, and --restart goes on from there" in said[-1]
+        assert open_result(left / "run.h5").checkpoint.numbers["step"] == steps
+        reached.add(steps)
+    assert reached
+    assert status == 0
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["plot", "fields.h5", "-o", "old.png", "--panels", "section"],
+        ["export", "fields.h5", "-o", "old.vtu"],
+        ["export", "fields.h5", "-o", "old.csv", "--fields"],
+    ],
+    ids=lambda words: words[3],
+)
+def test_plot_and_export(full, runs, tmp_path, words):
+    command, source, option, name, *rest = words
+    old = tmp_path / "before"
+    old.write_bytes(b"precious" * 100)
+    words = [command, runs / source, option, full.folder / name, *rest]
+    (tmp_path / "sizes").mkdir()
+    ((size, status, _),) = full(words, [60_000_000], {name: old})
+    assert status == 0
+    whole = full.kept / str(size) / name
+    sizes = sizes_for(whole.stat().st_size, 4)
+    for left in check(full, full(words, sizes, {name: old}), name, old):
+        assert (left / name).stat().st_size == pytest.approx(whole.stat().st_size, rel=0.01)
+
+
+def test_sweep(full, tmp_path, comm):
+    """What is stored of it stays; with room, it ends as if nothing had been."""
+    study = faults.write_study(tmp_path, count=2, steps=10, elements=(16,))
+    run_sweep(study, tmp_path / "reference", comm)
+    size = (tmp_path / "reference" / "results.h5").stat().st_size
+    words = ["sweep", study, "-o", full.folder / "out"]
+    found = full(words, sizes_for(1.5 * size), again=True)
+    stored = set()
+    for size, status, said, status_again, said_again in found:
+        left = full.kept / str(size) / "out"
+        assert not list(left.rglob("*.tmp*"))
+        assert not list((left / "operators").glob("*"))
+        before = faults.done_before(left)
+        if status:
+            (told,) = said
+            assert f"{len(before)} of 10 cases are stored, and the same command goes on" in told
+            stored.add(len(before))
+        again = full.kept / f"{size}_again" / "out"
+        assert status_again == 0, said_again
+        assert not faults.differences(again, tmp_path / "reference")
+        after = faults.seconds_by_id(again)
+        assert all(after[identity] == seconds for identity, seconds in before.items())
+    assert len(stored) > 2
+    assert status == 0
+
+
+def test_merge(full, tmp_path, comm):
+    """Results of before stay until those that replace them are whole."""
+    study = faults.write_study(tmp_path, count=2, steps=10, elements=(8, 40))
+    text = study.read_text(encoding="utf-8")
+    study.write_text(text.replace("[0, 20, 40, 60, 70]", "[0]"), encoding="utf-8")
+    run_sweep(study, tmp_path / "out", comm)
+    study.write_text(text, encoding="utf-8")
+    run_sweep(study, tmp_path / "reference", comm)
+    run_sweep(study, tmp_path / "out", comm, part=(1, 1))
+    words = ["sweep", study, "-o", full.folder / "out"]
+    sizes = sizes_for((tmp_path / "reference" / "results.h5").stat().st_size, 8)
+    for size, status, said in full(words, sizes, {"out": tmp_path / "out"}):
+        left = full.kept / str(size) / "out"
+        there, *told = said
+        assert "20 of 20 cases are there already" in there
+        if status == 0:
+            assert not told
+            assert faults.seconds_by_id(left) == faults.done_before(tmp_path / "out")
+            assert not faults.differences(left, tmp_path / "reference")
+            continue
+        assert told == [
+            f"ringwear: {full.folder / 'out' / 'results.h5'}: {full.words}; 20 of 20 cases are "
+            "stored, and the same command goes on"
+        ]
+        for path in (tmp_path / "out").rglob("*.*"):
+            assert (left / path.relative_to(tmp_path / "out")).read_bytes() == path.read_bytes()
+    assert (status, said[1:]) == (0, [])
+
+
+def test_files_of_many_sizes_fit_or_do_not(tmp_path):
+    """Large variables, small ones and texts: wherever the disk ends, HDF5 survives it."""
+    import resource
+
+    path = tmp_path / "a.h5"
+
+    def fill(file):
+        for i in range(30):
+            file[f"small_{i}"] = np.arange(30.0)
+            file[f"text_{i}"] = ["x" * 500] * 40
+            file[f"small_{i}"].attrs["meaning"] = "y" * 200
+        chunked = file.create_dataset("chunked", (100, 1000), dtype=float, chunks=(10, 100))
+        chunked[:50] = 1.0
+        chunked[50:] = chunked[:50] + file["small_0"][1]
+
+    def write(size):
+        """Return the error with files of at most so many bytes, if there is one."""
+        hard = resource.getrlimit(resource.RLIMIT_FSIZE)[1]
+        resource.setrlimit(resource.RLIMIT_FSIZE, (size, hard))
+        try:
+            with atomic_hdf5(path) as (file, check_disk):
+                fill(file)
+                assert file["chunked"][0, 0] == 1.0
+                assert file["chunked"][-1, -1] == 2.0
+                assert file["text_29"].asstr()[39] == "x" * 500
+        except OSError as error:
+            with pytest.raises(OSError, match=FULL["limit"]):
+                check_disk()
+            return error
+        finally:
+            resource.setrlimit(resource.RLIMIT_FSIZE, (hard, hard))
+
+    for size in (*range(1, 40_000, 1999), *range(40_000, 1_500_000, 60_009)):
+        error = write(size)
+        assert (error.filename, error.strerror) == (str(path), FULL["limit"])
+        assert not list(tmp_path.iterdir())
+    assert write(3_000_000) is None
+    with h5py.File(path) as file:
+        assert np.array_equal(np.unique(file["chunked"]), [1.0, 2.0])
+        assert file["text_0"].asstr()[0] == "x" * 500
+
+
+def test_the_disk_is_told_by_the_name_of_the_file(tmp_path):
+    path = tmp_path / "a.csv"
+
+    def fail():
+        raise OSError(28, "No space left on device")
+
+    with pytest.raises(OSError, match="No space") as told, atomic_write(path):
+        fail()
+    assert told.value.filename == str(path)
+    other = tmp_path / "other"
+    with pytest.raises(FileNotFoundError) as told, atomic_write(path):
+        other.read_bytes()
+    assert told.value.filename == str(other)
+
+
+def test_checkpoints_are_missed_once_a_cause(shared_path, comm, monkeypatch, caplog):
+    from ringwear_par.results import run as driver
+
+    caplog.set_level("INFO")
+    write, calls = driver.write_result, []
+
+    def failing(*args):
+        calls.append(1)
+        if len(calls) in (2, 3, 4, 9):
+            raise OSError(28, "No space left on device", "run.h5")
+        if len(calls) in (5, 6):
+            raise OSError(5, "Input/output error", "run.h5")
+        write(*args)
+
+    monkeypatch.setattr(driver, "write_result", failing)
+    monkeypatch.setattr(watch, "CHECKPOINT_SECONDS", 0.0)
+    run_case(CASES / "paper.toml", shared_path / "run.h5", SMALL, comm=comm)
+    missed = "checkpoint not written, going on: run.h5: "
+    assert [m for m in caplog.messages if "checkpoint" in m] == [
+        f"{missed}No space left on device", f"{missed}Input/output error",
+        "checkpoints are written again", f"{missed}No space left on device",
+        "checkpoints are written again",
+    ]  # fmt: skip
+
+
+def test_compiled_code_that_the_disk_does_not_take(comm, monkeypatch, caplog):
+    """Every function fails once, after it was compiled, and never again."""
+    attempts = []
+
+    def compiled(*_):
+        attempts.append(1)
+        if len(attempts) < 4:
+            raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(assembly, "_assemble_rows", compiled)
+    assembly.load_kernels(comm)
+    assert len(attempts) == 4
+    assert caplog.messages == ["compiled code is not kept, going on: No space left on device"]
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full")
+def test_standard_output_on_a_full_disk(tmp_path):
+    words = [sys.executable, "-m", "ringwear_par", "info", "--schema"]
+    with open("/dev/full", "w") as nowhere:
+        result = subprocess.run(
+            words, stdout=nowhere, stderr=subprocess.PIPE, text=True, env=SHELL_ENVIRONMENT,
+            timeout=100, check=False,
+        )  # fmt: skip
+    assert result.returncode == 1
+    assert result.stderr == "ringwear: standard output: No space left on device\n"
