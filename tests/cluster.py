@@ -98,9 +98,9 @@ class Cluster:
 
     def processes(self, job, words):
         """Return the processes of a job whose commands have some words in them."""
-        found = []
+        found, own = [], {"SLURM_JOB_ID": job, "SLURM_CONF": self.environment["SLURM_CONF"]}
         for pid, environment in _environments():
-            if environment.get("SLURM_JOB_ID") == job:
+            if own.items() <= environment.items():
                 command = Path(f"/proc/{pid}/cmdline").read_bytes().decode().replace("\0", " ")
                 found += [pid] if words in command else []
         return found

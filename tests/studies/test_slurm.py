@@ -63,9 +63,10 @@ def test_a_run(cluster, tmp_path, launcher):
 
 def test_a_run_at_its_wall_limit_goes_on_by_itself(cluster, tmp_path):
     waiting = Waiting(tmp_path)
-    waiting.hold(0.05)  # at scancel, mpirun kills a second after the signal
+    waiting.hold(0.05)
+    patient = {"OMPI_MCA_odls_base_sigkill_timeout": "20"}  # mpirun kills a second after scancel
     job = cluster.submit("-n2", SLURM / "run.sbatch", waiting.case, tmp_path / "a.h5",
-                         "--set", "time.steps=2000")  # fmt: skip
+                         "--set", "time.steps=2000", **patient)  # fmt: skip
     wait_for_waiting(2, waiting)
     # a rank a core, where Slurm gives the job all that there are
     seen = os.sched_getaffinity(0)
