@@ -64,7 +64,7 @@ def test_a_run(cluster, tmp_path, launcher):
 def test_a_run_at_its_wall_limit_goes_on_by_itself(cluster, tmp_path):
     waiting = Waiting(tmp_path)
     waiting.hold(0.05)
-    patient = {"OMPI_MCA_odls_base_sigkill_timeout": "20"}  # mpirun kills a second after scancel
+    patient = {"OMPI_MCA_odls_base_sigkill_timeout": "4"}  # s, not 1, from scancel to kill
     job = cluster.submit("-n2", SLURM / "run.sbatch", waiting.case, tmp_path / "a.h5",
                          "--set", "time.steps=2000", **patient)  # fmt: skip
     wait_for_waiting(2, waiting)
