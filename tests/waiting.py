@@ -28,7 +28,7 @@ def rate(p, at):
     if k > 5e-7 and np.max(at.time) > 4.5:
         started, seconds = time.monotonic(), asked()
         if seconds:
-            (FOLDER / f"waits_{os.getpid()}").touch()
+            (FOLDER / f"waits_{os.uname().nodename}_{os.getpid()}").touch()
         while time.monotonic() - started < asked():
             time.sleep(0.005)
     return k * at.friction * at.speed * np.maximum(p - p0, 0.0)

@@ -1,30 +1,22 @@
-"""The job scripts in slurm/, in a Slurm of one node that is started here for them."""
+"""The job scripts in slurm/, in a Slurm of three nodes that is started here for them."""
 
 import csv
+import os
 import re
 import shutil
-import subprocess
-import sys
-import time
 from pathlib import Path
 
 import pytest
-from conftest import SHELL_ENVIRONMENT
+from cluster import SLURM, Cluster, started, wait_for_waiting
 from waiting import Waiting
 
 from ringwear_par.results.files import read_status
 
 pytestmark = pytest.mark.serial
-TOP = Path(__file__).parents[2]
-PAPER = TOP / "scripts" / "cases" / "paper.toml"
-SLURM = TOP / "slurm"
-LOCAL_SLURM = ["bash", TOP / "scripts" / "local_slurm.sh"]
+PAPER = Path(__file__).parents[2] / "scripts" / "cases" / "paper.toml"
+SRUN = "srun --mpi=pmix"
 FAILING = ["--", "-contact_tao_type", "tron", "-contact_tao_max_it", "1",
            "-contact_ksp_max_it", "1"]  # fmt: skip
-#: exit status of local_slurm.sh where Slurm cannot be started
-CANNOT = 77
-#: states of a job that has not ended
-UNDER_WAY = {"PENDING", "CONFIGURING", "RUNNING", "COMPLETING", "REQUEUED", "SUSPENDED"}
 SMALL = ["mesh.contact_elements=16", "time.steps=20"]
 STUDY = """
 case = "small.toml"
@@ -36,69 +28,10 @@ method = "grid"
 """
 
 
-class Cluster:
-    """Slurm's commands for one test, in its folder."""
-
-    def __init__(self, environment, folder):
-        self.environment, self.folder = environment, folder
-
-    def __call__(self, *words, **variables):
-        """Run a command, with variables added to its environment; return what it prints."""
-        result = subprocess.run(
-            list(map(str, words)), env=self.environment | variables, cwd=self.folder,
-            capture_output=True, text=True, timeout=20, check=False,
-        )  # fmt: skip
-        assert result.returncode == 0, result.stderr
-        return result.stdout
-
-    def submit(self, *words, **variables):
-        """Submit a job script; return the number of the job."""
-        return self("sbatch", "--parsable", *words, **variables).strip()
-
-    def jobs(self, job):
-        """What Slurm says of a job, or of every task of an array, as dictionaries."""
-        lines = self("scontrol", "show", "job", "--oneliner", job).splitlines()
-        return [dict(re.findall(r"(\S+?)=(\S*)", line)) for line in lines]
-
-    def wait(self, job, condition=lambda j: j["JobState"] not in UNDER_WAY, timeout=120.0):
-        """Wait until a condition holds for a job, or all tasks of an array; return them."""
-        started = time.monotonic()
-        while time.monotonic() - started < timeout:
-            jobs = self.jobs(job)
-            if all(map(condition, jobs)):
-                return jobs
-            time.sleep(0.1)
-        raise AssertionError(f"{jobs}\n{self.output()}")
-
-    def output(self):
-        """Return what all jobs of this folder have printed."""
-        return "\n".join(p.read_text() for p in sorted(self.folder.glob("slurm-*.out")))
-
-    def signal(self, job):
-        """Signal a job as its wall limit does, and see it back in the queue."""
-        self("scancel", "--signal=USR1", "--batch", job)
-        self.wait(job, lambda j: j["Restarts"] == "1" and j["JobState"] == "PENDING")
-
-
 @pytest.fixture(scope="module")
 def slurm(tmp_path_factory):
-    """The environment of a local Slurm, which ends with these tests, however they end."""
-    folder = tmp_path_factory.mktemp("slurm")
-    foreign = ("SLURM_", "SBATCH_", "RINGWEAR_LAUNCHER")
-    environment = {k: v for k, v in SHELL_ENVIRONMENT.items() if not k.startswith(foreign)}
-    # stops Slurm at the end of its input: also if pytest is killed
-    stop = ["bash", "-c", 'read -r; exec "$@"', "bash", *LOCAL_SLURM, "stop", folder]
-    with subprocess.Popen(stop, env=environment, stdin=subprocess.PIPE, start_new_session=True):
-        start = [*LOCAL_SLURM, "start", folder]
-        result = subprocess.run(
-            start, env=environment, capture_output=True, text=True, timeout=110, check=False
-        )
-        if result.returncode == CANNOT:
-            pytest.skip(result.stderr.splitlines()[-1])
-        assert result.returncode == 0, result.stderr
-        environment["SLURM_CONF"] = result.stdout.split("'")[1]
-        environment.setdefault("RINGWEAR_ACTIVATE", f"{sys.prefix}/bin/activate")
-        yield environment
+    """The environment of a local Slurm."""
+    yield from started(tmp_path_factory.mktemp("slurm"))
 
 
 @pytest.fixture
@@ -114,23 +47,15 @@ def write_study(folder):
     (folder / "study.toml").write_text(STUDY)
 
 
-def wait_for_waiting(number, waiting, timeout=120.0):
-    """Wait until so many processes compute cases that wait."""
-    started = time.monotonic()
-    while waiting.waits < number:
-        assert time.monotonic() - started < timeout, "no case began to wait"
-        time.sleep(0.02)
-
-
 def statuses(folder):
     with (folder / "out" / "cases.csv").open() as file:
         return [row["status"] for row in csv.DictReader(file)]
 
 
-@pytest.mark.parametrize("launcher", ["", "srun --mpi=pmix"])
+@pytest.mark.parametrize("launcher", ["", SRUN])
 def test_a_run(cluster, tmp_path, launcher):
     job = cluster.submit("-n2", SLURM / "run.sbatch", "paper.toml", "a.h5", "--set", *SMALL,
-                         RINGWEAR_LAUNCHER=launcher)  # fmt: skip
+                         launcher=launcher)  # fmt: skip
     (end,) = cluster.wait(job)
     assert (end["JobState"], end["ExitCode"]) == ("COMPLETED", "0:0"), cluster.output()
     assert read_status(tmp_path / "a.h5") == ("complete", 20)
@@ -138,10 +63,15 @@ def test_a_run(cluster, tmp_path, launcher):
 
 def test_a_run_at_its_wall_limit_goes_on_by_itself(cluster, tmp_path):
     waiting = Waiting(tmp_path)
-    waiting.hold(0.05)  # at scancel, mpirun kills a second after the signal
+    waiting.hold(0.05)
+    patient = {"OMPI_MCA_odls_base_sigkill_timeout": "4"}  # s, not 1, from scancel to kill
     job = cluster.submit("-n2", SLURM / "run.sbatch", waiting.case, tmp_path / "a.h5",
-                         "--set", "time.steps=2000")  # fmt: skip
+                         "--set", "time.steps=2000", **patient)  # fmt: skip
     wait_for_waiting(2, waiting)
+    # a rank a core, where Slurm gives the job all that there are
+    seen = os.sched_getaffinity(0)
+    each = {len(os.sched_getaffinity(pid)) for pid in cluster.ranks(job)}
+    assert each == {1 if len(seen) == 2 else len(seen)}
     cluster.signal(job)
     status, step = read_status(tmp_path / "a.h5")
     assert status == "incomplete"
@@ -174,11 +104,12 @@ def test_a_sweep_at_its_wall_limit_goes_on_by_itself(cluster, tmp_path):
 def test_an_array_of_slices_and_its_merge(cluster, tmp_path):
     waiting = Waiting(tmp_path, thresholds=(0, 20, 40))
     waiting.hold()
-    array = cluster.submit("-n1", "--array=1-3", SLURM / "array.sbatch", "study.toml",
-                           tmp_path / "out")  # fmt: skip
-    merge = cluster.submit("-n2", f"--dependency=afterany:{array}", SLURM / "sweep.sbatch",
+    array = cluster.submit("-n1", "--exclusive", "--array=1-3", SLURM / "array.sbatch",
+                           "study.toml", tmp_path / "out")  # fmt: skip
+    merge = cluster.submit("-N2", "-n2", f"--dependency=afterany:{array}", SLURM / "sweep.sbatch",
                            "study.toml", tmp_path / "out")  # fmt: skip
     wait_for_waiting(2, waiting)  # the second slice and the last: the first is the smaller k
+    assert {task["NodeList"] for task in cluster.jobs(array)} == {"n1", "n2", "n3"}
     # SLURM_JOB_ID of the last task is the number of the whole array
     cluster.signal(f"{array}_3")
     waiting.release()
@@ -198,7 +129,24 @@ def test_what_fails_does_not_come_back(cluster, tmp_path):
     (tmp_path / "out" / "STOPPED").touch()
     bad = cluster.submit("-n1", SLURM / "sweep.sbatch", "bad.toml", "out")
     failing = cluster.submit("-n1", SLURM / "sweep.sbatch", "study.toml", "failing", *FAILING)
-    for job, status in ((bad, "2:0"), (failing, "1:0")):
+    # where ranks end one after the other
+    apart = cluster.submit("-N2", "-n2", SLURM / "sweep.sbatch", "study.toml", "apart", *FAILING,
+                           launcher=SRUN)  # fmt: skip
+    missing = cluster.submit("-n1", SLURM / "sweep.sbatch", "study.toml", "missing",
+                             launcher="no-such-launcher")  # fmt: skip
+    for job, status in ((bad, "2:0"), (failing, "1:0"), (apart, "1:0"), (missing, "127:0")):
         (end,) = cluster.wait(job)
         assert end["JobState"] == "FAILED", cluster.output()
         assert (end["ExitCode"], end["Restarts"]) == (status, "0"), cluster.output()
+
+
+def test_what_always_dies_ends_after_so_many_restarts(cluster, tmp_path):
+    text = (SLURM / "run.sbatch").read_text()
+    script, launcher = tmp_path / "run.sbatch", tmp_path / "launcher"
+    script.write_text(text.replace("most_restarts=100", "most_restarts=1"))
+    launcher.write_text("#!/bin/sh\nexit 205\n")
+    launcher.chmod(0o755)
+    job = cluster.submit("-n1", script, "paper.toml", "a.h5", launcher=launcher)
+    (end,) = cluster.wait(job)
+    assert (end["JobState"], end["ExitCode"], end["Restarts"]) == ("FAILED", "205:0", "1")
+    assert "a.h5: stopped for good after 1 restarts" in cluster.output()
