@@ -267,7 +267,12 @@ def main(argv: Sequence[str] | None = None) -> int:
     words = list(sys.argv[1:] if argv is None else argv)
     cut = words.index("--") if "--" in words else len(words)
 
-    from mpi4py import MPI
+    try:
+        from mpi4py import MPI
+    except (ImportError, RuntimeError) as error:
+        reason = " ".join(str(error).split())
+        print(f"ringwear: MPI for Python (mpi4py) does not load: {reason}", file=sys.stderr)
+        return 1
 
     from ringwear_par.options import start_petsc
 

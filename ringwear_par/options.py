@@ -5,10 +5,10 @@ import difflib
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from ringwear_par.errors import InputError
+from ringwear_par.errors import InputError, RingwearError
 
 if TYPE_CHECKING:
-    from ringwear_par.petsc import PETSc
+    from petsc4py import PETSc
 
 #: of the boundary element systems and of the contact problem
 BEM_PREFIX, CONTACT_PREFIX = "bem_", "contact_"
@@ -17,11 +17,28 @@ BEM_PREFIX, CONTACT_PREFIX = "bem_", "contact_"
 def start_petsc(words: Sequence[str]) -> None:
     """Start PETSc with options of a command line. Collective on the world's communicator.
 
-    Signals stay Python's own: checkpoints on SIGTERM, quiet ends of pipes.
-    """
-    import petsc4py
+    Without effect where it has been started. Signals stay Python's own: checkpoints on SIGTERM,
+    quiet ends of pipes.
 
-    petsc4py.init(["ringwear", "-no_signal_handler", *words])
+    Raises
+    ------
+    RingwearError : there is no PETSc for Python, or none that serves.
+    """
+    try:
+        # MPI first: petsc4py from a wheel finds none by itself
+        from mpi4py import MPI  # noqa: F401, I001
+        import petsc4py
+
+        petsc4py.init(["ringwear", "-no_signal_handler", *words])
+        from petsc4py import PETSc
+    except ImportError as error:
+        raise RingwearError(
+            f"PETSc for Python does not load ({error}): it comes with Debian's "
+            "python3-petsc4py-real, with the wheel dolfinx-solver-real, or with petsc4py built for "
+            "a cluster's PETSc (see README, On a cluster)"
+        ) from error
+    if PETSc.ScalarType is not PETSc.RealType:
+        raise RingwearError("PETSc for Python is a build with complex scalars; must be real")
 
 
 def set_from_options(solver: "PETSc.KSP | PETSc.TAO", prefix: str) -> None:
@@ -31,7 +48,7 @@ def set_from_options(solver: "PETSc.KSP | PETSc.TAO", prefix: str) -> None:
     ------
     InputError : PETSc does not accept a value.
     """
-    from ringwear_par.petsc import PETSc
+    from petsc4py import PETSc
 
     try:
         solver.setFromOptions()
@@ -44,7 +61,7 @@ def set_from_options(solver: "PETSc.KSP | PETSc.TAO", prefix: str) -> None:
 
 def _was_used(name: str) -> bool:
     # PetscOptionsUsed has no petsc4py call before 3.19
-    from ringwear_par.petsc import PETSc
+    from petsc4py import PETSc
 
     used = ctypes.c_int(0)
     ctypes.CDLL(PETSc.__file__).PetscOptionsUsed(None, name.encode(), ctypes.byref(used))
@@ -60,7 +77,7 @@ def reject_unused_options() -> None:
     ------
     InputError : one sentence for each option.
     """
-    from ringwear_par.petsc import PETSc
+    from petsc4py import PETSc
 
     ours = (BEM_PREFIX, CONTACT_PREFIX)
     names = [name for name in PETSc.Options().getAll() if name.startswith(ours)]
