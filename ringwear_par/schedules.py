@@ -10,7 +10,7 @@ from typing import Any, Literal, overload
 
 import numpy as np
 
-from ringwear_par.arrays import FloatArray
+from ringwear_par.arrays import FloatArray, Numbers
 
 
 @dataclass(frozen=True)
@@ -134,7 +134,8 @@ def integral(
         return quantity.integral(end) - quantity.integral(start)
     if isinstance(quantity, Stacked):
         return _of_each(integral, quantity, start, end)
-    return quantity * (end - start)
+    product: Numbers = quantity * (end - start)
+    return product
 
 
 @overload

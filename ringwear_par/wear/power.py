@@ -39,7 +39,7 @@ class PowerLaw(Law):
             return _power(local.speed, self.n) * _power(p, self.m)
         if name in ("m", "n"):
             base = p if name == "m" else local.speed
-            return self.rate(p, local) * np.log(np.where(base > 0.0, base, 1.0))
+            return np.multiply(self.rate(p, local), np.log(np.where(base > 0.0, base, 1.0)))
         return super().d_rate_dparameter(name, p, local)
 
     def potential(self, p: FloatArray, local: LocalState) -> FloatArray:
