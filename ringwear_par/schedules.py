@@ -134,8 +134,7 @@ def integral(
         return quantity.integral(end) - quantity.integral(start)
     if isinstance(quantity, Stacked):
         return _of_each(integral, quantity, start, end)
-    product: Numbers = quantity * (end - start)
-    return product
+    return quantity * (end - start)
 
 
 @overload
@@ -147,7 +146,8 @@ def mean(
 ) -> float | FloatArray:
     """Return the mean over an interval of time, (B,) up to (B,) ends; a number is its own."""
     if isinstance(quantity, Table):
-        return (quantity.integral(end) - quantity.integral(start)) / (end - start)
+        whole: Numbers = quantity.integral(end) - quantity.integral(start)
+        return whole / (end - start)
     if isinstance(quantity, Stacked):
         return _of_each(mean, quantity, start, end)
     return np.full(end.shape, quantity) if isinstance(end, np.ndarray) else quantity

@@ -16,9 +16,11 @@ skip() {
 }
 [ "$(id -u)" -eq 0 ] || skip "only root can make a chroot"
 unshare --mount --pid --fork true 2>/dev/null || skip "this machine allows no namespaces for processes and mounts"
+mkdir -p "$root"
+exec 9> "$root/lock"
+flock -n 9 || skip "another call is at work in $root"
 if [ ! -e "$root/debootstrap-done" ]; then
     command -v debootstrap > /dev/null || skip "debootstrap is missing: apt-get install debootstrap"
-    mkdir -p "$root"
     debootstrap --variant=minbase --include=ca-certificates,procps "$suite" "$root" "$mirror" > "$root/debootstrap.log" 2>&1 ||
         skip "debootstrap could not install $suite from $mirror (see $root/debootstrap.log)"
     touch "$root/debootstrap-done"

@@ -39,12 +39,12 @@ class PowerLaw(Law):
             return _power(local.speed, self.n) * _power(p, self.m)
         if name in ("m", "n"):
             base = p if name == "m" else local.speed
-            return np.multiply(self.rate(p, local), np.log(np.where(base > 0.0, base, 1.0)))
+            return self.rate(p, local) * np.log(np.where(base > 0.0, base, 1.0))
         return super().d_rate_dparameter(name, p, local)
 
     def potential(self, p: FloatArray, local: LocalState) -> FloatArray:
         """Return the integral of the rate from 0 to p, MPa mm/s."""
-        return self._rise(local) * _power(p, self.m + 1.0) / (self.m + 1.0)
+        return np.divide(self._rise(local) * _power(p, self.m + 1.0), self.m + 1.0)
 
 
 def _power(x: FloatArray, exponent: float | FloatArray) -> FloatArray:
