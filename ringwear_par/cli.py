@@ -353,7 +353,12 @@ def _left(words: Sequence[str]) -> str:
 def _main(words: Sequence[str], world: _World, signals: StopAtOnce) -> int:
     cut = words.index("--") if "--" in words else len(words)
 
-    from mpi4py import MPI
+    try:
+        from mpi4py import MPI
+    except (ImportError, RuntimeError) as error:
+        reason = " ".join(str(error).split())
+        print(f"ringwear: MPI for Python (mpi4py) does not load: {reason}", file=sys.stderr)
+        return 1
 
     from ringwear_par.options import start_petsc
 

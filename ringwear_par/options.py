@@ -6,17 +6,16 @@ import itertools
 import os
 import re
 import sys
-import tempfile
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from ringwear_par.errors import InputError, legible
+from ringwear_par.errors import InputError, RingwearError, legible
 from ringwear_par.textfiles import read_text
 
 if TYPE_CHECKING:
-    from ringwear_par.petsc import PETSc
+    from petsc4py import PETSc
 
 #: of the boundary element systems and of the contact problem
 BEM_PREFIX, CONTACT_PREFIX = "bem_", "contact_"
@@ -25,25 +24,39 @@ BEM_PREFIX, CONTACT_PREFIX = "bem_", "contact_"
 def start_petsc(words: Sequence[str]) -> None:
     """Start PETSc with options of a command line. Collective on the world's communicator.
 
-    Signals stay Python's own: checkpoints on SIGTERM, quiet ends of pipes.
+    Without effect where it has been started. Signals stay Python's own: checkpoints on SIGTERM,
+    quiet ends of pipes.
 
     Raises
     ------
     InputError : they are no options, or PETSc does not accept them.
+    RingwearError : there is no PETSc for Python, or none that serves.
     """
     _refuse_words(words)
-    import petsc4py
+    try:
+        # MPI first: petsc4py from a wheel finds none by itself
+        from mpi4py import MPI  # noqa: F401, I001
+        import petsc4py
 
-    with _listening() as heard:
-        try:
-            petsc4py.init(["ringwear", *words, "-no_signal_handler"])
-            failure = None
-        except RuntimeError as error:  # what PETSc's own are
-            failure = error
-    if failure is not None:
-        reason = _reason(heard[0]) or str(failure)
-        raise InputError(f"-- {legible(' '.join(words))}: PETSc does not accept it: {reason}")
-    sys.stderr.write(heard[0])
+        with _listening() as heard:
+            try:
+                petsc4py.init(["ringwear", *words, "-no_signal_handler"])
+                failure = None
+            except RuntimeError as error:  # what PETSc's own are
+                failure = error
+        if failure is not None:
+            reason = _reason(heard[0]) or str(failure)
+            raise InputError(f"-- {legible(' '.join(words))}: PETSc does not accept it: {reason}")
+        sys.stderr.write(heard[0])
+        from petsc4py import PETSc
+    except ImportError as error:
+        raise RingwearError(
+            f"PETSc for Python does not load ({error}): it comes with Debian's "
+            "python3-petsc4py-real, with the wheel dolfinx-solver-real, or with petsc4py built for "
+            "a cluster's PETSc (see README, On a cluster)"
+        ) from error
+    if PETSc.ScalarType is not PETSc.RealType:
+        raise RingwearError("PETSc for Python is a build with complex scalars; must be real")
 
 
 def _refuse_words(words: Sequence[str]) -> None:
@@ -71,7 +84,7 @@ def _listening() -> Iterator[list[str]]:
     """Keep what C code says on standard error, whose text is in the list afterwards."""
     heard: list[str] = []
     sys.stderr.flush()
-    with tempfile.TemporaryFile() as file:
+    with os.fdopen(os.memfd_create("petsc"), "w+b") as file:  # no disk, which may be full
         kept = os.dup(2)
         try:
             os.dup2(file.fileno(), 2)
@@ -100,7 +113,7 @@ def set_from_options(solver: "PETSc.KSP | PETSc.TAO", prefix: str) -> None:
     ------
     InputError : PETSc does not accept a value.
     """
-    from ringwear_par.petsc import PETSc
+    from petsc4py import PETSc
 
     try:
         solver.setFromOptions()
@@ -113,7 +126,7 @@ def set_from_options(solver: "PETSc.KSP | PETSc.TAO", prefix: str) -> None:
 
 def _was_used(name: str) -> bool:
     # PetscOptionsUsed has no petsc4py call before 3.19
-    from ringwear_par.petsc import PETSc
+    from petsc4py import PETSc
 
     used = ctypes.c_int(0)
     ctypes.CDLL(PETSc.__file__).PetscOptionsUsed(None, name.encode(), ctypes.byref(used))
@@ -129,7 +142,7 @@ def reject_unused_options() -> None:
     ------
     InputError : one sentence for each option.
     """
-    from ringwear_par.petsc import PETSc
+    from petsc4py import PETSc
 
     ours = (BEM_PREFIX, CONTACT_PREFIX)
     names = [name for name in PETSc.Options().getAll() if name.startswith(ours)]

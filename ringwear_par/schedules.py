@@ -10,7 +10,7 @@ from typing import Any, Literal, overload
 
 import numpy as np
 
-from ringwear_par.arrays import FloatArray
+from ringwear_par.arrays import FloatArray, Numbers
 
 
 @dataclass(frozen=True)
@@ -146,7 +146,8 @@ def mean(
 ) -> float | FloatArray:
     """Return the mean over an interval of time, (B,) up to (B,) ends; a number is its own."""
     if isinstance(quantity, Table):
-        return (quantity.integral(end) - quantity.integral(start)) / (end - start)
+        whole: Numbers = quantity.integral(end) - quantity.integral(start)
+        return whole / (end - start)
     if isinstance(quantity, Stacked):
         return _of_each(mean, quantity, start, end)
     return np.full(end.shape, quantity) if isinstance(end, np.ndarray) else quantity

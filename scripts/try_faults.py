@@ -81,14 +81,22 @@ def command(study: Path, output: Path, ranks: int) -> list[str]:
 
 
 def children(pid: int) -> list[int]:
-    """Return the direct children of a process."""
+    """Return the processes that a launcher has started; MPICH's has a proxy between."""
     try:
         listed = Path(f"/proc/{pid}/task/{pid}/children").read_text(encoding="ascii")
     except OSError:
         listed = subprocess.run(
             ["pgrep", "-P", str(pid)], capture_output=True, text=True, check=False
         ).stdout
-    return [int(word) for word in listed.split()]
+    found = [int(word) for word in listed.split()]
+    return [rank for each in found for rank in (children(each) if _is_proxy(each) else [each])]
+
+
+def _is_proxy(pid: int) -> bool:
+    try:
+        return Path(f"/proc/{pid}/comm").read_text(encoding="ascii").startswith("hydra_pmi_proxy")
+    except OSError:
+        return False
 
 
 def _alive(pid: int) -> bool:

@@ -24,10 +24,9 @@ def pytest_configure(config):
     config.addinivalue_line("markers", "most_ranks(n): more than n ranks would but repeat it")
     if getattr(config.option, "numprocesses", None) and not hasattr(config, "workerinput"):
         return  # workers run the tests, and would inherit what MPI puts into the environment
-    import petsc4py
-
-    petsc4py.init(["pytest", "-no_signal_handler"])
     from mpi4py import MPI
+
+    import ringwear_par.petsc  # noqa: F401  (starts it as the package does)
 
     config._sync = MPI.COMM_WORLD.Dup() if MPI.COMM_WORLD.size > 1 else None
     if config._sync is not None:  # ranks that clear one temporary folder at once trip over it

@@ -80,7 +80,7 @@ def refuse_bad_laws(case: Case, name: str, slopes: bool = True) -> None:
 
 def _local_state(case: Case, time: float, worn: float) -> LocalState:
     """Return what laws know along the contact at a time, at the largest speed, or 1 rad/s."""
-    r = np.linspace(*case.contact, _ELEMENTS)
+    r = np.linspace(*case.contact, _ELEMENTS, dtype=np.float64)
     speed = (largest(case.load.omega) or 1.0) * r
     return LocalState(time, r, speed, case.friction, np.full_like(r, worn), speed * _STEP)
 

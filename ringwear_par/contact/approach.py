@@ -52,7 +52,7 @@ class ApproachSearch:
     def restart(self) -> None:
         """Forget all searches."""
         #: (n,) MPa/mm, derivative of the pressure with respect to the approach
-        self.rate = self._first_rate
+        self.rate: FloatArray = self._first_rate
         #: gap (mm), approach (mm) and force (N) of the last problem
         self.last: tuple[FloatArray, float, float] | None = None
 
@@ -81,7 +81,8 @@ class ApproachSearch:
         ComputationError : the force is not met.
         """
         nearest = float(gap.min())
-        area, rate = self._area, self.rate
+        area: FloatArray = self._area
+        rate: FloatArray = self.rate
         if self.last is None:
             last_gap, last_approach, last_force = gap, float(area @ gap / area.sum()), 0.0
         else:
@@ -108,7 +109,7 @@ class ApproachSearch:
                 p_before, approach_before, excess_before = before
                 slow = abs(excess) > 0.5 * abs(excess_before)
                 if tangent is None and abs(approach - approach_before) > 1e-9 * abs(approach):
-                    rate = (p - p_before) / (approach - approach_before)
+                    rate = np.divide(p - p_before, approach - approach_before)
                     stiffness = float(area @ rate) or stiffness
             before = p, approach, excess
             following = approach - excess / stiffness

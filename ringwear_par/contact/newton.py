@@ -107,6 +107,7 @@ class ActiveSetNewton:
     def _evaluate(self, tao: PETSc.TAO, x: FloatArray) -> FloatArray:
         self._x.setArray(x)
         tao.computeGradient(self._x, self._g)
+        _stop_if_told(tao)
         return self._g.getArray(readonly=True).copy()
 
     def _newton_step(self, tao: PETSc.TAO, gradient: FloatArray, free: BoolArray) -> FloatArray:
@@ -114,6 +115,7 @@ class ActiveSetNewton:
             return np.empty(0)
         hessian = self._hessian
         tao.computeHessian(self._x, hessian)
+        _stop_if_told(tao)
         state = hessian.stateGet()
         if self._factor is None or state != self._state or (free != self._free).any():
             block = hessian.getDenseArray(readonly=True)
@@ -160,3 +162,8 @@ class ActiveSetNewton:
             if slope <= -1e-8 * before or length < 1e-10:
                 return trial, after
             length *= max(0.1, before / (before - slope))  # where a straight line would vanish
+
+
+def _stop_if_told(tao: PETSc.TAO) -> None:
+    if tao.getConvergedReason() == PETSc.TAO.Reason.DIVERGED_USER:
+        raise RuntimeError("a callback has failed")

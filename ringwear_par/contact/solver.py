@@ -7,7 +7,7 @@ objects, their distribution over ranks, and their life.
 import atexit
 import traceback
 from collections.abc import Callable
-from typing import TypeVar
+from typing import Any, TypeVar
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -60,8 +60,25 @@ class _Callbacks:
         self._alone = comm.size == 1
         self.diagonal, self._scratch = diagonal, scratch
         self._failed = np.zeros(1, dtype=np.int32)
-        #: what a callback raised; PETSc may not pass it on as it is
-        self.failure: Exception | None = None
+        #: what a callback raised in this solution
+        self.failure: BaseException | None = None
+
+    def kept(self, callback: Callable[..., Any]) -> Callable[..., Any]:
+        """Return a callback that keeps what it raises, and has the TAO end.
+
+        After an error PETSc is in no state to go on, and passes on another than was raised.
+        """
+
+        def kept(tao: PETSc.TAO, *args: Any) -> Any:
+            if self.failure is None:
+                try:
+                    return callback(tao, *args)
+                except BaseException as error:
+                    self.failure = error
+            tao.setConvergedReason(PETSc.TAO.Reason.DIVERGED_USER)
+            return 0.0
+
+        return kept
 
     def _act(self, action: Callable[..., T], *arrays: FloatArray) -> T:
         """Return what an action returns; raise on all ranks what it raises on one."""
@@ -77,7 +94,6 @@ class _Callbacks:
                 told = self._comm.allgather(None if failure is None else _told(failure))
                 failure = failure or next(error for error in told if error is not None)
         if failure is not None:
-            self.failure = failure
             raise failure
         return result
 
@@ -237,10 +253,11 @@ class ContactSolver:
                 ksp.setType("stcg")
                 ksp.getPC().setType("jacobi")
                 ksp.setTolerances(rtol=1e-10)
-        tao.setObjective(callbacks.objective)
-        tao.setGradient(callbacks.gradient, self._g)
-        tao.setObjectiveGradient(callbacks.objective_gradient, self._g)
-        tao.setHessian(callbacks.hessian, self._h, self._h)
+        kept = callbacks.kept
+        tao.setObjective(kept(callbacks.objective))
+        tao.setGradient(kept(callbacks.gradient), self._g)
+        tao.setObjectiveGradient(kept(callbacks.objective_gradient), self._g)
+        tao.setHessian(kept(callbacks.hessian), self._h, self._h)
         tao.setVariableBounds((self._lower, self._upper))
         tao.setSolution(self._x)
         set_from_options(tao, CONTACT_PREFIX)
@@ -314,27 +331,33 @@ class ContactSolver:
 
     def _run_tao(self) -> None:
         """Solve the problem posed; raise what a callback raised as it was."""
-        callbacks, failure = self._callbacks, None
+        callbacks = self._callbacks
+        failures: list[BaseException] = []
+        self._tao.setConvergedReason(PETSc.TAO.Reason.CONTINUE_ITERATING)
         try:
             self._tao.solve()
-        except Exception as error:
-            # what callbacks were given are references of their own to the TAO, which must not
-            # outlive it: an exception keeps the frames that it came through
-            traceback.clear_frames(error.__traceback__)
-            # petsc4py from 3.19 on wraps it
-            failure, callbacks.failure = callbacks.failure, None
-            if failure is None:
-                if isinstance(error, PETSc.Error):
-                    raise ComputationError(
-                        f"contact: TAO {self.tao_type} failed (PETSc error {error.ierr})"
-                    ) from error
-                raise
-        if failure is not None:
+        except BaseException as error:
+            failures.append(error)
+            # petsc4py from 3.19 on wraps what our own solver raised
+            while isinstance(failures[-1], PETSc.Error) and failures[-1].__cause__ is not None:
+                failures.append(failures[-1].__cause__)
+        if callbacks.failure is not None:
+            failures.append(callbacks.failure)
+            callbacks.failure = None
+        if not failures:
+            return
+        # what callbacks were given are references of their own to the TAO, which must not
+        # outlive it: an exception keeps the frames that it came through
+        for failure in failures:
             traceback.clear_frames(failure.__traceback__)
-            try:
-                raise failure
-            finally:
-                del failure  # no cycle by way of this frame
+        try:
+            if isinstance(failure, PETSc.Error):
+                raise ComputationError(
+                    f"contact: TAO {self.tao_type} failed (PETSc error {failure.ierr})"
+                ) from failure
+            raise failure
+        finally:
+            del failure, failures  # no cycle by way of this frame
 
     def _gathered(self, part: FloatArray) -> FloatArray:
         return np.concatenate(self._comm.allgather(part)) if self.distributed else part

@@ -13,9 +13,9 @@ from typing import NamedTuple
 
 import numpy as np
 from mpi4py import MPI
-from numba import njit
 
 from ringwear_par.arrays import BoolArray, FloatArray, IntArray
+from ringwear_par.elasticity.compiling import compiled
 from ringwear_par.elasticity.kernels import ring_kernels
 from ringwear_par.elasticity.mesh import BoundaryMesh, Mesh, boundary_mesh, contact_line
 from ringwear_par.elasticity.quadrature import MAX_POINTS, Quadrature, quadrature
@@ -124,7 +124,7 @@ def number_dofs(boundary: BoundaryMesh, conditions: BoundaryConditions) -> DofMa
     return DofMap(equation, displacement, traction)
 
 
-@njit(cache=True)
+@compiled
 def _integrate(
     nodes: FloatArray,
     p: int,
@@ -256,7 +256,7 @@ def _integrate(
     return evaluations
 
 
-@njit(cache=True)
+@compiled
 def _assemble_rows(
     first_node: int,
     last_node: int,

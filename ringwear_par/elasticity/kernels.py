@@ -19,7 +19,8 @@ Lengths are in mm, Young's modulus is 1 (displacements scale by 1/E).
 import math
 
 import numpy as np
-from numba import njit
+
+from ringwear_par.elasticity.compiling import compiled
 
 #: below this parameter m = 4 r r1 / S^2 the moments come from quadrature in theta: the recursions
 #: divide by m once for each power of s^2
@@ -31,7 +32,7 @@ Moments = tuple[float, float, float, float, float, float, float, float, float]
 RingKernels = tuple[float, float, float, float, float, float, float, float, float, float]
 
 
-@njit(cache=True, inline="always")
+@compiled(inline="always")
 def elliptic(m1: float) -> tuple[float, float]:
     """Return the complete elliptic integrals K and E of parameter ``1 - m1``, 0 < m1 <= 1.
 
@@ -51,7 +52,7 @@ def elliptic(m1: float) -> tuple[float, float]:
     return big_k, big_k * (1.0 - total)
 
 
-@njit(cache=True)
+@compiled
 def moments(r: float, a: float, b: float) -> Moments:
     """Return I(1,0), I(1,1), I(3,0), I(3,1), I(3,2), I(5,0), I(5,1), I(5,2), I(5,3).
 
@@ -96,7 +97,7 @@ def moments(r: float, a: float, b: float) -> Moments:
     return i10, i11, i30, i31, i32, i50, i51, i52, i53
 
 
-@njit(cache=True)
+@compiled
 def ring_kernels(r: float, a: float, b: float, nr: float, nz: float, nu: float) -> RingKernels:
     """Return U_rr, U_rz, U_zr, U_zz, T_rr, T_rz, T_zr, T_zz, U_tt, T_tt.
 

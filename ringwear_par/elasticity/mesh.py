@@ -167,7 +167,7 @@ def contact_pieces(
     """
     cuts = [cut for face in faces for cut in corners(face) if contact[0] < cut < contact[1]]
     ends = _pieces(*contact, cuts, contact[1])
-    shares = _shares(mesh.contact_elements, np.diff(ends).tolist())
+    shares = _shares(mesh.contact_elements, [float(length) for length in np.diff(ends)])
     return [(a, b, n) for (a, b), n in zip(itertools.pairwise(ends), shares, strict=True)]
 
 

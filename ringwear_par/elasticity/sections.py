@@ -96,7 +96,7 @@ def _splines(face: Polyline) -> tuple["CubicSpline", ...]:
     alike = np.abs(np.diff(bend)) <= 0.55 * np.maximum(np.abs(bend[1:]), np.abs(bend[:-1]))
     alike &= low[1:] & low[:-1] & (np.abs(bend[1:]) > 1e-9)
     splines, start = [], 0
-    for end in [*np.flatnonzero(~alike).tolist(), len(alike)]:
+    for end in [*map(int, np.flatnonzero(~alike)), len(alike)]:
         if end - start + 1 >= _DENSE:
             # vertices start+1 to end+1 of the face; to its ends where there is nothing between
             first = 0 if start == 0 else start + 1

@@ -118,9 +118,9 @@ def _last_stage(
     p, inside = contact.pressure, last.share(last.unhindered(contact.pressure))
     if enter.force_kept:
         # what the others count depends on what those that enter carry: so little that twice will do
-        counts = np.where(enter.late, counts, enter.counts(p, inside / GAMMA))
+        counts = np.where(enter.late, counts, enter.counts(p, np.divide(inside, GAMMA)))
         last = model.increment(end, speed, carried, step, enter.closing(step, counts))
-        found = None if p.ndim == 1 else (~enter.late.any(axis=-1), contact)
+        found = None if p.ndim == 1 else (np.logical_not(enter.late.any(axis=-1)), contact)
         again = model.contact(end, carried, near, last, found=found)
         more: Numbers = (
             contact.iterations if found is None else np.where(found[0], 0, contact.iterations)

@@ -93,7 +93,8 @@ class Recorder:
         case = self._case
         self.start = start = restored(before)
         assert before.checkpoint is not None
-        steps, times = before.steps_made.tolist(), before.histories["time"].tolist()
+        steps = [int(step) for step in before.steps_made]
+        times = [float(time) for time in before.histories["time"]]
         # the last one of a shorter run may not belong here
         rows, last = zip(steps, times, strict=True), start.state.time
         keep = np.array([t <= last and stores(case, n, t) for n, t in rows])

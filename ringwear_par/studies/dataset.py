@@ -167,7 +167,8 @@ def _write_histories(
                 elif deep and array.ndim == 1 and name in PROFILES:
                     tables[name][i, stored - 1, : len(array)] = array
                 else:
-                    tables[name][(i, *map(slice, array.shape))] = array
+                    cells: tuple[int | slice, ...] = (i, *map(slice, array.shape))
+                    tables[name][cells] = array
             if stored and "step" not in record.arrays:
                 common = None
         for name, table in tables.items():

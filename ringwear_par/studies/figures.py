@@ -215,7 +215,7 @@ def _said(key: _Key) -> list[str]:
     """Return the key's value in each case, as short as its values stay apart."""
     if key.categories:
         return [key.categories[int(code)] for code in key.values]
-    values = key.values.tolist()
+    values = [float(value) for value in key.values]
     apart = len(set(values))
     for digits in range(3, 18):
         said = [_number(v, digits) if math.isfinite(v) else "none" for v in values]

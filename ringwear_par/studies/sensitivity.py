@@ -2,7 +2,6 @@
 
 import logging
 import warnings
-from collections.abc import Sequence
 from dataclasses import dataclass
 from types import SimpleNamespace
 
@@ -92,7 +91,7 @@ def sensitivity(ensemble: Ensemble) -> tuple[Sensitivity, ...]:
             continue
         chosen = chosen_cases(cases, _MOST)
         try:
-            indices = _delta(names, x[chosen], y[chosen])
+            indices = _delta(x[chosen], y[chosen])
         except ImportError:
             log.warning(
                 "no sensitivity indices: SALib is not installed; "
@@ -103,20 +102,21 @@ def sensitivity(ensemble: Ensemble) -> tuple[Sensitivity, ...]:
     return tuple(found)
 
 
-def _delta(names: Sequence[str], x: FloatArray, y: FloatArray) -> tuple[FloatArray, ...]:
+def _delta(x: FloatArray, y: FloatArray) -> tuple[FloatArray, ...]:
     """Return delta, its confidence, S1 and its confidence, by SALib.
 
     Delta does not change with a monotone function of the output, but SALib's densities on 100
     points do, and fail for an output that spans decades: it is given normal scores of the ranks.
     """
     scores = ndtri((rankdata(_rounded(y)) - 0.5) / len(y))
-    problem = {"num_vars": len(names), "names": list(names)}
+    # SALib refuses some names
+    problem = {"num_vars": x.shape[1], "names": [f"x{i}" for i in range(x.shape[1])]}
     state = np.random.get_state()  # SALib seeds numpy's own generator
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         import SALib.analyze.delta as salib
 
-        its_numpy = salib.np
+        its_numpy, format_of_warnings = salib.np, warnings.formatwarning
         if not hasattr(np, "trapezoid"):  # SALib 1.5 calls trapz by the name that numpy 2 gave it
             salib.np = SimpleNamespace(**{**vars(np), "trapezoid": vars(np)["trapz"]})
         options = {"num_resamples": _RESAMPLES, "seed": SEED}
@@ -124,9 +124,10 @@ def _delta(names: Sequence[str], x: FloatArray, y: FloatArray) -> tuple[FloatArr
             delta = salib.analyze(problem, x, scores, method="delta", **options)
             first = salib.analyze(problem, x, (y - y.mean()) / y.std(), method="sobol", **options)
         finally:
-            salib.np = its_numpy
+            salib.np, warnings.formatwarning = its_numpy, format_of_warnings
             np.random.set_state(state)
-    return delta["delta"], delta["delta_conf"], first["S1"], first["S1_conf"]
+    name = "delta" if "delta" in delta else "delta_raw"  # which it is called from SALib 1.6 on
+    return delta[name], delta[f"{name}_conf"], first["S1"], first["S1_conf"]
 
 
 def _rounded(y: FloatArray) -> FloatArray:

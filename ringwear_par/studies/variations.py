@@ -50,12 +50,12 @@ class Variation:
             return list(self.values)
         low, high = self.values
         space = np.geomspace if self.spacing == "log" else np.linspace
-        return [self._rounded(v) for v in space(low, high, self.count).tolist()]
+        return [self._rounded(float(v)) for v in space(low, high, self.count)]
 
     def at(self, u: FloatArray) -> list[Any]:
         """Return the values at points u of the unit interval."""
         if self.spacing == "values":
-            return [self.values[i] for i in (u * len(self.values)).astype(int).tolist()]
+            return [self.values[int(i)] for i in u * len(self.values)]
         low, high = self.values
         values = low * (high / low) ** u if self.spacing == "log" else low + (high - low) * u
         return [self._rounded(v) for v in values.tolist()]

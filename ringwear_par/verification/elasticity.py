@@ -22,8 +22,8 @@ def closure_error() -> float:
     The source is outside or inside a closed rectangle, far enough for 200-point Gauss rules.
     """
     corners = [(20.0, 0.0), (40.0, 0.0), (40.0, 20.0), (20.0, 20.0)]
-    x, w = np.polynomial.legendre.leggauss(200)
-    t, w = 0.5 * (x + 1.0), 0.5 * w
+    nodes, weights = np.polynomial.legendre.leggauss(200)
+    t, w = 0.5 * (nodes + 1.0), 0.5 * weights
     worst = 0.0
     for r, z, expected in ((30.0, 10.0, -1.0), (50.0, 5.0, 0.0), (5.0, 8.0, 0.0)):
         axial = turning = 0.0

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from mpi4py import MPI
 from scipy.interpolate import CubicSpline
-from scipy.linalg import eigh
+from scipy.linalg import eigh, solve
 
 from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.case import Case, Load, Output, Ring, Stepping
@@ -47,8 +47,8 @@ def _indentation(a: float, big_r: float, n: int, comm: MPI.Comm) -> _Indentation
     unit = compliance(disc, line, mesh, comm)
     m = line.area
     normal = symmetric(line, unit.normal)
-    p = np.linalg.solve(normal, m)
-    shear = np.linalg.solve(unit.torsion, line.arm)
+    p = solve(normal, m)
+    shear = solve(unit.torsion, line.arm)
     worn = np.diag(m * line.arm)
     free = np.linalg.svd(m[None, :])[2][1:].T  # pressures that change, at constant force
     modulus = reference.contact_modulus((1.0, NU))

@@ -123,7 +123,7 @@ def round_face(r: tuple[float, float], radius: float) -> Polyline:
     samples = np.linspace(*r, 200)
     middle = 0.0 if r[0] == 0.0 else 0.5 * sum(r)
     fall = np.sqrt(radius**2 - (samples - middle) ** 2) - radius
-    return tuple(zip(samples.tolist(), fall.tolist(), strict=True))
+    return tuple((float(a), float(b)) for a, b in zip(samples, fall, strict=True))
 
 
 def growing_checks(comm: MPI.Comm) -> Iterator[Check]:

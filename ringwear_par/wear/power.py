@@ -44,7 +44,7 @@ class PowerLaw(Law):
 
     def potential(self, p: FloatArray, local: LocalState) -> FloatArray:
         """Return the integral of the rate from 0 to p, MPa mm/s."""
-        return self._rise(local) * _power(p, self.m + 1.0) / (self.m + 1.0)
+        return np.divide(self._rise(local) * _power(p, self.m + 1.0), self.m + 1.0)
 
 
 def _power(x: FloatArray, exponent: float | FloatArray) -> FloatArray:

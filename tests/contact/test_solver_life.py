@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from conftest import SHELL_ENVIRONMENT
+from mpi4py import MPI
 from petsc4py import PETSc
 
 from ringwear_par.contact import solver as module
@@ -104,7 +105,7 @@ def test_what_is_left_is_freed_in_the_order_of_making(comm, monkeypatch):
 
 
 class _Wrapping:
-    """A TAO of petsc4py from 3.19 on, which wraps what a callback raises."""
+    """A TAO of petsc4py from 3.19 on, which wraps what a callback raises; of a TAO in it, twice."""
 
     def __init__(self, tao):
         self.tao = tao
@@ -114,17 +115,74 @@ class _Wrapping:
 
     def solve(self):
         try:
-            self.tao.solve()
-        except Exception as error:
+            try:
+                self.tao.solve()
+            except BaseException as error:
+                raise PETSc.Error(-1) from error
+        except PETSc.Error as error:
             raise PETSc.Error(101) from error
 
 
-def test_a_wrapped_error_comes_out_as_it_is(comm, monkeypatch):
-    error = LawError("wear.lower: the law failed")
-    with ContactSolver(COMPLIANCE, AREA, comm) as solver:
+RAISED = [LawError("wear: failed"), ZeroDivisionError("of a law"), KeyboardInterrupt()]
+
+
+def solver_of(kind):
+    """Return a solver of a TAO type, on each rank its own."""
+    options = PETSc.Options()
+    options["contact_tao_type"] = kind
+    try:
+        return ContactSolver(COMPLIANCE, AREA, MPI.COMM_SELF)
+    finally:
+        options.delValue("contact_tao_type")
+
+
+@pytest.mark.parametrize("wrapped", [False, True], ids=["as it comes", "wrapped"])
+@pytest.mark.parametrize("kind", ["python", "tron", "bnls"])
+@pytest.mark.parametrize("error", RAISED, ids=repr)
+def test_what_is_raised_inside_tao_comes_out_as_it_is(kind, error, wrapped, monkeypatch):
+    """Of a law, of what is around it in a callback, of a solver of our own; at any time."""
+    gap = np.linspace(0.0, 0.3, N) ** 2
+    with solver_of(kind) as solver:
+        before = solver.solve(gap, force=0.05)
+        if wrapped:
+            monkeypatch.setattr(solver, "_tao", _Wrapping(solver._tao))
+        places = [(solver._callbacks, "_act"), (solver._problem, "linearise")]
+        if kind == "python":
+            places.append((solver._newton, "_newton_step"))
+        for place, name in places:
+            works, left = getattr(place, name), 0
+
+            def fails(*args, works=works):
+                nonlocal left
+                left -= 1
+                if left < 0:
+                    raise error
+                return works(*args)
+
+            for good in (0, 1, 2):  # calls before it
+                solver.cold_start()
+                left = good
+                with monkeypatch.context() as patch:
+                    patch.setattr(place, name, fails)
+                    with pytest.raises(type(error)) as caught:
+                        solver.solve(gap, force=0.05)
+                assert caught.value is error
+                assert caught.value.__cause__ is None
+        # and the solver goes on as if nothing had been
+        solver.cold_start()
+        after = solver.solve(gap, force=0.05)
+        assert np.array_equal(after.pressure, before.pressure)
+
+
+def test_an_error_of_petsc_itself_is_told(monkeypatch):
+    def fails(*_):
+        raise PETSc.Error(73)
+
+    with solver_of("python") as solver:
         monkeypatch.setattr(solver, "_tao", _Wrapping(solver._tao))
-        with pytest.raises(LawError, match=r"wear.lower: the law failed"):
-            solver.solve(np.zeros(N), force=3.0, wear=_Failing(error, 0, [0]))
+        monkeypatch.setattr(solver._newton, "_newton_step", fails)
+        with pytest.raises(ComputationError, match=r"TAO python failed \(PETSc error 73\)"):
+            solver.solve(np.zeros(N), force=3.0)
 
 
 def test_destroying_twice_is_harmless(comm):

@@ -1,0 +1,88 @@
+"""What is said where parts of an installation are missing, and where compiled code is kept."""
+
+import os
+import shutil
+import stat
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from conftest import SHELL_ENVIRONMENT
+
+pytestmark = pytest.mark.serial
+ROOT = Path(__file__).parents[1]
+RUN = ["-m", "ringwear_par", "run", ROOT / "scripts/cases/paper.toml", "-o", "a.h5"]
+BROKEN = {
+    "petsc4py": ("ImportError('libmpi.so.12: no such file')", "does not load (libmpi.so.12"),
+    "mpi4py": ("RuntimeError('cannot load\\nMPI library')", "does not load: cannot load MPI lib"),
+}
+
+
+def python(words, cwd, **environment):
+    return subprocess.run(
+        [sys.executable, *map(str, words)], cwd=cwd, env={**SHELL_ENVIRONMENT, **environment},
+        capture_output=True, text=True, timeout=100, check=False,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("package", BROKEN)
+def test_a_package_that_does_not_load_is_told_in_a_sentence(tmp_path, package):
+    error, said = BROKEN[package]
+    (tmp_path / "broken" / package).mkdir(parents=True)
+    (tmp_path / "broken" / package / "__init__.py").write_text(f"raise {error}\n")
+    (tmp_path / "out").mkdir()
+    path = os.pathsep.join([str(tmp_path / "broken"), str(ROOT)])
+    done = python(RUN, tmp_path / "out", PYTHONPATH=path)
+    assert done.returncode == 1
+    (told,) = done.stderr.splitlines()
+    assert told.startswith("ringwear: ")
+    assert said in told
+    assert not list((tmp_path / "out").iterdir())
+
+
+@pytest.fixture
+def unwritable(tmp_path):
+    """A copy of the package beside which nothing can be kept, for root either; its environment."""
+    package = tmp_path / "site" / "ringwear_par"
+    shutil.copytree(ROOT / "ringwear_par", package, ignore=shutil.ignore_patterns("__pycache__"))
+    (package / "elasticity" / "__pycache__").touch()
+    (tmp_path / "tmp").mkdir()
+    return {
+        "PYTHONPATH": str(tmp_path / "site"), "PYTHONDONTWRITEBYTECODE": "1", "NUMBA_CACHE_DIR": "",
+        "HOME": "/dev/null", "XDG_CACHE_HOME": "/dev/null", "TMPDIR": str(tmp_path / "tmp"),
+    }  # fmt: skip
+
+
+ELLIPTIC = "from ringwear_par.elasticity.kernels import elliptic; print(elliptic(0.5)[0])"
+
+
+def test_compiled_code_is_kept_in_a_private_folder_where_nothing_else_may_be_written(
+    tmp_path, unwritable
+):
+    done = python(["-c", ELLIPTIC], tmp_path, **unwritable)
+    assert done.returncode == 0, done.stderr
+    (kept,) = (tmp_path / "tmp").iterdir()
+    assert stat.S_IMODE(kept.stat().st_mode) == 0o700
+    assert list(kept.rglob("*.nbi"))
+    # nor is anything taken from a folder that others may write to
+    shutil.rmtree(kept)
+    kept.mkdir()
+    kept.chmod(0o777)
+    again = python(["-c", ELLIPTIC], tmp_path, **unwritable)
+    assert again.returncode == 0, again.stderr
+    assert again.stdout == done.stdout
+    assert not list(kept.iterdir())
+
+
+@pytest.mark.parametrize("shell", ["dash", "zsh"])
+def test_setup_is_sourced_from_bash_only(tmp_path, shell):
+    if not shutil.which(shell):
+        pytest.skip(f"no {shell}")
+    done = subprocess.run(
+        [shell, "-c", f". {ROOT}/scripts/setup.sh; echo status $?"], cwd=tmp_path,
+        capture_output=True, text=True, timeout=30, check=False,
+    )  # fmt: skip
+    assert "only bash can source this; here: bash scripts/setup.sh" in done.stderr
+    assert done.stdout == "status 1\n"
+    assert not list(tmp_path.iterdir())
