@@ -110,10 +110,14 @@ def save_figure(figure: Figure, output: Path) -> None:
 
     Raises
     ------
+    InputError : what is drawn is too large for matplotlib's axes.
     OSError : the disk or the folder.
     """
     with matplotlib.rc_context(STYLE), atomic_write(output) as temporary:
-        figure.savefig(temporary, format=output.suffix[1:].lower())
+        try:
+            figure.savefig(temporary, format=output.suffix[1:].lower())
+        except ArithmeticError as error:
+            raise InputError(f"{output}: cannot be drawn: {error}; values are too large") from error
 
 
 def _place(source: Source) -> Result | Path:
