@@ -277,6 +277,7 @@ class _World:
         self.comm: Any = None
         #: a communicator of their own, to fail together
         self.together: Any = None
+        self._said = False
 
     @property
     def first(self) -> bool:
@@ -299,14 +300,20 @@ class _World:
 
     def end(self, told: str, status: int, patience: float) -> int:
         """Say once why the command ends, and return its status; end ranks that still wait."""
-        alike = self.others_come(patience)
-        if self.first or not alike:
+        if self.first:  # at once: launchers end the others as soon as one has ended
+            self._say(told)
+        if not self.others_come(patience):
+            self._say(told)
+            self.comm.Abort(status)
+        return status
+
+    def _say(self, told: str) -> None:
+        """Say it, but nothing after it: what ends a command may have it stopped, too."""
+        if not self._said:
+            self._said = True
             with suppress(OSError):  # nobody can be told
                 lines = "\n".join(f"ringwear: {line}" for line in told.splitlines())
                 print(lines, file=sys.stderr, flush=True)
-        if not alike:
-            self.comm.Abort(status)
-        return status
 
 
 def _why_untold() -> str:

@@ -111,11 +111,15 @@ def save_figure(figure: Figure, output: Path) -> None:
 
     Raises
     ------
+    InputError : what is drawn is too large for matplotlib's axes.
     OSError : the disk or the folder.
     """
     picture = io.BytesIO()  # backends leave files open where the disk fails
     with matplotlib.rc_context(STYLE):
-        figure.savefig(picture, format=output.suffix[1:].lower())
+        try:
+            figure.savefig(picture, format=output.suffix[1:].lower())
+        except ArithmeticError as error:
+            raise InputError(f"{output}: cannot be drawn: {error}; values are too large") from error
     with atomic_write(output) as temporary:
         temporary.write_bytes(picture.getbuffer())
 
