@@ -68,7 +68,7 @@ def reading(path: Path, software: str, what: str, must: str = "") -> Iterator[h5
             yield file
     except InputError:
         raise
-    except PermissionError as error:
+    except (PermissionError, BlockingIOError) as error:  # or somebody writes to it
         raise InputError(f"{path}: cannot be read: {error.strerror}") from error
     except Exception as error:  # h5py has no errors of its own: any may come
         raise InputError(f"{path}: is not {what}, or is damaged{must}") from error

@@ -301,7 +301,12 @@ def _write_varied(file: h5py.File, names: Sequence[str], values: Sequence[tuple[
 
 
 def read_entries(path: Path) -> dict[str, Entry] | None:
-    """Return the begun cases of a results file by id; None if it is damaged. Not collective."""
+    """Return the begun cases of a results file by id; None if it is damaged. Not collective.
+
+    Raises
+    ------
+    InputError : it may not be read.
+    """
     try:
         with reading(path, SOFTWARE, WHAT) as file:
             sizes: dict[str, int] = {}
@@ -318,7 +323,9 @@ def read_entries(path: Path) -> dict[str, Entry] | None:
                 for name, default in _OLDER.items()
             )
             _tables(file, sizes)  # which read_records will look for
-    except InputError:
+    except InputError as error:
+        if isinstance(error.__cause__, PermissionError | BlockingIOError):
+            raise
         return None
     return {
         ids[i]: Entry(

@@ -1,5 +1,6 @@
 """Results in memory: the dataset of their file, bit for bit; saved, opened, light to import."""
 
+import errno
 import os
 import pickle
 import subprocess
@@ -147,10 +148,10 @@ def test_saving_where_it_cannot_be(computed, shared_path, comm, monkeypatch):
         result.save(shared_path)
 
     def full(*_, **__):
-        raise RuntimeError("Unable to write: No space left on device")  # as h5py has it
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
     target = shared_path / "full.h5"
-    monkeypatch.setattr(h5py.Group, "create_group", full)
+    monkeypatch.setattr(os, "pwrite", full)
     with pytest.raises(ComputationError, match=r"full.h5: .*No space left"):
         result.save(target)
     assert [p.name for p in shared_path.iterdir()] == ["run.h5"]

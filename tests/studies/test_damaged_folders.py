@@ -13,7 +13,7 @@ import try_faults as faults
 from conftest import SHELL_ENVIRONMENT
 from swept import write_study
 
-from ringwear_par.errors import ComputationError
+from ringwear_par.errors import ComputationError, InputError
 from ringwear_par.studies import shards, store, sweep, workers
 from ringwear_par.studies.sweep import run_sweep
 
@@ -334,12 +334,15 @@ def test_results_that_fail_only_when_they_are_read(swept, tmp_path, comm, told, 
     shutil.copy(study.with_name("paper.toml"), tmp_path)
     text = study.read_text(encoding="utf-8").replace("[5e4, 1e5]", "[5e4, 1e5, 2e5]")
     changed.write_text(text, encoding="utf-8")
-    with h5py.File(output / "results.h5", "r+") as file:  # the index of cases is as it was
-        del file["approach"]
-        file["approach"] = "nothing"
-    monkeypatch.setattr(sweep, "_PATIENCE_SECONDS", 0.3)
-    with pytest.raises(ComputationError, match="6 of 9 cases that have ended are not stored"):
-        run_sweep(changed, output, comm)
+
+    def damaged(path, ids):
+        raise InputError(f"{path}: a block of it cannot be read")
+
+    with monkeypatch.context() as patch:  # the index of cases is as it was
+        patch.setattr(store.dataset, "read_records", damaged)
+        patch.setattr(sweep, "_PATIENCE_SECONDS", 0.3)
+        with pytest.raises(ComputationError, match="6 of 9 cases that have ended are not stored"):
+            run_sweep(changed, output, comm)
     (note,) = told()
     assert note.startswith(f"{output / 'results.h5'}: is damaged (kept as results.damaged.h5)")
     run_sweep(changed, output, comm)

@@ -48,7 +48,7 @@ def test_a_law_that_raises_fails_its_case_only(case, comm):
     found = simulate_all([case, bad, *[case] * comm.size], comm)
     assert [type(each) for each in found] == [Result, FailedResult, *[Result] * comm.size]
     assert type(found[1].error) is RingwearError
-    assert str(found[1].error) == "ValueError: no such\nmaterial"
+    assert str(found[1].error) == r"ValueError: no such\nmaterial"
     assert found[1].case == bad.told != bad.text
     assert found[1].error.__traceback__ is None
 

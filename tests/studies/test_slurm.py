@@ -77,8 +77,10 @@ def test_a_run_at_its_wall_limit_goes_on_by_itself(cluster, tmp_path):
     assert status == "incomplete"
     waiting.hold(0.05)
     cluster.wait(job, lambda _: f"after step {step} (" in cluster.output())
+    for _ in range(8):  # more often than a step is long
+        waiting.hold(0.05)
+        wait_for_waiting(2, waiting)
     # and scancel is the end of it
-    wait_for_waiting(2, waiting)
     cluster("scancel", job)
     (end,) = cluster.wait(job)
     assert (end["JobState"], end["Restarts"]) == ("CANCELLED", "1")

@@ -188,7 +188,7 @@ method = "grid"
         ('[vary]\n"wear.lower.k" = { values = [] }', ["a list of values"]),
         ('[vary]\n"wear.lower.k" = { log = [0, 1], count = 3 }', ["[0, 1]", "> 0"]),
         ('[vary]\n"wear.lower.k" = { linear = [2, 1], count = 3 }', ["two increasing numbers"]),
-        ('[vary]\n"wear.lower.k" = { linear = [1, 2] }', ["count is missing", ">= 2"]),
+        ('[vary]\n"wear.lower.k" = { linear = [1, 2] }', ["count is missing", "from 2"]),
         ('[vary]\n"wear.lower.k" = { linear = [1, 2], count = 2, seed = 1 }', ["seed"]),
         ('[vary]\n"title" = { values = ["a"] }', ["title"]),
         ('[vary]\n"output.boundary" = { values = ["all"] }', ["output.boundary", "ringwear run"]),

@@ -57,7 +57,8 @@ def write(
         )
         for n, row in enumerate(rows)
     ]  # fmt: skip
-    write_ensemble(folder, names, cases, fetch, {"method": method, "study": ""})
+    attributes = {"method": method, "study": "", "status": "complete", "ranks": 1}
+    write_ensemble(folder, names, cases, fetch, attributes)
     return read_ensemble(folder)
 
 
