@@ -2,6 +2,7 @@
 """Kill sweeps at random moments, go on with them, and compare with one that was left in peace.
 
     python scripts/try_faults.py --times 20 --ranks 2
+    python scripts/try_faults.py --times 20 --ranks 4 --ranks-per-case 2 --scheme adaptive
 
 Alternately one rank, or every rank and mpirun, gets SIGKILL. The same command then has to finish
 with the same results, bit for bit, and without computing a case again that was done before.
@@ -61,11 +62,20 @@ class Trial:
 
 
 def write_study(
-    folder: Path, count: int = 30, steps: int = 100, elements: tuple[int, ...] = (48, 64)
+    folder: Path,
+    count: int = 30,
+    steps: int = 100,
+    elements: tuple[int, ...] = (48, 64),
+    scheme: str = "implicit",
 ) -> Path:
-    """Write a study of 5 * count * len(elements) cases; return its path."""
+    """Write a study of 5 * count * len(elements) cases; return its path.
+
+    Adaptive histories are as long as so many steps of 1 s.
+    """
+    length = f"end = {steps}.0" if scheme == "adaptive" else f"step = 1.0\nsteps = {steps}"
     lines = (CASES / "paper.toml").read_text(encoding="utf-8").splitlines()
-    lines = [f"steps = {steps}" if line.startswith("steps =") else line for line in lines]
+    lines = [line for line in lines if not line.startswith(("scheme =", "step =", "steps ="))]
+    lines.insert(lines.index("[time]") + 1, f'scheme = "{scheme}"\n{length}')
     text = "\n".join([*lines, "", "[mesh]", f"contact_elements = {elements[0]}", ""])
     (folder / "paper.toml").write_text(text, encoding="utf-8")
     study = folder / "study.toml"
@@ -74,10 +84,11 @@ def write_study(
     return study
 
 
-def command(study: Path, output: Path, ranks: int) -> list[str]:
+def command(study: Path, output: Path, ranks: int, team: int = 1) -> list[str]:
     """Return the words of a sweep's command; 0 ranks is without mpirun."""
     launcher = ["mpirun", "-n", str(ranks)] if ranks else []
-    return [*launcher, *RINGWEAR, "sweep", str(study), "-o", str(output)]
+    how = ["--ranks-per-case", str(team)]
+    return [*launcher, *RINGWEAR, "sweep", str(study), "-o", str(output), *how]
 
 
 def children(pid: int) -> list[int]:
@@ -197,21 +208,20 @@ def differences(output: Path, reference: Path) -> list[str]:
     return faults
 
 
-def run_reference(study: Path, output: Path, ranks: int, environment: dict[str, str]) -> float:
+def run_reference(words: list[str], environment: dict[str, str]) -> float:
     """Run a sweep in peace; return its seconds."""
     started = time.monotonic()
     subprocess.run(
-        command(study, output, ranks), env=environment, capture_output=True, text=True,
+        words, env=environment, capture_output=True, text=True,
         timeout=PATIENCE, check=True,
     )  # fmt: skip
     return time.monotonic() - started
 
 
 def run_trial(
-    study: Path,
+    words: list[str],
     output: Path,
     reference: Path,
-    ranks: int,
     moment: float,
     everybody: bool,
     choice: random.Random,
@@ -221,15 +231,13 @@ def run_trial(
 
     Parameters
     ----------
-    study, output : of the sweep.
+    words, output : of the sweep.
     reference : folder of the same, left in peace.
-    ranks : to start.
     moment : when to kill, s after the start.
     everybody : whether mpirun and all ranks die, or one rank.
     choice : draws the rank.
     environment : of the commands.
     """
-    words = command(study, output, ranks)
     quiet = subprocess.DEVNULL
     process = subprocess.Popen(words, env=environment, stdout=quiet, stderr=quiet)
     family: list[int] = []
@@ -279,21 +287,26 @@ def run_trial(
 
 
 def run_trials(
-    study: Path, folder: Path, times: int, ranks: int, seed: int, environment: dict[str, str]
+    study: Path,
+    folder: Path,
+    times: int,
+    ranks: int,
+    seed: int,
+    environment: dict[str, str],
+    team: int = 1,
 ) -> list[Trial]:
     """Run a study in peace and then killed at random moments; print a line a trial."""
     choice = random.Random(seed)
     reference = folder / "reference"
-    whole = run_reference(study, reference, ranks, environment)
+    whole = run_reference(command(study, reference, ranks, team), environment)
     print(f"reference: {len(table(reference))} cases on {ranks} ranks in {whole:.1f} s", flush=True)
     trials = []
     for number in range(times):
         output = folder / f"trial_{number}"
         everybody = number % 2 == 1
         moment = choice.uniform(0.5, max(whole, 0.6))
-        trial = run_trial(
-            study, output, reference, ranks, moment, everybody, choice, environment
-        )  # fmt: skip
+        words = command(study, output, ranks, team)
+        trial = run_trial(words, output, reference, moment, everybody, choice, environment)
         who = "nobody" if not trial.victims else "everybody" if everybody else "one rank"
         print(
             f"{number + 1:3d}: {who} killed after {moment:.2f} s, {trial.before} of {trial.total} "
@@ -314,11 +327,17 @@ def main() -> int:
     parser.add_argument("--ranks", type=int, default=2, help="of each sweep")
     parser.add_argument("--seed", type=int, default=1, help="of the random moments")
     parser.add_argument("--cases", type=int, default=300, help="of the study, a multiple of 10")
+    parser.add_argument("--ranks-per-case", type=int, default=1, help="size of the teams")
+    parser.add_argument(
+        "--scheme", choices=["implicit", "adaptive"], default="implicit", help="of time"
+    )
     args = parser.parse_args()
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        study = write_study(folder, count=max(2, args.cases // 10))
-        trials = run_trials(study, folder, args.times, args.ranks, args.seed, dict(os.environ))
+        study = write_study(folder, count=max(2, args.cases // 10), scheme=args.scheme)
+        trials = run_trials(
+            study, folder, args.times, args.ranks, args.seed, dict(os.environ), args.ranks_per_case
+        )
     bad = sum(bool(trial.faults) for trial in trials)
     killed = sum(trial.victims > 0 for trial in trials)
     kept = sum(trial.before for trial in trials)

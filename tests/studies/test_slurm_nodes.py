@@ -24,7 +24,7 @@ def unhurried(tmp_path_factory):
     """A study whose cases can wait under way, and its folder of results."""
     folder = tmp_path_factory.mktemp("waiting")
     waiting = Waiting(folder, thresholds=(0, 20, 40))
-    faults.run_reference(waiting.study, folder / "reference", 2, SHELL_ENVIRONMENT)
+    faults.run_reference(faults.command(waiting.study, folder / "reference", 2), SHELL_ENVIRONMENT)
     return waiting, folder / "reference"
 
 

@@ -81,7 +81,7 @@ def short(tmp_path_factory):
     """A study of a second, and its folder of results."""
     folder = tmp_path_factory.mktemp("short")
     study = faults.write_study(folder, count=6, steps=60, elements=(16, 24))
-    faults.run_reference(study, folder / "reference", 2, SHELL_ENVIRONMENT)
+    faults.run_reference(faults.command(study, folder / "reference", 2), SHELL_ENVIRONMENT)
     return study, folder / "reference"
 
 
@@ -90,7 +90,7 @@ def unhurried(tmp_path_factory):
     """A study whose cases can wait under way, and its folder of results."""
     folder = tmp_path_factory.mktemp("waiting")
     waiting = Waiting(folder)
-    faults.run_reference(waiting.study, folder / "reference", 2, SHELL_ENVIRONMENT)
+    faults.run_reference(faults.command(waiting.study, folder / "reference", 2), SHELL_ENVIRONMENT)
     return waiting, folder / "reference"
 
 
