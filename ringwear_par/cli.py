@@ -351,7 +351,7 @@ def _left(words: Sequence[str]) -> str:
         return "; nothing written"
     return {
         "run": " before the first step; nothing written",
-        "sweep": " before the first case; the same command goes on",
+        "sweep": "; the same command goes on",
         "plot": "; nothing written",
         "export": "; nothing written",
     }.get(words[0] if words else "", "")

@@ -40,7 +40,7 @@ class Stopped(BaseException):
 
 
 class _Signals:
-    """Takes signals over; a context manager. One that is ignored stays so, as nohup wants it."""
+    """Takes signals over; a context manager. An ignored SIGHUP stays so, as nohup wants it."""
 
     def __init__(self) -> None:
         #: the last signal received, or 0

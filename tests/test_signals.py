@@ -92,7 +92,7 @@ FIRST_STEP = " before the first step; nothing written"
             for n in (signal.SIGINT, signal.SIGTERM)
         ),
         ("ringwear_par.studies.sweep", signal.SIGINT, ["sweep", STUDY, "-o", "out"],
-         " before the first case; the same command goes on"),
+         "; the same command goes on"),
         ("ringwear_par.studies.estimate:assemble", signal.SIGTERM,
          ["sweep", STUDY, "-o", "out", "--dry-run"], "; nothing written"),
         ("matplotlib", signal.SIGINT, ["plot", "r.h5", "-o", "a.png"], "; nothing written"),

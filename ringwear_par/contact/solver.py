@@ -75,6 +75,8 @@ class _Callbacks:
                     return callback(tao, *args)
                 except BaseException as error:
                     self.failure = error
+                    if not (self._alone or isinstance(error, Exception)):
+                        raise  # a signal to this rank: others may wait for it in here
             tao.setConvergedReason(PETSc.TAO.Reason.DIVERGED_USER)
             return 0.0
 

@@ -6,6 +6,7 @@ changed has none, and is read with care only.
 """
 
 import math
+import os
 import zlib
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -39,6 +40,10 @@ def seal(path: Path) -> None:
         file.write(b"%s%0*x\n" % (_SEAL, _DIGITS, checksum))
 
 
+class UnreadableError(InputError):
+    """A file that cannot be read now: it may be whole."""
+
+
 @contextmanager
 def reading(path: Path, software: str, what: str, must: str = "") -> Iterator[h5py.File]:
     """Give a file of ours to read; anything that goes wrong meanwhile means that it is none.
@@ -53,7 +58,7 @@ def reading(path: Path, software: str, what: str, must: str = "") -> Iterator[h5
 
     Raises
     ------
-    InputError : in one sentence.
+    InputError : in one sentence; UnreadableError where it is not the file's fault.
     """
     try:
         if not path.is_file():
@@ -68,9 +73,9 @@ def reading(path: Path, software: str, what: str, must: str = "") -> Iterator[h5
             yield file
     except InputError:
         raise
-    except (PermissionError, BlockingIOError) as error:  # or somebody writes to it
-        raise InputError(f"{path}: cannot be read: {error.strerror}") from error
     except Exception as error:  # h5py has no errors of its own: any may come
+        if isinstance(error, OSError) and error.errno:  # somebody writes to it, a disk is away
+            raise UnreadableError(f"{path}: cannot be read: {os.strerror(error.errno)}") from error
         raise InputError(f"{path}: is not {what}, or is damaged{must}") from error
 
 

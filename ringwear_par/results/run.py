@@ -151,7 +151,7 @@ def run_case(
                 f"{_progress(case, last.state.time)}; {output} holds them, and the same "
                 f"command with --restart continues{remark(watch.agreed)}"
             )
-        return _draw(output, figure, comm)
+    return _draw(output, figure, comm)
 
 
 def _check_options(snapshot: Snapshot) -> bool:

@@ -21,7 +21,13 @@ from ringwear_par.cases.schema import BY_PATH
 from ringwear_par.cases.text import toml_value
 from ringwear_par.errors import InputError
 from ringwear_par.results.hdf5 import atomic_hdf5
-from ringwear_par.results.reading import find_array, find_texts, read_array, reading
+from ringwear_par.results.reading import (
+    UnreadableError,
+    find_array,
+    find_texts,
+    read_array,
+    reading,
+)
 from ringwear_par.results.variables import ELEMENT, HISTORIES, LINE, PROFILES, STEP, Variable
 from ringwear_par.studies.shards import UNKNOWN_VERSION, Entry, Record, join_flags, split_flags
 from ringwear_par.studies.variations import path_of, value_of
@@ -305,7 +311,7 @@ def read_entries(path: Path) -> dict[str, Entry] | None:
 
     Raises
     ------
-    InputError : it may not be read.
+    UnreadableError : it cannot be read now.
     """
     try:
         with reading(path, SOFTWARE, WHAT) as file:
@@ -323,9 +329,9 @@ def read_entries(path: Path) -> dict[str, Entry] | None:
                 for name, default in _OLDER.items()
             )
             _tables(file, sizes)  # which read_records will look for
-    except InputError as error:
-        if isinstance(error.__cause__, PermissionError | BlockingIOError):
-            raise
+    except UnreadableError:
+        raise
+    except InputError:
         return None
     return {
         ids[i]: Entry(

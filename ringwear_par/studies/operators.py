@@ -17,7 +17,7 @@ from ringwear_par.parallel import on_first_rank, together
 
 #: how long a file that is there may stay unseen by another machine (NFS: a minute by default), and
 #: between two looks
-_PATIENCE_SECONDS = 75.0
+PATIENCE_SECONDS = 75.0
 _NAP_SECONDS = 0.05
 
 
@@ -88,7 +88,7 @@ def map_operator(path: Path, case: Case, comm: MPI.Comm) -> ContactPair:
 
 def _mapped(path: Path) -> FloatArray:
     """Return two stacked (n + 3, n) matrices; network disks show files late, and piece by piece."""
-    limit = time.monotonic() + _PATIENCE_SECONDS
+    limit = time.monotonic() + PATIENCE_SECONDS
     while True:
         try:
             stacked: FloatArray = np.load(path, mmap_mode="r")

@@ -113,6 +113,11 @@ class Plan:
         return status.count("done"), status.count("failed")
 
     @property
+    def cases_left(self) -> int:
+        """Number of the cases that are to be computed."""
+        return sum(map(len, self.todo))
+
+    @property
     def left(self) -> list[int]:
         """Numbers of the groups that still have cases."""
         return [group for group, cases in enumerate(self.todo) if cases]

@@ -7,7 +7,8 @@ group that has most cases left.
 Rank 0 computes cases like all others, and answers them between two steps of its own. Questions with
 answers work on every network; memory that other ranks change without rank 0's doing does not (Open
 MPI 4 offers it over TCP and fails). A team asks for as many cases at once as keep it busy for some
-time, fewer towards the end, so that waiting for an answer costs little.
+time, fewer towards the end, so that waiting for an answer costs little. The first groups are dealt
+without a question: rank 0 may be in the middle of its first assembly.
 """
 
 import time
@@ -113,9 +114,15 @@ class Scheduler:
     ) -> None:
         self._comm = comm.Dup()  # no message of anybody else
         self._board = Board(sizes, teams) if comm.rank == 0 else None
+        team, number = comm.rank // (size := comm.size // teams), comm.rank % size
+        groups = [group for group, cases in enumerate(sizes) if cases][:teams]
+        if self._board is not None:
+            for leader in range(len(groups)):
+                self._board.draw(leader * size)
+        dealt = number == 0 and team < len(groups)
         self._group_ended = group_ended
-        self._cases, self._stopped = _NOTHING, False
-        self._done, self._failed, self._since = 0, 0, time.perf_counter()
+        self._cases, self._stopped = Cases(groups[team], 0, 1) if dealt else _NOTHING, False
+        self._done, self._failed, self._seconds = 0, 0, 0.0
 
     def draw(self) -> tuple[int, int] | None:
         """Return group and number in the group of a case that nobody else draws. Not collective.
@@ -130,10 +137,11 @@ class Scheduler:
         self._cases = Cases(group, first + 1, number - 1)
         return group, first
 
-    def count(self, failed: bool) -> None:
-        """Count the case drawn last, which has ended. Not collective."""
+    def count(self, failed: bool, seconds: float) -> None:
+        """Count the case drawn last, which has ended after so long. Not collective."""
         self._done += not failed
         self._failed += failed
+        self._seconds += seconds
 
     def ask_to_stop(self) -> None:
         """Let nobody draw any more. Not collective."""
@@ -185,10 +193,8 @@ class Scheduler:
 
     def _ask(self, what: int) -> None:
         """Tell what has ended since; note what rank 0 answers."""
-        microseconds = round(1e6 * (time.perf_counter() - self._since))
-        question = np.array(
-            [what, self._cases.group, self._done, self._failed, microseconds], dtype=np.int64
-        )
+        ended = self._done, self._failed, round(1e6 * self._seconds)
+        question = np.array([what, self._cases.group, *ended], dtype=np.int64)
         if self._board is not None:
             answer = self._answer(0, question)
         else:
@@ -197,7 +203,7 @@ class Scheduler:
             self._comm.Send(question, 0, _QUESTION)
             while not answered.Test():
                 time.sleep(_NAP_SECONDS)
-        self._done, self._failed, self._since = 0, 0, time.perf_counter()
+        self._done, self._failed, self._seconds = 0, 0, 0.0
         *drawn, stopped = answer.tolist()
         self._stopped = bool(stopped)
         if what == _DRAW:

@@ -22,6 +22,11 @@ from ringwear_par.errors import ComputationError, InputError
 from ringwear_par.results.variables import HISTORIES, LINE, PROFILES
 
 FOLDER = "shards"
+#: what SQLite says of a disk, or of another process
+_UNREADABLE = (
+    sqlite3.SQLITE_BUSY, sqlite3.SQLITE_LOCKED, sqlite3.SQLITE_IOERR, sqlite3.SQLITE_CANTOPEN,
+    sqlite3.SQLITE_FULL, sqlite3.SQLITE_READONLY, sqlite3.SQLITE_PERM, sqlite3.SQLITE_NOMEM,
+)  # fmt: skip
 _SYNC_SECONDS = 1.0
 #: how long to wait for processes of a killed sweep to end
 _BUSY_SECONDS = 5.0
@@ -225,15 +230,11 @@ class Entry:
     flags: tuple[str, ...] = ()
 
 
-def read_index(path: Path, mend: bool = False) -> tuple[dict[str, Entry], int] | None:
+def read_index(path: Path) -> tuple[dict[str, Entry], int] | None:
     """Return the cases of a shard by id, and how many rows are damaged. Not collective.
 
     None if it is damaged as a whole. A file without contents, or without a table, holds nothing:
     its sweep was killed before its first case.
-
-    Parameters
-    ----------
-    mend : drop rows that are damaged.
 
     Raises
     ------
@@ -251,22 +252,36 @@ def read_index(path: Path, mend: bool = False) -> tuple[dict[str, Entry], int] |
                 return {}, 0
             if _COLUMNS.keys() - _DEFAULTS.keys() - there:
                 return None
-            return _read_rows(path, connection, mend)
-    except sqlite3.OperationalError as error:
-        raise ComputationError(f"{path}: cannot be read: {error}") from error
-    except sqlite3.DatabaseError:
+            entries, bad = _read_rows(path, connection)
+            return entries, len(bad)
+    except sqlite3.DatabaseError as error:
+        if not is_damage(error):
+            raise ComputationError(f"{path}: cannot be read: {error}") from error
         return None
 
 
+def is_damage(error: sqlite3.DatabaseError) -> bool:
+    """Tell whether a file is damaged, or cannot be read now and may be whole."""
+    return error.sqlite_errorcode & 0xFF not in _UNREADABLE
+
+
+def drop_damaged_rows(path: Path) -> None:
+    """Drop rows that ``read_index`` counts as damaged. Not collective."""
+    with closing(_connect(path)) as connection:
+        _, bad = _read_rows(path, connection)
+        connection.executemany("DELETE FROM cases WHERE rowid = ?", bad)
+
+
 def _read_rows(
-    path: Path, connection: sqlite3.Connection, mend: bool
-) -> tuple[dict[str, Entry], int]:
+    path: Path, connection: sqlite3.Connection
+) -> tuple[dict[str, Entry], list[tuple[int]]]:
     names = _selected(connection, ("id", "status", "layout", "version", "flags"))
     rows = connection.execute(
         f"SELECT rowid, {names}, typeof(toml), typeof(error), typeof(seconds), typeof(imbalance), "
         "CASE typeof(data) WHEN 'blob' THEN length(data) END FROM cases"
     )
-    entries, bad = {}, []
+    entries: dict[str, Entry] = {}
+    bad: list[tuple[int]] = []
     for row, identity, status, layout, version, flags, *types, size in rows:
         try:
             texts = all(isinstance(text, str) for text in (identity, layout, version, flags))
@@ -278,9 +293,7 @@ def _read_rows(
             entries[identity] = _entry(path, status, layout, version, flags)
         except ValueError:
             bad.append((row,))
-    if mend and bad:
-        connection.executemany("DELETE FROM cases WHERE rowid = ?", bad)
-    return entries, len(bad)
+    return entries, bad
 
 
 def _entry(path: Path, status: str, layout: str, version: str, flags: str) -> Entry:

@@ -5,6 +5,7 @@
 of a study keep to files of their own until the whole is merged.
 """
 
+import shutil
 import sqlite3
 from collections import defaultdict
 from collections.abc import Collection, Iterator, Sequence
@@ -19,6 +20,7 @@ from ringwear_par.errors import ComputationError, InputError
 from ringwear_par.history.balances import Balances
 from ringwear_par.results.checkpoints import restored
 from ringwear_par.results.files import open_result
+from ringwear_par.results.reading import UnreadableError
 from ringwear_par.results.variables import PROFILES
 from ringwear_par.studies import dataset, shards
 from ringwear_par.studies.dataset import RESULTS, Row
@@ -103,17 +105,27 @@ class Store:
         notes, mine = [], frozenset(ids)
         results = self.folder / RESULTS
         if results.exists():
-            found = dataset.read_entries(results)
+            try:
+                found = dataset.read_entries(results)
+            except UnreadableError as error:
+                raise ComputationError(str(error)) from error
             if found is None:
                 notes.append(self.set_aside(results, mend))
             entries.update(found or {})
         for path in sorted((self.folder / "shards").glob(f"{self.part or '*'}_*.sqlite")):
-            index = shards.read_index(path, mend)
+            index = shards.read_index(path)
             if index is None:
                 notes.append(self.set_aside(path, mend))
                 continue
             if index[1]:
-                notes.append(f"{path}: {index[1]} of its rows are damaged; their cases run again")
+                aside = _free_name(path)
+                if mend:
+                    shutil.copy(path, aside)
+                    shards.drop_damaged_rows(path)
+                notes.append(
+                    f"{path}: {index[1]} of its rows are damaged (kept in {aside.name}); their "
+                    "cases run again"
+                )
             for identity, entry in index[0].items():  # a failure never hides a success
                 if entries.get(identity, _NOTHING).status != "done":
                     entries[identity] = entry
@@ -124,6 +136,8 @@ class Store:
                     if path.stem in mine and _id_of(record) != path.stem:
                         raise InputError(f"{path}: is of another case than its name says")
                     entries[path.stem] = _entry(record, path)
+                except UnreadableError as error:
+                    raise ComputationError(str(error)) from error
                 except InputError as error:
                     if path.exists():  # else another slice has just ended the case
                         if mend:
@@ -138,10 +152,7 @@ class Store:
         ----------
         mend : False: return the sentence only.
         """
-        ending = path.suffix if path.name == RESULTS else ""
-        numbers = chain([""], count(2))
-        names = (path.with_name(f"{path.stem}.damaged{number}{ending}") for number in numbers)
-        aside = next(name for name in names if not name.exists())
+        aside = _free_name(path)
         if mend:
             for tail in ("", "-wal", "-journal", "-shm"):  # those of SQLite
                 with suppress(FileNotFoundError):  # there is none, or another slice was first
@@ -154,6 +165,7 @@ class Store:
         Raises
         ------
         DamagedError : a file that the scan took for whole.
+        ComputationError : a file cannot be read now.
         """
         places: dict[Path, list[str]] = defaultdict(list)
         for row in rows:
@@ -167,11 +179,11 @@ class Store:
                     yield from dataset.read_records(path, ids)
                 else:
                     yield _interrupted(path)
-            except OSError as error:
-                if error.errno:
-                    raise
-                raise DamagedError(path) from error  # h5py
+            except UnreadableError as error:
+                raise ComputationError(str(error)) from error
             except _DAMAGE as error:
+                if isinstance(error, sqlite3.DatabaseError) and not shards.is_damage(error):
+                    raise ComputationError(f"{path}: cannot be read: {error}") from error
                 raise DamagedError(path) from error
 
     def forget_shards(self) -> None:
@@ -197,6 +209,14 @@ class DamagedError(ComputationError):
         self.path = path
 
 
+def _free_name(path: Path) -> Path:
+    """Return a name for a damaged file, which no file has."""
+    ending = path.suffix if path.name == RESULTS else ""
+    numbers = chain([""], count(2))
+    names = (path.with_name(f"{path.stem}.damaged{number}{ending}") for number in numbers)
+    return next(name for name in names if not name.exists())
+
+
 _NOTHING = Entry("", 0, 0, (), False, Path(), "")
 #: what reading a damaged file ends in
 _DAMAGE = (
@@ -217,7 +237,7 @@ def _interrupted(path: Path) -> Record:
 
     Raises
     ------
-    InputError : the file is damaged.
+    InputError : the file is damaged, or cannot be read.
     """
     result = open_result(path)
     try:

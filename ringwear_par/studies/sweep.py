@@ -28,7 +28,7 @@ from ringwear_par.stopping import StopSignals, name_of, remark
 from ringwear_par.studies.dataset import RESULTS, TABLE, Row, write_ensemble
 from ringwear_par.studies.ensemble import read_ensemble
 from ringwear_par.studies.estimate import estimate
-from ringwear_par.studies.operators import StorageError
+from ringwear_par.studies.operators import PATIENCE_SECONDS, StorageError
 from ringwear_par.studies.plan import Plan, Request, make_plan
 from ringwear_par.studies.scheduling import Scheduler
 from ringwear_par.studies.shards import Entry
@@ -39,8 +39,8 @@ from ringwear_par.studies.workers import Timings, Worker, provide_operator
 
 log = logging.getLogger(__name__)
 
-#: how long what another machine has stored may stay unseen, and between two looks
-_PATIENCE_SECONDS, _LATE_SECONDS = 10.0, 0.2
+#: how long between two looks for what another machine has stored
+_LATE_SECONDS = 0.2
 
 Source = Study | Path | str | Mapping[str, Any]
 
@@ -160,7 +160,8 @@ def _compute(
         _assemble_all(plan, comm, timings)
 
     def group_ended(group: int) -> None:
-        plan.store.operator(group).unlink(missing_ok=True)
+        with suppress(OSError):  # or else at the end
+            plan.store.operator(group).unlink()
 
     sizes = [len(cases) for cases in plan.todo]
     scheduler = Scheduler(sizes, comm, plan.request.teams, group_ended)
@@ -203,10 +204,9 @@ def _compute(
             every,
             plan.flagged + tuple(flags for t in every for flags in t.flagged),
         )
-        counted = summary.done + summary.failed
+        counted = summary.done, summary.failed
         try:
             done, failed = on_first_rank(comm, lambda: _settle(plan, summary, not troubles))
-            counted = max(counted, done + failed)
             summary = replace(summary, done=done, failed=failed)
         except RingwearError as error:  # of the disk
             troubles.append(error)
@@ -229,7 +229,7 @@ def _assemble_all(plan: Plan, comm: MPI.Intracomm, timings: Timings) -> None:
 def _trouble(
     plan: Plan,
     summary: Summary,
-    counted: int,
+    counted: tuple[int, int],
     troubles: list[RingwearError],
     received: int,
     comm: MPI.Intracomm,
@@ -238,23 +238,26 @@ def _trouble(
 
     Parameters
     ----------
-    counted : cases that have ended, of which ``summary`` says how many are stored.
+    counted : cases done and failed, of which ``summary`` says how many are stored.
     """
     ended = f"{summary.done + summary.failed} of {summary.total} cases are stored"
     if troubles:
         if isinstance(troubles[0], InputError):
             return troubles[0]
         return ComputationError(f"{troubles[0]}; {ended}, and the same command goes on")
-    if counted < summary.total:
+    stopped = summary.computed < plan.cases_left
+    if stopped:
         on_first_rank(comm, lambda: _mark(plan.store.stopped))
-    lost = counted - summary.done - summary.failed
+    stored = summary.done, summary.failed
+    # what failed before and is stored still must not make up for what is lost
+    lost = max(counted[0] - stored[0], sum(counted) - sum(stored))
     if lost > 0:
         return ComputationError(
-            f"{summary.folder}: {lost} of {counted} cases that have ended are not stored any more "
-            f"(files in {summary.folder / 'shards'} were removed or damaged); {ended}, and the "
-            "same command computes the others again"
+            f"{summary.folder}: {lost} of {sum(counted)} cases that have ended are not stored any "
+            f"more (files in {summary.folder / 'shards'} were removed or damaged); {ended}, and "
+            "the same command computes the others again"
         )
-    if counted < summary.total:
+    if stopped:
         name = name_of(received) if received else "a team"
         return ComputationError(
             f"stopped by {name}, incomplete: {ended}, and the same command goes on"
@@ -303,7 +306,7 @@ def _settle(plan: Plan, summary: Summary, well: bool) -> tuple[int, int]:
 
 def _scan(plan: Plan, counted: int) -> dict[str, Entry]:
     """Return what is stored; if that is less than counted, network disks may show it late."""
-    limit = time.monotonic() + _PATIENCE_SECONDS
+    limit = time.monotonic() + PATIENCE_SECONDS
     while True:
         entries, notes = plan.store.scan(plan.study.ids, mend=True)
         for note in notes:
@@ -340,8 +343,9 @@ def _merge(plan: Plan, summary: Summary, entries: Mapping[str, Entry]) -> None:
     here = set(study.ids)
     rows += [Row(i, None, "", False, entry) for i, entry in entries.items() if i not in here]
     ended = sum(plan.count(entries))
+    complete = ended == summary.total and summary.computed == plan.cases_left
     attributes = {
-        "status": "complete" if ended == summary.total else "incomplete",
+        "status": "complete" if complete else "incomplete",
         "study": study.text,
         "method": study.method,
         "ranks": ranks,

@@ -36,8 +36,9 @@ from ringwear_par.studies.shards import Record, Shard
 
 log = logging.getLogger(__name__)
 
-#: how long a team that waits for an operator sleeps between two looks
-_NAP_SECONDS = 0.01
+#: how long a team that waits for an operator sleeps between two looks, and between two questions
+#: whether all are to stop
+_NAP_SECONDS, _ASK_SECONDS = 0.01, 0.5
 
 
 @dataclass
@@ -120,6 +121,7 @@ class Worker:
                 drawn = team.bcast(drawn)
             if drawn is None:
                 return
+            before = self._timings.stepping
             record = self._computed(*drawn)
             if record is None:  # interrupted
                 if first:
@@ -127,7 +129,7 @@ class Worker:
                 return
             self._store(record)
             if first:
-                scheduler.count(record.status == "failed")
+                scheduler.count(record.status == "failed", self._timings.stepping - before)
 
     def _store(self, record: Record) -> None:
         t0 = time.perf_counter()
@@ -254,6 +256,7 @@ class Worker:
             provide_operator(plan, group, team, self._timings)
         path, t0 = plan.store.operator(group), time.perf_counter()
         failure = reason_of_failure(path)
+        received, asked = 0, 0.0
 
         def look() -> str | None:
             """Return "" once it is there, why it never will be, or None as long as it may."""
@@ -261,16 +264,19 @@ class Worker:
                 return ""
             if failure.exists():
                 return failure.read_text(encoding="utf-8")
+            nonlocal asked
             if received:
                 self._scheduler.ask_to_stop()
-            if self._scheduler.stopped:
                 raise _StoppedError
+            if time.perf_counter() - asked > _ASK_SECONDS:
+                asked = time.perf_counter()
+                if self._scheduler.stopped:
+                    raise _StoppedError
             self._scheduler.serve()
             if self._progress is not None:
                 self._progress()
             return None
 
-        received = 0
         while (reason := on_first_rank(team, look)) is None:
             time.sleep(_NAP_SECONDS)
             received = team.allreduce(self._signals.received, MPI.MAX)  # by any of its ranks

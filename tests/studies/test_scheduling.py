@@ -26,7 +26,7 @@ def work(scheduler):
     drawn = []
     while (case := scheduler.draw()) is not None:
         drawn.append(case)
-        scheduler.count(failed=case[1] % 10 == 9)
+        scheduler.count(case[1] % 10 == 9, 1e-3)
         scheduler.serve()
     return drawn
 
@@ -55,6 +55,16 @@ def test_nobody_draws_after_a_stop(comm, scheduler):
 
 
 @pytest.mark.mpi(min_size=2)
+def test_nobody_waits_for_rank_0_to_get_a_first_group(comm, scheduler):
+    """It assembles its own."""
+    board, _ = scheduler([0, *[5] * comm.size])
+    assert board.draw() == (1 + comm.rank, 0)
+    comm.Barrier()
+    board.ask_to_stop()
+    board.wait_for_all(lambda: None)
+
+
+@pytest.mark.mpi(min_size=2)
 def test_who_waits_may_ask_all_to_stop(comm, scheduler):
     board, _ = scheduler([10])
     while comm.rank == 0 and not board.stopped:
@@ -67,7 +77,7 @@ def test_what_was_counted_before_a_stop_is_told(comm, scheduler):
     board, _ = scheduler([10**6])
     mine = 0
     while mine < 5 and board.draw() is not None:  # by now several cases are in hand
-        board.count(failed=False)
+        board.count(failed=False, seconds=1e-4)
         board.serve()
         mine += 1
     board.ask_to_stop()

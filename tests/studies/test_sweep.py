@@ -178,7 +178,9 @@ def test_sizes_that_do_not_divide_are_refused(write, shared_path, comm):
     assert not (shared_path / "out").exists()
 
 
-def test_a_failed_case_is_a_row_and_the_others_go_on(write, shared_path, comm, monkeypatch):
+def test_a_failed_case_is_a_row_and_the_others_go_on(
+    write, shared_path, comm, monkeypatch, stopped_after
+):
     from ringwear_par.wear.threshold import ThresholdLaw
 
     original = ThresholdLaw.rate
@@ -200,6 +202,11 @@ def test_a_failed_case_is_a_row_and_the_others_go_on(write, shared_path, comm, m
     monkeypatch.setattr(ThresholdLaw, "rate", original)
     with pytest.raises(ComputationError, match="4 of 12 cases failed"):
         swept(write(STUDY), folder, comm)  # failures are results as well
+    comm.Barrier()
+    stopped = pytest.raises(ComputationError, match="stopped by SIGTERM, incomplete")
+    with stopped_after(3), stopped:  # of which the failures of before must not make a whole
+        swept(write(STUDY), folder, comm, retry=True, ranks_per_case=comm.size)
+    assert (folder / "STOPPED").exists()
     comm.Barrier()
     swept(write(STUDY), folder, comm, retry=True)
     assert all(row["status"] == "done" for row in table(folder))

@@ -106,7 +106,7 @@ def test_an_operator_that_one_rank_sees_late(swept, comm, monkeypatch):
 def test_an_operator_that_one_rank_never_sees(swept, comm, monkeypatch):
     """Not the fault of a case: the sweep ends, and goes on another time."""
     monkeypatch.setattr(operators.np, "load", Disk(comm, 10**9))
-    monkeypatch.setattr(operators, "_PATIENCE_SECONDS", 0.2)
+    monkeypatch.setattr(operators, "PATIENCE_SECONDS", 0.2)
     with pytest.raises(ComputationError, match=r"cannot be mapped: .*the same command goes on"):
         swept()
     comm.Barrier()
