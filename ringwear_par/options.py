@@ -3,6 +3,7 @@
 import ctypes
 import difflib
 import itertools
+import logging
 import os
 import re
 import sys
@@ -16,6 +17,8 @@ from ringwear_par.textfiles import read_text
 
 if TYPE_CHECKING:
     from petsc4py import PETSc
+
+log = logging.getLogger(__name__)
 
 #: of the boundary element systems and of the contact problem
 BEM_PREFIX, CONTACT_PREFIX = "bem_", "contact_"
@@ -136,6 +139,8 @@ def _was_used(name: str) -> bool:
 def reject_unused_options() -> None:
     """Check that every option with one of our prefixes was read by a solver. Not collective.
 
+    Others are warned of: PETSc itself reads some of them, a few at its end only.
+
     Call when every kind of system was solved once: some options are read as late as that.
 
     Raises
@@ -145,8 +150,14 @@ def reject_unused_options() -> None:
     from petsc4py import PETSc
 
     ours = (BEM_PREFIX, CONTACT_PREFIX)
-    names = [name for name in PETSc.Options().getAll() if name.startswith(ours)]
-    unused = [name for name in names if not _was_used(name)]
+    unused = [name for name in PETSc.Options().getAll() if not _was_used(name)]
+    others = [name for name in unused if not name.startswith(ours)]
+    unused = [name for name in unused if name.startswith(ours)]
+    if others:
+        log.warning(
+            "-%s: no solver of this run reads it; names of their options begin with -%s or -%s",
+            ", -".join(others), *ours,
+        )  # fmt: skip
     if unused:
         raise InputError(
             *(

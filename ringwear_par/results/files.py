@@ -50,7 +50,12 @@ def read_status(path: Path) -> tuple[str, int] | None:
     """
     if not path.exists():
         return None
-    with reading(path, SOFTWARE, _WHAT, "; must be a new name or such a file") as file:
+    with reading(
+        path,
+        SOFTWARE,
+        _WHAT,
+        "; must be one (--restart), another name, or be replaced by --overwrite",
+    ) as file:
         status = read_text(file.attrs["status"])
         if "checkpoint" in file:
             return status, int(file["checkpoint"].attrs["step"])

@@ -5,6 +5,7 @@ first: of damaged contents the HDF5 library may crash, or never end. A file that
 changed has none, and is read with care only.
 """
 
+import logging
 import math
 import os
 import zlib
@@ -19,9 +20,12 @@ import h5py
 from ringwear_par.errors import InputError
 from ringwear_par.results.variables import Variable
 
+log = logging.getLogger(__name__)
+
 _SEAL, _DIGITS = b"\nringwear-par crc32 ", 8
 _SEAL_BYTES = len(_SEAL) + _DIGITS + 1
 _BLOCK_BYTES = 2**22
+
 #: most that HDF5's filters make of a byte
 _DEFLATED = 1032
 
@@ -88,6 +92,7 @@ def _is_whole(path: Path, inode: int, size: int, changed: int) -> bool:
         file.seek(size - _SEAL_BYTES)
         found = file.read()
         if not found.startswith(_SEAL):
+            log.warning("%s: carries no checksum (another program wrote it): not verified", path)
             return True
         return found[len(_SEAL) :] == b"%0*x\n" % (_DIGITS, _checksum(file, size - _SEAL_BYTES))
 

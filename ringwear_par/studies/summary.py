@@ -27,6 +27,7 @@ class Summary:
     peak : MB, largest memory of a rank.
     timings : of each rank.
     flagged : the flags of each case that has some.
+    merged : whether the results were written.
     """
 
     folder: Path
@@ -40,6 +41,7 @@ class Summary:
     peak: float
     timings: tuple[Timings, ...]
     flagged: tuple[tuple[str, ...], ...]
+    merged: bool = False
 
     def __str__(self) -> str:
         lines = [
@@ -67,7 +69,7 @@ class Summary:
             lines.append(
                 "the same command without --slice computes what is left and merges all slices"
             )
-        else:
+        elif self.merged:
             lines.append(f"{self.folder / TABLE}, {self.folder / RESULTS}")
         return "\n".join(lines)
 

@@ -207,7 +207,8 @@ def _compute(
         counted = summary.done, summary.failed
         try:
             done, failed = on_first_rank(comm, lambda: _settle(plan, summary, not troubles))
-            summary = replace(summary, done=done, failed=failed)
+            merged = not troubles and not plan.store.part
+            summary = replace(summary, done=done, failed=failed, merged=merged)
         except RingwearError as error:  # of the disk
             troubles.append(error)
     summary = replace(summary, seconds=time.perf_counter() - started)
