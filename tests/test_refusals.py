@@ -90,7 +90,7 @@ def test_bad_input_is_said_once_with_status_2(ringwear, shared_path, comm, words
         ),
         (["run", PAPER, "-o", "a.h5", "--set", "\x1b=1"], r"--set \x1b: unknown key"),
         (["plot", "a\x1b.h5", "-o", "a.png"], r"a\x1b.h5: does not exist"),
-        (["plot", "/proc/self/mem", "-o", "a.png"], "mem: is not a result file of ringwear, or is"),
+        (["plot", "/proc/self/mem", "-o", "a.png"], "mem: cannot be read: Input/output error"),
         (["plot", "/dev/null", "-o", "a.png"], "/dev/null: is not a file; must be a result file"),
     ],
 )
