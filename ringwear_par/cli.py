@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 from ringwear_par import __version__
-from ringwear_par.errors import InputError, RingwearError, legible
+from ringwear_par.errors import LONGEST_SENTENCE, InputError, RingwearError, legible
 from ringwear_par.stopping import StopAtOnce, Stopped, remark
 
 #: how long a rank that fails waits for the others to fail alike, and one that is stopped: mpirun
@@ -408,7 +408,7 @@ class _OneLine(logging.Formatter):
     """Messages on one line, with what would not be seen escaped."""
 
     def formatMessage(self, record: logging.LogRecord) -> str:  # noqa: N802
-        return legible(super().formatMessage(record), 1000)
+        return legible(super().formatMessage(record), LONGEST_SENTENCE)
 
 
 def _start_logging(rank: int) -> None:

@@ -1,7 +1,7 @@
 """The two ways a command can fail, with their exit statuses; and how messages show texts."""
 
 #: longest value, key or word of a user, and longest sentence that messages show in full
-_LONGEST_VALUE, _LONGEST_SENTENCE = 72, 1000
+_LONGEST_VALUE, LONGEST_SENTENCE = 72, 1000
 #: faults of one input that are told one by one
 _MOST_FAULTS = 100
 
@@ -31,7 +31,7 @@ class RingwearError(Exception):
     exit_status = 1
 
     def __init__(self, sentence: str = "") -> None:
-        super().__init__(legible(sentence, _LONGEST_SENTENCE))
+        super().__init__(legible(sentence, LONGEST_SENTENCE))
 
 
 class ComputationError(RingwearError):
@@ -56,7 +56,7 @@ class InputError(RingwearError):
         more = len(faults) - _MOST_FAULTS
         if more > 0:
             faults = (*faults[:_MOST_FAULTS], f"and {more} faults more")
-        self.faults = tuple(legible(fault, _LONGEST_SENTENCE) for fault in faults)
+        self.faults = tuple(legible(fault, LONGEST_SENTENCE) for fault in faults)
         Exception.__init__(self, "\n".join(self.faults))
 
     def __reduce__(self) -> tuple[type["InputError"], tuple[str, ...]]:

@@ -9,7 +9,7 @@ import numpy as np
 
 from ringwear_par.cases.case import Case
 from ringwear_par.cases.reading import read_case
-from ringwear_par.errors import ComputationError, InputError, legible
+from ringwear_par.errors import LONGEST_SENTENCE, ComputationError, InputError, legible
 from ringwear_par.schedules import largest
 from ringwear_par.wear.catalogue import LAWS
 from ringwear_par.wear.derivative_test import (
@@ -116,7 +116,7 @@ def _tested(case: Case, body: str, law: Law) -> int:
     fresh = _local_state(case, 0.0, 0.0)
     rates = [float(law.rate(np.full_like(p, v), fresh).max()) for v in _SHOWN]
     print(
-        f"{body}: {legible(law.describe(), 1000)}\n  largest rate at p = "
+        f"{body}: {legible(law.describe(), LONGEST_SENTENCE)}\n  largest rate at p = "
         f"{', '.join(f'{q:g}' for q in _SHOWN)} MPa, t = 0, "
         f"omega = {largest(case.load.omega) or 1.0:g} rad/s: "
         f"{', '.join(f'{rate:.4g}' for rate in rates)} mm/s"

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ringwear_par.errors import InputError, legible
+from ringwear_par.errors import LONGEST_SENTENCE, InputError, legible
 
 if TYPE_CHECKING:
     from ringwear_par.results.result import Result
@@ -45,7 +45,7 @@ def summary(result: "Result") -> str:
     ]
     if reached["assemblies"]:
         lines.append(f"elements followed the wear {reached['assemblies']} times")
-    return "\n".join(legible(line, 1000) for line in lines)
+    return "\n".join(legible(line, LONGEST_SENTENCE) for line in lines)
 
 
 def _made(about: Mapping[str, Any], reached: Mapping[str, Any]) -> str:

@@ -1,5 +1,6 @@
 """The contact pairs that cases share, each in a file that every team maps: a node holds it once."""
 
+import io
 import time
 from pathlib import Path
 
@@ -53,11 +54,9 @@ def write_operator(path: Path, case: Case, comm: MPI.Comm) -> None:
                 temporary.write_text(reason, encoding="utf-8")
                 temporary.replace(reason_of_failure(path))
             else:
-                with temporary.open("wb") as file:
-                    # numpy.save does not tell why it fails
-                    header = np.lib.format.header_data_from_array_1_0(stacked)
-                    np.lib.format.write_array_header_1_0(file, header)
-                    file.write(np.ascontiguousarray(stacked).data)
+                data = io.BytesIO()  # to a disk, numpy.save does not tell why it fails
+                np.save(data, stacked)
+                temporary.write_bytes(data.getbuffer())
                 temporary.replace(path)
         except OSError as error:
             temporary.unlink(missing_ok=True)

@@ -7,7 +7,7 @@ group that has most cases left.
 Rank 0 computes cases like all others, and answers them between two steps of its own. Questions with
 answers work on every network; memory that other ranks change without rank 0's doing does not (Open
 MPI 4 offers it over TCP and fails). A team asks for as many cases at once as keep it busy for some
-time, fewer towards the end, so that waiting for an answer costs little. The first groups are dealt
+time, fewer towards the end, so that waiting for an answer costs little. The first cases are dealt
 without a question: rank 0 may be in the middle of its first assembly.
 """
 
@@ -113,15 +113,11 @@ class Scheduler:
         group_ended: Callable[[int], None],
     ) -> None:
         self._comm = comm.Dup()  # no message of anybody else
-        self._board = Board(sizes, teams) if comm.rank == 0 else None
-        team, number = comm.rank // (size := comm.size // teams), comm.rank % size
-        groups = [group for group, cases in enumerate(sizes) if cases][:teams]
-        if self._board is not None:
-            for leader in range(len(groups)):
-                self._board.draw(leader * size)
-        dealt = number == 0 and team < len(groups)
-        self._group_ended = group_ended
-        self._cases, self._stopped = Cases(groups[team], 0, 1) if dealt else _NOTHING, False
+        board = Board(sizes, teams)  # as it begins, every rank knows it
+        dealt = {leader: board.draw(leader) for leader in range(0, comm.size, comm.size // teams)}
+        self._board = board if comm.rank == 0 else None
+        self._group_ended, self._status = group_ended, MPI.Status()
+        self._cases, self._stopped = dealt.get(comm.rank) or _NOTHING, False
         self._done, self._failed, self._seconds = 0, 0, 0.0
 
     def draw(self) -> tuple[int, int] | None:
@@ -162,9 +158,8 @@ class Scheduler:
     def serve(self, _: Any = None) -> bool:
         """Answer whoever has asked, on rank 0: an observer of its histories. Not collective."""
         if self._board is not None and self._comm.size > 1:
-            status, question = MPI.Status(), np.empty(5, dtype=np.int64)
-            while self._comm.Iprobe(MPI.ANY_SOURCE, _QUESTION, status):
-                source = status.Get_source()
+            while self._comm.Iprobe(MPI.ANY_SOURCE, _QUESTION, self._status):
+                source, question = self._status.Get_source(), np.empty(5, dtype=np.int64)
                 self._comm.Recv(question, source, _QUESTION)
                 self._comm.Send(self._answer(source, question), source, _ANSWER)
         return False

@@ -9,7 +9,7 @@ import shutil
 import sqlite3
 from collections import defaultdict
 from collections.abc import Collection, Iterator, Sequence
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from itertools import chain, count
 from pathlib import Path
@@ -26,6 +26,16 @@ from ringwear_par.studies import dataset, shards
 from ringwear_par.studies.dataset import RESULTS, Row
 from ringwear_par.studies.shards import Entry, Record
 from ringwear_par.studies.study import case_id
+
+
+@contextmanager
+def telling_unreadable() -> Iterator[None]:
+    """Have a sweep fail where a file of its folder cannot be read now: that is no bad input."""
+    try:
+        yield
+    except UnreadableError as error:
+        raise ComputationError(str(error)) from error
+
 
 _FOLDERS = ("shards", "inflight", "operators")
 
@@ -89,6 +99,7 @@ class Store:
         for path in (self.folder / "operators").glob(f"{self.part or '*'}_*"):
             path.unlink(missing_ok=True)
 
+    @telling_unreadable()
     def scan(self, ids: Collection[str], mend: bool) -> tuple[dict[str, Entry], list[str]]:
         """Return the stored cases by id, and sentences on what is damaged. Needs the lock.
 
@@ -105,10 +116,7 @@ class Store:
         notes, mine = [], frozenset(ids)
         results = self.folder / RESULTS
         if results.exists():
-            try:
-                found = dataset.read_entries(results)
-            except UnreadableError as error:
-                raise ComputationError(str(error)) from error
+            found = dataset.read_entries(results)
             if found is None:
                 notes.append(self.set_aside(results, mend))
             entries.update(found or {})
@@ -136,8 +144,8 @@ class Store:
                     if path.stem in mine and _id_of(record) != path.stem:
                         raise InputError(f"{path}: is of another case than its name says")
                     entries[path.stem] = _entry(record, path)
-                except UnreadableError as error:
-                    raise ComputationError(str(error)) from error
+                except UnreadableError:
+                    raise
                 except InputError as error:
                     if path.exists():  # else another slice has just ended the case
                         if mend:
@@ -165,7 +173,7 @@ class Store:
         Raises
         ------
         DamagedError : a file that the scan took for whole.
-        ComputationError : a file cannot be read now.
+        ComputationError, UnreadableError : a file cannot be read now.
         """
         places: dict[Path, list[str]] = defaultdict(list)
         for row in rows:
@@ -179,8 +187,8 @@ class Store:
                     yield from dataset.read_records(path, ids)
                 else:
                     yield _interrupted(path)
-            except UnreadableError as error:
-                raise ComputationError(str(error)) from error
+            except UnreadableError:
+                raise
             except _DAMAGE as error:
                 if isinstance(error, sqlite3.DatabaseError) and not shards.is_damage(error):
                     raise ComputationError(f"{path}: cannot be read: {error}") from error

@@ -24,6 +24,7 @@ from ringwear_par.history.limits import check_ranks
 from ringwear_par.info import versions
 from ringwear_par.parallel import on_first_rank, warn_of_threads
 from ringwear_par.results.progress import SweepProgress
+from ringwear_par.results.reading import UnreadableError
 from ringwear_par.stopping import StopSignals, name_of, remark
 from ringwear_par.studies.dataset import RESULTS, TABLE, Row, write_ensemble
 from ringwear_par.studies.ensemble import read_ensemble
@@ -32,7 +33,7 @@ from ringwear_par.studies.operators import PATIENCE_SECONDS, StorageError
 from ringwear_par.studies.plan import Plan, Request, make_plan
 from ringwear_par.studies.scheduling import Scheduler
 from ringwear_par.studies.shards import Entry
-from ringwear_par.studies.store import DamagedError
+from ringwear_par.studies.store import DamagedError, telling_unreadable
 from ringwear_par.studies.study import Study, read_study_together
 from ringwear_par.studies.summary import Summary
 from ringwear_par.studies.workers import Timings, Worker, provide_operator
@@ -279,6 +280,7 @@ def _mark(path: Path) -> None:
         log.warning("%s: cannot be written: %s", path, error.strerror)
 
 
+@telling_unreadable()
 def _settle(plan: Plan, summary: Summary, well: bool) -> tuple[int, int]:
     """Merge if all is well and this is no slice; return what is stored, done and failed.
 
@@ -322,14 +324,16 @@ def _merge(plan: Plan, summary: Summary, entries: Mapping[str, Entry]) -> None:
 
     Raises
     ------
-    DamagedError : one of the files that are read.
+    DamagedError, UnreadableError : one of the files that are read.
     OSError : the disk.
     """
     study, store, ranks = plan.study, plan.store, len(summary.timings)
     if not summary.computed and (store.folder / RESULTS).exists():
         try:
             ranks = int(read_ensemble(store.folder).attributes["ranks"])
-        except (InputError, KeyError, TypeError, ValueError) as error:
+        except UnreadableError:
+            raise
+        except InputError as error:
             raise DamagedError(store.folder / RESULTS) from error
     rows = [
         Row(
