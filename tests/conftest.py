@@ -46,7 +46,7 @@ def pytest_collection_modifyitems(config, items):
         return
     for item in items:
         most = item.get_closest_marker("most_ranks")
-        if item.get_closest_marker("serial"):
+        if item.get_closest_marker("serial") or "comm" not in item.fixturenames:
             item.add_marker(pytest.mark.skip(reason="starts programs, or has no use of ranks"))
         elif most is not None and config._sync.size > most.args[0]:
             reason = f"{most.args[0]} ranks show as much"

@@ -222,6 +222,7 @@ def test_merge(full, tmp_path, comm):
             f"ringwear: {full.folder / 'out' / 'results.h5'}: {full.words}; 20 of 20 cases are "
             "stored, and the same command goes on"
         ]
+        assert (left / "STOPPED").exists()  # beside results of before, which look complete
         for path in (tmp_path / "out").rglob("*.*"):
             assert (left / path.relative_to(tmp_path / "out")).read_bytes() == path.read_bytes()
     assert (status, said[1:]) == (0, [])

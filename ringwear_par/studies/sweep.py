@@ -246,6 +246,9 @@ def _trouble(
     if troubles:
         if isinstance(troubles[0], InputError):
             return troubles[0]
+        if comm.rank == 0:  # beside results of an earlier study, which look complete
+            with suppress(OSError):
+                plan.store.stopped.touch()
         return ComputationError(f"{troubles[0]}; {ended}, and the same command goes on")
     stopped = summary.computed < plan.cases_left
     if stopped:
