@@ -105,6 +105,53 @@ shards.Shard(Path(sys.argv[1]))
     assert not faults.differences(tmp_path / "out", reference)
 
 
+@pytest.mark.parametrize(
+    ("file", "function", "call"),
+    [
+        ("operators.py", "write_operator", 1),  # assembly
+        ("pathlib.py", "replace", 1),  # the operator's file has not its name yet
+        ("shards.py", "add", 2),
+        ("dataset.py", "write_ensemble", 1),  # merging
+        ("pathlib.py", "replace", 2),  # results.h5 is whole, but has not its name yet
+        ("pathlib.py", "replace", 3),  # it has, cases.csv has not
+        ("store.py", "forget_shards", 1),
+        ("shards.py", "forget_slices", 1),  # shards are gone, their folder is not
+    ],
+)
+def test_a_sweep_killed_at_a_moment_of_note(tmp_path, swept, comm, file, function, call):
+    """What had been computed by then is not computed again, and nothing is left over."""
+    study, reference, _ = swept
+    script = f"""
+import os, signal, sys
+from pathlib import Path
+from mpi4py import MPI
+from ringwear_par.studies.sweep import run_sweep
+
+calls = iter(range({call}, 0, -1))
+
+def kill(frame, event, _):
+    code = frame.f_code
+    if event == "call" and code.co_name == {function!r} and code.co_filename.endswith({file!r}):
+        if next(calls) == 1:
+            os.kill(os.getpid(), signal.SIGKILL)
+
+sys.setprofile(kill)
+run_sweep(*map(Path, sys.argv[1:]), MPI.COMM_SELF)
+"""
+    killed = subprocess.run(
+        [sys.executable, "-c", script, study, tmp_path / "out"],
+        env=SHELL_ENVIRONMENT, timeout=100, check=False, capture_output=True,
+    )  # fmt: skip
+    assert killed.returncode == -signal.SIGKILL, killed.stderr
+    before = faults.done_before(tmp_path / "out")
+    run_sweep(study, tmp_path / "out", comm)
+    assert not faults.differences(tmp_path / "out", reference)
+    after = faults.seconds_by_id(tmp_path / "out")
+    assert all(after[identity] == seconds for identity, seconds in before.items())
+    left = {path.name for path in (tmp_path / "out").rglob("*")}
+    assert left == {path.name for path in reference.rglob("*")}
+
+
 @pytest.mark.parametrize("seen_under_way", [False, True])
 def test_shards_that_are_removed_under_a_sweep(tmp_path, swept, comm, monkeypatch, seen_under_way):
     study, reference, _ = swept
