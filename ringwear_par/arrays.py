@@ -21,13 +21,19 @@ def columns(numbers: Any) -> Any:
 
 
 def inner(weights: FloatArray, values: FloatArray) -> Any:
-    """Return the sums of weights (n,) times values (..., n): a float, or an array (...).
+    """Return the sums of weights (n,), or (B, n), times values (..., n): a float, or (...).
 
-    Each history is summed by itself, so that its digits do not depend on its companions.
+    The digits of a history among others do not depend on them: no BLAS, which rounds by how many
+    there are.
     """
     if values.ndim == 1:
         return float(weights @ values)
-    return np.array([inner(weights, each) for each in values])
+    return np.einsum("...i,...i->...", weights, values)
+
+
+def rows_of(values: Any, histories: IntArray) -> Any:
+    """Return numbers (B,), or fields (B, ...), of some histories; what is no array stays."""
+    return values[histories] if isinstance(values, np.ndarray) and values.ndim else values
 
 
 def larger(one: Any, other: Any) -> Any:

@@ -55,8 +55,7 @@ def balances(model: WearModel, state: State) -> dict[str, Any]:
     turned, lower, upper, turned_lower, turned_upper = _parts(model.reactions(contact.pressure))
     volumes, worn = _parts(model.integrals(state.wear)), _parts(state.worn)
     identity: Any = 0.0
-    for law, volume in zip(model.laws, volumes, strict=True):
-        ratio = law.per_energy(model.friction) if law is not None else None
+    for ratio, volume in zip(model.per_energy, volumes, strict=True):
         if ratio is not None:
             identity = larger(identity, _defect(volume, ratio * state.energy))
     force = None if model.force is None else in_time(model.force, state.time)
