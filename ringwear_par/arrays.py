@@ -36,8 +36,27 @@ def rows_of(values: Any, histories: IntArray) -> Any:
     return values[histories] if isinstance(values, np.ndarray) and values.ndim else values
 
 
+def chosen(which: Any, one: Any, other: Any) -> Any:
+    """Return one where it is so, else the other: of one history, or (B,) of B."""
+    return np.where(which, one, other) if isinstance(which, np.ndarray) else one if which else other
+
+
+def relative(off: Any, exact: Any) -> Any:
+    """Return what numbers of histories are off relative to others, 0 where those are not > 0."""
+    if isinstance(exact, float):  # of one history, in every step
+        return off / exact if exact > 0.0 else 0.0
+    return np.divide(off, exact, out=np.zeros_like(exact), where=exact > 0.0)
+
+
 def larger(one: Any, other: Any) -> Any:
     """Return the larger of numbers of histories: floats, or arrays (B,)."""
     if isinstance(one, float) and isinstance(other, float):  # of one history, and quicker
         return one if one > other else other
     return np.maximum(one, other)
+
+
+def smaller(one: Any, other: Any) -> Any:
+    """Return the smaller of numbers of histories: floats, or arrays (B,)."""
+    if isinstance(one, float) and isinstance(other, float):  # of one history, and quicker
+        return one if one < other else other
+    return np.minimum(one, other)

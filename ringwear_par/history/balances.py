@@ -3,9 +3,7 @@
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
-
-from ringwear_par.arrays import FloatArray, larger
+from ringwear_par.arrays import FloatArray, larger, relative
 from ringwear_par.history.model import WearModel
 from ringwear_par.history.snapshots import Snapshot
 from ringwear_par.history.state import State
@@ -65,7 +63,7 @@ def balances(model: WearModel, state: State) -> dict[str, Any]:
         "force": 0.0 if force is None else _defect(contact.force, force),
         "torque": larger(_defect(turned_lower, turned), _defect(turned_upper, turned)),
         "reaction": larger(_defect(lower, contact.force), _defect(upper, contact.force)),
-        "volume": _relative(off, total),
+        "volume": relative(off, total),
         "energy": identity,
         "residual": contact.residual,
     }
@@ -78,13 +76,7 @@ def _parts(values: FloatArray) -> Any:
 
 def _defect(value: Any, exact: Any) -> Any:
     """Return |value - exact| / exact, 0 where nothing is expected."""
-    return _relative(abs(value - exact), exact)
-
-
-def _relative(off: Any, exact: Any) -> Any:
-    if isinstance(exact, float):  # of one history, in every step
-        return off / exact if exact > 0.0 else 0.0
-    return np.divide(off, exact, out=np.zeros_like(exact), where=exact > 0.0)
+    return relative(abs(value - exact), exact)
 
 
 class WorstBalances:
