@@ -68,7 +68,7 @@ def _kind(law: Law) -> Hashable:
     parts: list[Any] = [type(law)]
     if isinstance(law, CompletedLaw):
         return (*parts, *_own_kind(law.own))
-    names = [field.name for field in fields(law)] if is_dataclass(law) else []
+    names: list[str] = [field.name for field in fields(law)] if is_dataclass(law) else []
     for name in names:
         value, parameter = getattr(law, name), declared.get(name)
         if parameter is not None and parameter.numeric:

@@ -172,6 +172,7 @@ class WearModel:
         self._own_compliance = np.array([self._yielding(each) for each in every])[which]
         self._softness = np.array([self._sum_of(each) for each in every])[which]
         self._twist = np.array([each.twist for each in every])[which]
+        self._compliances = every
         #: (B,) of the compliance of each history
         self.symmetry_defects = np.array([each.symmetry_defect for each in every])[which]
 
@@ -180,6 +181,14 @@ class WearModel:
 
     def _sum_of(self, compliance: ContactCompliance) -> float:
         return float(self.area.sum() / compliance.matrix.sum())
+
+    def compliance_of(self, i: int) -> ContactCompliance:
+        """Return the compliance of one of B histories."""
+        return self._compliances[self._which[i]]
+
+    def gap(self, wear: FloatArray, histories: IntArray) -> FloatArray:
+        """Return (h, n) mm, the gaps of some of B histories worn by (2, h, n) mm."""
+        return self._initial_gap[histories] + wear[0] + wear[1]
 
     def take(self, histories: IntArray) -> "WearModel":
         """Return the model of some of B histories; its contacts start where these would."""
@@ -493,18 +502,41 @@ class WearModel:
 
         Unworn, under the largest load and speed, with the steepest of what laws do in time.
         """
-        case, solver = self.case, self._solver
+        solver = self._solver
         warm = solver.warm()
-        p = np.full_like(self.area, _pressed(solver, case).pressure.max())
+        most = float(_pressed(solver, self.case).pressure.max())
         solver.warm_start(warm)
+        return self._stable_step(self.case, self.compliance, most)
+
+    def stable_steps(self) -> list[float]:
+        """Return the same of B histories."""
+        solver = self.batch.solver
+        start = solver.start
+        loads = [case.load for case in self.cases]
+        if self.force is None:
+            given: dict[str, Any] = {
+                "approach": np.array([largest(load.displacement or 0.0) for load in loads])
+            }
+        else:
+            given = {"force": np.array([largest(load.force or 0.0) for load in loads])}
+        most = solver.solve(self._initial_gap, **given).pressure.max(axis=1).tolist()
+        solver.start = start
+        return [
+            self._stable_step(case, self.compliance_of(i), most[i])
+            for i, case in enumerate(self.cases)
+        ]
+
+    def _stable_step(self, case: Case, compliance: ContactCompliance, most: float) -> float:
+        """Return the largest stable step of a case whose largest pressure is so many MPa."""
+        p = np.full_like(self.area, most)
         zero = np.zeros_like(p)
-        slopes = zero
+        slopes, omega = zero, case.load.omega
         for time in (0.0, *case.breakpoints):
-            at = self.local_state(time, largest(case.load.omega), zero)
+            slid = integral(omega, 0.0, time) * self._arm
+            at = LocalState(time, self._r, largest(omega) * self._arm, case.friction, zero, slid)
             every = [law.d_rate_dp(p, at) for law in case.laws if law is not None]
             slopes = np.maximum(slopes, sum(every, zero))
-        slopes = slopes * self.compliance.obliquity
-        return largest_stable_step(self.compliance, slopes)
+        return largest_stable_step(compliance, slopes * compliance.obliquity)
 
 
 def _pressed(solver: ContactSolver, case: Case) -> ContactState:

@@ -47,6 +47,21 @@ class State:
             self.rates[:, histories],
         )
 
+    def history(self, i: int) -> "State":
+        """Return one of B histories."""
+        contact = self.contact
+        return State(
+            float(self.time[i]),
+            self.wear[:, i],
+            self.worn[:, i],
+            float(self.energy[i]),
+            ContactState(
+                contact.pressure[i], contact.gap[i], float(contact.approach[i]),
+                float(contact.force[i]), int(contact.iterations[i]), float(contact.residual[i]),
+            ),
+            self.rates[:, i],
+        )  # fmt: skip
+
     def updated(self, which: BoolArray, after: "State") -> "State":
         """Return B histories, some of which have become others."""
 
