@@ -77,25 +77,25 @@ class _Callbacks:
 
         return kept
 
-    def _worn(self, q: FloatArray) -> tuple[Any, WearIncrement, FloatArray]:
-        """Return which rows are asked for, their wear and their pressures.
-
-        Of few histories the wear is taken apart, that of most is worked out of all.
-        """
-        assert self.wear is not None
+    @property
+    def _rows(self) -> Any:
+        """The rows of the histories at work, all by a slice, which is quicker."""
         histories = self._newton.at_work
-        if 2 * len(histories) > len(q):
-            return slice(None), self.wear, q / self._scale
-        if self._part is None or self._part[0] is not histories:
-            self._part = histories, self.wear.take(histories)
-        return histories, self._part[1], q[histories] / self._scale[histories]
+        return slice(None) if len(histories) == len(self._weights) else histories
+
+    def _worn(self, wear: WearIncrement, q: FloatArray) -> tuple[WearIncrement, FloatArray]:
+        """Return the wear of the histories at work, and their pressures."""
+        histories, rows = self._newton.at_work, self._rows
+        if rows is histories:
+            if self._part is None or self._part[0] is not histories:
+                self._part = histories, wear.take(histories)
+            wear = self._part[1]
+        return wear, q[rows] / self._scale[rows]
 
     def _smooth(self, q: FloatArray, g: FloatArray) -> None:
         """Set the rows of g to the gradient without wear."""
-        newton, histories = self._newton, self._newton.at_work
-        multiply(histories, self._matrices, self._blocks.which, q, g)
-        every = len(histories) == len(q)
-        rows: Any = slice(None) if every else histories
+        newton, rows = self._newton, self._rows
+        multiply(newton.at_work, self._matrices, self._blocks.which, q, g)
         linear = newton.gaps[rows] - newton.approaches[rows, None]
         linear *= self._weights[rows]
         g[rows] += linear
@@ -106,7 +106,7 @@ class _Callbacks:
         out = g.getArray().reshape(q.shape)
         self._smooth(q, out)
         if self.wear is not None:
-            rows, wear, p = self._worn(q)
+            (wear, p), rows = self._worn(self.wear, q), self._rows
             out[rows] += self._weights[rows] * wear.depth(p)
 
     def objective(self, tao: PETSc.TAO, x: PETSc.Vec) -> float:
@@ -132,7 +132,7 @@ class _Callbacks:
         if self.wear is None:
             return
         q, blocks = x.getArray(readonly=True).reshape(self._weights.shape), self._blocks
-        rows, wear, p = self._worn(q)
+        (wear, p), rows = self._worn(self.wear, q), self._rows
         weights, scale = self._weights[rows], self._scale[rows]
         blocks.slope[rows] = wear.d_depth_dp(p) * (weights / scale)
         if len(blocks.coupling):
