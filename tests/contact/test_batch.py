@@ -1,4 +1,4 @@
-"""Many contact problems in lock step: derivatives, optimality, and digits that are each one's own."""
+"""Many contact problems in lock step: derivatives, optimality, digits that are each one's own."""
 
 import numpy as np
 import pytest
