@@ -223,6 +223,13 @@ class CorrectedBatch:
         again = np.where(carrying > 0.0, again, elements)
         return np.where(worst > most, left, worst), np.where(worst > most, again, elements)
 
+    def go_on(self, *before: "CorrectedBatch") -> None:
+        """Start where others would, whose histories follow each other here."""
+        q, approaches = zip(*(contacts.solver.start for contacts in before), strict=True)
+        self.solver.start = np.concatenate(q), np.concatenate(approaches)
+        errors, elements = zip(*(contacts.worst for contacts in before), strict=True)
+        self.worst = np.concatenate(errors), np.concatenate(elements)
+
     def take(self, histories: IntArray) -> "CorrectedBatch":
         """Return the contacts of some of the histories."""
         used, which = np.unique(self._which[histories], return_inverse=True)

@@ -21,7 +21,7 @@ from ringwear_par.contact.batch import has_own_options
 from ringwear_par.elasticity.pair import ContactPair
 from ringwear_par.errors import HistoriesError
 from ringwear_par.history import euler, sdirk2
-from ringwear_par.history.control import ErrorBatch, FixedBatch
+from ringwear_par.history.control import ErrorBatch, FixedBatch, joined
 from ringwear_par.history.model import WearModel
 from ringwear_par.history.saving import stores, times_within
 from ringwear_par.history.schemes import Scheme
@@ -102,6 +102,8 @@ class _Lot:
     def __init__(self, cases: Sequence[Case], pair: ContactPair, numbers: IntArray) -> None:
         self._all, self._pair, self.numbers = cases, pair, numbers
         self.begun = False
+        #: whether it was parted from others with which it fails
+        self.apart = False
         self._scheme: Scheme
         self.control: Control
         self.model: WearModel
@@ -221,6 +223,16 @@ class _Lot:
             lot.state, lot._every = self.state.take(histories), self._every[histories]
         return lot
 
+    def joined(self, other: "_Lot") -> "_Lot":
+        """Return one lot of both, which have begun."""
+        lot = _Lot(self._all, self._pair, np.append(self.numbers, other.numbers))
+        lot.begun, lot._scheme = True, self._scheme
+        lot.model = self.model.joined(other.model)
+        lot.control = joined(self.control, other.control)
+        lot.state = self.state.joined(other.state)
+        lot._every = np.append(self._every, other._every)
+        return lot
+
     def close(self) -> None:
         """Free the contact solver."""
         if self.begun:
@@ -232,6 +244,7 @@ def simulate_batch(
     pair: ContactPair,
     observe: Callable[[BatchSnapshot], None],
     stop: Callable[[], bool] = lambda: False,
+    most: int | None = None,
 ) -> list[int] | None:
     """Step the histories of cases in lock step, from their starts to their ends. Not collective.
 
@@ -241,6 +254,7 @@ def simulate_batch(
     pair : contact pair of all of them.
     observe : called with new states.
     stop : asked between two rounds.
+    most : histories that step at a time; as they end others take their places. None: all.
 
     Returns
     -------
@@ -248,13 +262,24 @@ def simulate_batch(
     of them; None if all were stopped.
     """
     alone: list[int] = []
-    lots = [_Lot(cases, pair, np.arange(len(cases)))]
-    while lots:
+    lots: list[_Lot] = []
+    begun, most = 0, most or len(cases)
+    while lots or begun < len(cases):
+        going = sum(len(lot.numbers) for lot in lots)
+        if begun < len(cases) and 2 * going <= most:
+            more = np.arange(begun, min(begun + most - going, len(cases)))
+            lots.append(_Lot(cases, pair, more))
+            begun += len(more)
+        if len(lots) > 1 and all(lot.begun and not lot.apart for lot in lots[-2:]):
+            one, other = lots[-2:]
+            lots[-2:] = [one.joined(other)]
+            one.close()
+            other.close()
         if stop():
             for lot in lots:
                 lot.close()
             return None
-        lot, parts = lots.pop(), []
+        lot, parts, apart = lots.pop(), [], False
         try:
             lot.advance(observe)
             ended = lot.ended
@@ -271,7 +296,10 @@ def simulate_batch(
             if count == 1:
                 alone.append(int(lot.numbers[0]))
             else:
-                parts = np.array_split(np.arange(count), 2)
-        lots += [lot.take(part) for part in parts if len(part)]
+                parts, apart = np.array_split(np.arange(count), 2), True
+        for part in parts:
+            if len(part):
+                lots.append(lot.take(part))
+                lots[-1].apart = apart or lot.apart
         lot.close()
     return sorted(alone)

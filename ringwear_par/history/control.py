@@ -334,6 +334,23 @@ class ErrorBatch:
 C = TypeVar("C")
 
 
+def joined(one: C, other: C) -> C:
+    """Return one control of the histories of two."""
+    both = copy.copy(one)
+    for name, value in vars(one).items():
+        more = getattr(other, name)
+        if name == "progress":
+            setattr(both, name, value.joined(more))
+            continue
+        if value.ndim > 1:  # the last limits are repeated
+            most = max(value.shape[1], more.shape[1])
+            value, more = (
+                np.pad(v, ((0, 0), (0, most - v.shape[1])), mode="edge") for v in (value, more)
+            )
+        setattr(both, name, np.concatenate([value, more]))
+    return both
+
+
 def _taken(control: C, histories: IntArray) -> C:
     """Return a control of B histories for some of them."""
     taken = copy.copy(control)

@@ -9,8 +9,9 @@ axis.
 """
 
 import copy
-from collections.abc import Hashable, Sequence
+from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import replace
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -47,6 +48,7 @@ class WearModel:
     comm : communicator of the collective methods.
     pair : contact pair of the cases; None: it is assembled here.
     solver : of the pair with the case's moduli, to be used again from cold; None: made here.
+    known : compliances of several cases by their moduli, as far as they are known.
     """
 
     def __init__(
@@ -55,6 +57,7 @@ class WearModel:
         comm: MPI.Comm,
         pair: ContactPair | None = None,
         solver: ContactSolver | None = None,
+        known: Mapping[tuple[float, float], ContactCompliance] = MappingProxyType({}),
     ) -> None:
         self.cases = (cases,) if isinstance(cases, Case) else tuple(cases)
         self.case, self.comm = self.cases[0], comm
@@ -115,7 +118,7 @@ class WearModel:
         self._lent = solver is not None
         self._warm: WarmStart | None = None  # once the history has ended
         if several:
-            self._take_moduli()
+            self._take_moduli(known)
             return
         if solver is not None:
             solver.cold_start()
@@ -156,13 +159,13 @@ class WearModel:
         self._own_compliance, self._twist = self._yielding(self.compliance), self.compliance.twist
         self._softness = self._sum_of(self.compliance)
 
-    def _take_moduli(self) -> None:
+    def _take_moduli(self, known: Mapping[tuple[float, float], ContactCompliance]) -> None:
         """Take the moduli of B histories: a compliance each, those of the same moduli one."""
         moduli = [young(case) for case in self.cases]
-        known = {each: place for place, each in enumerate(dict.fromkeys(moduli))}
+        places = {each: place for place, each in enumerate(dict.fromkeys(moduli))}
         #: (B,) the compliance of each history
-        self._which = which = np.array([known[each] for each in moduli])
-        every = [self.pair.compliance(each) for each in known]
+        self._which = which = np.array([places[each] for each in moduli])
+        every = [known.get(each) or self.pair.compliance(each) for each in places]
         self._take_compliance(self.pair)
         matrices = np.array([each.matrix for each in every])
         stiffness = self.area / np.diagonal(matrices, axis1=1, axis2=2)
@@ -207,6 +210,17 @@ class WearModel:
         taken.laws = tuple(None if law is None else law.take(histories) for law in self.laws)
         taken.per_energy = tuple(rows_of(each, histories) for each in self.per_energy)
         return taken
+
+    def joined(self, other: "WearModel") -> "WearModel":
+        """Return the model of the histories of both; its contacts start where theirs would."""
+        known = {
+            young(model.cases[i]): model.compliance_of(i)
+            for model in (self, other)
+            for i in range(len(model.cases))
+        }
+        model = WearModel((*self.cases, *other.cases), self.comm, self.pair, known=known)
+        model.batch.go_on(self.batch, other.batch)
+        return model
 
     def _take_compliance(self, pair: ContactPair) -> None:
         self.compliance = pair.compliance(young(self.case))

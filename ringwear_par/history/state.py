@@ -47,6 +47,18 @@ class State:
             self.rates[:, histories],
         )
 
+    def joined(self, other: "State") -> "State":
+        """Return the histories of both."""
+
+        def of(name: str, axis: int = 0) -> Any:
+            return np.concatenate([getattr(self, name), getattr(other, name)], axis=axis)
+
+        both = zip(vars(self.contact).values(), vars(other.contact).values(), strict=True)
+        contact = ContactState(*map(np.concatenate, both))
+        return State(
+            of("time"), of("wear", 1), of("worn", 1), of("energy"), contact, of("rates", 1)
+        )
+
     def history(self, i: int) -> "State":
         """Return one of B histories."""
         contact = self.contact
@@ -105,6 +117,11 @@ class Progress:
         """Return the progress of B histories at their start."""
         nothing = np.zeros(count, dtype=np.int64)
         return cls(nothing, np.zeros(count), nothing, nothing)
+
+    def joined(self, other: "Progress") -> "Progress":
+        """Return that of the histories of both."""
+        both = zip(vars(self).values(), vars(other).values(), strict=True)
+        return Progress(*map(np.concatenate, both))
 
     def take(self, histories: IntArray) -> "Progress":
         """Return that of some of B histories."""

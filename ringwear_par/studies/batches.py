@@ -21,13 +21,15 @@ from ringwear_par.studies.lending import SolverLender
 
 #: numbers of a batch's Hessians, and most histories of it: see ``default_batch``
 _NUMBERS, _MOST = 2**20, 256
+#: batches of a block: as histories end others take their places, until none are left in it
+_BATCHES = 4
 
 
 def default_batch(case: Case) -> int:
     """Return how many histories to step together, where nobody says.
 
-    More histories share what Python takes for each operation; their factors are to stay in the
-    cache, and the last ones are alone for longer.
+    More histories share what Python takes for each operation, but their factors are to stay in the
+    cache.
     """
     return min(max(_NUMBERS // case.mesh.contact_elements**2, 16), _MOST)
 
@@ -83,7 +85,7 @@ def computed(
     Parameters
     ----------
     cases : that share a contact pair.
-    batch : most histories of a block.
+    batch : most histories that step at a time; a block has some times as many.
     stop : asked between two steps, and may answer others meanwhile.
     keep_ends : whether there are to be results.
     """
@@ -96,11 +98,11 @@ def computed(
         for numbers in together.values():
             numbers.sort(key=lambda n: young(cases[n]))  # those of the same moduli share a matrix
             most = batch or default_batch(cases[numbers[0]])
-            for first in range(0, len(numbers), most):
-                part = numbers[first : first + most]
+            for first in range(0, len(numbers), _BATCHES * most):
+                part = numbers[first : first + _BATCHES * most]
                 own = [cases[number] for number in part]
                 recorder = BatchRecorder(own, pair, keep_ends)
-                left = simulate_batch(own, pair, recorder, stop)
+                left = simulate_batch(own, pair, recorder, stop, most)
                 if left is None:
                     return
                 alone = {}
