@@ -18,6 +18,7 @@ from ringwear_par.contact.interleaved import multiply
 from ringwear_par.contact.lockstep import LockStepNewton
 from ringwear_par.contact.problem import KKT_TOLERANCE, ContactState
 from ringwear_par.contact.solver import OPEN
+from ringwear_par.elasticity.compiling import load_compiled
 from ringwear_par.errors import HistoriesError
 from ringwear_par.options import CONTACT_PREFIX
 from ringwear_par.petsc import PETSc
@@ -375,3 +376,17 @@ class BatchSolver:
 
     def __del__(self) -> None:
         self.destroy()
+
+
+def load_batch_kernels(comm: MPI.Comm) -> None:
+    """Compile what contacts in lock step need, or load it. Collective on comm."""
+
+    def load() -> None:
+        solver = BatchSolver(np.eye(2)[None], np.zeros(1, dtype=np.int64), np.ones(2))
+        try:
+            solver.solve(np.zeros((1, 2)), force=np.ones(1))
+            solver.response(np.zeros((1, 2)), True)
+        finally:
+            solver.destroy()
+
+    load_compiled(comm, load)

@@ -8,6 +8,7 @@ from pathlib import Path
 from mpi4py import MPI
 
 from ringwear_par.cases.case import Case, need_case
+from ringwear_par.contact.batch import load_batch_kernels
 from ringwear_par.elasticity.pair import ContactPair
 from ringwear_par.errors import InputError
 from ringwear_par.history.bodies import operator_key
@@ -58,6 +59,8 @@ def simulate_all(
             found[number] = checked
         else:
             groups[checked].append(number)
+    if groups:
+        load_batch_kernels(comm)
     dealt: list[int] = []  # in turn to all ranks, whatever the groups
     waiting: list[tuple[ContactPair, list[int]]] = []
     for numbers in groups.values():
