@@ -20,7 +20,7 @@ from ringwear_par.results.result import Result
 from ringwear_par.studies.lending import SolverLender
 
 #: numbers of a batch's Hessians, and most histories of it: see ``default_batch``
-_NUMBERS, _MOST = 2**20, 256
+_NUMBERS, _MOST = 2**21, 512
 #: batches of a block: as histories end others take their places, until none are left in it
 _BATCHES = 4
 
