@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from ringwear_par.cases.case import Load
+from ringwear_par.contact.problem import KKT_TOLERANCE
 from ringwear_par.elasticity.mesh import Mesh
 from ringwear_par.history import euler, sdirk2
 from ringwear_par.history.balances import balances
@@ -108,15 +109,18 @@ def test_each_history_is_as_if_alone(base, pair, comm, scheme, name):
                 place_one = (slice(None), 0) if what in ("wear", "worn") else 0
                 mine = parts(together.state)[what][place]
                 assert np.array_equal(mine, parts(apart.state)[what][place_one]), what
-                # gaps of elements in contact are round-off, mm
-                most = 1e-14 if what == "gap" else 2e-12 * np.abs(value).max()
+                # gaps of elements in contact are round-off, mm; of a law that is not linear
+                # Newton's last error, below the tolerance in both, is left
+                share = 1e-10 if name == "memory" else 2e-12
+                most = 1e-14 if what == "gap" else share * np.abs(value).max()
                 assert np.abs(mine - value).max() <= most, what
             for of_all, of_one in zip(astuple(together)[1:], astuple(apart)[1:], strict=True):
                 assert np.array_equal(np.broadcast_to(of_all, 3)[i], np.broadcast_to(of_one, 1)[0])
         for what, value in exact.items():
             mine = np.broadcast_to(off[what], 3)[i]
             assert mine == np.broadcast_to(off_one[what], 1)[0], what
-            assert mine == pytest.approx(value, abs=1e-11), what
+            most = KKT_TOLERANCE if what == "residual" else 1e-11
+            assert mine == pytest.approx(value, abs=most), what
 
 
 def test_loads_of_different_kinds_do_not_go_together(base, pair, comm):
