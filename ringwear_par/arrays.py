@@ -21,13 +21,31 @@ def columns(numbers: Any) -> Any:
 
 
 def inner(weights: FloatArray, values: FloatArray) -> Any:
-    """Return the sums of weights (n,) times values (..., n): a float, or an array (...).
+    """Return the sums of weights (n,), or (B, n), times values (..., n): a float, or (...).
 
-    Each history is summed by itself, so that its digits do not depend on its companions.
+    The digits of a history among others do not depend on them: no BLAS, which rounds by how many
+    there are.
     """
     if values.ndim == 1:
         return float(weights @ values)
-    return np.array([inner(weights, each) for each in values])
+    return np.einsum("...i,...i->...", weights, values)
+
+
+def rows_of(values: Any, histories: IntArray) -> Any:
+    """Return numbers (B,), or fields (B, ...), of some histories; what is no array stays."""
+    return values[histories] if isinstance(values, np.ndarray) and values.ndim else values
+
+
+def chosen(which: Any, one: Any, other: Any) -> Any:
+    """Return one where it is so, else the other: of one history, or (B,) of B."""
+    return np.where(which, one, other) if isinstance(which, np.ndarray) else one if which else other
+
+
+def relative(off: Any, exact: Any) -> Any:
+    """Return what numbers of histories are off relative to others, 0 where those are not > 0."""
+    if isinstance(exact, float):  # of one history, in every step
+        return off / exact if exact > 0.0 else 0.0
+    return np.divide(off, exact, out=np.zeros_like(exact), where=exact > 0.0)
 
 
 def larger(one: Any, other: Any) -> Any:
@@ -35,3 +53,10 @@ def larger(one: Any, other: Any) -> Any:
     if isinstance(one, float) and isinstance(other, float):  # of one history, and quicker
         return one if one > other else other
     return np.maximum(one, other)
+
+
+def smaller(one: Any, other: Any) -> Any:
+    """Return the smaller of numbers of histories: floats, or arrays (B,)."""
+    if isinstance(one, float) and isinstance(other, float):  # of one history, and quicker
+        return one if one < other else other
+    return np.minimum(one, other)

@@ -1,5 +1,7 @@
 """The two ways a command can fail, with their exit statuses; and how messages show texts."""
 
+from typing import Any
+
 #: longest value, key or word of a user, and longest sentence that messages show in full
 _LONGEST_VALUE, LONGEST_SENTENCE = 72, 1000
 #: faults of one input that are told one by one
@@ -36,6 +38,19 @@ class RingwearError(Exception):
 
 class ComputationError(RingwearError):
     """A computation that did not succeed: which case, step and residual."""
+
+
+class HistoriesError(ComputationError):
+    """Some of many histories that could not go on; why, each is told when it is computed alone.
+
+    Parameters
+    ----------
+    which : (B,) bool, of the histories that were together.
+    """
+
+    def __init__(self, which: Any) -> None:
+        super().__init__("some of the histories together could not go on")
+        self.which = which
 
 
 class LawError(ComputationError):

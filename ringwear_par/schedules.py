@@ -10,7 +10,7 @@ from typing import Any, Literal, overload
 
 import numpy as np
 
-from ringwear_par.arrays import FloatArray, Numbers
+from ringwear_par.arrays import FloatArray, IntArray, Numbers
 
 
 @dataclass(frozen=True)
@@ -211,6 +211,15 @@ def stack(quantities: Sequence[Quantity]) -> Quantity:
     if len(each) < len(quantities):
         raise ValueError("stacks cannot be stacked")
     return Stacked(each)
+
+
+def take(quantity: Any, histories: IntArray) -> Any:
+    """Return what some of B histories have of a stack, or of an array (B, 1) or (B, n)."""
+    if isinstance(quantity, Stacked):
+        return Stacked(tuple(quantity.each[i] for i in histories.tolist()))
+    if isinstance(quantity, np.ndarray) and quantity.ndim > 1:
+        return quantity[histories]
+    return quantity
 
 
 def history(quantity: Any, i: int) -> Any:

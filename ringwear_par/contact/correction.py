@@ -7,10 +7,13 @@ cent of the error, and within a history the pressures of the step before are mos
 """
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
-from ringwear_par.arrays import FloatArray
+from ringwear_par.arrays import BoolArray, FloatArray, IntArray, inner
+from ringwear_par.contact.batch import BatchSolver
+from ringwear_par.contact.interleaved import multiply
 from ringwear_par.contact.problem import ContactState
 from ringwear_par.contact.solver import ContactSolver
 from ringwear_par.wear.increment import WearIncrement
@@ -38,6 +41,10 @@ class CorrectedContact:
         self.solver, self._area, self._total = solver, area, float(area.sum())
         #: the largest error that was left, and its element
         self.worst = 0.0, 0
+
+    def response(self, gap: FloatArray, force_kept: bool) -> FloatArray:
+        """Return what a small growth (n,) mm of the gap does to the last pressures, MPa."""
+        return self.solver.response(gap, force_kept)
 
     def take(self, matrix: FloatArray, excess: FloatArray) -> None:
         """Take K, (n, n) mm^3/MPa, which the solver has, and its excess, (n, n) mm/MPa."""
@@ -92,8 +99,7 @@ class CorrectedContact:
         Relative to the pressure or to its mean, whichever is larger.
         """
         p, area = found.pressure, self._area
-        errors = np.abs(change) * self._stiffness  # of each element alone: in few operations
-        errors = errors / np.maximum(p, max(found.force / self._total, _TINY))
+        errors = _alone(change, self._stiffness, p, max(found.force / self._total, _TINY))
         e = int(errors.argmax())
         if errors[e] <= most or self.solver.distributed:
             return float(errors[e]), e
@@ -104,3 +110,135 @@ class CorrectedContact:
         errors = np.where(touching, np.abs(self.solver.response(change, force_kept)) / scale, 0.0)
         e = int(errors.argmax())
         return float(errors[e]), e
+
+
+def _alone(change: FloatArray, stiffness: FloatArray, p: FloatArray, mean: Any) -> FloatArray:
+    """Return errors of pressures, each element being alone: in few operations, (..., n).
+
+    Relative to the pressure or to its mean, whichever is larger.
+    """
+    return np.abs(change) * stiffness / np.maximum(p, mean)
+
+
+class CorrectedBatch:
+    """The contacts of B histories, each corrected as ``CorrectedContact`` does. Not collective.
+
+    Parameters
+    ----------
+    solver : of the symmetric compliances.
+    excess : (m, n, n) float, mm/MPa, of each compliance.
+    which : (B,) int, the compliance of each history.
+    stiffness : (m, n) float, MPa/mm, of each element alone.
+    """
+
+    def __init__(
+        self, solver: BatchSolver, excess: FloatArray, which: IntArray, stiffness: FloatArray
+    ) -> None:
+        self.solver, self._excess, self._which = solver, excess, which
+        self._transposed = np.ascontiguousarray(excess.transpose(0, 2, 1))
+        self._stiffness = stiffness
+        count = len(which)
+        self._every, self._total = np.arange(count), float(solver.area.sum())
+        #: (B,) the largest errors that were left, and their elements
+        self.worst = np.zeros(count), np.zeros(count, dtype=np.int64)
+        self._shift_at: tuple[FloatArray, FloatArray] | None = None
+
+    def _shift(self, p: FloatArray) -> FloatArray:
+        """Return what the excess makes of pressures, (B, n) mm; remembered."""
+        if self._shift_at is None or self._shift_at[0] is not p:
+            shift = np.empty(p.shape)
+            p = np.ascontiguousarray(p)
+            multiply(self._every, self._transposed, self._which, p, shift)
+            self._shift_at = p, shift
+        return self._shift_at[1]
+
+    def solve(
+        self,
+        gap: FloatArray,
+        near: FloatArray,
+        *,
+        force: FloatArray | None,
+        approach: FloatArray | None,
+        wear: WearIncrement | None,
+        exact: bool = False,
+        found: tuple[BoolArray, ContactState] | None = None,
+    ) -> ContactState:
+        """Solve at given forces (B,) N or approaches (B,) mm, as ``CorrectedContact.solve`` does.
+
+        Parameters
+        ----------
+        found : which histories have their solution already, and it.
+
+        Raises
+        ------
+        HistoriesError : some were not solved.
+        """
+        most = _EXACT if exact else _NEAR_ENOUGH
+        asked = self._every if found is None else np.flatnonzero(~found[0])
+        shift, iterations = self._shift(near), np.zeros(len(gap), dtype=np.int64)
+        if found is not None:
+            iterations[found[0]] = found[1].iterations[found[0]]
+        residual, errors = np.zeros(len(gap)), np.zeros(len(gap))
+        elements = np.zeros(len(gap), dtype=np.int64)
+        for _ in range(1 + _CORRECTIONS):
+            state = self.solver.solve(
+                gap - shift, force=force, approach=approach, wear=wear, histories=asked
+            )
+            iterations[asked] += state.iterations[asked]
+            residual[asked] = state.residual[asked]
+            before, shift = shift, self._shift(state.pressure)
+            off, e = self._errors(state, shift - before, force is not None, most)
+            errors[asked], elements[asked] = off[asked], e[asked]
+            asked = asked[off[asked] > most]
+            if not len(asked):
+                break
+        if found is not None:
+            residual[found[0]] = found[1].residual[found[0]]
+        worse = errors > self.worst[0]
+        self.worst = (
+            np.where(worse, errors, self.worst[0]), np.where(worse, elements, self.worst[1])
+        )  # fmt: skip
+        return replace(state, iterations=iterations, residual=residual)
+
+    def _errors(
+        self, found: ContactState, change: FloatArray, force_kept: bool, most: float
+    ) -> tuple[FloatArray, IntArray]:
+        """Return about how far pressures are off for changes of the shift, (B, n) mm, and where."""
+        p, rows = found.pressure, self._every
+        mean = np.maximum(np.divide(found.force, self._total), _TINY)[:, None]
+        errors = _alone(change, self._stiffness[self._which], p, mean)
+        elements = errors.argmax(axis=1)
+        worst = errors[rows, elements]
+        if not (worst > most).any():
+            return worst, elements
+        touching = p > 0.0
+        carrying = inner(self.solver.area, touching.astype(float))
+        with np.errstate(divide="ignore", invalid="ignore"):
+            scale = np.maximum(p, np.divide(found.force, carrying)[:, None])
+            response = np.abs(self.solver.response(change, force_kept)) / scale
+        errors = np.where(touching, response, 0.0)
+        again = errors.argmax(axis=1)
+        # where nothing touches the gap must be that of no pressure
+        left = np.where(carrying > 0.0, errors[rows, again], np.inf)
+        again = np.where(carrying > 0.0, again, elements)
+        return np.where(worst > most, left, worst), np.where(worst > most, again, elements)
+
+    def go_on(self, *before: "CorrectedBatch") -> None:
+        """Start where others would, whose histories follow each other here."""
+        q, approaches = zip(*(contacts.solver.start for contacts in before), strict=True)
+        self.solver.start = np.concatenate(q), np.concatenate(approaches)
+        errors, elements = zip(*(contacts.worst for contacts in before), strict=True)
+        self.worst = np.concatenate(errors), np.concatenate(elements)
+
+    def take(self, histories: IntArray) -> "CorrectedBatch":
+        """Return the contacts of some of the histories."""
+        used, which = np.unique(self._which[histories], return_inverse=True)
+        taken = CorrectedBatch(
+            self.solver.take(histories), self._excess[used], which, self._stiffness[used]
+        )
+        taken.worst = self.worst[0][histories], self.worst[1][histories]
+        return taken
+
+    def response(self, gap: FloatArray, force_kept: bool) -> FloatArray:
+        """Return what a small growth (B, n) mm of the gap does to the last pressures, MPa."""
+        return self.solver.response(gap, force_kept)

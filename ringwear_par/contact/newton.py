@@ -17,8 +17,8 @@ from scipy.linalg.lapack import dpotrf, dpotrs
 from ringwear_par.arrays import BoolArray, FloatArray
 from ringwear_par.petsc import PETSc
 
-_PLAIN_ITERATIONS = 25
-_ROUND_OFF = 1e-13
+PLAIN_ITERATIONS = 25
+ROUND_OFF = 1e-13
 
 
 class ActiveSetNewton:
@@ -65,7 +65,7 @@ class ActiveSetNewton:
             x[~free] = 0.0
         gradient = self._evaluate(tao, x)
         for iteration in range(1, limit + 1):
-            if iteration <= _PLAIN_ITERATIONS:
+            if iteration <= PLAIN_ITERATIONS:
                 if free.all():  # the same in fewer operations: most steps of most histories
                     x += self._newton_step(tao, gradient, free)
                     gradient = self._evaluate(tao, x)
@@ -96,7 +96,7 @@ class ActiveSetNewton:
             # where wear makes the diagonal large, round-off in x is more than the tolerance in g
             if settled and (
                 residual <= tolerance
-                or np.abs(defect / self._diagonal).max() <= _ROUND_OFF * x.max(initial=0.0)
+                or np.abs(defect / self._diagonal).max() <= ROUND_OFF * x.max(initial=0.0)
             ):
                 tao.setIterationNumber(iteration)
                 tao.setConvergedReason(PETSc.TAO.Reason.CONVERGED_GATOL)
@@ -107,7 +107,7 @@ class ActiveSetNewton:
     def _evaluate(self, tao: PETSc.TAO, x: FloatArray) -> FloatArray:
         self._x.setArray(x)
         tao.computeGradient(self._x, self._g)
-        _stop_if_told(tao)
+        stop_if_told(tao)
         return self._g.getArray(readonly=True).copy()
 
     def _newton_step(self, tao: PETSc.TAO, gradient: FloatArray, free: BoolArray) -> FloatArray:
@@ -115,7 +115,7 @@ class ActiveSetNewton:
             return np.empty(0)
         hessian = self._hessian
         tao.computeHessian(self._x, hessian)
-        _stop_if_told(tao)
+        stop_if_told(tao)
         state = hessian.stateGet()
         if self._factor is None or state != self._state or (free != self._free).any():
             block = hessian.getDenseArray(readonly=True)
@@ -164,6 +164,12 @@ class ActiveSetNewton:
             length *= max(0.1, before / (before - slope))  # where a straight line would vanish
 
 
-def _stop_if_told(tao: PETSc.TAO) -> None:
+def stop_if_told(tao: PETSc.TAO) -> None:
+    """Leave a solution that a callback has ended.
+
+    Raises
+    ------
+    RuntimeError : one has; what it raised itself is kept elsewhere.
+    """
     if tao.getConvergedReason() == PETSc.TAO.Reason.DIVERGED_USER:
         raise RuntimeError("a callback has failed")

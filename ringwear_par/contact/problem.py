@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ringwear_par.arrays import FloatArray
+from ringwear_par.arrays import FloatArray, Numbers
 from ringwear_par.wear.increment import WearIncrement
 
 #: up to this size every rank solves the whole problem by itself. On 2 ranks that took 0.12 s for
@@ -25,12 +25,12 @@ REPLICATED_LIMIT = 2000
 #: largest relative KKT residual of an accepted solution
 KKT_TOLERANCE = 1e-9
 #: norm of the gradient at which a solver ends, relative to that of the overlap
-_GRADIENT_TOLERANCE = 1e-12
+GRADIENT_TOLERANCE = 1e-12
 
 
 @dataclass(frozen=True)
 class ContactState:
-    """Solution of one contact problem.
+    """Solution of one contact problem, or of B of them: numbers (B,), fields (B, n).
 
     Parameters
     ----------
@@ -44,10 +44,10 @@ class ContactState:
 
     pressure: FloatArray
     gap: FloatArray
-    approach: float
-    force: float
-    iterations: int
-    residual: float
+    approach: Numbers
+    force: Numbers
+    iterations: Numbers
+    residual: Numbers
 
 
 @dataclass(frozen=True)
@@ -131,7 +131,7 @@ class ContactProblem:
     def tolerance(self, gap: FloatArray, approach: float) -> float:
         """Return the norm of the gradient at which a solver may end."""
         overlap = self.weights * np.maximum(approach - gap, 0.0)
-        return _GRADIENT_TOLERANCE * math.sqrt(overlap @ overlap)
+        return GRADIENT_TOLERANCE * math.sqrt(overlap @ overlap)
 
     def gradient_apart(self) -> FloatArray:
         """Return the gradient where no pressure is needed: the weighted gap."""

@@ -188,7 +188,7 @@ class ContactSolver:
 
     def _make(self, compliance: FloatArray, n: int) -> None:
         """Make all that is PETSc's, each of it owned before it is there."""
-        _OPEN[self] = None
+        OPEN[self] = None
         self._x = self._own(PETSc.Vec()).createMPI(n, comm=self._comm)
         self._here = slice(*self._x.getOwnershipRange())
         self._problem = ContactProblem(
@@ -417,7 +417,7 @@ class ContactSolver:
 
     def destroy(self) -> None:
         """Free the PETSc objects, if they are not yet. Collective on comm."""
-        _OPEN.pop(self, None)
+        OPEN.pop(self, None)
         while self._owned:
             self._owned.pop().destroy()
 
@@ -438,7 +438,7 @@ def _reason_name(reason: int) -> str:
 
 
 #: solvers whose PETSc objects are alive, in the order of their making, which ranks share
-_OPEN: WeakKeyDictionary[ContactSolver, None] = WeakKeyDictionary()
+OPEN: WeakKeyDictionary[Any, None] = WeakKeyDictionary()
 
 
 def _destroy_open() -> None:
@@ -446,7 +446,7 @@ def _destroy_open() -> None:
 
     Registered after petsc4py's own ending, so called before it.
     """
-    for solver in list(_OPEN):
+    for solver in list(OPEN):
         solver.destroy()
 
 

@@ -6,7 +6,6 @@ for its traction. The traction kernel acts on u(y) - u*(y), where u* is the rigi
 constant-strain field that agrees with u at the collocation point, so every integrand is bounded.
 """
 
-import logging
 import math
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -15,17 +14,13 @@ import numpy as np
 from mpi4py import MPI
 
 from ringwear_par.arrays import BoolArray, FloatArray, IntArray
-from ringwear_par.elasticity.compiling import compiled
+from ringwear_par.elasticity.compiling import compiled, load_compiled
 from ringwear_par.elasticity.kernels import ring_kernels
 from ringwear_par.elasticity.mesh import BoundaryMesh, Mesh, boundary_mesh, contact_line
 from ringwear_par.elasticity.quadrature import MAX_POINTS, Quadrature, quadrature
 from ringwear_par.elasticity.sections import Section
 
-log = logging.getLogger(__name__)
-
 _MAX_PARTS = 128
-#: more than there are compiled functions, each for all types that it is called with
-_COMPILATIONS = 20
 # the integrals of a source and an element, rr, rz, zr, zz, theta theta: force and component
 _FORCE = np.array([0, 0, 1, 1, 2])
 _COMPONENT = np.array([0, 1, 0, 1, 2])
@@ -329,8 +324,7 @@ def _assemble_rows(
 def load_kernels(comm: MPI.Comm) -> None:
     """Compile the kernels, or load them from the cache of an earlier run. Collective on comm.
 
-    Rank 0 goes first, so that many ranks do not write one cache at the same time. What a full disk
-    does not take is compiled each time.
+    See ``load_compiled``.
     """
 
     def load() -> None:
@@ -348,22 +342,7 @@ def load_kernels(comm: MPI.Comm) -> None:
             np.zeros(2, dtype=np.int64), (unused, unused), (unused, unused),
         )  # fmt: skip
 
-    def load_or_compile() -> None:
-        untold = True
-        for _ in range(_COMPILATIONS):  # numba has what it compiled, before it fails to keep it
-            try:
-                return load()
-            except OSError as error:
-                if untold and comm.rank == 0:
-                    log.warning("compiled code is not kept, going on: %s", error.strerror)
-                untold = False
-        return load()
-
-    if comm.rank == 0:
-        load_or_compile()
-    comm.Barrier()
-    if comm.rank > 0:
-        load_or_compile()
+    load_compiled(comm, load)
 
 
 def assemble(

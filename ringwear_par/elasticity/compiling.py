@@ -4,13 +4,24 @@ That is beside the source, or in the user's cache folder, or as ``NUMBA_CACHE_DI
 none of them may be written, in a folder of the user's own among the temporary ones.
 """
 
+import logging
 import os
 import stat
 import tempfile
+from collections.abc import Callable
 from contextlib import suppress
 from functools import partial
+from typing import TYPE_CHECKING
 
 import numba
+
+if TYPE_CHECKING:
+    from mpi4py import MPI
+
+log = logging.getLogger(__name__)
+
+#: more than there are compiled functions, each for all types that it is called with
+_COMPILATIONS = 20
 
 
 def _own_temporary_folder() -> str | None:
@@ -45,6 +56,31 @@ def _kept() -> bool:
         return False
     numba.config.CACHE_DIR = folder
     return _can_be_kept()
+
+
+def load_compiled(comm: "MPI.Comm", load: Callable[[], None]) -> None:
+    """Call compiled functions once, which compiles them or loads them. Collective on comm.
+
+    Rank 0 goes first, so that many ranks do not write one cache at the same time. What a full disk
+    does not take is compiled each time.
+    """
+
+    def load_or_compile() -> None:
+        untold = True
+        for _ in range(_COMPILATIONS):  # numba has what it compiled, before it fails to keep it
+            try:
+                return load()
+            except OSError as error:
+                if untold and comm.rank == 0:
+                    log.warning("compiled code is not kept, going on: %s", error.strerror)
+                untold = False
+        return load()
+
+    if comm.rank == 0:
+        load_or_compile()
+    comm.Barrier()
+    if comm.rank > 0:
+        load_or_compile()
 
 
 #: decorator of compiled functions; without a place to keep them they are compiled by each process

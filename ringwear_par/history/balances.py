@@ -3,9 +3,7 @@
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
-
-from ringwear_par.arrays import FloatArray, larger
+from ringwear_par.arrays import FloatArray, larger, relative
 from ringwear_par.history.model import WearModel
 from ringwear_par.history.snapshots import Snapshot
 from ringwear_par.history.state import State
@@ -55,8 +53,7 @@ def balances(model: WearModel, state: State) -> dict[str, Any]:
     turned, lower, upper, turned_lower, turned_upper = _parts(model.reactions(contact.pressure))
     volumes, worn = _parts(model.integrals(state.wear)), _parts(state.worn)
     identity: Any = 0.0
-    for law, volume in zip(model.laws, volumes, strict=True):
-        ratio = law.per_energy(model.friction) if law is not None else None
+    for ratio, volume in zip(model.per_energy, volumes, strict=True):
         if ratio is not None:
             identity = larger(identity, _defect(volume, ratio * state.energy))
     force = None if model.force is None else in_time(model.force, state.time)
@@ -66,7 +63,7 @@ def balances(model: WearModel, state: State) -> dict[str, Any]:
         "force": 0.0 if force is None else _defect(contact.force, force),
         "torque": larger(_defect(turned_lower, turned), _defect(turned_upper, turned)),
         "reaction": larger(_defect(lower, contact.force), _defect(upper, contact.force)),
-        "volume": _relative(off, total),
+        "volume": relative(off, total),
         "energy": identity,
         "residual": contact.residual,
     }
@@ -79,13 +76,7 @@ def _parts(values: FloatArray) -> Any:
 
 def _defect(value: Any, exact: Any) -> Any:
     """Return |value - exact| / exact, 0 where nothing is expected."""
-    return _relative(abs(value - exact), exact)
-
-
-def _relative(off: Any, exact: Any) -> Any:
-    if isinstance(exact, float):  # of one history, in every step
-        return off / exact if exact > 0.0 else 0.0
-    return np.divide(off, exact, out=np.zeros_like(exact), where=exact > 0.0)
+    return relative(abs(value - exact), exact)
 
 
 class WorstBalances:

@@ -4,13 +4,25 @@ A control remembers what it needs between two steps, and gives it as ``Progress`
 interrupted history goes on. Another control is a class with the same four methods.
 """
 
+import copy
+from collections.abc import Sequence
 from dataclasses import replace
-from typing import Protocol
+from typing import Any, Protocol, Self, TypeVar
 
 import numpy as np
 
-from ringwear_par.cases.case import Case
-from ringwear_par.errors import ComputationError, LawError
+from ringwear_par.arrays import (
+    BoolArray,
+    FloatArray,
+    IntArray,
+    Numbers,
+    chosen,
+    larger,
+    relative,
+    smaller,
+)
+from ringwear_par.cases.case import Case, Stepping
+from ringwear_par.errors import ComputationError, HistoriesError, LawError
 from ringwear_par.history.schemes import Step
 from ringwear_par.history.state import Progress, State
 
@@ -102,18 +114,12 @@ class ErrorControl:
         limit = next((t for t in self._case.breakpoints if t > state.time), time.end)
         if self._from is None:
             self._iterations, self._failure, self._pressed = 0, "", False
-            self._length = self.progress.next_step or _first_length(self._case, state)
+            self._length = self.progress.next_step or _first_length(time, state.rates.max())
             if self._case.follows_wear:
                 self._length = min(self._length, _longest_length(self._case, state))
         self._from = state
-        left = limit - state.time
-        self._cut = self._length >= left * (1.0 - 1e-9)
-        if self._cut:
-            self._end = limit
-        else:  # no sliver at the end
-            whole = self._length < 0.5 * left or self._length > 0.9 * left
-            self._end = state.time + (self._length if whole else 0.5 * left)
-        if self._end - state.time <= 4.0 * np.spacing(state.time):
+        self._end, self._cut = _end(state.time, self._length, limit)
+        if _vanishes(state.time, self._end):
             raise ComputationError(
                 f"time.tolerance = {time.tolerance:g} mm and time.pressure_tolerance = "
                 f"{time.pressure_tolerance:g} are not met by any step; the last one "
@@ -138,33 +144,28 @@ class ErrorControl:
         made, time = self.progress, self._case.time
         length = self._end - self._from.time
         self._iterations += step.state.contact.iterations
-        ratio = 0.0
-        if step.energy_error > 0.0:
-            whole = step.state.energy + step.power * (time.end - self._end)
-            ratio = step.energy_error / (_ENERGY_TOLERANCE * whole)
-        ratio = max(ratio, step.wear_error / time.tolerance, 1e-6)
-        pressed = step.pressure_error / time.pressure_tolerance
-        if pressed > 1.0:
-            ratio, self._pressed = max(ratio, pressed), True
-        change = max(_SAFETY * ratio ** (-1.0 / 3.0), _LARGEST_CUT)
+        ratio, pressed = _ratios(step, time.end, time.tolerance, time.pressure_tolerance)
+        self._pressed |= pressed
+        change = _change(ratio)
         if ratio > 1.0:
             self._length = length * change
             self.progress = replace(made, rejected=made.rejected + 1)
             return False
-        # errors of pressure come and go with elements: they limit steps, but do not foretell them
-        following = length * min(change, 1.0 if self._pressed else _LARGEST_GROWTH)
         self.progress = replace(
             made,
             steps=made.steps + 1,
-            next_step=max(following, self._length) if self._cut else following,
+            next_step=_following(length, change, self._pressed, self._cut, self._length),
             iterations=made.iterations + self._iterations,
         )
         self._from = None
         return True
 
 
-def _first_length(case: Case, state: State) -> float:
-    time, fastest = case.time, float(state.rates.max())
+# -- formulas of error control, of one history or of B ---------------------------------------------
+
+
+def _first_length(time: Stepping, fastest: float) -> float:
+    """Return the length of the first step, s, the fastest element wearing so much, mm/s."""
     return min(time.end, _FIRST_WEAR * time.tolerance / fastest) if fastest > 0.0 else time.end
 
 
@@ -172,3 +173,187 @@ def _longest_length(case: Case, state: State) -> float:
     """Return the length in which wear stays about the tolerance of the geometry, s."""
     fastest = float(state.rates.max())
     return case.mesh.geometry_tolerance / fastest if fastest > 0.0 else np.inf
+
+
+def _end(time: Numbers, length: Numbers, limit: Numbers) -> tuple[Numbers, Any]:
+    """Return to where a step of a length goes, s, and whether a limit of time cuts it."""
+    left = limit - time
+    cut = length >= left * (1.0 - 1e-9)
+    whole = (length < 0.5 * left) | (length > 0.9 * left)  # no sliver at the end
+    return chosen(cut, limit, time + chosen(whole, length, 0.5 * left)), cut
+
+
+def _vanishes(time: Numbers, end: Numbers) -> Any:
+    """Tell whether a step is no more than round-off of time."""
+    return end - time <= 4.0 * np.spacing(time)
+
+
+def _ratios(step: Step, last: Numbers, wear: Numbers, pressure: Numbers) -> tuple[Numbers, Any]:
+    """Return the errors of a step over what they may be, and whether that of pressure is too large.
+
+    Parameters
+    ----------
+    last : s, end of the history.
+    wear, pressure : tolerances, mm and relative.
+    """
+    state = step.state
+    whole = state.energy + step.power * (last - state.time)
+    energy = relative(step.energy_error, _ENERGY_TOLERANCE * whole)
+    ratio = larger(larger(energy, step.wear_error / wear), 1e-6)
+    pressed = step.pressure_error / pressure
+    return chosen(pressed > 1.0, larger(ratio, pressed), ratio), pressed > 1.0
+
+
+def _change(ratio: Numbers) -> Numbers:
+    """Return by which factor the length is to change: the third root of the error, with care."""
+    return larger(_SAFETY * ratio ** (-1.0 / 3.0), _LARGEST_CUT)
+
+
+def _following(length: Numbers, change: Numbers, pressed: Any, cut: Any, asked: Numbers) -> Numbers:
+    """Return the length of the next step, s; ``asked`` is what this one was to be before a cut."""
+    # errors of pressure come and go with elements: they limit steps, but do not foretell them
+    following = length * smaller(change, chosen(pressed, 1.0, _LARGEST_GROWTH))
+    return chosen(cut, larger(following, asked), following)
+
+
+# -- of B histories --------------------------------------------------------------------------------
+
+
+class FixedBatch:
+    """Steps of one length of each of B histories.
+
+    Parameters
+    ----------
+    cases : their ``time.step`` and ``time.steps``.
+    """
+
+    def __init__(self, cases: Sequence[Case]) -> None:
+        self._length = np.array([case.time.step for case in cases])
+        self._steps = np.array([case.time.steps for case in cases])
+        self.progress = Progress.of_many(len(cases))
+
+    def end(self, state: State) -> FloatArray:
+        """Return the times of the next multiples of the steps, (B,) s."""
+        return (self.progress.steps + 1) * self._length
+
+    def accepts(self, step: Step) -> BoolArray:
+        """Take every step."""
+        made = self.progress
+        iterations = made.iterations + step.state.contact.iterations
+        self.progress = replace(made, steps=made.steps + 1, iterations=iterations)
+        return np.ones(len(self._length), dtype=bool)
+
+    def finished(self, state: State) -> BoolArray:
+        """Tell which histories are at their end."""
+        return self.progress.steps >= self._steps
+
+    def take(self, histories: IntArray) -> Self:
+        """Return the control of some of the histories."""
+        return _taken(self, histories)
+
+
+class ErrorBatch:
+    """Steps of each of B histories as ``ErrorControl`` makes them.
+
+    Parameters
+    ----------
+    cases : their ``time`` and breakpoints.
+    """
+
+    def __init__(self, cases: Sequence[Case]) -> None:
+        times, count = [case.time for case in cases], len(cases)
+        self._last = np.array([time.end for time in times])
+        self._wear = np.array([time.tolerance for time in times])
+        self._pressure = np.array([time.pressure_tolerance for time in times])
+        limits = [[*case.breakpoints, case.time.end] for case in cases]
+        most = max(map(len, limits))
+        #: (B, m) s, where steps end, each history's last one repeated
+        self._limits = np.array([each + each[-1:] * (most - len(each)) for each in limits])
+        self.progress = Progress.of_many(count)
+        #: (B,) whether the next try is the first of its step
+        self._fresh = np.ones(count, dtype=bool)
+        self._pressed = np.zeros(count, dtype=bool)
+        self._iterations = np.zeros(count, dtype=np.int64)
+        self._length, self._start = np.zeros(count), np.zeros(count)
+        self._cut = np.zeros(count, dtype=bool)
+
+    def end(self, state: State) -> FloatArray:
+        """Return the times to which the next steps are tried, (B,) s.
+
+        Raises
+        ------
+        HistoriesError : some meet their tolerance with no step, however small.
+        """
+        limit = self._limits[:, 0]
+        if self._limits.shape[1] > 1:
+            ahead = self._limits > state.time[:, None]
+            limit = np.take_along_axis(self._limits, ahead.argmax(axis=1)[:, None], axis=1)[:, 0]
+        fresh, wanted = self._fresh, self.progress.next_step
+        if (new := fresh & (wanted == 0.0)).any():
+            fastest = state.rates.max(axis=(0, 2))
+            worn = np.divide(
+                _FIRST_WEAR * self._wear, fastest, out=self._last.copy(), where=fastest > 0.0
+            )
+            wanted = np.where(new, np.minimum(self._last, worn), wanted)
+        self._length = np.where(fresh, wanted, self._length)
+        self._pressed = self._pressed & ~fresh
+        self._iterations = np.where(fresh, 0, self._iterations)
+        self._start = state.time
+        end, self._cut = _end(state.time, self._length, limit)
+        if (stuck := _vanishes(state.time, end)).any():
+            raise HistoriesError(stuck)
+        return end
+
+    def accepts(self, step: Step) -> BoolArray:
+        """Tell which steps are taken, those within the tolerances; others are tried again."""
+        made, length = self.progress, step.state.time - self._start
+        self._iterations = self._iterations + step.state.contact.iterations
+        ratio, pressed = _ratios(step, self._last, self._wear, self._pressure)
+        self._pressed = self._pressed | pressed
+        change, taken = _change(ratio), ratio <= 1.0
+        following = _following(length, change, self._pressed, self._cut, self._length)
+        self.progress = Progress(
+            made.steps + taken,
+            np.where(taken, following, made.next_step),
+            made.rejected + ~taken,
+            made.iterations + np.where(taken, self._iterations, 0),
+        )
+        self._length = np.where(taken, self._length, length * change)
+        self._fresh = taken
+        return taken
+
+    def finished(self, state: State) -> BoolArray:
+        """Tell which histories are at their end."""
+        return state.time >= self._last
+
+    def take(self, histories: IntArray) -> Self:
+        """Return the control of some of the histories."""
+        return _taken(self, histories)
+
+
+C = TypeVar("C")
+
+
+def joined(one: C, other: C) -> C:
+    """Return one control of the histories of two."""
+    both = copy.copy(one)
+    for name, value in vars(one).items():
+        more = getattr(other, name)
+        if name == "progress":
+            setattr(both, name, value.joined(more))
+            continue
+        if value.ndim > 1:  # the last limits are repeated
+            most = max(value.shape[1], more.shape[1])
+            value, more = (
+                np.pad(v, ((0, 0), (0, most - v.shape[1])), mode="edge") for v in (value, more)
+            )
+        setattr(both, name, np.concatenate([value, more]))
+    return both
+
+
+def _taken(control: C, histories: IntArray) -> C:
+    """Return a control of B histories for some of them."""
+    taken = copy.copy(control)
+    for name, value in vars(control).items():
+        setattr(taken, name, value.take(histories) if name == "progress" else value[histories])
+    return taken

@@ -4,28 +4,37 @@ Nothing here knows of schemes, step control, files or observers: they ask for co
 rates and increments.
 
 One history or B histories on the same pair: fields are (..., n), numbers of a history float or
-(B,); what differs between histories (load, laws, friction, time) is an array over the first axis.
-The contact of each history is solved by a solver of its own (``contacts``).
+(B,); what differs between histories (load, laws, friction, moduli, time) is an array over the first
+axis.
 """
 
-from collections.abc import Sequence
+import copy
+from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import replace
+from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 from mpi4py import MPI
 
-from ringwear_par.arrays import BoolArray, FloatArray, Numbers, columns, inner
+from ringwear_par.arrays import BoolArray, FloatArray, IntArray, Numbers, columns, inner, rows_of
 from ringwear_par.cases.case import Case
+from ringwear_par.contact.batch import BatchSolver
+from ringwear_par.contact.correction import CorrectedBatch, CorrectedContact
 from ringwear_par.contact.problem import ContactState, WarmStart
 from ringwear_par.contact.solver import ContactSolver
-from ringwear_par.elasticity.pair import BodyCost, ContactPair, largest_stable_step
+from ringwear_par.elasticity.pair import (
+    BodyCost,
+    ContactCompliance,
+    ContactPair,
+    largest_stable_step,
+)
 from ringwear_par.elasticity.updated import UpdatedGeometry
-from ringwear_par.errors import ComputationError, UnfitError
+from ringwear_par.errors import ComputationError, HistoriesError, UnfitError
 from ringwear_par.history.bodies import young
-from ringwear_par.history.contacts import Contacts
 from ringwear_par.history.pairs import assemble, updated_geometry
 from ringwear_par.history.state import Start, State
-from ringwear_par.schedules import Quantity, in_time, integral, largest, stack
+from ringwear_par.schedules import Quantity, in_time, integral, largest, stack, take
 from ringwear_par.wear.increment import Closing, WearIncrement, averaged_rate, averaging
 from ringwear_par.wear.law import LocalState, stack_laws
 
@@ -35,10 +44,11 @@ class WearModel:
 
     Parameters
     ----------
-    cases : a case, or several of one shape, mesh and pair of moduli, with laws of the same kinds.
+    cases : a case, or several of one shape and mesh, with laws of the same kinds.
     comm : communicator of the collective methods.
     pair : contact pair of the cases; None: it is assembled here.
     solver : of the pair with the case's moduli, to be used again from cold; None: made here.
+    known : compliances of several cases by their moduli, as far as they are known.
     """
 
     def __init__(
@@ -47,6 +57,7 @@ class WearModel:
         comm: MPI.Comm,
         pair: ContactPair | None = None,
         solver: ContactSolver | None = None,
+        known: Mapping[tuple[float, float], ContactCompliance] = MappingProxyType({}),
     ) -> None:
         self.cases = (cases,) if isinstance(cases, Case) else tuple(cases)
         self.case, self.comm = self.cases[0], comm
@@ -63,27 +74,31 @@ class WearModel:
         self.following, self.updates = BodyCost(), 0
         self.line = line = self.pair.line
         self._r, self._arm, self.area = line.r, line.arm, line.area
-        self._initial_gap = case.initial_gap
         self._open_ends = [e for e, cut in zip((0, -1), case.open_ends, strict=True) if cut]
         self._most_wear = np.array([0.5 * (ring.z[1] - ring.z[0]) for ring in case.rings])
         load = case.load
         if several:
-            if case.follows_wear or any(young(c) != young(case) for c in self.cases):
-                raise ValueError(
-                    "histories of unlike moduli, or with updated geometry, cannot be stacked"
-                )
-            self._initial_gap = np.array([c.initial_gap for c in self.cases])
+            if any(c.follows_wear for c in self.cases):
+                raise ValueError("histories with updated geometry cannot be stacked")
+            self._initial_gap = _initial_gaps(self.cases)
             loads = [c.load for c in self.cases]
             self.friction: Numbers = np.array([c.friction for c in self.cases])
+            self._tolerance: Numbers = np.array([c.time.tolerance for c in self.cases])
             self.omega = stack([each.omega for each in loads])
             self.force = _stacked_loads([each.force for each in loads])
             self.displacement = _stacked_loads([each.displacement for each in loads])
             self.laws = tuple(stack_laws([c.laws[i] for c in self.cases]) for i in (0, 1))
             self._shape: tuple[int, ...] = (len(self.cases), line.n)
         else:
+            self._initial_gap = case.initial_gap
             self.friction, self.omega = case.friction, load.omega
+            self._tolerance = case.time.tolerance
             self.force, self.displacement = load.force, load.displacement
             self.laws, self._shape = case.laws, (line.n,)
+        #: worn volume of lower and upper per dissipated energy, 1/MPa, None where it is not fixed
+        self.per_energy = tuple(
+            law.per_energy(self.friction) if law is not None else None for law in self.laws
+        )
         #: whether the speed never changes, so that it is its own mean
         self.steady_speed = isinstance(self.omega, float)
         #: whether the rates at the end of an increment are those of the instant: speed and wear
@@ -102,29 +117,113 @@ class WearModel:
         self._followed = np.zeros((2, *self._shape))
         self._lent = solver is not None
         self._warm: WarmStart | None = None  # once the history has ended
+        if several:
+            self._take_moduli(known)
+            return
         if solver is not None:
             solver.cold_start()
-            solvers = [solver]
         else:
-            matrix = self.pair.compliance(young(case)).matrix
-            solvers = [ContactSolver(matrix, self.area, comm) for _ in self.cases]
-        self._contacts = Contacts(solvers, self.area)
+            solver = ContactSolver(self.pair.compliance(young(case)).matrix, self.area, comm)
+        self._contact: CorrectedContact | CorrectedBatch = CorrectedContact(solver, self.area)
         self._take(self.pair)
 
     def __enter__(self) -> "WearModel":
         return self
 
     def __exit__(self, failure: type[BaseException] | None, *_: object) -> None:
+        if isinstance(self._contact, CorrectedBatch):
+            self._contact.solver.destroy()
+            return
         if failure is not None:  # where a failed solution ended is no place to start
-            self._contacts.solvers[0].cold_start()
-        self._warm = self._contacts.solvers[0].warm()
+            self._solver.cold_start()
+        self._warm = self._solver.warm()
         if not self._lent:
-            for solver in self._contacts.solvers:
-                solver.destroy()
+            self._solver.destroy()
+
+    @property
+    def _solver(self) -> ContactSolver:
+        """The contact solver of a single history."""
+        assert isinstance(self._contact, CorrectedContact)
+        return self._contact.solver
+
+    @property
+    def batch(self) -> CorrectedBatch:
+        """The contacts of B histories."""
+        assert isinstance(self._contact, CorrectedBatch)
+        return self._contact
 
     def _take(self, pair: ContactPair) -> None:
+        assert isinstance(self._contact, CorrectedContact)
+        self._take_compliance(pair)
+        self._contact.take(self.compliance.matrix, self.compliance.excess)
+        self._own_compliance, self._twist = self._yielding(self.compliance), self.compliance.twist
+        self._softness = self._sum_of(self.compliance)
+
+    def _take_moduli(self, known: Mapping[tuple[float, float], ContactCompliance]) -> None:
+        """Take the moduli of B histories: a compliance each, those of the same moduli one."""
+        moduli = [young(case) for case in self.cases]
+        places = {each: place for place, each in enumerate(dict.fromkeys(moduli))}
+        #: (B,) the compliance of each history
+        self._which = which = np.array([places[each] for each in moduli])
+        every = [known.get(each) or self.pair.compliance(each) for each in places]
+        self._take_compliance(self.pair)
+        matrices = np.array([each.matrix for each in every])
+        stiffness = self.area / np.diagonal(matrices, axis1=1, axis2=2)
+        excess = np.array([each.excess for each in every])
+        solver = BatchSolver(matrices, which, self.area)
+        self._contact = CorrectedBatch(solver, excess, which, stiffness)
+        self._own_compliance = np.array([self._yielding(each) for each in every])[which]
+        self._softness = np.array([self._sum_of(each) for each in every])[which]
+        self._twist = np.array([each.twist for each in every])[which]
+        self._compliances = every
+        #: (B,) of the compliance of each history
+        self.symmetry_defects = np.array([each.symmetry_defect for each in every])[which]
+
+    def _yielding(self, compliance: ContactCompliance) -> FloatArray:
+        return np.diagonal(compliance.matrix) / self.area
+
+    def _sum_of(self, compliance: ContactCompliance) -> float:
+        return float(self.area.sum() / compliance.matrix.sum())
+
+    def compliance_of(self, i: int) -> ContactCompliance:
+        """Return the compliance of one of B histories."""
+        return self._compliances[self._which[i]]
+
+    def gap(self, wear: FloatArray, histories: IntArray) -> FloatArray:
+        """Return (h, n) mm, the gaps of some of B histories worn by (2, h, n) mm."""
+        return self._initial_gap[histories] + wear[0] + wear[1]
+
+    def take(self, histories: IntArray) -> "WearModel":
+        """Return the model of some of B histories; its contacts start where these would."""
+        taken = copy.copy(self)
+        taken.cases = tuple(self.cases[i] for i in histories.tolist())
+        taken.case, taken._shape = taken.cases[0], (len(histories), self.line.n)
+        taken._followed = np.zeros((2, *taken._shape))
+        taken._contact = self.batch.take(histories)
+        for name in (
+            "friction", "_initial_gap", "_own_compliance", "_softness", "_twist",
+            "symmetry_defects", "_tolerance", "_which",
+        ):  # fmt: skip
+            setattr(taken, name, getattr(self, name)[histories])
+        for name in ("omega", "force", "displacement"):
+            setattr(taken, name, take(getattr(self, name), histories))
+        taken.laws = tuple(None if law is None else law.take(histories) for law in self.laws)
+        taken.per_energy = tuple(rows_of(each, histories) for each in self.per_energy)
+        return taken
+
+    def joined(self, other: "WearModel") -> "WearModel":
+        """Return the model of the histories of both; its contacts start where theirs would."""
+        known = {
+            young(model.cases[i]): model.compliance_of(i)
+            for model in (self, other)
+            for i in range(len(model.cases))
+        }
+        model = WearModel((*self.cases, *other.cases), self.comm, self.pair, known=known)
+        model.batch.go_on(self.batch, other.batch)
+        return model
+
+    def _take_compliance(self, pair: ContactPair) -> None:
         self.compliance = pair.compliance(young(self.case))
-        self._contacts.take(self.compliance.matrix, self.compliance.excess)
         true_area = self.area * self.compliance.obliquity
         #: 1 / cos alpha of sloping faces, None where all are flat
         self._obliquity = self.compliance.obliquity if pair.slope.any() else None
@@ -152,6 +251,8 @@ class WearModel:
         nothing: Numbers = 0.0 if wear.ndim == 2 else np.zeros(len(self.cases))
         try:
             contact = self.contact(nothing, wear, np.zeros(self._shape), exact=True)
+        except HistoriesError:
+            raise
         except ComputationError as error:
             raise ComputationError(f"step 0 (before any wear): {error}") from error
         self._check_interpenetration()
@@ -161,18 +262,35 @@ class WearModel:
 
     def _check_interpenetration(self) -> None:
         """Refuse undeformed bodies that overlap by more than the largest force presses them."""
-        for case, solver in zip(self.cases, self._contacts.solvers, strict=True):
-            overlap = case.interpenetration
-            if case.load.force is None or overlap == 0.0:
-                continue
-            pressed = _pressed(solver, case)
-            if pressed.approach < 0.0:
-                e = int(case.initial_gap.argmin())
-                raise UnfitError(
-                    f"upper.z, lower.z and contact faces: the undeformed bodies interpenetrate by "
-                    f"{overlap:.6g} mm at element {e} (r = {self._r[e]:.6g} mm); must be at most "
-                    f"the {overlap + pressed.approach:.6g} mm that the load presses them together"
-                )
+        if isinstance(self._contact, CorrectedBatch):
+            return self._check_interpenetrations(self._contact.solver)
+        case, overlap = self.case, self.case.interpenetration
+        if case.load.force is None or overlap == 0.0:
+            return None
+        pressed = _pressed(self._solver, case)
+        if pressed.approach < 0.0:
+            e = int(case.initial_gap.argmin())
+            raise UnfitError(
+                f"upper.z, lower.z and contact faces: the undeformed bodies interpenetrate by "
+                f"{overlap:.6g} mm at element {e} (r = {self._r[e]:.6g} mm); must be at most "
+                f"the {overlap + pressed.approach:.6g} mm that the load presses them together"
+            )
+        return None
+
+    def _check_interpenetrations(self, solver: BatchSolver) -> None:
+        if self.force is None or not (self._initial_gap < 0.0).any():
+            return
+        known: dict[Hashable, float] = {}
+        for case in self.cases:
+            if (key := _geometry(case)) not in known:
+                known[key] = case.interpenetration
+        overlapping = np.flatnonzero([known[_geometry(case)] > 0.0 for case in self.cases])
+        forces = np.array([largest(case.load.force or 0.0) for case in self.cases])
+        pressed = solver.solve(self._initial_gap, force=forces, histories=overlapping)
+        if (apart := pressed.approach[overlapping] < 0.0).any():
+            which = np.zeros(len(self.cases), dtype=bool)
+            which[overlapping[apart]] = True
+            raise HistoriesError(which)
 
     def resume(self, start: Start) -> State:
         """Go on from a stored state as if it had just been computed. Collective."""
@@ -180,12 +298,12 @@ class WearModel:
             self._follow(start.state.shape)
         self._fit = start.state.fit
         self.updates = start.updates
-        self._contacts.solvers[0].warm_start(start.warm)
+        self._solver.warm_start(start.warm)
         return start.state
 
     def warm(self) -> WarmStart:
         """Return where the next contact solution starts, after the end too. Collective."""
-        return self._contacts.solvers[0].warm() if self._warm is None else self._warm
+        return self._solver.warm() if self._warm is None else self._warm
 
     # -- elements that follow the wear -------------------------------------------------------------
 
@@ -221,7 +339,7 @@ class WearModel:
             return
         pair = self._geometry.update(shape)
         self._take(pair)
-        self._contacts.solvers[0].set_compliance(self.compliance.matrix)
+        self._solver.set_compliance(self.compliance.matrix)
         self._followed, self.following = shape, self.following + pair.cost
 
     # -- contact, eq. (3) --------------------------------------------------------------------------
@@ -259,28 +377,31 @@ class WearModel:
             approach = in_time(self.displacement, time)
         if not self._wears:
             during = None
-        return self._contacts.solve(gap, near, force, approach, during, found, exact)
+        how: Any = {"force": force, "approach": approach, "wear": during, "exact": exact}
+        if found is not None:
+            how["found"] = found
+        return self._contact.solve(gap, near, **how)
 
     @property
-    def asymmetry(self) -> tuple[float, int]:
+    def asymmetry(self) -> tuple[Numbers, Any]:
         """What making the compliance symmetric has left of errors of pressure: worst, element.
 
-        Of all contacts so far, see ``contact.correction``.
+        Of all contacts so far, see ``contact.correction``; floats or (B,).
         """
-        return self._contacts.worst
+        return self._contact.worst
 
     def pressure_response(self, gap: FloatArray) -> FloatArray:
         """Return what a small growth (..., n) mm of the gap does to the last pressures, MPa."""
-        return self._contacts.response(gap, self.force is not None)
+        return self._contact.response(gap, self.force is not None)
 
     @property
-    def slight_pressure(self) -> float:
-        """About what an approach as small as ``time.tolerance`` presses, MPa."""
-        return self.case.time.tolerance * float(self.area.sum() / self.compliance.matrix.sum())
+    def slight_pressure(self) -> Numbers:
+        """About what an approach as small as ``time.tolerance`` presses, MPa, float or (B,)."""
+        return self._tolerance * self._softness
 
     def yielding(self, p: FloatArray) -> FloatArray:
         """Return what each element yields, (..., n) mm, to its own pressure alone, MPa."""
-        return np.diagonal(self.compliance.matrix) / self.area * p
+        return self._own_compliance * p
 
     # -- wear, eq. (4) -----------------------------------------------------------------------------
 
@@ -331,9 +452,7 @@ class WearModel:
 
     def integrals(self, field: FloatArray) -> FloatArray:
         """Return area integrals of a field of both bodies, (2, ..., n) to (2, ...)."""
-        if field.ndim == 2:
-            return field @ self.area
-        return np.stack([field[:, i] @ self.area for i in range(field.shape[1])], axis=1)
+        return field @ self.area if field.ndim == 2 else inner(self.area, field)
 
     def torque(self, p: FloatArray) -> Numbers:
         """Return the friction torque in full slip, N mm, float or (B,), at pressure (..., n)."""
@@ -341,7 +460,7 @@ class WearModel:
 
     def twist(self, p: FloatArray) -> Numbers:
         """Return the area mean of the circumferential displacement jump, mm, at pressure."""
-        return self.friction * inner(self.compliance.twist, p)
+        return self.friction * inner(self._twist, p)
 
     def reactions(self, p: FloatArray) -> FloatArray:
         """Return friction torque / mu, axial force and torque / mu on both fixed faces, (5, ...).
@@ -350,7 +469,7 @@ class WearModel:
         """
         if p.ndim == 1:
             return self._sums @ p
-        return np.stack([self._sums @ each for each in p], axis=-1)
+        return np.array([inner(weights, p) for weights in self._sums])
 
     # -- what a state must not be ------------------------------------------------------------------
 
@@ -362,21 +481,34 @@ class WearModel:
         ComputationError : contact has reached an end of the contact line that is no edge, or half
             of a body has been worn off.
         """
+        if state.wear.ndim > 2:
+            return self._all_checked(state)
         for e in self._open_ends:
-            if (state.contact.pressure[..., e] > 0.0).any():
+            if state.contact.pressure[e] > 0.0:
                 raise ComputationError(
-                    f"time {np.max(state.time):g} s: contact has reached the end of mesh.contact "
+                    f"time {state.time:g} s: contact has reached the end of mesh.contact "
                     f"at r = {self.line.edges[e]:g} mm; must be wider there"
                 )
         most = self._most_wear
         if state.wear.max() > most.min():
-            deepest = state.wear.reshape(2, -1).max(axis=1)
+            deepest = state.wear.max(axis=1)
             if (deepest > most).any():
                 body = "lower" if deepest[0] > most[0] else "upper"
                 raise ComputationError(
-                    f"time {np.max(state.time):g} s: {deepest.max():.4g} mm are worn off {body}, "
+                    f"time {state.time:g} s: {deepest.max():.4g} mm are worn off {body}, "
                     "more than half of its height"
                 )
+        return state
+
+    def _all_checked(self, state: State) -> State:
+        most = self._most_wear
+        off = np.zeros(len(self.cases), dtype=bool)
+        if state.wear.max() > most.min():
+            off |= (state.wear.max(axis=2) > most[:, None]).any(axis=0)
+        for e in self._open_ends:
+            off |= state.contact.pressure[:, e] > 0.0
+        if off.any():
+            raise HistoriesError(off)
         return state
 
     def stable_step(self) -> float:
@@ -384,18 +516,41 @@ class WearModel:
 
         Unworn, under the largest load and speed, with the steepest of what laws do in time.
         """
-        case, solver = self.case, self._contacts.solvers[0]
+        solver = self._solver
         warm = solver.warm()
-        p = np.full_like(self.area, _pressed(solver, case).pressure.max())
+        most = float(_pressed(solver, self.case).pressure.max())
         solver.warm_start(warm)
+        return self._stable_step(self.case, self.compliance, most)
+
+    def stable_steps(self) -> list[float]:
+        """Return the same of B histories."""
+        solver = self.batch.solver
+        start = solver.start
+        loads = [case.load for case in self.cases]
+        if self.force is None:
+            given: dict[str, Any] = {
+                "approach": np.array([largest(load.displacement or 0.0) for load in loads])
+            }
+        else:
+            given = {"force": np.array([largest(load.force or 0.0) for load in loads])}
+        most = solver.solve(self._initial_gap, **given).pressure.max(axis=1).tolist()
+        solver.start = start
+        return [
+            self._stable_step(case, self.compliance_of(i), most[i])
+            for i, case in enumerate(self.cases)
+        ]
+
+    def _stable_step(self, case: Case, compliance: ContactCompliance, most: float) -> float:
+        """Return the largest stable step of a case whose largest pressure is so many MPa."""
+        p = np.full_like(self.area, most)
         zero = np.zeros_like(p)
-        slopes = zero
+        slopes, omega = zero, case.load.omega
         for time in (0.0, *case.breakpoints):
-            at = self.local_state(time, largest(case.load.omega), zero)
+            slid = integral(omega, 0.0, time) * self._arm
+            at = LocalState(time, self._r, largest(omega) * self._arm, case.friction, zero, slid)
             every = [law.d_rate_dp(p, at) for law in case.laws if law is not None]
             slopes = np.maximum(slopes, sum(every, zero))
-        slopes = slopes * self.compliance.obliquity
-        return largest_stable_step(self.compliance, slopes)
+        return largest_stable_step(compliance, slopes * compliance.obliquity)
 
 
 def _pressed(solver: ContactSolver, case: Case) -> ContactState:
@@ -406,6 +561,20 @@ def _pressed(solver: ContactSolver, case: Case) -> ContactState:
         force=None if force is None else largest(force),
         approach=None if displacement is None else largest(displacement),
     )
+
+
+def _geometry(case: Case) -> Hashable:
+    """Return what the gap between the unworn faces depends on, among cases of one pair."""
+    return (*((ring.r, ring.z, ring.face) for ring in case.rings), case.mesh.contact)
+
+
+def _initial_gaps(cases: Sequence[Case]) -> FloatArray:
+    """Return (B, n) mm, the initial gaps: worked out once for cases that look the same."""
+    known: dict[Hashable, FloatArray] = {}
+    for case in cases:
+        if (key := _geometry(case)) not in known:
+            known[key] = case.initial_gap
+    return np.array([known[_geometry(case)] for case in cases])
 
 
 def _stacked_loads(loads: Sequence[Quantity | None]) -> Quantity | None:

@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from ringwear_par.arrays import BoolArray, IntArray
 from ringwear_par.history.model import WearModel
 from ringwear_par.history.schemes import Step
 from ringwear_par.history.state import Progress, State
@@ -33,6 +34,35 @@ class Snapshot:
     stored: bool
     passing: bool = False
     finished: bool = False
+
+
+@dataclass(frozen=True)
+class BatchSnapshot:
+    """States of B histories on their way, each at a time of its own.
+
+    Parameters
+    ----------
+    numbers : (B,) int, of the histories among all that were given.
+    model, state : the physics and the states.
+    step : that led there; None at the start.
+    progress : of step control, after it.
+    iterations : (B,) int, of the contact solver, for these states.
+    shown : (B,) bool, which histories have come to a new state; of the others nothing is to be
+        taken.
+    stored, finished : (B,) bool, which new states their cases store, and which are the last ones.
+    passing : whether all of them lie within steps, at times of output.
+    """
+
+    numbers: IntArray
+    model: WearModel
+    state: State
+    step: Step | None
+    progress: Progress
+    iterations: IntArray
+    shown: BoolArray
+    stored: BoolArray
+    finished: BoolArray
+    passing: bool = False
 
 
 #: called with every snapshot, the same on all ranks; tells whether the history is to stop here,

@@ -1,8 +1,11 @@
 """What a wear history is at an instant, and where it goes on from."""
 
 from dataclasses import dataclass
+from typing import Any
 
-from ringwear_par.arrays import FloatArray, Numbers
+import numpy as np
+
+from ringwear_par.arrays import BoolArray, FloatArray, IntArray, Numbers
 from ringwear_par.contact.problem import ContactState, WarmStart
 
 
@@ -32,10 +35,69 @@ class State:
     shape: FloatArray | None = None
     fit: FloatArray | None = None
 
+    def take(self, histories: IntArray) -> "State":
+        """Return some of B histories."""
+        contact = self.contact
+        return State(
+            self.time[histories],
+            self.wear[:, histories],
+            self.worn[:, histories],
+            self.energy[histories],
+            ContactState(*(values[histories] for values in vars(contact).values())),
+            self.rates[:, histories],
+        )
+
+    def joined(self, other: "State") -> "State":
+        """Return the histories of both."""
+
+        def of(name: str, axis: int = 0) -> Any:
+            return np.concatenate([getattr(self, name), getattr(other, name)], axis=axis)
+
+        both = zip(vars(self.contact).values(), vars(other.contact).values(), strict=True)
+        contact = ContactState(*map(np.concatenate, both))
+        return State(
+            of("time"), of("wear", 1), of("worn", 1), of("energy"), contact, of("rates", 1)
+        )
+
+    def history(self, i: int) -> "State":
+        """Return one of B histories."""
+        contact = self.contact
+        return State(
+            float(self.time[i]),
+            self.wear[:, i],
+            self.worn[:, i],
+            float(self.energy[i]),
+            ContactState(
+                contact.pressure[i], contact.gap[i], float(contact.approach[i]),
+                float(contact.force[i]), int(contact.iterations[i]), float(contact.residual[i]),
+            ),
+            self.rates[:, i],
+        )  # fmt: skip
+
+    def updated(self, which: BoolArray, after: "State") -> "State":
+        """Return B histories, some of which have become others."""
+
+        def of(name: str) -> Any:
+            return np.where(which, getattr(after, name), getattr(self, name))
+
+        rows = which[:, None]
+        both = zip(vars(after.contact).values(), vars(self.contact).values(), strict=True)
+        contact = ContactState(
+            *(np.where(rows if new.ndim == 2 else which, new, old) for new, old in both)
+        )
+        return State(
+            of("time"),
+            np.where(rows, after.wear, self.wear),
+            of("worn"),
+            of("energy"),
+            contact,
+            np.where(rows, after.rates, self.rates),
+        )
+
 
 @dataclass(frozen=True)
 class Progress:
-    """What step control remembers between two steps.
+    """What step control remembers between two steps: numbers, or (B,) of B histories.
 
     Parameters
     ----------
@@ -45,10 +107,25 @@ class Progress:
     iterations : of the contact solver.
     """
 
-    steps: int = 0
-    next_step: float = 0.0
-    rejected: int = 0
-    iterations: int = 0
+    steps: Numbers = 0
+    next_step: Numbers = 0.0
+    rejected: Numbers = 0
+    iterations: Numbers = 0
+
+    @classmethod
+    def of_many(cls, count: int) -> "Progress":
+        """Return the progress of B histories at their start."""
+        nothing = np.zeros(count, dtype=np.int64)
+        return cls(nothing, np.zeros(count), nothing, nothing)
+
+    def joined(self, other: "Progress") -> "Progress":
+        """Return that of the histories of both."""
+        both = zip(vars(self).values(), vars(other).values(), strict=True)
+        return Progress(*map(np.concatenate, both))
+
+    def take(self, histories: IntArray) -> "Progress":
+        """Return that of some of B histories."""
+        return Progress(*(values[histories] for values in vars(self).values()))
 
 
 @dataclass(frozen=True)

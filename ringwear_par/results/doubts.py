@@ -4,6 +4,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ringwear_par.cases.case import Case
+from ringwear_par.elasticity.mesh import ContactLine
+from ringwear_par.elasticity.pair import ContactCompliance
 from ringwear_par.elasticity.slopes import case_slopes
 from ringwear_par.history.balances import Balances
 from ringwear_par.history.model import WearModel
@@ -42,7 +45,26 @@ def doubts(model: WearModel, state: State, balances: Balances) -> tuple[Doubt, .
     ----------
     balances : the worst of its history.
     """
-    found, case = [], model.case
+    return doubts_at(model.case, model.line, model.compliance, state, balances, model.asymmetry)
+
+
+def doubts_at(
+    case: Case,
+    line: ContactLine,
+    compliance: ContactCompliance,
+    state: State,
+    balances: Balances,
+    asymmetry: tuple[float, int],
+) -> tuple[Doubt, ...]:
+    """Return the same of a case by itself. Not collective.
+
+    Parameters
+    ----------
+    line, compliance : of the case, the elements having followed the wear where they do.
+    balances : the worst of its history.
+    asymmetry : see ``WearModel.asymmetry``.
+    """
+    found = []
     height = min(ring.z[1] - ring.z[0] for ring in case.rings)
     moved = max(state.contact.approach, float(state.wear.max()))
     if moved > _MOST_MOVED * height:
@@ -53,7 +75,7 @@ def doubts(model: WearModel, state: State, balances: Balances) -> tuple[Doubt, .
                 "displacements and the mesh of the unworn rings no longer describe it",
             )
         )
-    if state.contact.approach > case.smallest_gaps[1]:
+    if any(case.open_ends) and state.contact.approach > case.smallest_gaps[1]:
         found.append(
             Doubt(
                 "contact_beyond_mesh",
@@ -71,7 +93,7 @@ def doubts(model: WearModel, state: State, balances: Balances) -> tuple[Doubt, .
                 "mesh.contact = [r1, r2] puts them where contact is",
             )
         )
-    defect = max(balances.torque, balances.reaction, model.compliance.symmetry_defect)
+    defect = max(balances.torque, balances.reaction, compliance.symmetry_defect)
     if defect > _MOST_DEFECT:
         found.append(
             Doubt(
@@ -80,15 +102,21 @@ def doubts(model: WearModel, state: State, balances: Balances) -> tuple[Doubt, .
                 "(mesh.contact_elements) or thicker bodies are needed",
             )
         )
-    return (*found, *_unlike_slopes(model, state), *_asymmetric(model))
+    return (
+        *found,
+        *_unlike_slopes(case, line, compliance, state),
+        *_asymmetric(line, *asymmetry),
+    )
 
 
-def _unlike_slopes(model: WearModel, state: State) -> list[Doubt]:
+def _unlike_slopes(
+    case: Case, line: ContactLine, compliance: ContactCompliance, state: State
+) -> list[Doubt]:
     """Return whether faces that touch slope by different angles, now or as elements have them."""
-    case, line, p = model.case, model.line, state.contact.pressure
+    p = state.contact.pressure
     if not any(section.face for section in case.sections):
         return []  # contact does not last where wear alone slopes faces apart
-    slopes = [*case_slopes(case.sections, line, case.mesh, state.wear), model.compliance.slope]
+    slopes = [*case_slopes(case.sections, line, case.mesh, state.wear), compliance.slope]
     angles = np.degrees(np.arctan(slopes))
     load = line.area * p
     apart = (np.ptp(angles, axis=0) > _MOST_ANGLE) & (p > 0.0)
@@ -109,15 +137,14 @@ def _unlike_slopes(model: WearModel, state: State) -> list[Doubt]:
     ]
 
 
-def _asymmetric(model: WearModel) -> list[Doubt]:
+def _asymmetric(line: ContactLine, error: float, e: int) -> list[Doubt]:
     """Return whether making the compliance symmetric spoiled pressures."""
-    error, e = model.asymmetry
     if error <= _MOST_ASYMMETRY:
         return []
     return [
         Doubt(
             "asymmetric_compliance",
-            f"a pressure at r = {model.line.r[e]:.6g} mm was about {error:.2g} off that of the "
+            f"a pressure at r = {line.r[e]:.6g} mm was about {error:.2g} off that of the "
             "collocated equations, whose matrix was made symmetric: a finer mesh or a milder "
             "grading is needed",
         )
@@ -130,13 +157,22 @@ def instability(model: WearModel) -> tuple[Doubt, ...]:
     if case.time.scheme != "explicit":
         return ()
     limit, step = model.stable_step(), case.time.step
-    if step <= limit:
-        return ()
-    return (
-        Doubt(
-            "unstable_explicit_step",
-            f"explicit scheme: time.step = {step:.6g} s is {step / limit:.3g} times its stability "
-            f"limit; the largest stable step on this mesh is {limit:.6g} s (beyond it profiles "
-            "oscillate, and with p0 > 0 the wear is too large)",
-        ),
+    return () if step <= limit else (_unstable(step, limit),)
+
+
+def unstable(model: WearModel) -> dict[int, Doubt]:
+    """Return which of B histories have explicit steps that are too long."""
+    if model.case.time.scheme != "explicit":
+        return {}
+    steps = [case.time.step for case in model.cases]
+    both = enumerate(zip(steps, model.stable_steps(), strict=True))
+    return {i: _unstable(step, limit) for i, (step, limit) in both if step > limit}
+
+
+def _unstable(step: float, limit: float) -> Doubt:
+    return Doubt(
+        "unstable_explicit_step",
+        f"explicit scheme: time.step = {step:.6g} s is {step / limit:.3g} times its stability "
+        f"limit; the largest stable step on this mesh is {limit:.6g} s (beyond it profiles "
+        "oscillate, and with p0 > 0 the wear is too large)",
     )

@@ -2,6 +2,7 @@
 
 import json
 import time
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from typing import Any
 
@@ -9,7 +10,7 @@ import numpy as np
 from mpi4py import MPI
 
 from ringwear_par import __version__
-from ringwear_par.arrays import FloatArray
+from ringwear_par.arrays import FloatArray, IntArray
 from ringwear_par.cases.case import Case
 from ringwear_par.cases.law_trials import law_sources
 from ringwear_par.elasticity.boundary_fields import BoundaryState
@@ -45,6 +46,55 @@ def row(model: WearModel, state: State) -> dict[str, Any]:
         "gap": contact.gap,
         "wear_lower": state.wear[0],
         "wear_upper": state.wear[1],
+    }
+
+
+def attributes(
+    case: Case,
+    *,
+    ranks: int,
+    begun_by: str,
+    finished: bool,
+    seconds: Mapping[str, float],
+    symmetry_defect: float,
+    doubts: Sequence[Doubt],
+    error: str,
+    balances: Balances,
+    step_error_time: float,
+) -> dict[str, Any]:
+    """Return the attributes of a result. Not collective.
+
+    Parameters
+    ----------
+    begun_by : version that began the history.
+    seconds : by attribute.
+    error : why it cannot go on, "" where it can.
+    balances, step_error_time : see ``WorstBalances``.
+    """
+    laws = [law for law in case.laws if law is not None]
+    return {
+        "case": case.told,
+        "title": case.title,
+        "status": "complete" if finished else "incomplete",
+        "ranks": ranks,
+        **versions(),
+        "begun_by": begun_by,
+        "scheme": case.time.scheme,
+        "time_step": case.time.step,
+        "time_steps": case.time.steps,
+        "time_end": case.time.end,
+        **seconds,
+        "symmetry_defect": symmetry_defect,
+        "user_laws": json.dumps(law_sources(case)),
+        **{
+            f"law_{body}": "" if law is None else law.describe()
+            for body, law in zip(("lower", "upper"), case.laws, strict=True)
+        },
+        "doubts": json.dumps([doubt.text for doubt in doubts]),
+        "error": error,
+        "energy_identity": int(any(law.per_energy(case.friction) for law in laws)),
+        **balance_attributes(asdict(balances)),
+        "step_error_time": step_error_time,
     }
 
 
@@ -167,6 +217,11 @@ class Recorder:
             return ()
         return self._instability + doubts(self._last.model, self._last.state, self.balances)
 
+    @property
+    def steps(self) -> IntArray:
+        """Steps made at each stored state."""
+        return np.array(self._steps, dtype=np.int64)
+
     def arrays(self) -> dict[str, Any]:
         """Return what is stored so far by variable, ``step`` (what rows are called) included."""
         line = self._case.line if self._last is None else self._last.model.line
@@ -197,7 +252,6 @@ class Recorder:
         model, state, progress = self._last.model, self._last.state, self._last.progress
         arrays, case = self.arrays(), self._case
         boundary = self._earlier + ([] if self._boundary is None else self._boundary.states)
-        laws = [law for law in case.laws if law is not None]
         return Result(
             case.line,
             arrays["step"],
@@ -205,30 +259,18 @@ class Recorder:
             {name: arrays[name] for name in HISTORIES},
             {name: arrays[name] for name in self._profiles if name in arrays},
             tuple(boundary),
-            {
-                "case": case.told,
-                "title": case.title,
-                "status": "complete" if self._last.finished else "incomplete",
-                "ranks": self._comm.size,
-                **versions(),
-                "begun_by": self._begun_by,
-                "scheme": case.time.scheme,
-                "time_step": case.time.step,
-                "time_steps": case.time.steps,
-                "time_end": case.time.end,
-                **self.seconds(),
-                "symmetry_defect": model.compliance.symmetry_defect,
-                "user_laws": json.dumps(law_sources(case)),
-                **{
-                    f"law_{body}": "" if law is None else law.describe()
-                    for body, law in zip(("lower", "upper"), case.laws, strict=True)
-                },
-                "doubts": json.dumps([doubt.text for doubt in self.doubts]),
-                "error": error,
-                "energy_identity": int(any(law.per_energy(case.friction) for law in laws)),
-                **balance_attributes(asdict(self.balances)),
-                "step_error_time": self._balances.step_error_time,
-            },
+            attributes(
+                case,
+                ranks=self._comm.size,
+                begun_by=self._begun_by,
+                finished=self._last.finished,
+                seconds=self.seconds(),
+                symmetry_defect=model.compliance.symmetry_defect,
+                doubts=self.doubts,
+                error=error,
+                balances=self.balances,
+                step_error_time=self._balances.step_error_time,
+            ),
             take(state, progress, model.warm(), model.updates, self._pending_iterations),
             comm=self._comm,
         )

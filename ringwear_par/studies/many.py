@@ -3,22 +3,20 @@
 import logging
 from collections import defaultdict
 from collections.abc import Hashable, Iterator, Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 
 from mpi4py import MPI
 
 from ringwear_par.cases.case import Case, need_case
+from ringwear_par.contact.batch import load_batch_kernels
 from ringwear_par.elasticity.pair import ContactPair
 from ringwear_par.errors import InputError
-from ringwear_par.history.bodies import operator_key, young
+from ringwear_par.history.bodies import operator_key
 from ringwear_par.history.limits import check_case
 from ringwear_par.history.pairs import assemble
-from ringwear_par.history.simulate import simulate
 from ringwear_par.parallel import as_ours, together
-from ringwear_par.results.recorder import Recorder
 from ringwear_par.results.result import FailedResult, Result
-from ringwear_par.studies.lending import SolverLender
+from ringwear_par.studies.batches import computed
 from ringwear_par.studies.variations import is_whole
 
 log = logging.getLogger(__name__)
@@ -36,8 +34,8 @@ def simulate_all(
     Parameters
     ----------
     cases : the same on all ranks.
-    batch : most histories that a rank steps side by side. Results do not depend on it, nor, as
-        yet, does the time: they are stepped one after another.
+    batch : most histories that a rank steps side by side; None: as many as are quickest. Results
+        do not depend on it.
 
     Raises
     ------
@@ -61,6 +59,8 @@ def simulate_all(
             found[number] = checked
         else:
             groups[checked].append(number)
+    if groups:
+        load_batch_kernels(comm)
     dealt: list[int] = []  # in turn to all ranks, whatever the groups
     waiting: list[tuple[ContactPair, list[int]]] = []
     for numbers in groups.values():
@@ -70,16 +70,15 @@ def simulate_all(
         except Exception as error:
             found.update((n, _failed(cases[n], error)) for n in numbers)
             continue
-        numbers.sort(key=lambda n: young(cases[n]))  # those of the same moduli share a solver
         rounds = len(dealt) // comm.size
         mine = numbers[(comm.rank - len(dealt)) % comm.size :: comm.size]
         dealt += numbers
         if mine:
             waiting.append((pair, mine))
         if len(dealt) // comm.size > rounds:  # every rank has something to do
-            found.update(_simulated(cases, waiting))
+            found.update(_simulated(cases, waiting, batch))
             waiting = []
-    found.update(_simulated(cases, waiting))
+    found.update(_simulated(cases, waiting, batch))
     for place, number in enumerate(dealt):  # one by one: all might be too much for a message
         found[number] = comm.bcast(found.get(number), place % comm.size)
     return [found[number] for number in range(len(cases))]
@@ -102,21 +101,19 @@ def _checked(cases: Sequence[Case], comm: MPI.Comm) -> list[Hashable | FailedRes
 
 
 def _simulated(
-    cases: Sequence[Case], work: Sequence[tuple[ContactPair, Sequence[int]]]
+    cases: Sequence[Case],
+    work: Sequence[tuple[ContactPair, Sequence[int]]],
+    batch: int | None,
 ) -> Iterator[tuple[int, Result | FailedResult]]:
     """Yield numbers and results of cases, by the pair that they share, on this rank alone."""
-    alone = MPI.COMM_SELF
     for pair, numbers in work:
-        with SolverLender(pair, alone) as lender:
-            for number in numbers:
-                case = cases[number]
-                try:
-                    recorder = Recorder(case, alone)
-                    simulate(case, alone, pair=pair, solver=lender.lend(case), observers=[recorder])
-                    yield number, replace(recorder.result(), comm=None)
-                except Exception as error:  # of the solver, or of a law that is not ours
-                    lender.drop()
-                    yield number, _failed(case, error)
+        own = [cases[number] for number in numbers]
+        for block in computed(own, pair, batch=batch, keep_ends=True):
+            for place, result in zip(block.numbers, block.results(), strict=True):
+                if isinstance(result, Exception):
+                    yield numbers[place], _failed(own[place], result)
+                else:
+                    yield numbers[place], result
 
 
 def _failed(case: Case, error: Exception) -> FailedResult:

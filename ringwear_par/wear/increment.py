@@ -5,9 +5,9 @@ from typing import Any
 
 import numpy as np
 
-from ringwear_par.arrays import FloatArray, columns
+from ringwear_par.arrays import FloatArray, IntArray, columns
 from ringwear_par.errors import ComputationError, InputError
-from ringwear_par.schedules import history
+from ringwear_par.schedules import history, take
 from ringwear_par.wear.law import Law, LocalState, WearLaw, complete
 
 _MEMORY_ITERATIONS = 60
@@ -127,6 +127,20 @@ class WearIncrement:
             self.averages,
             self.obliquity,
             None if self.closing is None else Closing(self.closing.gap[i], self.closing.step[i]),
+        )
+
+    def take(self, histories: IntArray) -> "WearIncrement":
+        """Return the increment of some of B histories."""
+        closing, lower = self.closing, self.at[0].take(histories)
+        return WearIncrement(
+            tuple(None if law is None else complete(law).take(histories) for law in self.laws),
+            (lower, lower if self.at[1] is self.at[0] else self.at[1].take(histories)),
+            take(self.step, histories),
+            self.averages,
+            self.obliquity,
+            None
+            if closing is None
+            else Closing(take(closing.gap, histories), take(closing.step, histories)),
         )
 
     def _depth(

@@ -5,14 +5,14 @@ is local memory: the depth worn off this body and the distance slid. Rates must 
 not fall with pressure, so that the implicit step is a convex problem.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, is_dataclass, replace
 from typing import TYPE_CHECKING, Any, ClassVar, Protocol, Self, runtime_checkable
 
 import numpy as np
 
-from ringwear_par.arrays import FloatArray, columns
-from ringwear_par.schedules import Quantity, Stacked, breakpoints, history, told, value
+from ringwear_par.arrays import FloatArray, IntArray, columns
+from ringwear_par.schedules import Quantity, Stacked, breakpoints, history, take, told, value
 from ringwear_par.schedules import stack as stack_quantities
 from ringwear_par.wear.derivatives import derivative
 from ringwear_par.wear.guard import Asked, ask, read_only, shown
@@ -72,6 +72,17 @@ class LocalState:
             speed=self.speed[..., here],
             wear=self.wear[..., here],
             slid=self.slid[..., here],
+        )
+
+    def take(self, histories: IntArray) -> "LocalState":
+        """Return what some of B histories know."""
+        return replace(
+            self,
+            time=take(self.time, histories),
+            speed=take(self.speed, histories),
+            friction=take(self.friction, histories),
+            wear=take(self.wear, histories),
+            slid=take(self.slid, histories),
         )
 
     def history(self, i: int) -> "LocalState":
@@ -253,9 +264,17 @@ class Law:
 
     def history(self, i: int) -> Self:
         """Return the law of one of B histories."""
+        return self._with_stacks(lambda q: history(q, i))
+
+    def take(self, histories: IntArray) -> Self:
+        """Return the law of some of B histories."""
+        return self._with_stacks(lambda q: take(q, histories))
+
+    def _with_stacks(self, change: Callable[[Any], Any]) -> Self:
+        """Return the law with something else for what differs between histories."""
         own = {name: getattr(self, name) for name in parameters_of(type(self))}
         own = {k: q for k, q in own.items() if isinstance(q, Stacked | np.ndarray)}
-        changed = {name: history(q, i) for name, q in own.items()}
+        changed = {name: change(q) for name, q in own.items()}
         return replace(self, **changed) if changed else self  # type: ignore[type-var]
 
     # -- from the keys of a case file --------------------------------------------------------------

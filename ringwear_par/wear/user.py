@@ -1,7 +1,7 @@
 """A wear law from a user's Python file, and what keeps it from being one."""
 
 import ast
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
@@ -11,7 +11,7 @@ import numpy as np
 
 from ringwear_par.arrays import FloatArray
 from ringwear_par.errors import ComputationError, InputError
-from ringwear_par.schedules import Quantity, breakpoints, history, value
+from ringwear_par.schedules import Quantity, breakpoints, value
 from ringwear_par.schedules import stack as stack_quantities
 from ringwear_par.textfiles import read_text
 from ringwear_par.wear.guard import Asked, ask, shown
@@ -174,10 +174,8 @@ class UserLaw(Law):
         own = ((pairs[0][0], stack_quantities([q for _, q in pairs])) for pairs in each)
         return replace(first, parameters=tuple(own))
 
-    def history(self, i: int) -> Self:
-        """Return the law of one of B histories."""
-        own = tuple((name, history(q, i)) for name, q in self.parameters)
-        return replace(self, parameters=own)
+    def _with_stacks(self, change: Callable[[Any], Any]) -> Self:
+        return replace(self, parameters=tuple((name, change(q)) for name, q in self.parameters))
 
     def _call(self, asked: Asked, name: str, p: FloatArray, local: LocalState) -> FloatArray:
         """Return what one of the file's functions gives, (..., n): checked, one history at a time.

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from ringwear_par.cases.case import Load
+from ringwear_par.contact.problem import KKT_TOLERANCE
 from ringwear_par.elasticity.mesh import Mesh
 from ringwear_par.history import euler, sdirk2
 from ringwear_par.history.balances import balances
@@ -13,6 +14,7 @@ from ringwear_par.history.model import WearModel
 from ringwear_par.history.pairs import assemble
 from ringwear_par.schedules import Table
 from ringwear_par.verification.paper import OMEGA, paper_case
+from ringwear_par.wear.non_local import NonLocalLaw
 from ringwear_par.wear.running_in import RunningInLaw
 from ringwear_par.wear.threshold import ThresholdLaw
 
@@ -54,6 +56,15 @@ def variations(base):
             replace(base, wear_upper=RunningInLaw(1e-8, k, depth=d))
             for k, d in ((1e-7, 1e-3), (2e-7, 1e-4), (3e-7, 1e-2))
         ],
+        "moduli": [
+            replace(
+                base, lower=replace(base.lower, young=1e4 * e), upper=replace(base.upper, young=u)
+            )
+            for e, u in ((1.0, 1e5), (3.0, 1e5), (1.0, 3e4))
+        ],
+        "non-local": [
+            replace(base, wear_lower=NonLocalLaw(k, 10.0, length=0.3)) for k in (1e-7, 2e-7, 1e-8)
+        ],
         "the same": [base] * 3,
     }
 
@@ -67,34 +78,49 @@ def parts(state):
     }  # fmt: skip
 
 
+def two_steps(cases, comm, pair, scheme, ends):
+    """Both steps, the balances after them, and what the model makes of the last pressures."""
+    step = SCHEMES[scheme]
+    with WearModel(cases, comm, pair) as model:
+        steps = [step(model, model.initial(), ends[0])]
+        steps.append(step(model, steps[0].state, ends[1]))
+        p = steps[1].state.contact.pressure
+        off = balances(model, steps[1].state)
+        return steps, off, {"torque": model.torque(p), "twist": model.twist(p)}
+
+
 @pytest.mark.parametrize("scheme", SCHEMES)
 @pytest.mark.parametrize("name", ["laws and friction", "loads and speeds", "displacements",
-                                  "memory", "the same"])  # fmt: skip
+                                  "memory", "moduli", "non-local", "the same"])  # fmt: skip
 def test_each_history_is_as_if_alone(base, pair, comm, scheme, name):
-    step, cases = SCHEMES[scheme], variations(base)[name]
-    with WearModel(cases, comm, pair) as model:
-        steps = [step(model, model.initial(), ENDS[0])]
-        steps.append(step(model, steps[0].state, ENDS[1]))
-        off = balances(model, steps[1].state)
-        torque, twist = (f(steps[1].state.contact.pressure) for f in (model.torque, model.twist))
+    """To the last bit as in a batch of one, and to round-off as a single one."""
+    cases = variations(base)[name]
+    steps, off, sums = two_steps(cases, comm, pair, scheme, ENDS)
     assert steps[1].state.wear.shape == (2, 3, 16)
     for i, case in enumerate(cases):
-        with WearModel(case, comm, pair) as model:
-            alone = [step(model, model.initial(), float(ENDS[0, i]))]
-            alone.append(step(model, alone[0].state, float(ENDS[1, i])))
-            exact = balances(model, alone[1].state)
-            p = alone[1].state.contact.pressure
-            assert torque[i] == model.torque(p)
-            assert twist[i] == model.twist(p)
-        for together, single in zip(steps, alone, strict=True):
-            for what, value in parts(single.state).items():
-                of_all = parts(together.state)[what]
-                mine = of_all[:, i] if what in ("wear", "worn") else of_all[i]
-                assert np.array_equal(mine, value), what
-            for of_all, value in zip(astuple(together)[1:], astuple(single)[1:], strict=True):
-                assert np.array_equal(np.broadcast_to(of_all, 3)[i], value)
+        one, off_one, sums_one = two_steps([case], comm, pair, scheme, ENDS[:, i : i + 1])
+        single, exact, sums_single = two_steps(case, comm, pair, scheme, ENDS[:, i].tolist())
+        for what, value in sums_one.items():
+            assert sums[what][i] == value[0], what
+            assert value[0] == pytest.approx(sums_single[what], rel=1e-12), what
+        for together, apart, alone in zip(steps, one, single, strict=True):
+            for what, value in parts(alone.state).items():
+                place = (slice(None), i) if what in ("wear", "worn") else i
+                place_one = (slice(None), 0) if what in ("wear", "worn") else 0
+                mine = parts(together.state)[what][place]
+                assert np.array_equal(mine, parts(apart.state)[what][place_one]), what
+                # gaps of elements in contact are round-off, mm; of a law that is not linear
+                # Newton's last error, below the tolerance in both, is left
+                share = 1e-10 if name == "memory" else 2e-12
+                most = 1e-14 if what == "gap" else share * np.abs(value).max()
+                assert np.abs(mine - value).max() <= most, what
+            for of_all, of_one in zip(astuple(together)[1:], astuple(apart)[1:], strict=True):
+                assert np.array_equal(np.broadcast_to(of_all, 3)[i], np.broadcast_to(of_one, 1)[0])
         for what, value in exact.items():
-            assert np.broadcast_to(off[what], 3)[i] == pytest.approx(value, abs=1e-15), what
+            mine = np.broadcast_to(off[what], 3)[i]
+            assert mine == np.broadcast_to(off_one[what], 1)[0], what
+            most = KKT_TOLERANCE if what == "residual" else 1e-11
+            assert mine == pytest.approx(value, abs=most), what
 
 
 def test_loads_of_different_kinds_do_not_go_together(base, pair, comm):

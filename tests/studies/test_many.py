@@ -21,15 +21,15 @@ def case():
 
 @pytest.fixture
 def computed(monkeypatch):
-    """The cases that this rank simulates."""
-    computed, simulate = [], many.simulate
+    """The cases that this rank computes."""
+    noted, compute = [], many.computed
 
-    def noted(case, *words, **how):
-        computed.append(case)
-        return simulate(case, *words, **how)
+    def computed(cases, *words, **how):
+        noted.extend(cases)
+        return compute(cases, *words, **how)
 
-    monkeypatch.setattr(many, "simulate", noted)
-    return computed
+    monkeypatch.setattr(many, "computed", computed)
+    return noted
 
 
 class BadLaw(ThresholdLaw):
@@ -111,11 +111,9 @@ def test_ranks_share_the_cases_whatever_their_shapes(case, comm, computed, shape
 @pytest.mark.mpi(min_size=2)
 def test_ranks_work_at_the_same_time_on_cases_of_different_shapes(case, comm, monkeypatch):
     """A round of cases is assembled before any of it is simulated."""
-    events, assemble, simulate = [], many.assemble, many.simulate
+    events, assemble, compute = [], many.assemble, many.computed
     monkeypatch.setattr(many, "assemble", lambda *w: (events.append("a"), assemble(*w))[1])
-    monkeypatch.setattr(
-        many, "simulate", lambda *w, **h: (events.append("s"), simulate(*w, **h))[1]
-    )
+    monkeypatch.setattr(many, "computed", lambda *w, **h: (events.append("s"), compute(*w, **h))[1])
     cases = [case.replace({"upper.r": [28.0 + 0.1 * i, 32.0]}) for i in range(2 * comm.size)]
     simulate_all(cases, comm)
     assert events == ([*"a" * comm.size, "s"]) * 2

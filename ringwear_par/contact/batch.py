@@ -1,0 +1,392 @@
+"""PETSc TAO around many contact problems on one contact line, each its own, solved in lock step.
+
+All of them are one bound-constrained problem, whose Hessian is block-diagonal. Gaps, forces or
+approaches, wear and moduli are those of each history; so are all digits of its solution, whoever
+the others are.
+"""
+
+from collections.abc import Callable
+from typing import Any, TypeVar
+
+import numpy as np
+from mpi4py import MPI
+
+from ringwear_par.arrays import FloatArray, IntArray, inner
+from ringwear_par.contact.active_sets import natural
+from ringwear_par.contact.blocks import HessianBlocks
+from ringwear_par.contact.interleaved import multiply
+from ringwear_par.contact.lockstep import LockStepNewton
+from ringwear_par.contact.problem import KKT_TOLERANCE, ContactState
+from ringwear_par.contact.solver import OPEN
+from ringwear_par.elasticity.compiling import load_compiled
+from ringwear_par.errors import HistoriesError
+from ringwear_par.options import CONTACT_PREFIX
+from ringwear_par.petsc import PETSc
+from ringwear_par.wear.increment import WearIncrement
+
+P = TypeVar("P", bound=PETSc.Object)
+
+
+def has_own_options() -> bool:
+    """Tell whether the user has options for the solver of single contacts. Not collective."""
+    return any(name.startswith(CONTACT_PREFIX) for name in PETSc.Options().getAll())
+
+
+class _Callbacks:
+    """What TAO calls, for the histories at work. Knows neither the TAO nor the solver.
+
+    Parameters
+    ----------
+    blocks : the Hessian.
+    newton : which histories are at work, their gaps and approaches.
+    area : (n,) float, mm^2.
+    scale, weights : (B, n) float; pressure times scale is the unknown, gap times weights the
+        gradient.
+    """
+
+    def __init__(
+        self,
+        blocks: HessianBlocks,
+        newton: LockStepNewton,
+        matrices: FloatArray,
+        area: FloatArray,
+        scale: FloatArray,
+        weights: FloatArray,
+    ) -> None:
+        self._blocks, self._newton, self._matrices, self._area = blocks, newton, matrices, area
+        self._scale, self._weights = scale, weights
+        self.wear: WearIncrement | None = None
+        self._part: tuple[IntArray, WearIncrement] | None = None
+        #: what a callback raised in this solution
+        self.failure: BaseException | None = None
+
+    def pose(self, wear: WearIncrement | None) -> None:
+        """Take the wear of an implicit step of all histories."""
+        self.wear, self._part = wear, None
+
+    def kept(self, callback: Callable[..., Any]) -> Callable[..., Any]:
+        """Return a callback that keeps what it raises, and has the TAO end."""
+
+        def kept(tao: PETSc.TAO, *args: Any) -> Any:
+            if self.failure is None:
+                try:
+                    return callback(tao, *args)
+                except BaseException as error:
+                    self.failure = error
+            tao.setConvergedReason(PETSc.TAO.Reason.DIVERGED_USER)
+            return 0.0
+
+        return kept
+
+    @property
+    def _rows(self) -> Any:
+        """The rows of the histories at work, all by a slice, which is quicker."""
+        histories = self._newton.at_work
+        return slice(None) if len(histories) == len(self._weights) else histories
+
+    def _worn(self, wear: WearIncrement, q: FloatArray) -> tuple[WearIncrement, FloatArray]:
+        """Return the wear of the histories at work, and their pressures."""
+        histories, rows = self._newton.at_work, self._rows
+        if rows is histories:
+            if self._part is None or self._part[0] is not histories:
+                self._part = histories, wear.take(histories)
+            wear = self._part[1]
+        return wear, q[rows] / self._scale[rows]
+
+    def _smooth(self, q: FloatArray, g: FloatArray) -> None:
+        """Set the rows of g to the gradient without wear."""
+        newton, rows = self._newton, self._rows
+        multiply(newton.at_work, self._matrices, self._blocks.which, q, g)
+        linear = newton.gaps[rows] - newton.approaches[rows, None]
+        linear *= self._weights[rows]
+        g[rows] += linear
+
+    def gradient(self, tao: PETSc.TAO, x: PETSc.Vec, g: PETSc.Vec) -> None:
+        """Set g to the gradient at the present approaches."""
+        q = x.getArray(readonly=True).reshape(self._weights.shape)
+        out = g.getArray().reshape(q.shape)
+        self._smooth(q, out)
+        if self.wear is not None:
+            (wear, p), rows = self._worn(self.wear, q), self._rows
+            out[rows] += self._weights[rows] * wear.depth(p)
+
+    def objective(self, tao: PETSc.TAO, x: PETSc.Vec) -> float:
+        """Return the sum of the objectives of the histories at work, at the present approaches."""
+        q = x.getArray(readonly=True).reshape(self._weights.shape)
+        newton, histories = self._newton, self._newton.at_work
+        product = np.zeros_like(q)
+        multiply(histories, self._matrices, self._blocks.which, q, product)
+        linear = self._weights * (newton.gaps - newton.approaches[:, None])
+        each = inner_rows(q, 0.5 * product + linear)[histories]
+        if self.wear is not None:
+            p = q[histories] / self._scale[histories]
+            each = each + inner(self._area, self.wear.take(histories).potential(p))
+        return float(each.sum())
+
+    def objective_gradient(self, tao: PETSc.TAO, x: PETSc.Vec, g: PETSc.Vec) -> float:
+        """Return the objective, set g to the gradient."""
+        self.gradient(tao, x, g)
+        return self.objective(tao, x)
+
+    def hessian(self, tao: PETSc.TAO, x: PETSc.Vec, h: PETSc.Mat, _: PETSc.Mat) -> None:
+        """Set the blocks of the Hessian."""
+        if self.wear is None:
+            return
+        q, blocks = x.getArray(readonly=True).reshape(self._weights.shape), self._blocks
+        (wear, p), rows = self._worn(self.wear, q), self._rows
+        weights, scale = self._weights[rows], self._scale[rows]
+        blocks.slope[rows] = wear.d_depth_dp(p) * (weights / scale)
+        if len(blocks.coupling):
+            coupling = weights[..., None] * wear.jacobian(p) / scale[:, None, :]
+            own = np.arange(q.shape[1])
+            coupling[:, own, own] -= blocks.slope[rows]
+            blocks.coupling[rows] = coupling
+
+    def steepest(self, q: FloatArray) -> FloatArray:
+        """Return what wear adds to the diagonal, (B, n), of either side of a kink of the law."""
+        if self.wear is None:
+            return self._blocks.slope
+        there = self.wear.d_depth_dp(q / self._scale) * (self._weights / self._scale)
+        return np.maximum(self._blocks.slope, there)
+
+
+def inner_rows(one: FloatArray, other: FloatArray) -> FloatArray:
+    """Return the inner products of rows, (B,)."""
+    return np.einsum("bi,bi->b", one, other)
+
+
+class BatchSolver:
+    """One TAO for B contact problems on one contact line. Not collective.
+
+    PETSc's objects are freed by ``destroy``, otherwise with the last reference to the solver, at
+    the latest at the end of the process.
+
+    Parameters
+    ----------
+    compliances : (m, n, n) float, mm^3/MPa, symmetric area-weighted compliances.
+    which : (B,) int, the compliance of each history.
+    area : (n,) float, mm^2.
+    """
+
+    def __init__(self, compliances: FloatArray, which: IntArray, area: FloatArray) -> None:
+        self._owned: list[PETSc.Object] = []
+        self._which, self._area = which, area
+        count, n = len(which), len(area)
+        scales = np.sqrt(np.diagonal(compliances, axis1=1, axis2=2))
+        self._scaled = compliances / (scales[:, :, None] * scales[:, None, :])
+        self._set_up(scales[which], count, n)
+
+    def _set_up(self, scale: FloatArray, count: int, n: int) -> None:
+        self._every = np.arange(count)
+        self._scale, self._weights = scale, self._area / scale
+        self._blocks = HessianBlocks(self._scaled, self._which)
+        self._newton = LockStepNewton(self._blocks, self._weights)
+        self._callbacks = _Callbacks(
+            self._blocks, self._newton, self._scaled, self._area, self._scale, self._weights
+        )
+        OPEN[self] = None
+        self._x = self._own(PETSc.Vec()).createSeq(count * n, comm=MPI.COMM_SELF)
+        self._g, lower, upper = (self._own(self._x.duplicate()) for _ in "glu")
+        upper.set(PETSc.INFINITY)
+        self._h = self._own(PETSc.Mat()).createPython(
+            [count * n, count * n], self._blocks, comm=MPI.COMM_SELF
+        )
+        self._h.setUp()
+        tao = self._tao = self._own(PETSc.TAO()).create(MPI.COMM_SELF)
+        tao.setType("python")
+        tao.setPythonContext(self._newton)
+        kept = self._callbacks.kept
+        tao.setObjective(kept(self._callbacks.objective))
+        tao.setGradient(kept(self._callbacks.gradient), self._g)
+        tao.setObjectiveGradient(kept(self._callbacks.objective_gradient), self._g)
+        tao.setHessian(kept(self._callbacks.hessian), self._h, self._h)
+        tao.setVariableBounds((lower, upper))
+        tao.setSolution(self._x)
+
+    def _own(self, made: P) -> P:
+        self._owned.append(made)
+        return made
+
+    @property
+    def area(self) -> FloatArray:
+        """(n,) mm^2."""
+        return self._area
+
+    def solve(
+        self,
+        gap: FloatArray,
+        *,
+        force: FloatArray | None = None,
+        approach: FloatArray | None = None,
+        wear: WearIncrement | None = None,
+        histories: IntArray | None = None,
+    ) -> ContactState:
+        """Solve at given forces (B,) N or approaches (B,) mm; see ``ContactSolver.solve``.
+
+        Parameters
+        ----------
+        gap : (B, n) float, mm.
+        wear : of all histories.
+        histories : those that are solved; None: all. The others have what they had.
+
+        Raises
+        ------
+        HistoriesError : these were not solved.
+        Exception : what a law raised.
+        """
+        newton = self._newton
+        asked = self._every if histories is None else histories
+        newton.gaps = gap
+        if approach is not None:
+            newton.forces = np.zeros(0)
+            newton.approaches[asked] = approach[asked]
+            apart = gap.min(axis=1) >= approach
+        elif force is not None:
+            newton.forces = force
+            apart = force == 0.0  # the bodies just touch
+            touching = asked[apart[asked]]
+            newton.approaches[touching] = gap[touching].min(axis=1)
+        else:
+            raise ValueError("force or approach must be given")
+        self._callbacks.pose(wear)
+        self._pose_coupling(wear)
+        newton.at_work = asked
+        if apart.any():
+            self._part(asked[apart[asked]])
+            newton.at_work = asked[~apart[asked]]
+        self._run_tao()
+        q, g = (v.getArray(readonly=True).reshape(gap.shape) for v in (self._x, self._g))
+        worst, largest = self._defects(asked, q, g)
+        off = np.divide(worst, largest, out=np.full(len(asked), np.inf), where=largest > 0.0)
+        residual = np.zeros(len(gap))
+        residual[asked] = off
+        residual[apart] = 0.0
+        failed = newton.failed | ~(residual <= KKT_TOLERANCE)
+        if failed.any():
+            raise HistoriesError(failed)
+        p = q / self._scale
+        iterations = newton.iterations.copy()
+        iterations[apart] = 0
+        return ContactState(
+            p, g / self._weights, newton.approaches.copy(), inner(self._area, p), iterations,
+            residual,
+        )  # fmt: skip
+
+    def _pose_coupling(self, wear: WearIncrement | None) -> None:
+        """Make room for what non-local wear adds to the Hessian, where it is non-local."""
+        blocks = self._blocks
+        if wear is None:
+            blocks.slope[:] = 0.0
+        coupled, n = wear is not None and not wear.local, len(self._area)
+        if coupled != bool(len(blocks.coupling)):
+            blocks.coupling = np.zeros((len(self._every) if coupled else 0, n, n))
+
+    def _part(self, histories: IntArray) -> None:
+        """Take the pressures of histories that need none; the gradient is the weighted gap."""
+        newton, shape = self._newton, self._weights.shape
+        self._blocks.forget(histories)
+        q, g = (v.getArray(readonly=True).reshape(shape).copy() for v in (self._x, self._g))
+        q[histories] = 0.0
+        g[histories] = self._weights[histories] * (
+            newton.gaps[histories] - newton.approaches[histories, None]
+        )
+        self._x.setArray(q.ravel())
+        self._g.setArray(g.ravel())
+
+    def _defects(
+        self, histories: IntArray, q: FloatArray, g: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return the natural KKT residuals, infinite where there is none, and the largest q."""
+        worst, largest = np.empty(len(histories)), np.empty(len(histories))
+        natural(histories, self._blocks.slope, q, g, worst, largest)
+        if not (worst <= KKT_TOLERANCE * largest).all():  # either side of a kink will do
+            natural(histories, self._callbacks.steepest(q), q, g, worst, largest)
+        return worst, largest
+
+    def _run_tao(self) -> None:
+        """Solve the problems posed; raise what a callback raised as it was."""
+        if not len(self._newton.at_work):
+            self._newton.failed[:] = False
+            return
+        callbacks = self._callbacks
+        self._tao.setConvergedReason(PETSc.TAO.Reason.CONTINUE_ITERATING)
+        failure: BaseException | None = None
+        try:
+            self._tao.solve()
+        except BaseException as error:
+            failure = error
+        failure = callbacks.failure or failure
+        callbacks.failure = None
+        if failure is not None:
+            raise failure
+
+    def response(self, gap: FloatArray, force_kept: bool) -> FloatArray:
+        """Return what a small growth (B, n) mm of the gap does to the last pressures, MPa.
+
+        See ``ContactSolver.response``.
+        """
+        blocks = self._blocks
+        by_gap = blocks.solve(self._every, self._weights * gap)
+        if force_kept:
+            carried = inner_rows(self._weights, by_gap)
+            sums = blocks.sums
+            share = np.divide(carried, sums, out=np.zeros_like(sums), where=sums > 0.0)
+            by_gap -= blocks.border * share[:, None]
+        by_gap /= -self._scale
+        return by_gap
+
+    @property
+    def rates(self) -> FloatArray:
+        """(B, n) MPa/mm, derivative of the last pressures with respect to the approach."""
+        return self._blocks.border / self._scale
+
+    @property
+    def scaled_pressures(self) -> FloatArray:
+        """(B, n), the unknowns of the last solution."""
+        return self._x.getArray(readonly=True).reshape(self._weights.shape).copy()
+
+    @property
+    def start(self) -> tuple[FloatArray, FloatArray]:
+        """Where the next solution starts: unknowns (B, n) and approaches (B,)."""
+        return self.scaled_pressures, self._newton.approaches.copy()
+
+    @start.setter
+    def start(self, start: tuple[FloatArray, FloatArray]) -> None:
+        self._x.setArray(start[0].ravel())
+        self._newton.approaches[:] = start[1]
+
+    def take(self, histories: IntArray) -> "BatchSolver":
+        """Return a solver of some of the histories, which starts where this one would."""
+        used, which = np.unique(self._which[histories], return_inverse=True)
+        solver = BatchSolver.__new__(BatchSolver)
+        solver._owned = []
+        solver._area, solver._scaled, solver._which = self._area, self._scaled, which
+        if len(used) < len(self._scaled):
+            solver._scaled = self._scaled[used]
+        solver._set_up(self._scale[histories], len(histories), len(self._area))
+        q, approaches = self.start
+        solver.start = q[histories], approaches[histories]
+        return solver
+
+    def destroy(self) -> None:
+        """Free the PETSc objects, if they are not yet."""
+        OPEN.pop(self, None)
+        while self._owned:
+            self._owned.pop().destroy()
+
+    def __del__(self) -> None:
+        self.destroy()
+
+
+def load_batch_kernels(comm: MPI.Comm) -> None:
+    """Compile what contacts in lock step need, or load it. Collective on comm."""
+
+    def load() -> None:
+        solver = BatchSolver(np.eye(2)[None], np.zeros(1, dtype=np.int64), np.ones(2))
+        try:
+            solver.solve(np.zeros((1, 2)), force=np.ones(1))
+            solver.response(np.zeros((1, 2)), True)
+        finally:
+            solver.destroy()
+
+    load_compiled(comm, load)

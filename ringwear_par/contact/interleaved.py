@@ -1,0 +1,327 @@
+"""Cholesky factors and solutions of small dense systems, eight histories at a time.
+
+Matrices and vectors of a group of eight histories are interleaved, the history being the last
+axis, so that each operation is one of vectors across histories: BLAS and LAPACK spend most of
+their time elsewhere in matrices this small. What a history gets does not depend on the others in
+its group. Numba's own loops over eight numbers do not keep them in registers (a factor of 64 x 64
+took 3.5 times as long): vectors of eight are spelt out.
+"""
+
+from typing import Any
+
+import numpy as np
+from llvmlite import ir
+from numba import types
+from numba.extending import intrinsic
+
+from ringwear_par.arrays import BoolArray, FloatArray, IntArray
+from ringwear_par.elasticity.compiling import compiled
+
+#: histories of a group
+GROUP = 8
+#: rows that are eliminated at once; systems are padded to a multiple of it
+PANEL = 8
+
+_NUMBERS = ir.VectorType(ir.DoubleType(), GROUP)
+_ADDRESS = ir.IntType(64)
+_BYTES = 8 * GROUP  # of one entry of all eight
+
+
+def _at(builder: Any, address: Any, entries: int) -> Any:
+    if entries:
+        address = builder.add(address, ir.Constant(_ADDRESS, _BYTES * entries))
+    return builder.inttoptr(address, _NUMBERS.as_pointer())
+
+
+def _load(builder: Any, address: Any, entries: int = 0) -> Any:
+    return builder.load(_at(builder, address, entries), align=8)
+
+
+def _store(builder: Any, value: Any, address: Any, entries: int = 0) -> None:
+    builder.store(value, _at(builder, address, entries), align=8)
+
+
+def _function(builder: Any, name: str, arguments: int) -> Any:
+    """Return one of LLVM's own functions of vectors."""
+    known = builder.module.globals
+    kind = ir.FunctionType(_NUMBERS, [_NUMBERS] * arguments)
+    return known.get(name) or ir.Function(builder.module, kind, name)
+
+
+def _less(builder: Any, value: Any, one: Any, other: Any) -> Any:
+    """Return value - one * other, rounded once."""
+    fused = _function(builder, "llvm.fma.v8f64", 3)
+    return builder.call(fused, [builder.fneg(one), other, value])
+
+
+@intrinsic
+def _subtract(context: Any, to: Any, one: Any, other: Any) -> Any:
+    """To -= one * other."""
+
+    def generate(target: Any, builder: Any, signature: Any, a: Any) -> Any:
+        loaded = (_load(builder, address) for address in a)
+        _store(builder, _less(builder, *loaded), a[0])
+        return target.get_dummy_value()
+
+    return types.void(to, one, other), generate
+
+
+@intrinsic
+def _multiply(context: Any, to: Any, by: Any) -> Any:
+    """To *= by."""
+
+    def generate(target: Any, builder: Any, signature: Any, a: Any) -> Any:
+        _store(builder, builder.fmul(_load(builder, a[0]), _load(builder, a[1])), a[0])
+        return target.get_dummy_value()
+
+    return types.void(to, by), generate
+
+
+@intrinsic
+def _inverse_root(context: Any, of: Any) -> Any:
+    """Of = 1 / sqrt(of)."""
+
+    def generate(target: Any, builder: Any, signature: Any, a: Any) -> Any:
+        root = builder.call(_function(builder, "llvm.sqrt.v8f64", 1), [_load(builder, a[0])])
+        _store(builder, builder.fdiv(ir.Constant(_NUMBERS, [1.0] * GROUP), root), a[0])
+        return target.get_dummy_value()
+
+    return types.void(of), generate
+
+
+@intrinsic
+def _eliminate(context: Any, to: Any, left: Any, right: Any, row: Any) -> Any:
+    """Take from 2 x 2 entries at ``to`` what a panel makes there; a row is so many bytes."""
+
+    def generate(target: Any, builder: Any, signature: Any, a: Any) -> Any:
+        to, left, right, row = a
+        rows = (to, builder.add(to, row))
+        sums = [[_load(builder, at, j) for j in range(2)] for at in rows]
+        for _ in range(PANEL):
+            one = [_load(builder, left, i) for i in range(2)]
+            other = [_load(builder, right, j) for j in range(2)]
+            for i in range(2):
+                for j in range(2):
+                    sums[i][j] = _less(builder, sums[i][j], one[i], other[j])
+            left, right = builder.add(left, row), builder.add(right, row)
+        for i in range(2):
+            for j in range(2):
+                _store(builder, sums[i][j], rows[i], j)
+        return target.get_dummy_value()
+
+    return types.void(to, left, right, row), generate
+
+
+@intrinsic
+def _forward(context: Any, to: Any, known: Any, row: Any) -> Any:
+    """Take from four entries what a known one makes of them."""
+
+    def generate(target: Any, builder: Any, signature: Any, a: Any) -> Any:
+        to, known, row = a
+        x = _load(builder, known)
+        for i in range(4):
+            less = _less(builder, _load(builder, to, i), x, _load(builder, row, i))
+            _store(builder, less, to, i)
+        return target.get_dummy_value()
+
+    return types.void(to, known, row), generate
+
+
+@intrinsic
+def _backward(context: Any, to: Any, known: Any, row: Any) -> Any:
+    """Take from an entry what four known ones make of it."""
+
+    def generate(target: Any, builder: Any, signature: Any, a: Any) -> Any:
+        to, known, row = a
+        x = _load(builder, to)
+        for i in range(4):
+            x = _less(builder, x, _load(builder, known, i), _load(builder, row, i))
+        _store(builder, x, to)
+        return target.get_dummy_value()
+
+    return types.void(to, known, row), generate
+
+
+@compiled
+def _factor(u: FloatArray) -> None:
+    """Factor eight interleaved matrices (n, n, 8), U'U, in place; diagonals are inverted."""
+    n = u.shape[0]
+    base, row = u.ctypes.data, 64 * n
+    for k in range(0, n, PANEL):
+        for a in range(k, k + PANEL):
+            here = base + a * row
+            diagonal = here + 64 * a
+            _inverse_root(diagonal)
+            for j in range(a + 1, n):
+                _multiply(here + 64 * j, diagonal)
+            for c in range(a + 1, k + PANEL):
+                there = base + c * row
+                for j in range(c, n):
+                    _subtract(there + 64 * j, here + 64 * c, here + 64 * j)
+        panel = base + k * row
+        for i in range(k + PANEL, n, 2):
+            there = base + i * row
+            for j in range(i, n, 2):
+                _eliminate(there + 64 * j, panel + 64 * i, panel + 64 * j, row)
+
+
+@compiled
+def _substitute(u: FloatArray, x: FloatArray) -> None:
+    """Solve eight interleaved systems with their factors, in place of right sides (n, 8)."""
+    n = u.shape[0]
+    base, row, at = u.ctypes.data, 64 * n, x.ctypes.data
+    for k in range(n):
+        here, known = base + k * row, at + 64 * k
+        _multiply(known, here + 64 * k)
+        j = k + 1
+        while j % 4 != 0:
+            _subtract(at + 64 * j, known, here + 64 * j)
+            j += 1
+        while j < n:
+            _forward(at + 64 * j, known, here + 64 * j)
+            j += 4
+    for k in range(n - 1, -1, -1):
+        here, unknown = base + k * row, at + 64 * k
+        j = k + 1
+        while j % 4 != 0:
+            _subtract(unknown, at + 64 * j, here + 64 * j)
+            j += 1
+        while j < n:
+            _backward(unknown, at + 64 * j, here + 64 * j)
+            j += 4
+        _multiply(unknown, here + 64 * k)
+
+
+@compiled
+def factor(
+    groups: IntArray,
+    matrices: FloatArray,
+    which: IntArray,
+    slope: FloatArray,
+    free: BoolArray,
+    coupling: FloatArray,
+    factors: FloatArray,
+) -> None:
+    """Factor the Hessians of all histories of some groups, on the elements that are free.
+
+    Parameters
+    ----------
+    groups : (g,) int.
+    matrices : (m, n, n) float, scaled compliances.
+    which : (B,) int, the matrix of each history.
+    slope : (B, n) float, what wear adds to the diagonal.
+    free : (B, n) bool.
+    coupling : (B, n, n) float, what non-local wear adds; (0, n, n) where it is local.
+    factors : (B / 8, n', n', 8) float, n' being n padded; those of the groups are replaced.
+    """
+    n, padded = matrices.shape[1], factors.shape[1]
+    coupled = coupling.shape[0] > 0
+    mask = np.empty((n, GROUP))
+    for group in groups:
+        u, first = factors[group], GROUP * group
+        one, same, all_free = which[first], True, True
+        for k in range(GROUP):
+            same = same and which[first + k] == one
+            for i in range(n):
+                inside = free[first + k, i]
+                mask[i, k] = 1.0 if inside else 0.0
+                all_free = all_free and inside
+        for i in range(n):
+            for j in range(i, n):
+                if same:
+                    value = matrices[one, i, j]
+                    for k in range(GROUP):
+                        u[i, j, k] = value
+                else:
+                    for k in range(GROUP):
+                        u[i, j, k] = matrices[which[first + k], i, j]
+                if coupled:
+                    for k in range(GROUP):
+                        u[i, j, k] += coupling[first + k, i, j]
+                if not all_free:
+                    for k in range(GROUP):
+                        u[i, j, k] *= mask[i, k] * mask[j, k]
+            for j in range(n, padded):
+                for k in range(GROUP):
+                    u[i, j, k] = 0.0
+            for k in range(GROUP):
+                if free[first + k, i]:
+                    u[i, i, k] += slope[first + k, i]
+                else:
+                    u[i, i, k] = 1.0
+        for i in range(n, padded):
+            for j in range(i, padded):
+                for k in range(GROUP):
+                    u[i, j, k] = 1.0 if i == j else 0.0
+        _factor(u)
+
+
+@compiled
+def solve(
+    histories: IntArray,
+    free: BoolArray,
+    factors: FloatArray,
+    right: FloatArray,
+    out: FloatArray,
+) -> None:
+    """Solve the systems of some histories on the elements that are free; 0 elsewhere.
+
+    Parameters
+    ----------
+    histories : (h,) int, increasing.
+    free : (B, n) bool, those that were factored.
+    factors : of ``factor``.
+    right : (h, n) float.
+    out : (h, n) float, the solutions.
+    """
+    n, padded, count = free.shape[1], factors.shape[1], len(histories)
+    x = np.zeros((padded, GROUP))
+    first = 0
+    while first < count:
+        group, last = histories[first] // GROUP, first
+        while last < count and histories[last] // GROUP == group:
+            last += 1
+        x[:] = 0.0
+        for place in range(first, last):
+            history = histories[place]
+            for i in range(n):
+                if free[history, i]:
+                    x[i, history % GROUP] = right[place, i]
+        _substitute(factors[group], x)
+        for place in range(first, last):
+            history = histories[place]
+            for i in range(n):
+                out[place, i] = x[i, history % GROUP] if free[history, i] else 0.0
+        first = last
+
+
+@compiled(fastmath={"contract"})
+def multiply(
+    histories: IntArray, matrices: FloatArray, which: IntArray, x: FloatArray, out: FloatArray
+) -> None:
+    """Set ``out[h] = matrices[which[h]]' x[h]`` for some histories; the others' rows stay.
+
+    Parameters
+    ----------
+    histories : (h,) int.
+    matrices : (m, n, n) float.
+    which : (B,) int.
+    x, out : (B, n) float.
+    """
+    n = x.shape[1]
+    whole = n - n % 4
+    for history in histories:
+        matrix, to, by = matrices[which[history]], out[history], x[history]
+        for i in range(n):
+            to[i] = 0.0
+        for j in range(0, whole, 4):
+            a, b, c, d = by[j], by[j + 1], by[j + 2], by[j + 3]
+            for i in range(n):
+                to[i] += (
+                    matrix[j, i] * a + matrix[j + 1, i] * b
+                    + matrix[j + 2, i] * c + matrix[j + 3, i] * d
+                )  # fmt: skip
+        for j in range(whole, n):
+            a = by[j]
+            for i in range(n):
+                to[i] += matrix[j, i] * a

@@ -1,0 +1,305 @@
+"""Many histories of one contact pair in lock step: each round every one of them makes a step.
+
+Each steps as far as its own control says; one whose step is rejected tries again with the others'
+next one, and one that has ended leaves. Digits of a history do not depend on the others. One in
+trouble, whatever it is, leaves too: it is to be computed alone from its start, by ``simulate``,
+which finds its way or the reason why there is none.
+"""
+
+import copy
+import logging
+from collections.abc import Callable, Hashable, Sequence
+from dataclasses import fields, is_dataclass
+from typing import Any
+
+import numpy as np
+from mpi4py import MPI
+
+from ringwear_par.arrays import BoolArray, FloatArray, IntArray
+from ringwear_par.cases.case import Case
+from ringwear_par.contact.batch import has_own_options
+from ringwear_par.elasticity.pair import ContactPair
+from ringwear_par.errors import HistoriesError
+from ringwear_par.history import euler, sdirk2
+from ringwear_par.history.control import ErrorBatch, FixedBatch, joined
+from ringwear_par.history.model import WearModel
+from ringwear_par.history.saving import stores, times_within
+from ringwear_par.history.schemes import Scheme
+from ringwear_par.history.snapshots import BatchSnapshot
+from ringwear_par.history.state import State
+from ringwear_par.wear.law import CompletedLaw, Law
+from ringwear_par.wear.parameters import parameters_of
+
+log = logging.getLogger(__name__)
+
+#: most contact elements of histories in lock step: beyond it LAPACK takes most of the time anyway
+MOST_ELEMENTS = 256
+
+Control = FixedBatch | ErrorBatch
+#: scheme and step control of each ``time.scheme``
+_METHODS: dict[str, tuple[Scheme, type[Control]]] = {
+    "explicit": (euler.forward, FixedBatch),
+    "implicit": (euler.backward, FixedBatch),
+    "adaptive": (sdirk2.step, ErrorBatch),
+}
+
+
+def batch_key(case: Case) -> Hashable | None:
+    """Return what cases of one pair have to share to step together; None for one that stays alone.
+
+    Of the case, and the options for PETSc, alone. Not collective.
+    """
+    output = case.output
+    if (
+        case.follows_wear
+        or output.boundary != "none"
+        or case.mesh.contact_elements > MOST_ELEMENTS
+        or has_own_options()
+    ):
+        return None
+    kinds = tuple(None if law is None else _kind(law) for law in case.laws)
+    force = case.load.force is not None
+    return case.time.scheme, force, kinds, output.fields, output.profiles, bool(output.times)
+
+
+def _kind(law: Law) -> Hashable:
+    """Return what laws have to share to be stacked."""
+    declared = parameters_of(type(law))
+    parts: list[Any] = [type(law)]
+    if isinstance(law, CompletedLaw):
+        return (*parts, *_own_kind(law.own))
+    names: list[str] = [field.name for field in fields(law)] if is_dataclass(law) else []
+    for name in names:
+        value, parameter = getattr(law, name), declared.get(name)
+        if parameter is not None and parameter.numeric:
+            parts.append(value is None)
+        elif parameter is not None and parameter.kind == "parameters":
+            parts.append(tuple(name for name, _ in value))
+        else:
+            parts.append(value)
+    return tuple(parts)
+
+
+def _own_kind(own: Any) -> tuple[Hashable, ...]:
+    """Return the same of a user's object: itself."""
+    try:
+        hash(own)
+    except TypeError:
+        return (id(own),)
+    return (own,)
+
+
+class _Lot:
+    """Histories that step together.
+
+    Parameters
+    ----------
+    cases : of all histories.
+    pair : contact pair of the cases.
+    numbers : (B,) int, those of this lot.
+    """
+
+    def __init__(self, cases: Sequence[Case], pair: ContactPair, numbers: IntArray) -> None:
+        self._all, self._pair, self.numbers = cases, pair, numbers
+        self.begun = False
+        #: whether it was parted from others with which it fails
+        self.apart = False
+        self._scheme: Scheme
+        self.control: Control
+        self.model: WearModel
+        self.state: State
+        self._every: IntArray
+
+    @property
+    def _cases(self) -> list[Case]:
+        return [self._all[number] for number in self.numbers]
+
+    def advance(self, observe: Callable[[BatchSnapshot], None]) -> None:
+        """Find the first contacts, or make a round of steps."""
+        if not self.begun:
+            self._begin()
+            observe(self._start())
+            self.begun = True
+            return
+        before = copy.copy(self.control), self.model.batch.solver.start
+        try:
+            snapshots = self._round()
+        except Exception:
+            self.control = before[0]
+            self.model.batch.solver.start = before[1]
+            raise
+        for snapshot in snapshots:
+            observe(snapshot)
+        self.state = snapshots[-1].state
+
+    def _begin(self) -> None:
+        cases = self._cases
+        self._scheme, make_control = _METHODS[cases[0].time.scheme]
+        self.control = make_control(cases)
+        self.model = WearModel(cases, MPI.COMM_SELF, self._pair)
+        self._every = np.array([case.output.every for case in cases])
+        self.state = self.model.initial()
+
+    def _start(self) -> BatchSnapshot:
+        every = np.ones(len(self.numbers), dtype=bool)
+        return BatchSnapshot(
+            self.numbers, self.model, self.state, None, self.control.progress,
+            self.state.contact.iterations, every, every, ~every,
+        )  # fmt: skip
+
+    def _round(self) -> list[BatchSnapshot]:
+        """Return what a step of each history leads to, states within it first."""
+        model, before, made = self.model, self.state, self.control.progress
+        end = self.control.end(before)
+        step = self._scheme(model, before, end)
+        taken = self.control.accepts(step)
+        snapshots = self._passing(before, end, taken)
+        progress, every = self.control.progress, taken.all()
+        state = step.state if every else before.updated(taken, step.state)
+        finished = taken & self.control.finished(state)
+        return [
+            *snapshots,
+            BatchSnapshot(
+                self.numbers, model, state, step, progress,
+                progress.iterations - made.iterations, taken,
+                self._stored(taken, finished, progress.steps, state.time), finished,
+            ),
+        ]  # fmt: skip
+
+    def _stored(
+        self, taken: BoolArray, finished: BoolArray, steps: IntArray, times: FloatArray
+    ) -> BoolArray:
+        """Tell which of the new states are stored."""
+        if self.model.case.output.times:
+            rows = zip(self.model.cases, steps.tolist(), times.tolist(), strict=True)
+            return taken & np.array([stores(*row) for row in rows])
+        return taken & (finished | (steps % self._every == 0))
+
+    def _passing(self, before: State, end: FloatArray, taken: BoolArray) -> list[BatchSnapshot]:
+        """Return the states at times of output within steps that are taken."""
+        if not self.model.case.output.times:
+            return []
+        rows = zip(self.model.cases, before.time.tolist(), end.tolist(), taken, strict=True)
+        times = [times_within(case, t0, t1) if shown else [] for case, t0, t1, shown in rows]
+        return [
+            self._passed(before, np.array([i for i, t in enumerate(times) if len(t) > k]), k, times)
+            for k in range(max(map(len, times)))
+        ]
+
+    def _passed(
+        self, before: State, histories: IntArray, k: int, times: Sequence[Sequence[float]]
+    ) -> BatchSnapshot:
+        """Return the states of some histories at their k-th times within the step."""
+        model = self.model.take(histories)
+        try:
+            to = np.array([times[i][k] for i in histories])
+            step = self._scheme(model, before.take(histories), to)
+        except HistoriesError as error:
+            which = np.zeros(len(self.numbers), dtype=bool)
+            which[histories[error.which]] = True
+            raise HistoriesError(which) from error
+        finally:
+            model.batch.solver.destroy()
+        every = np.ones(len(histories), dtype=bool)
+        return BatchSnapshot(
+            self.numbers[histories], model, step.state, step,
+            self.control.progress.take(histories), step.state.contact.iterations, every, every,
+            ~every, passing=True,
+        )  # fmt: skip
+
+    @property
+    def ended(self) -> BoolArray:
+        """Which histories have come to their end, (B,)."""
+        if not self.begun:
+            return np.zeros(len(self.numbers), dtype=bool)
+        return self.control.finished(self.state)
+
+    def take(self, histories: IntArray) -> "_Lot":
+        """Return a lot of some of the histories, as far as they are."""
+        lot = _Lot(self._all, self._pair, self.numbers[histories])
+        if self.begun:
+            lot.begun, lot._scheme = True, self._scheme
+            lot.control, lot.model = self.control.take(histories), self.model.take(histories)
+            lot.state, lot._every = self.state.take(histories), self._every[histories]
+        return lot
+
+    def joined(self, other: "_Lot") -> "_Lot":
+        """Return one lot of both, which have begun."""
+        lot = _Lot(self._all, self._pair, np.append(self.numbers, other.numbers))
+        lot.begun, lot._scheme = True, self._scheme
+        lot.model = self.model.joined(other.model)
+        lot.control = joined(self.control, other.control)
+        lot.state = self.state.joined(other.state)
+        lot._every = np.append(self._every, other._every)
+        return lot
+
+    def close(self) -> None:
+        """Free the contact solver."""
+        if self.begun:
+            self.model.batch.solver.destroy()
+
+
+def simulate_batch(
+    cases: Sequence[Case],
+    pair: ContactPair,
+    observe: Callable[[BatchSnapshot], None],
+    stop: Callable[[], bool] = lambda: False,
+    most: int | None = None,
+) -> list[int] | None:
+    """Step the histories of cases in lock step, from their starts to their ends. Not collective.
+
+    Parameters
+    ----------
+    cases : of one ``batch_key``.
+    pair : contact pair of all of them.
+    observe : called with new states.
+    stop : asked between two rounds.
+    most : histories that step at a time; as they end others take their places. None: all.
+
+    Returns
+    -------
+    Numbers of the histories that came to trouble, and are to be computed alone, whatever was shown
+    of them; None if all were stopped.
+    """
+    alone: list[int] = []
+    lots: list[_Lot] = []
+    begun, most = 0, most or len(cases)
+    while lots or begun < len(cases):
+        going = sum(len(lot.numbers) for lot in lots)
+        if begun < len(cases) and 2 * going <= most:
+            more = np.arange(begun, min(begun + most - going, len(cases)))
+            lots.append(_Lot(cases, pair, more))
+            begun += len(more)
+        if len(lots) > 1 and all(lot.begun and not lot.apart for lot in lots[-2:]):
+            one, other = lots[-2:]
+            lots[-2:] = [one.joined(other)]
+            one.close()
+            other.close()
+        if stop():
+            for lot in lots:
+                lot.close()
+            return None
+        lot, parts, apart = lots.pop(), [], False
+        try:
+            lot.advance(observe)
+            ended = lot.ended
+            if not ended.any():
+                lots.append(lot)
+                continue
+            parts = [np.flatnonzero(~ended)]
+        except HistoriesError as error:
+            alone += lot.numbers[error.which].tolist()
+            parts = [np.flatnonzero(~error.which)]
+        except Exception as error:  # whatever a user's law may raise, nobody knows for whom
+            log.debug("%d histories in lock step failed", len(lot.numbers), exc_info=error)
+            count = len(lot.numbers)
+            if count == 1:
+                alone.append(int(lot.numbers[0]))
+            else:
+                parts, apart = np.array_split(np.arange(count), 2), True
+        for part in parts:
+            if len(part):
+                lots.append(lot.take(part))
+                lots[-1].apart = apart or lot.apart
+        lot.close()
+    return sorted(alone)

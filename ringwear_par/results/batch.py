@@ -1,0 +1,315 @@
+"""Records histories in lock step by column, and makes their results."""
+
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields
+from typing import Any
+
+import numpy as np
+
+from ringwear_par import __version__
+from ringwear_par.arrays import FloatArray, IntArray
+from ringwear_par.cases.case import Case
+from ringwear_par.contact.problem import WarmStart
+from ringwear_par.elasticity.pair import ContactPair
+from ringwear_par.errors import RingwearError
+from ringwear_par.history.balances import Balances, balances
+from ringwear_par.history.snapshots import BatchSnapshot
+from ringwear_par.history.state import Progress, State
+from ringwear_par.results.checkpoints import take
+from ringwear_par.results.columns import HistoryColumns
+from ringwear_par.results.doubts import Doubt, doubts_at, unstable
+from ringwear_par.results.recorder import Recorder, attributes, row
+from ringwear_par.results.result import Result
+from ringwear_par.results.variables import HISTORIES
+
+
+@dataclass(frozen=True)
+class Alone:
+    """A history that was computed alone.
+
+    Parameters
+    ----------
+    recorder : what is stored of it; None where it did not get as far.
+    error : why it failed, None if it did not.
+    seconds : s, that it took.
+    """
+
+    recorder: Recorder | None
+    error: Exception | None
+    seconds: float
+
+    @property
+    def reason(self) -> str:
+        """Why it failed, on one line; "" if it did not."""
+        error = self.error
+        if error is None:
+            return ""
+        return " ".join((str(error) if isinstance(error, RingwearError) else repr(error)).split())
+
+
+@dataclass(frozen=True)
+class _End:
+    """Where some histories ended, (h,)."""
+
+    numbers: IntArray
+    state: State
+    progress: Progress
+    symmetry_defect: FloatArray
+    scaled_pressure: FloatArray
+    rate: FloatArray
+    gap: FloatArray
+
+
+class BatchRecorder:
+    """Stores the states of histories in lock step, their balances and doubts.
+
+    Called with the snapshots of ``simulate_batch``. No work is done for each history and step.
+
+    Parameters
+    ----------
+    cases : of one ``batch_key``.
+    pair : their contact pair.
+    keep_ends : whether there are to be results, which hold what it takes to go on.
+    """
+
+    def __init__(self, cases: Sequence[Case], pair: ContactPair, keep_ends: bool = False) -> None:
+        self._cases, self._pair, self._keep_ends = cases, pair, keep_ends
+        output, count = cases[0].output, len(cases)
+        self._fields, self._deep = output.fields, output.profiles == "all"
+        # rows as they come: numbers of the histories, steps, variables
+        self._numbers: list[IntArray] = []
+        self._steps: list[IntArray] = []
+        self._rows: dict[str, list[Any]] = {name: [] for name in HISTORIES}
+        self._profiles: dict[str, list[FloatArray]] = {name: [] for name in self._fields}
+        self._last = {
+            name: np.full((count, pair.line.n), np.nan)
+            for name in (() if self._deep else self._fields)
+        }
+        self._pending = np.zeros(count, dtype=np.int64)
+        self._worst = {each.name: np.zeros(count) for each in fields(Balances)}
+        self._step_error_time = np.zeros(count)
+        self._doubts: list[tuple[Doubt, ...]] = [()] * count
+        self._finished = np.zeros(count, dtype=bool)
+        self._ends: list[_End] = []
+        self._begun = time.perf_counter()
+        self._seconds = 0.0
+
+    def __call__(self, snapshot: BatchSnapshot) -> None:
+        """Take the new states of histories."""
+        if snapshot.step is None:
+            for place, found in unstable(snapshot.model).items():
+                self._doubts[snapshot.numbers[place]] = (found,)
+        shown = np.flatnonzero(snapshot.shown)
+        self._pending[snapshot.numbers[shown]] += snapshot.iterations[shown]
+        if not snapshot.passing:
+            self._judge(snapshot, shown)
+        if snapshot.stored.any():
+            self._store(snapshot, np.flatnonzero(snapshot.stored))
+        if snapshot.finished.any():
+            self._end(snapshot, np.flatnonzero(snapshot.finished))
+        self._seconds = time.perf_counter() - self._begun
+
+    def _judge(self, snapshot: BatchSnapshot, shown: IntArray) -> None:
+        """Take the balances of the new states."""
+        now, numbers = balances(snapshot.model, snapshot.state), snapshot.numbers[shown]
+        if snapshot.step is not None:
+            now["step_error"] = snapshot.step.wear_error
+        for name, value in now.items():
+            worst = self._worst[name]
+            if isinstance(value, float):
+                value = np.full(len(snapshot.numbers), value)
+            value, before = value[shown], worst[numbers]
+            worse = ~(value <= before)  # NaN too
+            worst[numbers] = np.where(worse, value, before)
+            if name == "step_error":
+                self._step_error_time[numbers[worse]] = snapshot.state.time[shown][worse]
+
+    def _store(self, snapshot: BatchSnapshot, stored: IntArray) -> None:
+        values, numbers = row(snapshot.model, snapshot.state), snapshot.numbers[stored]
+        values["contact_iterations"] = self._pending[snapshot.numbers]
+        self._numbers.append(numbers)
+        self._steps.append(snapshot.progress.steps[stored])
+        for name, rows in self._rows.items():
+            if name != "penetration":
+                rows.append(values[name][stored])
+        if self._deep:
+            for name, profiles in self._profiles.items():
+                profiles.append(values[name][stored])
+        else:
+            for name, last in self._last.items():
+                last[numbers] = values[name][stored]
+        self._pending[numbers] = 0
+
+    def _end(self, snapshot: BatchSnapshot, ended: IntArray) -> None:
+        """Take the last states of histories."""
+        numbers, model = snapshot.numbers[ended], snapshot.model
+        self._finished[numbers] = True
+        state = snapshot.state.take(ended)
+        errors, elements = (values[ended] for values in model.asymmetry)
+        for place, number in enumerate(numbers.tolist()):
+            case = self._cases[number]
+            self._doubts[number] += doubts_at(
+                case, self._pair.line, model.compliance_of(int(ended[place])),
+                state.history(place), self.balances(number),
+                (float(errors[place]), int(elements[place])),
+            )  # fmt: skip
+        if self._keep_ends:
+            solver = model.batch.solver
+            self._ends.append(
+                _End(
+                    numbers, state, snapshot.progress.take(ended), model.symmetry_defects[ended],
+                    solver.scaled_pressures[ended], solver.rates[ended],
+                    model.gap(state.wear, ended),
+                )
+            )  # fmt: skip
+
+    def balances(self, number: int) -> Balances:
+        """Return the worst of all balances of a history so far."""
+        return Balances(**{name: float(values[number]) for name, values in self._worst.items()})
+
+    def columns(self, alone: Mapping[int, Alone]) -> HistoryColumns:
+        """Return all histories as they are stored.
+
+        Parameters
+        ----------
+        alone : those that were computed alone, by number; nothing else is taken of them.
+        """
+        count = len(self._cases)
+        numbers, steps, rows = self._sorted(alone)
+        offsets = np.searchsorted(numbers, np.arange(count + 1))
+        imbalance = np.max(
+            [self._worst[name] for name in ("force", "volume", "energy", "residual")], axis=0
+        )
+        flags = [tuple(doubt.flag for doubt in found) for found in self._doubts]
+        seconds = np.full(count, self._seconds / count)
+        for number, one in alone.items():
+            seconds[number] += one.seconds
+            if one.recorder is not None:
+                imbalance[number] = one.recorder.balances.worst
+                flags[number] = tuple(doubt.flag for doubt in one.recorder.doubts)
+            else:
+                imbalance[number], flags[number] = 0.0, ()
+        failed = [number in alone and alone[number].error is not None for number in range(count)]
+        return HistoryColumns(
+            offsets,
+            steps,
+            {name: rows[name] for name in HISTORIES},
+            {name: rows[name] for name in self._fields} if self._deep else self._last_ones(alone),
+            imbalance,
+            tuple(() if bad else found for bad, found in zip(failed, flags, strict=True)),
+            seconds,
+            tuple("failed" if bad else "done" for bad in failed),
+            tuple(alone[i].reason if bad else "" for i, bad in enumerate(failed)),
+        )
+
+    def _sorted(self, alone: Mapping[int, Alone]) -> tuple[IntArray, IntArray, dict[str, Any]]:
+        """Return number, steps and variables of all rows, by history."""
+        chunks = list(self._numbers)
+        steps = list(self._steps)
+        rows = {name: list(parts) for name, parts in (self._rows | self._deep_ones).items()}
+        together = np.concatenate([np.empty(0, dtype=np.int64), *chunks])
+        kept = ~np.isin(together, list(alone))
+        for number, one in alone.items():
+            if one.recorder is None:
+                continue
+            arrays = one.recorder.arrays()
+            made = one.recorder.steps
+            chunks.append(np.full(len(made), number))
+            steps.append(made)
+            for name, parts in rows.items():
+                parts.append(arrays.get(name, np.empty((0, self._pair.line.n))))
+        everything = np.concatenate([np.empty(0, dtype=np.int64), *chunks])
+        kept = np.append(kept, np.ones(len(everything) - len(kept), dtype=bool))
+        order = np.argsort(everything[kept], kind="stable")
+
+        def by_history(parts: Sequence[Any], nothing: Any) -> Any:
+            return np.concatenate([nothing, *parts])[kept][order]
+
+        found = {
+            name: by_history(
+                parts,
+                np.empty(0, HISTORIES[name].dtype)
+                if name in HISTORIES
+                else np.empty((0, self._pair.line.n)),
+            )
+            for name, parts in rows.items()
+            if name != "penetration"
+        }
+        numbers = everything[kept][order]
+        approach = found["approach"]
+        first = np.searchsorted(numbers, numbers)
+        found["penetration"] = approach - approach[first]
+        return numbers, by_history(steps, np.empty(0, dtype=np.int64)), found
+
+    @property
+    def _deep_ones(self) -> dict[str, list[FloatArray]]:
+        return self._profiles if self._deep else {}
+
+    def _last_ones(self, alone: Mapping[int, Alone]) -> dict[str, FloatArray]:
+        """Return the profiles of the last stored states, (B, n)."""
+        found = {}
+        for name, last in self._last.items():
+            found[name] = last.copy()
+            for number, one in alone.items():
+                arrays = {} if one.recorder is None else one.recorder.arrays()
+                found[name][number] = arrays.get(name, np.nan)
+        return found
+
+    def results(self, alone: Mapping[int, Alone]) -> dict[int, Result]:
+        """Return the results of the histories that have ended here, by number.
+
+        Parameters
+        ----------
+        alone : those that were computed alone, and have results of their own.
+        """
+        columns = self.columns(alone)
+        ends = {
+            int(number): (end, place)
+            for end in self._ends
+            for place, number in enumerate(end.numbers)
+        }
+        return {
+            number: self._result(number, *where, columns)
+            for number, where in ends.items()
+            if number not in alone
+        }
+
+    def _result(self, number: int, end: _End, place: int, columns: HistoryColumns) -> Result:
+        case, line, rows = self._cases[number], self._pair.line, columns.rows(number)
+        steps = columns.steps[rows]
+        state = end.state.history(place)
+        progress = Progress(*(values[place].item() for values in vars(end.progress).values()))
+        contact = state.contact
+        warm = WarmStart(
+            end.scaled_pressure[place], end.rate[place], end.gap[place], contact.approach,
+            contact.force,
+        )  # fmt: skip
+        share = float(columns.seconds[number])
+        return Result(
+            line,
+            np.arange(len(steps)) if case.output.times else steps,
+            steps,
+            {name: values[rows] for name, values in columns.histories.items()},
+            {
+                name: values[rows] if self._deep else values[number]
+                for name, values in columns.profiles.items()
+            },
+            (),
+            attributes(
+                case,
+                ranks=1,
+                begun_by=__version__,
+                finished=True,
+                seconds={
+                    "seconds_assembly": 0.0, "seconds_factorisation": 0.0,
+                    "seconds_stepping": share, "seconds_output": 0.0,
+                },
+                symmetry_defect=float(end.symmetry_defect[place]),
+                doubts=self._doubts[number],
+                error="",
+                balances=self.balances(number),
+                step_error_time=float(self._step_error_time[number]),
+            ),
+            take(state, progress, warm, 0, 0),
+        )  # fmt: skip

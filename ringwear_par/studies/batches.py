@@ -1,0 +1,142 @@
+"""Cases of one contact pair, computed: in lock step where they can be, the others alone."""
+
+import time
+from collections import defaultdict
+from collections.abc import Callable, Hashable, Iterator, Sequence
+from dataclasses import dataclass, replace
+
+from mpi4py import MPI
+
+from ringwear_par.cases.case import Case
+from ringwear_par.elasticity.pair import ContactPair
+from ringwear_par.history.batch import batch_key, simulate_batch
+from ringwear_par.history.bodies import young
+from ringwear_par.history.simulate import simulate
+from ringwear_par.history.snapshots import Snapshot
+from ringwear_par.results.batch import Alone, BatchRecorder
+from ringwear_par.results.columns import HistoryColumns
+from ringwear_par.results.recorder import Recorder
+from ringwear_par.results.result import Result
+from ringwear_par.studies.lending import SolverLender
+
+#: numbers of a batch's Hessians, and most histories of it: see ``default_batch``
+_NUMBERS, _MOST = 2**21, 512
+#: batches of a block: as histories end others take their places, until none are left in it
+_BATCHES = 4
+
+
+def default_batch(case: Case) -> int:
+    """Return how many histories to step together, where nobody says.
+
+    More histories share what Python takes for each operation, but their factors are to stay in the
+    cache.
+    """
+    return min(max(_NUMBERS // case.mesh.contact_elements**2, 16), _MOST)
+
+
+@dataclass(frozen=True)
+class Block:
+    """Cases that were computed together.
+
+    Parameters
+    ----------
+    numbers : of the cases among those that were given.
+    recorder : what is stored of them.
+    alone : those that were computed alone, by place in ``numbers``.
+    """
+
+    numbers: tuple[int, ...]
+    recorder: BatchRecorder
+    alone: dict[int, Alone]
+
+    @property
+    def columns(self) -> HistoryColumns:
+        """What is stored, in the order of the numbers."""
+        return self.recorder.columns(self.alone)
+
+    def results(self) -> list[Result | Exception]:
+        """Return the results, or why there are none."""
+        together = self.recorder.results(self.alone)
+        found: list[Result | Exception] = []
+        for place in range(len(self.numbers)):
+            one = self.alone.get(place)
+            if one is None:
+                found.append(together[place])
+            elif one.error is not None or one.recorder is None:
+                found.append(one.error or RuntimeError("nothing was computed"))
+            else:
+                found.append(replace(one.recorder.result(), comm=None))
+        return found
+
+
+def computed(
+    cases: Sequence[Case],
+    pair: ContactPair,
+    *,
+    batch: int | None = None,
+    stop: Callable[[], bool] = lambda: False,
+    keep_ends: bool = False,
+) -> Iterator[Block]:
+    """Yield blocks of cases as they are computed, on this rank alone, until ``stop`` says so.
+
+    Each case gets the same, to the last bit, in whatever company. Failures are among what is
+    computed. What was begun when all are stopped is thrown away.
+
+    Parameters
+    ----------
+    cases : that share a contact pair.
+    batch : most histories that step at a time; a block has some times as many.
+    stop : asked between two steps, and may answer others meanwhile.
+    keep_ends : whether there are to be results.
+    """
+    together: dict[Hashable, list[int]] = defaultdict(list)
+    singles: list[int] = []
+    for number, case in enumerate(cases):
+        key = batch_key(case)
+        (singles if key is None else together[key]).append(number)
+    with SolverLender(pair, MPI.COMM_SELF) as lender:
+        for numbers in together.values():
+            numbers.sort(key=lambda n: young(cases[n]))  # those of the same moduli share a matrix
+            most = batch or default_batch(cases[numbers[0]])
+            for first in range(0, len(numbers), _BATCHES * most):
+                part = numbers[first : first + _BATCHES * most]
+                own = [cases[number] for number in part]
+                recorder = BatchRecorder(own, pair, keep_ends)
+                left = simulate_batch(own, pair, recorder, stop, most)
+                if left is None:
+                    return
+                alone = {}
+                for place in sorted(left, key=lambda i: young(own[i])):
+                    if (one := _alone(own[place], lender, stop)) is None:
+                        return
+                    alone[place] = one
+                yield Block(tuple(part), recorder, alone)
+        for number in sorted(singles, key=lambda n: young(cases[n])):
+            if (one := _alone(cases[number], lender, stop)) is None:
+                return
+            yield Block((number,), BatchRecorder([cases[number]], pair), {0: one})
+
+
+def _alone(case: Case, lender: SolverLender, stop: Callable[[], bool]) -> Alone | None:
+    """Return a case computed by itself; None if it was stopped."""
+    begun, recorder = time.perf_counter(), None
+    stopped = False
+
+    def asked(_: Snapshot) -> bool:
+        nonlocal stopped
+        stopped = stop()
+        return stopped
+
+    error: Exception | None = None
+    try:
+        recorder = Recorder(case, MPI.COMM_SELF)
+        simulate(
+            case, MPI.COMM_SELF, pair=lender.pair, solver=lender.lend(case),
+            observers=[recorder, asked],
+        )  # fmt: skip
+    except Exception as failure:  # of the solver, or of a law that is not ours
+        lender.drop()
+        error = failure
+    if stopped and (recorder is None or recorder.last is None or not recorder.last.finished):
+        return None
+    return Alone(recorder, error, time.perf_counter() - begun)

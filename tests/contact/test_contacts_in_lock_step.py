@@ -1,0 +1,210 @@
+"""Many contact problems in lock step: derivatives, optimality, digits that are each one's own."""
+
+import numpy as np
+import pytest
+
+from ringwear_par.contact import blocks, interleaved
+from ringwear_par.contact.batch import BatchSolver
+from ringwear_par.contact.problem import KKT_TOLERANCE
+from ringwear_par.contact.solver import ContactSolver
+from ringwear_par.errors import HistoriesError
+from ringwear_par.wear.increment import WearIncrement, averaging
+from ringwear_par.wear.law import LocalState, stack_laws
+from ringwear_par.wear.non_local import NonLocalLaw
+from ringwear_par.wear.power import PowerLaw
+from ringwear_par.wear.threshold import ThresholdLaw
+
+N, B = 19, 11
+R = np.linspace(28.5, 31.5, N)
+AREA = 2 * np.pi * R * np.gradient(R)
+RNG = np.random.default_rng(5)
+#: mm^3/MPa, of two pairs of moduli
+COMPLIANCES = np.array(
+    [c * AREA[:, None] * AREA * np.exp(-np.abs(R[:, None] - R)) for c in (1e-6, 3e-6)]
+)
+WHICH = np.arange(B) % 2
+CROWN = 1e-3 * (R - 30.0) ** 2
+GAP = CROWN + RNG.uniform(0.0, 1e-5, (B, N))
+FORCE = 10.0 ** RNG.uniform(1.0, 5.0, B)
+LAWS = {
+    "threshold": [ThresholdLaw(k, p0) for k, p0 in zip(RNG.uniform(1e-8, 1e-6, B),
+                                                       RNG.uniform(0, 40, B), strict=True)],
+    "power": [PowerLaw(k, 1.7) for k in RNG.uniform(1e-10, 1e-9, B)],
+    "non-local": [NonLocalLaw(k, length=0.3) for k in RNG.uniform(1e-8, 1e-6, B)],
+}  # fmt: skip
+
+
+def wear_of(name):
+    """The wear of an implicit step of B histories."""
+    laws = LAWS[name]
+    speed = np.linspace(80.0, 120.0, B)[:, None] * np.ones(N)
+    at = LocalState(np.zeros(B), R, speed, np.full(B, 0.1), np.zeros((B, N)), 0.0 * speed)
+    average = averaging(R, AREA, laws[0].length) if laws[0].length else None
+    return WearIncrement((stack_laws(laws), None), (at, at), np.linspace(1.0, 5.0, B),
+                         (average, None))  # fmt: skip
+
+
+@pytest.fixture
+def solver():
+    made = BatchSolver(COMPLIANCES, WHICH, AREA)
+    yield made
+    made.destroy()
+
+
+@pytest.mark.parametrize("name", LAWS)
+def test_the_gradient_is_that_of_the_objective(solver, name):
+    """Through TAO's own calls, by central differences at the approaches of the solution."""
+    solver.solve(GAP, force=FORCE, wear=wear_of(name))
+    tao, newton = solver._tao, solver._newton
+    newton.at_work = np.arange(B)
+    x, g = tao.getSolution().duplicate(), tao.getSolution().duplicate()
+    q = RNG.uniform(0.5, 2.0, B * N) * solver.scaled_pressures.max()
+    x.setArray(q)
+    tao.computeGradient(x, g)
+    gradient = g.getArray().copy()
+    for place in RNG.integers(0, B * N, 12):
+        values = []
+        for sign in (1.0, -1.0):
+            moved = q.copy()
+            moved[place] += sign * (h := 1e-5 * q[place])
+            x.setArray(moved)
+            values.append(tao.computeObjective(x))
+        found = (values[0] - values[1]) / (2.0 * h)
+        assert found == pytest.approx(gradient[place], rel=1e-4, abs=1e-4 * np.abs(gradient).max())
+
+
+@pytest.mark.parametrize("name", LAWS)
+def test_the_hessian_is_the_derivative_of_the_gradient(solver, name):
+    """As TAO is given it: a product with a direction against differences of gradients."""
+    solver.solve(GAP, force=FORCE, wear=wear_of(name))
+    tao, newton = solver._tao, solver._newton
+    newton.at_work = np.arange(B)
+    x, g, d, y = (tao.getSolution().duplicate() for _ in "xgdy")
+    q = RNG.uniform(0.5, 2.0, B * N) * solver.scaled_pressures.max()
+    x.setArray(q)
+    d.setArray(direction := RNG.normal(size=B * N))
+    tao.computeHessian(x, solver._h)
+    solver._h.mult(d, y)
+    h, sides = 1e-5 * q.min(), []
+    for sign in (1.0, -1.0):
+        x.setArray(q + sign * h * direction)
+        tao.computeGradient(x, g)
+        sides.append(g.getArray().copy())
+    found = (sides[0] - sides[1]) / (2.0 * h)
+    assert found == pytest.approx(y.getArray(), rel=1e-4, abs=1e-4 * np.abs(found).max())
+
+
+@pytest.mark.parametrize("name", [None, *LAWS])
+@pytest.mark.parametrize("control", ["force", "approach"])
+@pytest.mark.parametrize("small", [True, False], ids=["interleaved", "LAPACK"])
+def test_every_history_meets_its_conditions(monkeypatch, comm, name, control, small):
+    """Pressures >= 0, gaps >= 0, one of them 0, the load; and as the single solver finds them."""
+    if not small:
+        monkeypatch.setattr(blocks, "LARGEST_INTERLEAVED", 0)
+    wear = None if name is None else wear_of(name)
+    given = {"force": FORCE, "approach": np.linspace(-1e-3, 4e-3, B)}[control]
+    solver = BatchSolver(COMPLIANCES, WHICH, AREA)
+    found = solver.solve(GAP, **{control: given}, wear=wear)
+    touched = 0
+    for i in range(B):
+        own = None if wear is None else wear.history(i)
+        p = found.pressure[i]
+        gap = GAP[i] - found.approach[i] + COMPLIANCES[WHICH[i]] @ p / AREA
+        gap += 0.0 if own is None else own.depth(p)
+        size = np.abs(GAP[i] - found.approach[i]).max()
+        assert (p >= 0.0).all()
+        assert gap.min() >= -1e-9 * size
+        assert np.abs(np.where(p > 0.0, gap, 0.0)).max() <= 1e-9 * size
+        assert np.abs(found.gap[i] - gap).max() <= 1e-9 * size
+        touched += 0 < np.count_nonzero(p) < N
+        if control == "force":
+            assert AREA @ p == pytest.approx(FORCE[i], rel=1e-12)
+        with ContactSolver(COMPLIANCES[WHICH[i]], AREA, comm) as single:
+            exact = single.solve(GAP[i], **{control: float(given[i])}, wear=own)
+        assert np.abs(p - exact.pressure).max() <= 1e-11 * max(exact.pressure.max(), 1e-300)
+        assert found.approach[i] == pytest.approx(exact.approach, rel=1e-11)
+    assert touched > 2  # some are in partial contact
+    assert found.residual.max() <= KKT_TOLERANCE
+    solver.destroy()
+
+
+@pytest.mark.parametrize("name", LAWS)
+@pytest.mark.parametrize("control", ["force", "approach"])
+def test_digits_do_not_depend_on_the_company(solver, name, control):
+    """Nor does the response: among others, alone, in another order, with some left out."""
+    given, wear = {"force": FORCE, "approach": np.linspace(-1e-3, 4e-3, B)}[control], wear_of(name)
+    change, kept = RNG.uniform(0.0, 1e-5, (B, N)), control == "force"
+    every = solver.solve(GAP, **{control: given}, wear=wear)
+    response = solver.response(change, kept)
+    for part in (np.array([3]), np.array([10, 0, 5]), np.arange(B)[::-1]):
+        taken = BatchSolver(COMPLIANCES, WHICH[part], AREA)
+        own = taken.solve(GAP[part], **{control: given[part]}, wear=wear.take(part))
+        for what, value in vars(own).items():
+            assert np.array_equal(value, getattr(every, what)[part]), what
+        assert np.array_equal(taken.response(change[part], kept), response[part])
+        taken.destroy()
+    some = np.array([1, 4, 9])
+    again = solver.take(np.arange(B))
+    solver.solve(2.0 * GAP, **{control: given}, wear=wear, histories=some)
+    left = np.setdiff1d(np.arange(B), some)
+    assert np.array_equal(solver.scaled_pressures[left], again.scaled_pressures[left])
+    assert np.array_equal(solver.response(change, kept)[left], response[left])
+    again.destroy()
+
+
+def test_no_force_is_no_pressure(solver):
+    """The bodies just touch; and what comes after starts from there."""
+    force = np.where(np.arange(B) == 4, 0.0, FORCE)
+    for given in (force, FORCE, force):
+        found = solver.solve(GAP, force=given, wear=wear_of("power"))
+        assert found.force == pytest.approx(given, rel=1e-12)
+    assert found.approach[4] == GAP[4].min()
+    assert not found.pressure[4].any()
+    assert not solver.response(GAP, True)[4].any()
+
+
+def test_who_cannot_be_solved_is_named(solver):
+    gap = GAP.copy()
+    gap[[2, 7]] = np.nan
+    with pytest.raises(HistoriesError) as caught:
+        solver.solve(gap, force=FORCE)
+    assert np.flatnonzero(caught.value.which).tolist() == [2, 7]
+
+
+def test_what_a_law_raises_comes_out_as_it_is(solver):
+    class Failing:
+        local = True
+
+        def depth(self, p):
+            raise ZeroDivisionError("of a law")
+
+        def take(self, histories):
+            return self
+
+    with pytest.raises(ZeroDivisionError, match="of a law"):
+        solver.solve(GAP, force=FORCE, wear=Failing())
+    solver.start = np.zeros((B, N)), np.zeros(B)
+    assert solver.solve(GAP, force=FORCE).force == pytest.approx(FORCE, rel=1e-12)
+
+
+@pytest.mark.parametrize("n", [1, 7, 8, 37, 64])
+def test_interleaved_solutions_are_those_of_each_system(n):
+    """On the free elements of each history, with couplings and slopes of its own."""
+    base = np.exp(-np.abs(np.subtract.outer(np.arange(n), np.arange(n))) / 5.0)
+    matrices, which = np.array([base, 2.0 * base]), np.arange(16) % 2
+    slope, free = RNG.uniform(0.0, 1.0, (16, n)), RNG.uniform(size=(16, n)) < 0.8
+    free[1] = True
+    coupling = RNG.uniform(-0.01, 0.01, (16, n, n))
+    coupling += coupling.transpose(0, 2, 1)
+    size = -(-n // interleaved.PANEL) * interleaved.PANEL
+    factors, right = np.zeros((2, size, size, 8)), RNG.normal(size=(16, n))
+    interleaved.factor(np.arange(2), matrices, which, slope, free, coupling, factors)
+    asked = np.array([0, 1, 6, 9, 15])
+    out = np.full((5, n), np.nan)
+    interleaved.solve(asked, free, factors, right[asked], out)
+    for place, i in enumerate(asked):
+        on = np.flatnonzero(free[i])
+        block = matrices[which[i]] + coupling[i] + np.diag(slope[i])
+        exact = np.zeros(n)
+        exact[on] = np.linalg.solve(block[np.ix_(on, on)], right[i, on])
+        assert out[place] == pytest.approx(exact, abs=1e-11)
