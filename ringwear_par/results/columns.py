@@ -4,7 +4,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-
 from ringwear_par.arrays import FloatArray, IntArray
 
 

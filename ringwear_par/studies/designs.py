@@ -6,6 +6,7 @@ import math
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -117,12 +118,14 @@ def read_draft(source: Path | str | Mapping[str, Any]) -> Draft:
             "boundaries are stored by ringwear run only"
         )
     found = tuple(  # files are relative to the study
-        column.mapped(lambda v, name=key: find_files({name: v}, folder)[name])
-        if key.endswith(".file")
-        else column
+        column.mapped(partial(_found, key, folder)) if key.endswith(".file") else column
         for key, column in zip(names, columns, strict=True)
     )
     return Draft(name, text, base, names, method, found)
+
+
+def _found(key: str, folder: Path, value: Any) -> Any:
+    return find_files({key: value}, folder)[key]
 
 
 def _plain(tables: Mapping[str, Any]) -> dict[str, Any]:

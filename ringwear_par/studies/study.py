@@ -81,11 +81,12 @@ class Rows:
     @cached_property
     def numbers(self) -> dict[Number, int]:
         """Which columns are numbers of a case, whatever the others are."""
-        found = {}
+        found: dict[Number, int] = {}
         for i, (path, entry) in enumerate(self._parts):
-            if not isinstance(entry, int) and self.columns[i].numbers is not None:
-                if interval_of((path, entry)) is not None:
-                    found[path, entry] = i
+            if isinstance(entry, int) or self.columns[i].numbers is None:
+                continue
+            if interval_of((path, entry)) is not None:
+                found[path, entry] = i
         return found
 
     @cached_property
@@ -219,7 +220,7 @@ class Study:
             frames.append(own.frame.pieces)
         return cases.tolist(), Texts(tuple(frames), tuple(frame_of.tolist()), tuple(values))
 
-    def texts(self, numbers: Sequence[int]) -> list[str]:
+    def texts(self, numbers: Sequence[int] | IntArray) -> list[str]:
         """Return the texts of some cases."""
         return [case.text for case in self.made(numbers)[0]]
 

@@ -72,7 +72,7 @@ class Texts:
 
     def part(self, cases: Sequence[int]) -> "Texts":
         """Return the texts of some of the cases."""
-        kinds, values = ([each[i] for i in cases] for each in (self.kinds, self.values))
+        kinds, values = [self.kinds[i] for i in cases], [self.values[i] for i in cases]
         there = {kind: n for n, kind in enumerate(dict.fromkeys(kinds))}
         frames = tuple(self.frames[kind] for kind in there)
         return Texts(frames, tuple(there[kind] for kind in kinds), tuple(values))

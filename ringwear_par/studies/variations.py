@@ -55,25 +55,26 @@ class Column:
 
     def mapped(self, function: Callable[[Any], Any]) -> "Column":
         """Return the column of what a function makes of each value."""
-        return Column(tuple(map(function, self._listed)), self.codes)
+        return Column(tuple(map(function, self.there)), self.codes)
 
     def each(self, function: Callable[[Any], Any] | None = None) -> list[Any]:
         """Return the values of all cases, or what a function makes of each."""
-        listed = self._listed
+        listed = self.there
         if function is not None:
             listed = list(map(function, listed))
         return listed if self.codes is None else [listed[i] for i in self.codes.tolist()]
 
     @property
-    def _listed(self) -> list[Any]:
+    def there(self) -> list[Any]:
+        """The values that there are."""
         return self.values.tolist() if isinstance(self.values, np.ndarray) else list(self.values)
 
     @cached_property
     def numbers(self) -> FloatArray | None:
         """(cases,) the values, where all are numbers."""
-        if not isinstance(self.values, np.ndarray):
-            if not all(is_number(value) for value in self.values):
-                return None
+        whole = isinstance(self.values, np.ndarray)
+        if not whole and not all(is_number(value) for value in self.values):
+            return None
         values = np.array(self.values, dtype=np.float64)
         return values if self.codes is None else values[self.codes]
 
