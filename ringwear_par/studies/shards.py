@@ -24,6 +24,8 @@ from ringwear_par.errors import ComputationError, InputError
 from ringwear_par.results.variables import HISTORIES, LINE, PROFILES
 from ringwear_par.studies.blocks import Block, Record
 from ringwear_par.studies.index import (
+    DONE,
+    FAILED,
     STATUS,
     Index,
     Kind,
@@ -383,6 +385,12 @@ def _index_block(
     elements, layout = about["elements"], about["layout"]
     names = np.array(ids.encode().split(b"\n"))
     states = np.frombuffer(status, dtype=np.uint8).astype(np.int64)
+    version, longest = about["version"], about["longest"]
+    same = len(names) == len(states) == len(rows) == len(seconds) == len(imbalance)
+    if not (same and isinstance(version, str) and longest >= 0 and rows.min() >= 0):
+        raise ValueError(text)
+    if not ((states == FAILED) | (states == DONE)).all():
+        raise ValueError(status)
     count = {_ROWS: int(rows.sum()), _EACH: len(names), _ONCE: 1}
     for name, how in layout.items():
         wide = elements if name in PROFILES or name in LINE else 1
@@ -391,7 +399,7 @@ def _index_block(
     flags = {int(i): tuple(own) for i, own in about["flags"].items()}
     fields = tuple(name for name in PROFILES if name in layout)
     deep = any(layout[name] == _ROWS for name in fields)
-    plain = Kind(about["version"], (), fields, deep)
+    plain = Kind(version, (), fields, deep)
     kinds = [plain] if not flags else [
         plain._replace(flags=flags.get(i, ())) for i in range(len(names))
     ]  # fmt: skip
@@ -400,7 +408,7 @@ def _index_block(
     return index_of(
         source, number, names, states, rows, np.where(rows > 0, elements, 0), seconds, imbalance,
         kinds, errors={int(i): error for i, error in about["errors"].items()},
-        longest=about["longest"],
+        longest=longest,
     )  # fmt: skip
 
 
