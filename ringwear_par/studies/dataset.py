@@ -54,7 +54,7 @@ RESULTS, TABLE = "results.h5", "cases.csv"
 FINAL = ("penetration", "worn_volume_lower", "worn_volume_upper")
 _COLUMNS = ("status", "error", *FINAL, "seconds", "in_study", "version", "flags")
 #: of the largest table that is filled before it is written, of a chunk in the file
-_WINDOW_BYTES, _CHUNK_BYTES = 64e6, 256e3
+_WINDOW_BYTES, _CHUNK_BYTES = 24e6, 256e3
 #: cases that are made texts of, or are rows of a table, at once; and those of a results file that
 #: are read at once
 _WINDOW, _STRETCH = 2**13, 2**12
@@ -209,7 +209,8 @@ class _Writer:
             ),
         ]
         shapes = {v.name: tuple(len(file[axis]) for axis in v.dimensions) for v in variables}
-        window = max(1, int(_WINDOW_BYTES // (8 * max(map(math.prod, shapes.values())))))
+        window = _power_of_2(_WINDOW_BYTES / (8 * max(map(math.prod, shapes.values()))))
+        columns: dict[str, _Column] = {}
         common = _CommonSteps()
         for start in range(0, max(len(entry), 1), window):
             stop = min(start + window, len(entry))
@@ -230,8 +231,9 @@ class _Writer:
                     last = self._rows[start + some] - 1
                     self._final[name][start + some] = table[some, last]
                 if not start:
-                    _make(file, over_cases(variable), float, sample=table)
-                file[name][start:stop] = table
+                    own = over_cases(variable)
+                    columns[name] = _Column(_make(file, own, float, window, sample=table))
+                columns[name].write(start, table)
                 self._check_disk()
         if common.steps is not None and len(common.steps) == len(file["step"]):
             file["step"][:] = common.steps.astype(int)
@@ -243,10 +245,10 @@ class _Writer:
         self._write_texts()
         index, file = self._listing.index, self._file
         for name, words in self._words().items():
-            _make(file, OF_CASES[name], _text_dtype(words.dtype.itemsize), gzip=True)
+            kind = _text_dtype(words.dtype.itemsize)
+            column = _Column(_make(file, OF_CASES[name], kind, _WINDOW, gzip=True))
             for start in range(0, len(words), _WINDOW):
-                part = words[start : start + _WINDOW]
-                file[name][start : start + len(part)] = part.astype(file[name].dtype)
+                column.write(start, words[start : start + _WINDOW])
             self._check_disk()
         for name, values in (
             ("seconds", self._of_cases(index.seconds, np.nan)),
@@ -255,7 +257,7 @@ class _Writer:
             ("elements", self._elements),
             *((f"final_{name}", values) for name, values in self._final.items()),
         ):
-            _make(file, OF_CASES[name], values.dtype)[:] = values
+            _make(file, OF_CASES[name], values.dtype, _WINDOW)[:] = values
         self._write_varied()
 
     def _words(self) -> dict[str, Any]:
@@ -287,7 +289,7 @@ class _Writer:
             texts = listing.texts(missing[start : start + _WINDOW])
             longest = max(longest, *map(_size, texts))
         kind = _text_dtype(longest)
-        dataset = _make(self._file, OF_CASES["case_toml"], kind, gzip=True)
+        column = _Column(_make(self._file, OF_CASES["case_toml"], kind, _WINDOW, gzip=True))
         for start in range(0, count, _WINDOW):
             stop = min(start + _WINDOW, count)
             found: list[str] = [""] * (stop - start)
@@ -301,7 +303,7 @@ class _Writer:
             if len(here):
                 for case, text in zip((here - start).tolist(), listing.texts(here), strict=True):
                     found[case] = text
-            dataset[start:stop] = np.array([text.encode() for text in found], dtype=kind)
+            column.write(start, np.array([text.encode() for text in found], dtype=kind))
             self._check_disk()
             self._looked_up += [
                 _looked_up(text, listing.names) for text in found[max(known - start, 0) :]
@@ -312,15 +314,18 @@ class _Writer:
         file, listing = self._file, self._listing
         for i, name in enumerate(listing.names):
             more, key = [row[i] for row in self._looked_up], BY_PATH[path_of(name)]
-            there = [*listing.columns[i].there, *more]
+            column = listing.columns[i]
+            there = more if column.numbers is not None else [*column.there, *more]
             numbers = all(v is None or is_number(v) for v in there)
             variable = Variable(name, ("case",), "1" if key.unit == "-" else key.unit, key.meaning)
             if numbers:
-                values = listing.columns[i].each(_number) + list(map(_number, more))
-                _make(file, variable, float)[:] = values
+                known = column.each(_number) if column.numbers is None else column.numbers
+                values = np.concatenate([known, list(map(_number, more))])
+                _make(file, variable, float, _WINDOW)[:] = values
             else:
-                words = _bytes(listing.columns[i].each(_shown) + list(map(_shown, more)))
-                dataset = _make(file, variable, _text_dtype(words.dtype.itemsize), gzip=True)
+                words = _bytes(column.each(_shown) + list(map(_shown, more)))
+                kind = _text_dtype(words.dtype.itemsize)
+                dataset = _make(file, variable, kind, _WINDOW, gzip=True)
                 dataset[:] = words.astype(dataset.dtype)
         file.attrs["coordinates"] = " ".join(listing.names)
 
@@ -384,9 +389,9 @@ def _text_dtype(size: int) -> Any:
 
 
 def _shown(value: Any) -> str:
-    if value is None:
-        return ""
-    return value if isinstance(value, str) else toml_value(value)
+    if isinstance(value, str):
+        return value
+    return "" if value is None else toml_value(value)
 
 
 def _number(value: Any) -> float:
@@ -436,13 +441,55 @@ def _make_scales(file: h5py.File, ids: Any, steps: int, elements: int) -> None:
         file[name].make_scale(name)
 
 
+def _power_of_2(number: float) -> int:
+    """Return the largest power of 2 up to a number, 1 at least."""
+    return 1 << max(int(number).bit_length() - 1, 0)
+
+
+class _Column:
+    """Writes a variable window by window; what is compressed by itself.
+
+    HDF5 would do it as well; but much of what gzip is worth its time for is the same again and
+    again, such as the radii of the contact elements, and then need not be compressed again.
+
+    Parameters
+    ----------
+    dataset : whose windows are whole chunks, but for the last.
+    """
+
+    def __init__(self, dataset: h5py.Dataset) -> None:
+        self._dataset, self._known = dataset, (b"", b"")
+        self._direct = dataset.compression == "gzip" and dataset.chunks[1:] == dataset.shape[1:]
+
+    def write(self, start: int, values: Any) -> None:
+        """Write the values of cases from one on."""
+        dataset = self._dataset
+        if not self._direct:
+            dataset[start : start + len(values)] = values
+            return
+        rows, rest = dataset.chunks[0], (0,) * (dataset.ndim - 1)
+        for first in range(0, len(values), rows):
+            data = np.ascontiguousarray(values[first : first + rows], dtype=dataset.dtype).tobytes()
+            data += bytes(math.prod(dataset.chunks) * dataset.dtype.itemsize - len(data))
+            if data != self._known[0]:
+                self._known = data, zlib.compress(data, 1)
+            dataset.id.write_direct_chunk((start + first, *rest), self._known[1])
+
+
 def _make(
-    file: h5py.File, variable: Variable, kind: Any, *, sample: Any = None, gzip: bool = False
+    file: h5py.File,
+    variable: Variable,
+    kind: Any,
+    window: int,
+    *,
+    sample: Any = None,
+    gzip: bool = False,
 ) -> h5py.Dataset:
     """Make a variable, in chunks that hold whole histories as far as they are small.
 
     Parameters
     ----------
+    window : cases that are written at once; a chunk has no more.
     sample : its first values, which tell whether gzip is worth it; or else ``gzip``.
     """
     shape = tuple(len(file[name]) for name in variable.dimensions)
@@ -451,6 +498,7 @@ def _make(
     for axis in range(len(shape)):
         rest = size * math.prod(chunks[axis + 1 :])
         chunks[axis] = min(shape[axis], max(1, int(_CHUNK_BYTES // rest)))
+    chunks[0] = min(shape[0], _power_of_2(_CHUNK_BYTES / (size * math.prod(chunks[1:]))), window)
     extra: dict[str, Any] = {}
     if np.dtype(kind).kind == "f":
         extra["fillvalue"] = np.nan

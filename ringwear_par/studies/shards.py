@@ -127,7 +127,7 @@ class Shard:
             "layout": layout,
             "errors": {i: reason for i, reason in enumerate(columns.reason) if reason},
             "flags": {i: flags for i, flags in enumerate(columns.flags) if flags},
-            "longest": max(len(t.encode()) for t in texts.each(range(columns.count))),
+            "longest": texts.longest,
         }
         row: dict[str, Any] = {
             "ids": "\n".join(block.ids),

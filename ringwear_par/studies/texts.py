@@ -70,6 +70,15 @@ class Texts:
         """Return the texts of some of the cases."""
         return [joined(self.frames[self.kinds[i]], self.values[i]) for i in cases]
 
+    @property
+    def longest(self) -> int:
+        """Bytes of the longest text."""
+        frames = [sum(len(piece.encode()) for piece in frame) for frame in self.frames]
+        return max(
+            frames[kind] + sum(len(word.encode()) for word in words)
+            for kind, words in zip(self.kinds, self.values, strict=True)
+        )
+
     def part(self, cases: Sequence[int]) -> "Texts":
         """Return the texts of some of the cases."""
         kinds, values = [self.kinds[i] for i in cases], [self.values[i] for i in cases]
