@@ -91,6 +91,7 @@ class Worker:
         self._path = plan.store.shard(number)
         self._shard: Shard | None = None
         self._options_checked = False
+        self._saved: set[str] = set()  # cases that have left a checkpoint
         self._group = -1
         self._lender: SolverLender | None = None
 
@@ -182,7 +183,7 @@ class Worker:
             assert self._shard is not None
             self._shard.add(Block.of(records, texts))
             for record in records:
-                if record.id in self._plan.in_flight:
+                if record.id in self._plan.in_flight or record.id in self._saved:
                     self._plan.store.inflight(record.id).unlink(missing_ok=True)
                 if record.flags:
                     self._timings.flagged[record.flags] += 1
@@ -245,6 +246,7 @@ class Worker:
 
         def save() -> None:
             result = recorder.result()
+            self._saved.add(identity)
             on_first_rank(team, lambda: write_result(path, result))
 
         watch = Watch(self._signals, save, team)
