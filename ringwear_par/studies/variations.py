@@ -75,7 +75,7 @@ class Column:
         whole = isinstance(self.values, np.ndarray)
         if not whole and not all(is_number(value) for value in self.values):
             return None
-        values = np.array(self.values, dtype=np.float64)
+        values = np.asarray(self.values, dtype=np.float64)
         return values if self.codes is None else values[self.codes]
 
     @cached_property
