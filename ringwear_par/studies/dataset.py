@@ -166,7 +166,7 @@ class _Writer:
         #: raw values of the varied keys of the cases that the columns do not have
         self._looked_up: list[tuple[Any, ...]] = []
         # cases that are stored together are read together
-        stored = index.source * (int(index.block.max(initial=0)) + 1) + index.block
+        stored = index.source.astype(np.int64) * (int(index.block.max(initial=0)) + 1) + index.block
         self._block = self._of_cases(np.unique(stored, return_inverse=True)[1], -1)
         _make_scales(
             file, listing.ids, int(self._rows.max(initial=0)) or 1,

@@ -217,19 +217,22 @@ def index_of(
     kinds : of each, or one for all; the others are as in Index.
     """
     there = {kind: n for n, kind in enumerate(dict.fromkeys(kinds))}
-    code = np.array([there[kind] for kind in kinds], dtype=np.int64)
+    code = np.array([there[kind] for kind in kinds], dtype=np.int32)
     count = len(ids)
     return Index(
-        ids, status, rows, elements, seconds, imbalance,
-        np.broadcast_to(code, count), np.zeros(count, dtype=np.int64),
-        np.full(count, block, dtype=np.int64), np.arange(count), tuple(there), (source,),
+        ids, status.astype(np.int8), rows, elements, seconds, imbalance,
+        np.broadcast_to(code, count), np.zeros(count, dtype=np.int32),
+        np.full(count, block, dtype=np.int32), np.arange(count, dtype=np.int32), tuple(there),
+        (source,),
         errors or {}, longest,
     )  # fmt: skip
 
 
 def join(parts: Iterable[Index]) -> Index:
     """Return all cases of several indices, one after another."""
-    parts = list(parts)
+    parts = [part for part in parts if len(part)]
+    if len(parts) < 2:
+        return parts[0] if parts else NOTHING
     kinds: dict[Kind, int] = {}
     sources: dict[int, int] = {}
     found: list[Source] = []
@@ -239,20 +242,16 @@ def join(parts: Iterable[Index]) -> Index:
     for part in parts:
         for name in _ARRAYS:
             columns[name].append(getattr(part, name))
-        own = np.array([kinds.setdefault(kind, len(kinds)) for kind in part.kinds], dtype=np.int64)
-        if len(part):
-            columns["kind"][-1] = own[part.kind]
+        own = np.array([kinds.setdefault(kind, len(kinds)) for kind in part.kinds], dtype=np.int32)
+        columns["kind"][-1] = own[part.kind]
         for source in part.sources:
             if id(source) not in sources:
                 sources[id(source)] = len(found)
                 found.append(source)
-        places = np.array([sources[id(source)] for source in part.sources], dtype=np.int64)
-        if len(part):
-            columns["source"][-1] = places[part.source]
+        places = np.array([sources[id(source)] for source in part.sources], dtype=np.int32)
+        columns["source"][-1] = places[part.source]
         errors.update({start + i: error for i, error in part.errors.items()})
         start += len(part)
-    if not parts:
-        return NOTHING
     arrays = {name: np.concatenate(own) for name, own in columns.items()}
     longest = max(part.longest for part in parts)
     return Index(**arrays, kinds=tuple(kinds), sources=tuple(found), errors=errors,
