@@ -28,6 +28,7 @@ import warnings
 from collections import Counter
 from collections.abc import Callable
 from contextlib import suppress
+from functools import partial
 from pathlib import Path
 
 import h5py
@@ -44,10 +45,12 @@ from ringwear_par.results.export import export
 from ringwear_par.results.figures import plot_files
 from ringwear_par.results.files import open_result, read_error, read_status
 from ringwear_par.results.reading import seal
+from ringwear_par.results.variables import HISTORIES
 from ringwear_par.results.writing import write_result
-from ringwear_par.studies.dataset import read_entries, read_records
+from ringwear_par.studies.dataset import read_entries
 from ringwear_par.studies.ensemble import read_ensemble
 from ringwear_par.studies.figures import plot_sweep
+from ringwear_par.studies.index import read_stored
 from ringwear_par.studies.study import read_study
 
 CASES = Path(__file__).parent / "cases"
@@ -267,7 +270,10 @@ def read_an_ensemble(folder: Path, rng: random.Random) -> None:
     found = read_entries(path)
     looks: list[Callable[[], object]] = [lambda: read_ensemble(folder)]
     if found is not None:
-        looks.append(lambda: list(read_records(path, list(found))))
+        (source,) = found.sources
+        for name in ("step", *HISTORIES):
+            looks.append(partial(read_stored, source, 0, name))
+        looks.append(lambda: source.texts(0, found.place.tolist()))
     if rng.random() < _DRAWN:
         looks.append(lambda: plot_sweep(folder, folder / "a.png"))
     _look(looks)

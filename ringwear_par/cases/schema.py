@@ -9,6 +9,7 @@ from typing import Any
 
 from ringwear_par.cases.text import toml_value
 from ringwear_par.cases.values import (
+    Interval,
     Kind,
     Reader,
     Values,
@@ -40,7 +41,7 @@ class Key:
     Parameters
     ----------
     path : its dotted name.
-    kind, read, allowed : its values, see ``values.Values``.
+    kind, read, allowed, numbers : its values, see ``values.Values``.
     unit, meaning : as ``info --schema`` tells them.
     default : ... where the key must be given.
     """
@@ -49,6 +50,7 @@ class Key:
     kind: Kind
     read: Reader
     allowed: str
+    numbers: Interval | None
     unit: str
     meaning: str
     default: Any = ...

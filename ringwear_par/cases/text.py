@@ -12,6 +12,8 @@ _WRITTEN = 10**640
 
 def toml_value(value: Any) -> str:
     """Return a value as TOML writes it."""
+    if type(value) is float:  # most are, of the columns of a study
+        return repr(value)
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, str):  # TOML's escapes are JSON's, but for one more control character

@@ -5,6 +5,9 @@ import math
 from collections.abc import Callable
 from typing import Any, Literal, NamedTuple
 
+import numpy as np
+
+from ringwear_par.arrays import BoolArray, FloatArray
 from ringwear_par.schedules import Quantity, Table
 
 #: a schedule is a number or a table in time, a quantity these or a profile along the radius
@@ -19,6 +22,21 @@ class RejectedError(Exception):
     """A value that its key does not allow, perhaps with the reason."""
 
 
+class Interval(NamedTuple):
+    """The finite numbers between two, perhaps themselves included."""
+
+    low: float
+    high: float = math.inf
+    ends: bool = False
+
+    def holds(self, numbers: FloatArray) -> BoolArray:
+        """Return which numbers are of these."""
+        inside = (self.low < numbers) & (numbers < self.high)
+        if self.ends:
+            inside |= (numbers == self.low) | (numbers == self.high)
+        return inside & np.isfinite(numbers)
+
+
 class Values(NamedTuple):
     """The values of a key.
 
@@ -27,11 +45,13 @@ class Values(NamedTuple):
     kind : what they are.
     read : takes a raw value, as TOML gives it, and returns what a case holds.
     allowed : what messages say after "must be".
+    numbers : those that ``read`` takes and returns as floats; None where it takes no such.
     """
 
     kind: Kind
     read: Reader
     allowed: str
+    numbers: Interval | None = None
 
 
 def is_number(value: Any) -> bool:
@@ -60,7 +80,7 @@ def number(low: float, high: float = math.inf, *, ends: bool = False) -> Values:
         allowed = f"a number from {low:g} to {high:g}"
     else:
         allowed = f"a number > {low:g} and < {high:g}"
-    return Values("number", read, allowed)
+    return Values("number", read, allowed, Interval(low, high, ends))
 
 
 def whole(low: int, high: int = 10**12) -> Values:
@@ -101,7 +121,7 @@ def schedule(low: float, *, ends: bool = False) -> Values:
 
     zero = "" if ends else f" >= {low:g}"
     told = f"or a table [[t, value{zero}], ...] in time, t in s and increasing"
-    return Values("schedule", read, f"{constant.allowed}, {told}")
+    return Values("schedule", read, f"{constant.allowed}, {told}", constant.numbers)
 
 
 def quantity(low: float, *, ends: bool = False) -> Values:
@@ -116,7 +136,7 @@ def quantity(low: float, *, ends: bool = False) -> Values:
         return in_time.read(value)
 
     told = "or a profile { r = [[r, value], ...] }, r in mm and increasing"
-    return Values("quantity", read, f"{in_time.allowed}, {told}")
+    return Values("quantity", read, f"{in_time.allowed}, {told}", constant.numbers)
 
 
 def parameters() -> Values:

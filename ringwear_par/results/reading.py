@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 import h5py
+import numpy as np
 
 from ringwear_par.errors import InputError
 from ringwear_par.results.variables import Variable
@@ -135,6 +136,15 @@ def find_array(group: h5py.Group, variable: Variable, sizes: dict[str, int]) -> 
 def find_texts(group: h5py.Group, name: str, sizes: dict[str, int]) -> Any:
     """Return a variable of texts, one a case, as ``find_array`` does."""
     return _find(group, name, ("case",), sizes).asstr()
+
+
+def read_words(group: h5py.Group, name: str, sizes: dict[str, int]) -> Any:
+    """Return a variable of texts, one a case, as bytes in one array."""
+    found = _find(group, name, ("case",), sizes)
+    if h5py.check_string_dtype(found.dtype) is None:
+        raise ValueError(name)
+    words = found[:]
+    return words if words.dtype.kind == "S" else np.array(words.tolist() or [b""])[: len(words)]
 
 
 def _find(

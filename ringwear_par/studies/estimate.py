@@ -37,11 +37,11 @@ def _timed(plan: Plan) -> str:
     study, request, left = plan.study, plan.request, plan.left
     lines = [
         f"{plan.total} cases, {plan.done} done, {plan.failed} failed before",
-        f"{len(study.groups)} distinct operator(s), {len(left)} still needed",
+        f"{len(study.members)} distinct operator(s), {len(left)} still needed",
     ]
     if not left:
         return "\n".join(lines)
-    group, number = left[0], plan.todo[left[0]][0]
+    group, number = left[0], int(plan.todo[left[0]][0])
     case = study.case(number)
     t0 = time.perf_counter()
     pair = assemble(case, MPI.COMM_SELF)
@@ -58,7 +58,7 @@ def _timed(plan: Plan) -> str:
     t3 = time.perf_counter()
     stepping = (t3 - t2) * case.time.end / state.time
     assembly = (t1 - t0) * study.assembly[left].sum() / study.assembly[group]
-    cases = [n for g in left for n in plan.todo[g]]
+    cases = plan.todo.cases
     steps = stepping * study.work[cases].sum() / study.work[number]
     size = sum(table.nbytes for table in recorder.arrays().values())
     memory = _BARE_BYTES * request.ranks + plan.memory_needed()

@@ -3,7 +3,6 @@
 import logging
 import os
 from collections import Counter
-from collections.abc import Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,10 +10,13 @@ from pathlib import Path
 import numpy as np
 
 import ringwear_par
+from ringwear_par.arrays import BoolArray, IntArray
 from ringwear_par.errors import InputError
 from ringwear_par.history.limits import memory_needed
 from ringwear_par.studies.dataset import RESULTS
-from ringwear_par.studies.shards import Entry, locked
+from ringwear_par.studies.groups import Groups
+from ringwear_par.studies.index import DONE, FAILED, NOTHING, Index
+from ringwear_par.studies.shards import locked
 from ringwear_par.studies.store import Store
 from ringwear_par.studies.study import Study
 
@@ -82,10 +84,11 @@ class Plan:
     study : the study.
     store : its folder.
     todo : for each group of the study, its cases that are to be computed here.
-    interrupted : ids of cases that go on from a checkpoint.
-    mine : the cases of this study, or slice.
+    in_flight : ids of cases that were interrupted.
+    interrupted : those of them that go on from their checkpoint.
+    mine : (cases,) which cases are of this slice.
     done, failed : how many of them had ended before.
-    flagged : flags of each of those that have some.
+    flagged : how many have the same flags, by these.
     all_assemble : whether all ranks assemble each operator (there are fewer than teams) or the team
         that takes its group.
     """
@@ -93,34 +96,36 @@ class Plan:
     request: Request
     study: Study
     store: Store
-    todo: tuple[tuple[int, ...], ...]
+    todo: Groups
+    in_flight: frozenset[str]
     interrupted: frozenset[str]
-    mine: tuple[int, ...]
+    mine: BoolArray
     done: int
     failed: int
-    flagged: tuple[tuple[str, ...], ...]
+    flagged: Counter[tuple[str, ...]]
     all_assemble: bool
 
     @property
     def total(self) -> int:
         """Number of the cases of this study, or slice."""
-        return len(self.mine)
+        return int(self.mine.sum())
 
-    def count(self, entries: Mapping[str, Entry]) -> tuple[int, int]:
+    def count(self, index: Index) -> tuple[int, int]:
         """Return how many of the cases are stored, done and failed."""
-        ids = (self.study.ids[n] for n in self.mine)
-        status = [entries[identity].status for identity in ids if identity in entries]
-        return status.count("done"), status.count("failed")
+        entry = index.find(self.study.identities[self.mine])
+        status = index.status[entry[entry >= 0]]
+        return int((status == DONE).sum()), int((status == FAILED).sum())
 
     @property
     def cases_left(self) -> int:
         """Number of the cases that are to be computed."""
-        return sum(map(len, self.todo))
+        return len(self.todo.cases)
 
     @property
     def left(self) -> list[int]:
         """Numbers of the groups that still have cases."""
-        return [group for group, cases in enumerate(self.todo) if cases]
+        found: list[int] = np.flatnonzero(self.todo.sizes).tolist()
+        return found
 
     def memory_needed(self) -> float:
         """Return an estimate of the bytes that all ranks need together, libraries excluded.
@@ -130,7 +135,7 @@ class Plan:
         request, left = self.request, self.left
         if not left:
             return 0.0
-        first = [self.study.case(self.todo[group][0]) for group in left]
+        first = [self.study.case(int(self.todo[group][0])) for group in left]
         if self.all_assemble:
             # beside the one history that this counts, every other team has its own
             histories = max(
@@ -157,57 +162,65 @@ def make_plan(study: Study, request: Request, held: ExitStack | None) -> Plan:
     """
     folder, part = request.folder, request.part
     store = Store(folder, f"{part[0]}-{part[1]}" if part else "")
-    entries: dict[str, Entry] = {}
+    index = NOTHING
     if folder.exists() and not folder.is_dir():
         raise InputError(f"{folder}: is a file; must be a folder, or a new name")
     if held is not None:
         store.open()
         held.enter_context(locked(folder, store.part))
         store.clear()
-        entries, notes = store.scan(study.ids, mend=True)
+        index, notes = store.scan(study.identities, mend=True)
         for note in notes:
             log.warning("%s", note)
     elif (folder / "shards").is_dir() or (folder / RESULTS).exists():
         with locked(folder, store.part):
-            entries, _ = store.scan(study.ids, mend=False)
+            index, _ = store.scan(study.identities, mend=False)
     mine = _slice(study, part)
-    ended = {"done"} if request.retry_failed else {"done", "failed"}
-    status = [entries[i].status if i in entries else "" for i in study.ids]
-    kept = [entries[study.ids[n]] for n in sorted(mine) if status[n] in ended]
-    todo = tuple(
-        tuple(n for n in group if n in mine and status[n] not in ended) for group in study.groups
-    )
+    entry = index.find(study.identities)
+    status = np.where(entry >= 0, index.status[entry], -1) if len(index) else entry
+    ended = (status == DONE) | ((status == FAILED) & (not request.retry_failed))
+    todo = study.members.only(mine & ~ended)
     if not request.mix_versions:
-        others = [entries[i] for i, word in zip(study.ids, status, strict=True) if word in ended]
-        _refuse_other_versions(folder, others, any(todo))
+        _refuse_other_versions(folder, index, entry[ended], bool(len(todo.cases)))
+    kept = mine & ended
+    flags = Counter(index.kind[entry[kept]].tolist())
+    in_flight = frozenset(path.stem for path in store.interrupted())
     plan = Plan(
         request,
         study,
         store,
         todo,
-        _interrupted(study, store, entries),
-        tuple(sorted(mine)),
-        sum(entry.status == "done" for entry in kept),
-        sum(entry.status == "failed" for entry in kept),
-        tuple(entry.flags for entry in kept if entry.flags),
-        len(study.groups) <= request.teams,
-    )
+        in_flight,
+        _interrupted(store, in_flight, index, entry),
+        mine,
+        int((status[kept] == DONE).sum()),
+        int((status[kept] == FAILED).sum()),
+        Counter({
+            own: n for kind, n in flags.items() if (own := index.kinds[kind].flags)
+        }),
+        len(study.members) <= request.teams,
+    )  # fmt: skip
     _check_memory(plan)
     return plan
 
 
-def _interrupted(study: Study, store: Store, entries: Mapping[str, Entry]) -> frozenset[str]:
+def _interrupted(
+    store: Store, in_flight: frozenset[str], index: Index, entry: IntArray
+) -> frozenset[str]:
     """Return the cases that go on from a checkpoint: a case has one version from start to end."""
+    if not in_flight:
+        return frozenset()
+    stored = entry[entry >= 0]
+    mine = stored[np.isin(index.ids[stored], [os.fsencode(name) for name in in_flight])]
     return frozenset(
-        identity
-        for identity in study.ids
-        if identity in entries
-        and entries[identity].path == store.inflight(identity)
-        and entries[identity].version == ringwear_par.__version__
+        path.stem
+        for path, kind in zip(index.paths(mine), index.kind[mine].tolist(), strict=True)
+        if path == store.inflight(path.stem)
+        and index.kinds[kind].version == ringwear_par.__version__
     )
 
 
-def _refuse_other_versions(folder: Path, kept: list[Entry], more: bool) -> None:
+def _refuse_other_versions(folder: Path, index: Index, kept: IntArray, more: bool) -> None:
     """Raise where cases of several versions would come together.
 
     Parameters
@@ -215,7 +228,9 @@ def _refuse_other_versions(folder: Path, kept: list[Entry], more: bool) -> None:
     kept : what is stored and not computed again.
     more : whether this version computes others.
     """
-    counts = Counter(entry.version for entry in kept)
+    counts: Counter[str] = Counter()
+    for kind, n in Counter(index.kind[kept].tolist()).items():
+        counts[index.kinds[kind].version] += n
     if more:
         counts.setdefault(ringwear_par.__version__, 0)
     if len(counts) > 1:
@@ -241,17 +256,15 @@ def _check_memory(plan: Plan) -> None:
         )
 
 
-def _slice(study: Study, part: tuple[int, int] | None) -> set[int]:
-    """Return the cases of a slice: a stretch of the groups, by estimated work."""
-    order = [n for group in study.groups for n in group]
+def _slice(study: Study, part: tuple[int, int] | None) -> BoolArray:
+    """Return which cases are of a slice: a stretch of the groups, by estimated work."""
+    groups = study.members
     if part is None:
-        return set(order)
-    work = np.concatenate(
-        [
-            study.work[list(group)] + assembly / len(group)
-            for group, assembly in zip(study.groups, study.assembly, strict=True)
-        ]
-    )
+        return np.ones(len(groups.cases), dtype=bool)
+    share = np.repeat(study.assembly / groups.sizes, groups.sizes)
+    work = study.work[groups.cases] + share
     middle = (np.cumsum(work) - 0.5 * work) / work.sum()
     number = np.minimum((middle * part[1]).astype(int), part[1] - 1)
-    return {n for n, s in zip(order, number.tolist(), strict=True) if s == part[0] - 1}
+    mine = np.zeros(len(number), dtype=bool)
+    mine[groups.cases] = number == part[0] - 1
+    return mine

@@ -49,10 +49,10 @@ class Board:
     teams : that draw.
     """
 
-    def __init__(self, sizes: Sequence[int], teams: int) -> None:
+    def __init__(self, sizes: Sequence[int] | IntArray, teams: int) -> None:
         self._sizes = np.array(sizes, dtype=np.int64)
         self._left, self._ended = self._sizes.copy(), np.zeros_like(self._sizes)
-        self._seconds = np.zeros(len(sizes))
+        self._mean = np.zeros(len(sizes))
         self._all_left, self._untaken = int(self._sizes.sum()), 0
         self._teams = teams
         self._groups: dict[int, int] = {}
@@ -68,7 +68,7 @@ class Board:
         left = int(self._left[group])
         # as long as there are other groups to take, teams need not share this one
         share = left if self._untaken < len(self._sizes) else self._all_left // (2 * self._teams)
-        mean = self._seconds[group] / max(self._ended[group], 1)
+        mean = self._mean[group]
         busy = int(_BUSY_SECONDS / mean) if mean else 1
         number = max(min(left, share, busy), 1)
         self._left[group] -= number
@@ -88,7 +88,8 @@ class Board:
         self.done += done
         self.failed += failed
         self._ended[group] += done + failed
-        self._seconds[group] += seconds
+        if done + failed:  # of late: cases that go side by side take less than a first one
+            self._mean[group] = seconds / (done + failed)
         return bool(done + failed) and self._ended[group] == self._sizes[group]
 
 
@@ -107,7 +108,7 @@ class Scheduler:
 
     def __init__(
         self,
-        sizes: Sequence[int],
+        sizes: Sequence[int] | IntArray,
         comm: MPI.Intracomm,
         teams: int,
         group_ended: Callable[[int], None],
@@ -117,25 +118,24 @@ class Scheduler:
         dealt = {leader: board.draw(leader) for leader in range(0, comm.size, comm.size // teams)}
         self._board = board if comm.rank == 0 else None
         self._group_ended, self._status = group_ended, MPI.Status()
-        self._cases, self._stopped = dealt.get(comm.rank) or _NOTHING, False
+        self._dealt, self._group = dealt.get(comm.rank) or _NOTHING, 0
+        self._stopped = False
         self._done, self._failed, self._seconds = 0, 0, 0.0
 
-    def draw(self) -> tuple[int, int] | None:
-        """Return group and number in the group of a case that nobody else draws. Not collective.
+    def draw(self) -> Cases | None:
+        """Return some cases of a group that nobody else draws. Not collective.
 
-        None if there is none left, or all are asked to stop.
+        None if there are none left, or all are asked to stop.
         """
-        if not self._cases.number and not self._stopped:
+        if not self._dealt.number and not self._stopped:
             self._ask(_DRAW)
-        group, first, number = self._cases
-        if not number or self._stopped:
-            return None
-        self._cases = Cases(group, first + 1, number - 1)
-        return group, first
+        drawn, self._dealt = self._dealt, _NOTHING
+        self._group = drawn.group
+        return drawn if drawn.number and not self._stopped else None
 
-    def count(self, failed: bool, seconds: float) -> None:
-        """Count the case drawn last, which has ended after so long. Not collective."""
-        self._done += not failed
+    def count(self, done: int, failed: int, seconds: float) -> None:
+        """Count cases of those drawn last, which have ended after so long. Not collective."""
+        self._done += done
         self._failed += failed
         self._seconds += seconds
 
@@ -189,7 +189,7 @@ class Scheduler:
     def _ask(self, what: int) -> None:
         """Tell what has ended since; note what rank 0 answers."""
         ended = self._done, self._failed, round(1e6 * self._seconds)
-        question = np.array([what, self._cases.group, *ended], dtype=np.int64)
+        question = np.array([what, self._group, *ended], dtype=np.int64)
         if self._board is not None:
             answer = self._answer(0, question)
         else:
@@ -202,7 +202,7 @@ class Scheduler:
         *drawn, stopped = answer.tolist()
         self._stopped = bool(stopped)
         if what == _DRAW:
-            self._cases = Cases(*drawn)
+            self._dealt = Cases(*drawn)
 
     def _answer(self, rank: int, question: IntArray) -> IntArray:
         """Return the answer to a rank: what it has drawn, and whether all are to stop."""

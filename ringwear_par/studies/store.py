@@ -5,14 +5,17 @@
 of a study keep to files of their own until the whole is merged.
 """
 
+import os
 import shutil
-import sqlite3
-from collections import defaultdict
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import chain, count
 from pathlib import Path
+from typing import Any
+
+import numpy as np
 
 from ringwear_par.atomic import check_writable, unwritable
 from ringwear_par.cases.keys import read_keys
@@ -21,10 +24,10 @@ from ringwear_par.history.balances import Balances
 from ringwear_par.results.checkpoints import restored
 from ringwear_par.results.files import open_result
 from ringwear_par.results.reading import UnreadableError
-from ringwear_par.results.variables import PROFILES
 from ringwear_par.studies import dataset, shards
-from ringwear_par.studies.dataset import RESULTS, Row
-from ringwear_par.studies.shards import Entry, Record
+from ringwear_par.studies.blocks import Record
+from ringwear_par.studies.dataset import RESULTS
+from ringwear_par.studies.index import DAMAGE, INCOMPLETE, Index, Piece, join, latest
 from ringwear_par.studies.study import case_id
 
 
@@ -60,6 +63,10 @@ class Store:
     def inflight(self, identity: str) -> Path:
         """Return the file of a case that was interrupted."""
         return self.folder / "inflight" / f"{identity}.h5"
+
+    def interrupted(self) -> list[Path]:
+        """Return the files of all cases that were interrupted."""
+        return sorted((self.folder / "inflight").glob("*.h5"))
 
     def operator(self, group: int) -> Path:
         """Return the file of a group's operator."""
@@ -100,26 +107,27 @@ class Store:
             path.unlink(missing_ok=True)
 
     @telling_unreadable()
-    def scan(self, ids: Collection[str], mend: bool) -> tuple[dict[str, Entry], list[str]]:
-        """Return the stored cases by id, and sentences on what is damaged. Needs the lock.
+    def scan(self, ids: Any, mend: bool) -> tuple[Index, list[str]]:
+        """Return the stored cases, and sentences on what is damaged. Needs the lock.
 
         Parameters
         ----------
-        ids : of the cases of the study, whose checkpoints have to be theirs.
+        ids : (cases,) bytes, of the study, whose checkpoints have to be theirs.
         mend : move damaged files aside, drop damaged rows.
 
         Raises
         ------
         ComputationError : a file is in use by a process of a killed sweep, or cannot be read.
         """
-        entries: dict[str, Entry] = {}
-        notes, mine = [], frozenset(ids)
+        parts: list[Index] = []
+        notes = []
         results = self.folder / RESULTS
         if results.exists():
             found = dataset.read_entries(results)
             if found is None:
                 notes.append(self.set_aside(results, mend))
-            entries.update(found or {})
+            else:
+                parts.append(found)
         for path in sorted((self.folder / "shards").glob(f"{self.part or '*'}_*.sqlite")):
             index = shards.read_index(path)
             if index is None:
@@ -134,24 +142,34 @@ class Store:
                     f"{path}: {index[1]} of its rows are damaged (kept in {aside.name}); their "
                     "cases run again"
                 )
-            for identity, entry in index[0].items():  # a failure never hides a success
-                if entries.get(identity, _NOTHING).status != "done":
-                    entries[identity] = entry
-        for path in sorted((self.folder / "inflight").glob("*.h5")):
-            if entries.get(path.stem, _NOTHING).status not in ("done", "failed"):
-                try:
-                    record = _interrupted(path)
-                    if path.stem in mine and _id_of(record) != path.stem:
-                        raise InputError(f"{path}: is of another case than its name says")
-                    entries[path.stem] = _entry(record, path)
-                except UnreadableError:
-                    raise
-                except InputError as error:
-                    if path.exists():  # else another slice has just ended the case
-                        if mend:
-                            path.unlink(missing_ok=True)
-                        notes.append(f"{error}; this case starts anew")
-        return entries, notes
+            parts.append(index[0])
+        # a failure never hides a success
+        stored = latest(join(parts))
+        interrupted, more = self._in_flight(stored, ids, mend)
+        return latest(join([stored, *interrupted])), notes + more
+
+    def _in_flight(self, stored: Index, ids: Any, mend: bool) -> tuple[list[Index], list[str]]:
+        """Return the interrupted cases that have not ended since, and what is damaged."""
+        paths = self.interrupted()
+        names = np.array([os.fsencode(path.stem) for path in paths] or [b""])[: len(paths)]
+        entries, mine = stored.find(names), np.isin(names, ids)
+        found, notes = [], []
+        for path, entry, own in zip(paths, entries.tolist(), mine.tolist(), strict=True):
+            if entry >= 0 and stored.status[entry] != INCOMPLETE:
+                continue
+            try:
+                record = _interrupted(path)
+                if own and _id_of(record) != path.stem:
+                    raise InputError(f"{path}: is of another case than its name says")
+                found.append(shards.index_record(record, _InFlight(path), 0))
+            except UnreadableError:
+                raise
+            except InputError as error:
+                if path.exists():  # else another slice has just ended the case
+                    if mend:
+                        path.unlink(missing_ok=True)
+                    notes.append(f"{error}; this case starts anew")
+        return found, notes
 
     def set_aside(self, path: Path, mend: bool = True) -> str:
         """Give a damaged file another name, which no file has, and return a sentence on it.
@@ -167,33 +185,6 @@ class Store:
                     Path(f"{path}{tail}").replace(f"{aside}{tail}")
         return f"{path}: is damaged (kept as {aside.name}); its cases run again"
 
-    def fetch(self, rows: Sequence[Row]) -> Iterator[Record]:
-        """Yield the records of stored cases, in any order.
-
-        Raises
-        ------
-        DamagedError : a file that the scan took for whole.
-        ComputationError, UnreadableError : a file cannot be read now.
-        """
-        places: dict[Path, list[str]] = defaultdict(list)
-        for row in rows:
-            if row.entry is not None:
-                places[row.entry.path].append(row.id)
-        for path, ids in places.items():
-            try:
-                if path.suffix == ".sqlite":
-                    yield from shards.read_records(path, ids)
-                elif path.name == RESULTS:
-                    yield from dataset.read_records(path, ids)
-                else:
-                    yield _interrupted(path)
-            except UnreadableError:
-                raise
-            except _DAMAGE as error:
-                if isinstance(error, sqlite3.DatabaseError) and not shards.is_damage(error):
-                    raise ComputationError(f"{path}: cannot be read: {error}") from error
-                raise DamagedError(path) from error
-
     def forget_shards(self) -> None:
         """Remove what results.h5 holds by now, and what slices have left."""
         for path in (self.folder / "shards").glob("*.sqlite*"):
@@ -204,19 +195,6 @@ class Store:
                 (self.folder / name).rmdir()
 
 
-class DamagedError(ComputationError):
-    """A file whose contents cannot be read.
-
-    Parameters
-    ----------
-    path : of the file.
-    """
-
-    def __init__(self, path: Path) -> None:
-        super().__init__(f"{path}: is damaged")
-        self.path = path
-
-
 def _free_name(path: Path) -> Path:
     """Return a name for a damaged file, which no file has."""
     ending = path.suffix if path.name == RESULTS else ""
@@ -225,19 +203,31 @@ def _free_name(path: Path) -> Path:
     return next(name for name in names if not name.exists())
 
 
-_NOTHING = Entry("", 0, 0, (), False, Path(), "")
-#: what reading a damaged file ends in
-_DAMAGE = (
-    sqlite3.DatabaseError, RuntimeError, KeyError, IndexError, TypeError, ValueError, InputError,
-)  # fmt: skip
+class _InFlight:
+    """An interrupted case, see ``Source``.
 
+    Parameters
+    ----------
+    path : of its file.
+    """
 
-def _entry(record: Record, path: Path) -> Entry:
-    """Return what is known of an interrupted case."""
-    fields = tuple(name for name in PROFILES if name in record.arrays)
-    deep = any(record.arrays[name].ndim == 2 for name in fields)
-    steps, elements = (len(record.arrays[name]) for name in ("time", "r"))
-    return Entry(record.status, steps, elements, fields, deep, path, record.version)
+    def __init__(self, path: Path) -> None:
+        self.path = path
+
+    @cached_property
+    def _record(self) -> Record:
+        return _interrupted(self.path)
+
+    def read(self, _: int, name: str) -> Piece | None:
+        """Return a variable of the case; None where it is not stored."""
+        return shards.piece_of(self._record, name)
+
+    def texts(self, _: int, places: Sequence[int]) -> list[str]:
+        """Return its text."""
+        return [self._record.toml] * len(places)
+
+    def close(self) -> None:
+        """Let the file go, which is read at once."""
 
 
 def _interrupted(path: Path) -> Record:
@@ -259,7 +249,7 @@ def _interrupted(path: Path) -> Record:
             "width": result.line.width,
             **result.profiles,
         }
-    except _DAMAGE as error:
+    except DAMAGE as error:
         raise InputError(f"{path}: is damaged") from error
     return Record(path.stem, result.case, "incomplete", "", seconds, worst, arrays, version)
 
@@ -268,5 +258,5 @@ def _id_of(record: Record) -> str:
     """Return the id that the text of a case says, "" if it says none."""
     try:
         return case_id(read_keys(record.toml))
-    except _DAMAGE:
+    except DAMAGE:
         return ""

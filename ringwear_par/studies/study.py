@@ -6,10 +6,10 @@ that stay the same keep their results.
 """
 
 import hashlib
+import itertools
 import json
 import pickle
-from collections import defaultdict
-from collections.abc import Hashable, Mapping, Sequence
+from collections.abc import Hashable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -17,18 +17,21 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ringwear_par.arrays import FloatArray
+from ringwear_par.arrays import BoolArray, FloatArray, IntArray
 from ringwear_par.cases.case import Case
-from ringwear_par.cases.law_trials import refuse_bad_laws
+from ringwear_par.cases.law_trials import law_sources, refuse_bad_laws
+from ringwear_par.cases.numbers import Number, doubtful, interval_of, with_numbers
 from ringwear_par.cases.reading import make_case
 from ringwear_par.cases.schema import BY_PATH
-from ringwear_par.cases.text import toml_text
+from ringwear_par.cases.text import toml_value
 from ringwear_par.elasticity.mesh import count_elements
 from ringwear_par.errors import InputError
-from ringwear_par.history.bodies import operator_key
+from ringwear_par.history.bodies import operator_key, young
 from ringwear_par.history.limits import check_memory, check_mesh, check_ranks
 from ringwear_par.studies.designs import Draft, read_draft
-from ringwear_par.studies.variations import split_key, varied_keys
+from ringwear_par.studies.groups import Groups
+from ringwear_par.studies.texts import Frame, Place, Texts, joined
+from ringwear_par.studies.variations import Column, split_key, varied_keys
 from ringwear_par.textfiles import read_text
 
 if TYPE_CHECKING:
@@ -38,84 +41,234 @@ if TYPE_CHECKING:
 _NOT_IN_IDS = {f"wear.{body}.law": "threshold" for body in ("lower", "upper")}
 #: faults of single cases told one by one; the rest are counted
 _FAULTS_TOLD = 5
+#: cases whose texts are made at once
+_WINDOW = 2**14
+#: most kinds of cases that a rank keeps at hand
+_MOST_KINDS = 64
 
 
-@dataclass(frozen=True)
-class Study:
-    """A study, complete: every case of it is known to be a good one.
+@dataclass(frozen=True, eq=False)
+class Rows:
+    """The cases of a study, or a stretch of them, by column.
+
+    Cases whose columns differ in numbers only (see ``cases.numbers``) are of one kind.
 
     Parameters
     ----------
-    name, text, base, names, method, rows : as in its Draft; no case is there twice.
-    ids : one id a case.
-    pickled : one case each as it was made and checked, without its text; a tenth of the time of
-        making it anew, a fifth of the memory of the object, and sent to other ranks as it is.
-    groups : indices of the cases that share an operator, longest work first; those of the same
-        moduli follow each other.
-    work : estimated seconds of stepping of each case, (cases,).
-    assembly : estimated seconds of assembly of each group, (groups,). Both are in proportion only.
+    base : dotted keys and raw values of the base case.
+    names : the varied keys.
+    columns : raw values, in the order of ``names``.
     """
 
-    name: str
-    text: str
     base: Mapping[str, Any]
     names: tuple[str, ...]
-    method: str
-    rows: tuple[tuple[Any, ...], ...]
-    ids: tuple[str, ...]
-    pickled: tuple[bytes, ...]
-    groups: tuple[tuple[int, ...], ...]
-    work: FloatArray
-    assembly: FloatArray
+    columns: tuple[Column, ...]
 
-    def __repr__(self) -> str:
-        return (
-            f"<Study {self.name}: {self.method}, cases: {len(self.ids)}, operators: "
-            f"{len(self.groups)}, varied: {', '.join(self.names) or 'nothing'}>"
-        )
+    def part(self, cases: slice | IntArray) -> "Rows":
+        """Return some of the cases."""
+        return Rows(self.base, self.names, tuple(c.part(cases) for c in self.columns))
 
-    def case(self, number: int) -> Case:
-        """Return one case."""
-        case: Case = pickle.loads(self.pickled[number])
-        # nobody else has this one yet; dataclasses.replace would lose what makes a text change it
-        object.__setattr__(case, "text", toml_text(self.keys(number)))
-        return case
-
-    def keys(self, number: int) -> dict[str, Any]:
-        """Return the dotted keys and raw values of one case."""
-        return varied_keys(self.base, self._parts, self.rows[number])
+    def keys(self, case: int, places: bool = False) -> dict[str, Any]:
+        """Return the dotted keys and raw values of a case, perhaps with places for its numbers."""
+        hollow = set(self.numbers.values()) if places else set()
+        row = [Place(i) if i in hollow else c[case] for i, c in enumerate(self.columns)]
+        return varied_keys(self.base, self._parts, row)
 
     @cached_property
     def _parts(self) -> list[tuple[str, int | str | None]]:
         return [split_key(name) for name in self.names]
 
+    @cached_property
+    def numbers(self) -> dict[Number, int]:
+        """Which columns are numbers of a case, whatever the others are."""
+        found: dict[Number, int] = {}
+        for i, (path, entry) in enumerate(self._parts):
+            if isinstance(entry, int) or self.columns[i].numbers is None:
+                continue
+            if interval_of((path, entry)) is not None:
+                found[path, entry] = i
+        return found
 
-@dataclass
-class _Checked:
-    """What is known of a stretch of a draft's rows, each list with one item a good case.
+    @cached_property
+    def kinds(self) -> IntArray:
+        """(cases,) number of the kind that each case is of."""
+        kinds = np.zeros(len(self.columns[0]), dtype=np.int64)
+        for i, column in enumerate(self.columns):
+            if i not in self.numbers.values():
+                own = column.kinds
+                kinds = kinds * (int(own.max(initial=0)) + 1) + own
+                kinds = np.unique(kinds, return_inverse=True)[1].astype(np.int64)
+        return kinds
+
+    def others(self, case: int) -> str:
+        """Return what tells the kind of a case: all values but the numbers."""
+        numbers = self.numbers.values()
+        return repr([column[case] for i, column in enumerate(self.columns) if i not in numbers])
+
+    def inside(self) -> BoolArray:
+        """Return in which cases all numbers are right by themselves."""
+        good = np.ones(len(self.columns[0]), dtype=bool)
+        for number, i in self.numbers.items():
+            interval, values = interval_of(number), self.columns[i].numbers
+            assert interval is not None
+            assert values is not None
+            good &= interval.holds(values)
+        return good
+
+    def floats(self, cases: IntArray) -> dict[Number, FloatArray]:
+        """Return the numbers of some cases."""
+        return {
+            number: values[cases]
+            for number, i in self.numbers.items()
+            if (values := self.columns[i].numbers) is not None
+        }
+
+
+@dataclass(frozen=True)
+class _Kind:
+    """What the cases of a kind have in common: one of them, and the frame of their texts."""
+
+    case: Case
+    frame: Frame
+
+
+@dataclass(frozen=True, eq=False)
+class Study:
+    """A study, complete: every case of it is known to be a good one.
 
     Parameters
     ----------
-    ids : of the cases.
-    rows : raw values.
-    pickled : the cases.
-    operators : what the operator of each depends on.
-    moduli : Young's moduli of lower and upper.
-    work : estimated seconds of stepping.
+    name, text, method : as in its Draft.
+    cases : by column; no case is there twice.
+    identities : (cases,) bytes, one id a case.
+    members : numbers of the cases that share an operator, longest work first; those of the same
+        moduli follow each other.
+    work : estimated seconds of stepping of each case, (cases,).
+    assembly : estimated seconds of assembly of each group, (groups,). Both are in proportion only.
+    tried : a case of each kind that has a user's law, as it was read and tried: its file may
+        change, or be on another machine.
+    """
+
+    name: str
+    text: str
+    method: str
+    cases: Rows
+    identities: Any
+    members: Groups
+    work: FloatArray
+    assembly: FloatArray
+    tried: Mapping[str, bytes]
+
+    def __repr__(self) -> str:
+        return (
+            f"<Study {self.name}: {self.method}, cases: {len(self.identities)}, operators: "
+            f"{len(self.members)}, varied: {', '.join(self.names) or 'nothing'}>"
+        )
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Return what is sent to other ranks: nothing that is only at hand."""
+        return {k: v for k, v in self.__dict__.items() if k in self.__dataclass_fields__}
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The varied keys."""
+        return self.cases.names
+
+    @cached_property
+    def ids(self) -> tuple[str, ...]:
+        """One id a case."""
+        return tuple(self.identities.astype(str).tolist())
+
+    @cached_property
+    def rows(self) -> tuple[tuple[Any, ...], ...]:
+        """Raw values of each case, in the order of ``names``."""
+        return tuple(zip(*(column.each() for column in self.cases.columns), strict=True))
+
+    @cached_property
+    def groups(self) -> tuple[tuple[int, ...], ...]:
+        """The members of the groups."""
+        return tuple(tuple(group.tolist()) for group in self.members)
+
+    def case(self, number: int) -> Case:
+        """Return one case."""
+        return self.made([number])[0][0]
+
+    def keys(self, number: int) -> dict[str, Any]:
+        """Return the dotted keys and raw values of one case."""
+        return self.cases.keys(number)
+
+    def made(self, numbers: Sequence[int] | IntArray) -> tuple[list[Case], Texts]:
+        """Return some cases, and their texts by what they have in common."""
+        numbers = np.asarray(numbers, dtype=np.int64)
+        rows, kinds = self.cases.part(numbers), self.cases.kinds[numbers]
+        written = [column.each(toml_value) for column in rows.columns]
+        cases = np.empty(len(kinds), dtype=object)
+        values = np.empty(len(kinds), dtype=object)
+        frame_of = np.zeros(len(kinds), dtype=np.int64)
+        frames: list[tuple[str, ...]] = []
+        for kind, here in _by_kind(kinds):
+            own = self._kind(kind, int(numbers[here[0]]))
+            places = here.tolist()
+            columns = [[written[c][i] for i in places] for c in own.frame.columns]
+            filled = list(zip(*columns, strict=True)) if columns else [()] * len(places)
+            texts = [joined(own.frame.pieces, each) for each in filled]
+            floats = {n: v.tolist() for n, v in self.cases.floats(numbers[here]).items()}
+            made = with_numbers(own.case, floats, texts)
+            for i, case, each in zip(places, made, filled, strict=True):
+                cases[i], values[i] = case, each
+            frame_of[here] = len(frames)
+            frames.append(own.frame.pieces)
+        return cases.tolist(), Texts(tuple(frames), tuple(frame_of.tolist()), tuple(values))
+
+    def texts(self, numbers: Sequence[int] | IntArray) -> list[str]:
+        """Return the texts of some cases."""
+        return [case.text for case in self.made(numbers)[0]]
+
+    def _kind(self, kind: int, number: int) -> _Kind:
+        """Return the kind of a case, made of it if it is not at hand."""
+        there = self._at_hand.pop(kind, None)
+        if there is None:
+            case = None
+            if self.tried:
+                tried = self.tried.get(self.cases.others(number))
+                case = pickle.loads(tried) if tried is not None else None
+            if case is None:
+                case = make_case(self.cases.keys(number), self.name, text="")
+            there = _Kind(case, Frame.of(self.cases.keys(number, places=True)))
+            if len(self._at_hand) >= _MOST_KINDS:
+                del self._at_hand[next(iter(self._at_hand))]
+        self._at_hand[kind] = there
+        return there
+
+    @cached_property
+    def _at_hand(self) -> dict[int, _Kind]:
+        return {}
+
+
+@dataclass
+class _Checked:
+    """What is known of a stretch of a draft's rows.
+
+    Parameters
+    ----------
+    identities : (rows,) of the good cases.
+    operators : (rows,) which of the keys of ``largest`` the operator of each depends on.
+    moduli : (rows, 2) Young's moduli of lower and upper.
+    work : (rows,) estimated seconds of stepping.
     largest : of the cases that share an operator, the one that stores most.
     operator_faults : what is wrong with the size or the mesh of each operator.
+    tried : see Study.
     faults : of each of the first bad cases.
     bad : number of bad cases.
     """
 
-    ids: list[str]
-    rows: list[tuple[Any, ...]]
-    pickled: list[bytes]
-    operators: list[Hashable]
-    moduli: list[tuple[float, float]]
-    work: list[float]
+    identities: Any
+    operators: IntArray
+    moduli: FloatArray
+    work: FloatArray
     largest: dict[Hashable, Case]
     operator_faults: dict[Hashable, tuple[str, ...]]
+    tried: dict[str, bytes]
     faults: list[tuple[str, ...]]
     bad: int
 
@@ -134,7 +287,7 @@ def read_study(source: Path | str | Mapping[str, Any], ranks_per_case: int = 1) 
     InputError : all faults of the study together, or those of its first bad cases.
     """
     draft = read_draft(source)
-    every = _check_rows(draft, 0, len(draft.rows), ranks_per_case)
+    every = _Checker(draft, 0, draft.count, ranks_per_case).check()
     return _complete(draft, [every], ranks_per_case)
 
 
@@ -148,9 +301,9 @@ def read_study_together(
     from ringwear_par.parallel import on_first_rank, together
 
     draft = on_first_rank(comm, lambda: read_draft(source))
-    first, last = (len(draft.rows) * i // comm.size for i in (comm.rank, comm.rank + 1))
+    first, last = (draft.count * i // comm.size for i in (comm.rank, comm.rank + 1))
     with together(comm):
-        mine = _check_rows(draft, first, last, ranks_per_case)
+        mine = _Checker(draft, first, last, ranks_per_case).check()
     stretches = comm.gather(mine)
     study = None
     with together(comm):
@@ -166,87 +319,247 @@ def case_id(case_keys: Mapping[str, Any]) -> str:
     ----------
     case_keys : dotted keys and raw values of a good case.
     """
-    content = {}
+    pieces = _id_pieces(case_keys, {})
+    return _digest("".join(map(str, pieces)))
+
+
+def _digest(contents: str) -> str:
+    """Return the id of JSON pairs, each of which begins with a comma."""
+    return hashlib.sha256(f"{{{contents[2:]}}}".encode()).hexdigest()[:16]
+
+
+def _id_pieces(case_keys: Mapping[str, Any], numbers: Mapping[Number, int]) -> list[str | int]:
+    """Return the JSON pairs that an id is made of, and numbers of columns in their places.
+
+    Parameters
+    ----------
+    case_keys : dotted keys and raw values of a good case, Places for numbers.
+    numbers : their columns.
+    """
+    pieces: list[str | int] = []
     for path in sorted(case_keys.keys() - {"title"}):
-        value = BY_PATH[path].read(case_keys[path])
-        if value != _NOT_IN_IDS.get(path, BY_PATH[path].default):
-            content[path] = value
-        if path.startswith("wear.") and path.endswith(".file"):  # what it says, not where it is
-            content[path] = read_text(Path(case_keys[path]))
-    return hashlib.sha256(json.dumps(content, default=repr).encode()).hexdigest()[:16]
+        raw, key = case_keys[path], BY_PATH[path]
+        if (path, None) in numbers:
+            pieces.append(numbers[path, None])
+        elif path.startswith("wear.") and path.endswith(".file"):  # what it says, not where it is
+            pieces.append(_pair(path, read_text(Path(raw))))
+        elif isinstance(raw, dict) and any((path, name) in numbers for name in raw):
+            there = key.read({n: 0.0 if (path, n) in numbers else v for n, v in raw.items()})
+            pieces.append(f", {json.dumps(path)}: [")
+            for i, (name, value) in enumerate(there):
+                pieces.append(f"{', ' if i else ''}[{json.dumps(name)}, ")
+                known = (path, name) in numbers
+                pieces.append(numbers[path, name] if known else json.dumps(value, default=repr))
+                pieces.append("]")
+            pieces.append("]")
+        else:
+            value = key.read(raw)
+            if value != _NOT_IN_IDS.get(path, key.default):
+                pieces.append(_pair(path, value))
+    return pieces
 
 
-def _check_rows(draft: Draft, first: int, last: int, ranks: int) -> _Checked:
-    """Make every case of a stretch of the rows once, and look what is wrong with them."""
-    parts = [split_key(name) for name in draft.names]
-    found = _Checked([], [], [], [], [], [], {}, {}, [], 0)
-    for number in range(first, last):
-        keys = varied_keys(draft.base, parts, draft.rows[number])
-        name = f"{draft.name}: case {number + 1}"
-        try:
-            case = make_case(keys, name, text="")
-            refuse_bad_laws(case, name)
-            check_ranks(case, ranks, name)
-        except InputError as error:
-            found.bad += 1
-            if found.bad <= _FAULTS_TOLD:
-                found.faults.append(error.faults)
-            continue
-        operator = operator_key(case)
-        found.ids.append(case_id(keys))
-        found.rows.append(draft.rows[number])
-        found.pickled.append(pickle.dumps(case))
-        found.operators.append(operator)
-        found.moduli.append((case.lower.young, case.upper.young))
-        found.work.append(_stepping_work(case))
-        there = found.largest.setdefault(operator, case)
-        if there.stored_rows < case.stored_rows:
-            found.largest[operator] = case
-        if operator not in found.operator_faults:
-            try:
-                check_memory(case, ranks, draft.name)  # first: a mesh takes memory as well
-                check_mesh(case, draft.name)
-                found.operator_faults[operator] = ()
-            except InputError as error:
-                found.operator_faults[operator] = error.faults
+def _pair(path: str, value: Any) -> str:
+    return f", {json.dumps(path)}: {json.dumps(value, default=repr)}"
+
+
+def _identities(rows: Rows, firsts: Mapping[int, int]) -> Any:
+    """Return (cases,) bytes, the ids of good cases.
+
+    Parameters
+    ----------
+    firsts : a good case of each kind that has one.
+    """
+    found = np.zeros(len(rows.kinds), dtype="S16")
+    for start in range(0, len(found), _WINDOW):
+        window = slice(start, start + _WINDOW)
+        part = rows.part(window)
+        written: list[list[str]] = [[]] * len(rows.columns)
+        for (path, entry), i in rows.numbers.items():
+            written[i] = part.columns[i].each(_Told(path) if entry is None else _told)
+        for kind, here in _by_kind(rows.kinds[window]):
+            if kind in firsts:
+                pieces = _id_pieces(rows.keys(firsts[kind], places=True), rows.numbers)
+                columns = [
+                    itertools.repeat(piece, len(here))
+                    if isinstance(piece, str)
+                    else [written[piece][i] for i in here.tolist()]
+                    for piece in pieces
+                ]
+                found[start + here] = [_digest("".join(e)) for e in zip(*columns, strict=True)]
     return found
+
+
+def _told(raw: Any) -> str:
+    """Return a number as JSON has it."""
+    return repr(float(raw))
+
+
+class _Told:
+    """Writes the numbers of a key as JSON pairs, but for its default."""
+
+    def __init__(self, path: str) -> None:
+        self._begin, self._default = f", {json.dumps(path)}: ", BY_PATH[path].default
+
+    def __call__(self, raw: Any) -> str:
+        value = float(raw)
+        return "" if value == self._default else self._begin + repr(value)
+
+
+def _by_kind(kinds: IntArray) -> Iterator[tuple[int, IntArray]]:
+    """Yield each kind and its cases."""
+    order = np.argsort(kinds, kind="stable")
+    there, starts = np.unique(kinds[order], return_index=True)
+    yield from zip(there.tolist(), np.split(order, starts[1:]), strict=True)
+
+
+class _Checker:
+    """Checks the cases of a stretch of a draft: of each kind one, the others by their numbers."""
+
+    def __init__(self, draft: Draft, first: int, last: int, ranks: int) -> None:
+        self._draft, self._first, self._ranks = draft, first, ranks
+        self.rows = Rows(draft.base, draft.names, draft.columns).part(slice(first, last))
+        self.count = last - first
+        self.operators = np.zeros(self.count, dtype=np.int64)
+        self.moduli, self.work = np.zeros((self.count, 2)), np.zeros(self.count)
+        self.bad = np.zeros(self.count, dtype=bool)
+        self.largest: dict[Hashable, Case] = {}
+        self.operator_faults: dict[Hashable, tuple[str, ...]] = {}
+        self.tried: dict[str, bytes] = {}
+        #: a good case of each kind
+        self.firsts: dict[int, int] = {}
+        self._codes: dict[Hashable, int] = {}
+
+    def check(self) -> _Checked:
+        """Look at all of them."""
+        inside = self.rows.inside()
+        self.bad[~inside] = True
+        for kind, here in _by_kind(self.rows.kinds):
+            self._check_kind(kind, here[inside[here]])
+        faults = []
+        for i in np.flatnonzero(self.bad)[:_FAULTS_TOLD].tolist():
+            try:
+                self._alone(i)
+            except InputError as error:
+                faults.append(error.faults)
+        identities = np.zeros(0, dtype="S16")
+        if not self.bad.any():
+            identities = _identities(self.rows, self.firsts)
+        return _Checked(
+            identities, self.operators, self.moduli, self.work, self.largest,
+            self.operator_faults, self.tried, faults, int(self.bad.sum()),
+        )  # fmt: skip
+
+    def _check_kind(self, kind: int, here: IntArray) -> None:
+        """Check the cases of a kind, whose numbers are right by themselves."""
+        rest = here
+        while len(rest):
+            first, rest = int(rest[0]), rest[1:]
+            try:
+                case = self._alone(first)
+            except InputError:
+                self.bad[first] = True
+                continue
+            self._note(np.array([first]), case)
+            self.firsts.setdefault(kind, first)
+            if len(rest):
+                look = doubtful(case, self.rows.floats(rest))
+                self._note(rest[~look], case)
+                rest = rest[look]
+                if look.all():
+                    break
+        for i in rest.tolist():
+            try:
+                self._note(np.array([i]), self._alone(i))
+            except InputError:
+                self.bad[i] = True
+
+    def _alone(self, i: int) -> Case:
+        """Make and check one case.
+
+        Raises
+        ------
+        InputError : its faults.
+        """
+        name = f"{self._draft.name}: case {self._first + i + 1}"
+        case = make_case(self.rows.keys(i), name, text="")
+        refuse_bad_laws(case, name)
+        check_ranks(case, self._ranks, name)
+        return case
+
+    def _note(self, here: IntArray, case: Case) -> None:
+        """Note of good cases what one of them tells of all."""
+        operator = operator_key(case)
+        self.operators[here] = self._codes.setdefault(operator, len(self._codes))
+        self.moduli[here] = young(case)
+        for i, body in enumerate(("lower", "upper")):
+            column = self.rows.numbers.get((f"{body}.young", None))
+            if column is not None:
+                values = self.rows.columns[column].numbers
+                assert values is not None
+                self.moduli[here, i] = values[here]
+        self.work[here] = _stepping_work(case)
+        there = self.largest.setdefault(operator, case)
+        if there.stored_rows < case.stored_rows:
+            self.largest[operator] = case
+        if len(here) and law_sources(case):
+            self.tried.setdefault(self.rows.others(int(here[0])), pickle.dumps(case))
+        if operator not in self.operator_faults:
+            try:
+                check_memory(case, self._ranks, self._draft.name)  # first: a mesh takes memory too
+                check_mesh(case, self._draft.name)
+                self.operator_faults[operator] = ()
+            except InputError as error:
+                self.operator_faults[operator] = error.faults
 
 
 def _complete(draft: Draft, stretches: Sequence[_Checked], ranks: int) -> Study:
     """Join stretches of checked rows: refuse bad ones, drop repetitions, and group by operator."""
-    number: dict[str, int] = {}
-    rows: list[tuple[Any, ...]] = []
-    pickled: list[bytes] = []
-    work: list[float] = []
-    groups: dict[Hashable, list[tuple[tuple[float, float], int]]] = defaultdict(list)
     largest: dict[Hashable, Case] = {}
     operator_faults: dict[Hashable, tuple[str, ...]] = {}
+    tried: dict[str, bytes] = {}
+    codes: dict[Hashable, int] = {}
+    operators = []
     for part in stretches:
-        for i, identity in enumerate(part.ids):
-            if identity in number:
-                continue
-            number[identity] = len(rows)
-            groups[part.operators[i]].append((part.moduli[i], len(rows)))
-            rows.append(part.rows[i])
-            pickled.append(part.pickled[i])
-            work.append(part.work[i])
         for operator, case in part.largest.items():
             there = largest.setdefault(operator, case)
             if there.stored_rows < case.stored_rows:
                 largest[operator] = case
+            codes.setdefault(operator, len(codes))
+        operators.append([codes[operator] for operator in part.largest])
         operator_faults = {**part.operator_faults, **operator_faults}
+        tried = {**part.tried, **tried}
     _refuse(draft, stretches, largest, operator_faults, ranks)
-    worked = np.array(work)
-    indices = {key: tuple(i for _, i in sorted(members)) for key, members in groups.items()}
-    assembly = {key: _assembly_work(largest[key]) for key in groups}
-    order = sorted(
-        indices, key=lambda k: (-assembly[k] - worked[list(indices[k])].sum(), indices[k][0])
-    )
+    identities = np.concatenate([part.identities for part in stretches])
+    own = zip(operators, stretches, strict=True)
+    operator_of = np.concatenate([np.array(o, dtype=np.int64)[p.operators] for o, p in own])
+    moduli = np.concatenate([part.moduli for part in stretches])
+    work = np.concatenate([part.work for part in stretches])
+    rows = Rows(draft.base, draft.names, draft.columns)
+    firsts = np.unique(identities, return_index=True)[1]
+    if len(firsts) < len(identities):  # some cases are there twice
+        firsts.sort()
+        rows, identities, operator_of = rows.part(firsts), identities[firsts], operator_of[firsts]
+        moduli, work = moduli[firsts], work[firsts]
+    assembly = np.array([_assembly_work(largest[operator]) for operator in codes])
+    stepping = np.bincount(operator_of, work, len(codes))
+    there, first_of = np.unique(operator_of, return_index=True)
+    order = there[np.lexsort((first_of, -(assembly + stepping)[there]))]
+    place = np.empty(len(codes), dtype=np.int64)
+    place[order] = np.arange(len(order))
+    members = np.lexsort((_first_of_its_moduli(moduli), place[operator_of]))
+    sizes = np.bincount(place[operator_of], minlength=len(order))
     return Study(
-        draft.name, draft.text, dict(draft.base), draft.names, draft.method, tuple(rows),
-        tuple(number), tuple(pickled), tuple(indices[k] for k in order), worked,
-        np.array([assembly[k] for k in order]),
+        draft.name, draft.text, draft.method, rows, identities,
+        Groups(members, np.concatenate([[0], np.cumsum(sizes)])), work, assembly[order], tried,
     )  # fmt: skip
+
+
+def _first_of_its_moduli(moduli: FloatArray) -> IntArray:
+    """Return for each row of moduli the first row that is the same."""
+    pairs = np.ascontiguousarray(moduli).view(np.complex128)[:, 0]
+    _, first, which = np.unique(pairs, return_index=True, return_inverse=True)
+    return first[which]
 
 
 def _refuse(
@@ -265,7 +578,7 @@ def _refuse(
         told += len(part.faults[: _FAULTS_TOLD - told])
     bad = sum(part.bad for part in stretches)
     if bad > told:
-        faults.append(f"{draft.name}: {bad - told} more of {len(draft.rows)} cases are bad")
+        faults.append(f"{draft.name}: {bad - told} more of {draft.count} cases are bad")
     for operator, case in largest.items():
         try:
             check_memory(case, ranks, draft.name)

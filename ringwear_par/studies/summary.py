@@ -1,7 +1,7 @@
 """What a sweep did, in a few lines."""
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -26,7 +26,7 @@ class Summary:
     seconds : wall time.
     peak : MB, largest memory of a rank.
     timings : of each rank.
-    flagged : the flags of each case that has some.
+    flagged : how many cases have the same flags, by these.
     merged : whether the results were written.
     """
 
@@ -40,7 +40,7 @@ class Summary:
     seconds: float
     peak: float
     timings: tuple[Timings, ...]
-    flagged: tuple[tuple[str, ...], ...]
+    flagged: Counter[tuple[str, ...]]
     merged: bool = False
 
     def __str__(self) -> str:
@@ -74,9 +74,11 @@ class Summary:
         return "\n".join(lines)
 
 
-def told_flags(flagged: Sequence[tuple[str, ...]]) -> str:
+def told_flags(flagged: Mapping[tuple[str, ...], int]) -> str:
     """Return how many cases are flagged, and what for."""
-    counts = Counter(flag for flags in flagged for flag in flags)
+    counts: Counter[str] = Counter()
+    for flags, n in flagged.items():
+        counts.update(dict.fromkeys(flags, n))
     told = ", ".join(f"{flag.replace('_', ' ')} ({n})" for flag, n in counts.most_common())
-    one = len(flagged) == 1
-    return f"{len(flagged)} case{'' if one else 's'} flagged: {told}; see flags in {TABLE}"
+    total = sum(flagged.values())
+    return f"{total} case{'' if total == 1 else 's'} flagged: {told}; see flags in {TABLE}"

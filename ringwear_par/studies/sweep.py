@@ -15,9 +15,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from mpi4py import MPI
 
-from ringwear_par.cases.text import toml_text
 from ringwear_par.elasticity.assembly import load_kernels
 from ringwear_par.errors import ComputationError, InputError, RingwearError
 from ringwear_par.history.limits import check_ranks
@@ -26,14 +26,14 @@ from ringwear_par.parallel import on_first_rank, warn_of_threads
 from ringwear_par.results.progress import SweepProgress
 from ringwear_par.results.reading import UnreadableError
 from ringwear_par.stopping import StopSignals, name_of, remark
-from ringwear_par.studies.dataset import RESULTS, TABLE, Row, write_ensemble
+from ringwear_par.studies.dataset import RESULTS, TABLE, Listing, write_ensemble
 from ringwear_par.studies.ensemble import read_ensemble
 from ringwear_par.studies.estimate import estimate
+from ringwear_par.studies.index import DamagedError, Index
 from ringwear_par.studies.operators import PATIENCE_SECONDS, StorageError
 from ringwear_par.studies.plan import Plan, Request, make_plan
 from ringwear_par.studies.scheduling import Scheduler
-from ringwear_par.studies.shards import Entry
-from ringwear_par.studies.store import DamagedError, telling_unreadable
+from ringwear_par.studies.store import telling_unreadable
 from ringwear_par.studies.study import Study, read_study_together
 from ringwear_par.studies.summary import Summary
 from ringwear_par.studies.workers import Timings, Worker, provide_operator
@@ -118,11 +118,16 @@ def _planned(source: Source, request: Request, comm: MPI.Intracomm, held: ExitSt
     def plan() -> Plan:
         assert read is not None
         if m > 1 and isinstance(source, Study):  # which may have been read for one rank a case
-            for number in range(len(read.ids)):
-                check_ranks(read.case(number), m, f"{read.name}: case {number + 1}")
+            _check_ranks(read, m)
         return make_plan(read, request, held)
 
     return on_first_rank(comm, plan)
+
+
+def _check_ranks(study: Study, ranks: int) -> None:
+    """Refuse cases that so many ranks cannot share: one of each kind tells."""
+    for number in np.sort(np.unique(study.cases.kinds, return_index=True)[1]).tolist():
+        check_ranks(study.case(number), ranks, f"{study.name}: case {number + 1}")
 
 
 def _swept(
@@ -137,12 +142,9 @@ def _swept(
             there = plan.done + plan.failed
             if there:
                 log.info("%d of %d cases are there already", there, plan.total)
-            anew = sum(
-                plan.store.inflight(plan.study.ids[n]).exists()
-                and plan.study.ids[n] not in plan.interrupted
-                for cases in plan.todo
-                for n in cases
-            )
+            left = plan.in_flight - plan.interrupted
+            todo = plan.study.identities[plan.todo.cases] if left else ()
+            anew = sum(identity.decode() in left for identity in todo)
             if anew:
                 log.warning("%d interrupted cases of another version start anew", anew)
         team = comm.Split(comm.rank // request.ranks_per_case, comm.rank)
@@ -164,8 +166,7 @@ def _compute(
         with suppress(OSError):  # or else at the end
             plan.store.operator(group).unlink()
 
-    sizes = [len(cases) for cases in plan.todo]
-    scheduler = Scheduler(sizes, comm, plan.request.teams, group_ended)
+    scheduler = Scheduler(plan.todo.sizes, comm, plan.request.teams, group_ended)
     trouble: RingwearError | None = None
     with StopSignals() as signals, ExitStack() as at_end:
         progress = None
@@ -203,7 +204,7 @@ def _compute(
             0.0,
             comm.allreduce(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss, MPI.MAX) / 1024.0,
             every,
-            plan.flagged + tuple(flags for t in every for flags in t.flagged),
+            sum((t.flagged for t in every), plan.flagged),
         )
         counted = summary.done, summary.failed
         try:
@@ -297,32 +298,32 @@ def _settle(plan: Plan, summary: Summary, well: bool) -> tuple[int, int]:
         plan.store.drop_operators()
     if not well:
         with suppress(RingwearError, OSError):  # there is trouble enough to tell
-            return plan.count(plan.store.scan(plan.study.ids, mend=False)[0])
+            return plan.count(plan.store.scan(plan.study.identities, mend=False)[0])
         return summary.done, summary.failed
     while True:
-        entries = _scan(plan, summary.done + summary.failed)
+        index = _scan(plan, summary.done + summary.failed)
         try:
             if not plan.store.part:
-                _merge(plan, summary, entries)
+                _merge(plan, summary, index)
         except DamagedError as error:
             log.warning("%s", plan.store.set_aside(error.path))
             continue
-        return plan.count(entries)
+        return plan.count(index)
 
 
-def _scan(plan: Plan, counted: int) -> dict[str, Entry]:
+def _scan(plan: Plan, counted: int) -> Index:
     """Return what is stored; if that is less than counted, network disks may show it late."""
     limit = time.monotonic() + PATIENCE_SECONDS
     while True:
-        entries, notes = plan.store.scan(plan.study.ids, mend=True)
+        index, notes = plan.store.scan(plan.study.identities, mend=True)
         for note in notes:
             log.warning("%s", note)
-        if notes or sum(plan.count(entries)) >= counted or time.monotonic() > limit:
-            return entries
+        if notes or sum(plan.count(index)) >= counted or time.monotonic() > limit:
+            return index
         time.sleep(_LATE_SECONDS)
 
 
-def _merge(plan: Plan, summary: Summary, entries: Mapping[str, Entry]) -> None:
+def _merge(plan: Plan, summary: Summary, index: Index) -> None:
     """Write results.h5 and cases.csv of all that is stored, then drop the shards. On one rank.
 
     Raises
@@ -338,19 +339,20 @@ def _merge(plan: Plan, summary: Summary, entries: Mapping[str, Entry]) -> None:
             raise
         except InputError as error:
             raise DamagedError(store.folder / RESULTS) from error
-    rows = [
-        Row(
-            identity,
-            study.rows[n],
-            "" if identity in entries else toml_text(study.keys(n)),
-            True,
-            entries.get(identity),
-        )
-        for n, identity in enumerate(study.ids)
-    ]
-    here = set(study.ids)
-    rows += [Row(i, None, "", False, entry) for i, entry in entries.items() if i not in here]
-    ended = sum(plan.count(entries))
+    entry = index.find(study.identities)
+    others = np.ones(len(index), dtype=bool)
+    others[entry[entry >= 0]] = False
+    gone = np.flatnonzero(others)
+    listing = Listing(
+        study.names,
+        study.cases.columns,
+        np.concatenate([study.identities, index.ids[gone]]),
+        np.arange(len(entry) + len(gone)) < len(entry),
+        index,
+        np.concatenate([entry, gone]),
+        study.texts,
+    )
+    ended = sum(plan.count(index))
     complete = ended == summary.total and summary.computed == plan.cases_left
     attributes = {
         "status": "complete" if complete else "incomplete",
@@ -359,6 +361,10 @@ def _merge(plan: Plan, summary: Summary, entries: Mapping[str, Entry]) -> None:
         "ranks": ranks,
         **versions(),
     }
-    write_ensemble(store.folder, study.names, rows, store.fetch, attributes)
+    try:
+        write_ensemble(store.folder, listing, attributes)
+    finally:
+        for source in index.sources:
+            source.close()
     if ended >= summary.done + summary.failed:  # else they may yet come to light
         store.forget_shards()

@@ -1,21 +1,101 @@
 """Varied keys: what a study calls them, and the values that it gives them."""
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, Literal
 
 import numpy as np
 
-from ringwear_par.arrays import FloatArray
+from ringwear_par.arrays import FloatArray, IntArray
 from ringwear_par.cases.keys import override
 from ringwear_par.cases.schema import BY_PATH
 from ringwear_par.cases.suggestions import nearest_key
 from ringwear_par.cases.text import shortened
+from ringwear_par.cases.values import is_number
 from ringwear_par.errors import legible
 
 #: of a design
 MOST_CASES = 10**7
+
+
+@dataclass(frozen=True, eq=False)
+class Column:
+    """The raw values of a varied key in all cases.
+
+    Parameters
+    ----------
+    values : one a case, or those that there are.
+    codes : (cases,) which of the values each case has, None: each its own.
+    """
+
+    values: FloatArray | tuple[Any, ...]
+    codes: IntArray | None = None
+
+    def __len__(self) -> int:
+        return len(self.values if self.codes is None else self.codes)
+
+    def __getitem__(self, case: int) -> Any:
+        value = self.values[case if self.codes is None else self.codes[case]]
+        return value.item() if isinstance(value, np.generic) else value
+
+    def part(self, cases: slice | IntArray) -> "Column":
+        """Return the column of some of the cases."""
+        if self.codes is not None:
+            codes = self.codes[cases]
+            if len(codes) >= len(self.values):
+                return Column(self.values, codes)
+            there, codes = np.unique(codes, return_inverse=True)
+            return Column(tuple(self.values[i] for i in there.tolist()), codes)
+        if isinstance(self.values, tuple):
+            taken = np.arange(len(self.values))[cases].tolist()
+            return Column(tuple(self.values[i] for i in taken))
+        return Column(self.values[cases])
+
+    def mapped(self, function: Callable[[Any], Any]) -> "Column":
+        """Return the column of what a function makes of each value."""
+        return Column(tuple(map(function, self.there)), self.codes)
+
+    def each(self, function: Callable[[Any], Any] | None = None) -> list[Any]:
+        """Return the values of all cases, or what a function makes of each."""
+        listed = self.there
+        if function is not None:
+            listed = list(map(function, listed))
+        return listed if self.codes is None else [listed[i] for i in self.codes.tolist()]
+
+    @property
+    def there(self) -> list[Any]:
+        """The values that there are."""
+        return self.values.tolist() if isinstance(self.values, np.ndarray) else list(self.values)
+
+    @cached_property
+    def numbers(self) -> FloatArray | None:
+        """(cases,) the values, where all are numbers."""
+        whole = isinstance(self.values, np.ndarray)
+        if not whole and not all(is_number(value) for value in self.values):
+            return None
+        values = np.asarray(self.values, dtype=np.float64)
+        return values if self.codes is None else values[self.codes]
+
+    @cached_property
+    def kinds(self) -> IntArray:
+        """(cases,) numbers, the same for the same value."""
+        if self.codes is not None:
+            return self.codes
+        if isinstance(self.values, tuple):
+            return np.arange(len(self.values))
+        return np.unique(self.values, return_inverse=True)[1].astype(np.int64)
+
+
+def column_of(values: list[Any]) -> Column:
+    """Return the column of a list, one value a case."""
+    if all(type(value) is float for value in values):
+        return Column(np.array(values))
+    known: dict[str, int] = {}  # by what is written: 0, 0.0 and -0.0 are three values
+    codes = np.array([known.setdefault(repr(value), len(known)) for value in values])
+    first = np.unique(codes, return_index=True)[1]
+    return Column(tuple(values[i] for i in first.tolist()), codes)
 
 
 @dataclass(frozen=True)
@@ -52,13 +132,16 @@ class Variation:
         space = np.geomspace if self.spacing == "log" else np.linspace
         return [self._rounded(float(v)) for v in space(low, high, self.count)]
 
-    def at(self, u: FloatArray) -> list[Any]:
-        """Return the values at points u of the unit interval."""
+    def at(self, u: FloatArray) -> Column:
+        """Return the values at points u of the unit interval, (cases,)."""
         if self.spacing == "values":
-            return [self.values[int(i)] for i in u * len(self.values)]
+            return Column(self.values, (u * len(self.values)).astype(np.int64))
         low, high = self.values
         values = low * (high / low) ** u if self.spacing == "log" else low + (high - low) * u
-        return [self._rounded(v) for v in values.tolist()]
+        if not self.whole:
+            return Column(values)
+        there, codes = np.unique(np.rint(values), return_inverse=True)
+        return Column(tuple(map(int, there.tolist())), codes.astype(np.int64))
 
     def _rounded(self, value: float) -> float | int:
         return round(value) if self.whole else value

@@ -1,7 +1,9 @@
-"""Teams of ranks at work: a case is drawn, computed on the pair of its group, and stored."""
+"""Teams of ranks at work: cases are drawn, computed on the pair of their group, and stored."""
 
 import logging
 import time
+from collections import Counter
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 
@@ -23,6 +25,7 @@ from ringwear_par.results.result import Result
 from ringwear_par.results.watch import Watch
 from ringwear_par.results.writing import write_result
 from ringwear_par.stopping import StopSignals
+from ringwear_par.studies.blocks import Block, Record
 from ringwear_par.studies.lending import SolverLender
 from ringwear_par.studies.operators import (
     StorageError,
@@ -31,14 +34,17 @@ from ringwear_par.studies.operators import (
     write_operator,
 )
 from ringwear_par.studies.plan import Plan
-from ringwear_par.studies.scheduling import Scheduler
-from ringwear_par.studies.shards import Record, Shard
+from ringwear_par.studies.scheduling import Cases, Scheduler
+from ringwear_par.studies.shards import Shard
+from ringwear_par.studies.texts import Texts
 
 log = logging.getLogger(__name__)
 
 #: how long a team that waits for an operator sleeps between two looks, and between two questions
 #: whether all are to stop
 _NAP_SECONDS, _ASK_SECONDS = 0.01, 0.5
+#: of histories that wait to be stored
+_BLOCK_BYTES = 16e6
 
 
 @dataclass
@@ -51,7 +57,7 @@ class Timings:
     output: float = 0.0
     operators: int = 0
     worst: float = 0.0
-    flagged: list[tuple[str, ...]] = field(default_factory=list)
+    flagged: Counter[tuple[str, ...]] = field(default_factory=Counter)
 
 
 class Worker:
@@ -85,6 +91,7 @@ class Worker:
         self._path = plan.store.shard(number)
         self._shard: Shard | None = None
         self._options_checked = False
+        self._saved: set[str] = set()  # cases that have left a checkpoint
         self._group = -1
         self._lender: SolverLender | None = None
 
@@ -105,7 +112,7 @@ class Worker:
         InputError : an option for PETSc that nobody used.
         """
         team, scheduler, first = self._team, self._scheduler, self._team.rank == 0
-        if any(self._plan.todo):
+        if self._plan.cases_left:
 
             def open_shard() -> None:
                 self._shard = Shard(self._path)
@@ -121,42 +128,80 @@ class Worker:
                 drawn = team.bcast(drawn)
             if drawn is None:
                 return
-            before = self._timings.stepping
-            record = self._computed(*drawn)
-            if record is None:  # interrupted
+            if not self._work(drawn):
                 if first:
                     scheduler.ask_to_stop()
                 return
-            self._store(record)
-            if first:
-                scheduler.count(record.status == "failed", self._timings.stepping - before)
 
-    def _store(self, record: Record) -> None:
+    def _work(self, drawn: Cases) -> bool:
+        """Compute some cases and store them, in blocks; tell whether all of them have ended.
+
+        All ranks of the team go the same way.
+        """
+        group, first, count = drawn
+        numbers = self._plan.todo[group][first : first + count]
+        with together(self._team):
+            cases, texts = self._plan.study.made(numbers)
+        waiting: list[Record] = []
+        size, begun, before = 0.0, 0, self._timings.stepping
+        for i, (number, case) in enumerate(zip(numbers.tolist(), cases, strict=True)):
+            record = None
+            if not i or not self._stopping():
+                identity = self._plan.study.identities[number].decode()
+                record = self._computed(group, first + i, identity, case)
+            if record is not None:
+                waiting.append(record)
+                size += sum(array.nbytes for array in record.arrays.values())
+            last = record is None or i + 1 == count
+            if last or size > _BLOCK_BYTES or cases[i + 1].output != case.output:
+                self._store(waiting, texts.part(range(begun, begun + len(waiting))), before)
+                begun += len(waiting)
+                waiting, size, before = [], 0.0, self._timings.stepping
+            if record is None:
+                return False
+        return True
+
+    def _stopping(self) -> bool:
+        """Tell whether a signal has reached any rank of the team."""
+        if self._team.size == 1:
+            return bool(self._signals.received)
+        return bool(self._team.allreduce(self._signals.received, MPI.MAX))
+
+    def _store(self, records: Sequence[Record], texts: Texts, before: float) -> None:
+        """Store cases that have ended in one piece, and count them.
+
+        Parameters
+        ----------
+        before : s, what stepping had taken before the first of them.
+        """
+        if not records:
+            return
         t0 = time.perf_counter()
+        failed = sum(record.status == "failed" for record in records)
 
         def add() -> None:
             assert self._shard is not None
-            self._shard.add(record)
-            self._plan.store.inflight(record.id).unlink(missing_ok=True)
-            if record.flags:
-                self._timings.flagged.append(record.flags)
+            self._shard.add(Block.of(records, texts))
+            for record in records:
+                if record.id in self._plan.in_flight or record.id in self._saved:
+                    self._plan.store.inflight(record.id).unlink(missing_ok=True)
+                if record.flags:
+                    self._timings.flagged[record.flags] += 1
 
         on_first_rank(self._team, add)
         self._timings.output += time.perf_counter() - t0
+        if self._team.rank == 0:
+            seconds = self._timings.stepping - before
+            self._scheduler.count(len(records) - failed, failed, seconds)
 
-    def _computed(self, group: int, place: int) -> Record | None:
+    def _computed(self, group: int, place: int, identity: str, case: Case) -> Record | None:
         """Return a case computed, or failed with its reason; None if it was interrupted.
 
         All ranks of the team go the same way: what fails on one of them is raised on all.
         """
-        study, started = self._plan.study, time.perf_counter()
-        number = self._plan.todo[group][place]
-        identity, text = study.ids[number], ""
+        started, text = time.perf_counter(), case.told
         recorder: Recorder | None = None
         try:
-            with together(self._team):
-                case = study.case(number)
-                text = case.told
             lender = self._lender_of(group, place, case)
             solver = lender.lend(case)
             if solver is not None:
@@ -201,6 +246,7 @@ class Worker:
 
         def save() -> None:
             result = recorder.result()
+            self._saved.add(identity)
             on_first_rank(team, lambda: write_result(path, result))
 
         watch = Watch(self._signals, save, team)
@@ -294,6 +340,6 @@ class _StoppedError(RingwearError):
 def provide_operator(plan: Plan, group: int, comm: MPI.Comm, timings: Timings) -> None:
     """Assemble a group's operator into its file, or leave the reason of a failure. Collective."""
     t0 = time.perf_counter()
-    write_operator(plan.store.operator(group), plan.study.case(plan.todo[group][0]), comm)
+    write_operator(plan.store.operator(group), plan.study.case(int(plan.todo[group][0])), comm)
     timings.operators += 1
     timings.assembly += time.perf_counter() - t0

@@ -1,20 +1,26 @@
 """Folders of sweeps in which somebody has removed, damaged or left behind files."""
 
+import json
 import os
 import shutil
 import signal
 import sqlite3
 import subprocess
 import sys
+from contextlib import closing
 
 import h5py
+import numpy as np
 import pytest
 import try_faults as faults
 from conftest import SHELL_ENVIRONMENT
 from swept import write_study
 
+import ringwear_par
 from ringwear_par.errors import ComputationError, InputError
-from ringwear_par.studies import shards, store, sweep, workers
+from ringwear_par.results.variables import HISTORIES, LINE, PROFILES
+from ringwear_par.studies import scheduling, shards, store, sweep, workers
+from ringwear_par.studies.index import join_flags
 from ringwear_par.studies.sweep import run_sweep
 
 pytestmark = pytest.mark.serial
@@ -62,10 +68,66 @@ def shard_of(output):
     return path
 
 
-def poison(path, statement, *values):
+def poison(path, statement, *values, rows=1):
     connection = sqlite3.connect(path)
     with connection:
-        assert connection.execute(statement, values).rowcount == 1
+        assert connection.execute(statement, values).rowcount == rows
+    connection.close()
+
+
+def poison_block(path, number, changes):
+    """Change what is told of a block, whose checksum is right all the same."""
+    poison(path, f"UPDATE blocks SET {changes} WHERE number = ?", number)
+    connection = sqlite3.connect(path)
+    with connection:
+        names = ", ".join(name for name in shards._BLOCKS if name not in ("number", "crc"))
+        row = connection.execute(f"SELECT {names} FROM blocks WHERE number = {number}").fetchone()
+        if all(isinstance(value, str | bytes) for value in row):
+            checksum = shards._checksum(row)
+            connection.execute(f"UPDATE blocks SET crc = {checksum} WHERE number = {number}")
+    connection.close()
+
+
+def blocks(path):
+    """The ids of the cases of each block."""
+    connection = sqlite3.connect(path)
+    found = dict(connection.execute("SELECT number, ids FROM blocks"))
+    connection.close()
+    return {number: ids.split("\n") for number, ids in found.items()}
+
+
+def as_earlier(path):
+    """Make the shard one of an earlier version: a row a case, in another table."""
+    index, _ = shards.read_index(path)
+    kinds = {"id": "TEXT PRIMARY KEY", "seconds": "REAL", "imbalance": "REAL", "data": "BLOB"}
+    rows = []
+    for i, identity in enumerate(index.ids):
+        source, block, place = index.sources[0], int(index.block[i]), int(index.place[i])
+        arrays = {}
+        for name in ("step", *HISTORIES, *LINE, *PROFILES):
+            piece = source.read(block, name)
+            if piece is None:
+                continue
+            there = slice(place, place + 1)
+            if piece.offsets is not None:
+                there = slice(*piece.offsets[place : place + 2])
+            values = piece.values[there if len(piece.values) > 1 else slice(None)]
+            arrays[name] = values if piece.offsets is not None else values[0]
+        layout = json.dumps({name: array.shape for name, array in arrays.items()})
+        data = b"".join(np.asarray(array, dtype=float).tobytes() for array in arrays.values())
+        rows.append((
+            identity.decode(), source.texts(block, [place])[0], "done", "",
+            float(index.seconds[i]), float(index.imbalance[i]), layout, data,
+            index.kinds[index.kind[i]].version, join_flags(index.kinds[index.kind[i]].flags),
+        ))  # fmt: skip
+    index.sources[0].close()
+    path.unlink()
+    connection = sqlite3.connect(path)
+    with connection:
+        table = ", ".join(f"{name} {kinds.get(name, 'TEXT')}" for name in shards._CASES)
+        connection.execute(f"CREATE TABLE cases ({table})")
+        marks = ", ".join("?" for _ in shards._CASES)
+        connection.executemany(f"INSERT INTO cases VALUES ({marks})", rows)
     connection.close()
 
 
@@ -158,14 +220,15 @@ def test_shards_that_are_removed_under_a_sweep(tmp_path, swept, comm, monkeypatc
     output, store_one = tmp_path / "out", workers.Worker._store
     stored = []
 
-    def storing(self, record):
-        store_one(self, record)
-        stored.append(record)
+    def storing(self, records, *more):
+        store_one(self, records, *more)
+        stored.extend(records)
         if len(stored) == 2:
             shutil.rmtree(output / "shards")
 
     with monkeypatch.context() as patch:
         patch.setattr(workers.Worker, "_store", storing)
+        patch.setattr(scheduling, "_BUSY_SECONDS", 0.0)  # one by one
         patch.setattr(shards, "_SYNC_SECONDS", 0.0 if seen_under_way else 1e9)
         patch.setattr(sweep, "PATIENCE_SECONDS", 0.3)
         with pytest.raises(ComputationError) as trouble:
@@ -195,10 +258,8 @@ def test_a_shard_that_comes_to_light_late(output, swept, comm, monkeypatch):
 
     def late(self, *words, **more):
         looks.append(words)
-        entries, notes = scan(self, *words, **more)
-        if len(looks) != 2:
-            return entries, notes
-        return dict(list(entries.items())[:2]), notes
+        index, notes = scan(self, *words, **more)
+        return index if len(looks) != 2 else index.only(np.arange(2)), notes
 
     monkeypatch.setattr(store.Store, "scan", late)
     run_sweep(study, output, comm)
@@ -277,8 +338,10 @@ def test_damaged_files_are_kept_side_by_side(output, swept, comm, told):
     ids=lambda change: change[:30],
 )
 def test_a_damaged_row_does_not_block_the_others(output, swept, comm, told, change):
+    """Of a shard of an earlier version."""
     study, reference, _ = swept
     before, shard = faults.done_before(output), shard_of(output)
+    as_earlier(shard)
     victim = sorted(before)[2]
     poison(shard, f"UPDATE cases SET {change} WHERE id = ?", victim)
     run_sweep(study, output, comm)
@@ -293,9 +356,140 @@ def test_a_damaged_row_does_not_block_the_others(output, swept, comm, told, chan
     assert all(after[identity] == seconds for identity, seconds in before.items())
 
 
+def test_a_shard_of_an_earlier_version_is_merged(output, swept, comm, told):
+    study, reference, _ = swept
+    before = faults.done_before(output)
+    as_earlier(shard_of(output))
+    run_sweep(study, output, comm)
+    assert not told()
+    assert faults.seconds_by_id(output) == before
+    assert not faults.differences(output, reference)
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        "ids = 'a\\nb'",
+        "ids = NULL",
+        "texts = NULL",
+        "about = '{'",
+        "about = '[1]'",
+        f"about = '{'[' * 5000}'",
+        "about = json_set(about, '$.layout.time', 'often')",
+        "about = json_set(about, '$.layout.unknown', 'rows')",
+        "about = json_set(about, '$.elements', -1)",
+        "about = json_set(about, '$.elements', 'many')",
+        "about = json_set(about, '$.version', 3)",
+        "about = json_set(about, '$.flags', json('{\"0\": 3}'))",
+        "about = json_set(about, '$.errors', json('[3]'))",
+        "about = json_set(about, '$.longest', 'long')",
+        "status = x'07'",
+        "status = 'text'",
+        "rows = x'00'",
+        "rows = zeroblob(length(rows))",
+        "seconds = x''",
+        "imbalance = NULL",
+    ],
+    ids=lambda change: change[:50],
+)
+def test_a_damaged_block_does_not_block_the_others(output, swept, comm, told, changes):
+    """Whether its checksum tells of it or not."""
+    study, reference, _ = swept
+    before, shard = faults.done_before(output), shard_of(output)
+    there = blocks(shard)
+    assert len(there) > 1
+    number, lost = next(iter(there.items()))
+    poison_block(shard, number, changes)
+    run_sweep(study, output, comm)
+    aside = shard.with_suffix(".damaged")
+    assert told() == [
+        f"{shard}: 1 of its rows are damaged (kept in {aside.name}); their cases run again"
+    ]
+    shutil.rmtree(aside.parent)
+    assert not faults.differences(output, reference)
+    after = faults.seconds_by_id(output)
+    assert {identity for identity in before if after[identity] != before[identity]} == set(lost)
+
+
+@pytest.mark.parametrize(
+    "statement",
+    [
+        "DELETE FROM arrays WHERE block = 1 AND name = 'time'",
+        "UPDATE arrays SET data = x'00' WHERE block = 1 AND name = 'time'",
+        "UPDATE arrays SET data = 'text' WHERE block = 1 AND name = 'time'",
+        "UPDATE blocks SET texts = 'other' WHERE number = 1",
+    ],
+)
+def test_damaged_arrays_of_a_block(output, swept, comm, told, statement):
+    study, reference, _ = swept
+    shard = shard_of(output)
+    poison(shard, statement)
+    run_sweep(study, output, comm)
+    assert len(told()) == 1
+    shutil.rmtree(output / "shards")
+    assert not faults.differences(output, reference)
+
+
+def test_a_block_whose_texts_are_none_takes_its_file_along(output, swept, comm, told, monkeypatch):
+    """That is seen only when they are read."""
+    study, reference, _ = swept
+    shard = shard_of(output)
+    poison_block(shard, 1, "texts = '[[], [], []]'")
+    monkeypatch.setattr(sweep, "PATIENCE_SECONDS", 0.3)
+    with pytest.raises(ComputationError, match="6 of 6 cases that have ended are not stored"):
+        run_sweep(study, output, comm)
+    assert told() == [f"{shard}: is damaged (kept as 1-1_0000.damaged); its cases run again"]
+    run_sweep(study, output, comm)
+    shutil.rmtree(output / "shards")
+    assert not faults.differences(output, reference)
+
+
+def test_a_block_is_stored_as_a_whole_or_not_at_all(output, swept, comm, told):
+    """Killed before each of the statements that store it."""
+    shard, copy = shard_of(output), output.parent / "copy.sqlite"
+    before = faults.done_before(output)
+    script = f"""
+import os, signal, sqlite3, sys
+from pathlib import Path
+from ringwear_par.studies import shards
+from ringwear_par.studies.blocks import Block, Record
+import numpy as np
+
+class Connection(sqlite3.Connection):
+    left = None
+
+    def execute(self, *words):
+        if self.left == 0:
+            os.kill(os.getpid(), signal.SIGKILL)
+        self.left = None if self.left is None else self.left - 1
+        return super().execute(*words)
+
+connect = sqlite3.connect
+sqlite3.connect = lambda *words, **more: connect(*words, factory=Connection, **more)
+arrays = {{"time": np.zeros(3), "step": np.zeros(3), "r": np.ones(4)}}
+record = Record("stranger", "", "done", "", 1.0, 0.0, arrays, "{ringwear_par.__version__}")
+shard = shards.Shard(Path(sys.argv[1]))
+shard._connection.left = int(sys.argv[2])
+shard.add(Block.of([record]))
+"""
+    for moment in range(6):  # BEGIN, the block, its three arrays, COMMIT
+        shutil.copy(shard, copy)
+        killed = subprocess.run(
+            [sys.executable, "-c", script, copy, str(moment)],
+            env=SHELL_ENVIRONMENT, timeout=60, check=False,
+        )  # fmt: skip
+        assert killed.returncode == -signal.SIGKILL
+        index, damaged = shards.read_index(copy)
+        assert (len(index), damaged) == (CASES, 0)
+        copy.unlink()
+    assert faults.done_before(output) == before
+
+
 def test_a_case_that_is_no_number(output, swept, comm, told):
-    """SQLite stores NaN as NULL."""
-    victim = sorted(faults.done_before(output))[0]
+    """SQLite stores NaN as NULL, in shards of earlier versions."""
+    as_earlier(shard_of(output))
+    with closing(sqlite3.connect(shard_of(output))) as connection:
+        victim = min(identity for (identity,) in connection.execute("SELECT id FROM cases"))
     poison(shard_of(output), "UPDATE cases SET imbalance = ? WHERE id = ?", float("nan"), victim)
     run_sweep(swept[0], output, comm)
     assert not told()
@@ -307,6 +501,7 @@ def test_a_case_that_is_no_number(output, swept, comm, told):
 def test_a_case_of_nobody(output, swept, comm, told):
     """A row that the study does not know, and whose text says nothing, is listed and no more."""
     study, reference, _ = swept
+    as_earlier(shard_of(output))
     row = "'stranger', 'no = case =', 'done', '', 1.0, 0.0, '{}', x'', '1', ''"
     poison(shard_of(output), f"INSERT INTO cases VALUES ({row})")
     run_sweep(study, output, comm, mix_versions=True)
@@ -384,11 +579,11 @@ def test_results_that_fail_only_when_they_are_read(swept, tmp_path, comm, told, 
     text = study.read_text(encoding="utf-8").replace("[5e4, 1e5]", "[5e4, 1e5, 2e5]")
     changed.write_text(text, encoding="utf-8")
 
-    def damaged(path, ids):
-        raise InputError(f"{path}: a block of it cannot be read")
+    def damaged(self, block, name):
+        raise InputError(f"{self.path}: a block of it cannot be read")
 
     with monkeypatch.context() as patch:  # the index of cases is as it was
-        patch.setattr(store.dataset, "read_records", damaged)
+        patch.setattr(store.dataset.Results, "read", damaged)
         patch.setattr(sweep, "PATIENCE_SECONDS", 0.3)
         with pytest.raises(ComputationError, match="6 of 9 cases that have ended are not stored"):
             run_sweep(changed, output, comm)

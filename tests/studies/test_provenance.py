@@ -10,8 +10,10 @@ import ringwear_par
 from ringwear_par import info
 from ringwear_par.errors import ComputationError, InputError
 from ringwear_par.studies import workers
+from ringwear_par.studies.blocks import Block, Record
 from ringwear_par.studies.ensemble import open_ensemble
-from ringwear_par.studies.shards import Record, Shard, read_index, read_records
+from ringwear_par.studies.index import Kind
+from ringwear_par.studies.shards import Shard, read_index
 from ringwear_par.studies.sweep import sweep
 
 THRESHOLDS = '[vary]\n"wear.lower.p0" = {{ values = [{}] }}\n'
@@ -100,16 +102,17 @@ def test_shards_of_before_versions_are_of_an_unknown_one(tmp_path):
         old.execute("INSERT INTO cases VALUES ('a', 'x', 'done', '', 1.0, 0.0, '{}', x'')")
     old.close()
     size = path.stat().st_size
-    entries, damaged = read_index(path)
-    assert (entries["a"].version, damaged) == ("unknown", 0)
-    (record,) = read_records(path, ["a"])
-    assert (record.version, record.flags) == ("unknown", ())
+    index, damaged = read_index(path)
+    assert (index.kinds, damaged) == ((Kind("unknown"),), 0)
+    assert index.sources[0].texts(1, [0]) == ["x"]
+    index.sources[0].close()
     assert path.stat().st_size == size  # a look changes nothing
     with Shard(path) as shard:
-        shard.add(Record("b", "y", "done", "", 2.0, 0.0, {}, "3.0", ("one", "two")))
+        record = Record("b", "y", "done", "", 2.0, 0.0, {}, "3.0", ("one", "two"))
+        shard.add(Block.of([record]))
     index, _ = read_index(path)
-    assert {key: (e.version, e.flags) for key, e in index.items()} == {
-        "a": ("unknown", ()), "b": ("3.0", ("one", "two")),
+    assert {key: index.kinds[kind] for key, kind in zip(index.ids, index.kind, strict=True)} == {
+        b"a": Kind("unknown"), b"b": Kind("3.0", ("one", "two")),
     }  # fmt: skip
 
 

@@ -22,12 +22,14 @@ def scheduler(comm):
 
 
 def work(scheduler):
-    """Draw, count and answer until nothing is left; return what was drawn."""
+    """Draw, count and answer until nothing is left; return what was drawn, case by case."""
     drawn = []
-    while (case := scheduler.draw()) is not None:
-        drawn.append(case)
-        scheduler.count(case[1] % 10 == 9, 1e-3)
-        scheduler.serve()
+    while (cases := scheduler.draw()) is not None:
+        for case in range(cases.first, cases.first + cases.number):
+            drawn.append((cases.group, case))
+            failed = case % 10 == 9
+            scheduler.count(not failed, failed, 1e-3)
+            scheduler.serve()
     return drawn
 
 
@@ -58,7 +60,7 @@ def test_nobody_draws_after_a_stop(comm, scheduler):
 def test_nobody_waits_for_rank_0_to_get_a_first_group(comm, scheduler):
     """It assembles its own."""
     board, _ = scheduler([0, *[5] * comm.size])
-    assert board.draw() == (1 + comm.rank, 0)
+    assert board.draw() == Cases(1 + comm.rank, 0, 1)
     comm.Barrier()
     board.ask_to_stop()
     board.wait_for_all(lambda: None)
@@ -76,10 +78,10 @@ def test_who_waits_may_ask_all_to_stop(comm, scheduler):
 def test_what_was_counted_before_a_stop_is_told(comm, scheduler):
     board, _ = scheduler([10**6])
     mine = 0
-    while mine < 5 and board.draw() is not None:  # by now several cases are in hand
-        board.count(failed=False, seconds=1e-4)
+    while mine < 5 and (cases := board.draw()) is not None:
+        mine += cases.number
+        board.count(cases.number, 0, 1e-4 * cases.number)
         board.serve()
-        mine += 1
     board.ask_to_stop()
     board.wait_for_all(lambda: None)
     done = comm.allreduce(mine)

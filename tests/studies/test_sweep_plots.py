@@ -12,11 +12,13 @@ from scipy.stats import qmc
 
 from ringwear_par.errors import InputError
 from ringwear_par.results.variables import HISTORIES
-from ringwear_par.studies.dataset import Row, write_ensemble
+from ringwear_par.studies.blocks import Block, Record
+from ringwear_par.studies.dataset import Listing, write_ensemble
 from ringwear_par.studies.ensemble import Ensemble, read_ensemble
 from ringwear_par.studies.figures import draw_sweep, plot_sweep
 from ringwear_par.studies.sensitivity import sensitivity
-from ringwear_par.studies.shards import Entry, Record
+from ringwear_par.studies.shards import Shard, read_index
+from ringwear_par.studies.variations import column_of
 
 pytestmark = pytest.mark.serial
 
@@ -35,9 +37,8 @@ def write(
     in_study = [True] * count if in_study is None else in_study
     folder.mkdir(exist_ok=True)
 
-    def fetch(part):
-        for row in part:
-            n = int(row.id, 16)
+    def records():
+        for n in range(count):
             share = np.arange(steps[n] + 1) / steps[n]
             arrays = {name: np.zeros(steps[n] + 1) for name in HISTORIES}
             arrays["time"] = step[n] * np.arange(steps[n] + 1.0)
@@ -46,19 +47,21 @@ def write(
             arrays["worn_volume_upper"] = upper[n] * share
             arrays.update(step=np.arange(steps[n] + 1.0), r=np.ones(4), width=np.ones(4))
             yield Record(
-                id=row.id, toml="", status=status[n], error="", seconds=0.1, imbalance=0.0,
+                id=f"{n:016x}", toml="", status=status[n], error="", seconds=0.1, imbalance=0.0,
                 arrays=arrays, version="1",
             )  # fmt: skip
 
-    cases = [
-        Row(
-            id=f"{n:016x}", values=tuple(row), toml="", in_study=in_study[n],
-            entry=Entry(status[n], steps[n] + 1, 4, (), False, folder / "none", "1"),
-        )
-        for n, row in enumerate(rows)
-    ]  # fmt: skip
+    with Shard(folder / "all_0000.sqlite") as shard:
+        shard.add(Block.of(list(records())))
+    index, _ = read_index(folder / "all_0000.sqlite")
+    columns = tuple(map(column_of, map(list, zip(*rows, strict=True))))
+    listing = Listing(
+        tuple(names), columns, index.ids, np.array(in_study), index, np.arange(count), None
+    )
     attributes = {"method": method, "study": "", "status": "complete", "ranks": 1}
-    write_ensemble(folder, names, cases, fetch, attributes)
+    write_ensemble(folder, listing, attributes)
+    index.sources[0].close()
+    (folder / "all_0000.sqlite").unlink()
     return read_ensemble(folder)
 
 

@@ -1,0 +1,137 @@
+"""Cases that differ in numbers only: looked at by column, and made without reading them anew.
+
+The numbers are those whose keys stand for one number of a case, whatever the others are: moduli,
+friction, loads, the end and tolerances of adaptive steps, parameters of wear laws. They are called
+by their key and, for a parameter of a user's law, its name in the table.
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from ringwear_par.arrays import BoolArray, FloatArray
+from ringwear_par.cases.case import Case
+from ringwear_par.cases.schema import BY_PATH
+from ringwear_par.cases.values import Interval
+from ringwear_par.schedules import largest, smallest
+from ringwear_par.wear.running_in import RunningInLaw
+from ringwear_par.wear.user import UserLaw
+
+#: key and name of a parameter of a user's law, None elsewhere
+Number = tuple[str, str | None]
+
+#: which part of a case has the number of a key, and what it is called there
+_PLACES = {
+    "contact.friction": ("", "friction"),
+    "lower.young": ("lower", "young"),
+    "upper.young": ("upper", "young"),
+    "load.force": ("load", "force"),
+    "load.pressure": ("load", "force"),
+    "load.displacement": ("load", "displacement"),
+    "load.omega": ("load", "omega"),
+    "time.end": ("time", "until"),
+    "time.tolerance": ("time", "tolerance"),
+    "time.pressure_tolerance": ("time", "pressure_tolerance"),
+    **{
+        path: (f"wear_{path.split('.')[1]}", path.split(".")[2])
+        for path, key in BY_PATH.items()
+        if path.startswith("wear.") and key.numbers is not None
+    },
+}
+_TABLES = {"wear.lower.parameters": "wear_lower", "wear.upper.parameters": "wear_upper"}
+_ANY = Interval(-math.inf)
+
+
+def interval_of(number: Number) -> Interval | None:
+    """Return what a number may be by itself; None if it is none of those told above."""
+    path, entry = number
+    if entry is not None:
+        return _ANY if path in _TABLES else None
+    return BY_PATH[path].numbers if path in _PLACES else None
+
+
+def doubtful(case: Case, numbers: Mapping[Number, FloatArray]) -> BoolArray:
+    """Return which cases have to be made and checked one by one, (cases,).
+
+    The others are good if one of them is, and have its steps and rows.
+
+    Parameters
+    ----------
+    case : a good one of them.
+    numbers : of each, (cases,), all of them right by themselves.
+    """
+    laws = {"lower": case.wear_lower, "upper": case.wear_upper}
+    found = np.zeros(len(next(iter(numbers.values()))), dtype=bool)
+    if any(isinstance(law, UserLaw) for law in laws.values()):
+        return ~found  # they are tried
+    if ("time.end", None) in numbers and (case.output.times or _bends(case)):
+        return ~found
+    deepest = numbers.get(("load.displacement", None))
+    if deepest is not None:
+        found |= case.interpenetration > deepest
+    for body, law in laws.items():
+        if isinstance(law, RunningInLaw):
+            k, start = (numbers.get((f"wear.{body}.{name}", None)) for name in ("k", "k_start"))
+            found |= (smallest(law.k_start) if start is None else start) < (
+                largest(law.k) if k is None else k
+            )
+    return found
+
+
+def _bends(case: Case) -> bool:
+    """Tell whether a schedule or a parameter bends at any time."""
+    return bool(replace(case, time=replace(case.time, until=math.inf)).breakpoints)
+
+
+def with_numbers(
+    case: Case, numbers: Mapping[Number, Sequence[float]], texts: Sequence[str]
+) -> list[Case]:
+    """Return cases with other numbers, that are known to be good; see ``make_case``.
+
+    Parameters
+    ----------
+    case : one of them, made of keys.
+    numbers : of each case.
+    texts : of each case.
+    """
+    fields: dict[str, dict[str, Sequence[Any]]] = {"": {"text": texts}}
+    for (path, entry), values in numbers.items():
+        if entry is not None:
+            fields.setdefault(_TABLES[path], {})[entry] = values
+            continue
+        part, name = _PLACES[path]
+        if path == "load.pressure":
+            area = case.area
+            values = [pressure * area for pressure in values]
+        fields.setdefault(part, {})[name] = values
+    whole = fields.pop("")
+    for part, own in fields.items():
+        there = getattr(case, part)
+        if isinstance(there, UserLaw):
+            own = {"parameters": _parameters(there, own)}
+        whole[part] = _copies(there, own)
+    return _copies(case, whole)
+
+
+def _parameters(law: UserLaw, own: Mapping[str, Sequence[float]]) -> list[Any]:
+    rows = zip(*own.values(), strict=True)
+    changed = (dict(zip(own, row, strict=True)) for row in rows)
+    return [tuple((name, new.get(name, q)) for name, q in law.parameters) for new in changed]
+
+
+def _copies(whole: Any, own: Mapping[str, Sequence[Any]]) -> list[Any]:
+    """Return frozen dataclasses with other values of fields, in a tenth of the time of ``replace``.
+
+    What one has worked out of its fields stays: nothing but break points depends on numbers.
+    """
+    kind, there = type(whole), {k: v for k, v in whole.__dict__.items() if k != "breakpoints"}
+    names, made = tuple(own), []
+    for row in zip(*own.values(), strict=True):
+        copy = object.__new__(kind)
+        copy.__dict__.update(there)
+        copy.__dict__.update(zip(names, row, strict=True))
+        made.append(copy)
+    return made

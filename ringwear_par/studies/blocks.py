@@ -1,0 +1,122 @@
+"""Cases that are stored together, and a case by itself."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ringwear_par.arrays import FloatArray, IntArray
+from ringwear_par.results.columns import HistoryColumns
+from ringwear_par.results.variables import HISTORIES, LINE, PROFILES
+from ringwear_par.studies.texts import Texts
+
+
+@dataclass(frozen=True)
+class Record:
+    """A case and its history.
+
+    Parameters
+    ----------
+    id : of the case.
+    toml : the case's text.
+    status : "done", "failed" or "incomplete".
+    error : reason of a failure, "" without one.
+    seconds : wall time of the case, assembly excluded.
+    imbalance : worst balance or KKT residual of its steps (0 where it has no history).
+    arrays : variables by name: histories (steps,), fields (steps, elements) or (elements,), ``r``
+        and ``width`` (elements,), ``step`` (steps,).
+    version : of ringwear-par that computed it.
+    flags : short names of what makes the answer doubtful.
+    """
+
+    id: str
+    toml: str
+    status: str
+    error: str
+    seconds: float
+    imbalance: float
+    arrays: dict[str, FloatArray]
+    version: str
+    flags: tuple[str, ...] = ()
+
+    @property
+    def rows(self) -> int:
+        """Number of the stored steps."""
+        return len(self.arrays.get("time", ()))
+
+    @property
+    def fields(self) -> tuple[str, ...]:
+        """Fields along the contact line that are stored."""
+        return tuple(name for name in PROFILES if name in self.arrays)
+
+    @property
+    def deep(self) -> bool:
+        """Whether they are stored at every stored step."""
+        return any(self.arrays[name].ndim == 2 for name in self.fields)
+
+
+@dataclass(frozen=True, eq=False)
+class Block:
+    """Cases of one contact pair that have ended, with the same fields stored as often.
+
+    Parameters
+    ----------
+    ids, texts : of the cases.
+    version : of ringwear-par that computed them.
+    line : ``r`` and ``width`` of the contact elements, (n,) each.
+    deep : whether fields are stored at every stored step, or at the last one only.
+    step : (rows,) int, what stored steps are called.
+    columns : their histories.
+    """
+
+    ids: tuple[str, ...]
+    texts: Texts
+    version: str
+    line: Mapping[str, FloatArray]
+    deep: bool
+    step: IntArray
+    columns: HistoryColumns
+
+    @classmethod
+    def of(cls, records: Sequence[Record], texts: Texts | None = None) -> "Block":
+        """Return records, of one version and with the same fields, as a block.
+
+        Parameters
+        ----------
+        texts : of the cases, if they have something in common.
+        """
+        full = [record for record in records if record.rows]
+        deep = any(record.deep for record in full)
+        first: dict[str, Any] = full[0].arrays if full else {}
+        n = len(first.get("r", ()))
+
+        def rows(name: str) -> Any:
+            return np.concatenate([record.arrays[name] for record in full]) if full else np.zeros(0)
+
+        def last(name: str) -> FloatArray:
+            nothing = np.full(n, np.nan)
+            return np.array([record.arrays.get(name, nothing) for record in records])
+
+        columns = HistoryColumns(
+            offsets=np.cumsum([0, *(record.rows for record in records)]),
+            steps=rows("step").astype(np.int64),
+            histories={name: rows(name) for name in HISTORIES if name in first},
+            profiles={
+                name: rows(name) if deep else last(name) for name in PROFILES if name in first
+            },
+            imbalance=np.array([record.imbalance for record in records]),
+            flags=tuple(record.flags for record in records),
+            seconds=np.array([record.seconds for record in records]),
+            status=tuple(record.status for record in records),
+            reason=tuple(record.error for record in records),
+        )
+        return cls(
+            tuple(record.id for record in records),
+            texts or Texts.whole([record.toml for record in records]),
+            records[0].version,
+            {name: first[name] for name in LINE if name in first},
+            deep,
+            columns.steps,
+            columns,
+        )

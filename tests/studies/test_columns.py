@@ -1,0 +1,269 @@
+"""Studies by column: as if each case had been made, checked, named and written by itself."""
+
+import pickle
+import random
+from pathlib import Path
+
+import numpy as np
+import pytest
+from swept import write_study
+
+from ringwear_par.cases.law_trials import refuse_bad_laws
+from ringwear_par.cases.reading import make_case
+from ringwear_par.cases.text import toml_text
+from ringwear_par.errors import InputError
+from ringwear_par.history.limits import check_ranks
+from ringwear_par.studies import study as studies
+from ringwear_par.studies.designs import read_draft
+from ringwear_par.studies.groups import Groups
+from ringwear_par.studies.index import Piece, index_of, join, latest, put
+from ringwear_par.studies.study import case_id, read_study
+from ringwear_par.studies.texts import Texts
+from ringwear_par.studies.variations import column_of, varied_keys
+
+pytestmark = pytest.mark.serial
+CASES = Path(__file__).parents[2] / "scripts/cases"
+PAPER = (CASES / "paper.toml").read_text()
+LAW = 'law = "threshold"'
+RUNNING_IN = PAPER.replace(LAW, 'law = "running-in"\nk_start = 2e-7\ndepth = 1e-3')
+PRESSED = PAPER.replace('"force"', '"displacement"').replace("pressure = ", "displacement = 1e-3 #")
+ADAPTIVE = PAPER.replace('"implicit"', '"adaptive"')
+#: base cases by what is special about them, and keys that vary together
+BASES = {
+    "paper": (PAPER, ()),
+    "running-in": (RUNNING_IN, ("wear.lower.k_start", "wear.lower.depth")),
+    "displacement": (PRESSED, ("load.displacement",)),
+    "adaptive": (ADAPTIVE, ("time.end", "time.tolerance", "time.pressure_tolerance")),
+    "times": (ADAPTIVE + "\n[output]\ntimes = [1.0, 20.0]\n", ("time.end",)),
+    "non-local": (
+        PAPER.replace(LAW, 'law = "non-local"\nlength = 0.1'),
+        ("wear.lower.length",),
+    ),
+}
+#: good values of keys, which are also numbers for which there is a short way
+GOOD = {
+    "wear.lower.k": [1e-7, 3e-8, 2, 1.5e-7],
+    "wear.lower.p0": [0, 0.0, 40.0, 17.25],
+    "wear.lower.k_start": [2e-7, 5e-7, 1],
+    "wear.lower.depth": [1e-3, 2e-3],
+    "wear.lower.length": [0.1, 0.25],
+    "contact.friction": [0.1, 0, 0.30000000000000004],
+    "load.omega": [3.5, 0, 1e-300],
+    "load.pressure": [50, 60.5, 1e2],
+    "load.force": [1e4, 12000],
+    "load.displacement": [0.1, 0.02],
+    "lower.young": [1e4, 20000],
+    "upper.young": [1e5, 123456.789],
+    "time.end": [100.0, 30],
+    "time.tolerance": [2.5e-6, 1e-5],
+    "time.pressure_tolerance": [0.1, 0.2],
+}
+#: others, good and bad
+ODD = [
+    -1, 0, 0.0, -0.0, float("nan"), float("inf"), 1e300, 10**310, True, "text", [1, 2], None, {},
+    [[0, 1.0], [10, 2.0]], [[10, 1.0], [0, 2.0]], 5.0,
+]  # fmt: skip
+OTHERS = {
+    "time.steps": [10, 20, 0, 2.0],
+    "time.scheme": ["implicit", "explicit", "adaptive"],
+    "upper.grip": ["clamped", "platen", "loose"],
+    "upper.r[1]": [31.5, 32, 20.0],
+    "mesh.contact_elements": [16, 24, 3],
+    "upper.chamfer": [0.1, [0.1, 0.2], 99.0],
+    "wear.lower.law": ["threshold", "archard", "running-in"],
+}
+
+
+def study_of(rng, folder):
+    """Draw a study; return its tables."""
+    name = rng.choice(list(BASES))
+    text, own = BASES[name]
+    path = folder / "base.toml"
+    path.write_text(text)
+    loads = ["load.displacement" if name == "displacement" else "load.pressure"]
+    common = ["wear.lower.k", "wear.lower.p0", "contact.friction", "load.omega", "upper.young"]
+    keys = rng.sample([*common, "lower.young", "load.force", *loads], 2)
+    keys += rng.sample(list(own), min(len(own), rng.randint(0, 2)))
+    keys += rng.sample(list(OTHERS), rng.randint(0, 2))
+    vary = {}
+    for key in dict.fromkeys(keys):
+        values = list(OTHERS.get(key) or GOOD[key])
+        if key in OTHERS and rng.random() < 0.7:
+            values = values[:2]
+        if rng.random() < 0.3:
+            values.append(rng.choice(ODD))
+        rng.shuffle(values)
+        vary[key] = {"values": values[: rng.randint(1, len(values))]}
+    return {"case": str(path), "vary": vary}
+
+
+def one_by_one(tables):
+    """Return ids and cases of a study without repetitions, or its first faults and their number."""
+    draft = read_draft(tables)
+    parts = [studies.split_key(name) for name in draft.names]
+    found, faults, bad = {}, [], 0
+    for number, row in enumerate(zip(*(c.each() for c in draft.columns), strict=True)):
+        keys, name = varied_keys(draft.base, parts, row), f"study: case {number + 1}"
+        try:
+            case = make_case(keys, name)
+            refuse_bad_laws(case, name)
+            check_ranks(case, 1, name)
+        except InputError as error:
+            bad += 1
+            faults += error.faults if bad <= studies._FAULTS_TOLD else ()
+            continue
+        found.setdefault(case_id(keys), (row, case, keys))
+    if bad > studies._FAULTS_TOLD:
+        faults.append(f"study: {bad - studies._FAULTS_TOLD} more of {draft.count} cases are bad")
+    return found, tuple(faults)
+
+
+@pytest.mark.parametrize("seed", range(120))
+def test_a_study_is_what_its_cases_are_one_by_one(tmp_path, seed):
+    """Ids, cases, their texts and the sentences on bad ones."""
+    tables = study_of(random.Random(seed), tmp_path)
+    wanted, faults = one_by_one(tables)
+    try:
+        found = read_study(tables)
+    except InputError as error:
+        told = error.faults
+        assert told[: len(faults)] == faults
+        assert all("case " not in fault for fault in told[len(faults) :])  # of a mesh
+        return
+    assert faults == ()
+    assert found.ids == tuple(wanted)
+    cases, texts = found.made(range(len(wanted)))
+    written = texts.each(range(len(wanted)))
+    restored = Texts.unpacked(texts.packed(), len(wanted))
+    assert texts.longest == max(len(text.encode()) for text in written)
+    for i, (row, case, keys) in enumerate(wanted.values()):
+        assert cases[i] == case
+        assert cases[i].text == case.text == toml_text(keys) == written[i]
+        assert restored.each([i]) == [case.text]
+        assert found.case(i) == case
+        assert cases[i].breakpoints == case.breakpoints
+        assert repr(found.rows[i]) == repr(row)
+        assert repr(found.keys(i)) == repr(keys)
+        assert found.work[i] == studies._stepping_work(case)
+    assert sorted(n for group in found.groups for n in group) == list(range(len(wanted)))
+
+
+def test_the_drawn_studies_are_good_and_bad(tmp_path):
+    """Else the test above would show little."""
+    bad = sum(bool(one_by_one(study_of(random.Random(n), tmp_path))[1]) for n in range(120))
+    assert 30 <= bad <= 90
+
+
+def test_few_cases_are_made_where_only_numbers_differ(tmp_path, comm, monkeypatch):
+    text = (
+        '[vary]\n"wear.lower.k" = { log = [1e-8, 1e-6] }\n"load.pressure" = { linear = [50, 90] }\n'
+        '"upper.grip" = { values = ["clamped", "platen"] }\n'
+        '[design]\nmethod = "sobol"\ncount = 300\n'
+    )
+    made = []
+
+    def counted(keys, name, **how):
+        made.append(name)
+        return make_case(keys, name, **how)
+
+    monkeypatch.setattr(studies, "make_case", counted)
+    found = read_study(write_study(tmp_path, comm, text, PAPER))
+    assert len(made) == 2
+    for n in (0, 17, 299):
+        assert found.ids[n] == case_id(found.keys(n))
+        assert found.case(n) == make_case(found.keys(n), "")
+    assert len(made) == 4
+    assert len(pickle.dumps(found)) < 300 * 100
+
+
+def test_a_users_law_is_the_one_that_was_tried(tmp_path):
+    """Whatever becomes of its file before a case is computed, or on another machine."""
+    for name in ("user_law.toml", "user_law.py"):
+        (tmp_path / name).write_text((CASES / name).read_text())
+    vary = {"wear.lower.parameters.p1": {"linear": [30.0, 90.0], "count": 5}}
+    study = read_study({"case": str(tmp_path / "user_law.toml"), "vary": vary})
+    cases = [study.case(n) for n in range(5)]
+    law = (tmp_path / "user_law.py").read_text()
+    assert all(case.wear_lower.source == law for case in cases)
+    (tmp_path / "user_law.py").unlink()
+    there = pickle.loads(pickle.dumps(study))
+    assert [there.case(n) for n in range(5)] == cases
+    assert [dict(case.wear_lower.parameters)["p1"] for case in cases] == [30, 45, 60, 75, 90]
+
+
+def test_numbers_of_a_table_are_those_that_toml_has(tmp_path):
+    """Whichever way they are read."""
+    cells = ["1", "-0", "0.50", "1e-7", "1E3", "+5", "01", "1_000", "inf", ".5", "5.", "0x10", "a"]
+    (tmp_path / "rows.csv").write_text("wear.lower.p0\n" + "\n".join(cells) + "\n")
+    (tmp_path / "paper.toml").write_text(PAPER)
+    draft = read_draft(
+        {"case": str(tmp_path / "paper.toml"),
+         "design": {"method": "list", "file": str(tmp_path / "rows.csv")}}
+    )  # fmt: skip
+    wanted = [1, 0, 0.5, 1e-7, 1e3, 5, "01", 1000, float("inf"), ".5", "5.", 16, "a"]
+    assert repr(draft.columns[0].each()) == repr(wanted)
+
+
+def test_columns_tell_values_apart_as_they_are_written():
+    column = column_of([0, 0.0, -0.0, 1, True, "1", [1, 2], [1, 2]])
+    assert repr(column.each()) == "[0, 0.0, -0.0, 1, True, '1', [1, 2], [1, 2]]"
+    assert len(set(column.kinds.tolist())) == 7
+    assert column.numbers is None
+    part = column.part(np.array([6, 0, 7]))
+    assert part.each() == [[1, 2], 0, [1, 2]]
+
+
+def test_groups_keep_their_numbers_when_cases_go():
+    groups = Groups(np.array([4, 1, 0, 3, 2]), np.array([0, 2, 2, 5]))
+    left = groups.only(np.array([True, False, True, False, True]))
+    assert [group.tolist() for group in left] == [[4], [], [0, 2]]
+    assert left.sizes.tolist() == [1, 0, 2]
+
+
+def an_index(ids, status, source="a"):
+    count = len(ids)
+    return index_of(
+        source, 0, np.array(ids, dtype="S"), np.array(status), *np.zeros((2, count), dtype=int),
+        *np.zeros((2, count)), ["kind"],
+    )  # fmt: skip
+
+
+def test_what_is_stored_twice_counts_once():
+    """As it was done first, or else as it was stored last."""
+    first = an_index(["a", "b", "c", "d"], [1, 2, 1, 2])
+    second = an_index(["b", "a", "longer"], [1, 1, 0], "b")
+    third = an_index(["c", "d"], [2, 2], "c")
+    index = latest(join([first, second, third]))
+    found = {
+        identity.decode(): (int(status), index.sources[source])
+        for identity, status, source in zip(index.ids, index.status, index.source, strict=True)
+    }
+    assert found == {"a": (1, "b"), "b": (2, "a"), "c": (2, "c"), "d": (2, "a"), "longer": (0, "b")}
+    assert index.find(np.array([b"d", b"x", b"longer"]))[1] == -1
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_histories_come_into_their_places(seed):
+    """Ragged ones, in any order, with and without elements, against a loop."""
+    rng = np.random.default_rng(seed)
+    count, n = 6, 3
+    lengths = rng.integers(0, 4, count) if seed % 3 else np.full(count, 3)
+    offsets = np.concatenate([[0], np.cumsum(lengths)])
+    places = rng.permutation(count)[:4] if seed % 2 else np.arange(1, 5)
+    at = rng.permutation(9)[:4] if seed % 4 else np.arange(3, 7)
+    for values in (rng.random(offsets[-1]), rng.random((offsets[-1], n))):
+        table = np.full((9, 4, *(4,) * (values.ndim - 1)), np.nan)
+        wanted = table.copy()
+        put(table, at, Piece(values, offsets), places, lengths[places])
+        for row, place in zip(at, places, strict=True):
+            own = values[offsets[place] : offsets[place + 1]]
+            wanted[(row, *map(slice, own.shape))] = own
+        assert np.array_equal(table, wanted, equal_nan=True)
+    last = rng.random((count, n))
+    table = np.full((9, 4, 4), np.nan)
+    wanted = table.copy()
+    put(table, at, Piece(last), places, lengths[places])
+    for row, place in zip(at, places, strict=True):
+        if lengths[place]:
+            wanted[row, lengths[place] - 1, :n] = last[place]
+    assert np.array_equal(table, wanted, equal_nan=True)
