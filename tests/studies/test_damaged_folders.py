@@ -369,7 +369,7 @@ def test_a_shard_of_an_earlier_version_is_merged(output, swept, comm, told):
 @pytest.mark.parametrize(
     "changes",
     [
-        "ids = 'a\\nb'",
+        "ids = 'a\\nb\\nc\\nd\\ne\\nf\\ng'",
         "ids = NULL",
         "texts = NULL",
         "about = '{'",
