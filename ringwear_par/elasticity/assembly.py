@@ -124,22 +124,14 @@ def load_kernels(comm: MPI.Comm) -> None:
     does not take is compiled each time.
     """
 
-    from ringwear_par.elasticity.rows import assemble_rows  # slow, and not always needed
+    mesh = Mesh(4)
+    boundary = boundary_mesh(Section((1.0, 2.0), 1.0), contact_line((1.0, 2.0), mesh), mesh)
+    k = len(boundary.elements)
+    free = BoundaryConditions(np.zeros((k, 3), bool), np.full((k, 3), -1), np.zeros((k, 3)), 0)
+    dofs = number_dofs(boundary, free)
 
     def load() -> None:
-        mesh = Mesh(4)
-        boundary = boundary_mesh(Section((1.0, 2.0), 1.0), contact_line((1.0, 2.0), mesh), mesh)
-        k = len(boundary.elements)
-        nothing = BoundaryConditions(
-            np.zeros((k, 3), bool), np.full((k, 3), -1), np.zeros((k, 3)), 0
-        )
-        still = Moving(np.zeros(len(boundary.nodes), bool), np.zeros(k, bool))
-        unused = np.zeros((2, 2))
-        assemble_rows(
-            0, 0, boundary, nothing, number_dofs(boundary, nothing), still, False, 0.0,
-            quadrature(0.1),
-            np.zeros(2, dtype=np.int64), (unused, unused), (unused, unused),
-        )  # fmt: skip
+        assemble(boundary, free, dofs, 0.0, quadrature(0.1), MPI.COMM_SELF)
 
     def load_or_compile() -> None:
         untold = True
