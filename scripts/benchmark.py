@@ -32,7 +32,7 @@ from ringwear_par.elasticity.assembly import assemble, number_dofs
 from ringwear_par.elasticity.body import boundary_conditions, compliance
 from ringwear_par.elasticity.mesh import Mesh, boundary_mesh
 from ringwear_par.elasticity.quadrature import quadrature
-from ringwear_par.elasticity.solve import solve_rows
+from ringwear_par.elasticity.solve import solve_systems
 from ringwear_par.history.bodies import bodies, young
 from ringwear_par.history.simulate import simulate
 from ringwear_par.history.snapshots import Snapshot
@@ -83,7 +83,7 @@ def measure(n: int, repeats: int, comm: MPI.Comm) -> dict[str, float]:
     sizes = [system.matrix.shape[1] for system in systems]
     flops = sum(2.0 / 3.0 * size**3 + 2.0 * size**2 * n for size in sizes)
     assembly = timed(comm, repeats, assembled)
-    solution = timed(comm, repeats, lambda: [solve_rows(system, comm) for system in systems])
+    solution = timed(comm, repeats, lambda: solve_systems(systems, comm))
     systems.clear()
     both = timed(
         comm, repeats,

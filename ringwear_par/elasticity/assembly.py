@@ -123,7 +123,6 @@ def load_kernels(comm: MPI.Comm) -> None:
     Rank 0 goes first, so that many ranks do not write one cache at the same time. What a full disk
     does not take is compiled each time.
     """
-
     mesh = Mesh(4)
     boundary = boundary_mesh(Section((1.0, 2.0), 1.0), contact_line((1.0, 2.0), mesh), mesh)
     k = len(boundary.elements)

@@ -23,6 +23,7 @@ import math
 
 import numpy as np
 
+from ringwear_par.arrays import FloatArray
 from ringwear_par.elasticity.compiling import compiled
 
 #: below this parameter m = 4 r r1 / S^2 the moments come from quadrature in theta: the recursions
@@ -239,7 +240,7 @@ def ring_kernels(r: float, a: float, b: float, nr: float, nz: float, nu: float) 
 
 # contraction: products and sums in one instruction; nothing else may be reordered
 @compiled(fastmath={"contract"}, error_model="numpy")
-def fill_tile(tile, count, r, nu):
+def fill_tile(tile: FloatArray, count: int, r: float, nu: float) -> None:
     """Set the kernels of the first field points of a tile, those of one source.
 
     Parameters

@@ -10,27 +10,35 @@ are weighted with that of their nodes, so that the rigid or constant-strain fiel
 """
 
 import math
+from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
+from ringwear_par.arrays import FloatArray, IntArray
 from ringwear_par.elasticity.compiling import compiled
 from ringwear_par.elasticity.kernels import TILE, TILE_ROWS, fill_tile
-from ringwear_par.elasticity.quadrature import MAX_POINTS
+from ringwear_par.elasticity.mesh import BoundaryMesh
+from ringwear_par.elasticity.quadrature import MAX_POINTS, Quadrature
 
+if TYPE_CHECKING:
+    from ringwear_par.elasticity.assembly import BoundaryConditions, DofMap, Moving
+
+Pair = tuple[FloatArray, FloatArray]
+#: no index of it counts from the end, which need not be looked at
+UnsignedArray = NDArray[np.uint64]
 #: most parts that an element is cut in
 MAX_PARTS = 128
 #: doubles that the widest vectors of common processors hold
 _VECTOR = 4
 
-# Work space, rows of TILE numbers: the tile of the kernels; an element's first node from the source,
-# its vector, length and normal, or a point's parameter and weight; the integrals of T (rr, rz, zr,
-# zz, theta theta) times shape function 0, 1, 2, and of U
+# Work space, rows of TILE numbers: the tile of the kernels; an element's first node from the
+# source, its vector, length and normal, or a point's parameter and weight; the integrals of T (rr,
+# rz, zr, zz, theta theta) times shape function 0, 1, 2, and of U
 _U_RR, _U_RZ, _U_ZR, _U_ZZ = 4 * TILE, 5 * TILE, 6 * TILE, 7 * TILE
 _T_RR, _T_RZ, _T_ZR, _T_ZZ = 8 * TILE, 9 * TILE, 10 * TILE, 11 * TILE
 _U_TT, _T_TT = 12 * TILE, 13 * TILE
-_AR, _AZ, _DR, _DZ, _LENGTH, _NR, _NZ = (
-    row * TILE for row in range(TILE_ROWS, TILE_ROWS + 7)
-)
+_AR, _AZ, _DR, _DZ, _LENGTH, _NR, _NZ = (row * TILE for row in range(TILE_ROWS, TILE_ROWS + 7))
 _H = (TILE_ROWS + 7) * TILE
 _G = _H + 15 * TILE
 _WORK = _G + 5 * TILE
@@ -41,7 +49,7 @@ _COMPONENT = np.array([0, 1, 0, 1, 2])
 
 
 @compiled(fastmath={"contract"}, error_model="numpy")
-def _distances(xr, xz, lines, ratio):
+def _distances(xr: float, xz: float, lines: FloatArray, ratio: FloatArray) -> None:
     """Set the distances of the source from both ends of elements, over their lengths."""
     for e in range(len(ratio)):
         ar, az = lines[0, e] - xr, lines[1, e] - xz
@@ -50,7 +58,7 @@ def _distances(xr, xz, lines, ratio):
 
 
 @compiled(fastmath={"contract"}, error_model="numpy")
-def _place(work, start, count, t):
+def _place(work: FloatArray, start: int, count: int, t: float) -> None:
     """Set the same point of elements side by side, from a place in the tile on."""
     for i in range(count):
         work[start + i] = work[_AR + i] + t * work[_DR + i]
@@ -60,7 +68,9 @@ def _place(work, start, count, t):
 
 
 @compiled(fastmath={"contract"}, error_model="numpy")
-def _add_points(work, start, count, weight, s0, s1, s2):
+def _add_points(
+    work: FloatArray, start: int, count: int, weight: float, s0: float, s1: float, s2: float
+) -> None:
     """Add the same point of elements side by side to their integrals."""
     for i in range(count):
         w = weight * work[_LENGTH + i]
@@ -93,7 +103,7 @@ def _add_points(work, start, count, weight, s0, s1, s2):
 
 
 @compiled
-def _padded(work, rows, count):
+def _padded(work: FloatArray, rows: tuple[int, ...], count: int) -> int:
     """Repeat the last of some rows up to whole vectors; return how many there are then."""
     whole = count + -count % _VECTOR
     for row in rows:
@@ -103,7 +113,16 @@ def _padded(work, rows, count):
 
 
 @compiled(error_model="numpy")
-def _integrate_together(work, xr, xz, lines, chosen, n, rules, poisson):
+def _integrate_together(
+    work: FloatArray,
+    xr: float,
+    xz: float,
+    lines: FloatArray,
+    chosen: IntArray,
+    n: int,
+    rules: Quadrature,
+    poisson: float,
+) -> None:
     """Integrate over elements that take the same n-point rule, at most TILE."""
     for i in range(len(chosen)):
         e = chosen[i]
@@ -129,7 +148,7 @@ def _integrate_together(work, xr, xz, lines, chosen, n, rules, poisson):
 
 
 @compiled(fastmath={"contract"}, error_model="numpy")
-def _add_tile(work, count, at, xr, poisson):
+def _add_tile(work: FloatArray, count: int, at: int, xr: float, poisson: float) -> None:
     """Add points of one element to its integrals, the first of the rows of H and G."""
     filled = _padded(work, (0, TILE, 2 * TILE, 3 * TILE), count)
     fill_tile(work, filled, xr, poisson)
@@ -147,7 +166,16 @@ def _add_tile(work, count, at, xr, poisson):
 
 
 @compiled(error_model="numpy")
-def _integrate_alone(work, parts_of, xr, xz, line, at, rules, poisson):
+def _integrate_alone(
+    work: FloatArray,
+    parts_of: FloatArray,
+    xr: float,
+    xz: float,
+    line: FloatArray,
+    at: int,
+    rules: Quadrature,
+    poisson: float,
+) -> int:
     """Integrate over one element in parts, it being close to the source or holding it.
 
     Parameters
@@ -226,7 +254,13 @@ def _integrate_alone(work, parts_of, xr, xz, line, at, rules, poisson):
 
 
 @compiled
-def _scatter(work, chosen, columns, gathered, tractions):
+def _scatter(
+    work: FloatArray,
+    chosen: IntArray,
+    columns: UnsignedArray,
+    gathered: FloatArray,
+    tractions: FloatArray,
+) -> None:
     """Add the integrals over elements to the columns of their nodes.
 
     Parameters
@@ -251,7 +285,7 @@ def _scatter(work, chosen, columns, gathered, tractions):
 
 # sums of the same numbers in the same order, several at a time
 @compiled(fastmath={"contract", "reassoc"}, error_model="numpy")
-def _dot(x, y):
+def _dot(x: FloatArray, y: FloatArray) -> float:
     total = 0.0
     for i in range(len(x)):
         total += x[i] * y[i]
@@ -259,12 +293,15 @@ def _dot(x, y):
 
 
 @compiled
-def _element_lines(boundary):
+def _element_lines(boundary: BoundaryMesh) -> FloatArray:
     """Return (7, k): first node r and z, vector, length, outward normal of each element."""
     k = len(boundary.elements)
     lines = np.empty((7, k))
     for e in range(k):
-        first, last = boundary.nodes[boundary.elements[e, 0]], boundary.nodes[boundary.elements[e, 2]]
+        first, last = (
+            boundary.nodes[boundary.elements[e, 0]],
+            boundary.nodes[boundary.elements[e, 2]],
+        )
         dr, dz = last[0] - first[0], last[1] - first[1]
         length = math.hypot(dr, dz)
         lines[0, e], lines[1, e], lines[2, e], lines[3, e] = first[0], first[1], dr, dz
@@ -273,7 +310,9 @@ def _element_lines(boundary):
 
 
 @compiled
-def _number_columns(boundary, displacement, unknowns):
+def _number_columns(
+    boundary: BoundaryMesh, displacement: IntArray, unknowns: tuple[int, int]
+) -> tuple[UnsignedArray, FloatArray]:
     """Return the columns of elements' nodes, and what they weigh in the source's own column.
 
     Known displacements have columns too, behind the unknown ones.
@@ -305,9 +344,19 @@ def _number_columns(boundary, displacement, unknowns):
 
 @compiled
 def assemble_rows(
-    first_node, last_node, boundary, conditions, dofs, moving, moved, poisson, rules, starts,
-    matrices, loads,
-):  # fmt: skip
+    first_node: int,
+    last_node: int,
+    boundary: BoundaryMesh,
+    conditions: "BoundaryConditions",
+    dofs: "DofMap",
+    moving: "Moving",
+    moved: bool,
+    poisson: float,
+    rules: Quadrature,
+    starts: IntArray,
+    matrices: Pair,
+    loads: Pair,
+) -> int:
     """Add to the rows collocated at nodes first_node <= p < last_node; return kernel evaluations.
 
     The integrals added are those that move with the geometry, or those that do not.
@@ -320,7 +369,7 @@ def assemble_rows(
     matrices, loads : those of the (r, z) and of the theta system, row-major.
     """
     elements, load, traction = boundary.elements, conditions.load, dofs.traction
-    k, n_loads = len(elements), loads[0].shape[1]
+    k = len(elements)
     shear = 0.5 / (1.0 + poisson)
     lame = poisson / ((1.0 + poisson) * (1.0 - 2.0 * poisson))
     lines = _element_lines(boundary)

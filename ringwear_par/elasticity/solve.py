@@ -24,7 +24,7 @@ from ringwear_par.petsc import PETSc
 
 #: largest residual of a row, relative to the sum of its terms
 RESIDUAL_TOLERANCE = 1e-9
-#: most unknowns of a system that one rank of several solves alone: 128 MB, and as much for its factor
+#: most unknowns of a system that one rank of several solves alone: 128 MB, and as much of factors
 WHOLE_LIMIT = 4000
 
 #: some rows of a solution, (local, n_loads), and the number of the first
