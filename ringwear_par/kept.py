@@ -159,7 +159,7 @@ def _make_room(where: Path) -> None:
     """Remove what was used longest ago, until the rest is below the limit."""
     global _writes
     _writes += 1
-    if _writes % _WRITES != 1:
+    if (_writes - 1) % _WRITES:
         return
     for left in where.glob(f"*{_ENDING}.tmp*"):
         with suppress(OSError):

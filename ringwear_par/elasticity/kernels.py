@@ -228,6 +228,11 @@ def _from_moments(
 
 
 @compiled
+def _near_axis(r: float, a: float, b: float, nr: float, nz: float, nu: float) -> RingKernels:
+    return _from_moments(_moments_by_quadrature(r, a, b), r, a, b, nr, nz, nu)
+
+
+@compiled
 def ring_kernels(r: float, a: float, b: float, nr: float, nz: float, nu: float) -> RingKernels:
     """Return U_rr, U_rz, U_zr, U_zz, T_rr, T_rz, T_zr, T_zz, U_tt, T_tt.
 
@@ -235,7 +240,9 @@ def ring_kernels(r: float, a: float, b: float, nr: float, nz: float, nu: float) 
     field point; ``t`` stands for theta, which uncouples. U in 1/MPa at E = 1, T in 1; both carry
     the ``r1`` of ``dS = r1 dtheta ds``.
     """
-    return _from_moments(moments(r, a, b), r, a, b, nr, nz, nu)
+    if _is_small(r, a, b):
+        return _near_axis(r, a, b, nr, nz, nu)
+    return _from_moments(_moments_by_recursion(r, a, b), r, a, b, nr, nz, nu)
 
 
 # contraction: products and sums in one instruction; nothing else may be reordered
@@ -250,7 +257,7 @@ def fill_tile(tile: FloatArray, count: int, r: float, nu: float) -> None:
     count : number of field points, at most TILE.
     r, nu : radius of the source, Poisson's ratio.
     """
-    near_axis = 0
+    small = 0
     for i in range(count):
         a, b = tile[i], tile[TILE + i]
         values = _from_moments(
@@ -266,12 +273,12 @@ def fill_tile(tile: FloatArray, count: int, r: float, nu: float) -> None:
         tile[_KERNELS + 7 * TILE + i] = values[7]
         tile[_KERNELS + 8 * TILE + i] = values[8]
         tile[_KERNELS + 9 * TILE + i] = values[9]
-        near_axis += _is_small(r, a, b)
-    if near_axis == 0:
+        small += _is_small(r, a, b)
+    if small == 0:
         return
     for i in range(count):
         if _is_small(r, tile[i], tile[TILE + i]):
-            values = ring_kernels(
+            values = _near_axis(
                 r, tile[i], tile[TILE + i], tile[2 * TILE + i], tile[3 * TILE + i], nu
             )
             for k in range(10):

@@ -103,12 +103,12 @@ def _add_points(
 
 
 @compiled
-def _padded(work: FloatArray, rows: tuple[int, ...], count: int) -> int:
-    """Repeat the last of some rows up to whole vectors; return how many there are then."""
+def _padded(work: FloatArray, first: int, last: int, count: int) -> int:
+    """Repeat the last of each row up to whole vectors; return how many there are then."""
     whole = count + -count % _VECTOR
-    for row in rows:
-        for i in range(count, whole):
-            work[row + i] = work[row + count - 1]
+    for row in range(first, last):
+        for i in range(row * TILE + count, row * TILE + whole):
+            work[i] = work[row * TILE + count - 1]
     return whole
 
 
@@ -129,8 +129,7 @@ def _integrate_together(
         work[_AR + i], work[_AZ + i] = lines[0, e] - xr, lines[1, e] - xz
         work[_DR + i], work[_DZ + i] = lines[2, e], lines[3, e]
         work[_LENGTH + i], work[_NR + i], work[_NZ + i] = lines[4, e], lines[5, e], lines[6, e]
-    rows = (_AR, _AZ, _DR, _DZ, _LENGTH, _NR, _NZ)
-    count = _padded(work, rows, len(chosen))
+    count = _padded(work, TILE_ROWS, TILE_ROWS + 7, len(chosen))
     for row in range(20):
         work[_H + row * TILE : _H + row * TILE + count] = 0.0
     at_once = TILE // count
@@ -150,7 +149,7 @@ def _integrate_together(
 @compiled(fastmath={"contract"}, error_model="numpy")
 def _add_tile(work: FloatArray, count: int, at: int, xr: float, poisson: float) -> None:
     """Add points of one element to its integrals, the first of the rows of H and G."""
-    filled = _padded(work, (0, TILE, 2 * TILE, 3 * TILE), count)
+    filled = _padded(work, 0, 4, count)
     fill_tile(work, filled, xr, poisson)
     for i in range(count):
         t, w = work[_T + i], work[_WEIGHT + i]
@@ -202,7 +201,8 @@ def _integrate_alone(
     if at == 1 or at == 2:
         part_from[parts], part_to[parts] = 0.5 * at, 0.0
         parts += 1
-    evaluations = count = 0
+    count = int(np.int64(0))  # a literal would be compiled once more
+    evaluations = 0
     while parts > 0:
         parts -= 1
         t0, t1 = part_from[parts], part_to[parts]
@@ -418,7 +418,7 @@ def assemble_rows(
                 _scatter(work, together, columns, gathered, tractions)
         for i in range(ends[MAX_POINTS], ends[MAX_POINTS + 1]):
             e = chosen[i]
-            local = -1
+            local = int(np.int64(-1))
             for c in range(3):
                 if elements[e, c] == p:
                     local = c
