@@ -80,8 +80,9 @@ def _solve_whole(systems: Sequence[Rows], comm: MPI.Comm) -> list[Solution]:
     owner = owners([system.matrix.shape[1] for system in systems], comm.size)
     gathered = [_gather(*each, comm) for each in zip(systems, owner, strict=True)]
     solutions, worst = [], 0.0
-    for system, (matrix, loads, requests) in zip(systems, gathered, strict=True):
-        MPI.Request.Waitall(requests)
+    # all of them first: a rank that is factoring sends nothing to others
+    MPI.Request.Waitall([request for *_, requests in gathered for request in requests])
+    for system, (matrix, loads, _) in zip(systems, gathered, strict=True):
         x = np.empty((0, system.loads.shape[1]))
         if len(matrix):
             # row by row, the matrix is the transpose of what LAPACK reads column by column
