@@ -74,6 +74,7 @@ def _parser() -> argparse.ArgumentParser:
         "--overwrite", action="store_true",
         help="replace what RUN.h5 holds, an interrupted run too",
     )  # fmt: skip
+    _add_no_cache(run)
     run.add_argument("--plot", type=_path, metavar="FIG.png", help="draw the history at the end")
 
     sweep = command("sweep", "compute every case of a study, or go on with it")
@@ -99,6 +100,8 @@ def _parser() -> argparse.ArgumentParser:
         "--dry-run", action="store_true",
         help="count cases and operators, estimate memory and time; write nothing",
     )  # fmt: skip
+
+    _add_no_cache(sweep)
 
     plot = command("plot", "draw the figures of the paper from result files, or those of a sweep")
     plot.add_argument("results", type=_path, nargs="+", metavar="RUN.h5 or DIR")
@@ -153,6 +156,14 @@ def _add_case(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--set", action="extend", default=[], nargs="+", dest="overrides", metavar="KEY=VALUE",
         help="override a key of the case file, such as load.pressure=50",
+    )  # fmt: skip
+
+
+def _add_no_cache(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--no-cache", action="store_true",
+        help="assemble every shape, neither read nor write those kept before (ringwear info says "
+        "where)",
     )  # fmt: skip
 
 
@@ -379,6 +390,10 @@ def _main(words: Sequence[str], world: _World, signals: StopAtOnce) -> int:
     try:
         args = _parser().parse_args(words[:cut])
         _check_launch(comm.size)
+        if args.command == "verify" or getattr(args, "no_cache", False):
+            from ringwear_par import kept
+
+            os.environ[kept.VARIABLE] = ""  # nothing is
         start_petsc(words[cut + 1 :])
         _COMMANDS[args.command](args, comm)
         sys.stdout.flush()

@@ -16,7 +16,6 @@ def versions() -> dict[str, str]:
     """Return the versions that a result file records."""
     import h5py
     import mpi4py
-    import numba
     import numpy
     import scipy
     from mpi4py import MPI
@@ -28,7 +27,7 @@ def versions() -> dict[str, str]:
         "python_version": platform.python_version(),
         "numpy_version": numpy.__version__,
         "scipy_version": scipy.__version__,
-        "numba_version": numba.__version__,
+        "numba_version": version("numba"),
         "h5py_version": h5py.__version__,
         "mpi4py_version": mpi4py.__version__,
         "petsc_version": ".".join(map(str, PETSc.Sys.getVersion())),
@@ -45,6 +44,7 @@ def _optional(package: str) -> str:
 
 def print_info(comm: "MPI.Comm") -> None:
     """Print versions, builds, ranks and threads. On one rank."""
+    from ringwear_par import kept
     from ringwear_par.petsc import PETSc
 
     print(f"ringwear-par {__version__} in {os.path.dirname(__file__)}, Python {sys.executable}")
@@ -57,5 +57,13 @@ def print_info(comm: "MPI.Comm") -> None:
     print(f"  petsc scalar: {PETSc.ScalarType.__name__}, integer: {PETSc.IntType.__name__}")
     launched = os.environ.get("OMPI_COMM_WORLD_SIZE") or os.environ.get("PMI_SIZE") or "no launcher"
     print(f"  ranks: {comm.size} (launcher says: {launched}), cores: {os.cpu_count()}")
+    where = kept.folder()
+    if where is None:
+        print(f"  assembled pairs: not kept ({kept.VARIABLE} is empty)")
+    else:
+        pairs, size = kept.size(where)
+        print(
+            f"  assembled pairs: {pairs}, {size / 1e6:.3g} of {kept.LIMIT / 1e6:g} MB, in {where}"
+        )
     for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "NUMBA_NUM_THREADS"):
         print(f"  {name}: {os.environ.get(name, 'not set')}")

@@ -71,11 +71,16 @@ def as_ours(error: Exception) -> RingwearError:
     return RingwearError(f"{type(error).__name__}: {error}")
 
 
+def blas_threads() -> int:
+    """Return how many threads BLAS may use on this rank. Not collective."""
+    names = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS")
+    given = next((int(os.environ[n]) for n in names if os.environ.get(n, "").isdigit()), None)
+    return (os.cpu_count() or 1) if given is None else given
+
+
 def warn_of_threads(ranks: int) -> None:
     """Warn where BLAS threads and ranks are more than the cores. On one rank."""
-    cores = os.cpu_count() or 1
-    names = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS")
-    threads = next((int(os.environ[n]) for n in names if os.environ.get(n, "").isdigit()), cores)
+    cores, threads = os.cpu_count() or 1, blas_threads()
     if ranks > 1 and threads > 1 and threads * ranks > cores:
         log.warning(
             "%d ranks with up to %d BLAS threads each on %d cores: set OPENBLAS_NUM_THREADS=1",

@@ -8,31 +8,38 @@ grows with the sizes. Steps are made by every rank on its own (active-set Newton
 with the matrix spread over the ranks (tron; on one rank the same as the former). The adaptive
 history reaches the same 200 s; "updated" are 200 steps with elements that follow the wear, their
 re-assemblies included, the first assembly not. "Recorded" are the same histories through the front
-door, with their checks, balances and results. Counts: kernel evaluations (both bodies, all
-directions), flops of the two factorisations 2/3 n^3.
+door, with their checks, balances and results. On one rank, "run" is ``ringwear run`` with its
+start, once of a shape that is assembled and once of one that is known. Counts: kernel evaluations
+(both bodies, all directions), flops of the factorisations 2/3 n^3.
 """
 
 import argparse
 import csv
+import math
+import os
 import resource
+import subprocess
 import sys
 import time
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from statistics import median
+from tempfile import TemporaryDirectory
 
 import numpy as np
 from mpi4py import MPI
 
 import ringwear_par as rw
+from ringwear_par import kept
 from ringwear_par.cases.case import Case, Stepping
 from ringwear_par.contact.solver import ContactSolver
 from ringwear_par.elasticity.assembly import assemble, number_dofs
-from ringwear_par.elasticity.body import boundary_conditions, compliance
+from ringwear_par.elasticity.body import boundary_conditions
 from ringwear_par.elasticity.mesh import Mesh, boundary_mesh
+from ringwear_par.elasticity.pair import assemble_pair
 from ringwear_par.elasticity.quadrature import quadrature
-from ringwear_par.elasticity.solve import solve_rows
+from ringwear_par.elasticity.solve import solve_systems
 from ringwear_par.history.bodies import bodies, young
 from ringwear_par.history.simulate import simulate
 from ringwear_par.history.snapshots import Snapshot
@@ -43,7 +50,7 @@ COLUMNS = (
     "assembly_s", "ns_per_evaluation", "factor_solve_s", "gflop_per_s", "compliance_s",
     "first_contact_ms", "steps_200_s",
     "steps_200_shared_s", "ms_per_step", "steps_200_recorded_s", "adaptive_200_s",
-    "adaptive_200_recorded_s", "updated_200_steps_s", "peak_MB_per_rank",
+    "adaptive_200_recorded_s", "updated_200_steps_s", "run_s", "run_known_s", "peak_MB_per_rank",
 )  # fmt: skip
 
 
@@ -62,6 +69,23 @@ def timed(comm: MPI.Comm, repeats: int, action: Callable[[], float | object]) ->
         seconds = own if isinstance(own, float) else time.perf_counter() - started
         times.append(comm.allreduce(seconds, MPI.MAX))
     return median(times[1:])
+
+
+def timed_commands(n: int, repeats: int) -> tuple[float, float]:
+    """Return the wall time of ``ringwear run``, s: without kept operators, and with its own."""
+    case = Path(__file__).parent / "cases" / "paper.toml"
+    with TemporaryDirectory() as folder:
+        words = [sys.executable, "-m", "ringwear_par", "run", str(case), "-o", f"{folder}/run.h5"]
+        words += ["--set", f"mesh.contact_elements={n}"]
+        environment = {**os.environ, kept.VARIABLE: f"{folder}/kept"}
+
+        def run(*more: str) -> None:
+            subprocess.run(
+                [*words, *more], env=environment, check=True, capture_output=True, timeout=600
+            )
+
+        alone = MPI.COMM_SELF
+        return timed(alone, repeats, lambda: run("--no-cache")), timed(alone, repeats, run)
 
 
 def measure(n: int, repeats: int, comm: MPI.Comm) -> dict[str, float]:
@@ -83,13 +107,13 @@ def measure(n: int, repeats: int, comm: MPI.Comm) -> dict[str, float]:
     sizes = [system.matrix.shape[1] for system in systems]
     flops = sum(2.0 / 3.0 * size**3 + 2.0 * size**2 * n for size in sizes)
     assembly = timed(comm, repeats, assembled)
-    solution = timed(comm, repeats, lambda: [solve_rows(system, comm) for system in systems])
+    solution = timed(comm, repeats, lambda: solve_systems(systems, comm))
     systems.clear()
     both = timed(
         comm, repeats,
-        lambda: [compliance(body, case.line, case.mesh, comm) for body in bodies(case)],
+        lambda: assemble_pair(bodies(case), case.line, case.mesh, comm),
     )  # fmt: skip
-    pair = rw.assemble(case, comm)
+    pair = rw.assemble(case, comm, use_kept=False)
     area, matrix = pair.line.area, pair.compliance(young(case)).matrix
     grown = replace(case, time=Stepping("adaptive", until=200.0))
     moving = replace(case, mesh=Mesh(n, geometry="updated"))
@@ -120,6 +144,7 @@ def measure(n: int, repeats: int, comm: MPI.Comm) -> dict[str, float]:
     recorded = timed(comm, repeats, lambda: rw.simulate(case, comm, pair=pair))
     adaptive_recorded = timed(comm, repeats, lambda: rw.simulate(grown, comm, pair=pair))
     followed = timed(comm, repeats, updated)
+    commands = timed_commands(n, repeats) if comm.size == 1 else (math.nan, math.nan)
     peak = comm.allreduce(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024, MPI.MAX)
     return dict(
         zip(
@@ -129,7 +154,7 @@ def measure(n: int, repeats: int, comm: MPI.Comm) -> dict[str, float]:
                 evaluations, assembly, 1e9 * assembly * comm.size / evaluations, solution,
                 1e-9 * flops / solution, both,
                 1e3 * contact, stepping, shared, 5.0 * stepping, recorded, adaptive,
-                adaptive_recorded, followed, peak,
+                adaptive_recorded, followed, *commands, peak,
             ),
             strict=True,
         )

@@ -12,6 +12,8 @@ from contextlib import contextmanager
 
 import pytest
 
+# assembled pairs are not kept, nor found, but in the tests of keeping them
+os.environ["RINGWEAR_CACHE"] = ""
 #: the environment before MPI adds to it: what a user's shell gives to a command
 SHELL_ENVIRONMENT = dict(os.environ)
 #: seconds that a rank waits for the others after a test

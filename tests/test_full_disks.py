@@ -319,7 +319,7 @@ def test_compiled_code_that_the_disk_does_not_take(comm, monkeypatch, caplog):
         if len(attempts) < 4:
             raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(assembly, "_assemble_rows", compiled)
+    monkeypatch.setattr(assembly, "assemble", compiled)
     assembly.load_kernels(comm)
     assert len(attempts) == 4
     assert caplog.messages == ["compiled code is not kept, going on: No space left on device"]

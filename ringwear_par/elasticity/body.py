@@ -5,6 +5,7 @@ load, speed and wear law at the same shape and Poisson's ratio.
 """
 
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -23,7 +24,7 @@ from ringwear_par.elasticity.mesh import BoundaryMesh, ContactLine, Mesh, bounda
 from ringwear_par.elasticity.quadrature import quadrature
 from ringwear_par.elasticity.sections import Body, Grip
 from ringwear_par.elasticity.slopes import obliquity
-from ringwear_par.elasticity.solve import solve_rows
+from ringwear_par.elasticity.solve import solve_systems, solved_whole
 
 
 @dataclass(frozen=True)
@@ -98,6 +99,36 @@ def boundary_conditions(
     return BoundaryConditions(fixed, load, traction, n)
 
 
+@dataclass(frozen=True)
+class Problem:
+    """Equation (5) of a body, and what is wanted of its solution.
+
+    Parameters
+    ----------
+    boundary, conditions, poisson : the body.
+    tolerance : relative accuracy of the element integrals.
+    nodes, elements : whose displacements and whose tractions are wanted.
+    """
+
+    boundary: BoundaryMesh
+    conditions: BoundaryConditions
+    poisson: float
+    tolerance: float
+    nodes: IntArray
+    elements: IntArray
+
+
+@dataclass(frozen=True)
+class Assembled:
+    """The assembled systems of a body, and what is wanted of their solution as of ``Problem``."""
+
+    rows: Assembly
+    dofs: DofMap
+    nodes: IntArray
+    elements: IntArray
+    seconds: float
+
+
 def solve_body(
     boundary: BoundaryMesh,
     conditions: BoundaryConditions,
@@ -111,43 +142,58 @@ def solve_body(
 
     Collective on comm.
     """
-    dofs = number_dofs(boundary, conditions)
+    problem = Problem(boundary, conditions, poisson, tolerance, nodes, elements)
+    return solve_bodies([problem], comm)[0]
+
+
+def solve_bodies(problems: Sequence[Problem], comm: MPI.Comm) -> list[Response]:
+    """Solve (5) of several bodies: at once where ranks can share their systems. Collective."""
+    largest = max(2 * len(problem.boundary.nodes) for problem in problems)
+    if comm.size > 1 and solved_whole(largest, comm.size):
+        return solve_assembled([_assembled(problem, comm) for problem in problems], comm)
+    # one after another: not all in memory
+    return [solve_assembled([_assembled(problem, comm)], comm)[0] for problem in problems]
+
+
+def _assembled(problem: Problem, comm: MPI.Comm) -> Assembled:
+    dofs = number_dofs(problem.boundary, problem.conditions)
     started = time.perf_counter()
-    rows = assemble(boundary, conditions, dofs, poisson, quadrature(tolerance), comm)
+    rows = assemble(
+        problem.boundary, problem.conditions, dofs, problem.poisson,
+        quadrature(problem.tolerance), comm,
+    )  # fmt: skip
     seconds = time.perf_counter() - started
-    return solve_assembled(rows, dofs, nodes, elements, seconds, comm)
+    return Assembled(rows, dofs, problem.nodes, problem.elements, seconds)
 
 
-def solve_assembled(
-    rows: Assembly,
-    dofs: DofMap,
-    nodes: IntArray,
-    elements: IntArray,
-    seconds: float,
-    comm: MPI.Comm,
-) -> Response:
-    """Solve two assembled systems, as ``solve_body`` does; ``seconds`` is what assembly took.
-
-    Collective on comm.
-    """
+def solve_assembled(bodies: Sequence[Assembled], comm: MPI.Comm) -> list[Response]:
+    """Solve the assembled systems of bodies. Collective on comm."""
     started = time.perf_counter()
-    n_loads = rows.normal.loads.shape[1]
-    displacement = np.zeros((len(nodes), 3, n_loads))
-    traction = np.zeros((len(elements), 3, n_loads))
-    for system, components in ((rows.normal, (0, 1)), (rows.torsion, (2,))):
-        x, start = solve_rows(system, comm)
-        for c in components:
-            for target, column in (
-                (displacement, dofs.displacement[nodes, c]),
-                (traction, dofs.traction[elements, c]),
-            ):
-                local = column - start
-                here = (column >= 0) & (local >= 0) & (local < len(x))
-                target[here, c] = x[local[here]]
-    for array in (displacement, traction):  # each entry is known to one rank: the sum is exact
-        comm.Allreduce(MPI.IN_PLACE, array, MPI.SUM)
-    evaluations = comm.allreduce(rows.kernel_evaluations)
-    return Response(displacement, traction, evaluations, seconds, time.perf_counter() - started)
+    solutions = solve_systems(
+        [system for body in bodies for system in (body.rows.normal, body.rows.torsion)], comm
+    )
+    found = []
+    for i, body in enumerate(bodies):
+        n_loads = body.rows.normal.loads.shape[1]
+        displacement = np.zeros((len(body.nodes), 3, n_loads))
+        traction = np.zeros((len(body.elements), 3, n_loads))
+        for (x, start), components in zip(
+            solutions[2 * i : 2 * i + 2], ((0, 1), (2,)), strict=True
+        ):
+            for c in components:
+                for target, column in (
+                    (displacement, body.dofs.displacement[body.nodes, c]),
+                    (traction, body.dofs.traction[body.elements, c]),
+                ):
+                    local = column - start
+                    here = (column >= 0) & (local >= 0) & (local < len(x))
+                    target[here, c] = x[local[here]]
+        for array in (displacement, traction):  # each entry is known to one rank: the sum is exact
+            comm.Allreduce(MPI.IN_PLACE, array, MPI.SUM)
+        evaluations = comm.allreduce(body.rows.kernel_evaluations)
+        found.append((displacement, traction, evaluations, body.seconds))
+    seconds = (time.perf_counter() - started) / len(bodies)
+    return [Response(*each, seconds) for each in found]
 
 
 @dataclass(frozen=True)
@@ -227,17 +273,51 @@ def compliance(
 ) -> Compliance:
     """Return the compliance of a body's contact line.
 
-    Collective on comm. Displacements are collocated at the elements' mid-points; taking them from
-    the end nodes would give pressures of alternating sign almost no displacement. ``worn`` is that
-    of ``boundary_mesh``, ``slope`` of ``boundary_conditions``.
+    Collective on comm. ``worn`` is that of ``boundary_mesh``, ``slope`` of ``boundary_conditions``.
+    """
+    problem = _contact_problem(body, line, mesh, worn, slope)
+    return condense(problem.boundary, solve_bodies([problem], comm)[0], slope)
+
+
+def compliances(
+    bodies: Sequence[Body],
+    line: ContactLine,
+    mesh: Mesh,
+    comm: MPI.Comm,
+    slopes: Sequence[FloatArray],
+) -> list[Compliance]:
+    """Return the compliances of unworn bodies, as ``compliance`` does of one. Collective on comm.
+
+    Ranks share their systems.
+    """
+    problems = [
+        _contact_problem(body, line, mesh, None, slope)
+        for body, slope in zip(bodies, slopes, strict=True)
+    ]
+    responses = solve_bodies(problems, comm)
+    return [
+        condense(problem.boundary, response, slope)
+        for problem, response, slope in zip(problems, responses, slopes, strict=True)
+    ]
+
+
+def _contact_problem(
+    body: Body, line: ContactLine, mesh: Mesh, worn: FloatArray | None, slope: FloatArray | None
+) -> Problem:
+    """Return a body under unit loads on its contact elements.
+
+    Displacements are collocated at the elements' mid-points; taking them from the end nodes would
+    give pressures of alternating sign almost no displacement.
     """
     boundary = boundary_mesh(body.section, line, mesh, worn)
-    conditions = boundary_conditions(boundary, body.grip, slope)
-    response = solve_body(
-        boundary, conditions, body.poisson, mesh.quadrature_tolerance,
-        boundary.elements[boundary.contact, 1], boundary.fixed, comm,
-    )  # fmt: skip
-    return condense(boundary, response, slope)
+    return Problem(
+        boundary,
+        boundary_conditions(boundary, body.grip, slope),
+        body.poisson,
+        mesh.quadrature_tolerance,
+        boundary.elements[boundary.contact, 1],
+        boundary.fixed,
+    )
 
 
 def condense(

@@ -9,7 +9,7 @@ from mpi4py import MPI
 from scipy.linalg import eigh
 
 from ringwear_par.arrays import FloatArray
-from ringwear_par.elasticity.body import Compliance, compliance
+from ringwear_par.elasticity.body import Compliance, compliances
 from ringwear_par.elasticity.mesh import ContactLine, Mesh, pair_key
 from ringwear_par.elasticity.reciprocity import symmetric
 from ringwear_par.elasticity.sections import Body
@@ -169,12 +169,9 @@ def assemble_pair(
     """
     lower, upper = bodies
     slope = pair_slope((lower.section, upper.section), line, mesh)
-    compliances = [
-        compliance(body, line, mesh, comm, slope=own)
-        for body, own in zip(bodies, (slope, -slope), strict=True)
-    ]
+    both = compliances(bodies, line, mesh, comm, (slope, -slope))
     key = pair_key(bodies, (float(line.edges[0]), float(line.edges[-1])), mesh)
-    return join_bodies(line, compliances, slope, key, compliances)
+    return join_bodies(line, both, slope, key, both)
 
 
 def join_bodies(

@@ -1,12 +1,20 @@
-"""Distributed dense systems in PETSc: factorise once, solve for many right-hand sides.
+"""Dense systems: factorise once, solve for many right-hand sides.
 
-One rank uses the LU of the sequential dense matrix. Several ranks convert it to ScaLAPACK's
+The systems of two bodies are independent. As long as one of them is no work for several ranks, each
+is gathered on one rank, which solves it by LAPACK; the ranks share the systems. So numbers are
+those of a single rank, to the last bit, on any number of ranks.
+
+Larger systems are factored in PETSc by all ranks together, which convert them to ScaLAPACK's
 block-cyclic layout where PETSc has that, and otherwise (or with ``-bem_pc_type redundant``) let
-every rank factorise a copy of the whole.
+every rank factorise a copy of the whole. The same holds for all systems where there are options for
+them: what is asked of PETSc, PETSc does.
 """
+
+from collections.abc import Sequence
 
 import numpy as np
 from mpi4py import MPI
+from scipy.linalg.lapack import dgetrf, dgetrs
 
 from ringwear_par.arrays import FloatArray
 from ringwear_par.elasticity.assembly import Rows
@@ -16,6 +24,11 @@ from ringwear_par.petsc import PETSc
 
 #: largest residual of a row, relative to the sum of its terms
 RESIDUAL_TOLERANCE = 1e-9
+#: most unknowns of a system that one rank of several solves alone: 128 MB, and as much of factors
+WHOLE_LIMIT = 4000
+
+#: some rows of a solution, (local, n_loads), and the number of the first
+Solution = tuple[FloatArray, int]
 
 
 def has_scalapack() -> bool:
@@ -31,20 +44,82 @@ def _matrix(local: FloatArray, columns: tuple[int, int], comm: MPI.Comm) -> PETS
     return matrix
 
 
-def solve_rows(rows: Rows, comm: MPI.Comm) -> tuple[FloatArray, int]:
-    """Solve ``matrix @ x = loads``; return some rows of x, (local, n_loads), and where they start.
+def solved_whole(unknowns: int, ranks: int) -> bool:
+    """Tell whether a system is solved by one rank. Not collective."""
+    if any(name.startswith(BEM_PREFIX) for name in PETSc.Options().getAll()):
+        return False
+    return ranks == 1 or unknowns <= WHOLE_LIMIT
 
-    Collective on comm. The right-hand sides are solved together by the factored matrix, or one
-    after another where the preconditioner is not a factorisation. Which rows of x a rank gets is
-    the factorisation's choice (ScaLAPACK shares them out anew).
+
+def solve_systems(systems: Sequence[Rows], comm: MPI.Comm) -> list[Solution]:
+    """Solve ``matrix @ x = loads`` of each system; return the rows of x that this rank gets.
+
+    Collective on comm. Which they are is the method's choice: all on one rank, or ScaLAPACK's.
 
     Raises
     ------
-    ComputationError : the factorisation failed, or the residual is too large.
+    ComputationError : a factorisation failed, or a residual is too large.
     InputError : PETSc does not accept an option.
     """
+    if all(solved_whole(system.matrix.shape[1], comm.size) for system in systems):
+        return _solve_whole(systems, comm)
+    return [_solve_distributed(system, comm) for system in systems]
+
+
+def owners(sizes: Sequence[int], ranks: int) -> list[int]:
+    """Return which rank solves each system: the largest first, to whom has least to do."""
+    work, owner = [0.0] * ranks, [0] * len(sizes)
+    for i in sorted(range(len(sizes)), key=lambda i: -sizes[i]):
+        owner[i] = work.index(min(work))
+        work[owner[i]] += float(sizes[i]) ** 3
+    return owner
+
+
+def _solve_whole(systems: Sequence[Rows], comm: MPI.Comm) -> list[Solution]:
+    """Solve each system on one of the ranks. Collective on comm."""
+    owner = owners([system.matrix.shape[1] for system in systems], comm.size)
+    gathered = [_gather(*each, comm) for each in zip(systems, owner, strict=True)]
+    solutions, worst = [], 0.0
+    # all of them first: a rank that is factoring sends nothing to others
+    MPI.Request.Waitall([request for *_, requests in gathered for request in requests])
+    for system, (matrix, loads, _) in zip(systems, gathered, strict=True):
+        x = np.empty((0, system.loads.shape[1]))
+        if len(matrix):
+            # row by row, the matrix is the transpose of what LAPACK reads column by column
+            factor, pivots, failed = dgetrf(matrix.copy().T, overwrite_a=True)
+            if not failed:
+                x, failed = dgetrs(factor, pivots, loads, trans=1)
+            worst = max(worst, np.inf if failed else _residual(matrix, loads, x.sum(axis=1)))
+        solutions.append((x, 0))
+    _check(worst, comm)
+    return solutions
+
+
+def _gather(
+    system: Rows, owner: int, comm: MPI.Comm
+) -> tuple[FloatArray, FloatArray, list[MPI.Request]]:
+    """Begin to gather a system on its owner; others get no rows. Collective on comm."""
+    if comm.size == 1:
+        return system.matrix, system.loads, []
+    rows = comm.allgather(len(system.matrix))
+    whole, requests = [], []
+    for local in (system.matrix, system.loads):
+        width = local.shape[1]
+        target = np.empty((sum(rows) if comm.rank == owner else 0, width))
+        counts = [n * width for n in rows]
+        requests.append(comm.Igatherv(local, [target, counts], owner))
+        whole.append(target)
+    return whole[0], whole[1], requests
+
+
+def _solve_distributed(rows: Rows, comm: MPI.Comm) -> Solution:
+    """Solve a system by all ranks in PETSc. Collective on comm.
+
+    The right-hand sides are solved together by the factored matrix, or one after another where the
+    preconditioner is not a factorisation.
+    """
     local, n_loads = rows.loads.shape
-    matrix = _matrix(rows.matrix, (local, rows.matrix.shape[1]), comm)
+    matrix = _matrix(np.asfortranarray(rows.matrix), (local, rows.matrix.shape[1]), comm)
     # PETSc shares the columns of the right-hand sides out, ScaLAPACK wants one a rank at least
     columns = max(n_loads, comm.size)
     padded = np.zeros((local, columns), order="F")
@@ -110,22 +185,28 @@ def solve_rows(rows: Rows, comm: MPI.Comm) -> tuple[FloatArray, int]:
         ksp.reset()
         for item in reversed(owned):
             item.destroy()
-    _check_residual(rows, x, start, comm)
-    return x, start
-
-
-def _check_residual(rows: Rows, x: FloatArray, start: int, comm: MPI.Comm) -> None:
-    """Raise unless the sum of all right-hand sides is solved. Collective on comm."""
     total = np.zeros(rows.matrix.shape[1])
     total[start : start + len(x)] = x.sum(axis=1)
     comm.Allreduce(MPI.IN_PLACE, total, MPI.SUM)
-    defect = np.abs(rows.matrix @ total - rows.loads.sum(axis=1))
+    _check(_residual(rows.matrix, rows.loads, total), comm)
+    return x, start
+
+
+def _residual(matrix: FloatArray, loads: FloatArray, total: FloatArray) -> float:
+    """Return the worst relative residual of rows, for the sum of all right-hand sides."""
+    if not np.isfinite(total).all():
+        return np.inf
+    defect = np.abs(matrix @ total - loads.sum(axis=1))
     size = np.empty_like(defect)
     for first in range(0, len(size), 64):  # no copy of the whole
         part = slice(first, first + 64)
-        size[part] = np.abs(rows.matrix[part]) @ np.abs(total)
-    worst = float((defect / np.maximum(size, 1e-300)).max(initial=0.0))
-    worst = max(comm.allgather(worst if np.isfinite(total).all() else np.inf))
+        size[part] = np.abs(matrix[part]) @ np.abs(total)
+    return float((defect / np.maximum(size, 1e-300)).max(initial=0.0))
+
+
+def _check(worst: float, comm: MPI.Comm) -> None:
+    """Raise unless the residuals of all ranks are small. Collective on comm."""
+    worst = max(comm.allgather(worst))
     if not worst <= RESIDUAL_TOLERANCE:
         raise ComputationError(
             f"boundary element system: relative residual {worst:.1e} is above "

@@ -14,6 +14,7 @@ from mpi4py import MPI
 from ringwear_par.arrays import FloatArray
 from ringwear_par.elasticity.assembly import Assembly, Moving, assemble, number_dofs
 from ringwear_par.elasticity.body import (
+    Assembled,
     Compliance,
     boundary_conditions,
     compliance,
@@ -75,8 +76,8 @@ class _MovingBody:
         rows = Assembly(rows.normal, rows.torsion, rows.kernel_evaluations + evaluations)
         seconds = time.perf_counter() - started
         middle = boundary.elements[boundary.contact, 1]
-        response = solve_assembled(rows, self._dofs, middle, boundary.fixed, seconds, comm)
-        return condense(boundary, response, slope)
+        assembled = Assembled(rows, self._dofs, middle, boundary.fixed, seconds)
+        return condense(boundary, solve_assembled([assembled], comm)[0], slope)
 
 
 class UpdatedGeometry:

@@ -16,7 +16,6 @@ from ringwear_par.cases.case import Case
 from ringwear_par.cases.keys import named_files, read_keys
 from ringwear_par.cases.law_trials import law_files, law_sources
 from ringwear_par.cases.reading import parse_case, read_case
-from ringwear_par.elasticity.assembly import load_kernels
 from ringwear_par.errors import ComputationError, InputError, RingwearError, UnfitError
 from ringwear_par.history.limits import check_case
 from ringwear_par.history.simulate import simulate
@@ -71,9 +70,6 @@ def run_case(
         return _draw(output, figure, comm)
     if comm.rank == 0:
         warn_of_threads(comm.size)
-    t0 = time.perf_counter()
-    load_kernels(comm)
-    loading = time.perf_counter() - t0
     recorder = Recorder(case, comm, before)
     if recorder.start is not None and comm.rank == 0:
         reached = recorder.start
@@ -143,7 +139,7 @@ def run_case(
         if comm.rank == 0:
             print(result.summary())
             start_up = max(seconds_since_start() - (time.perf_counter() - started), 0.0)
-            print(_times(recorder.seconds(), start_up, loading, recorder.kernel_evaluations()))
+            print(_times(recorder.seconds(), start_up, recorder.kernel_evaluations()))
         last = recorder.last
         if last is not None and not last.finished:
             raise ComputationError(
@@ -181,13 +177,11 @@ def _draw(output: Path, figure: Path | None, comm: MPI.Comm) -> None:
         on_first_rank(comm, lambda: plot_files([output], figure))
 
 
-def _times(seconds: dict[str, float], start_up: float, loading: float, evaluations: int) -> str:
+def _times(seconds: dict[str, float], start_up: float, evaluations: int) -> str:
     names = ("assembly", "factorisation", "stepping", "output")
     parts = ", ".join(f"{name} {seconds[f'seconds_{name}']:.3f}" for name in names)
-    return (
-        f"seconds: start-up {start_up:.2f}, compiled code {loading:.2f}, {parts} "
-        f"({evaluations} kernel evaluations)"
-    )
+    counted = f"{evaluations} kernel evaluations" if evaluations else "of a shape that was known"
+    return f"seconds: start-up {start_up:.2f}, {parts} ({counted})"
 
 
 def seconds_since_start() -> float:

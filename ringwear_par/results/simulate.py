@@ -3,7 +3,6 @@
 from mpi4py import MPI
 
 from ringwear_par.cases.case import Case, need_case
-from ringwear_par.elasticity.assembly import load_kernels
 from ringwear_par.elasticity.pair import ContactPair
 from ringwear_par.errors import InputError
 from ringwear_par.history import simulate as history
@@ -42,7 +41,6 @@ def simulate(
             "pair: was assembled for another shape, mesh, Poisson's ratio or grip; must be "
             "assemble(case) of a case that shares them"
         )
-    load_kernels(comm)  # which is no time of stepping
     recorder = Recorder(case, comm)
     history.simulate(case, comm, pair=pair, observers=[recorder])
     return recorder.result()

@@ -10,10 +10,8 @@ from mpi4py import MPI
 from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.case import Case
 from ringwear_par.elasticity.pair import ContactPair
-from ringwear_par.elasticity.slopes import pair_slope
 from ringwear_par.errors import ComputationError, InputError
-from ringwear_par.history.bodies import operator_key
-from ringwear_par.history.pairs import assemble
+from ringwear_par.history.pairs import assemble, from_stacked, to_stacked
 from ringwear_par.parallel import on_first_rank, together
 
 #: how long a file that is there may stay unseen by another machine (NFS: a minute by default), and
@@ -39,9 +37,7 @@ def write_operator(path: Path, case: Case, comm: MPI.Comm) -> None:
     reason = ""
     try:
         with together(comm):
-            pair = assemble(case, comm)
-            rest = (pair.twist, pair.force_reaction, pair.torque_reaction)
-            stacked = np.concatenate([pair.normal, np.stack(rest, axis=1)], axis=1)
+            stacked = to_stacked(assemble(case, comm))
     except InputError:
         raise
     except Exception as error:  # those who wait for it must hear of it
@@ -79,10 +75,7 @@ def map_operator(path: Path, case: Case, comm: MPI.Comm) -> ContactPair:
     """
     with together(comm):
         stacked = _mapped(path)
-    n = stacked.shape[2]
-    parts = stacked[:, :n], stacked[:, n], stacked[:, n + 1], stacked[:, n + 2]
-    slope = pair_slope(case.sections, case.line, case.mesh)
-    return ContactPair(case.line, *parts, slope, operator_key(case))
+    return from_stacked(case, stacked)
 
 
 def _mapped(path: Path) -> FloatArray:

@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 from mpi4py import MPI
 
+from ringwear_par.contact.batch import load_batch_kernels
 from ringwear_par.elasticity.assembly import load_kernels
 from ringwear_par.errors import ComputationError, InputError, RingwearError
 from ringwear_par.history.limits import check_ranks
@@ -158,6 +159,7 @@ def _compute(
     plan: Plan, started: float, comm: MPI.Intracomm, team: MPI.Comm
 ) -> tuple[Summary, RingwearError | None]:
     load_kernels(comm)
+    load_batch_kernels(comm)
     timings = Timings()
     if plan.all_assemble:
         _assemble_all(plan, comm, timings)

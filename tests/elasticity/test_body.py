@@ -4,12 +4,16 @@ import os
 
 import numpy as np
 import pytest
+from mpi4py import MPI
 from petsc4py import PETSc
 
+from ringwear_par.elasticity import solve
+from ringwear_par.elasticity.assembly import Rows
 from ringwear_par.elasticity.body import boundary_response, compliance, in_case_frame
 from ringwear_par.elasticity.mesh import Mesh, contact_line
 from ringwear_par.elasticity.sections import Body, Section
 from ringwear_par.elasticity.solve import has_scalapack
+from ringwear_par.errors import ComputationError
 from ringwear_par.verification.elasticity import (
     bar_error,
     closure_error,
@@ -79,32 +83,49 @@ def test_clamped_is_stiffer_than_platen(comm):
 
 
 def test_same_compliance_on_any_number_of_ranks(comm):
-    from mpi4py import MPI
-
+    """To the last bit, whoever solved which of the systems."""
     body = condensed(LOWER, Mesh(32), comm)
-    alone = condensed(LOWER, Mesh(32), MPI.COMM_SELF)
-    for name in ("normal", "torsion", "force_reaction", "torque_reaction"):
-        a, b = getattr(body, name), getattr(alone, name)
-        assert np.abs(a - b).max() <= 1e-11 * np.abs(b).max()
-    again = condensed(LOWER, Mesh(32), comm)
-    assert np.array_equal(again.normal, body.normal)
-    assert np.array_equal(again.torsion, body.torsion)
+    for other in (condensed(LOWER, Mesh(32), MPI.COMM_SELF), condensed(LOWER, Mesh(32), comm)):
+        for name in ("normal", "torsion", "force_reaction", "torque_reaction"):
+            assert np.array_equal(getattr(body, name), getattr(other, name)), name
+    assert body.response.kernel_evaluations == other.response.kernel_evaluations
 
 
 @pytest.mark.mpi(min_size=2)
-def test_redundant_and_distributed_factorisations_agree(comm):
+def test_redundant_and_distributed_factorisations_agree_with_whole_ones(comm, monkeypatch):
     if not has_scalapack():
         pytest.skip("this PETSc has no ScaLAPACK")
     options = PETSc.Options()
-    distributed = condensed(LOWER, Mesh(32), comm)
+    whole = condensed(LOWER, Mesh(32), comm)
     options["bem_pc_type"] = "redundant"
     try:
         redundant = condensed(LOWER, Mesh(32), comm)
     finally:
         del options["bem_pc_type"]
-    for name in ("normal", "torsion", "force_reaction", "torque_reaction"):
-        a, b = getattr(redundant, name), getattr(distributed, name)
-        assert np.abs(a - b).max() <= 1e-10 * np.abs(b).max()
+    monkeypatch.setattr(solve, "WHOLE_LIMIT", 10)
+    distributed = condensed(LOWER, Mesh(32), comm)
+    for other in (redundant, distributed):
+        for name in ("normal", "torsion", "force_reaction", "torque_reaction"):
+            a, b = getattr(other, name), getattr(whole, name)
+            assert np.abs(a - b).max() <= 1e-10 * np.abs(b).max()
+
+
+def test_who_solves_which_system():
+    assert solve.owners([574, 566, 287, 283], 1) == [0, 0, 0, 0]
+    assert solve.owners([574, 566, 287, 283], 2) == [0, 1, 1, 0]
+    assert solve.owners([283, 566, 287, 574], 3) == [2, 1, 2, 0]
+    assert solve.owners([100, 200], 5) == [1, 0]
+
+
+def test_a_singular_system_fails_on_all_ranks(comm):
+    share = [rank * 9 // comm.size for rank in range(comm.size + 1)][comm.rank :][:2]
+    local = share[1] - share[0]
+    sound = Rows(np.eye(9)[slice(*share)].copy(), np.ones((local, 2)), share[0])
+    singular = Rows(np.zeros((local, 9)), np.ones((local, 2)), share[0])
+    found = solve.solve_systems([sound, sound], comm)
+    assert comm.allreduce(sum(x.sum() for x, _ in found)) == 36.0
+    with pytest.raises(ComputationError, match="relative residual inf"):
+        solve.solve_systems([sound, singular], comm)
 
 
 def test_no_rank_holds_a_whole_matrix(comm):

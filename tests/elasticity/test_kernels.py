@@ -4,9 +4,19 @@ import mpmath
 import numpy as np
 import pytest
 
-from ringwear_par.elasticity.kernels import elliptic, moments, ring_kernels
+from ringwear_par.elasticity.kernels import (
+    TILE,
+    TILE_ROWS,
+    _from_moments,
+    elliptic,
+    fill_tile,
+    moments,
+    ring_kernels,
+)
 
 NU = 0.3
+#: the kernels U and T; those of theta are differences of larger ones near the axis
+GROUPS = ([0, 1, 2, 3, 8], [4, 5, 6, 7, 9])
 POWERS = [(1, 0), (1, 1), (3, 0), (3, 1), (3, 2), (5, 0), (5, 1), (5, 2), (5, 3)]
 
 
@@ -107,3 +117,60 @@ def test_ring_kernels_are_the_integrated_kelvin_solution(r, a, b, nr, nz):
     # theta uncouples
     for key in ("rt", "tr", "zt", "tz"):
         assert abs(u[key]) + abs(t[key]) < 1e-12 * scale
+
+
+@pytest.mark.parametrize("r", [30.0, 1.0, 0.3, 1e-3, 0.0])
+@pytest.mark.parametrize("count", [1, 4, TILE - 1, TILE])
+def test_a_tile_holds_the_kernels_of_each_of_its_points(r, count):
+    """On both sides of the switch to quadrature, near the source, the axis and far from both."""
+    rng = np.random.default_rng(count)
+    distance, angle = 10 ** rng.uniform(-6, 1.5, TILE), rng.uniform(0.0, 2 * np.pi, TILE)
+    a, b = distance * np.cos(angle), distance * np.sin(angle)
+    a = np.maximum(a, -0.999 * r)
+    turn = rng.uniform(0.0, 2 * np.pi, TILE)
+    tile = np.zeros(TILE_ROWS * TILE)
+    tile[: 4 * TILE] = np.concatenate([a, b, np.cos(turn), np.sin(turn)])
+    fill_tile(tile, count, r, NU)
+    kernels = tile.reshape(TILE_ROWS, TILE)[4:]
+    for i in range(count):
+        alone = np.array(ring_kernels(r, a[i], b[i], np.cos(turn[i]), np.sin(turn[i]), NU))
+        for group in GROUPS:
+            scale = np.abs(alone[group]).max()
+            assert np.abs(kernels[group, i] - alone[group]).max() <= 2e-13 * scale
+    assert not kernels[:, count:].any()
+
+
+def exact_kernels(r, a, b, nr, nz):
+    """Kernels by 30-digit quadrature of moments of s over theta, then the same algebra."""
+    near2, span2 = mpmath.mpf(a) ** 2 + mpmath.mpf(b) ** 2, 4 * mpmath.mpf(r) * (r + mpmath.mpf(a))
+    found = []
+    for p, q in POWERS:
+        found.append(
+            4 * mpmath.quad(
+                lambda phi, p=p, q=q: mpmath.sin(phi) ** (2 * q)
+                / (near2 + span2 * mpmath.sin(phi) ** 2) ** (mpmath.mpf(p) / 2),
+                [0, mpmath.pi / 4, mpmath.pi / 2],
+            )
+        )  # fmt: skip
+    words = [mpmath.mpf(x) for x in (r, a, b, nr, nz, NU)]
+    return [float(value) for value in _from_moments.py_func(found, *words)]
+
+
+@pytest.mark.parametrize("parameter", [0.9, 0.31, 0.3, 0.29, 0.05, 1e-4, 0.0])
+def test_kernels_near_the_axis(parameter):
+    """A source at r = 0.01 in a disc: 4 r r1 / S^2 from where recursions serve to the axis."""
+    r1, nr, nz = 2.0, 0.6, 0.8
+    r = 0.01 if parameter else 0.0
+    b = 0.0 if not parameter else mpmath.sqrt(max(0, 4 * r * r1 / parameter - (r + r1) ** 2))
+    if parameter > 0.01:  # b = 0 would be below it: the field point comes near, too
+        r1, b = 0.03, mpmath.sqrt(max(0, 4 * r * 0.03 / parameter - (r + 0.03) ** 2))
+    a, b = r1 - r, float(b)
+    tile = np.zeros(TILE_ROWS * TILE)
+    tile[[0, TILE, 2 * TILE, 3 * TILE]] = a, b, nr, nz
+    fill_tile(tile, 1, r, NU)
+    got = tile.reshape(TILE_ROWS, TILE)[4:, 0]
+    with mpmath.workdps(30):
+        exact = np.array(exact_kernels(r, a, b, nr, nz))
+    for group in GROUPS:
+        scale = np.abs(exact[group]).max()
+        assert np.abs(got[group] - exact[group]).max() <= 1e-13 * scale

@@ -1,0 +1,190 @@
+"""Contact pairs kept on disk, so that a shape that is known needs no assembly.
+
+A file for each pair, named by a hash of all that its numbers depend on, to the last bit: the shape,
+mesh, Poisson's ratios and grip (``pair_key``), the source of the room ``elasticity``, the
+libraries, the processor and the number of BLAS threads. What has changed is thus never read; what
+has not been used for long makes room. The number of ranks is no part of it: pairs whose systems one
+rank solves are the same on any number of ranks, and others, as those that PETSc has options for,
+are not kept.
+
+They are in ``RINGWEAR_CACHE`` (empty: nothing is kept), or else among the user's caches. Whatever
+is wrong with folder or file, the pair is assembled.
+"""
+
+import hashlib
+import io
+import logging
+import os
+import platform
+import time
+from collections.abc import Hashable
+from contextlib import suppress
+from dataclasses import fields, is_dataclass
+from functools import cache
+from importlib.metadata import version
+from numbers import Real
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+import scipy
+
+from ringwear_par.arrays import FloatArray
+from ringwear_par.atomic import atomic_write
+from ringwear_par.parallel import blas_threads, on_first_rank
+
+if TYPE_CHECKING:
+    from mpi4py import MPI
+
+log = logging.getLogger(__name__)
+
+#: environment variable that names the folder
+VARIABLE = "RINGWEAR_CACHE"
+#: bytes of all files together
+LIMIT = 256_000_000
+_MAGIC = b"ringwear-par contact pair 1\n"
+_ENDING = ".pair"
+#: files written between two looks at the size of the folder, and age at which a file that was not
+#: finished is left over, s
+_WRITES, _LEFT_OVER = 16, 3600.0
+
+
+def folder() -> Path | None:
+    """Return where pairs are kept, None where they are not. Not collective."""
+    told = os.environ.get(VARIABLE)
+    if told is not None:
+        return Path(told) if told else None
+    caches = os.environ.get("XDG_CACHE_HOME", "")
+    try:
+        return (Path(caches) if os.path.isabs(caches) else Path.home() / ".cache") / "ringwear-par"
+    except RuntimeError:  # nobody's home
+        return None
+
+
+def read(key: Hashable, n: int, comm: "MPI.Comm") -> FloatArray | None:
+    """Return what was kept, (2, n + 3, n), None if nothing was. Collective on comm.
+
+    Parameters
+    ----------
+    key : that of the contact pair.
+    n : number of contact elements.
+    """
+    return on_first_rank(comm, lambda: _read(key, n))
+
+
+def write(key: Hashable, stacked: FloatArray, comm: "MPI.Comm") -> None:
+    """Keep the numbers of a pair, (2, n + 3, n), if that is possible. On the first rank of comm."""
+    where = folder()
+    if comm.rank > 0 or where is None:
+        return
+    data = io.BytesIO()
+    np.save(data, stacked)
+    content = data.getvalue()
+    if len(content) > LIMIT:
+        return
+    path = where / _name(key)
+    try:
+        where.mkdir(parents=True, exist_ok=True)
+        with atomic_write(path) as temporary:
+            temporary.write_bytes(_MAGIC + _checksum(content) + content)
+        _make_room(where)
+    except OSError as error:
+        _tell(f"{where}: {error.strerror or error}")
+
+
+def size(where: Path) -> tuple[int, int]:
+    """Return the number and the bytes of the pairs in a folder. Not collective."""
+    found = _files(where)
+    return len(found), sum(bytes_ for _, bytes_, _ in found)
+
+
+def _read(key: Hashable, n: int) -> FloatArray | None:
+    where = folder()
+    if where is None:
+        return None
+    path = where / _name(key)
+    try:
+        content = path.read_bytes()
+    except OSError:
+        return None
+    start = len(_MAGIC) + hashlib.sha256().digest_size
+    if content[:start] != _MAGIC + _checksum(content[start:]):
+        log.warning("%s: damaged; what it held is assembled anew", path)
+        return None
+    with suppress(OSError):
+        os.utime(path)  # it is in use
+    stacked: FloatArray = np.load(io.BytesIO(content[start:]), allow_pickle=False)
+    return stacked if stacked.shape == (2, n + 3, n) else None
+
+
+def _checksum(content: bytes) -> bytes:
+    return hashlib.sha256(content).digest()
+
+
+def _name(key: Hashable) -> str:
+    told = "\n".join((_told(key), _surroundings(), str(blas_threads())))
+    return hashlib.sha256(told.encode()).hexdigest()[:40] + _ENDING
+
+
+def _told(value: object) -> str:
+    """Return a text that tells all values apart, down to the last bit, but not 1 from 1.0."""
+    if is_dataclass(value):
+        parts = ", ".join(f"{f.name}={_told(getattr(value, f.name))}" for f in fields(value))
+        return f"{type(value).__name__}({parts})"
+    if isinstance(value, tuple):
+        return f"({', '.join(map(_told, value))})"
+    return float(value).hex() if isinstance(value, Real) else repr(value)
+
+
+@cache
+def _surroundings() -> str:
+    """Return what the last bits of a pair depend on beside its key and the number of threads."""
+    source = hashlib.sha256()
+    for path in sorted((Path(__file__).parent / "elasticity").glob("*.py")):
+        source.update(path.read_bytes())
+    processor = ""
+    with suppress(OSError), open("/proc/cpuinfo", "rb") as file:
+        lines = file.read(8192).decode(errors="replace").splitlines()
+        processor = "\n".join(x for x in lines if x.startswith(("model name", "flags", "Features")))
+    return "\n".join(
+        (source.hexdigest(), np.__version__, scipy.__version__, version("numba"),
+         platform.machine(), processor)
+    )  # fmt: skip
+
+
+_writes = 0
+
+
+def _make_room(where: Path) -> None:
+    """Remove what was used longest ago, until the rest is below the limit."""
+    global _writes
+    _writes += 1
+    if (_writes - 1) % _WRITES:
+        return
+    for left in where.glob(f"*{_ENDING}.tmp*"):
+        with suppress(OSError):
+            if time.time() - left.stat().st_mtime > _LEFT_OVER:
+                left.unlink()
+    found = sorted(_files(where))
+    total = sum(bytes_ for _, bytes_, _ in found)
+    for _, bytes_, path in found:
+        if total <= LIMIT:
+            return
+        path.unlink(missing_ok=True)
+        total -= bytes_
+
+
+def _files(where: Path) -> list[tuple[float, int, Path]]:
+    """Return when they were used last, bytes and paths of the pairs in a folder."""
+    found = []
+    for path in where.glob(f"*{_ENDING}"):
+        with suppress(OSError):  # others may remove them
+            about = path.stat()
+            found.append((about.st_mtime, about.st_size, path))
+    return found
+
+
+@cache
+def _tell(sentence: str) -> None:
+    """Say once that pairs are not kept."""
+    log.warning("assembled pairs are not kept, going on: %s", sentence)

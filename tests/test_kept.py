@@ -1,0 +1,302 @@
+"""Contact pairs that are kept on disk: the same bits, whatever is there and whoever else writes."""
+
+import os
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from conftest import SHELL_ENVIRONMENT
+from full_disk import resize
+from mpi4py import MPI
+
+from ringwear_par import kept
+from ringwear_par.elasticity.mesh import Mesh
+from ringwear_par.elasticity.solve import solved_whole
+from ringwear_par.history import pairs
+from ringwear_par.history.bodies import operator_key
+from ringwear_par.petsc import PETSc
+from ringwear_par.verification.paper import paper_case
+
+N = 8
+ROOT = Path(__file__).parents[1]
+PARTS = ("normal", "twist", "force_reaction", "torque_reaction", "slope")
+
+
+@pytest.fixture
+def folder(shared_path, monkeypatch):
+    monkeypatch.setenv(kept.VARIABLE, str(shared_path / "kept"))
+    monkeypatch.setattr(kept, "_writes", 0)
+    kept._tell.cache_clear()
+    return shared_path / "kept"
+
+
+@pytest.fixture
+def assembled(monkeypatch):
+    """Numbers of contact elements of the pairs that were assembled."""
+    told, assemble_pair = [], pairs.assemble_pair
+
+    def assemble(*words):
+        told.append(words[1].n)
+        return assemble_pair(*words)
+
+    monkeypatch.setattr(pairs, "assemble_pair", assemble)
+    return told
+
+
+def same(one, other):
+    return one.key == other.key and all(
+        np.array_equal(getattr(one, name), getattr(other, name)) for name in PARTS
+    )
+
+
+def the_file(folder):
+    (path,) = folder.iterdir()
+    return path
+
+
+def test_what_is_kept_has_the_same_bits(folder, assembled, comm):
+    case = paper_case(Mesh(N))
+    new = pairs.assemble(case, comm, use_kept=False)
+    comm.Barrier()
+    assert not folder.exists()
+    comm.Barrier()
+    first, again = pairs.assemble(case, comm), pairs.assemble(case, comm)
+    alone = pairs.assemble(case, MPI.COMM_SELF)
+    assert same(new, first)
+    assert same(new, again)
+    assert same(new, alone)
+    assert assembled == [N, N]
+    assert first.cost.kernel_evaluations > 0
+    assert again.cost.kernel_evaluations == 0
+
+
+def test_other_shapes_are_others(folder, assembled, comm):
+    case = paper_case(Mesh(N))
+    lower = case.lower
+    cases = [
+        case,
+        replace(case, mesh=Mesh(N, grading=2.6)),
+        replace(case, mesh=Mesh(N, quadrature_tolerance=1e-6)),
+        replace(case, lower=replace(lower, poisson=lower.poisson + 1e-16 * 2)),
+        replace(case, upper=replace(case.upper, grip="platen")),
+        replace(case, lower=replace(lower, r=(lower.r[0], lower.r[1] * (1 + 1e-15)))),
+    ]
+    for one in cases:
+        pairs.assemble(one, comm)
+    assert len(assembled) == len({operator_key(one) for one in cases}) == len(cases)
+    for one in cases:  # moduli, loads and how elements follow the wear make no difference
+        stiff = replace(one, lower=replace(one.lower, young=3e5), friction=0.2)
+        pairs.assemble(replace(stiff, mesh=replace(one.mesh, geometry="updated")), comm)
+    assert len(assembled) == len(cases)
+
+
+def damage(content, how):
+    ways = {
+        "flipped": content[:500] + bytes([content[500] ^ 1]) + content[501:],
+        "empty": b"",
+        "cut": content[:-9],
+        "short": content[:10],
+        "text": b"no pair",
+        "longer": content + b"x",
+        "format": content.replace(b"pair 1", b"pair 2", 1),
+    }
+    return ways[how]
+
+
+@pytest.mark.parametrize("how", ["flipped", "empty", "cut", "short", "text", "longer", "format"])
+def test_damaged_files_are_replaced(folder, assembled, comm, caplog, how):
+    case = paper_case(Mesh(N))
+    whole = pairs.assemble(case, comm)
+    comm.Barrier()
+    path = the_file(folder)
+    content = path.read_bytes()
+    comm.Barrier()
+    if comm.rank == 0:
+        path.write_bytes(damage(content, how))
+    assert same(whole, pairs.assemble(case, comm))
+    comm.Barrier()
+    assert assembled == [N, N]
+    assert the_file(folder).read_bytes() == content
+    told = [f"{path}: damaged; what it held is assembled anew"] if comm.rank == 0 else []
+    assert caplog.messages == told
+    pairs.assemble(case, comm)
+    assert assembled == [N, N]
+
+
+def test_what_made_the_numbers_is_part_of_the_name(folder, assembled, comm, monkeypatch):
+    case = paper_case(Mesh(N))
+    pairs.assemble(case, comm)
+    monkeypatch.setattr(kept, "_surroundings", lambda: "another version of the assembly")
+    pairs.assemble(case, comm)
+    monkeypatch.setattr(kept, "blas_threads", lambda: 77)
+    pairs.assemble(case, comm)
+    assert assembled == [N, N, N]
+
+
+def test_options_for_petsc_ask_for_assembly(folder, assembled, comm):
+    case, options = paper_case(Mesh(N)), PETSc.Options()
+    pairs.assemble(case, comm)
+    options["bem_ksp_type"] = "preonly"
+    try:
+        assert not solved_whole(10, 1)
+        pairs.assemble(case, comm)
+    finally:
+        del options["bem_ksp_type"]
+    assert assembled == [N, N]
+
+
+def test_systems_that_ranks_share_are_not_kept(folder, assembled, comm, monkeypatch):
+    from ringwear_par.elasticity import solve
+
+    monkeypatch.setattr(solve, "WHOLE_LIMIT", 50)
+    case = paper_case(Mesh(N))
+    for _ in range(2):
+        pairs.assemble(case, comm)
+    comm.Barrier()
+    assert len(assembled) == (1 if comm.size == 1 else 2)
+    assert folder.exists() == (comm.size == 1)
+
+
+def test_what_is_used_stays_and_the_oldest_go(folder, assembled, comm, monkeypatch):
+    cases = [paper_case(Mesh(N, grading=2.0 + 0.1 * i)) for i in range(4)]
+    monkeypatch.setattr(kept, "_WRITES", 1)
+    monkeypatch.setattr(kept, "LIMIT", 3 * 1700)
+    for age, case in zip((300, 200, 100), cases, strict=False):
+        before = set(folder.iterdir()) if folder.exists() else set()
+        comm.Barrier()
+        pairs.assemble(case, comm)
+        comm.Barrier()
+        (new,) = set(folder.iterdir()) - before
+        assert 1500 < new.stat().st_size < 1700
+        comm.Barrier()
+        if comm.rank == 0:
+            os.utime(new, (new.stat().st_mtime - age,) * 2)
+        comm.Barrier()
+    pairs.assemble(cases[0], comm)  # the oldest, and in use again
+    pairs.assemble(cases[3], comm)
+    comm.Barrier()
+    assert kept.size(folder)[0] == 3
+    assert kept.size(folder)[1] <= kept.LIMIT
+    comm.Barrier()
+    assembled.clear()
+    for i in (0, 2, 3):
+        pairs.assemble(cases[i], comm)
+    assert not assembled
+    pairs.assemble(cases[1], comm)
+    assert len(assembled) == 1
+
+
+def test_what_is_larger_than_all_room_is_not_kept(folder, comm, monkeypatch):
+    monkeypatch.setattr(kept, "LIMIT", 100)
+    pairs.assemble(paper_case(Mesh(N)), comm)
+    comm.Barrier()
+    assert not folder.exists()
+
+
+def test_leftovers_go(folder, comm):
+    if comm.rank == 0:
+        folder.mkdir()
+        for age, name in ((0.0, "a.pair.tmp1"), (1e5, "b.pair.tmp2")):
+            (folder / name).write_text("half")
+            os.utime(folder / name, ((folder / name).stat().st_mtime - age,) * 2)
+    comm.Barrier()
+    pairs.assemble(paper_case(Mesh(N)), comm)
+    comm.Barrier()
+    assert [path.name for path in folder.glob("*.tmp*")] == ["a.pair.tmp1"]
+
+
+def test_a_folder_that_cannot_be(folder, comm, caplog):
+    if comm.rank == 0:
+        folder.write_text("a file")
+    comm.Barrier()
+    case = paper_case(Mesh(N))
+    assert same(pairs.assemble(case, comm), pairs.assemble(case, comm))
+    told = [m for m in caplog.messages if "not kept" in m]
+    assert told == ([f"assembled pairs are not kept, going on: {folder}: File exists"]
+                    if comm.rank == 0 else [])  # fmt: skip
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root may write anywhere")
+def test_a_folder_that_may_not_be_written(folder, comm, caplog):
+    folder.mkdir(exist_ok=True)
+    folder.chmod(0o500)
+    pairs.assemble(paper_case(Mesh(N)), comm)
+    folder.chmod(0o700)
+    assert "Permission denied" in caplog.text
+
+
+@pytest.mark.serial
+@pytest.mark.skipif(os.geteuid() != 0, reason="mounts a small disk")
+@pytest.mark.parametrize("options", ["size=4096", "ro"])
+def test_a_full_disk_and_one_that_is_read_only(folder, comm, caplog, options):
+    folder.mkdir()
+    mount = ["mount", "-t", "tmpfs", "-o", options, "tmpfs", str(folder)]
+    if subprocess.run(mount, check=False, timeout=20, capture_output=True).returncode:
+        pytest.skip("may not mount")
+    try:
+        case = paper_case(Mesh(2 * N))
+        one, other = pairs.assemble(case, comm), pairs.assemble(case, comm)
+        assert same(one, other)
+        assert not list(folder.iterdir())
+        reason = "Read-only file system" if options == "ro" else "No space left on device"
+        assert caplog.messages == [f"assembled pairs are not kept, going on: {folder}: {reason}"]
+        if options != "ro":
+            resize(folder, 100_000)
+            pairs.assemble(case, comm)
+            assert kept.size(folder)[0] == 1
+    finally:
+        subprocess.run(["umount", str(folder)], check=True, timeout=20)
+
+
+def command(folder, *words, cwd):
+    environment = {**SHELL_ENVIRONMENT, kept.VARIABLE: str(folder)}
+    return subprocess.Popen(
+        [sys.executable, "-X", "importtime", "-m", "ringwear_par", *map(str, words)], cwd=cwd,
+        env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+    )  # fmt: skip
+
+
+@pytest.mark.serial
+def test_many_processes_at_once_and_a_known_shape_needs_no_compiled_code(tmp_path):
+    import ringwear_par as rw
+
+    folder, case = tmp_path / "kept", ROOT / "scripts/cases/paper.toml"
+    words = ["--set", f"mesh.contact_elements={N}", "time.steps=2"]
+    started = [command(folder, "run", case, "-o", f"{i}.h5", *words, cwd=tmp_path) for i in "abc"]
+    for process in started:
+        told = process.communicate(timeout=100)[1]
+        assert process.returncode == 0, told
+    content = the_file(folder).read_bytes()
+    for name, more, compiled in (("known", [], False), ("new", ["--no-cache"], True)):
+        process = command(folder, "run", case, "-o", f"{name}.h5", *words, *more, cwd=tmp_path)
+        told = process.communicate(timeout=100)[1]
+        assert process.returncode == 0, told
+        assert (" numba\n" in told) == compiled
+    assert the_file(folder).read_bytes() == content
+    results = [rw.open_result(tmp_path / f"{name}.h5") for name in ("a", "b", "c", "known", "new")]
+    for result in results[1:]:
+        for name, values in result.histories.items():
+            assert np.array_equal(values, results[0].histories[name]), name
+        for name, values in result.profiles.items():
+            assert np.array_equal(values, results[0].profiles[name]), name
+
+
+@pytest.mark.serial
+def test_where_pairs_are_kept(monkeypatch, tmp_path, capsys):
+    from ringwear_par.info import print_info
+
+    monkeypatch.delenv(kept.VARIABLE)
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    assert kept.folder() == tmp_path / "ringwear-par"
+    monkeypatch.setenv("XDG_CACHE_HOME", "relative/folders/are/ignored")
+    monkeypatch.setenv("HOME", str(tmp_path))
+    assert kept.folder() == tmp_path / ".cache" / "ringwear-par"
+    print_info(MPI.COMM_SELF)
+    assert f"assembled pairs: 0, 0 of 256 MB, in {kept.folder()}" in capsys.readouterr().out
+    monkeypatch.setenv(kept.VARIABLE, "")
+    assert kept.folder() is None
+    print_info(MPI.COMM_SELF)
+    assert "assembled pairs: not kept" in capsys.readouterr().out
