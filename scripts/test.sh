@@ -14,7 +14,7 @@ export OMPI_MCA_mpi_yield_when_idle=1
 export OMPI_MCA_btl_tcp_if_include=lo
 # limits are for hangs, not for load; files are shared out, as most tests wait for programs, and taken
 # in order: those that take longest are in the middle
-timeout -k 5 2400 python -m pytest -q -rs -n 2 --dist loadfile --no-loadscope-reorder
+timeout -k 5 2400 python -m pytest -q -rs -n 4 --dist loadfile --no-loadscope-reorder
 for ranks in 2 3; do
     echo "on $ranks ranks"
     # every rank reports; one report is enough where all went well

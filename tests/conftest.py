@@ -96,8 +96,12 @@ def shared_path(tmp_path, comm):
 
 @pytest.fixture
 def stopped_after(monkeypatch, comm):
-    """Context manager: SIGTERM reaches one rank, the last, after a number of steps of a run."""
+    """Context manager: SIGTERM reaches one rank, the last, after a number of steps of a run.
+
+    Or of a case of a sweep, where all of them are as long as those that are computed alone.
+    """
     from ringwear_par.results import watch
+    from ringwear_par.studies import workers
 
     call = watch.Watch.__call__
 
@@ -110,6 +114,7 @@ def stopped_after(monkeypatch, comm):
 
         with monkeypatch.context() as patch:
             patch.setattr(watch.Watch, "__call__", interrupted)
+            patch.setattr(workers, "LONG_STEPS", 0)
             yield
 
     return stopped_after

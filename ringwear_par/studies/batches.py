@@ -23,6 +23,8 @@ from ringwear_par.studies.lending import SolverLender
 _NUMBERS, _MOST = 2**21, 512
 #: batches of a block: as histories end others take their places, until none are left in it
 _BATCHES = 4
+#: of the fields of a block, which waits in memory until all of it has ended
+_BLOCK_BYTES = 64e6
 
 
 def default_batch(case: Case) -> int:
@@ -32,6 +34,13 @@ def default_batch(case: Case) -> int:
     cache.
     """
     return min(max(_NUMBERS // case.mesh.contact_elements**2, 16), _MOST)
+
+
+def _block(case: Case, most: int) -> int:
+    """Return how many histories to store together, of which ``most`` step at a time."""
+    rows = case.stored_rows if case.output.profiles == "all" else 1.0
+    each = 8.0 * rows * case.mesh.contact_elements * max(len(case.output.fields), 1)
+    return max(min(_BATCHES * most, int(_BLOCK_BYTES / each)), 1)
 
 
 @dataclass(frozen=True)
@@ -98,8 +107,9 @@ def computed(
         for numbers in together.values():
             numbers.sort(key=lambda n: young(cases[n]))  # those of the same moduli share a matrix
             most = batch or default_batch(cases[numbers[0]])
-            for first in range(0, len(numbers), _BATCHES * most):
-                part = numbers[first : first + _BATCHES * most]
+            size = _block(cases[numbers[0]], most)
+            for first in range(0, len(numbers), size):
+                part = numbers[first : first + size]
                 own = [cases[number] for number in part]
                 recorder = BatchRecorder(own, pair, keep_ends)
                 left = simulate_batch(own, pair, recorder, stop, most)

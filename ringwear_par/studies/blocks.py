@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from ringwear_par.arrays import FloatArray, IntArray
+from ringwear_par.cases.case import Case
 from ringwear_par.results.columns import HistoryColumns
 from ringwear_par.results.variables import HISTORIES, LINE, PROFILES
 from ringwear_par.studies.texts import Texts
@@ -120,3 +121,23 @@ class Block:
             columns.steps,
             columns,
         )
+
+    @classmethod
+    def of_columns(
+        cls, columns: HistoryColumns, case: Case, ids: Sequence[str], texts: Texts, version: str
+    ) -> "Block":
+        """Return histories as they were computed as a block.
+
+        Parameters
+        ----------
+        case : one of theirs.
+        ids, texts : of the cases.
+        version : of ringwear-par that computed them.
+        """
+        step = columns.steps
+        if case.output.times:
+            first = columns.offsets[:-1]
+            step = np.arange(len(step)) - np.repeat(first, np.diff(columns.offsets))
+        line = {"r": case.line.r, "width": case.line.width}
+        deep = case.output.profiles == "all"
+        return cls(tuple(ids), texts, version, line, deep, step, columns)

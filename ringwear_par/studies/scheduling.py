@@ -20,8 +20,9 @@ from mpi4py import MPI
 
 from ringwear_par.arrays import IntArray
 
-#: what a team is to be busy for with what it draws, s
-_BUSY_SECONDS = 0.5
+#: what a team is to be busy for with what it draws, s; it may be so much longer with twice as many
+#: as before: cases that go side by side take less time each
+_BUSY_SECONDS, _LONGEST_SECONDS = 0.5, 2.0
 #: how long who waits for an answer sleeps between two looks
 _NAP_SECONDS = 0.0005
 #: questions: more cases, nobody to draw any more, whether that is so
@@ -52,7 +53,7 @@ class Board:
     def __init__(self, sizes: Sequence[int] | IntArray, teams: int) -> None:
         self._sizes = np.array(sizes, dtype=np.int64)
         self._left, self._ended = self._sizes.copy(), np.zeros_like(self._sizes)
-        self._mean = np.zeros(len(sizes))
+        self._mean, self._drawn = np.zeros(len(sizes)), np.zeros_like(self._sizes)
         self._all_left, self._untaken = int(self._sizes.sum()), 0
         self._teams = teams
         self._groups: dict[int, int] = {}
@@ -69,8 +70,12 @@ class Board:
         # as long as there are other groups to take, teams need not share this one
         share = left if self._untaken < len(self._sizes) else self._all_left // (2 * self._teams)
         mean = self._mean[group]
-        busy = int(_BUSY_SECONDS / mean) if mean else 1
+        busy = 1
+        if mean:
+            twice = min(2 * int(self._drawn[group]), int(_LONGEST_SECONDS / mean))
+            busy = max(int(_BUSY_SECONDS / mean), twice)
         number = max(min(left, share, busy), 1)
+        self._drawn[group] = number
         self._left[group] -= number
         self._all_left -= number
         return Cases(group, int(self._sizes[group]) - left, number)

@@ -14,6 +14,7 @@ from ringwear_par.cases.case import Case
 from ringwear_par.contact.solver import ContactSolver
 from ringwear_par.elasticity.pair import ContactPair
 from ringwear_par.errors import ComputationError, InputError, RingwearError, UnfitError
+from ringwear_par.history.batch import batch_key
 from ringwear_par.history.simulate import simulate
 from ringwear_par.history.snapshots import Observer, Snapshot
 from ringwear_par.options import reject_unused_options
@@ -25,6 +26,7 @@ from ringwear_par.results.result import Result
 from ringwear_par.results.watch import Watch
 from ringwear_par.results.writing import write_result
 from ringwear_par.stopping import StopSignals
+from ringwear_par.studies.batches import computed
 from ringwear_par.studies.blocks import Block, Record
 from ringwear_par.studies.lending import SolverLender
 from ringwear_par.studies.operators import (
@@ -45,6 +47,8 @@ log = logging.getLogger(__name__)
 _NAP_SECONDS, _ASK_SECONDS = 0.01, 0.5
 #: of histories that wait to be stored
 _BLOCK_BYTES = 16e6
+#: histories of more steps are computed alone, with checkpoints
+LONG_STEPS = 20_000
 
 
 @dataclass
@@ -142,21 +146,97 @@ class Worker:
         numbers = self._plan.todo[group][first : first + count]
         with together(self._team):
             cases, texts = self._plan.study.made(numbers)
+        ids = [identity.decode() for identity in self._plan.study.identities[numbers]]
+        left: Sequence[int] = range(count)
+        if self._team.size == 1:
+            both = [i for i in left if self._goes_with_others(ids[i], cases[i])]
+            try:
+                pair = self._pair_of(group, first, cases[0]) if both else None
+            except _StoppedError:
+                return False
+            if pair is not None:
+                left = sorted(set(left) - set(both))
+                if not self._work_in_lock_step(pair, both, cases, ids, texts):
+                    return False
+        return self._work_one_by_one(group, first, left, cases, ids, texts)
+
+    def _pair_of(self, group: int, place: int, case: Case) -> ContactPair | None:
+        """Return the pair of a group; None where there is none, as each of its cases will tell."""
+        try:
+            return self._lender_of(group, place, case).pair
+        except StorageError:
+            raise
+        except ComputationError:
+            return None
+
+    def _goes_with_others(self, identity: str, case: Case) -> bool:
+        """Tell whether a case is stepped side by side with others, if there are some or not."""
+        long = case.about_steps > LONG_STEPS  # too much to lose if all are stopped
+        return not long and identity not in self._plan.interrupted and batch_key(case) is not None
+
+    def _work_in_lock_step(
+        self,
+        pair: ContactPair,
+        places: Sequence[int],
+        cases: Sequence[Case],
+        ids: Sequence[str],
+        texts: Texts,
+    ) -> bool:
+        """Compute some cases of those drawn side by side, and store them in blocks; tell as above.
+
+        Parameters
+        ----------
+        places : which.
+        """
+        self._check_options()
+
+        def stop() -> bool:
+            self._scheduler.serve()
+            if self._progress is not None:
+                self._progress()
+            return bool(self._signals.received)
+
+        before, ended = time.perf_counter(), 0
+        for found in computed([cases[i] for i in places], pair, stop=stop):
+            self._timings.stepping += time.perf_counter() - before
+            own = [places[number] for number in found.numbers]
+            block = Block.of_columns(
+                found.columns, cases[own[0]], [ids[i] for i in own], texts.part(own), __version__
+            )
+            self._timings.worst = max(self._timings.worst, float(block.columns.imbalance.max()))
+            self._store(block, time.perf_counter() - before)
+            ended += len(own)
+            before = time.perf_counter()
+        self._timings.stepping += time.perf_counter() - before
+        return ended == len(places)
+
+    def _work_one_by_one(
+        self,
+        group: int,
+        first: int,
+        places: Sequence[int],
+        cases: Sequence[Case],
+        ids: Sequence[str],
+        texts: Texts,
+    ) -> bool:
+        """Do the same one after another."""
         waiting: list[Record] = []
-        size, begun, before = 0.0, 0, self._timings.stepping
-        for i, (number, case) in enumerate(zip(numbers.tolist(), cases, strict=True)):
+        own: list[int] = []
+        size, before = 0.0, self._timings.stepping
+        for n, i in enumerate(places, 1):
             record = None
-            if not i or not self._stopping():
-                identity = self._plan.study.identities[number].decode()
-                record = self._computed(group, first + i, identity, case)
+            if not self._stopping():
+                record = self._computed(group, first + i, ids[i], cases[i])
             if record is not None:
                 waiting.append(record)
+                own.append(i)
                 size += sum(array.nbytes for array in record.arrays.values())
-            last = record is None or i + 1 == count
-            if last or size > _BLOCK_BYTES or cases[i + 1].output != case.output:
-                self._store(waiting, texts.part(range(begun, begun + len(waiting))), before)
-                begun += len(waiting)
-                waiting, size, before = [], 0.0, self._timings.stepping
+            last = record is None or n == len(places)
+            if last or size > _BLOCK_BYTES or cases[places[n]].output != cases[i].output:
+                if waiting:
+                    block = Block.of(waiting, texts.part(own))
+                    self._store(block, self._timings.stepping - before)
+                waiting, own, size, before = [], [], 0.0, self._timings.stepping
             if record is None:
                 return False
         return True
@@ -167,32 +247,27 @@ class Worker:
             return bool(self._signals.received)
         return bool(self._team.allreduce(self._signals.received, MPI.MAX))
 
-    def _store(self, records: Sequence[Record], texts: Texts, before: float) -> None:
+    def _store(self, block: Block, seconds: float) -> None:
         """Store cases that have ended in one piece, and count them.
 
         Parameters
         ----------
-        before : s, what stepping had taken before the first of them.
+        seconds : that they took.
         """
-        if not records:
-            return
         t0 = time.perf_counter()
-        failed = sum(record.status == "failed" for record in records)
 
         def add() -> None:
             assert self._shard is not None
-            self._shard.add(Block.of(records, texts))
-            for record in records:
-                if record.id in self._plan.in_flight or record.id in self._saved:
-                    self._plan.store.inflight(record.id).unlink(missing_ok=True)
-                if record.flags:
-                    self._timings.flagged[record.flags] += 1
+            self._shard.add(block)
+            for identity in self._plan.in_flight.intersection(block.ids):
+                self._plan.store.inflight(identity).unlink(missing_ok=True)
+            self._timings.flagged.update(flags for flags in block.columns.flags if flags)
 
         on_first_rank(self._team, add)
         self._timings.output += time.perf_counter() - t0
         if self._team.rank == 0:
-            seconds = self._timings.stepping - before
-            self._scheduler.count(len(records) - failed, failed, seconds)
+            failed = block.columns.status.count("failed")
+            self._scheduler.count(len(block.ids) - failed, failed, seconds)
 
     def _computed(self, group: int, place: int, identity: str, case: Case) -> Record | None:
         """Return a case computed, or failed with its reason; None if it was interrupted.

@@ -1,5 +1,7 @@
 """Drawing cases: each exactly once, whoever draws."""
 
+from itertools import pairwise
+
 import pytest
 
 from ringwear_par.studies import scheduling
@@ -114,8 +116,21 @@ def test_what_is_drawn_at_once_keeps_a_team_busy_and_shrinks_towards_the_end():
         last = board.count(0, cases.number, 0, cases.number * seconds)
     assert drawn[0] == round(scheduling._BUSY_SECONDS / seconds)
     left = 999
-    for count in drawn:
+    for before, count in pairwise([drawn[0], *drawn]):
         assert count <= max(left / (2 * teams), 1)
+        assert count <= min(2 * before, scheduling._LONGEST_SECONDS / seconds)
         left -= count
-    assert drawn == sorted(drawn, reverse=True)
+    largest = drawn.index(max(drawn))
+    assert drawn[largest:] == sorted(drawn[largest:], reverse=True)
     assert (left, last, board.done) == (0, True, 1000)
+
+
+def test_cases_that_go_side_by_side_are_drawn_as_many_as_that_takes():
+    """Where one takes long, but a hundred hardly longer."""
+    board, drawn = Board([10_000], 1), []
+    for _ in range(12):
+        drawn.append(board.draw(0).number)
+        board.count(0, drawn[-1], 0, 0.6 + 0.005 * drawn[-1])
+    assert drawn[:4] == [1, 2, 4, 8]
+    assert drawn[-1] > 128
+    assert max(0.6 + 0.005 * count for count in drawn) < 2.0 * scheduling._LONGEST_SECONDS
