@@ -95,6 +95,14 @@ def shared_path(tmp_path, comm):
 
 
 @pytest.fixture
+def one_by_one(monkeypatch):
+    """Cases of sweeps are computed alone, as long ones are."""
+    from ringwear_par.studies import workers
+
+    monkeypatch.setattr(workers, "LONG_STEPS", 0)
+
+
+@pytest.fixture
 def stopped_after(monkeypatch, comm):
     """Context manager: SIGTERM reaches one rank, the last, after a number of steps of a run.
 

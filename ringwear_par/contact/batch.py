@@ -5,7 +5,6 @@ approaches, wear and moduli are those of each history; so are all digits of its 
 the others are.
 """
 
-from collections.abc import Callable
 from typing import Any, TypeVar
 
 import numpy as np
@@ -17,7 +16,7 @@ from ringwear_par.contact.blocks import HessianBlocks
 from ringwear_par.contact.interleaved import multiply
 from ringwear_par.contact.lockstep import LockStepNewton
 from ringwear_par.contact.problem import KKT_TOLERANCE, ContactState
-from ringwear_par.contact.solver import OPEN
+from ringwear_par.contact.tao import OPEN, Guard
 from ringwear_par.elasticity.compiling import load_compiled
 from ringwear_par.errors import HistoriesError
 from ringwear_par.options import CONTACT_PREFIX
@@ -57,26 +56,11 @@ class _Callbacks:
         self._scale, self._weights = scale, weights
         self.wear: WearIncrement | None = None
         self._part: tuple[IntArray, WearIncrement] | None = None
-        #: what a callback raised in this solution
-        self.failure: BaseException | None = None
+        self.guard = Guard()
 
     def pose(self, wear: WearIncrement | None) -> None:
         """Take the wear of an implicit step of all histories."""
         self.wear, self._part = wear, None
-
-    def kept(self, callback: Callable[..., Any]) -> Callable[..., Any]:
-        """Return a callback that keeps what it raises, and has the TAO end."""
-
-        def kept(tao: PETSc.TAO, *args: Any) -> Any:
-            if self.failure is None:
-                try:
-                    return callback(tao, *args)
-                except BaseException as error:
-                    self.failure = error
-            tao.setConvergedReason(PETSc.TAO.Reason.DIVERGED_USER)
-            return 0.0
-
-        return kept
 
     @property
     def _rows(self) -> Any:
@@ -195,7 +179,7 @@ class BatchSolver:
         tao = self._tao = self._own(PETSc.TAO()).create(MPI.COMM_SELF)
         tao.setType("python")
         tao.setPythonContext(self._newton)
-        kept = self._callbacks.kept
+        kept = self._callbacks.guard.kept
         tao.setObjective(kept(self._callbacks.objective))
         tao.setGradient(kept(self._callbacks.gradient), self._g)
         tao.setObjectiveGradient(kept(self._callbacks.objective_gradient), self._g)
@@ -304,21 +288,11 @@ class BatchSolver:
         return worst, largest
 
     def _run_tao(self) -> None:
-        """Solve the problems posed; raise what a callback raised as it was."""
+        """Solve the problems posed, of the histories at work."""
         if not len(self._newton.at_work):
             self._newton.failed[:] = False
             return
-        callbacks = self._callbacks
-        self._tao.setConvergedReason(PETSc.TAO.Reason.CONTINUE_ITERATING)
-        failure: BaseException | None = None
-        try:
-            self._tao.solve()
-        except BaseException as error:
-            failure = error
-        failure = callbacks.failure or failure
-        callbacks.failure = None
-        if failure is not None:
-            raise failure
+        self._callbacks.guard.solve(self._tao, "python")
 
     def response(self, gap: FloatArray, force_kept: bool) -> FloatArray:
         """Return what a small growth (B, n) mm of the gap does to the last pressures, MPa.
@@ -354,6 +328,12 @@ class BatchSolver:
     def start(self, start: tuple[FloatArray, FloatArray]) -> None:
         self._x.setArray(start[0].ravel())
         self._newton.approaches[:] = start[1]
+
+    def products(self, matrices: FloatArray, which: IntArray, p: FloatArray) -> FloatArray:
+        """Return the products of transposed matrices (m, n, n), one a history, and p (B, n)."""
+        found = np.empty(p.shape)
+        multiply(self._every, matrices, which, np.ascontiguousarray(p), found)
+        return found
 
     def take(self, histories: IntArray) -> "BatchSolver":
         """Return a solver of some of the histories, which starts where this one would."""

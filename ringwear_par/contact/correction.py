@@ -7,16 +7,17 @@ cent of the error, and within a history the pressures of the step before are mos
 """
 
 from dataclasses import replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from ringwear_par.arrays import BoolArray, FloatArray, IntArray, inner
-from ringwear_par.contact.batch import BatchSolver
-from ringwear_par.contact.interleaved import multiply
 from ringwear_par.contact.problem import ContactState
 from ringwear_par.contact.solver import ContactSolver
 from ringwear_par.wear.increment import WearIncrement
+
+if TYPE_CHECKING:
+    from ringwear_par.contact.batch import BatchSolver
 
 #: errors at which pressures count as those of the collocated equations, relative to themselves or
 #: to the mean pressure, whichever is larger: within steps, the next of which corrects what this one
@@ -132,7 +133,7 @@ class CorrectedBatch:
     """
 
     def __init__(
-        self, solver: BatchSolver, excess: FloatArray, which: IntArray, stiffness: FloatArray
+        self, solver: "BatchSolver", excess: FloatArray, which: IntArray, stiffness: FloatArray
     ) -> None:
         self.solver, self._excess, self._which = solver, excess, which
         self._transposed = np.ascontiguousarray(excess.transpose(0, 2, 1))
@@ -146,10 +147,7 @@ class CorrectedBatch:
     def _shift(self, p: FloatArray) -> FloatArray:
         """Return what the excess makes of pressures, (B, n) mm; remembered."""
         if self._shift_at is None or self._shift_at[0] is not p:
-            shift = np.empty(p.shape)
-            p = np.ascontiguousarray(p)
-            multiply(self._every, self._transposed, self._which, p, shift)
-            self._shift_at = p, shift
+            self._shift_at = p, self.solver.products(self._transposed, self._which, p)
         return self._shift_at[1]
 
     def solve(

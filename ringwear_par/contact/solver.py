@@ -4,11 +4,8 @@ The problem is in ``problem``, the search for the approach in ``approach``; here
 objects, their distribution over ranks, and their life.
 """
 
-import atexit
-import traceback
 from collections.abc import Callable
-from typing import Any, TypeVar
-from weakref import WeakKeyDictionary
+from typing import TypeVar
 
 import numpy as np
 from mpi4py import MPI
@@ -23,6 +20,7 @@ from ringwear_par.contact.problem import (
     ContactState,
     WarmStart,
 )
+from ringwear_par.contact.tao import OPEN, Guard
 from ringwear_par.errors import ComputationError, InputError, RingwearError
 from ringwear_par.options import CONTACT_PREFIX, set_from_options
 from ringwear_par.petsc import PETSc
@@ -60,27 +58,7 @@ class _Callbacks:
         self._alone = comm.size == 1
         self.diagonal, self._scratch = diagonal, scratch
         self._failed = np.zeros(1, dtype=np.int32)
-        #: what a callback raised in this solution
-        self.failure: BaseException | None = None
-
-    def kept(self, callback: Callable[..., Any]) -> Callable[..., Any]:
-        """Return a callback that keeps what it raises, and has the TAO end.
-
-        After an error PETSc is in no state to go on, and passes on another than was raised.
-        """
-
-        def kept(tao: PETSc.TAO, *args: Any) -> Any:
-            if self.failure is None:
-                try:
-                    return callback(tao, *args)
-                except BaseException as error:
-                    self.failure = error
-                    if not (self._alone or isinstance(error, Exception)):
-                        raise  # a signal to this rank: others may wait for it in here
-            tao.setConvergedReason(PETSc.TAO.Reason.DIVERGED_USER)
-            return 0.0
-
-        return kept
+        self.guard = Guard(self._alone)
 
     def _act(self, action: Callable[..., T], *arrays: FloatArray) -> T:
         """Return what an action returns; raise on all ranks what it raises on one."""
@@ -255,7 +233,7 @@ class ContactSolver:
                 ksp.setType("stcg")
                 ksp.getPC().setType("jacobi")
                 ksp.setTolerances(rtol=1e-10)
-        kept = callbacks.kept
+        kept = callbacks.guard.kept
         tao.setObjective(kept(callbacks.objective))
         tao.setGradient(kept(callbacks.gradient), self._g)
         tao.setObjectiveGradient(kept(callbacks.objective_gradient), self._g)
@@ -313,7 +291,7 @@ class ContactSolver:
             self._g.setArray(problem.gradient_apart())
             return Trial(np.zeros_like(gap), 0.0, 0, 0.0)
         tao.setTolerances(gatol=problem.tolerance(gap, approach), grtol=0.0, gttol=0.0)
-        self._run_tao()
+        self._callbacks.guard.solve(self._tao, self.tao_type)
         reason, iterations = tao.getConvergedReason(), tao.getIterationNumber()
         q = self._x.getArray(readonly=True)
         if self._newton is None:  # that one leaves the gradient at its solution
@@ -330,36 +308,6 @@ class ContactSolver:
                 f"{residual:.2e} (allowed {KKT_TOLERANCE:.0e})"
             )
         return Trial(p, float(self._area @ p), iterations, residual)
-
-    def _run_tao(self) -> None:
-        """Solve the problem posed; raise what a callback raised as it was."""
-        callbacks = self._callbacks
-        failures: list[BaseException] = []
-        self._tao.setConvergedReason(PETSc.TAO.Reason.CONTINUE_ITERATING)
-        try:
-            self._tao.solve()
-        except BaseException as error:
-            failures.append(error)
-            # petsc4py from 3.19 on wraps what our own solver raised
-            while isinstance(failures[-1], PETSc.Error) and failures[-1].__cause__ is not None:
-                failures.append(failures[-1].__cause__)
-        if callbacks.failure is not None:
-            failures.append(callbacks.failure)
-            callbacks.failure = None
-        if not failures:
-            return
-        # what callbacks were given are references of their own to the TAO, which must not
-        # outlive it: an exception keeps the frames that it came through
-        for failure in failures:
-            traceback.clear_frames(failure.__traceback__)
-        try:
-            if isinstance(failure, PETSc.Error):
-                raise ComputationError(
-                    f"contact: TAO {self.tao_type} failed (PETSc error {failure.ierr})"
-                ) from failure
-            raise failure
-        finally:
-            del failure, failures  # no cycle by way of this frame
 
     def _gathered(self, part: FloatArray) -> FloatArray:
         return np.concatenate(self._comm.allgather(part)) if self.distributed else part
@@ -435,19 +383,3 @@ class ContactSolver:
 def _reason_name(reason: int) -> str:
     names = {v: k for k, v in vars(PETSc.TAO.Reason).items() if isinstance(v, int)}
     return f"{names.get(reason, 'unknown')} ({reason})"
-
-
-#: solvers whose PETSc objects are alive, in the order of their making, which ranks share
-OPEN: WeakKeyDictionary[Any, None] = WeakKeyDictionary()
-
-
-def _destroy_open() -> None:
-    """Free what is left at the end of the process: a TAO must not outlive PETSc.
-
-    Registered after petsc4py's own ending, so called before it.
-    """
-    for solver in list(OPEN):
-        solver.destroy()
-
-
-atexit.register(_destroy_open)

@@ -12,14 +12,13 @@ import copy
 from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import replace
 from types import MappingProxyType
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from mpi4py import MPI
 
 from ringwear_par.arrays import BoolArray, FloatArray, IntArray, Numbers, columns, inner, rows_of
 from ringwear_par.cases.case import Case
-from ringwear_par.contact.batch import BatchSolver
 from ringwear_par.contact.correction import CorrectedBatch, CorrectedContact
 from ringwear_par.contact.problem import ContactState, WarmStart
 from ringwear_par.contact.solver import ContactSolver
@@ -37,6 +36,9 @@ from ringwear_par.history.state import Start, State
 from ringwear_par.schedules import Quantity, in_time, integral, largest, stack, take
 from ringwear_par.wear.increment import Closing, WearIncrement, averaged_rate, averaging
 from ringwear_par.wear.law import LocalState, stack_laws
+
+if TYPE_CHECKING:
+    from ringwear_par.contact.batch import BatchSolver
 
 
 class WearModel:
@@ -161,6 +163,8 @@ class WearModel:
 
     def _take_moduli(self, known: Mapping[tuple[float, float], ContactCompliance]) -> None:
         """Take the moduli of B histories: a compliance each, those of the same moduli one."""
+        from ringwear_par.contact.batch import BatchSolver  # compiled, and slow to import
+
         moduli = [young(case) for case in self.cases]
         places = {each: place for place, each in enumerate(dict.fromkeys(moduli))}
         #: (B,) the compliance of each history
@@ -277,7 +281,7 @@ class WearModel:
             )
         return None
 
-    def _check_interpenetrations(self, solver: BatchSolver) -> None:
+    def _check_interpenetrations(self, solver: "BatchSolver") -> None:
         if self.force is None or not (self._initial_gap < 0.0).any():
             return
         known: dict[Hashable, float] = {}

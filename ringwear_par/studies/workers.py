@@ -259,8 +259,9 @@ class Worker:
         def add() -> None:
             assert self._shard is not None
             self._shard.add(block)
-            for identity in self._plan.in_flight.intersection(block.ids):
-                self._plan.store.inflight(identity).unlink(missing_ok=True)
+            for identity in block.ids:
+                if identity in self._plan.in_flight or identity in self._saved:
+                    self._plan.store.inflight(identity).unlink(missing_ok=True)
             self._timings.flagged.update(flags for flags in block.columns.flags if flags)
 
         on_first_rank(self._team, add)

@@ -13,6 +13,7 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from ringwear_par.contact import solver as module
+from ringwear_par.contact import tao
 from ringwear_par.contact.solver import ContactSolver
 from ringwear_par.errors import ComputationError, LawError
 
@@ -98,7 +99,7 @@ def test_what_is_left_is_freed_in_the_order_of_making(comm, monkeypatch):
         destroy(solver)
 
     monkeypatch.setattr(ContactSolver, "destroy", recorded)
-    module._destroy_open()
+    tao._destroy_open()
     assert [solver for solver in freed if solver in made] == made
     assert not any(solver._tao.handle for solver in made)
     monkeypatch.undo()

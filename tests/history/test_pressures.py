@@ -109,15 +109,19 @@ def test_steps_with_entering_elements_together_are_as_if_alone(crown, comm):
         assert off["energy"].max() < 1e-12
     assert grown
     for i, each in enumerate(cases):
-        with WearModel(each, comm, pair) as model:
-            state = model.initial()
+        with WearModel([each], comm, pair) as model, WearModel(each, comm, pair) as single:
+            state, other = model.initial(), single.initial()
             for end, of_all in zip(ends, together, strict=True):
-                alone = sdirk2.step(model, state, float(end[i]))
-                state = alone.state
-                assert np.array_equal(of_all.state.wear[:, i], state.wear)
-                assert np.array_equal(of_all.state.contact.pressure[i], state.contact.pressure)
+                alone = sdirk2.step(model, state, end[i : i + 1])
+                state, pressure = alone.state, of_all.state.contact.pressure[i]
+                assert np.array_equal(of_all.state.wear[:, i], state.wear[:, 0])
+                assert np.array_equal(pressure, state.contact.pressure[0])
                 for many, one in zip(astuple(of_all)[1:], astuple(alone)[1:], strict=True):
-                    assert many[i] == one
+                    assert many[i] == one[0]
+                other = sdirk2.step(single, other, float(end[i])).state
+                p, wear = other.contact.pressure, of_all.state.wear[:, i]
+                assert np.abs(wear - other.wear).max() < 1e-10 * other.wear.max()
+                assert np.abs(pressure - p).max() < 1e-9 * p.max()
 
 
 def test_wear_that_closes_a_gap_first():

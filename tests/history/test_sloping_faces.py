@@ -107,7 +107,7 @@ def test_other_laws_keep_their_balances_on_cones(cones, laws, comm):
 
 @pytest.mark.parametrize("step", [euler.forward, euler.backward, sdirk2.step])
 def test_histories_on_cones_together_are_as_if_alone(cones, step, comm):
-    """To the last bit, with a law that remembers and one that averages."""
+    """To the last bit, with a law that remembers and one that averages; nearly as a single one."""
     base, pair = cones
     several = [
         replace(base, wear_lower=RunningInLaw(1e-7, k, depth=2e-4), friction=mu,
@@ -120,13 +120,22 @@ def test_histories_on_cones_together_are_as_if_alone(cones, step, comm):
         second = step(model, first, 2.0 * ends).state
         assert balances(model, second)["volume"].max() < 1e-12
     for i, case in enumerate(several):
+        end = ends[i : i + 1]
+        with WearModel([case], comm, pair) as model:
+            alone = step(model, model.initial(), end).state
+            alone = step(model, alone, 2.0 * end).state
+        assert np.array_equal(second.wear[:, i], alone.wear[:, 0])
+        assert np.array_equal(second.worn[:, i], alone.worn[:, 0])
+        assert np.array_equal(second.contact.pressure[i], alone.contact.pressure[0])
+        assert second.energy[i] == alone.energy[0]
         with WearModel(case, comm, pair) as model:
-            alone = step(model, model.initial(), float(ends[i])).state
-            alone = step(model, alone, 2.0 * float(ends[i])).state
-        assert np.array_equal(second.wear[:, i], alone.wear)
-        assert np.array_equal(second.worn[:, i], alone.worn)
-        assert np.array_equal(second.contact.pressure[i], alone.contact.pressure)
-        assert second.energy[i] == alone.energy
+            single = step(model, model.initial(), float(end[0])).state
+            single = step(model, single, 2.0 * float(end[0])).state
+        # Newton's last error is less in one path than in the other, but below the tolerance in both
+        p = single.contact.pressure
+        assert np.abs(second.wear[:, i] - single.wear).max() < 1e-8 * single.wear.max()
+        assert np.abs(second.contact.pressure[i] - p).max() < 1e-8 * p.max()
+        assert second.energy[i] == pytest.approx(single.energy, rel=1e-8)
 
 
 def test_averages_keep_the_volume_of_the_true_area(cones, comm):

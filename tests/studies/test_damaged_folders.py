@@ -220,15 +220,16 @@ def test_shards_that_are_removed_under_a_sweep(tmp_path, swept, comm, monkeypatc
     output, store_one = tmp_path / "out", workers.Worker._store
     stored = []
 
-    def storing(self, records, *more):
-        store_one(self, records, *more)
-        stored.extend(records)
+    def storing(self, block, *more):
+        store_one(self, block, *more)
+        stored.extend(block.ids)
         if len(stored) == 2:
             shutil.rmtree(output / "shards")
 
     with monkeypatch.context() as patch:
         patch.setattr(workers.Worker, "_store", storing)
-        patch.setattr(scheduling, "_BUSY_SECONDS", 0.0)  # one by one
+        for name in ("_BUSY_SECONDS", "_LONGEST_SECONDS"):
+            patch.setattr(scheduling, name, 0.0)  # one by one
         patch.setattr(shards, "_SYNC_SECONDS", 0.0 if seen_under_way else 1e9)
         patch.setattr(sweep, "PATIENCE_SECONDS", 0.3)
         with pytest.raises(ComputationError) as trouble:
@@ -369,7 +370,7 @@ def test_a_shard_of_an_earlier_version_is_merged(output, swept, comm, told):
 @pytest.mark.parametrize(
     "changes",
     [
-        "ids = 'a\\nb\\nc\\nd\\ne\\nf\\ng'",
+        "ids = 'a\nb\nc\nd\ne\nf\ng'",
         "ids = NULL",
         "texts = NULL",
         "about = '{'",
@@ -390,7 +391,7 @@ def test_a_shard_of_an_earlier_version_is_merged(output, swept, comm, told):
         "seconds = x''",
         "imbalance = NULL",
     ],
-    ids=lambda change: change[:50],
+    ids=lambda change: repr(change[:50]),
 )
 def test_a_damaged_block_does_not_block_the_others(output, swept, comm, told, changes):
     """Whether its checksum tells of it or not."""
@@ -540,9 +541,9 @@ def interrupted(tmp_path, swept, comm, stopped_after):
 
 
 @pytest.mark.parametrize("kind", ["whole", "empty", "text", "truncated", "no checkpoint", "other"])
-def test_checkpoints_in_flight(interrupted, swept, comm, told, kind):
-    study, reference, _ = swept
-    output = interrupted.parents[1]
+def test_checkpoints_in_flight(tmp_path, interrupted, swept, comm, told, one_by_one, kind):
+    study, reference, output = swept[0], tmp_path / "reference", interrupted.parents[1]
+    run_sweep(study, reference, comm)
     spoilt = interrupted
     if kind == "empty":
         interrupted.write_bytes(b"")

@@ -59,7 +59,9 @@ def test_no_solver_is_made_for_cases_that_follow_the_wear(case, comm, shared_pat
 
 
 @pytest.mark.parametrize("how", ["simulate_all", "sweep"])
-def test_a_solver_that_failed_is_not_lent_again(case, comm, shared_path, made, monkeypatch, how):
+def test_a_solver_that_failed_is_not_lent_again(
+    case, comm, shared_path, made, monkeypatch, one_by_one, how
+):
     """Every solver fails in its first contact: no case gets one that has."""
     solve, used = ContactSolver.solve, []
 

@@ -37,8 +37,10 @@ def write(
     in_study = [True] * count if in_study is None else in_study
     folder.mkdir(exist_ok=True)
 
+    stored = [n for n in range(count) if status[n] != "incomplete"]
+
     def records():
-        for n in range(count):
+        for n in stored:
             share = np.arange(steps[n] + 1) / steps[n]
             arrays = {name: np.zeros(steps[n] + 1) for name in HISTORIES}
             arrays["time"] = step[n] * np.arange(steps[n] + 1.0)
@@ -55,8 +57,16 @@ def write(
         shard.add(Block.of(list(records())))
     index, _ = read_index(folder / "all_0000.sqlite")
     columns = tuple(map(column_of, map(list, zip(*rows, strict=True))))
+    ids, entry = np.array([f"{n:016x}".encode() for n in range(count)]), np.full(count, -1)
+    entry[stored] = np.arange(len(stored))
     listing = Listing(
-        tuple(names), columns, index.ids, np.array(in_study), index, np.arange(count), None
+        tuple(names),
+        columns,
+        ids,
+        np.array(in_study),
+        index,
+        entry,
+        lambda missing: [""] * len(missing),
     )
     attributes = {"method": method, "study": "", "status": "complete", "ranks": 1}
     write_ensemble(folder, listing, attributes)
