@@ -50,7 +50,7 @@ from ringwear_par.results.writing import write_result
 from ringwear_par.studies.dataset import read_entries
 from ringwear_par.studies.ensemble import read_ensemble
 from ringwear_par.studies.figures import plot_sweep
-from ringwear_par.studies.index import read_stored
+from ringwear_par.studies.index import DamagedError, read_stored
 from ringwear_par.studies.study import read_study
 
 CASES = Path(__file__).parent / "cases"
@@ -281,10 +281,12 @@ def read_an_ensemble(folder: Path, rng: random.Random) -> None:
 
 def _look(looks: list[Callable[[], object]]) -> None:
     """Do all of it; a refusal, if any, comes last."""
-    refused = None
+    refused: RingwearError | None = None
     for look in looks:
         try:
             look()
+        except DamagedError as error:
+            refused = InputError(str(error))  # sweeps mend it, and go on
         except RingwearError as error:
             refused = error
     if refused is not None:
