@@ -87,8 +87,9 @@ class StopAtOnce(_Signals):
             signal.setitimer(signal.ITIMER_REAL, 0.0)
         super().__exit__()
         sys.unraisablehook = self._hook
-        if self.received:  # the program ends: without a traceback if it is told so again
-            signal.signal(signal.SIGINT, signal.SIG_DFL)
+        if self.received:  # the program ends: if it is told so again, with the same status
+            signal.signal(self.received, signal.SIG_IGN)
+            signal.signal(signal.SIGINT, signal.SIG_DFL)  # without a traceback
 
     def check(self) -> None:
         """Raise Stopped if a signal has come; what it ended may have raised something else."""

@@ -13,7 +13,7 @@ export OMPI_MCA_mpi_yield_when_idle=1
 # all of them are on this machine; Open MPI 5 complains of other interfaces that do not reach each other
 export OMPI_MCA_btl_tcp_if_include=lo
 # limits are for hangs, not for load; files are shared out, as most tests wait for programs, and taken
-# in order: those that take longest are in the middle
+# in order, the slow ones first
 timeout -k 5 2400 python -m pytest -q -rs -n 4 --dist loadfile --no-loadscope-reorder
 for ranks in 2 3; do
     echo "on $ranks ranks"

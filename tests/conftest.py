@@ -24,6 +24,7 @@ def pytest_configure(config):
     config._failures, config._sync = [], None
     config.addinivalue_line("markers", "serial: starts programs, or has no use of ranks")
     config.addinivalue_line("markers", "most_ranks(n): more than n ranks would but repeat it")
+    config.addinivalue_line("markers", "slow: of files that take a minute or so, which go first")
     if getattr(config.option, "numprocesses", None) and not hasattr(config, "workerinput"):
         return  # workers run the tests, and would inherit what MPI puts into the environment
     from mpi4py import MPI
@@ -45,6 +46,7 @@ def pytest_unconfigure(config):
 
 def pytest_collection_modifyitems(config, items):
     if config._sync is None:
+        items.sort(key=lambda item: item.get_closest_marker("slow") is None)
         return
     for item in items:
         most = item.get_closest_marker("most_ranks")

@@ -22,7 +22,7 @@ from ringwear_par.results.hdf5 import atomic_hdf5
 from ringwear_par.results.run import run_case
 from ringwear_par.studies.sweep import run_sweep
 
-pytestmark = pytest.mark.serial
+pytestmark = [pytest.mark.serial, pytest.mark.slow]
 TESTS = Path(__file__).parent
 CASES = TESTS.parent / "scripts" / "cases"
 SMALL = ["mesh.contact_elements=16", "time.steps=20"]

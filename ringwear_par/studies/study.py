@@ -410,7 +410,8 @@ def _by_kind(kinds: IntArray) -> Iterator[tuple[int, IntArray]]:
     """Yield each kind and its cases."""
     order = np.argsort(kinds, kind="stable")
     there, starts = np.unique(kinds[order], return_index=True)
-    yield from zip(there.tolist(), np.split(order, starts[1:]), strict=True)
+    if len(there):  # no case is no kind, and yet one part
+        yield from zip(there.tolist(), np.split(order, starts[1:]), strict=True)
 
 
 class _Checker:

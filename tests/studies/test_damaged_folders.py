@@ -23,7 +23,7 @@ from ringwear_par.studies import scheduling, shards, store, sweep, workers
 from ringwear_par.studies.index import join_flags
 from ringwear_par.studies.sweep import run_sweep
 
-pytestmark = pytest.mark.serial
+pytestmark = [pytest.mark.serial, pytest.mark.slow]
 STUDY = """
 [vary]
 "wear.lower.k" = { log = [1e-8, 1e-6], count = 3 }

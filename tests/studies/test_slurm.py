@@ -12,7 +12,7 @@ from waiting import Waiting
 
 from ringwear_par.results.files import read_status
 
-pytestmark = pytest.mark.serial
+pytestmark = [pytest.mark.serial, pytest.mark.slow]
 PAPER = Path(__file__).parents[2] / "scripts" / "cases" / "paper.toml"
 SRUN = "srun --mpi=pmix"
 FAILING = ["--", "-contact_tao_type", "tron", "-contact_tao_max_it", "1",

@@ -9,7 +9,7 @@ from cluster import SLURM, Cluster, started, wait_for_waiting
 from conftest import SHELL_ENVIRONMENT
 from waiting import Waiting
 
-pytestmark = pytest.mark.serial
+pytestmark = [pytest.mark.serial, pytest.mark.slow]
 LAUNCHERS = ["mpirun -n 2", "srun --mpi=pmix"]
 
 
@@ -67,7 +67,7 @@ class Sweeps:
         for job in self.outputs:
             self.cluster.wait(
                 job,
-                lambda j: j["Restarts"] == str(self.restarts) and j["JobState"] != "COMPLETING",
+                lambda j: int(j["Restarts"]) >= self.restarts and j["JobState"] != "COMPLETING",
             )
         self.waiting.hold(1.0)
 
@@ -78,7 +78,8 @@ class Sweeps:
             (end,) = self.cluster.wait(job)
             told = self.cluster.output(job)
             assert (end["JobState"], end["ExitCode"]) == ("COMPLETED", "0:0"), told
-            assert end["Restarts"] == str(self.restarts), told
+            # a node that has crashed may be tried once more, before Slurm knows of it
+            assert self.restarts <= int(end["Restarts"]) <= self.restarts + 1, told
             assert not faults.differences(output, self.reference), told
             after = faults.seconds_by_id(output)
             assert all(after[i] == seconds for i, seconds in self.done[job].items()), told

@@ -20,6 +20,7 @@ from ringwear_par.wear.threshold import ThresholdLaw
 
 pytestmark = [
     pytest.mark.serial,
+    pytest.mark.slow,
     pytest.mark.skipif(not shutil.which("mpirun"), reason="no mpirun"),
 ]
 #: cases of the short study
