@@ -1,0 +1,803 @@
+"""``rw.surrogate``: regressions that answer for a sweep's cases, with the error that they make.
+
+Each response is interpolated by cubic radial functions and a linear polynomial (SciPy's
+``RBFInterpolator``) over the varied keys, logarithms of those that a study varies so, stretched
+such that cases that are left out are met best. Of the response itself, its roots or its logarithm
+that is taken with which they are met best: wear grows with powers of the keys, and stays near zero
+where pressures hardly pass a threshold.
+"""
+
+import hashlib
+import json
+import logging
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ringwear_par.arrays import BoolArray, FloatArray, IntArray
+from ringwear_par.cases.text import shortened, toml_value
+from ringwear_par.errors import InputError, RingwearError, legible
+from ringwear_par.results.hdf5 import atomic_hdf5
+from ringwear_par.results.reading import read_array, read_number, read_text, reading
+from ringwear_par.results.variables import HISTORIES, Variable
+from ringwear_par.studies.dataset import FINAL
+from ringwear_par.studies.ensemble import Ensemble, read_ensemble
+from ringwear_par.studies.sensitivity import SEED, chosen_cases, done_cases
+from ringwear_par.studies.variations import read_variations
+from ringwear_par.textfiles import parse_toml
+
+if TYPE_CHECKING:
+    import xarray
+    from scipy.interpolate import RBFInterpolator
+
+log = logging.getLogger(__name__)
+
+SURROGATE = "surrogate.h5"
+_SOFTWARE, _WHAT = "ringwear-par surrogate 1", "a surrogate of a sweep"
+#: leave-out errors above this part of a response's spread are called coarse
+COARSE = 0.1
+#: most cases that are interpolated, and that stretches of the keys are found from
+_MOST, _MOST_STRETCHED = 1000, 150
+#: parts that are left out in turn, of the errors told and of the search for stretches
+_FOLDS, _FEW_FOLDS = 10, 4
+#: cases nearer to each other than this part of all ranges are one
+_DIGITS = 6
+#: the design's own ends count as covered where a case is so near, as a part of the range
+_NEAR = 0.1
+_LOG_KEY = 20.0
+_BLOCK = 32
+
+
+def _square(values: FloatArray) -> FloatArray:
+    return np.square(np.maximum(values, 0.0))
+
+
+#: what of a response is interpolated: there and back
+_FORMS: dict[str, tuple[Any, Any]] = {
+    "logarithm": (np.log, np.exp),
+    "cube root": (np.cbrt, lambda values: values**3),
+    "square root": (np.sqrt, _square),
+    "itself": (np.asarray, np.asarray),
+}
+
+
+@dataclass(frozen=True)
+class Response:
+    """A response in the cases of a part, and how well it is met where they are left out.
+
+    Parameters
+    ----------
+    values : (cases, columns), one column a time, or an element of a profile.
+    form : what of it is interpolated, a name in the table of forms.
+    error : root mean square of leave-out errors, in the response's unit.
+    form_error : the same of what is interpolated.
+    shape : of a case's values, whose product is the number of columns: () of one number.
+    """
+
+    values: FloatArray
+    form: str
+    error: float
+    form_error: float
+    shape: tuple[int, ...]
+
+    @cached_property
+    def spread(self) -> float:
+        """Root mean square of the distance from the mean, in the response's unit."""
+        return _rms(self.values - self.values.mean(axis=0))
+
+    @property
+    def relative_error(self) -> float:
+        """Leave-out error as a part of the spread, 0 of what does not vary."""
+        varies = self.spread > 1e-12 * float(np.abs(self.values).max())
+        return self.error / self.spread if varies else 0.0
+
+    def shifted(self, values: FloatArray, errors: float) -> FloatArray:
+        """Return values of the response, shifted by a number of leave-out errors of its form."""
+        shifted = _FORMS[self.form][0](values) + errors * self.form_error
+        return _back(shifted, self.form, self.values)
+
+
+@dataclass(frozen=True)
+class Part:
+    """The surrogate of the cases that share all texts.
+
+    Parameters
+    ----------
+    texts : values of the varied keys that are no numbers.
+    keys : the varied keys that are numbers and differ.
+    low, high : (keys,) ends of their ranges.
+    logarithmic : (keys,) whether a key goes by its logarithm.
+    points : (cases, keys) places between the ends, about 0 to 1.
+    stretches : (keys,) what they are multiplied by.
+    responses : by name.
+    """
+
+    texts: tuple[str, ...]
+    keys: tuple[str, ...]
+    low: FloatArray
+    high: FloatArray
+    logarithmic: BoolArray
+    points: FloatArray
+    stretches: FloatArray
+    responses: dict[str, Response]
+
+    def values_at(self, key: int, places: FloatArray) -> FloatArray:
+        """Return the values of a key at places from 0 to 1 of its range."""
+        low, high = self.low[key], self.high[key]
+        if self.logarithmic[key]:
+            return low * (high / low) ** places
+        return low + (high - low) * places
+
+    def places_of(self, values: FloatArray) -> FloatArray:
+        """Return places from 0 to 1 of values of the keys (..., keys)."""
+        return _places(values, self.low, self.high, self.logarithmic)
+
+    def at(self, points: FloatArray, names: Sequence[str]) -> dict[str, FloatArray]:
+        """Return responses (len(points), columns) at points (., keys) from 0 to 1."""
+        interpolator, start, found = self._interpolator(tuple(names)), 0, {}
+        table = interpolator(points * self.stretches)
+        for name in names:
+            response = self.responses[name]
+            stop = start + response.values.shape[1]
+            found[name] = _back(table[:, start:stop], response.form, response.values)
+            start = stop
+        return found
+
+    def _interpolator(self, names: tuple[str, ...]) -> "RBFInterpolator":
+        if names not in self._interpolators:
+            table = [_FORMS[self.responses[n].form][0](self.responses[n].values) for n in names]
+            self._interpolators[names] = _interpolator(
+                self.points * self.stretches, np.concatenate(table, axis=1)
+            )
+        return self._interpolators[names]
+
+    @cached_property
+    def _interpolators(self) -> dict[tuple[str, ...], "RBFInterpolator"]:
+        return {}
+
+
+class Surrogate:
+    """Regressions over the varied keys of a sweep, see ``surrogate``.
+
+    Parameters
+    ----------
+    text_keys : the varied keys that are no numbers.
+    parts : one for each combination of their values, the one of most cases first.
+    cases : of the study.
+    done : those of them that are done.
+    """
+
+    def __init__(
+        self, text_keys: Sequence[str], parts: Sequence[Part], cases: int, done: int
+    ) -> None:
+        self.text_keys, self.parts = tuple(text_keys), tuple(parts)
+        self.cases, self.done = cases, done
+
+    @property
+    def used(self) -> int:
+        """Number of cases that are interpolated."""
+        return sum(len(part.points) for part in self.parts)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Responses: final ones, or those at the times asked for."""
+        first, *others = self.parts
+        return tuple(n for n in first.responses if all(n in part.responses for part in others))
+
+    @property
+    def error(self) -> dict[str, float]:
+        """Leave-out error (root mean square) of each response, in its unit."""
+        return {n: max(part.responses[n].error for part in self.parts) for n in self.names}
+
+    @property
+    def relative_error(self) -> dict[str, float]:
+        """Leave-out error of each response as a part of its spread over the cases."""
+        return {n: max(part.responses[n].relative_error for part in self.parts) for n in self.names}
+
+    @property
+    def ranges(self) -> dict[str, tuple[Any, ...]]:
+        """Lowest and highest value of each varied key; all values of one that is a text."""
+        found: dict[str, tuple[Any, ...]] = {
+            key: tuple(dict.fromkeys(part.texts[i] for part in self.parts))
+            for i, key in enumerate(self.text_keys)
+        }
+        for part in self.parts:
+            for key, low, high in zip(part.keys, part.low, part.high, strict=True):
+                there = found.get(key, (low, high))
+                found[key] = float(min(low, there[0])), float(max(high, there[1]))
+        return found
+
+    def predict(
+        self, values: Mapping[str, Any], names: Sequence[str] | None = None
+    ) -> dict[str, FloatArray]:
+        """Return responses by name.
+
+        Parameters
+        ----------
+        values : of every varied key: numbers or arrays, which go together as numpy's do; a text of
+            a key that is no number.
+        names : of the responses wanted, None for all.
+
+        Returns
+        -------
+        Arrays of the values' common shape, followed by an axis of times or elements where a
+        response has one.
+
+        Raises
+        ------
+        InputError : a value outside the range of the study's cases, a key that is missing or not
+            varied, an unknown response.
+        """
+        wanted = self.names if names is None else tuple(names)
+        unknown = [name for name in wanted if name not in self.names]
+        if unknown:
+            raise InputError(
+                f"surrogate: {legible(str(unknown[0]))}: unknown response; must be one of "
+                f"{', '.join(self.names)}"
+            )
+        part = self._part(values)
+        columns = np.broadcast_arrays(*(_numbers(key, values[key]) for key in part.keys))
+        for key, column, low, high in zip(part.keys, columns, part.low, part.high, strict=True):
+            wide = 1e-9 * (high - low)  # of rounding
+            outside = ~((column >= low - wide) & (column <= high + wide))
+            if outside.any():
+                raise InputError(
+                    f"surrogate: {key} = {column[outside].flat[0]:.9g}: must be from {low:.9g} to "
+                    f"{high:.9g}, as in the study's cases; nothing is extrapolated"
+                )
+        shape = columns[0].shape
+        points = part.places_of(np.stack([column.ravel() for column in columns], axis=1))
+        found = part.at(np.clip(points, 0.0, 1.0), wanted)
+        return {
+            name: array.reshape(*shape, *part.responses[name].shape)
+            for name, array in found.items()
+        }
+
+    def _part(self, values: Mapping[str, Any]) -> Part:
+        """Return the part that values are of, all of whose keys they must have."""
+        texts = []
+        for key in self.text_keys:
+            if key not in values:
+                raise InputError(f"surrogate: {key} is missing; must be {self._allowed(key)}")
+            texts.append(_as_text(values[key]))
+        parts = [part for part in self.parts if list(part.texts) == texts]
+        if not parts:
+            said = ", ".join(
+                f"{k} = {shortened(t)}" for k, t in zip(self.text_keys, texts, strict=True)
+            )
+            allowed = "; ".join(", ".join(map(shortened, part.texts)) for part in self.parts)
+            raise InputError(f"surrogate: {said}: must be as in the study's cases: {allowed}")
+        missing = [key for key in parts[0].keys if key not in values]
+        if missing:
+            raise InputError(
+                f"surrogate: {missing[0]} is missing; must be {self._allowed(missing[0])}"
+            )
+        known = (*self.text_keys, *parts[0].keys)
+        for key in values:
+            if key not in known:
+                raise InputError(
+                    f"surrogate: {legible(str(key))}: is not varied; must be one of "
+                    f"{', '.join(known)}"
+                )
+        return parts[0]
+
+    def _allowed(self, key: str) -> str:
+        ends = self.ranges[key]
+        if key in self.text_keys:
+            return f"one of {', '.join(map(shortened, ends))}"
+        return f"from {ends[0]:.9g} to {ends[1]:.9g}"
+
+    def __repr__(self) -> str:
+        over = dict.fromkeys(self.text_keys)
+        for part in self.parts:
+            over.update(dict.fromkeys(part.keys))
+        errors, relative = self.error, self.relative_error
+        told = (
+            f"{name} {errors[name]:.2g} {_unit(name)} ({told_share(relative[name])})"
+            for name in self.names
+        )
+        return (
+            f"<Surrogate of {self.used} of {self.cases} cases over {', '.join(over)}; leave-out "
+            f"errors (of the spread): {', '.join(told)}>"
+        )
+
+
+def told_share(relative_error: float) -> str:
+    """Return a leave-out error in percent of the spread, with a word where it is coarse."""
+    coarse = ", coarse" if relative_error > COARSE else ""
+    return f"{100.0 * relative_error:.2g} %{coarse}"
+
+
+def surrogate(
+    ensemble: "xarray.Dataset | Ensemble | Path | str", times: Sequence[float] | None = None
+) -> Surrogate:
+    """Return regressions of a sweep's responses over its varied keys. Not collective.
+
+    Responses are ``penetration``, ``worn_volume_lower``, ``worn_volume_upper`` and, where profiles
+    are stored, the largest depths of wear ``largest_wear_lower``, ``largest_wear_upper`` and, where
+    all cases have the same contact elements, the profiles ``wear_lower``, ``wear_upper``. Cases
+    that are not done are left out; of many, 1,000 are chosen at random. The surrogate is kept
+    beside the results, as ``surrogate.h5``, and is made again once these have changed.
+
+    Keys that are no numbers get a surrogate for each combination of their values. Ranges are those
+    of each key alone: where keys of a list vary together, what no case is near is not told.
+
+    Parameters
+    ----------
+    ensemble : the folder of a sweep, or what ``rw.open_ensemble`` returns of it.
+    times : s, of the responses; None for the last step. Between stored states they are on a
+        straight line: ``output.times`` in the base case is better.
+
+    Raises
+    ------
+    InputError : too few cases are done, their keys vary together, a time that not all cases have;
+        the folder holds no results.
+    """
+    found = _ensemble(ensemble)
+    asked = None if times is None else _times(times)
+    identity, path = _identity(found, asked), found.path.with_name(SURROGATE)
+    if path.exists():
+        try:
+            kept = _read(path, identity)
+        except InputError as error:
+            log.warning("%s; it is made again", error)
+        else:
+            if kept is not None:
+                _tell(kept)
+                return kept
+    made = _made(found, asked)
+    try:
+        _write(path, made, identity)
+    except (OSError, RingwearError) as error:
+        log.warning("%s: the surrogate is not kept: %s", path, error)
+    _tell(made)
+    return made
+
+
+def _tell(made: Surrogate) -> None:
+    for name, relative in made.relative_error.items():
+        if relative > COARSE:
+            log.warning(
+                "surrogate: the leave-out error of %s is %.0f %% of its spread; more cases would "
+                "make it smaller", name, 100.0 * relative,
+            )  # fmt: skip
+
+
+def _ensemble(ensemble: Any) -> Ensemble:
+    if isinstance(ensemble, Ensemble):
+        return ensemble
+    if isinstance(ensemble, Path | str):
+        return read_ensemble(Path(ensemble))
+    source = getattr(ensemble, "encoding", {}).get("source")
+    if source is None:
+        raise InputError(
+            f"ensemble: a {type(ensemble).__name__} without a file; must be the folder of a sweep "
+            "or what open_ensemble returns"
+        )
+    found = read_ensemble(Path(source).parent)
+    if ensemble.sizes.get("case") != len(found.ids):
+        raise InputError(
+            f"{found.path}: some of its cases were selected; must be all that open_ensemble returns"
+        )
+    return found
+
+
+def _times(times: Sequence[float]) -> FloatArray:
+    try:
+        asked = np.array(times, dtype=float)
+    except (TypeError, ValueError):
+        asked = np.empty(0)
+    if asked.ndim != 1 or not len(asked) or not np.isfinite(asked).all():
+        raise InputError(f"times = {legible(str(times))}: must be a list of numbers, s")
+    return asked
+
+
+def _identity(ensemble: Ensemble, times: FloatArray | None) -> str:
+    """Return what tells these results, and times, from others."""
+    text = hashlib.sha256()
+    for words in (ensemble.ids, ensemble.status, *(v for v in ensemble.varied.items())):
+        text.update(json.dumps(np.asarray(words, dtype=object).tolist(), default=list).encode())
+    numbers = (ensemble.in_study, ensemble.steps_stored, *ensemble.final.values())
+    for array in (*numbers, np.empty(0) if times is None else times):
+        text.update(np.ascontiguousarray(array).tobytes())
+    return text.hexdigest()
+
+
+def _made(ensemble: Ensemble, times: FloatArray | None) -> Surrogate:
+    done = done_cases(ensemble) & (ensemble.steps_stored > 1)
+    logarithmic = _spacings(ensemble)
+    texts: list[str] = []
+    numbers: list[str] = []
+    for name, values in ensemble.varied.items():
+        if len(np.unique(values[done].astype(str))) > 1:
+            (numbers if values.dtype.kind == "f" else texts).append(name)
+    rows = np.flatnonzero(done)
+    combined = list(zip(*(ensemble.varied[name][rows] for name in texts), strict=True))
+    combined = combined or [()] * len(rows)
+    groups = sorted(
+        ((combination, rows[[each == combination for each in combined]])
+         for combination in dict.fromkeys(combined)),
+        key=lambda group: -len(group[1]),
+    )  # fmt: skip
+    parts, few = [], ""
+    for combination, cases in groups:
+        keys = [k for k in numbers if len(np.unique(_known(ensemble.varied[k][cases]))) > 1]
+        cases = cases[np.isfinite([ensemble.varied[k][cases] for k in keys]).all(axis=0)]
+        needed = 4 * (len(keys) + 1)
+        if not keys or len(cases) < needed:
+            few = few or (
+                f"{ensemble.path}: {len(cases)} cases are done "
+                + (f"in the largest of {len(groups)} groups of the same texts " if texts else "")
+                + (f"and vary {len(keys)} keys; a surrogate needs {needed} of them at least"
+                   if keys else "and no number varies; a surrogate needs one that does")
+            )  # fmt: skip
+            continue
+        chosen = chosen_cases(cases, max(_MOST // len(groups), needed))
+        parts.append(_part(ensemble, combination, keys, logarithmic, chosen, times))
+    if not parts:
+        raise InputError(few or f"{ensemble.path}: no case is done; a surrogate needs some")
+    return Surrogate(texts, parts, int(ensemble.in_study.sum()), int(done.sum()))
+
+
+def _known(values: FloatArray) -> FloatArray:
+    return values[np.isfinite(values)]
+
+
+def _spacings(ensemble: Ensemble) -> dict[str, tuple[bool, tuple[float, float]]]:
+    """Return of the keys that the design varies by ranges: whether by logarithms, and the ends."""
+    try:
+        tables = parse_toml(read_text(ensemble.attributes["study"]), "study")
+    except (InputError, KeyError, ValueError):
+        return {}
+    vary, design = tables.get("vary"), tables.get("design", {})
+    if not isinstance(vary, dict) or not isinstance(design, dict):
+        return {}
+    varied = read_variations("study", vary, str(design.get("method", "grid")), [])
+    return {
+        each.name: (each.spacing == "log", (each.values[0], each.values[1]))
+        for each in varied
+        if each.spacing != "values"
+    }
+
+
+def _part(
+    ensemble: Ensemble, texts: Sequence[str], keys: Sequence[str],
+    designed: Mapping[str, tuple[bool, tuple[float, float]]], cases: IntArray,
+    times: FloatArray | None,
+) -> Part:  # fmt: skip
+    """Return the surrogate of some cases, increasing."""
+    x = np.stack([ensemble.varied[key][cases] for key in keys], axis=1)
+    low, high = x.min(axis=0), x.max(axis=0)
+    logarithmic = np.zeros(len(keys), dtype=bool)
+    for i, key in enumerate(keys):
+        evenly = np.median(x[:, i]) > 0.3 * (low[i] + high[i])
+        by_log, ends = designed.get(key, (not evenly and high[i] > _LOG_KEY * low[i], ()))
+        logarithmic[i] = by_log and low[i] > 0.0
+        if ends:
+            one = slice(i, i + 1)
+            near = _places(np.array(ends)[:, None], low[one], high[one], logarithmic[one])[:, 0]
+            if -_NEAR <= near[0] <= 0.0:
+                low[i] = ends[0]
+            if 1.0 <= near[1] <= 1.0 + _NEAR:
+                high[i] = ends[1]
+    points = _places(x, low, high, logarithmic)
+    _, apart = np.unique(np.round(points, _DIGITS), axis=0, return_index=True)
+    points, cases = points[np.sort(apart)], cases[np.sort(apart)]
+    if np.linalg.matrix_rank(np.column_stack([np.ones(len(points)), points]), tol=1e-6) <= len(
+        keys
+    ):
+        raise InputError(
+            f"{ensemble.path}: {', '.join(keys)} vary together; a surrogate needs cases in which "
+            "each varies by itself"
+        )
+    values = dict(_responses(ensemble, cases, times))
+    if times is None:
+        values = {name: array[:, 0] for name, array in values.items()}
+    stretches, responses = _fitted(points, values)
+    return Part(tuple(texts), tuple(keys), low, high, logarithmic, points, stretches, responses)
+
+
+def _places(
+    values: FloatArray, low: FloatArray, high: FloatArray, logarithmic: BoolArray
+) -> FloatArray:
+    """Return where values (..., keys) are between the ends: 0 to 1."""
+    places = np.empty(values.shape)
+    for i, by_log in enumerate(logarithmic):
+        if by_log:
+            places[..., i] = np.log(values[..., i] / low[i]) / math.log(high[i] / low[i])
+        else:
+            places[..., i] = (values[..., i] - low[i]) / (high[i] - low[i])
+    return places
+
+
+def _responses(
+    ensemble: Ensemble, cases: IntArray, times: FloatArray | None
+) -> Iterator[tuple[str, FloatArray]]:
+    """Yield names and values (cases, columns) of the responses that all the cases have."""
+    time, stored = ensemble.histories("time", cases), ensemble.steps_stored[cases]
+    last = time[np.arange(len(time)), stored - 1]
+    asked = times
+    if times is None:
+        times = last[:, None]
+    elif times.min() < 0.0 or times.max() > last.min() * (1.0 + 1e-9):
+        bad = times[(times < 0.0) | (times > last.min())][0]
+        raise InputError(
+            f"times = {bad:.9g}: must be from 0 to {last.min():.9g} s, where the first of the "
+            "cases ends"
+        )
+    states = _States(time, stored, np.broadcast_to(times, (len(time), times.shape[-1])))
+    for name in FINAL:
+        yield name, states.of(ensemble.histories(name, cases))
+    mid_points = ensemble.profiles("r", cases)
+    for body in ("lower", "upper"):
+        profiles = []
+        for start in range(0, len(cases), _BLOCK):
+            part = slice(start, start + _BLOCK)
+            table = ensemble.profiles(f"wear_{body}", cases[part])
+            if table is None or (table.ndim == 2 and asked is not None):
+                break
+            profiles.append(table[:, None] if table.ndim == 2 else states.of(table, part))
+        else:
+            wear = np.concatenate(profiles)  # (cases, times, elements)
+            largest = np.nanmax(wear, axis=2, initial=0.0)
+            yield f"largest_wear_{body}", largest
+            same = mid_points is not None and np.ptp(mid_points, axis=0).max() <= 1e-9
+            if same and np.isfinite(wear).all():
+                yield f"wear_{body}", wear
+
+
+class _States:
+    """Stored states around some times of each case, and values between them.
+
+    Parameters
+    ----------
+    time : (cases, steps), NaN behind the stored ones.
+    stored : (cases,) number of stored states, two at least.
+    at : (cases, times).
+    """
+
+    def __init__(self, time: FloatArray, stored: IntArray, at: FloatArray) -> None:
+        self._after = np.array([
+            np.clip(np.searchsorted(t[:n], each), 1, n - 1)
+            for t, n, each in zip(time, stored, at, strict=True)
+        ])  # fmt: skip
+        cases = np.arange(len(time))[:, None]
+        before, after = time[cases, self._after - 1], time[cases, self._after]
+        self._share = np.clip((at - before) / (after - before), 0.0, 1.0)
+
+    def of(self, table: FloatArray, part: slice = slice(None)) -> FloatArray:
+        """Return values at the times, of a table (cases of the part, steps, ...)."""
+        after, share = self._after[part], self._share[part]
+        share = share.reshape(*share.shape, *(1,) * (table.ndim - 2))
+        cases = np.arange(len(table))[:, None]
+        before, behind = table[cases, after - 1], table[cases, after]
+        return np.where(share == 1.0, behind, before + share * (behind - before))
+
+
+# -- regression ------------------------------------------------------------------------------------
+
+
+def _interpolator(points: FloatArray, table: FloatArray) -> "RBFInterpolator":
+    from scipy.interpolate import RBFInterpolator  # slow to import
+
+    return RBFInterpolator(points, table, kernel="cubic", degree=1)
+
+
+def _left_out(points: FloatArray, table: FloatArray) -> FloatArray:
+    """Return a table (cases, columns) as it is found where a part of the cases is left out."""
+    found = np.empty(table.shape)
+    for out in _parts_of(len(points), _FEW_FOLDS):
+        found[out] = _interpolator(points[~out], table[~out])(points[out])
+    return found
+
+
+def _parts_of(count: int, parts: int) -> list[BoolArray]:
+    """Return which cases are left out, in turn."""
+    of_part = np.random.default_rng(SEED).permutation(count) % parts
+    return [of_part == part for part in range(parts)]
+
+
+def _fitted(
+    points: FloatArray, values: Mapping[str, FloatArray]
+) -> tuple[FloatArray, dict[str, Response]]:
+    """Return the stretches of the keys, and the responses with their leave-out errors.
+
+    Few cases are left out of the choice of stretches and forms, too. That of many hardly depends on
+    the tenth that is left out, and would take long.
+    """
+    flat = {name: array.reshape(len(array), -1) for name, array in values.items()}
+    stretches, forms = _chosen(points, flat)
+    found = {name: np.empty_like(array) for name, array in flat.items()}
+    for out in _parts_of(len(points), _FOLDS):
+        rest = {name: array[~out] for name, array in flat.items()}
+        few = len(points) <= _MOST_STRETCHED
+        its_stretches, its_forms = _chosen(points[~out], rest) if few else (stretches, forms)
+        for name, array in rest.items():
+            there, _ = _FORMS[its_forms[name]]
+            interpolator = _interpolator(points[~out] * its_stretches, there(array))
+            left_out = interpolator(points[out] * its_stretches)
+            found[name][out] = _back(left_out, its_forms[name], array)
+    responses = {}
+    for name, array in flat.items():
+        there, _ = _FORMS[forms[name]]
+        with np.errstate(divide="ignore"):  # logarithms, where others were chosen meanwhile
+            differences = there(found[name]) - there(array)
+        form_error = _rms(differences[np.isfinite(differences)])
+        error = _rms(found[name] - array)
+        shape = values[name].shape[1:]
+        responses[name] = Response(array, forms[name], error, form_error, shape)
+    return stretches, responses
+
+
+def _chosen(
+    points: FloatArray, values: Mapping[str, FloatArray]
+) -> tuple[FloatArray, dict[str, str]]:
+    """Return the stretches of the keys, and the forms, with which cases left out are met best."""
+    stretches = np.ones(points.shape[1])
+    if len(stretches) > 1:
+        from scipy.optimize import minimize  # slow to import
+
+        some = np.random.default_rng(SEED).permutation(len(points))[:_MOST_STRETCHED]
+        few, at = {name: array[some] for name, array in values.items()}, points[some]
+        table = np.concatenate(
+            [_evened(_FORMS[form][0](few[name])) for name, form in _best_forms(at, few).items()],
+            axis=1,
+        )
+        found = minimize(
+            lambda x: _rms(_left_out(at * _stretched(x), table) - table),
+            np.zeros_like(stretches), method="Nelder-Mead",
+            options={
+                "initial_simplex": np.vstack([0.0 * stretches, np.eye(len(stretches))]),
+                "maxfev": 25 * len(stretches), "xatol": 0.05,
+            },
+        )  # fmt: skip
+        stretches = _stretched(found.x)
+    return stretches, _best_forms(points * stretches, values)
+
+
+def _stretched(logarithms: FloatArray) -> FloatArray:
+    """Return stretches whose product is 1: cubic functions know no length."""
+    return np.exp(np.clip(logarithms - logarithms.mean(), -4.0, 4.0))
+
+
+def _evened(table: FloatArray) -> FloatArray:
+    """Return the columns of a response such that every response weighs the same, or none."""
+    spread = math.sqrt(table.shape[1]) * _rms(table - table.mean(axis=0))
+    return table / spread if spread > 0.0 else 0.0 * table
+
+
+def _best_forms(points: FloatArray, values: Mapping[str, FloatArray]) -> dict[str, str]:
+    tried = [(name, form) for name, array in values.items() for form in _forms_for(array)]
+    tables = [_FORMS[form][0](values[name]) for name, form in tried]
+    found = _left_out(points, np.concatenate(tables, axis=1))
+    best: dict[str, tuple[float, str]] = {}
+    start = 0
+    for (name, form), table in zip(tried, tables, strict=True):
+        stop = start + table.shape[1]
+        error = _rms(_back(found[:, start:stop], form, values[name]) - values[name])
+        best[name] = min(best.get(name, (math.inf, form)), (error, form))
+        start = stop
+    return {name: form for name, (_, form) in best.items()}
+
+
+def _back(table: FloatArray, form: str, values: FloatArray) -> FloatArray:
+    """Return a response of what of it was interpolated; not negative where no case is."""
+    with np.errstate(over="ignore"):
+        found = _FORMS[form][1](table)
+    return np.maximum(found, 0.0) if values.min() >= 0.0 else found
+
+
+def _rms(values: FloatArray) -> float:
+    return float(np.sqrt(np.mean(values**2))) if values.size else 0.0
+
+
+def _forms_for(array: FloatArray) -> list[str]:
+    """Return the forms that a response has."""
+    least = float(array.min())
+    kept = {"logarithm": least > 0.0, "square root": least >= 0.0}
+    return [form for form in _FORMS if kept.get(form, True)]
+
+
+# -- file ------------------------------------------------------------------------------------------
+
+
+def _write(path: Path, made: Surrogate, identity: str) -> None:
+    with atomic_hdf5(path) as (file, _):
+        file.attrs.update({
+            "software": _SOFTWARE, "results": identity, "cases": made.cases, "done": made.done,
+            "text_keys": json.dumps(made.text_keys), "parts": len(made.parts),
+        })  # fmt: skip
+        for number, part in enumerate(made.parts):
+            group = file.create_group(f"part_{number}")
+            group.attrs.update(keys=json.dumps(part.keys), texts=json.dumps(part.texts))
+            for name in _OF_KEYS:
+                group[name] = getattr(part, name).astype(float)
+            group["points"] = part.points
+            for name, response in part.responses.items():
+                group[name] = response.values
+                group[name].attrs.update(
+                    form=response.form, error=response.error, form_error=response.form_error,
+                    shape=json.dumps(response.shape), units=_unit(name),
+                )  # fmt: skip
+            group.attrs["responses"] = json.dumps(list(part.responses))
+
+
+_OF_KEYS = ("low", "high", "logarithmic", "stretches")
+
+
+def _read(path: Path, identity: str) -> Surrogate | None:
+    """Return a surrogate that was kept; None if it is one of other results.
+
+    Raises
+    ------
+    InputError : the file is damaged.
+    """
+    with reading(path, _SOFTWARE, _WHAT) as file:
+        if read_text(file.attrs["results"]) != identity:
+            return None
+        parts = []
+        for number in range(int(read_number(file.attrs["parts"]))):
+            group = file[f"part_{number}"]
+            keys = _words(group.attrs["keys"])
+            sizes = {"key": len(keys)}
+            low, high, logarithmic, stretches = (
+                _finite(group, name, ("key",), sizes) for name in _OF_KEYS
+            )
+            points = _finite(group, "points", ("case", "key"), sizes)
+            responses = {}
+            for name in _words(group.attrs["responses"]):
+                about = group[name].attrs
+                response = Response(
+                    _finite(group, name, ("case", f"column of {name}"), sizes),
+                    read_text(about["form"]), float(read_number(about["error"])),
+                    float(read_number(about["form_error"])),
+                    tuple(map(int, json.loads(read_text(about["shape"])))),
+                )  # fmt: skip
+                if response.form not in _forms_for(response.values):
+                    raise ValueError(name)
+                response.values.reshape(-1, *response.shape)
+                responses[name] = response
+            texts, by_log = _words(group.attrs["texts"]), logarithmic > 0.0
+            if not (low < high).all() or not (low[by_log] > 0.0).all():
+                raise ValueError("low")
+            parts.append(Part(texts, keys, low, high, by_log, points, stretches, responses))
+        return Surrogate(
+            _words(file.attrs["text_keys"]), parts, int(read_number(file.attrs["cases"])),
+            int(read_number(file.attrs["done"])),
+        )  # fmt: skip
+
+
+def _words(value: Any) -> tuple[str, ...]:
+    return tuple(map(read_text, json.loads(read_text(value))))
+
+
+def _finite(group: Any, name: str, dimensions: tuple[str, ...], sizes: dict[str, int]) -> Any:
+    array = read_array(group, Variable(name, dimensions, "", ""), sizes)
+    if not np.isfinite(array).all():
+        raise ValueError(name)
+    return array
+
+
+def _numbers(key: str, value: Any) -> FloatArray:
+    try:
+        return np.asarray(value, dtype=float)
+    except (TypeError, ValueError):
+        raise InputError(
+            f"surrogate: {key} = {legible(str(value))}: must be a number, or an array of them"
+        ) from None
+
+
+def _as_text(value: Any) -> str:
+    """Return a value of a varied key that is no number as results have it."""
+    if value is None:
+        return ""
+    return value if isinstance(value, str) else toml_value(value)
+
+
+def _unit(name: str) -> str:
+    return HISTORIES[name].unit if name in HISTORIES else "mm"
