@@ -254,7 +254,7 @@ class Surrogate:
         points = part.places_of(np.stack([column.ravel() for column in columns], axis=1))
         found = part.at(np.clip(points, 0.0, 1.0), wanted)
         return {
-            name: array.reshape(*shape, *part.responses[name].shape)
+            name: array.reshape((*shape, *part.responses[name].shape))
             for name, array in found.items()
         }
 
@@ -410,6 +410,7 @@ def _identity(ensemble: Ensemble, times: FloatArray | None) -> str:
 
 def _made(ensemble: Ensemble, times: FloatArray | None) -> Surrogate:
     done = done_cases(ensemble) & (ensemble.steps_stored > 1)
+    done &= np.isfinite(list(ensemble.final.values())).all(axis=0)
     logarithmic = _spacings(ensemble)
     texts: list[str] = []
     numbers: list[str] = []
@@ -488,17 +489,18 @@ def _part(
     points = _places(x, low, high, logarithmic)
     _, apart = np.unique(np.round(points, _DIGITS), axis=0, return_index=True)
     points, cases = points[np.sort(apart)], cases[np.sort(apart)]
-    if np.linalg.matrix_rank(np.column_stack([np.ones(len(points)), points]), tol=1e-6) <= len(
-        keys
-    ):
-        raise InputError(
-            f"{ensemble.path}: {', '.join(keys)} vary together; a surrogate needs cases in which "
-            "each varies by itself"
-        )
     values = dict(_responses(ensemble, cases, times))
     if times is None:
         values = {name: array[:, 0] for name, array in values.items()}
-    stretches, responses = _fitted(points, values)
+    try:
+        if np.linalg.matrix_rank(np.insert(points, 0, 1.0, axis=1), tol=1e-6) <= len(keys):
+            raise np.linalg.LinAlgError
+        stretches, responses = _fitted(points, values)
+    except np.linalg.LinAlgError:
+        raise InputError(
+            f"{ensemble.path}: {', '.join(keys)} vary together, or nearly so; a surrogate needs "
+            "cases in which each varies by itself"
+        ) from None
     return Part(tuple(texts), tuple(keys), low, high, logarithmic, points, stretches, responses)
 
 
@@ -545,6 +547,8 @@ def _responses(
         else:
             wear = np.concatenate(profiles)  # (cases, times, elements)
             largest = np.nanmax(wear, axis=2, initial=0.0)
+            if not np.isfinite(largest).all():
+                continue
             yield f"largest_wear_{body}", largest
             same = mid_points is not None and np.ptp(mid_points, axis=0).max() <= 1e-9
             if same and np.isfinite(wear).all():

@@ -46,7 +46,7 @@ class Responses:
     def of(cls, surrogate: Surrogate, outputs: Sequence[str]) -> "Responses | None":
         """Return what is drawn of some outputs; None if none of them varies."""
         part = surrogate.parts[0]
-        names = tuple(n for n in outputs if part.responses[n].error > 0.0)
+        names = tuple(n for n in outputs if part.responses[n].relative_error > 0.0)
         if not names:
             return None
         sensitive = [name for name in names if name in SENSITIVE]
@@ -92,7 +92,7 @@ class Responses:
         return plain(f"{said}; keys vary evenly over their ranges")
 
     def _error(self, name: str) -> str:
-        return f"leave-out error {told_share(self._part.responses[name].relative_error)} of spread"
+        return f"leave-out error {told_share(self._part.responses[name].relative_error)}"
 
     def _draw_indices(self, axes: Any, found: SobolIndices) -> None:
         places = np.arange(len(found.keys), dtype=float)
@@ -109,14 +109,16 @@ class Responses:
         axes.set_xlabel("Sobol' index of the surrogate")
         title = (
             f"{SENSITIVE[found.output]}\n{found.evaluations / 1e6:.1f} million evaluations,\n"
-            f"{self._error(found.output)}"
+            f"{self._error(found.output)} of the spread"
         )
         set_legend(axes, 2, title)
 
     def _draw_curves(self, figure: Any, keys: range) -> None:
         """Draw one row an output and one column a key."""
         part = self._part
-        panels = figure.subplots(len(self.names), len(keys), squeeze=False, sharey="row")
+        panels = figure.subplots(
+            len(self.names), len(keys), squeeze=False, sharex="col", sharey="row"
+        )
         for row, name in enumerate(self.names):
             factor, label = OUTPUTS[name]
             response = part.responses[name]
@@ -127,8 +129,8 @@ class Responses:
                 many = len(x) > 200
                 axes.plot(
                     x, values, color=GREY, marker=".", linestyle="none",
-                    alpha=0.35 if many else 0.7,
-                    markersize=2.0 if many else 3.5, markeredgewidth=0.0, label="cases",
+                    alpha=0.5 if many else 0.7,
+                    markersize=3.0 if many else 5.0, markeredgewidth=0.0, label="cases",
                     rasterized=many, zorder=1.5,
                 )  # fmt: skip
                 places = np.linspace(0.0, 1.0, _PLACES)
@@ -151,8 +153,8 @@ class Responses:
                     axes.set_ylim(0.5 * values.min(), 2.0 * values.max())
             if logarithmic:
                 set_decades(panels[row, 0].yaxis, values)
-            panels[row, 0].set_ylabel(f"final {label}" if name == "penetration" else label)
-            panels[row, 0].set_title(self._error(name), loc="left", fontsize=7.0, color="0.3")
+            final = f"final {label}" if name == "penetration" else label
+            panels[row, 0].set_ylabel(f"{final}\n({self._error(name)})")
         set_legend(panels[0, 0], 1, "")
         figure.align_ylabels(panels[:, 0])
 
