@@ -49,8 +49,10 @@ _FOLDS, _FEW_FOLDS = 10, 4
 _DIGITS = 6
 #: the design's own ends count as covered where a case is so near, as a part of the range
 _NEAR = 0.1
+#: keys whose ranges the study does not tell go by logarithms where they span so much, unevenly
 _LOG_KEY = 20.0
-_BLOCK = 32
+#: stored states whose profiles are read at once
+_STATES = 4000
 
 
 def _square(values: FloatArray) -> FloatArray:
@@ -489,9 +491,7 @@ def _part(
     points = _places(x, low, high, logarithmic)
     _, apart = np.unique(np.round(points, _DIGITS), axis=0, return_index=True)
     points, cases = points[np.sort(apart)], cases[np.sort(apart)]
-    values = dict(_responses(ensemble, cases, times))
-    if times is None:
-        values = {name: array[:, 0] for name, array in values.items()}
+    values = _responses(ensemble, cases, times)
     try:
         if np.linalg.matrix_rank(np.insert(points, 0, 1.0, axis=1), tol=1e-6) <= len(keys):
             raise np.linalg.LinAlgError
@@ -519,40 +519,44 @@ def _places(
 
 def _responses(
     ensemble: Ensemble, cases: IntArray, times: FloatArray | None
-) -> Iterator[tuple[str, FloatArray]]:
-    """Yield names and values (cases, columns) of the responses that all the cases have."""
-    time, stored = ensemble.histories("time", cases), ensemble.steps_stored[cases]
-    last = time[np.arange(len(time)), stored - 1]
-    asked = times
-    if times is None:
-        times = last[:, None]
-    elif times.min() < 0.0 or times.max() > last.min() * (1.0 + 1e-9):
-        bad = times[(times < 0.0) | (times > last.min())][0]
-        raise InputError(
-            f"times = {bad:.9g}: must be from 0 to {last.min():.9g} s, where the first of the "
-            "cases ends"
-        )
-    states = _States(time, stored, np.broadcast_to(times, (len(time), times.shape[-1])))
-    for name in FINAL:
-        yield name, states.of(ensemble.histories(name, cases))
+) -> dict[str, FloatArray]:
+    """Return values (cases, ...) of the responses that all the cases have."""
+    block = max(1, _STATES // int(ensemble.steps_stored.max()))
+    parts = [cases[start : start + block] for start in range(0, len(cases), block)]
+    read = [dict(_read_responses(ensemble, part, times)) for part in parts]
+    values = {name: np.concatenate([each[name] for each in read]) for name in read[0]}
     mid_points = ensemble.profiles("r", cases)
+    same = mid_points is not None and np.ptp(mid_points, axis=0).max() <= 1e-9
     for body in ("lower", "upper"):
-        profiles = []
-        for start in range(0, len(cases), _BLOCK):
-            part = slice(start, start + _BLOCK)
-            table = ensemble.profiles(f"wear_{body}", cases[part])
-            if table is None or (table.ndim == 2 and asked is not None):
-                break
-            profiles.append(table[:, None] if table.ndim == 2 else states.of(table, part))
-        else:
-            wear = np.concatenate(profiles)  # (cases, times, elements)
-            largest = np.nanmax(wear, axis=2, initial=0.0)
-            if not np.isfinite(largest).all():
-                continue
-            yield f"largest_wear_{body}", largest
-            same = mid_points is not None and np.ptp(mid_points, axis=0).max() <= 1e-9
+        wear = values.pop(f"wear_{body}", None)
+        if wear is not None and np.isfinite(wear).any(axis=-1).all():
+            values[f"largest_wear_{body}"] = np.nanmax(wear, axis=-1)
             if same and np.isfinite(wear).all():
-                yield f"wear_{body}", wear
+                values[f"wear_{body}"] = wear
+    return values
+
+
+def _read_responses(
+    ensemble: Ensemble, cases: IntArray, times: FloatArray | None
+) -> Iterator[tuple[str, FloatArray]]:
+    """Yield final values and profiles of some cases, or those at times."""
+    stored = ensemble.steps_stored[cases]
+    if times is None:
+        states = None
+        for name in FINAL:
+            yield name, ensemble.final[name][cases]
+    else:
+        states = _States(ensemble.histories("time", cases), stored, times)
+        for name in FINAL:
+            yield name, states.of(ensemble.histories(name, cases))
+    for name in ("wear_lower", "wear_upper"):
+        table = ensemble.profiles(name, cases)
+        if table is None or (table.ndim == 2 and states is not None):
+            continue
+        if states is not None:
+            yield name, states.of(table)
+        else:
+            yield name, table if table.ndim == 2 else table[np.arange(len(table)), stored - 1]
 
 
 class _States:
@@ -562,25 +566,33 @@ class _States:
     ----------
     time : (cases, steps), NaN behind the stored ones.
     stored : (cases,) number of stored states, two at least.
-    at : (cases, times).
+    at : (times,).
+
+    Raises
+    ------
+    InputError : a case does not last so long.
     """
 
     def __init__(self, time: FloatArray, stored: IntArray, at: FloatArray) -> None:
+        self._cases = np.arange(len(time))[:, None]
+        end = float(time[self._cases[:, 0], stored - 1].min())
+        outside = at[(at < 0.0) | (at > end * (1.0 + 1e-9))]
+        if len(outside):
+            raise InputError(
+                f"times = {outside[0]:.9g}: must be from 0 to {end:.9g} s, where a case ends"
+            )
         self._after = np.array([
-            np.clip(np.searchsorted(t[:n], each), 1, n - 1)
-            for t, n, each in zip(time, stored, at, strict=True)
+            np.clip(np.searchsorted(t[:n], at), 1, n - 1)
+            for t, n in zip(time, stored, strict=True)
         ])  # fmt: skip
-        cases = np.arange(len(time))[:, None]
-        before, after = time[cases, self._after - 1], time[cases, self._after]
+        before, after = time[self._cases, self._after - 1], time[self._cases, self._after]
         self._share = np.clip((at - before) / (after - before), 0.0, 1.0)
 
-    def of(self, table: FloatArray, part: slice = slice(None)) -> FloatArray:
-        """Return values at the times, of a table (cases of the part, steps, ...)."""
-        after, share = self._after[part], self._share[part]
-        share = share.reshape(*share.shape, *(1,) * (table.ndim - 2))
-        cases = np.arange(len(table))[:, None]
-        before, behind = table[cases, after - 1], table[cases, after]
-        return np.where(share == 1.0, behind, before + share * (behind - before))
+    def of(self, table: FloatArray) -> FloatArray:
+        """Return values (cases, times, ...) of a table (cases, steps, ...)."""
+        share = self._share.reshape(*self._share.shape, *(1,) * (table.ndim - 2))
+        before = table[self._cases, self._after - 1]
+        return before + share * (table[self._cases, self._after] - before)
 
 
 # -- regression ------------------------------------------------------------------------------------
