@@ -189,7 +189,7 @@ def sobol_indices(part: "Part", names: Sequence[str]) -> tuple[SobolIndices, ...
             from SALib.analyze import sobol
             from SALib.sample import sobol as sampling
         except ImportError:
-            log.warning(_NO_SALIB)
+            log.info(_NO_SALIB)  # the indices of a sample warn
             return ()
         points = sampling.sample(problem, base, calc_second_order=False, seed=SEED)
         for name, values in part.at(points, names).items():

@@ -302,6 +302,7 @@ class Surrogate:
         told = (
             f"{name} {errors[name]:.2g} {_unit(name)} ({told_share(relative[name])})"
             for name in self.names
+            if relative[name] > 0.0
         )
         return (
             f"<Surrogate of {self.used} of {self.cases} cases over {', '.join(over)}; leave-out "
@@ -401,13 +402,18 @@ def _times(times: Sequence[float]) -> FloatArray:
 
 def _identity(ensemble: Ensemble, times: FloatArray | None) -> str:
     """Return what tells these results, and times, from others."""
-    text = hashlib.sha256()
-    for words in (ensemble.ids, ensemble.status, *(v for v in ensemble.varied.items())):
-        text.update(json.dumps(np.asarray(words, dtype=object).tolist(), default=list).encode())
-    numbers = (ensemble.in_study, ensemble.steps_stored, *ensemble.final.values())
-    for array in (*numbers, np.empty(0) if times is None else times):
-        text.update(np.ascontiguousarray(array).tobytes())
-    return text.hexdigest()
+    found = hashlib.sha256()
+    numbers = [ensemble.in_study, ensemble.steps_stored, *ensemble.final.values()]
+    words = [ensemble.ids, ensemble.status, tuple(ensemble.varied)]
+    for values in ensemble.varied.values():
+        (numbers if values.dtype.kind == "f" else words).append(values)
+    if times is not None:
+        numbers.append(times)
+    for texts in (*words, [str(ensemble.attributes.get("study"))]):
+        found.update("\0".join(texts).encode() + b"\n")
+    for array in numbers:
+        found.update(np.ascontiguousarray(array).tobytes())
+    return found.hexdigest()
 
 
 def _made(ensemble: Ensemble, times: FloatArray | None) -> Surrogate:
@@ -419,18 +425,15 @@ def _made(ensemble: Ensemble, times: FloatArray | None) -> Surrogate:
     for name, values in ensemble.varied.items():
         if len(np.unique(values[done].astype(str))) > 1:
             (numbers if values.dtype.kind == "f" else texts).append(name)
-    rows = np.flatnonzero(done)
-    combined = list(zip(*(ensemble.varied[name][rows] for name in texts), strict=True))
-    combined = combined or [()] * len(rows)
-    groups = sorted(
-        ((combination, rows[[each == combination for each in combined]])
-         for combination in dict.fromkeys(combined)),
-        key=lambda group: -len(group[1]),
-    )  # fmt: skip
+    groups: dict[tuple[str, ...], list[int]] = {}
+    for row in np.flatnonzero(done).tolist():
+        groups.setdefault(tuple(ensemble.varied[name][row] for name in texts), []).append(row)
     parts, few = [], ""
-    for combination, cases in groups:
+    for combination, rows in sorted(groups.items(), key=lambda group: -len(group[1])):
+        cases = np.array(rows)
         keys = [k for k in numbers if len(np.unique(_known(ensemble.varied[k][cases]))) > 1]
-        cases = cases[np.isfinite([ensemble.varied[k][cases] for k in keys]).all(axis=0)]
+        for key in keys:
+            cases = cases[np.isfinite(ensemble.varied[key][cases])]
         needed = 4 * (len(keys) + 1)
         if not keys or len(cases) < needed:
             few = few or (

@@ -157,7 +157,9 @@ def test_the_design_tells_scales_and_ends(tmp_path):
     assert made.ranges["wear.lower.k"] == (1e-7, 1e-6)
     # no case is above 100
     assert made.ranges["load.pressure"] == (50.0, x[:, 1].max())
-    assert list(rw.surrogate(tmp_path).parts[0].logarithmic) == [True, False]  # that of the study
+    unknown = rw.surrogate(tmp_path)  # another study, so not the one kept
+    assert list(unknown.parts[0].logarithmic) == [False, False]
+    assert unknown.ranges["wear.lower.k"] == (x[:, 0].min(), x[:, 0].max())
 
 
 def test_it_is_kept_and_taken_again(tmp_path, monkeypatch):
@@ -273,8 +275,12 @@ def test_too_few_cases_or_keys_that_do_not_vary_by_themselves(tmp_path):
     write(tmp_path / "b", ("load.pressure", "load.omega"), x, x[:, 0], "list")
     with pytest.raises(rw.InputError, match=r"load\.pressure, load\.omega vary together"):
         rw.surrogate(tmp_path / "b")
-    write(tmp_path / "c", ("time.scheme",), [("implicit",), ("explicit",)], [1.0, 2.0], "list")
-    with pytest.raises(rw.InputError, match="no number varies; a surrogate needs one that does"):
+    write(
+        tmp_path / "c", ("time.scheme",), [("implicit",)] * 2 + [("explicit",)], [1.0] * 3, "list"
+    )
+    with pytest.raises(
+        rw.InputError, match="2 cases are done in the largest of 2 groups .* no numb"
+    ):
         rw.surrogate(tmp_path / "c")
     write(tmp_path / "d", KEYS[:1], [(1e-7,)], [1.0], "list", status=["failed"])
     with pytest.raises(rw.InputError, match="no case is done"):
