@@ -49,6 +49,7 @@ _FOLDS, _FEW_FOLDS = 10, 4
 _DIGITS = 6
 #: the design's own ends count as covered where a case is so near, as a part of the range
 _NEAR = 0.1
+_ROUNDING = 1e-9
 #: keys whose ranges the study does not tell go by logarithms where they span so much, unevenly
 _LOG_KEY = 20.0
 #: stored states whose profiles are read at once
@@ -245,16 +246,17 @@ class Surrogate:
         part = self._part(values)
         columns = np.broadcast_arrays(*(_numbers(key, values[key]) for key in part.keys))
         for key, column, low, high in zip(part.keys, columns, part.low, part.high, strict=True):
-            wide = 1e-9 * (high - low)  # of rounding
-            outside = ~((column >= low - wide) & (column <= high + wide))
-            if outside.any():
+            inside = (column >= low - _ROUNDING * abs(low)) & (
+                column <= high + _ROUNDING * abs(high)
+            )
+            if not inside.all():
                 raise InputError(
-                    f"surrogate: {key} = {column[outside].flat[0]:.9g}: must be from {low:.9g} to "
+                    f"surrogate: {key} = {column[~inside].flat[0]:.9g}: must be from {low:.9g} to "
                     f"{high:.9g}, as in the study's cases; nothing is extrapolated"
                 )
         shape = columns[0].shape
-        points = part.places_of(np.stack([column.ravel() for column in columns], axis=1))
-        found = part.at(np.clip(points, 0.0, 1.0), wanted)
+        x = np.stack([column.ravel() for column in columns], axis=1)
+        found = part.at(part.places_of(np.clip(x, part.low, part.high)), wanted)
         return {
             name: array.reshape((*shape, *part.responses[name].shape))
             for name, array in found.items()
@@ -434,7 +436,7 @@ def _made(ensemble: Ensemble, times: FloatArray | None) -> Surrogate:
         keys = [k for k in numbers if len(np.unique(_known(ensemble.varied[k][cases]))) > 1]
         for key in keys:
             cases = cases[np.isfinite(ensemble.varied[key][cases])]
-        needed = 4 * (len(keys) + 1)
+        needed = _needed(keys)
         if not keys or len(cases) < needed:
             few = few or (
                 f"{ensemble.path}: {len(cases)} cases are done "
@@ -448,6 +450,10 @@ def _made(ensemble: Ensemble, times: FloatArray | None) -> Surrogate:
     if not parts:
         raise InputError(few or f"{ensemble.path}: no case is done; a surrogate needs some")
     return Surrogate(texts, parts, int(ensemble.in_study.sum()), int(done.sum()))
+
+
+def _needed(keys: Sequence[str]) -> int:
+    return 4 * (len(keys) + 1)
 
 
 def _known(values: FloatArray) -> FloatArray:
@@ -494,6 +500,11 @@ def _part(
     points = _places(x, low, high, logarithmic)
     _, apart = np.unique(np.round(points, _DIGITS), axis=0, return_index=True)
     points, cases = points[np.sort(apart)], cases[np.sort(apart)]
+    if len(points) < _needed(keys):
+        raise InputError(
+            f"{ensemble.path}: {len(points)} cases differ, in {len(keys)} keys; a surrogate needs "
+            f"{_needed(keys)} of them at least"
+        )
     values = _responses(ensemble, cases, times)
     try:
         if np.linalg.matrix_rank(np.insert(points, 0, 1.0, axis=1), tol=1e-6) <= len(keys):
@@ -617,6 +628,7 @@ def _left_out(points: FloatArray, table: FloatArray) -> FloatArray:
 
 def _parts_of(count: int, parts: int) -> list[BoolArray]:
     """Return which cases are left out, in turn."""
+    parts = min(parts, count)
     of_part = np.random.default_rng(SEED).permutation(count) % parts
     return [of_part == part for part in range(parts)]
 

@@ -245,8 +245,8 @@ def test_texts_have_a_surrogate_each(tmp_path):
 
 
 def test_one_key_and_constants(tmp_path):
-    k = 10.0 ** np.linspace(-8, -6, 12)[:, None]
-    write(tmp_path, KEYS[:1], k, 1e3 * k[:, 0], lower=np.full(12, 3.0))
+    k = 10.0 ** np.linspace(-8, -6, 8)[:, None]
+    write(tmp_path, KEYS[:1], k, 1e3 * k[:, 0], lower=np.full(8, 3.0))
     made = rw.surrogate(tmp_path)
     found = made.predict({"wear.lower.k": 2.5e-8})
     assert found["penetration"] == pytest.approx(2.5e-5)
@@ -279,9 +279,13 @@ def test_too_few_cases_or_keys_that_do_not_vary_by_themselves(tmp_path):
         tmp_path / "c", ("time.scheme",), [("implicit",)] * 2 + [("explicit",)], [1.0] * 3, "list"
     )
     with pytest.raises(
-        rw.InputError, match="2 cases are done in the largest of 2 groups .* no numb"
+        rw.InputError, match=r"2 cases are done in the largest of 2 groups .* no num"
     ):
         rw.surrogate(tmp_path / "c")
+    k = 1e-7 * np.repeat([1.0, 2.0, 3.0, 4.0], 3) + 1e-15 * np.arange(12)
+    write(tmp_path / "e", KEYS[:1], k[:, None], k, "list")
+    with pytest.raises(rw.InputError, match="4 cases differ, in 1 keys; a surrogate needs 8"):
+        rw.surrogate(tmp_path / "e")
     write(tmp_path / "d", KEYS[:1], [(1e-7,)], [1.0], "list", status=["failed"])
     with pytest.raises(rw.InputError, match="no case is done"):
         rw.surrogate(tmp_path / "d")
