@@ -18,7 +18,7 @@ from ringwear_par.studies.designs import SAMPLED
 from ringwear_par.studies.ensemble import Ensemble
 
 if TYPE_CHECKING:
-    from ringwear_par.studies.surrogate import Part
+    from ringwear_par.studies.regression import Part
 
 log = logging.getLogger(__name__)
 

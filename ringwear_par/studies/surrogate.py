@@ -1,25 +1,19 @@
-"""``rw.surrogate``: regressions that answer for a sweep's cases, with the error that they make.
+"""``rw.surrogate``: what answers for a sweep's cases, from the results to a file beside them.
 
-Each response is interpolated by cubic radial functions and a linear polynomial (SciPy's
-``RBFInterpolator``) over the varied keys, logarithms of those that a study varies so, stretched
-such that cases that are left out are met best. Of the response itself, its roots or its logarithm
-that is taken with which they are met best: wear grows with powers of the keys, and stays near zero
-where pressures hardly pass a threshold.
+Its regressions, see ``regression``, go over the varied keys, by logarithms where the study varies
+them so.
 """
 
 import hashlib
 import json
 import logging
-import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
-from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ringwear_par.arrays import BoolArray, FloatArray, IntArray
+from ringwear_par.arrays import FloatArray, IntArray
 from ringwear_par.cases.text import shortened, toml_value
 from ringwear_par.errors import InputError, RingwearError, legible
 from ringwear_par.results.hdf5 import atomic_hdf5
@@ -27,13 +21,13 @@ from ringwear_par.results.reading import read_array, read_number, read_text, rea
 from ringwear_par.results.variables import HISTORIES, Variable
 from ringwear_par.studies.dataset import FINAL
 from ringwear_par.studies.ensemble import Ensemble, read_ensemble
-from ringwear_par.studies.sensitivity import SEED, chosen_cases, done_cases
+from ringwear_par.studies.regression import Part, Response, fitted, forms_for, places_between
+from ringwear_par.studies.sensitivity import chosen_cases, done_cases
 from ringwear_par.studies.variations import read_variations
 from ringwear_par.textfiles import parse_toml
 
 if TYPE_CHECKING:
     import xarray
-    from scipy.interpolate import RBFInterpolator
 
 log = logging.getLogger(__name__)
 
@@ -41,10 +35,8 @@ SURROGATE = "surrogate.h5"
 _SOFTWARE, _WHAT = "ringwear-par surrogate 1", "a surrogate of a sweep"
 #: leave-out errors above this part of a response's spread are called coarse
 COARSE = 0.1
-#: most cases that are interpolated, and that stretches of the keys are found from
-_MOST, _MOST_STRETCHED = 1000, 150
-#: parts that are left out in turn, of the errors told and of the search for stretches
-_FOLDS, _FEW_FOLDS = 10, 4
+#: most cases that are interpolated
+_MOST = 1000
 #: cases nearer to each other than this part of all ranges are one
 _DIGITS = 6
 #: the design's own ends count as covered where a case is so near, as a part of the range
@@ -54,114 +46,6 @@ _ROUNDING = 1e-9
 _LOG_KEY = 20.0
 #: stored states whose profiles are read at once
 _STATES = 4000
-
-
-def _square(values: FloatArray) -> FloatArray:
-    return np.square(np.maximum(values, 0.0))
-
-
-#: what of a response is interpolated: there and back
-_FORMS: dict[str, tuple[Any, Any]] = {
-    "logarithm": (np.log, np.exp),
-    "cube root": (np.cbrt, lambda values: values**3),
-    "square root": (np.sqrt, _square),
-    "itself": (np.asarray, np.asarray),
-}
-
-
-@dataclass(frozen=True)
-class Response:
-    """A response in the cases of a part, and how well it is met where they are left out.
-
-    Parameters
-    ----------
-    values : (cases, columns), one column a time, or an element of a profile.
-    form : what of it is interpolated, a name in the table of forms.
-    error : root mean square of leave-out errors, in the response's unit.
-    form_error : the same of what is interpolated.
-    shape : of a case's values, whose product is the number of columns: () of one number.
-    """
-
-    values: FloatArray
-    form: str
-    error: float
-    form_error: float
-    shape: tuple[int, ...]
-
-    @cached_property
-    def spread(self) -> float:
-        """Root mean square of the distance from the mean, in the response's unit."""
-        return _rms(self.values - self.values.mean(axis=0))
-
-    @property
-    def relative_error(self) -> float:
-        """Leave-out error as a part of the spread, 0 of what does not vary."""
-        varies = self.spread > 1e-12 * float(np.abs(self.values).max())
-        return self.error / self.spread if varies else 0.0
-
-    def shifted(self, values: FloatArray, errors: float) -> FloatArray:
-        """Return values of the response, shifted by a number of leave-out errors of its form."""
-        shifted = _FORMS[self.form][0](values) + errors * self.form_error
-        return _back(shifted, self.form, self.values)
-
-
-@dataclass(frozen=True)
-class Part:
-    """The surrogate of the cases that share all texts.
-
-    Parameters
-    ----------
-    texts : values of the varied keys that are no numbers.
-    keys : the varied keys that are numbers and differ.
-    low, high : (keys,) ends of their ranges.
-    logarithmic : (keys,) whether a key goes by its logarithm.
-    points : (cases, keys) places between the ends, about 0 to 1.
-    stretches : (keys,) what they are multiplied by.
-    responses : by name.
-    """
-
-    texts: tuple[str, ...]
-    keys: tuple[str, ...]
-    low: FloatArray
-    high: FloatArray
-    logarithmic: BoolArray
-    points: FloatArray
-    stretches: FloatArray
-    responses: dict[str, Response]
-
-    def values_at(self, key: int, places: FloatArray) -> FloatArray:
-        """Return the values of a key at places from 0 to 1 of its range."""
-        low, high = self.low[key], self.high[key]
-        if self.logarithmic[key]:
-            return low * (high / low) ** places
-        return low + (high - low) * places
-
-    def places_of(self, values: FloatArray) -> FloatArray:
-        """Return places from 0 to 1 of values of the keys (..., keys)."""
-        return _places(values, self.low, self.high, self.logarithmic)
-
-    def at(self, points: FloatArray, names: Sequence[str]) -> dict[str, FloatArray]:
-        """Return responses (len(points), columns) at points (., keys) from 0 to 1."""
-        interpolator, start, found = self._interpolator(tuple(names)), 0, {}
-        table = interpolator(points * self.stretches)
-        for name in names:
-            response = self.responses[name]
-            stop = start + response.values.shape[1]
-            found[name] = _back(table[:, start:stop], response.form, response.values)
-            start = stop
-        return found
-
-    def _interpolator(self, names: tuple[str, ...]) -> "RBFInterpolator":
-        if names not in self._interpolators:
-            table = [_FORMS[self.responses[n].form][0](self.responses[n].values) for n in names]
-            self._interpolators[names] = _interpolator(
-                self.points * self.stretches, np.concatenate(table, axis=1)
-            )
-        return self._interpolators[names]
-
-    @cached_property
-    def _interpolators(self) -> dict[tuple[str, ...], "RBFInterpolator"]:
-        return {}
 
 
 class Surrogate:
@@ -492,12 +376,14 @@ def _part(
         logarithmic[i] = by_log and low[i] > 0.0
         if ends:
             one = slice(i, i + 1)
-            near = _places(np.array(ends)[:, None], low[one], high[one], logarithmic[one])[:, 0]
+            near = places_between(np.array(ends)[:, None], low[one], high[one], logarithmic[one])[
+                :, 0
+            ]
             if -_NEAR <= near[0] <= 0.0:
                 low[i] = ends[0]
             if 1.0 <= near[1] <= 1.0 + _NEAR:
                 high[i] = ends[1]
-    points = _places(x, low, high, logarithmic)
+    points = places_between(x, low, high, logarithmic)
     _, apart = np.unique(np.round(points, _DIGITS), axis=0, return_index=True)
     points, cases = points[np.sort(apart)], cases[np.sort(apart)]
     if len(points) < _needed(keys):
@@ -509,26 +395,13 @@ def _part(
     try:
         if np.linalg.matrix_rank(np.insert(points, 0, 1.0, axis=1), tol=1e-6) <= len(keys):
             raise np.linalg.LinAlgError
-        stretches, responses = _fitted(points, values)
+        stretches, responses = fitted(points, values)
     except np.linalg.LinAlgError:
         raise InputError(
             f"{ensemble.path}: {', '.join(keys)} vary together, or nearly so; a surrogate needs "
             "cases in which each varies by itself"
         ) from None
     return Part(tuple(texts), tuple(keys), low, high, logarithmic, points, stretches, responses)
-
-
-def _places(
-    values: FloatArray, low: FloatArray, high: FloatArray, logarithmic: BoolArray
-) -> FloatArray:
-    """Return where values (..., keys) are between the ends: 0 to 1."""
-    places = np.empty(values.shape)
-    for i, by_log in enumerate(logarithmic):
-        if by_log:
-            places[..., i] = np.log(values[..., i] / low[i]) / math.log(high[i] / low[i])
-        else:
-            places[..., i] = (values[..., i] - low[i]) / (high[i] - low[i])
-    return places
 
 
 def _responses(
@@ -609,131 +482,6 @@ class _States:
         return before + share * (table[self._cases, self._after] - before)
 
 
-# -- regression ------------------------------------------------------------------------------------
-
-
-def _interpolator(points: FloatArray, table: FloatArray) -> "RBFInterpolator":
-    from scipy.interpolate import RBFInterpolator  # slow to import
-
-    return RBFInterpolator(points, table, kernel="cubic", degree=1)
-
-
-def _left_out(points: FloatArray, table: FloatArray) -> FloatArray:
-    """Return a table (cases, columns) as it is found where a part of the cases is left out."""
-    found = np.empty(table.shape)
-    for out in _parts_of(len(points), _FEW_FOLDS):
-        found[out] = _interpolator(points[~out], table[~out])(points[out])
-    return found
-
-
-def _parts_of(count: int, parts: int) -> list[BoolArray]:
-    """Return which cases are left out, in turn."""
-    parts = min(parts, count)
-    of_part = np.random.default_rng(SEED).permutation(count) % parts
-    return [of_part == part for part in range(parts)]
-
-
-def _fitted(
-    points: FloatArray, values: Mapping[str, FloatArray]
-) -> tuple[FloatArray, dict[str, Response]]:
-    """Return the stretches of the keys, and the responses with their leave-out errors.
-
-    Few cases are left out of the choice of stretches and forms, too. That of many hardly depends on
-    the tenth that is left out, and would take long.
-    """
-    flat = {name: array.reshape(len(array), -1) for name, array in values.items()}
-    stretches, forms = _chosen(points, flat)
-    found = {name: np.empty_like(array) for name, array in flat.items()}
-    for out in _parts_of(len(points), _FOLDS):
-        rest = {name: array[~out] for name, array in flat.items()}
-        few = len(points) <= _MOST_STRETCHED
-        its_stretches, its_forms = _chosen(points[~out], rest) if few else (stretches, forms)
-        for name, array in rest.items():
-            there, _ = _FORMS[its_forms[name]]
-            interpolator = _interpolator(points[~out] * its_stretches, there(array))
-            left_out = interpolator(points[out] * its_stretches)
-            found[name][out] = _back(left_out, its_forms[name], array)
-    responses = {}
-    for name, array in flat.items():
-        there, _ = _FORMS[forms[name]]
-        with np.errstate(divide="ignore"):  # logarithms, where others were chosen meanwhile
-            differences = there(found[name]) - there(array)
-        form_error = _rms(differences[np.isfinite(differences)])
-        error = _rms(found[name] - array)
-        shape = values[name].shape[1:]
-        responses[name] = Response(array, forms[name], error, form_error, shape)
-    return stretches, responses
-
-
-def _chosen(
-    points: FloatArray, values: Mapping[str, FloatArray]
-) -> tuple[FloatArray, dict[str, str]]:
-    """Return the stretches of the keys, and the forms, with which cases left out are met best."""
-    stretches = np.ones(points.shape[1])
-    if len(stretches) > 1:
-        from scipy.optimize import minimize  # slow to import
-
-        some = np.random.default_rng(SEED).permutation(len(points))[:_MOST_STRETCHED]
-        few, at = {name: array[some] for name, array in values.items()}, points[some]
-        table = np.concatenate(
-            [_evened(_FORMS[form][0](few[name])) for name, form in _best_forms(at, few).items()],
-            axis=1,
-        )
-        found = minimize(
-            lambda x: _rms(_left_out(at * _stretched(x), table) - table),
-            np.zeros_like(stretches), method="Nelder-Mead",
-            options={
-                "initial_simplex": np.vstack([0.0 * stretches, np.eye(len(stretches))]),
-                "maxfev": 25 * len(stretches), "xatol": 0.05,
-            },
-        )  # fmt: skip
-        stretches = _stretched(found.x)
-    return stretches, _best_forms(points * stretches, values)
-
-
-def _stretched(logarithms: FloatArray) -> FloatArray:
-    """Return stretches whose product is 1: cubic functions know no length."""
-    return np.exp(np.clip(logarithms - logarithms.mean(), -4.0, 4.0))
-
-
-def _evened(table: FloatArray) -> FloatArray:
-    """Return the columns of a response such that every response weighs the same, or none."""
-    spread = math.sqrt(table.shape[1]) * _rms(table - table.mean(axis=0))
-    return table / spread if spread > 0.0 else 0.0 * table
-
-
-def _best_forms(points: FloatArray, values: Mapping[str, FloatArray]) -> dict[str, str]:
-    tried = [(name, form) for name, array in values.items() for form in _forms_for(array)]
-    tables = [_FORMS[form][0](values[name]) for name, form in tried]
-    found = _left_out(points, np.concatenate(tables, axis=1))
-    best: dict[str, tuple[float, str]] = {}
-    start = 0
-    for (name, form), table in zip(tried, tables, strict=True):
-        stop = start + table.shape[1]
-        error = _rms(_back(found[:, start:stop], form, values[name]) - values[name])
-        best[name] = min(best.get(name, (math.inf, form)), (error, form))
-        start = stop
-    return {name: form for name, (_, form) in best.items()}
-
-
-def _back(table: FloatArray, form: str, values: FloatArray) -> FloatArray:
-    """Return a response of what of it was interpolated; not negative where no case is."""
-    with np.errstate(over="ignore"):
-        found = _FORMS[form][1](table)
-    return np.maximum(found, 0.0) if values.min() >= 0.0 else found
-
-
-def _rms(values: FloatArray) -> float:
-    return float(np.sqrt(np.mean(values**2))) if values.size else 0.0
-
-
-def _forms_for(array: FloatArray) -> list[str]:
-    """Return the forms that a response has."""
-    least = float(array.min())
-    kept = {"logarithm": least > 0.0, "square root": least >= 0.0}
-    return [form for form in _FORMS if kept.get(form, True)]
-
-
 # -- file ------------------------------------------------------------------------------------------
 
 
@@ -789,7 +537,7 @@ def _read(path: Path, identity: str) -> Surrogate | None:
                     float(read_number(about["form_error"])),
                     tuple(map(int, json.loads(read_text(about["shape"])))),
                 )  # fmt: skip
-                if response.form not in _forms_for(response.values):
+                if response.form not in forms_for(response.values):
                     raise ValueError(name)
                 response.values.reshape(-1, *response.shape)
                 responses[name] = response
