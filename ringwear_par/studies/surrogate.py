@@ -42,6 +42,8 @@ _DIGITS = 6
 #: the design's own ends count as covered where a case is so near, as a part of the range
 _NEAR = 0.1
 _ROUNDING = 1e-9
+#: %, below which errors are those of rounding
+_EXACT = 1e-6
 #: keys whose ranges the study does not tell go by logarithms where they span so much, unevenly
 _LOG_KEY = 20.0
 #: stored states whose profiles are read at once
@@ -198,8 +200,11 @@ class Surrogate:
 
 def told_share(relative_error: float) -> str:
     """Return a leave-out error in percent of the spread, with a word where it is coarse."""
-    coarse = ", coarse" if relative_error > COARSE else ""
-    return f"{100.0 * relative_error:.2g} %{coarse}"
+    percent = 100.0 * relative_error
+    if percent < _EXACT:
+        return f"< {_EXACT:g} %"
+    told = f"{percent:.2g}" if percent < 10.0 else f"{percent:.0f}"
+    return f"{told} %{', coarse' if relative_error > COARSE else ''}"
 
 
 def surrogate(

@@ -93,7 +93,7 @@ class Responses:
         return plain(f"{said}; keys vary evenly over their ranges")
 
     def _error(self, name: str) -> str:
-        return f"leave-out error {told_share(self._part.responses[name].relative_error)}"
+        return told_share(self._part.responses[name].relative_error)
 
     def _draw_indices(self, axes: Any, found: SobolIndices) -> None:
         places = np.arange(len(found.keys), dtype=float)
@@ -110,13 +110,14 @@ class Responses:
         axes.set_xlabel("Sobol' index of the surrogate")
         title = (
             f"{SENSITIVE[found.output]}\n{found.evaluations / 1e6:.1f} million evaluations,\n"
-            f"{self._error(found.output)} of the spread"
+            f"leave-out error (of the spread): {self._error(found.output)}"
         )
         set_legend(axes, 2, title)
 
     def _draw_curves(self, figure: Any, keys: range) -> None:
         """Draw one row an output and one column a key."""
         part = self._part
+        mean_of = "mean over the others" if len(part.keys) > 1 else "surrogate"
         panels = figure.subplots(
             len(self.names), len(keys), squeeze=False, sharex="col", sharey="row"
         )
@@ -141,7 +142,7 @@ class Responses:
                     along, low, high, color=COLOURS[0], alpha=0.25, linewidth=0.0,
                     label="\N{PLUS-MINUS SIGN} leave-out error",
                 )  # fmt: skip
-                axes.plot(along, factor * mean, color=COLOURS[0], label="mean over the others")
+                axes.plot(along, factor * mean, color=COLOURS[0], label=mean_of)
                 if part.logarithmic[key]:
                     axes.set_xscale("log")
                     set_decades(axes.xaxis, along)
@@ -155,7 +156,7 @@ class Responses:
             if logarithmic:
                 set_decades(panels[row, 0].yaxis, values)
             final = f"final {label}" if name == "penetration" else label
-            panels[row, 0].set_ylabel(f"{final}\n({self._error(name)})")
+            panels[row, 0].set_ylabel(f"{final}\nleave-out error\n{self._error(name)}")
         set_legend(panels[0, 0], 1, "")
         figure.align_ylabels(panels[:, 0])
 
