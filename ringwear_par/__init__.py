@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from ringwear_par.studies.many import simulate_all
     from ringwear_par.studies.plot import plot
     from ringwear_par.studies.study import Study, read_study
+    from ringwear_par.studies.surrogate import surrogate
     from ringwear_par.studies.sweep import sweep
     from ringwear_par.wear.law import LocalState, WearLaw
 
@@ -53,12 +54,13 @@ _PUBLIC = {
     "read_study": "studies.study",
     "simulate": "results.simulate",
     "simulate_all": "studies.many",
+    "surrogate": "studies.surrogate",
     "sweep": "studies.sweep",
 }
 __all__ = [
     "Case", "ComputationError", "ContactPair", "FailedResult", "InputError", "LocalState",
     "Result", "Study", "WearLaw", "assemble", "open_ensemble", "open_result", "plot", "read_case",
-    "read_study", "simulate", "simulate_all", "sweep",
+    "read_study", "simulate", "simulate_all", "surrogate", "sweep",
 ]  # fmt: skip
 
 

@@ -18,7 +18,7 @@ from ringwear_par.results.reading import (
     read_text,
     reading,
 )
-from ringwear_par.results.variables import HISTORIES, Variable
+from ringwear_par.results.variables import HISTORIES, LINE, PROFILES, Variable
 from ringwear_par.studies.dataset import (
     FINAL,
     OF_CASES,
@@ -70,6 +70,24 @@ class Ensemble:
         with reading(self.path, SOFTWARE, WHAT) as file:
             sizes = {"case": len(self.ids)}
             return find_array(file, over_cases(HISTORIES[name]), sizes)[cases]
+
+    def profiles(self, name: str, cases: IntArray) -> FloatArray | None:
+        """Read profiles of some cases (increasing numbers), or the mid-points "r" of elements.
+
+        They are (len(cases), steps, elements), or (len(cases), elements) of "r" and where those of
+        the last step alone are stored, NaN where a case has none; None where no case has.
+
+        Raises
+        ------
+        InputError : the file is damaged.
+        """
+        variable = {**LINE, **PROFILES}[name]
+        with reading(self.path, SOFTWARE, WHAT) as file:
+            if name not in file:
+                return None
+            if name in PROFILES and file[name].ndim == 2:
+                variable = variable.at_last_step()
+            return find_array(file, over_cases(variable), {"case": len(self.ids)})[cases]
 
 
 def read_ensemble(folder: Path) -> Ensemble:

@@ -1,11 +1,13 @@
 """The figure of a sweep, from its stored results: histories as a fan, final values against keys.
 
+Below them is what the surrogate of the results tells, see ``surrogate_figures``.
+
 Where a design leaves many cases, they are chosen at random, with a fixed seed: every k-th case of a
 Sobol sequence or of a grid is no sample of it.
 """
 
+import logging
 import math
-import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,12 +16,20 @@ from typing import Any
 import matplotlib
 import numpy as np
 from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
 from ringwear_par.arrays import FloatArray, IntArray
-from ringwear_par.cases.schema import UNITS
 from ringwear_par.errors import InputError
 from ringwear_par.results.figures import COLOURS, STYLE, check_figure, plain, save_figure
+from ringwear_par.studies.axes import (
+    GREY,
+    LOG_VALUE,
+    OUTPUTS,
+    labelled,
+    number_text,
+    set_decades,
+    set_legend,
+    spans,
+)
 from ringwear_par.studies.designs import SAMPLED
 from ringwear_par.studies.ensemble import Ensemble, read_ensemble
 from ringwear_par.studies.sensitivity import (
@@ -30,22 +40,19 @@ from ringwear_par.studies.sensitivity import (
     done_cases,
     sensitivity,
 )
+from ringwear_par.studies.surrogate import Surrogate, surrogate
+from ringwear_par.studies.surrogate_figures import Responses
 
-#: of the values in results.h5, what is drawn of them: factor and label
-_OUTPUTS = {
-    "penetration": (1e3, "penetration (\N{MICRO SIGN}m)"),
-    "worn_volume_lower": (1.0, "worn volume, lower (mm\N{SUPERSCRIPT THREE})"),
-    "worn_volume_upper": (1.0, "worn volume, upper (mm\N{SUPERSCRIPT THREE})"),
-}
+log = logging.getLogger(__name__)
+
 _MARKERS = ("o", "s", "^", "v", "D", "P", "X", "*")
 _DASHES: tuple[Any, ...] = ("-", "--", ":")
-_GREY = "0.45"
 #: cases drawn one by one, and curves with a legend
 _FEW, _CURVES = 12, 8
 _MOST_HISTORIES, _TIMES, _SINGLES = 2000, 200, 8
 _BLOCK_BYTES = 16e6
 #: keys and values beside each other span so much before their axis is logarithmic
-_LOG_KEY, _LOG_VALUE = 20.0, 100.0
+_LOG_KEY = 20.0
 _COLUMNS, _PANEL, _WIDTH = 4, (2.3, 2.1), 7.2
 _DISCRETE, _MOST_LEVELS = 12, 50
 #: inches of a line of a legend
@@ -64,7 +71,7 @@ class _Key:
 
     @property
     def label(self) -> str:
-        return _labelled(self.name)
+        return labelled(self.name)
 
     @property
     def differs(self) -> bool:
@@ -72,7 +79,7 @@ class _Key:
 
     @property
     def logarithmic(self) -> bool:
-        if self.categories or not _spans(self.values, _LOG_KEY):
+        if self.categories or not spans(self.values, _LOG_KEY):
             return False
         known = self.values[np.isfinite(self.values)]  # spread evenly, they stay on a plain axis
         return bool(np.median(known) < 0.3 * (known.min() + known.max()))
@@ -128,12 +135,30 @@ def plot_sweep(folder: Path, output: Path) -> None:
     InputError : the folder holds no results or no case that is done, or an unknown format.
     """
     check_figure(output)
-    figure = draw_sweep(read_ensemble(folder))
+    figure = draw_sweep_and_surrogate(read_ensemble(folder))
     save_figure(figure, output)
 
 
-def draw_sweep(ensemble: Ensemble) -> Figure:
-    """Return the figure of a sweep's results. Not collective.
+def draw_sweep_and_surrogate(ensemble: Ensemble) -> Figure:
+    """Return the figure of a sweep's results, with their surrogate if one can be made.
+
+    Not collective.
+
+    Raises
+    ------
+    InputError : no case is done.
+    """
+    _drawn(ensemble)
+    try:
+        regressions = surrogate(ensemble)
+    except InputError as error:
+        log.info("no surrogate: %s", error)
+        return draw_sweep(ensemble)
+    return draw_sweep(ensemble, regressions)
+
+
+def draw_sweep(ensemble: Ensemble, regressions: Surrogate | None = None) -> Figure:
+    """Return the figure of a sweep's results, with that of their surrogate. Not collective.
 
     Raises
     ------
@@ -158,14 +183,19 @@ def draw_sweep(ensemble: Ensemble) -> Figure:
         heights = [top]
         for block, (rows, _) in zip(blocks, shapes, strict=True):
             heights.append(_PANEL[1] * rows + 0.3 + _LINE * max(plan.lines for plan in block))
+        below = Responses.of(regressions, outputs) if regressions is not None else None
+        if below is not None:
+            heights += below.heights
         width = max(_WIDTH, _PANEL[0] * max((columns for _, columns in shapes), default=0))
         figure = Figure(figsize=(width, sum(heights) + 0.3), layout="constrained")
         figure.suptitle(_counts(ensemble), fontsize=9.0)
         parts: Any = figure.subfigures(len(heights), 1, height_ratios=heights, squeeze=False)[:, 0]
         _draw_top(parts[0], ensemble, drawn, keys, found)
-        for part, block, shape in zip(parts[1:], blocks, shapes, strict=True):
+        for part, block, shape in zip(parts[1 : 1 + len(blocks)], blocks, shapes, strict=True):
             values = {name: ensemble.final[name][drawn] for name in outputs}
             _draw_block(part, block, values, shape, transposed=len(keys) == 1)
+        if below is not None:
+            below.draw(parts[1 + len(blocks) :])
     return figure
 
 
@@ -191,12 +221,6 @@ def _counts(ensemble: Ensemble) -> str:
     return ", ".join(said)
 
 
-def _spans(values: FloatArray, ratio: float) -> bool:
-    """Tell whether values ask for a logarithmic axis."""
-    finite = values[np.isfinite(values)]
-    return bool(len(finite) and finite.min() > 0.0 and finite.max() >= ratio * finite.min())
-
-
 def _key(name: str, column: Any) -> _Key:
     if column.dtype.kind == "f":
         return _Key(name, column, ())
@@ -206,11 +230,6 @@ def _key(name: str, column: Any) -> _Key:
     return _Key(name, values, tuple(plain(word or "none") for word in words))
 
 
-def _labelled(name: str) -> str:
-    unit = UNITS.get(name.partition("[")[0], "-")
-    return plain(name if unit in ("-", "1") else f"{name} ({unit})")
-
-
 def _said(key: _Key) -> list[str]:
     """Return the key's value in each case, as short as its values stay apart."""
     if key.categories:
@@ -218,14 +237,10 @@ def _said(key: _Key) -> list[str]:
     values = [float(value) for value in key.values]
     apart = len(set(values))
     for digits in range(3, 18):
-        said = [_number(v, digits) if math.isfinite(v) else "none" for v in values]
+        said = [number_text(v, digits) if math.isfinite(v) else "none" for v in values]
         if len(set(said)) >= apart:
             break
     return said
-
-
-def _number(value: float, digits: int) -> str:
-    return re.sub(r"e([+-])0*", lambda e: "e" + e[1].strip("+"), f"{value:.{digits}g}")
 
 
 def _plan(key: _Key, others: Sequence[_Key], method: str) -> _Plan:
@@ -316,7 +331,7 @@ def _draw_fan(axes: Any, ensemble: Ensemble, drawn: IntArray, columns: int) -> N
     by_depth = table[np.argsort(np.nanmax(table, axis=1))]  # the least and the deepest included
     for number, row in enumerate(by_depth[np.linspace(0, len(table) - 1, _SINGLES).astype(int)]):
         axes.plot(
-            grid, row, color=_GREY, linewidth=0.5, alpha=0.7, zorder=1.5,
+            grid, row, color=GREY, linewidth=0.5, alpha=0.7, zorder=1.5,
             label=None if number else f"{_SINGLES} of the cases",
         )  # fmt: skip
     axes.fill_between(
@@ -332,14 +347,14 @@ def _draw_fan(axes: Any, ensemble: Ensemble, drawn: IntArray, columns: int) -> N
     if not even:
         titles.append("quantiles of the cases that last so long")
     _finish_fan(axes)
-    _set_legend(axes, columns, ",\n".join(titles))
+    set_legend(axes, columns, ",\n".join(titles))
 
 
 def _finish_fan(axes: Any) -> None:
     axes.set_xlim(0.0, axes.dataLim.x1)
     axes.set_ylim(bottom=min(0.0, axes.dataLim.y0))
     axes.set_xlabel("time (s)")
-    axes.set_ylabel(_OUTPUTS["penetration"][1])
+    axes.set_ylabel(OUTPUTS["penetration"][1])
 
 
 def _fan_table(ensemble: Ensemble, cases: IntArray) -> tuple[FloatArray, FloatArray, bool]:
@@ -388,7 +403,7 @@ def _draw_indices(axes: Any, found: Sensitivity) -> None:
     title = f"sensitivity of\n{SENSITIVE[found.output]}"
     if found.used < found.cases:
         title += f"\n({found.used} of {found.cases} cases)"
-    _set_legend(axes, 2, title)
+    set_legend(axes, 2, title)
 
 
 def _draw_block(
@@ -400,7 +415,7 @@ def _draw_block(
     panels = part.subplots(*shape, squeeze=False, sharex=share[0], sharey=share[1])
     panels = panels.T if transposed else panels
     for row, (output, final) in enumerate(finals.items()):
-        factor, label = _OUTPUTS[output]
+        factor, label = OUTPUTS[output]
         values = factor * final
         for column, plan in enumerate(plans):
             axes = panels[row, column]
@@ -409,10 +424,10 @@ def _draw_block(
                 axes.set_xlabel(plan.key.label)
             if column == 0:
                 axes.set_ylabel(f"final {label}" if output == "penetration" else label)
-        if _spans(values, _LOG_VALUE):
+        if spans(values, LOG_VALUE):
             for axes in panels[row]:
                 axes.set_yscale("log")
-            _set_decades(panels[row, 0].yaxis, values)
+            set_decades(panels[row, 0].yaxis, values)
     if not transposed:
         part.align_ylabels(panels[:, 0])
 
@@ -422,7 +437,7 @@ def _draw_panel(axes: Any, plan: _Plan, values: FloatArray, *, legend: bool) -> 
     key = plan.key
     if key.logarithmic:
         axes.set_xscale("log")
-        _set_decades(axes.xaxis, key.values)
+        set_decades(axes.xaxis, key.values)
     known = np.isfinite(key.values) & np.isfinite(values)
     if plan.kind == "curves":
         _draw_curves(axes, plan, values)
@@ -431,7 +446,7 @@ def _draw_panel(axes: Any, plan: _Plan, values: FloatArray, *, legend: bool) -> 
     else:
         _draw_scatter(axes, key, key.values[known], values[known])
     if legend and axes.get_legend_handles_labels()[0]:
-        _set_legend(axes, plan.columns, plan.title)
+        set_legend(axes, plan.columns, plan.title)
     if key.categories:
         _set_categories(axes, key.categories)
     elif not key.logarithmic:
@@ -450,7 +465,7 @@ def _draw_curves(axes: Any, plan: _Plan, values: FloatArray) -> None:
         )  # fmt: skip
     if plan.points is not None and len(plan.points):
         axes.plot(
-            x[plan.points], values[plan.points], color=_GREY, marker=".", linestyle="none",
+            x[plan.points], values[plan.points], color=GREY, marker=".", linestyle="none",
             label="other cases", zorder=1.5,
         )  # fmt: skip
 
@@ -497,15 +512,6 @@ def _draw_scatter(axes: Any, key: _Key, x: FloatArray, y: FloatArray) -> None:
         axes.plot(*middle.T, color=COLOURS[1], label="running median")
 
 
-def _set_legend(axes: Any, columns: int, title: str) -> None:
-    """Set a legend above the panel, where it covers nothing."""
-    legend = axes.legend(
-        frameon=False, loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=columns, title=title,
-        title_fontsize=8.0, columnspacing=1.0, handlelength=1.8, borderaxespad=0.2,
-    )  # fmt: skip
-    legend.get_title().set_multialignment("center")
-
-
 def _set_categories(axes: Any, categories: Sequence[str]) -> None:
     every = -(-len(categories) // 12)
     places = range(0, len(categories), every)
@@ -516,13 +522,3 @@ def _set_categories(axes: Any, categories: Sequence[str]) -> None:
         axes.tick_params(axis="x", rotation=35.0)
         for text in axes.get_xticklabels():
             text.set_horizontalalignment("right")
-
-
-def _set_decades(axis: Any, values: FloatArray) -> None:
-    """Label more than the decades of a logarithmic axis that has few of them."""
-    finite = values[np.isfinite(values)]
-    decades = math.log10(float(finite.max()) / float(finite.min()))
-    if decades < 2.5:
-        axis.set_major_locator(LogLocator(subs=(1.0, 3.0)))
-        axis.set_major_formatter(FuncFormatter(lambda value, _: _number(value, 6)))
-        axis.set_minor_locator(NullLocator())

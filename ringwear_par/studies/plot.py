@@ -44,7 +44,7 @@ def plot(
             )
         if folders:
             from ringwear_par.studies.ensemble import read_ensemble
-            from ringwear_par.studies.figures import draw_sweep
+            from ringwear_par.studies.figures import draw_sweep_and_surrogate
 
-            return draw_sweep(read_ensemble(Path(folders[0])))
+            return draw_sweep_and_surrogate(read_ensemble(Path(folders[0])))
     return figures.plot(results, panels or "wear,penetration", steps, profiles_of)

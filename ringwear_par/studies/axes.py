@@ -1,0 +1,58 @@
+"""What the figures of sweeps share: names of outputs and keys, legends, logarithmic axes."""
+
+import math
+import re
+from typing import Any
+
+import numpy as np
+from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
+
+from ringwear_par.arrays import FloatArray
+from ringwear_par.cases.schema import UNITS
+from ringwear_par.results.figures import plain
+
+#: of the values in results.h5, what is drawn of them: factor and label
+OUTPUTS = {
+    "penetration": (1e3, "penetration (\N{MICRO SIGN}m)"),
+    "worn_volume_lower": (1.0, "worn volume, lower (mm\N{SUPERSCRIPT THREE})"),
+    "worn_volume_upper": (1.0, "worn volume, upper (mm\N{SUPERSCRIPT THREE})"),
+}
+GREY = "0.45"
+#: values beside each other span so much before their axis is logarithmic
+LOG_VALUE = 100.0
+
+
+def spans(values: FloatArray, ratio: float) -> bool:
+    """Tell whether values ask for a logarithmic axis."""
+    finite = values[np.isfinite(values)]
+    return bool(len(finite) and finite.min() > 0.0 and finite.max() >= ratio * finite.min())
+
+
+def labelled(name: str) -> str:
+    """Return a key with its unit."""
+    unit = UNITS.get(name.partition("[")[0], "-")
+    return plain(name if unit in ("-", "1") else f"{name} ({unit})")
+
+
+def number_text(value: float, digits: int) -> str:
+    """Return a number in so many digits, its exponent short."""
+    return re.sub(r"e([+-])0*", lambda e: "e" + e[1].strip("+"), f"{value:.{digits}g}")
+
+
+def set_legend(axes: Any, columns: int, title: str) -> None:
+    """Set a legend above the panel, where it covers nothing."""
+    legend = axes.legend(
+        frameon=False, loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=columns, title=title,
+        title_fontsize=8.0, columnspacing=1.0, handlelength=1.8, borderaxespad=0.2,
+    )  # fmt: skip
+    legend.get_title().set_multialignment("center")
+
+
+def set_decades(axis: Any, values: FloatArray) -> None:
+    """Label more than the decades of a logarithmic axis that has few of them."""
+    finite = values[np.isfinite(values)]
+    decades = math.log10(float(finite.max()) / float(finite.min()))
+    if decades < 2.5:
+        axis.set_major_locator(LogLocator(subs=(1.0, 3.0)))
+        axis.set_major_formatter(FuncFormatter(lambda value, _: number_text(value, 6)))
+        axis.set_minor_locator(NullLocator())

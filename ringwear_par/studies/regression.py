@@ -1,0 +1,270 @@
+"""Regressions over places between the ends of keys, with the error that they make.
+
+Each response is interpolated by cubic radial functions and a linear polynomial (SciPy's
+``RBFInterpolator``) over the keys, stretched such that cases that are left out are met best. Of the
+response itself, its roots or its logarithm that is taken with which they are met best: wear grows
+with powers of the keys, and stays near zero where pressures hardly pass a threshold.
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ringwear_par.arrays import BoolArray, FloatArray
+from ringwear_par.studies.sensitivity import SEED
+
+if TYPE_CHECKING:
+    from scipy.interpolate import RBFInterpolator
+
+#: most cases that stretches of the keys are found from
+_MOST_STRETCHED = 150
+#: parts that are left out in turn, of the errors told and of the search for stretches
+_FOLDS, _FEW_FOLDS = 10, 4
+
+
+def _square(values: FloatArray) -> FloatArray:
+    return np.square(np.maximum(values, 0.0))
+
+
+#: what of a response is interpolated: there and back
+_FORMS: dict[str, tuple[Any, Any]] = {
+    "logarithm": (np.log, np.exp),
+    "cube root": (np.cbrt, lambda values: values**3),
+    "square root": (np.sqrt, _square),
+    "itself": (np.asarray, np.asarray),
+}
+
+
+@dataclass(frozen=True)
+class Response:
+    """A response in the cases of a part, and how well it is met where they are left out.
+
+    Parameters
+    ----------
+    values : (cases, columns), one column a time, or an element of a profile.
+    form : what of it is interpolated, a name in the table of forms.
+    error : root mean square of leave-out errors, in the response's unit.
+    form_error : the same of what is interpolated.
+    shape : of a case's values, whose product is the number of columns: () of one number.
+    """
+
+    values: FloatArray
+    form: str
+    error: float
+    form_error: float
+    shape: tuple[int, ...]
+
+    @cached_property
+    def spread(self) -> float:
+        """Root mean square of the distance from the mean, in the response's unit."""
+        return _rms(self.values - self.values.mean(axis=0))
+
+    @property
+    def relative_error(self) -> float:
+        """Leave-out error as a part of the spread, 0 of what does not vary."""
+        varies = self.spread > 1e-12 * float(np.abs(self.values).max())
+        return self.error / self.spread if varies else 0.0
+
+    def shifted(self, values: FloatArray, errors: float) -> FloatArray:
+        """Return values of the response, shifted by a number of leave-out errors of its form."""
+        shifted = _FORMS[self.form][0](values) + errors * self.form_error
+        return _back(shifted, self.form, self.values)
+
+
+@dataclass(frozen=True)
+class Part:
+    """The surrogate of the cases that share all texts.
+
+    Parameters
+    ----------
+    texts : values of the varied keys that are no numbers.
+    keys : the varied keys that are numbers and differ.
+    low, high : (keys,) ends of their ranges.
+    logarithmic : (keys,) whether a key goes by its logarithm.
+    points : (cases, keys) places between the ends, about 0 to 1.
+    stretches : (keys,) what they are multiplied by.
+    responses : by name.
+    """
+
+    texts: tuple[str, ...]
+    keys: tuple[str, ...]
+    low: FloatArray
+    high: FloatArray
+    logarithmic: BoolArray
+    points: FloatArray
+    stretches: FloatArray
+    responses: dict[str, Response]
+
+    def values_at(self, key: int, places: FloatArray) -> FloatArray:
+        """Return the values of a key at places from 0 to 1 of its range."""
+        low, high = self.low[key], self.high[key]
+        if self.logarithmic[key]:
+            return low * (high / low) ** places
+        return low + (high - low) * places
+
+    def places_of(self, values: FloatArray) -> FloatArray:
+        """Return places from 0 to 1 of values of the keys (..., keys)."""
+        return places_between(values, self.low, self.high, self.logarithmic)
+
+    def at(self, points: FloatArray, names: Sequence[str]) -> dict[str, FloatArray]:
+        """Return responses (len(points), columns) at points (., keys) from 0 to 1."""
+        interpolator, start, found = self._interpolator(tuple(names)), 0, {}
+        table = interpolator(points * self.stretches)
+        for name in names:
+            response = self.responses[name]
+            stop = start + response.values.shape[1]
+            found[name] = _back(table[:, start:stop], response.form, response.values)
+            start = stop
+        return found
+
+    def _interpolator(self, names: tuple[str, ...]) -> "RBFInterpolator":
+        if names not in self._interpolators:
+            table = [_FORMS[self.responses[n].form][0](self.responses[n].values) for n in names]
+            self._interpolators[names] = _interpolator(
+                self.points * self.stretches, np.concatenate(table, axis=1)
+            )
+        return self._interpolators[names]
+
+    @cached_property
+    def _interpolators(self) -> dict[tuple[str, ...], "RBFInterpolator"]:
+        return {}
+
+
+def places_between(
+    values: FloatArray, low: FloatArray, high: FloatArray, logarithmic: BoolArray
+) -> FloatArray:
+    """Return where values (..., keys) are between the ends: 0 to 1."""
+    places = np.empty(values.shape)
+    for i, by_log in enumerate(logarithmic):
+        if by_log:
+            places[..., i] = np.log(values[..., i] / low[i]) / math.log(high[i] / low[i])
+        else:
+            places[..., i] = (values[..., i] - low[i]) / (high[i] - low[i])
+    return places
+
+
+def _interpolator(points: FloatArray, table: FloatArray) -> "RBFInterpolator":
+    from scipy.interpolate import RBFInterpolator  # slow to import
+
+    return RBFInterpolator(points, table, kernel="cubic", degree=1)
+
+
+def _left_out(points: FloatArray, table: FloatArray) -> FloatArray:
+    """Return a table (cases, columns) as it is found where a part of the cases is left out."""
+    found = np.empty(table.shape)
+    for out in _parts_of(len(points), _FEW_FOLDS):
+        found[out] = _interpolator(points[~out], table[~out])(points[out])
+    return found
+
+
+def _parts_of(count: int, parts: int) -> list[BoolArray]:
+    """Return which cases are left out, in turn."""
+    parts = min(parts, count)
+    of_part = np.random.default_rng(SEED).permutation(count) % parts
+    return [of_part == part for part in range(parts)]
+
+
+def fitted(
+    points: FloatArray, values: Mapping[str, FloatArray]
+) -> tuple[FloatArray, dict[str, Response]]:
+    """Return the stretches of the keys, and the responses with their leave-out errors.
+
+    Few cases are left out of the choice of stretches and forms, too. That of many hardly depends on
+    the tenth that is left out, and would take long.
+    """
+    flat = {name: array.reshape(len(array), -1) for name, array in values.items()}
+    stretches, forms = _chosen(points, flat)
+    found = {name: np.empty_like(array) for name, array in flat.items()}
+    for out in _parts_of(len(points), _FOLDS):
+        rest = {name: array[~out] for name, array in flat.items()}
+        few = len(points) <= _MOST_STRETCHED
+        its_stretches, its_forms = _chosen(points[~out], rest) if few else (stretches, forms)
+        for name, array in rest.items():
+            there, _ = _FORMS[its_forms[name]]
+            interpolator = _interpolator(points[~out] * its_stretches, there(array))
+            left_out = interpolator(points[out] * its_stretches)
+            found[name][out] = _back(left_out, its_forms[name], array)
+    responses = {}
+    for name, array in flat.items():
+        there, _ = _FORMS[forms[name]]
+        with np.errstate(divide="ignore"):  # logarithms, where others were chosen meanwhile
+            differences = there(found[name]) - there(array)
+        form_error = _rms(differences[np.isfinite(differences)])
+        error = _rms(found[name] - array)
+        shape = values[name].shape[1:]
+        responses[name] = Response(array, forms[name], error, form_error, shape)
+    return stretches, responses
+
+
+def _chosen(
+    points: FloatArray, values: Mapping[str, FloatArray]
+) -> tuple[FloatArray, dict[str, str]]:
+    """Return the stretches of the keys, and the forms, with which cases left out are met best."""
+    stretches = np.ones(points.shape[1])
+    if len(stretches) > 1:
+        from scipy.optimize import minimize  # slow to import
+
+        some = np.random.default_rng(SEED).permutation(len(points))[:_MOST_STRETCHED]
+        few, at = {name: array[some] for name, array in values.items()}, points[some]
+        table = np.concatenate(
+            [_evened(_FORMS[form][0](few[name])) for name, form in _best_forms(at, few).items()],
+            axis=1,
+        )
+        found = minimize(
+            lambda x: _rms(_left_out(at * _stretched(x), table) - table),
+            np.zeros_like(stretches), method="Nelder-Mead",
+            options={
+                "initial_simplex": np.vstack([0.0 * stretches, np.eye(len(stretches))]),
+                "maxfev": 25 * len(stretches), "xatol": 0.05,
+            },
+        )  # fmt: skip
+        stretches = _stretched(found.x)
+    return stretches, _best_forms(points * stretches, values)
+
+
+def _stretched(logarithms: FloatArray) -> FloatArray:
+    """Return stretches whose product is 1: cubic functions know no length."""
+    return np.exp(np.clip(logarithms - logarithms.mean(), -4.0, 4.0))
+
+
+def _evened(table: FloatArray) -> FloatArray:
+    """Return the columns of a response such that every response weighs the same, or none."""
+    spread = _rms(table - table.mean(axis=0))
+    varies = spread > 1e-12 * float(np.abs(table).max())
+    return table / (math.sqrt(table.shape[1]) * spread) if varies else 0.0 * table
+
+
+def _best_forms(points: FloatArray, values: Mapping[str, FloatArray]) -> dict[str, str]:
+    tried = [(name, form) for name, array in values.items() for form in forms_for(array)]
+    tables = [_FORMS[form][0](values[name]) for name, form in tried]
+    found = _left_out(points, np.concatenate(tables, axis=1))
+    best: dict[str, tuple[float, str]] = {}
+    start = 0
+    for (name, form), table in zip(tried, tables, strict=True):
+        stop = start + table.shape[1]
+        error = _rms(_back(found[:, start:stop], form, values[name]) - values[name])
+        best[name] = min(best.get(name, (math.inf, form)), (error, form))
+        start = stop
+    return {name: form for name, (_, form) in best.items()}
+
+
+def _back(table: FloatArray, form: str, values: FloatArray) -> FloatArray:
+    """Return a response of what of it was interpolated; not negative where no case is."""
+    with np.errstate(over="ignore"):
+        found = _FORMS[form][1](table)
+    return np.maximum(found, 0.0) if values.min() >= 0.0 else found
+
+
+def _rms(values: FloatArray) -> float:
+    return float(np.sqrt(np.mean(values**2))) if values.size else 0.0
+
+
+def forms_for(array: FloatArray) -> list[str]:
+    """Return the forms that a response has."""
+    least = float(array.min())
+    kept = {"logarithm": least > 0.0, "square root": least >= 0.0}
+    return [form for form in _FORMS if kept.get(form, True)]

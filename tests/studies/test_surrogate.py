@@ -1,0 +1,406 @@
+"""Surrogates: closed forms met, errors told that fresh cases confirm, nothing extrapolated."""
+
+import logging
+import shutil
+from dataclasses import replace
+
+import h5py
+import numpy as np
+import pytest
+from test_sweep_plots import sample, write
+
+import ringwear_par as rw
+from ringwear_par.studies import surrogate as module
+from ringwear_par.studies.figures import draw_sweep_and_surrogate
+from ringwear_par.studies.sensitivity import sobol_indices
+
+pytestmark = pytest.mark.serial
+
+KEYS = ("wear.lower.k", "load.pressure", "wear.lower.p0")
+CASE = {
+    "lower": {"r": [20, 40], "z": [0, 20], "young": 1e4, "poisson": 0.3},
+    "upper": {"r": [28.5, 31.5], "z": [20, 40], "young": 1e5, "poisson": 0.3, "grip": "clamped"},
+    "wear": {"lower": {"law": "threshold", "k": 1e-7, "p0": 20}},
+    "load": {"control": "force", "pressure": 50, "omega": 5},
+    "contact": {"friction": 0.1},
+    "mesh": {"contact_elements": 12},
+    "time": {"scheme": "implicit", "step": 10, "steps": 10},
+}
+
+
+def scaled(u):
+    """Keys at points of the unit square or cube: k, and p of the square, by their logarithms."""
+    x = u.copy()
+    x[:, 0] = 10.0 ** (2.0 * u[:, 0] - 8.0)
+    x[:, 1] = 10.0 ** (2.0 * u[:, 1]) if u.shape[1] == 2 else 30.0 + 70.0 * u[:, 1]
+    x[:, 2:] = 60.0 * u[:, 2:]
+    return x
+
+
+def power(x):
+    return 1e3 * x[:, 0] * x[:, 1] ** 0.8
+
+
+def threshold(x):
+    """Nothing wears where the pressure does not pass p0."""
+    return 1e3 * x[:, 0] * np.maximum(0.0, x[:, 1] - x[:, 2])
+
+
+def written(folder, model, count=64, keys=2, seed=3, **about):
+    x = scaled(sample(KEYS[:keys], count, seed))
+    return write(folder, KEYS[:keys], x, model(x), "sobol", **about)
+
+
+def within(made, x):
+    """The rows that a surrogate answers for."""
+    low, high = (np.array(ends) for ends in zip(*made.ranges.values(), strict=True))
+    return x[((x >= low) & (x <= high)).all(axis=1)]
+
+
+def values(x):
+    return dict(zip(KEYS, x.T, strict=False))
+
+
+def test_a_power_law_is_met_exactly(tmp_path):
+    """Worn volume of Archard's law: a product of powers is linear in logarithms."""
+    written(tmp_path, power, lower=power(scaled(sample(KEYS[:2], 64))) * 7.0)
+    made = rw.surrogate(tmp_path)
+    assert made.relative_error["worn_volume_lower"] < 1e-9
+    fresh = within(made, scaled(sample(KEYS[:2], 50, seed=8)))
+    assert len(fresh) > 40
+    found = made.predict(values(fresh))
+    assert found["worn_volume_lower"] == pytest.approx(7.0 * power(fresh), rel=1e-9)
+    assert found["penetration"] == pytest.approx(power(fresh), rel=1e-9)
+
+
+@pytest.mark.parametrize("count", [64, 256])
+def test_the_error_told_is_that_of_fresh_cases(tmp_path, count):
+    written(tmp_path, threshold, count, 3)
+    made = rw.surrogate(tmp_path)
+    fresh = within(made, scaled(np.random.default_rng(5).random((2000, 3))))
+    found = made.predict(values(fresh))["penetration"]
+    assert (found >= 0.0).all()
+    error = float(np.sqrt(np.mean((found - threshold(fresh)) ** 2)))
+    assert error / 3.0 < made.error["penetration"] < 3.0 * error
+    assert made.relative_error["penetration"] < (0.3 if count == 64 else 0.1)
+
+
+def test_more_keys_than_matter_hardly_harm(tmp_path):
+    keys = (*KEYS, "load.omega", "lower.young", "upper.young")
+    u = sample(keys, 256)
+    x = np.hstack([scaled(u[:, :3]), 1.0 + u[:, 3:]])
+    write(tmp_path, keys, x, threshold(x), "sobol")
+    assert rw.surrogate(tmp_path).relative_error["penetration"] < 0.1
+
+
+def test_noise_is_called_coarse(tmp_path, caplog):
+    written(tmp_path, lambda x: np.random.default_rng(1).random(len(x)))
+    with caplog.at_level(logging.WARNING):
+        made = rw.surrogate(tmp_path)
+    assert made.relative_error["penetration"] > 0.7
+    assert "the leave-out error of penetration is" in caplog.text
+    assert "coarse" in repr(made)
+
+
+def test_what_is_shown_is_short(tmp_path):
+    written(tmp_path, power)
+    told = repr(rw.surrogate(tmp_path))
+    assert told.startswith(
+        "<Surrogate of 64 of 64 cases over wear.lower.k, load.pressure; leave-out errors (of the "
+        "spread): penetration "
+    )
+    assert "coarse" not in told
+
+
+@pytest.mark.parametrize(
+    ("changed", "said"),
+    [
+        ({"wear.lower.k": 2e-6}, r"wear\.lower\.k = 2e-06: must be from 1\.\d*e-08 to 9\.\d*e-07"),
+        ({"wear.lower.k": [1e-7, 1e-9]}, r"wear\.lower\.k = 1e-09: must be from"),
+        ({"wear.lower.k": np.nan}, r"wear\.lower\.k = nan: must be from"),
+        ({"wear.lower.k": "steel"}, r"wear\.lower\.k = steel: must be a number"),
+        ({"load.omega": 1.0}, r"load\.omega: is not varied; must be one of wear\.lower\.k, load"),
+    ],
+)
+def test_nothing_else_than_the_cases_is_answered_for(tmp_path, changed, said):
+    written(tmp_path, power)
+    made = rw.surrogate(tmp_path)
+    with pytest.raises(rw.InputError, match=said):
+        made.predict({"wear.lower.k": 1e-7, "load.pressure": 10.0, **changed})
+
+
+def test_missing_keys_unknown_responses_and_shapes(tmp_path):
+    written(tmp_path, power)
+    made = rw.surrogate(tmp_path)
+    with pytest.raises(rw.InputError, match=r"load\.pressure is missing; must be from 1\.\d+ to"):
+        made.predict({"wear.lower.k": 1e-7})
+    asked = {"wear.lower.k": [[1e-7], [2e-7]], "load.pressure": [5.0, 6.0, 7.0]}
+    with pytest.raises(rw.InputError, match="torque: unknown response; must be one of penetration"):
+        made.predict(asked, ["torque"])
+    (name, found), *more = made.predict(asked, ["penetration"]).items()
+    assert (name, more) == ("penetration", [])
+    assert found == pytest.approx(1e3 * np.array([[1e-7], [2e-7]]) * np.array([5, 6, 7]) ** 0.8)
+    assert made.predict({"wear.lower.k": 1e-7, "load.pressure": 5})["penetration"].shape == ()
+
+
+def test_the_design_tells_scales_and_ends(tmp_path):
+    """Spans of less than 20 look linear; the ends of a range are in reach of its cases."""
+    u = sample(KEYS[:2], 32)
+    x = np.column_stack([1e-7 * 10.0 ** u[:, 0], 50.0 + 50.0 * u[:, 1]])
+    ensemble = write(tmp_path, KEYS[:2], x, x[:, 0] ** 3, "sobol")
+    study = (
+        '[vary]\n"wear.lower.k" = { log = [1e-7, 1e-6] }\n"load.pressure" = { linear = [50, 200] }'
+        '\n[design]\nmethod = "sobol"\ncount = 32\n'
+    )
+    made = rw.surrogate(replace(ensemble, attributes={"method": "sobol", "study": study}))
+    assert list(made.parts[0].logarithmic) == [True, False]
+    assert made.ranges["wear.lower.k"] == (1e-7, 1e-6)
+    # no case is above 100
+    assert made.ranges["load.pressure"] == (50.0, x[:, 1].max())
+    unknown = rw.surrogate(tmp_path)  # another study, so not the one kept
+    assert list(unknown.parts[0].logarithmic) == [False, False]
+    assert unknown.ranges["wear.lower.k"] == (x[:, 0].min(), x[:, 0].max())
+
+
+def test_it_is_kept_and_taken_again(tmp_path, monkeypatch):
+    written(tmp_path / "a", threshold, 64, 3)
+    made = rw.surrogate(tmp_path / "a")
+    path = tmp_path / "a" / "surrogate.h5"
+    written_at = path.stat().st_mtime_ns
+    with monkeypatch.context() as patch:
+        patch.setattr(module, "_made", None)
+        again = rw.surrogate(tmp_path / "a")
+    assert path.stat().st_mtime_ns == written_at
+    at = {"wear.lower.k": 3e-7, "load.pressure": np.linspace(33, 95, 40), "wear.lower.p0": 35.0}
+    for name, found in made.predict(at).items():
+        assert (again.predict(at)[name] == found).all()
+    assert repr(again) == repr(made)
+    assert (again.error, again.ranges) == (made.error, made.ranges)
+
+
+def test_that_of_other_results_or_times_is_made_again(tmp_path):
+    written(tmp_path / "a", power)
+    written(tmp_path / "b", lambda x: 2.0 * power(x))
+    rw.surrogate(tmp_path / "a")
+    shutil.copy(tmp_path / "a/surrogate.h5", tmp_path / "b")
+    at = {"wear.lower.k": 1e-7, "load.pressure": 10.0}
+    expected = 2e3 * 1e-7 * 10.0**0.8
+    assert rw.surrogate(tmp_path / "b").predict(at)["penetration"] == pytest.approx(expected)
+    early = rw.surrogate(tmp_path / "b", times=[5.0, 10.0]).predict(at)["penetration"]
+    assert early == pytest.approx(expected * np.array([0.25, 0.5]))
+    assert rw.surrogate(tmp_path / "b").predict(at)["penetration"] == pytest.approx(expected)
+
+
+@pytest.mark.parametrize("how", ["damaged", "of another kind", "without what it needs"])
+def test_files_that_are_no_surrogates_are_made_again(tmp_path, caplog, how):
+    written(tmp_path, power)
+    expected = repr(rw.surrogate(tmp_path))
+    path = tmp_path / "surrogate.h5"
+    if how == "damaged":
+        content = bytearray(path.read_bytes())
+        content[len(content) // 2] ^= 1
+        path.write_bytes(content)
+    elif how == "of another kind":
+        shutil.copy(tmp_path / "results.h5", path)
+    else:
+        with h5py.File(path, "a") as file:
+            del file["part_0/penetration"]
+    with caplog.at_level(logging.WARNING):
+        assert repr(rw.surrogate(tmp_path)) == expected
+    assert "it is made again" in caplog.text
+    caplog.clear()
+    assert repr(rw.surrogate(tmp_path)) == expected
+    assert not caplog.records
+
+
+def test_a_folder_that_cannot_be_written_to(tmp_path, caplog, monkeypatch):
+    written(tmp_path, power)
+
+    def full(path):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(module, "atomic_hdf5", full)
+    assert rw.surrogate(tmp_path).relative_error["penetration"] < 1e-9
+    assert "the surrogate is not kept: [Errno 28] No space left" in caplog.text
+    assert not (tmp_path / "surrogate.h5").exists()
+
+
+def test_texts_have_a_surrogate_each(tmp_path):
+    x = scaled(sample(KEYS[:2], 90))
+    rows = [("archard" if i % 3 else "power", k, p) for i, (k, p) in enumerate(x)]
+    rows += [("table", 1e-7, 10.0 + i) for i in range(3)]
+    depth = [p * 1e3 * k if law == "archard" else 7.0 * k for law, k, p in rows]
+    write(tmp_path, ("wear.lower.law", *KEYS[:2]), rows, np.array(depth), "list")
+    made = rw.surrogate(tmp_path)
+    assert made.ranges["wear.lower.law"] == ("archard", "power")
+    assert (made.used, made.cases) == (90, 93)
+    at = {"wear.lower.k": 1e-7, "load.pressure": 10.0}
+    for law, expected in (("archard", 1e-3), ("power", 7e-7)):
+        found = made.predict({**at, "wear.lower.law": law})["penetration"]
+        assert found == pytest.approx(expected, rel=1e-6)
+    with pytest.raises(rw.InputError, match=r'wear.lower.law = "table": must be as in .*"archard"'):
+        made.predict({**at, "wear.lower.law": "table"})
+    with pytest.raises(rw.InputError, match=r'wear.lower.law is missing; must be one of "archard"'):
+        made.predict(at)
+
+
+def test_one_key_and_constants(tmp_path):
+    k = 10.0 ** np.linspace(-8, -6, 8)[:, None]
+    write(tmp_path, KEYS[:1], k, 1e3 * k[:, 0], lower=np.full(8, 3.0))
+    made = rw.surrogate(tmp_path)
+    found = made.predict({"wear.lower.k": 2.5e-8})
+    assert found["penetration"] == pytest.approx(2.5e-5)
+    assert found["worn_volume_lower"] == pytest.approx(3.0, rel=1e-9)
+    assert found["worn_volume_upper"] == 0.0
+    assert made.relative_error["worn_volume_lower"] == 0.0
+
+
+def test_cases_that_are_not_done_are_left_out(tmp_path):
+    status = ["failed" if i % 8 == 0 else "incomplete" if i % 8 == 1 else "done" for i in range(64)]
+    x = scaled(sample(KEYS[:2], 64))
+    depth = np.where(np.arange(64) % 8 < 2, 1e6, power(x))
+    write(tmp_path, KEYS[:2], x, depth, "sobol", status=status)
+    made = rw.surrogate(tmp_path)
+    assert (made.used, made.done, made.cases) == (48, 48, 64)
+    assert made.relative_error["penetration"] < 1e-9
+
+
+def test_too_few_cases_or_keys_that_do_not_vary_by_themselves(tmp_path):
+    written(tmp_path / "a", power, 11)
+    with pytest.raises(
+        rw.InputError, match=r"11 cases are done and vary 2 keys; .* needs 12 of th"
+    ):
+        rw.surrogate(tmp_path / "a")
+    x = np.linspace([1.0, 2.0], [5.0, 10.0], 20)
+    write(tmp_path / "b", ("load.pressure", "load.omega"), x, x[:, 0], "list")
+    with pytest.raises(rw.InputError, match=r"load\.pressure, load\.omega vary together"):
+        rw.surrogate(tmp_path / "b")
+    write(
+        tmp_path / "c", ("time.scheme",), [("implicit",)] * 2 + [("explicit",)], [1.0] * 3, "list"
+    )
+    with pytest.raises(
+        rw.InputError, match=r"2 cases are done in the largest of 2 groups .* no num"
+    ):
+        rw.surrogate(tmp_path / "c")
+    k = 1e-7 * np.repeat([1.0, 2.0, 3.0, 4.0], 3) + 1e-15 * np.arange(12)
+    write(tmp_path / "e", KEYS[:1], k[:, None], k, "list")
+    with pytest.raises(rw.InputError, match="4 cases differ, in 1 keys; a surrogate needs 8"):
+        rw.surrogate(tmp_path / "e")
+    write(tmp_path / "d", KEYS[:1], [(1e-7,)], [1.0], "list", status=["failed"])
+    with pytest.raises(rw.InputError, match="no case is done"):
+        rw.surrogate(tmp_path / "d")
+    for folder in tmp_path.iterdir():
+        assert not (folder / "surrogate.h5").exists()
+
+
+def test_times_that_not_all_cases_have(tmp_path):
+    written(tmp_path, power)
+    for times, said in (
+        ([30.0], r"times = 30: must be from 0 to 20 s"),
+        ("ab", "times = ab: must"),
+    ):
+        with pytest.raises(rw.InputError, match=said):
+            rw.surrogate(tmp_path, times)
+
+
+def test_sobol_indices_of_a_product(tmp_path, monkeypatch):
+    monkeypatch.setattr("ringwear_par.studies.sensitivity._EVALUATIONS", 1e5)
+    written(tmp_path, power, 128)
+    (part,) = rw.surrogate(tmp_path).parts
+    (found,) = sobol_indices(part, ["penetration"])
+    factors = []
+    for key, exponent in ((0, 1.0), (1, 0.8)):  # of values whose logarithm is uniform
+        low, high = part.low[key], part.high[key]
+        first, second = (
+            (high ** (n * exponent) - low ** (n * exponent)) / (n * exponent * np.log(high / low))
+            for n in (1, 2)
+        )
+        factors.append(second / first**2)
+    one, other = factors
+    whole = one * other - 1.0
+    assert found.first == pytest.approx([(one - 1.0) / whole, (other - 1.0) / whole], abs=0.01)
+    assert found.total == pytest.approx(
+        [(one - 1.0) * other / whole, (other - 1.0) * one / whole], abs=0.01
+    )
+
+
+def test_it_is_drawn(tmp_path, monkeypatch):
+    monkeypatch.setattr("ringwear_par.studies.sensitivity._EVALUATIONS", 1e4)
+    monkeypatch.setattr("ringwear_par.studies.sensitivity._RESAMPLES", 20)
+    ensemble = written(tmp_path, power, 128)
+    figure = draw_sweep_and_surrogate(ensemble)
+    # histories, given-data indices, final values, Sobol' indices, responses
+    assert len(figure.axes) == 1 + 1 + 4 + 1 + 2
+    indices, along_k, _ = figure.axes[-3:]
+    part = rw.surrogate(tmp_path).parts[0]
+    (found,) = sobol_indices(part, ["penetration"])
+    assert [bar.get_width() for bar in indices.containers[0]] == pytest.approx(found.first)
+    assert [bar.get_width() for bar in indices.containers[1]] == pytest.approx(found.total)
+    assert "leave-out error" in indices.get_legend().get_title().get_text()
+    assert "surrogate of 128 cases" in [part.get_suptitle() for part in figure.subfigs][2]
+    assert "leave-out error" in along_k.get_ylabel()
+    points, mean = along_k.lines
+    assert points.get_ydata() == pytest.approx(1e3 * ensemble.final["penetration"])
+    k, depth = mean.get_data()
+    low, high = part.low[1], part.high[1]
+    over_p = (high**0.8 - low**0.8) / (0.8 * np.log(high / low))
+    assert depth == pytest.approx(1e6 * k * over_p, rel=0.02)  # of 256 points over p
+    assert (tmp_path / "surrogate.h5").exists()
+
+
+def test_few_cases_are_drawn_without(tmp_path, caplog):
+    ensemble = written(tmp_path, power, 11)
+    with caplog.at_level(logging.INFO):
+        assert len(draw_sweep_and_surrogate(ensemble).axes) == 1 + 4
+    assert "no surrogate: " in caplog.text
+
+
+@pytest.fixture(scope="module")
+def swept(tmp_path_factory):
+    """Folders of two sweeps of the same ranges, the second one of fresh cases."""
+    folder = tmp_path_factory.mktemp("swept")
+    for name, seed, count in (("a", 1, 64), ("b", 2, 24)):
+        study = {
+            "case": CASE,
+            "vary": {
+                "wear.lower.k": {"log": [1e-8, 1e-6]},
+                "load.pressure": {"linear": [40, 80]},
+            },
+            "design": {"method": "sobol", "count": count, "seed": seed},
+        }
+        rw.sweep(rw.read_study(study), folder / name)
+    return folder
+
+
+def test_a_sweep_is_answered_for(swept, monkeypatch):
+    """Profiles and times, too, from the data set that users open."""
+    with rw.open_ensemble(swept / "a") as data:
+        made = rw.surrogate(data)
+        early = rw.surrogate(data, times=[35.0, 100.0])
+        with pytest.raises(rw.InputError, match="some of its cases were selected"):
+            rw.surrogate(data.isel(case=slice(0, 30)))
+    assert set(made.names) == {
+        "penetration", "worn_volume_lower", "worn_volume_upper", "largest_wear_lower",
+        "largest_wear_upper", "wear_lower", "wear_upper",
+    }  # fmt: skip
+    assert made.ranges == {"wear.lower.k": (1e-8, 1e-6), "load.pressure": (40.0, 80.0)}
+    with rw.open_ensemble(swept / "b") as data:
+        at = {key: data[key].to_numpy() for key in made.ranges}
+        wear, depth = data.wear_lower.to_numpy(), data.penetration.to_numpy()
+    found, then = made.predict(at), early.predict(at)
+    assert found["wear_lower"].shape == (24, 12)
+    assert then["wear_lower"].shape == (24, 2, 12)
+    for name, expected in (
+        ("penetration", depth[:, -1]),
+        ("wear_lower", wear[:, -1]),
+        ("largest_wear_lower", wear[:, -1].max(axis=1)),
+    ):
+        error = float(np.sqrt(np.mean((found[name] - expected) ** 2)))
+        assert error < 3.0 * made.error[name]
+        assert made.relative_error[name] < 0.02
+    middle = 0.5 * (depth[:, 3] + depth[:, 4])  # at 35 s, between two steps
+    error = np.sqrt(np.mean((then["penetration"] - np.stack([middle, depth[:, -1]], 1)) ** 2))
+    assert error < 3.0 * early.error["penetration"]
+    monkeypatch.setattr("ringwear_par.studies.sensitivity._EVALUATIONS", 1e4)
+    figure = rw.plot(swept / "a")
+    assert "surrogate of 64 cases" in [part.get_suptitle() for part in figure.subfigs][-2]
