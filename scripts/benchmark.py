@@ -1,6 +1,7 @@
 """Times of each part of the work at several sizes, on the ranks it is started with.
 
 Usage: [mpirun -n N] python scripts/benchmark.py [--sizes 32 64 128 256] [--repeats 5] [--csv F]
+   or: python scripts/benchmark.py --ensembles 2048 [--sizes 64] [--repeats 5]
 
 The paper's rings, 80 MPa and p0 = 40 MPa. Every time is the median over the repeats (after one that
 is not counted) of the slowest rank's wall time; memory is the largest rank's peak so far, which
@@ -11,6 +12,8 @@ re-assemblies included, the first assembly not. "Recorded" are the same historie
 door, with their checks, balances and results. On one rank, "run" is ``ringwear run`` with its
 start, once of a shape that is assembled and once of one that is known. Counts: kernel evaluations
 (both bodies, all directions), flops of the factorisations 2/3 n^3.
+
+Of ensembles, so many cases of each kind, see ``benchmark_ensembles``.
 """
 
 import argparse
@@ -27,6 +30,7 @@ from pathlib import Path
 from statistics import median
 from tempfile import TemporaryDirectory
 
+import benchmark_ensembles
 import numpy as np
 from mpi4py import MPI
 
@@ -168,7 +172,12 @@ def main() -> None:
     parser.add_argument("--sizes", type=int, nargs="+", default=[32, 64, 128, 256])
     parser.add_argument("--repeats", type=int, default=5)
     parser.add_argument("--csv", type=Path)
+    parser.add_argument("--ensembles", type=int, metavar="CASES")
     args = parser.parse_args()
+    if args.ensembles is not None:
+        for elements in args.sizes:
+            benchmark_ensembles.print_table(args.ensembles, elements, args.repeats)
+        return
     table = [measure(n, args.repeats, comm) for n in args.sizes]
     if comm.rank > 0:
         return

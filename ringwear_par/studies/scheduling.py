@@ -7,8 +7,9 @@ group that has most cases left.
 Rank 0 computes cases like all others, and answers them between two steps of its own. Questions with
 answers work on every network; memory that other ranks change without rank 0's doing does not (Open
 MPI 4 offers it over TCP and fails). A team asks for as many cases at once as keep it busy for some
-time, fewer towards the end, so that waiting for an answer costs little. The first cases are dealt
-without a question: rank 0 may be in the middle of its first assembly.
+time, fewer towards the end, so that waiting for an answer costs little; but not very few, as cases
+that go side by side take hardly longer than one. The first cases are dealt without a question: rank
+0 may be in the middle of its first assembly.
 """
 
 import time
@@ -21,8 +22,8 @@ from mpi4py import MPI
 from ringwear_par.arrays import IntArray
 
 #: what a team is to be busy for with what it draws, s; it may be so much longer with twice as many
-#: as before: cases that go side by side take less time each
-_BUSY_SECONDS, _LONGEST_SECONDS = 0.5, 2.0
+#: as before: cases that go side by side take less time each; and what is not divided any more
+_BUSY_SECONDS, _LONGEST_SECONDS, _LEAST_SECONDS = 0.5, 2.0, 0.1
 #: how long who waits for an answer sleeps between two looks
 _NAP_SECONDS = 0.0005
 #: questions: more cases, nobody to draw any more, whether that is so
@@ -48,12 +49,15 @@ class Board:
     ----------
     sizes : number of cases to be computed of each group.
     teams : that draw.
+    seconds : about what a case of each group takes, until it is known.
     """
 
-    def __init__(self, sizes: Sequence[int] | IntArray, teams: int) -> None:
+    def __init__(
+        self, sizes: Sequence[int] | IntArray, teams: int, seconds: Sequence[float]
+    ) -> None:
         self._sizes = np.array(sizes, dtype=np.int64)
         self._left, self._ended = self._sizes.copy(), np.zeros_like(self._sizes)
-        self._mean, self._drawn = np.zeros(len(sizes)), np.zeros_like(self._sizes)
+        self._mean, self._drawn = np.array(seconds, dtype=float), np.zeros_like(self._sizes)
         self._all_left, self._untaken = int(self._sizes.sum()), 0
         self._teams = teams
         self._groups: dict[int, int] = {}
@@ -66,15 +70,14 @@ class Board:
         group = self._groups.get(team)
         if group is None or not self._left[group]:
             group = self._groups[team] = self._next_group()
-        left = int(self._left[group])
+        left, mean = int(self._left[group]), max(float(self._mean[group]), _NAP_SECONDS)
+        share = left
         # as long as there are other groups to take, teams need not share this one
-        share = left if self._untaken < len(self._sizes) else self._all_left // (2 * self._teams)
-        mean = self._mean[group]
-        busy = 1
-        if mean:
-            twice = min(2 * int(self._drawn[group]), int(_LONGEST_SECONDS / mean))
-            busy = max(int(_BUSY_SECONDS / mean), twice)
-        number = max(min(left, share, busy), 1)
+        if self._untaken == len(self._sizes) and self._teams > 1:
+            own = -(-self._all_left // self._teams)
+            share = max(own // 2, min(own, int(_LEAST_SECONDS / mean)))
+        twice = min(2 * int(self._drawn[group]), int(_LONGEST_SECONDS / mean))
+        number = max(min(left, share, max(int(_BUSY_SECONDS / mean), twice)), 1)
         self._drawn[group] = number
         self._left[group] -= number
         self._all_left -= number
@@ -108,6 +111,7 @@ class Scheduler:
     sizes : number of cases to be computed of each group.
     comm : communicator.
     teams : into which it is divided.
+    seconds : about what a case of each group takes.
     group_ended : called on rank 0 with the number of a group whose last case has ended.
     """
 
@@ -116,10 +120,11 @@ class Scheduler:
         sizes: Sequence[int] | IntArray,
         comm: MPI.Intracomm,
         teams: int,
+        seconds: Sequence[float],
         group_ended: Callable[[int], None],
     ) -> None:
         self._comm = comm.Dup()  # no message of anybody else
-        board = Board(sizes, teams)  # as it begins, every rank knows it
+        board = Board(sizes, teams, seconds)  # as it begins, every rank knows it
         dealt = {leader: board.draw(leader) for leader in range(0, comm.size, comm.size // teams)}
         self._board = board if comm.rank == 0 else None
         self._group_ended, self._status = group_ended, MPI.Status()

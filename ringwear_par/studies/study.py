@@ -592,8 +592,12 @@ def _refuse(
 
 
 def _stepping_work(case: Case) -> float:
-    """Return about the seconds of a case's steps: a constant and the work on the matrix a step."""
-    return 1e-4 * case.about_steps * (1.0 + (case.mesh.contact_elements / 220.0) ** 2)
+    """Return about the seconds of a case's steps: a constant and the work on the matrix a step.
+
+    Some ten times as many where elements follow the wear.
+    """
+    each = 1e-3 if case.follows_wear else 1e-4
+    return each * case.about_steps * (1.0 + (case.mesh.contact_elements / 220.0) ** 2)
 
 
 def _assembly_work(case: Case) -> float:

@@ -168,7 +168,9 @@ def _compute(
         with suppress(OSError):  # or else at the end
             plan.store.operator(group).unlink()
 
-    scheduler = Scheduler(plan.todo.sizes, comm, plan.request.teams, group_ended)
+    work, todo = plan.study.work, plan.todo
+    seconds = [float(work[todo[group][:1]].sum()) for group in range(len(todo))]
+    scheduler = Scheduler(todo.sizes, comm, plan.request.teams, seconds, group_ended)
     trouble: RingwearError | None = None
     with StopSignals() as signals, ExitStack() as at_end:
         progress = None

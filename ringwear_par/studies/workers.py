@@ -45,8 +45,8 @@ log = logging.getLogger(__name__)
 #: how long a team that waits for an operator sleeps between two looks, and between two questions
 #: whether all are to stop
 _NAP_SECONDS, _ASK_SECONDS = 0.01, 0.5
-#: of histories that wait to be stored
-_BLOCK_BYTES = 16e6
+#: of histories that wait to be stored, s that single ones of them took
+_BLOCK_BYTES, _BLOCK_SECONDS = 16e6, 2.0
 #: histories of more steps are computed alone, with checkpoints
 LONG_STEPS = 20_000
 
@@ -232,7 +232,8 @@ class Worker:
                 own.append(i)
                 size += sum(array.nbytes for array in record.arrays.values())
             last = record is None or n == len(places)
-            if last or size > _BLOCK_BYTES or cases[places[n]].output != cases[i].output:
+            much = size > _BLOCK_BYTES or self._long(self._timings.stepping - before)
+            if last or much or cases[places[n]].output != cases[i].output:
                 if waiting:
                     block = Block.of(waiting, texts.part(own))
                     self._store(block, self._timings.stepping - before)
@@ -240,6 +241,11 @@ class Worker:
             if record is None:
                 return False
         return True
+
+    def _long(self, seconds: float) -> bool:
+        """Tell whether that is too long for a block, by the clock of the team's first rank."""
+        long = seconds > _BLOCK_SECONDS
+        return long if self._team.size == 1 else bool(self._team.bcast(long))
 
     def _stopping(self) -> bool:
         """Tell whether a signal has reached any rank of the team."""

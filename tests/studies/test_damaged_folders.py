@@ -34,13 +34,24 @@ method = "grid"
 CASES = 6
 
 
+#: what says how many cases are drawn at once
+DRAWS = ("_BUSY_SECONDS", "_LONGEST_SECONDS", "_LEAST_SECONDS")
+
+
+def draw_one_by_one(patch):
+    for name in DRAWS:
+        patch.setattr(scheduling, name, 0.0)
+
+
 @pytest.fixture(scope="module")
 def swept(tmp_path_factory, comm):
     """A study, its folder, and the folder of all cases before merging."""
     folder = tmp_path_factory.mktemp("swept")
     study = write_study(folder, comm, STUDY)
     run_sweep(study, folder / "reference", comm)
-    run_sweep(study, folder / "slice", comm, part=(1, 1))
+    with pytest.MonkeyPatch.context() as patch:
+        draw_one_by_one(patch)
+        run_sweep(study, folder / "slice", comm, part=(1, 1))
     return study, folder / "reference", folder / "slice"
 
 
@@ -187,8 +198,11 @@ def test_a_sweep_killed_at_a_moment_of_note(tmp_path, swept, comm, file, functio
 import os, signal, sys
 from pathlib import Path
 from mpi4py import MPI
+from ringwear_par.studies import scheduling
 from ringwear_par.studies.sweep import run_sweep
 
+for name in {DRAWS}:  # one by one
+    setattr(scheduling, name, 0.0)
 calls = iter(range({call}, 0, -1))
 
 def kill(frame, event, _):
@@ -228,8 +242,7 @@ def test_shards_that_are_removed_under_a_sweep(tmp_path, swept, comm, monkeypatc
 
     with monkeypatch.context() as patch:
         patch.setattr(workers.Worker, "_store", storing)
-        for name in ("_BUSY_SECONDS", "_LONGEST_SECONDS"):
-            patch.setattr(scheduling, name, 0.0)  # one by one
+        draw_one_by_one(patch)
         patch.setattr(shards, "_SYNC_SECONDS", 0.0 if seen_under_way else 1e9)
         patch.setattr(sweep, "PATIENCE_SECONDS", 0.3)
         with pytest.raises(ComputationError) as trouble:

@@ -15,7 +15,7 @@ def scheduler(comm):
 
     def scheduler(sizes):
         ended = []
-        made.append(Scheduler(sizes, comm, comm.size, ended.append))
+        made.append(Scheduler(sizes, comm, comm.size, [1.0] * len(sizes), ended.append))
         return made[-1], ended
 
     yield scheduler
@@ -98,7 +98,7 @@ def test_a_board_without_cases(scheduler):
 
 
 def test_teams_take_groups_before_they_share_one():
-    board = Board([4, 6, 2], 3)
+    board = Board([4, 6, 2], 3, [1.0] * 3)
     taken = [board.draw(team) for team in (0, 1, 2)]
     assert taken == [Cases(0, 0, 1), Cases(1, 0, 1), Cases(2, 0, 1)]
     assert board.draw(2) == Cases(2, 1, 1)
@@ -107,7 +107,7 @@ def test_teams_take_groups_before_they_share_one():
 
 def test_what_is_drawn_at_once_keeps_a_team_busy_and_shrinks_towards_the_end():
     seconds, teams = 0.01, 2
-    board = Board([1000], teams)
+    board = Board([1000], teams, [1.0])
     assert board.draw(0) == Cases(0, 0, 1)  # nothing is known of its time
     board.count(0, 1, 0, seconds)
     drawn = []
@@ -117,7 +117,8 @@ def test_what_is_drawn_at_once_keeps_a_team_busy_and_shrinks_towards_the_end():
     assert drawn[0] == round(scheduling._BUSY_SECONDS / seconds)
     left = 999
     for before, count in pairwise([drawn[0], *drawn]):
-        assert count <= max(left / (2 * teams), 1)
+        least = min(scheduling._LEAST_SECONDS / seconds, -(-left // teams))
+        assert count <= max(-(-left // teams) // 2, least, 1)
         assert count <= min(2 * before, scheduling._LONGEST_SECONDS / seconds)
         left -= count
     largest = drawn.index(max(drawn))
@@ -125,9 +126,19 @@ def test_what_is_drawn_at_once_keeps_a_team_busy_and_shrinks_towards_the_end():
     assert (left, last, board.done) == (0, True, 1000)
 
 
+def test_short_cases_are_not_drawn_one_by_one():
+    """Half of what is left for each would be 16, 8, 4, 2 and 1."""
+    board, drawn = Board([64], 2, [1e-3]), []
+    while (cases := board.draw(len(drawn) % 2)) is not None:
+        drawn.append(cases.number)
+        board.count(0, cases.number, 0, 1e-3 * cases.number)
+    assert drawn[:2] == [32, 16]
+    assert Board([64], 1, [1e-3]).draw(0) == Cases(0, 0, 64)
+
+
 def test_cases_that_go_side_by_side_are_drawn_as_many_as_that_takes():
     """Where one takes long, but a hundred hardly longer."""
-    board, drawn = Board([10_000], 1), []
+    board, drawn = Board([10_000], 2, [1.0]), []
     for _ in range(12):
         drawn.append(board.draw(0).number)
         board.count(0, drawn[-1], 0, 0.6 + 0.005 * drawn[-1])

@@ -3,10 +3,14 @@
 from dataclasses import replace
 
 import benchmark
+import benchmark_ensembles
+import board_at_scale
 import follow_the_wear
 import numpy as np
+import pytest
 from mpi4py import MPI
 
+import ringwear_par as rw
 from ringwear_par.cases.case import Stepping
 from ringwear_par.elasticity.mesh import Mesh
 from ringwear_par.verification.paper import paper_case
@@ -19,6 +23,35 @@ def test_benchmark_fills_its_table():
     assert row["contact_elements"] == 16
     assert row["ranks"] == 1
     assert row["ms_per_step"] == 5.0 * row["steps_200_s"]
+
+
+@pytest.mark.parametrize("kind", benchmark_ensembles.KINDS)
+def test_ensembles_are_measured_beside_a_bare_loop_that_finds_the_same(kind):
+    assert min(benchmark_ensembles.measure(kind, 2, 8, 1)) > 0.0
+    (case,) = benchmark_ensembles.cases_of("200 implicit steps", 1, 16)
+    pair = rw.assemble(case, MPI.COMM_SELF)
+    result = rw.simulate(case, MPI.COMM_SELF, pair=pair)
+    penetration = benchmark_ensembles.bare_loop(pair, case)
+    assert penetration == pytest.approx(result.histories["penetration"][-1], rel=0.05)
+
+
+def test_sweeps_are_measured_from_the_command_to_their_files():
+    rate, outside, size, memory = benchmark_ensembles.measure_sweep(
+        {"mesh.contact_elements": 8, "time.steps": 2, "output.profiles": "last"}, 4, 1
+    )
+    assert 0.0 < rate < 4.0 / (4e-6 * outside)
+    assert size > 8 * 16
+    assert memory > 50.0
+
+
+def test_a_board_of_many_ranks_is_simulated():
+    rng = np.random.default_rng(1)
+    alone, work, questions = board_at_scale.simulated(20_000, 1, rng)
+    assert work > 0.999
+    seconds, work, more = board_at_scale.simulated(20_000, 16, rng)
+    assert alone / 16 < seconds < alone / 8
+    assert 0.7 < work < 1.0
+    assert more > questions
 
 
 def test_following_the_wear_is_compared_with_a_fixed_mesh():
