@@ -1,5 +1,7 @@
 """The Hessian of B contact problems: a block each, factored where it has changed."""
 
+import math
+
 import numpy as np
 from scipy.linalg.lapack import dpotrf, dpotrs
 
@@ -11,6 +13,10 @@ from ringwear_par.petsc import PETSc
 #: ask for, took a history 21 us against LAPACK's 37 of 64 elements, 134 against 152 of 128, 291
 #: against 372 of 192, but 1,180 against 680 of 256
 LARGEST_INTERLEAVED = 192
+#: factors of blocks that are gone, for the next ones: as histories end blocks follow each other
+#: every few rounds, and memory that is new costs as much as a tenth of the steps
+_SPARE: list[FloatArray] = []
+_MOST_SPARE = 2
 
 
 class HessianBlocks:
@@ -44,8 +50,9 @@ class HessianBlocks:
         if n <= LARGEST_INTERLEAVED:
             size = -(-n // interleaved.PANEL) * interleaved.PANEL
             groups = padded // interleaved.GROUP
-            self._factors = np.zeros((groups, size, size, interleaved.GROUP))
-            self._factors[:] = np.eye(size)[..., None]
+            shape = (groups, size, size, interleaved.GROUP)
+            self._memory = _memory(math.prod(shape))
+            self._factors = self._memory[: math.prod(shape)].reshape(shape)
         else:
             self._factors = [None] * count
 
@@ -58,6 +65,13 @@ class HessianBlocks:
         product += self.slope * q
         if len(self.coupling):
             product += np.einsum("bij,bj->bi", self.coupling, q)
+
+    def destroy(self, matrix: PETSc.Mat) -> None:
+        """Leave the memory to others, with the end of the Mat."""
+        if not isinstance(self._factors, list):
+            _SPARE.append(self._memory)
+            del _SPARE[:-_MOST_SPARE]
+        self._factors = []
 
     def forget(self, histories: IntArray) -> None:
         """Make sure that the factors of some histories are of no element."""
@@ -124,3 +138,11 @@ class HessianBlocks:
         else:
             interleaved.solve(histories, self._free, self._factors, right, out)
         return out
+
+
+def _memory(numbers: int) -> FloatArray:
+    """Return memory for so many numbers, or more, whatever is in it."""
+    for place, memory in enumerate(_SPARE):
+        if numbers <= len(memory) <= 4 * numbers:
+            return _SPARE.pop(place)
+    return np.empty(numbers)
