@@ -186,6 +186,7 @@ def test_which_states_are_stored(overrides, times, shared_path, comm):
         assert [state.time for state in open_result(path).boundary] == times
 
 
+@pytest.mark.most_ranks(2)
 @pytest.mark.parametrize("stop", [2, 5])
 @pytest.mark.parametrize(
     "overrides",

@@ -124,7 +124,7 @@ def test_a_signal_to_any_rank_ends_the_wait_for_an_operator(shared_path, comm):
     signals = StopSignals()
     if comm.rank == comm.size - 1:
         signals.received = signal.SIGTERM
-    scheduler = Scheduler([2], comm, 1, lambda group: None)
+    scheduler = Scheduler([2], comm, 1, [1.0], lambda group: None)
     worker = workers.Worker(plan, 0, scheduler, signals, None, comm, workers.Timings())
     with pytest.raises(workers._StoppedError):
         worker._find_operator(0, 1, None)
