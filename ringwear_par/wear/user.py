@@ -177,19 +177,22 @@ class UserLaw(Law):
     def _with_stacks(self, change: Callable[[Any], Any]) -> Self:
         return replace(self, parameters=tuple((name, change(q)) for name, q in self.parameters))
 
+    def _of_each(self, asked: Asked, p: FloatArray, local: LocalState) -> FloatArray:
+        """Return what a method gives of B histories, (B, n), each by itself.
+
+        Derivatives too: whether code takes complex numbers may depend on the history.
+        """
+        each = (getattr(self.history(i), asked)(p[i], local.history(i)) for i in range(len(p)))
+        return np.array(list(each))
+
     def _call(self, asked: Asked, name: str, p: FloatArray, local: LocalState) -> FloatArray:
-        """Return what one of the file's functions gives, (..., n): checked, one history at a time.
+        """Return what one of the file's functions gives, (n,): checked.
 
         Parameters
         ----------
         asked : what it is to give.
         name : what the file calls it.
         """
-        if p.ndim > 1:
-            each = (
-                self.history(i)._call(asked, name, p[i], local.history(i)) for i in range(len(p))
-            )
-            return np.array(list(each))
         values = {key: value(q, local.time, local.r) for key, q in self.parameters}
         there = shown(local, parameters=values)
         return ask(
@@ -203,6 +206,8 @@ class UserLaw(Law):
         ------
         LawError : the function failed, or gave NaN or a negative rate.
         """
+        if p.ndim > 1:
+            return self._of_each("rate", p, local)
         return self._call("rate", "rate", p, local)
 
     def d_rate_dp(self, p: FloatArray, local: LocalState) -> FloatArray:
@@ -212,11 +217,15 @@ class UserLaw(Law):
         ------
         LawError : the function failed, or gave NaN or a negative slope.
         """
+        if p.ndim > 1:
+            return self._of_each("d_rate_dp", p, local)
         name = self.slope_name
         return self._call("d_rate_dp", name, p, local) if name else super().d_rate_dp(p, local)
 
     def d_rate_dwear(self, p: FloatArray, local: LocalState) -> FloatArray:
         """Return the derivative of the rate with respect to ``local.wear``, 1/s."""
+        if p.ndim > 1:
+            return self._of_each("d_rate_dwear", p, local)
         name = self._defines("d_rate_dwear")
         if not name:
             return super().d_rate_dwear(p, local)
