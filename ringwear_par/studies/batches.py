@@ -9,7 +9,7 @@ from mpi4py import MPI
 
 from ringwear_par.cases.case import Case
 from ringwear_par.elasticity.pair import ContactPair
-from ringwear_par.history.batch import batch_key, simulate_batch
+from ringwear_par.history.batch import batch_key, can_share, simulate_batch
 from ringwear_par.history.bodies import young
 from ringwear_par.history.simulate import simulate
 from ringwear_par.history.snapshots import Snapshot
@@ -103,6 +103,9 @@ def computed(
     for number, case in enumerate(cases):
         key = batch_key(case)
         (singles if key is None else together[key]).append(number)
+    for key, numbers in list(together.items()):
+        if not can_share(cases[numbers[0]]):
+            singles += together.pop(key)
     with SolverLender(pair, MPI.COMM_SELF) as lender:
         for numbers in together.values():
             numbers.sort(key=lambda n: young(cases[n]))  # those of the same moduli share a matrix

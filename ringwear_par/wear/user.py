@@ -19,6 +19,8 @@ from ringwear_par.wear.law import CompletedLaw, Law, LocalState, WearLaw
 from ringwear_par.wear.parameters import Parameter
 
 _BISECTIONS = 30
+#: up to which laws are tried with many histories, MPa
+_TRIED_PRESSURE = 300.0
 #: what a file may define, and the older names of it
 _NAMES = {
     "d_rate_dp": ("d_rate_dp", "slope"),
@@ -287,6 +289,32 @@ def check_user_law(law: UserLaw | CompletedLaw, at: LocalState, pressure: float)
     jump = _jump(law, at, p[:, 0], table)
     if jump:
         raise InputError(jump)
+
+
+def serves_many(law: Law, r: FloatArray) -> bool:
+    """Tell whether a law gives many histories at once, (B, n), what it gives each by itself.
+
+    Code that was written for one history may take rows for elements, or look at all pressures at
+    once. Not collective.
+
+    Parameters
+    ----------
+    r : (n,) float, mm.
+    """
+    shares = np.linspace(0.0, 1.0, 3 * len(r)).reshape(3, -1)
+    p, wear, speed = _TRIED_PRESSURE * shares, 1e-3 * shares[::-1], np.array([[1.0], [2.0], [3.0]])
+    at = LocalState(np.arange(3.0), r, speed * r, np.array([0.1, 0.2, 0.3]), wear, 5.0 * speed * r)
+    for asked in ("rate", "d_rate_dp", "d_rate_dwear"):
+        try:
+            alone = [getattr(law, asked)(p[i], at.history(i)) for i in range(3)]
+        except Exception:  # nothing that company would change: its histories will tell
+            continue
+        try:
+            if not np.array_equal(getattr(law, asked)(p, at), alone):
+                return False
+        except Exception:  # whatever a user's code may raise
+            return False
+    return True
 
 
 def _jump(law: UserLaw | CompletedLaw, at: LocalState, p: FloatArray, rates: FloatArray) -> str:

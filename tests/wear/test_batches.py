@@ -17,7 +17,7 @@ from ringwear_par.wear.power import PowerLaw
 from ringwear_par.wear.running_in import RunningInLaw
 from ringwear_par.wear.table import TableLaw
 from ringwear_par.wear.threshold import ThresholdLaw
-from ringwear_par.wear.user import UserLaw
+from ringwear_par.wear.user import UserLaw, serves_many
 
 N = 37
 R = np.linspace(28.5, 31.5, N)
@@ -129,6 +129,82 @@ def test_a_plain_object_serves_many_histories():
     for i, single in enumerate(alone):
         assert np.array_equal(together.depth(p)[i], single.depth(p[i]))
         assert np.array_equal(together.d_depth_dp(p)[i], single.d_depth_dp(p[i]))
+
+
+@dataclass(frozen=True)
+class Square:
+    """Its complex values have negative real parts where there is no pressure."""
+
+    def rate(self, p, local):
+        """Return the rate."""
+        return 1e-10 * local.speed * p**2
+
+
+@pytest.mark.parametrize(
+    "law",
+    [complete(Square()), UserLaw("a.py", "def rate(p, at): return 1e-10 * at.speed * p**2")],
+    ids=["object", "file"],
+)
+def test_derivatives_do_not_depend_on_who_else_has_no_pressure(law):
+    """They are exact for all elements but those where nothing is known."""
+    p = np.linspace(1.0, 200.0, 2 * N).reshape(2, N)
+    p[1, 5:9] = 0.0
+    speed = np.array([[1.0], [2.0]]) * R
+    at = LocalState(np.zeros(2), R, speed, np.full(2, 0.1), 0.0 * p, speed)
+    together = law.d_rate_dp(p, at)
+    for i in range(2):
+        assert np.array_equal(together[i], law.d_rate_dp(p[i], at.history(i)))
+    assert together == pytest.approx(2e-10 * speed * p, rel=1e-14, abs=1e-20)
+
+
+class Elements:
+    """Code for one history: it takes the first rows for elements."""
+
+    def rate(self, p, local):
+        """Return the rate."""
+        rate = 1e-8 * local.speed * p
+        rate[:4] = 0.0
+        return rate
+
+
+class Largest:
+    """It looks at all pressures at once."""
+
+    def rate(self, p, local):
+        """Return the rate."""
+        return 1e-8 * local.speed * p * p / max(p.max(), 1.0)
+
+
+class Branching:
+    """One that raises where it is asked for many."""
+
+    def rate(self, p, local):
+        """Return the rate."""
+        return (1e-8 if local.time < 1.5 else 2e-8) * local.speed * p
+
+
+class Hopeless:
+    """One that always raises."""
+
+    def rate(self, p, local):
+        """Return the rate."""
+        raise ValueError
+
+
+@pytest.mark.parametrize(
+    ("law", "serves"),
+    [
+        (Square(), True),
+        (Hopeless(), True),
+        (ThresholdLaw(IN_TIME, ALONG), True),
+        (Elements(), False),
+        (Largest(), False),
+        (Branching(), False),
+    ],
+    ids=lambda law: type(law).__name__,
+)
+def test_who_does_not_serve_many_histories_is_found_out(law, serves):
+    assert serves_many(complete(law), R) == serves
 
 
 def test_part_of_the_elements_of_many_histories():
