@@ -17,13 +17,14 @@ from ringwear_par.results.batch import Alone, BatchRecorder
 from ringwear_par.results.columns import HistoryColumns
 from ringwear_par.results.recorder import Recorder
 from ringwear_par.results.result import Result
+from ringwear_par.results.variables import HISTORIES
 from ringwear_par.studies.lending import SolverLender
 
 #: numbers of a batch's Hessians, and most histories of it: see ``default_batch``
 _NUMBERS, _MOST = 2**21, 512
 #: batches of a block: as histories end others take their places, until none are left in it
 _BATCHES = 4
-#: of the fields of a block, which waits in memory until all of it has ended
+#: of what is stored of a block, which waits in memory until all of it has ended
 _BLOCK_BYTES = 64e6
 
 
@@ -38,8 +39,9 @@ def default_batch(case: Case) -> int:
 
 def _block(case: Case, most: int) -> int:
     """Return how many histories to store together, of which ``most`` step at a time."""
-    rows = case.stored_rows if case.output.profiles == "all" else 1.0
-    each = 8.0 * rows * case.mesh.contact_elements * max(len(case.output.fields), 1)
+    profiles = case.stored_rows if case.output.profiles == "all" else 1.0
+    each = 8.0 * profiles * case.mesh.contact_elements * len(case.output.fields)
+    each += 8.0 * case.stored_rows * (len(HISTORIES) + 2)  # with their numbers and steps
     return max(min(_BATCHES * most, int(_BLOCK_BYTES / each)), 1)
 
 
@@ -110,7 +112,8 @@ def computed(
         for numbers in together.values():
             numbers.sort(key=lambda n: young(cases[n]))  # those of the same moduli share a matrix
             most = batch or default_batch(cases[numbers[0]])
-            size = _block(cases[numbers[0]], most)
+            longest = max((cases[n] for n in numbers), key=lambda case: case.stored_rows)
+            size = _block(longest, most)
             for first in range(0, len(numbers), size):
                 part = numbers[first : first + size]
                 own = [cases[number] for number in part]
