@@ -159,7 +159,7 @@ class BatchRecorder:
             self._ends.append(
                 _End(
                     numbers, state, snapshot.progress.take(ended), model.symmetry_defects[ended],
-                    solver.scaled_pressures[ended], solver.rates[ended],
+                    solver.scaled_pressures[ended], model.approach_rates(ended),
                     model.gap(state.wear, ended),
                 )
             )  # fmt: skip
