@@ -129,7 +129,7 @@ class _Lot:
         """Find the first contacts, or make a round of steps."""
         if not self.begun:
             self._begin()
-            observe(self._start())
+            self._show([self._start()], observe)
             self.begun = True
             return
         before = copy.copy(self.control), self.model.batch.solver.start
@@ -139,9 +139,19 @@ class _Lot:
             self.control = before[0]
             self.model.batch.solver.start = before[1]
             raise
-        for snapshot in snapshots:
-            observe(snapshot)
+        self._show(snapshots, observe)
         self.state = snapshots[-1].state
+
+    def _show(
+        self, snapshots: Sequence[BatchSnapshot], observe: Callable[[BatchSnapshot], None]
+    ) -> None:
+        """Show new states; what is seen of them cannot be unseen, so that none may try again."""
+        try:
+            for snapshot in snapshots:
+                observe(snapshot)
+        except Exception as error:
+            log.debug("%d histories cannot be shown", len(self.numbers), exc_info=error)
+            raise HistoriesError(np.ones(len(self.numbers), dtype=bool)) from error
 
     def _begin(self) -> None:
         cases = self._cases
