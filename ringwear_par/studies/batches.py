@@ -73,9 +73,10 @@ class Block:
             one = self.alone.get(place)
             if one is None:
                 found.append(together[place])
-            elif one.error is not None or one.recorder is None:
-                found.append(one.error or RuntimeError("nothing was computed"))
+            elif one.error is not None:
+                found.append(one.error)
             else:
+                assert one.recorder is not None
                 found.append(replace(one.recorder.result(), comm=None))
         return found
 
