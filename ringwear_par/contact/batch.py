@@ -101,7 +101,7 @@ class _Callbacks:
         product = np.zeros_like(q)
         multiply(histories, self._matrices, self._blocks.which, q, product)
         linear = self._weights * (newton.gaps - newton.approaches[:, None])
-        each = inner_rows(q, 0.5 * product + linear)[histories]
+        each = inner(q, 0.5 * product + linear)[histories]
         if self.wear is not None:
             p = q[histories] / self._scale[histories]
             each = each + inner(self._area, self.wear.take(histories).potential(p))
@@ -132,11 +132,6 @@ class _Callbacks:
             return self._blocks.slope
         there = self.wear.d_depth_dp(q / self._scale) * (self._weights / self._scale)
         return np.maximum(self._blocks.slope, there)
-
-
-def inner_rows(one: FloatArray, other: FloatArray) -> FloatArray:
-    """Return the inner products of rows, (B,)."""
-    return np.einsum("bi,bi->b", one, other)
 
 
 class BatchSolver:
@@ -302,7 +297,7 @@ class BatchSolver:
         blocks = self._blocks
         by_gap = blocks.solve(self._every, self._weights * gap)
         if force_kept:
-            carried = inner_rows(self._weights, by_gap)
+            carried = inner(self._weights, by_gap)
             sums = blocks.sums
             share = np.divide(carried, sums, out=np.zeros_like(sums), where=sums > 0.0)
             by_gap -= blocks.border * share[:, None]

@@ -3,8 +3,8 @@
 Matrices and vectors of a group of eight histories are interleaved, the history being the last
 axis, so that each operation is one of vectors across histories: BLAS and LAPACK spend most of
 their time elsewhere in matrices this small. What a history gets does not depend on the others in
-its group. Numba's own loops over eight numbers do not keep them in registers (a factor of 64 x 64
-took 3.5 times as long): vectors of eight are spelt out.
+its group. Numba's own loops over eight numbers do not keep them in registers: vectors of eight are
+spelt out.
 """
 
 from typing import Any
@@ -146,50 +146,50 @@ def _backward(context: Any, to: Any, known: Any, row: Any) -> Any:
 def _factor(u: FloatArray) -> None:
     """Factor eight interleaved matrices (n, n, 8), U'U, in place; diagonals are inverted."""
     n = u.shape[0]
-    base, row = u.ctypes.data, 64 * n
+    base, row = u.ctypes.data, _BYTES * n
     for k in range(0, n, PANEL):
         for a in range(k, k + PANEL):
             here = base + a * row
-            diagonal = here + 64 * a
+            diagonal = here + _BYTES * a
             _inverse_root(diagonal)
             for j in range(a + 1, n):
-                _multiply(here + 64 * j, diagonal)
+                _multiply(here + _BYTES * j, diagonal)
             for c in range(a + 1, k + PANEL):
                 there = base + c * row
                 for j in range(c, n):
-                    _subtract(there + 64 * j, here + 64 * c, here + 64 * j)
+                    _subtract(there + _BYTES * j, here + _BYTES * c, here + _BYTES * j)
         panel = base + k * row
         for i in range(k + PANEL, n, 2):
             there = base + i * row
             for j in range(i, n, 2):
-                _eliminate(there + 64 * j, panel + 64 * i, panel + 64 * j, row)
+                _eliminate(there + _BYTES * j, panel + _BYTES * i, panel + _BYTES * j, row)
 
 
 @compiled
 def _substitute(u: FloatArray, x: FloatArray) -> None:
     """Solve eight interleaved systems with their factors, in place of right sides (n, 8)."""
     n = u.shape[0]
-    base, row, at = u.ctypes.data, 64 * n, x.ctypes.data
+    base, row, at = u.ctypes.data, _BYTES * n, x.ctypes.data
     for k in range(n):
-        here, known = base + k * row, at + 64 * k
-        _multiply(known, here + 64 * k)
+        here, known = base + k * row, at + _BYTES * k
+        _multiply(known, here + _BYTES * k)
         j = k + 1
         while j % 4 != 0:
-            _subtract(at + 64 * j, known, here + 64 * j)
+            _subtract(at + _BYTES * j, known, here + _BYTES * j)
             j += 1
         while j < n:
-            _forward(at + 64 * j, known, here + 64 * j)
+            _forward(at + _BYTES * j, known, here + _BYTES * j)
             j += 4
     for k in range(n - 1, -1, -1):
-        here, unknown = base + k * row, at + 64 * k
+        here, unknown = base + k * row, at + _BYTES * k
         j = k + 1
         while j % 4 != 0:
-            _subtract(unknown, at + 64 * j, here + 64 * j)
+            _subtract(unknown, at + _BYTES * j, here + _BYTES * j)
             j += 1
         while j < n:
-            _backward(unknown, at + 64 * j, here + 64 * j)
+            _backward(unknown, at + _BYTES * j, here + _BYTES * j)
             j += 4
-        _multiply(unknown, here + 64 * k)
+        _multiply(unknown, here + _BYTES * k)
 
 
 @compiled

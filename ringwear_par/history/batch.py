@@ -27,8 +27,10 @@ from ringwear_par.history.saving import stores, times_within
 from ringwear_par.history.schemes import Scheme
 from ringwear_par.history.snapshots import BatchSnapshot
 from ringwear_par.history.state import State
+from ringwear_par.wear.catalogue import LAWS
 from ringwear_par.wear.law import CompletedLaw, Law
 from ringwear_par.wear.parameters import parameters_of
+from ringwear_par.wear.user import serves_many
 
 log = logging.getLogger(__name__)
 
@@ -60,6 +62,15 @@ def batch_key(case: Case) -> Hashable | None:
     kinds = tuple(None if law is None else _kind(law) for law in case.laws)
     force = case.load.force is not None
     return case.time.scheme, force, kinds, output.fields, output.profiles, bool(output.times)
+
+
+def can_share(case: Case) -> bool:
+    """Tell whether cases of this one's ``batch_key`` may step together, as far as laws tell.
+
+    Laws that are not ours are tried. Not collective.
+    """
+    own = [law for law in case.laws if law is not None and type(law) not in LAWS.values()]
+    return all(serves_many(law, case.line.r) for law in own)
 
 
 def _kind(law: Law) -> Hashable:
@@ -118,7 +129,7 @@ class _Lot:
         """Find the first contacts, or make a round of steps."""
         if not self.begun:
             self._begin()
-            observe(self._start())
+            self._show([self._start()], observe)
             self.begun = True
             return
         before = copy.copy(self.control), self.model.batch.solver.start
@@ -128,9 +139,19 @@ class _Lot:
             self.control = before[0]
             self.model.batch.solver.start = before[1]
             raise
-        for snapshot in snapshots:
-            observe(snapshot)
+        self._show(snapshots, observe)
         self.state = snapshots[-1].state
+
+    def _show(
+        self, snapshots: Sequence[BatchSnapshot], observe: Callable[[BatchSnapshot], None]
+    ) -> None:
+        """Show new states; what is seen of them cannot be unseen, so that none may try again."""
+        try:
+            for snapshot in snapshots:
+                observe(snapshot)
+        except Exception as error:
+            log.debug("%d histories cannot be shown", len(self.numbers), exc_info=error)
+            raise HistoriesError(np.ones(len(self.numbers), dtype=bool)) from error
 
     def _begin(self) -> None:
         cases = self._cases

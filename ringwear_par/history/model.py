@@ -159,7 +159,7 @@ class WearModel:
         self._take_compliance(pair)
         self._contact.take(self.compliance.matrix, self.compliance.excess)
         self._own_compliance, self._twist = self._yielding(self.compliance), self.compliance.twist
-        self._softness = self._sum_of(self.compliance)
+        self._softness: Numbers = self._sum_of(self.compliance)
 
     def _take_moduli(self, known: Mapping[tuple[float, float], ContactCompliance]) -> None:
         """Take the moduli of B histories: a compliance each, those of the same moduli one."""
@@ -196,6 +196,14 @@ class WearModel:
     def gap(self, wear: FloatArray, histories: IntArray) -> FloatArray:
         """Return (h, n) mm, the gaps of some of B histories worn by (2, h, n) mm."""
         return self._initial_gap[histories] + wear[0] + wear[1]
+
+    def approach_rates(self, histories: IntArray) -> FloatArray:
+        """Return what the approach does to pressures of some of B histories, (h, n) MPa/mm.
+
+        Where nothing touches, what it would do if all did, from which a search may start.
+        """
+        rates = self.batch.solver.rates[histories]
+        return np.where(rates.any(axis=1, keepdims=True), rates, columns(self._softness[histories]))
 
     def take(self, histories: IntArray) -> "WearModel":
         """Return the model of some of B histories; its contacts start where these would."""

@@ -90,7 +90,6 @@ class BatchRecorder:
         self._worst = {each.name: np.zeros(count) for each in fields(Balances)}
         self._step_error_time = np.zeros(count)
         self._doubts: list[tuple[Doubt, ...]] = [()] * count
-        self._finished = np.zeros(count, dtype=bool)
         self._ends: list[_End] = []
         self._begun = time.perf_counter()
         self._seconds = 0.0
@@ -144,7 +143,6 @@ class BatchRecorder:
     def _end(self, snapshot: BatchSnapshot, ended: IntArray) -> None:
         """Take the last states of histories."""
         numbers, model = snapshot.numbers[ended], snapshot.model
-        self._finished[numbers] = True
         state = snapshot.state.take(ended)
         errors, elements = (values[ended] for values in model.asymmetry)
         for place, number in enumerate(numbers.tolist()):
@@ -159,7 +157,7 @@ class BatchRecorder:
             self._ends.append(
                 _End(
                     numbers, state, snapshot.progress.take(ended), model.symmetry_defects[ended],
-                    solver.scaled_pressures[ended], solver.rates[ended],
+                    solver.scaled_pressures[ended], model.approach_rates(ended),
                     model.gap(state.wear, ended),
                 )
             )  # fmt: skip

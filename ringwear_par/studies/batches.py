@@ -9,7 +9,7 @@ from mpi4py import MPI
 
 from ringwear_par.cases.case import Case
 from ringwear_par.elasticity.pair import ContactPair
-from ringwear_par.history.batch import batch_key, simulate_batch
+from ringwear_par.history.batch import batch_key, can_share, simulate_batch
 from ringwear_par.history.bodies import young
 from ringwear_par.history.simulate import simulate
 from ringwear_par.history.snapshots import Snapshot
@@ -17,13 +17,14 @@ from ringwear_par.results.batch import Alone, BatchRecorder
 from ringwear_par.results.columns import HistoryColumns
 from ringwear_par.results.recorder import Recorder
 from ringwear_par.results.result import Result
+from ringwear_par.results.variables import HISTORIES
 from ringwear_par.studies.lending import SolverLender
 
 #: numbers of a batch's Hessians, and most histories of it: see ``default_batch``
 _NUMBERS, _MOST = 2**21, 512
 #: batches of a block: as histories end others take their places, until none are left in it
 _BATCHES = 4
-#: of the fields of a block, which waits in memory until all of it has ended
+#: of what is stored of a block, which waits in memory until all of it has ended
 _BLOCK_BYTES = 64e6
 
 
@@ -38,8 +39,9 @@ def default_batch(case: Case) -> int:
 
 def _block(case: Case, most: int) -> int:
     """Return how many histories to store together, of which ``most`` step at a time."""
-    rows = case.stored_rows if case.output.profiles == "all" else 1.0
-    each = 8.0 * rows * case.mesh.contact_elements * max(len(case.output.fields), 1)
+    profiles = case.stored_rows if case.output.profiles == "all" else 1.0
+    each = 8.0 * profiles * case.mesh.contact_elements * len(case.output.fields)
+    each += 8.0 * case.stored_rows * (len(HISTORIES) + 2)  # with their numbers and steps
     return max(min(_BATCHES * most, int(_BLOCK_BYTES / each)), 1)
 
 
@@ -71,9 +73,10 @@ class Block:
             one = self.alone.get(place)
             if one is None:
                 found.append(together[place])
-            elif one.error is not None or one.recorder is None:
-                found.append(one.error or RuntimeError("nothing was computed"))
+            elif one.error is not None:
+                found.append(one.error)
             else:
+                assert one.recorder is not None
                 found.append(replace(one.recorder.result(), comm=None))
         return found
 
@@ -103,11 +106,15 @@ def computed(
     for number, case in enumerate(cases):
         key = batch_key(case)
         (singles if key is None else together[key]).append(number)
+    for key, numbers in list(together.items()):
+        if not can_share(cases[numbers[0]]):
+            singles += together.pop(key)
     with SolverLender(pair, MPI.COMM_SELF) as lender:
         for numbers in together.values():
             numbers.sort(key=lambda n: young(cases[n]))  # those of the same moduli share a matrix
             most = batch or default_batch(cases[numbers[0]])
-            size = _block(cases[numbers[0]], most)
+            longest = max((cases[n] for n in numbers), key=lambda case: case.stored_rows)
+            size = _block(longest, most)
             for first in range(0, len(numbers), size):
                 part = numbers[first : first + size]
                 own = [cases[number] for number in part]

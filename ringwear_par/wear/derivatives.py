@@ -36,8 +36,11 @@ def derivative(
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("error", np.exceptions.ComplexWarning)
-            exact = np.imag(function(x + 1j * _COMPLEX_STEP)) / _COMPLEX_STEP
+            with np.errstate(over="ignore"):
+                exact = np.imag(function(x + 1j * _COMPLEX_STEP)) / _COMPLEX_STEP
     except Exception:  # whatever code that was written for real numbers may raise
         return difference
-    larger = np.maximum(np.abs(exact), np.abs(difference))
-    return np.where(np.abs(exact - difference) <= _AGREEMENT * larger, exact, difference)
+    with np.errstate(over="ignore", invalid="ignore"):  # where there is no number
+        larger = np.maximum(np.abs(exact), np.abs(difference))
+        agree = np.abs(exact - difference) <= _AGREEMENT * larger
+    return np.where(agree & np.isfinite(exact), exact, difference)

@@ -49,7 +49,8 @@ def ask(
 ) -> FloatArray:
     """Return what a user's law answers, (..., n): its own copy, checked.
 
-    Real, unless pressure, wear or a parameter is complex.
+    Real, unless pressure, wear or a parameter is complex: such answers are held against differences
+    element by element (see ``derivative``), so that they are not refused here for one of them.
 
     Parameters
     ----------
@@ -79,9 +80,11 @@ def ask(
         raise LawError(
             f"{called} failed at {_when(local)}: {type(error).__name__}: {error}"
         ) from error
+    if not real:
+        return result
     bad = ~np.isfinite(result)
     if asked not in _SIGNED:
-        bad |= result.real < 0.0
+        bad |= result < 0.0
     if bad.any():
         raise LawError(_refused(called, asked, p, local, result, np.argwhere(bad)[0]))
     return result

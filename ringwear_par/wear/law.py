@@ -102,7 +102,9 @@ class WearLaw(Protocol):
     """A wear law as a user may write it: whatever has a rate.
 
     It may have more of what ``Law`` has, such as ``d_rate_dp`` or ``breakpoints``; the rest is
-    found by ``complete``.
+    found by ``complete``. It is asked for any history at any time, in no order, and must not
+    remember what it was asked before; where it does not serve (B, n) as each of B histories by
+    itself, these are computed one by one.
     """
 
     def rate(self, p: FloatArray, local: LocalState, /) -> FloatArray:

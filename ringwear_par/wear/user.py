@@ -19,6 +19,8 @@ from ringwear_par.wear.law import CompletedLaw, Law, LocalState, WearLaw
 from ringwear_par.wear.parameters import Parameter
 
 _BISECTIONS = 30
+#: up to which laws are tried with many histories, MPa
+_TRIED_PRESSURE = 300.0
 #: what a file may define, and the older names of it
 _NAMES = {
     "d_rate_dp": ("d_rate_dp", "slope"),
@@ -177,19 +179,22 @@ class UserLaw(Law):
     def _with_stacks(self, change: Callable[[Any], Any]) -> Self:
         return replace(self, parameters=tuple((name, change(q)) for name, q in self.parameters))
 
+    def _of_each(self, asked: Asked, p: FloatArray, local: LocalState) -> FloatArray:
+        """Return what a method gives of B histories, (B, n), each by itself.
+
+        Derivatives too: whether code takes complex numbers may depend on the history.
+        """
+        each = (getattr(self.history(i), asked)(p[i], local.history(i)) for i in range(len(p)))
+        return np.array(list(each))
+
     def _call(self, asked: Asked, name: str, p: FloatArray, local: LocalState) -> FloatArray:
-        """Return what one of the file's functions gives, (..., n): checked, one history at a time.
+        """Return what one of the file's functions gives, (n,): checked.
 
         Parameters
         ----------
         asked : what it is to give.
         name : what the file calls it.
         """
-        if p.ndim > 1:
-            each = (
-                self.history(i)._call(asked, name, p[i], local.history(i)) for i in range(len(p))
-            )
-            return np.array(list(each))
         values = {key: value(q, local.time, local.r) for key, q in self.parameters}
         there = shown(local, parameters=values)
         return ask(
@@ -203,6 +208,8 @@ class UserLaw(Law):
         ------
         LawError : the function failed, or gave NaN or a negative rate.
         """
+        if p.ndim > 1:
+            return self._of_each("rate", p, local)
         return self._call("rate", "rate", p, local)
 
     def d_rate_dp(self, p: FloatArray, local: LocalState) -> FloatArray:
@@ -212,11 +219,15 @@ class UserLaw(Law):
         ------
         LawError : the function failed, or gave NaN or a negative slope.
         """
+        if p.ndim > 1:
+            return self._of_each("d_rate_dp", p, local)
         name = self.slope_name
         return self._call("d_rate_dp", name, p, local) if name else super().d_rate_dp(p, local)
 
     def d_rate_dwear(self, p: FloatArray, local: LocalState) -> FloatArray:
         """Return the derivative of the rate with respect to ``local.wear``, 1/s."""
+        if p.ndim > 1:
+            return self._of_each("d_rate_dwear", p, local)
         name = self._defines("d_rate_dwear")
         if not name:
             return super().d_rate_dwear(p, local)
@@ -278,6 +289,32 @@ def check_user_law(law: UserLaw | CompletedLaw, at: LocalState, pressure: float)
     jump = _jump(law, at, p[:, 0], table)
     if jump:
         raise InputError(jump)
+
+
+def serves_many(law: Law, r: FloatArray) -> bool:
+    """Tell whether a law gives many histories at once, (B, n), what it gives each by itself.
+
+    Code that was written for one history may take rows for elements, or look at all pressures at
+    once. Not collective.
+
+    Parameters
+    ----------
+    r : (n,) float, mm.
+    """
+    shares = np.linspace(0.0, 1.0, 3 * len(r)).reshape(3, -1)
+    p, wear, speed = _TRIED_PRESSURE * shares, 1e-3 * shares[::-1], np.array([[1.0], [2.0], [3.0]])
+    at = LocalState(np.arange(3.0), r, speed * r, np.array([0.1, 0.2, 0.3]), wear, 5.0 * speed * r)
+    for asked in ("rate", "d_rate_dp", "d_rate_dwear"):
+        try:
+            alone = [getattr(law, asked)(p[i], at.history(i)) for i in range(3)]
+        except Exception:  # nothing that company would change: its histories will tell
+            continue
+        try:
+            if not np.array_equal(getattr(law, asked)(p, at), alone):
+                return False
+        except Exception:  # whatever a user's code may raise
+            return False
+    return True
 
 
 def _jump(law: UserLaw | CompletedLaw, at: LocalState, p: FloatArray, rates: FloatArray) -> str:

@@ -279,6 +279,20 @@ def test_one_that_fails_does_not_disturb_the_others(flat, pair):
         assert np.array_equal(rows[-1][2].wear, last[sorted(last)[i]].wear)
 
 
+def test_what_cannot_be_shown_is_not_stepped_again(flat, pair):
+    """A step that was seen by some observers is no step to try once more."""
+    times = []
+
+    def observe(snapshot):
+        times.append(snapshot.state.time.copy())
+        if len(times) == 3:
+            raise MemoryError("no room")
+
+    cases = of_laws(replace(flat, time=STEPPINGS["implicit"]), "threshold")
+    assert simulate_batch(cases, pair, observe) == [0, 1, 2, 3, 4]
+    assert [set(each) for each in times] == [{0.0}, {2.0}, {4.0}]
+
+
 def test_those_worn_too_far_leave(flat, pair, monkeypatch):
     """They are named at once: no other history steps again for long."""
     cases = of_laws(flat, "threshold", 6)

@@ -6,10 +6,16 @@ import numpy as np
 import pytest
 from swept import CASE
 
+from ringwear_par.cases.case import Load, Stepping
 from ringwear_par.cases.reading import parse_case
 from ringwear_par.errors import InputError, RingwearError
+from ringwear_par.history import simulate as history
+from ringwear_par.results.checkpoints import restored
 from ringwear_par.results.result import FailedResult, Result
-from ringwear_par.studies import many
+from ringwear_par.results.simulate import simulate
+from ringwear_par.results.variables import HISTORIES
+from ringwear_par.schedules import Table
+from ringwear_par.studies import batches, many
 from ringwear_par.studies.many import simulate_all
 from ringwear_par.wear.threshold import ThresholdLaw
 
@@ -117,6 +123,49 @@ def test_ranks_work_at_the_same_time_on_cases_of_different_shapes(case, comm, mo
     cases = [case.replace({"upper.r": [28.0 + 0.1 * i, 32.0]}) for i in range(2 * comm.size)]
     simulate_all(cases, comm)
     assert events == ([*"a" * comm.size, "s"]) * 2
+
+
+class FirstElements:
+    """A law that was written for one history: it takes rows for elements."""
+
+    def rate(self, p, local):
+        """Return the rate, none at the first elements."""
+        rate = 1e-7 * local.friction * local.speed * p
+        rate[:4] = 0.0
+        return rate
+
+
+def test_a_law_that_was_written_for_one_history_has_it_to_itself(case, comm):
+    cases = [replace(case, friction=mu, wear_lower=FirstElements()) for mu in (0.1, 0.2, 0.3)]
+    for one, found in zip(cases, simulate_all(cases, comm), strict=True):
+        alone = simulate(one, comm).profiles["wear_lower"]
+        assert not alone[-1, :4].any()
+        assert alone[-1, 4:].all()
+        assert found.profiles["wear_lower"] == pytest.approx(alone, rel=1e-12)
+
+
+def test_a_history_that_ends_without_load_goes_on(case, comm):
+    """From the result of many histories, as one of a single history would."""
+    force = case.load.force
+    load = Load(case.load.omega, Table((0.0, 20.0, 40.0), (force, 0.0, force)))
+    short, long = (
+        replace(case, load=load, time=Stepping("adaptive", until=until)) for until in (20.0, 40.0)
+    )
+    found, single = simulate_all([short] * (1 + comm.size), comm)[0], simulate(short, comm)
+    assert found.histories["force"][-1] == 0.0
+    end, exact = (history.simulate(long, comm, start=restored(one)) for one in (found, single))
+    assert end.wear[0] == pytest.approx(exact.wear[0], rel=1e-9)
+    assert (end.wear[0] > found.profiles["wear_lower"][-1]).all()
+
+
+def test_blocks_of_long_histories_are_small(case):
+    """What waits in memory is histories too, not only profiles."""
+    last = case.replace({"output.profiles": "last"})
+    assert batches._block(last, 512) == 4 * 512
+    rows = 20_000
+    size = batches._block(last.replace({"time.steps": rows}), 512)
+    assert 1 < size < 512
+    assert 8.0 * rows * len(HISTORIES) * size <= batches._BLOCK_BYTES
 
 
 def test_no_cases_have_no_results(comm):

@@ -17,7 +17,7 @@ from ringwear_par.wear.power import PowerLaw
 from ringwear_par.wear.running_in import RunningInLaw
 from ringwear_par.wear.table import TableLaw
 from ringwear_par.wear.threshold import ThresholdLaw
-from ringwear_par.wear.user import UserLaw
+from ringwear_par.wear.user import UserLaw, serves_many
 
 N = 37
 R = np.linspace(28.5, 31.5, N)
@@ -32,6 +32,14 @@ def rate(p, at):
         return 1e-8 * at.speed * p
     k = at.parameters["k"] * (1.0 + np.exp(-at.wear / at.parameters["depth"]))
     return k * at.friction * at.speed * p
+"""
+#: takes complex numbers at some times only
+PARTLY_REAL = """
+import numpy as np
+def rate(p, at):
+    if at.time > 3.0:
+        return 1e-8 * at.speed * np.interp(p, [0.0, 300.0], [0.0, 300.0])
+    return 1e-9 * at.speed * p**1.5
 """
 FIVE = (1.0, 2.0, 3.0, 4.0, 90.0)
 
@@ -55,6 +63,7 @@ LAWS = {
     "running-in, distance": [RunningInLaw(1e-7, x * 1e-7, distance=x) for x in FIVE],
     "non-local": [NonLocalLaw(x * 1e-7, 40.0, length=0.4) for x in FIVE],
     "user": [UserLaw("law.py", USER, (("k", x * 1e-8), ("depth", 1e-4))) for x in FIVE],
+    "partly real": [UserLaw("law.py", PARTLY_REAL)] * 5,
 }
 
 
@@ -86,7 +95,7 @@ def test_a_history_has_the_same_numbers_alone_and_among_others(laws):
             own = increment.depths(p[i])
             assert np.array_equal(depths[:, i], own)
             # quadrature of a rate alone takes long, and is the same for all laws with memory
-            slow = () if laws is LAWS["user"] else ("potential",)
+            slow = () if isinstance(laws[0], UserLaw) else ("potential",)
             for name in ("depth", "d_depth_dp", "jacobian", *slow):
                 of_all, of_one = getattr(together, name)(p)[i], getattr(increment, name)(p[i])
                 assert np.array_equal(of_all, of_one), name
@@ -120,6 +129,82 @@ def test_a_plain_object_serves_many_histories():
     for i, single in enumerate(alone):
         assert np.array_equal(together.depth(p)[i], single.depth(p[i]))
         assert np.array_equal(together.d_depth_dp(p)[i], single.d_depth_dp(p[i]))
+
+
+@dataclass(frozen=True)
+class Square:
+    """Its complex values have negative real parts where there is no pressure."""
+
+    def rate(self, p, local):
+        """Return the rate."""
+        return 1e-10 * local.speed * p**2
+
+
+@pytest.mark.parametrize(
+    "law",
+    [complete(Square()), UserLaw("a.py", "def rate(p, at): return 1e-10 * at.speed * p**2")],
+    ids=["object", "file"],
+)
+def test_derivatives_do_not_depend_on_who_else_has_no_pressure(law):
+    """They are exact for all elements but those where nothing is known."""
+    p = np.linspace(1.0, 200.0, 2 * N).reshape(2, N)
+    p[1, 5:9] = 0.0
+    speed = np.array([[1.0], [2.0]]) * R
+    at = LocalState(np.zeros(2), R, speed, np.full(2, 0.1), 0.0 * p, speed)
+    together = law.d_rate_dp(p, at)
+    for i in range(2):
+        assert np.array_equal(together[i], law.d_rate_dp(p[i], at.history(i)))
+    assert together == pytest.approx(2e-10 * speed * p, rel=1e-14, abs=1e-20)
+
+
+class Elements:
+    """Code for one history: it takes the first rows for elements."""
+
+    def rate(self, p, local):
+        """Return the rate."""
+        rate = 1e-8 * local.speed * p
+        rate[:4] = 0.0
+        return rate
+
+
+class Largest:
+    """It looks at all pressures at once."""
+
+    def rate(self, p, local):
+        """Return the rate."""
+        return 1e-8 * local.speed * p * p / max(p.max(), 1.0)
+
+
+class Branching:
+    """One that raises where it is asked for many."""
+
+    def rate(self, p, local):
+        """Return the rate."""
+        return (1e-8 if local.time < 1.5 else 2e-8) * local.speed * p
+
+
+class Hopeless:
+    """One that always raises."""
+
+    def rate(self, p, local):
+        """Return the rate."""
+        raise ValueError
+
+
+@pytest.mark.parametrize(
+    ("law", "serves"),
+    [
+        (Square(), True),
+        (Hopeless(), True),
+        (ThresholdLaw(IN_TIME, ALONG), True),
+        (Elements(), False),
+        (Largest(), False),
+        (Branching(), False),
+    ],
+    ids=lambda law: type(law).__name__,
+)
+def test_who_does_not_serve_many_histories_is_found_out(law, serves):
+    assert serves_many(complete(law), R) == serves
 
 
 def test_part_of_the_elements_of_many_histories():
