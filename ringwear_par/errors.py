@@ -40,6 +40,12 @@ class ComputationError(RingwearError):
     """A computation that did not succeed: which case, step and residual."""
 
 
+def reason_of(error: Exception) -> str:
+    """Return why something failed, as it is stored: on one line."""
+    told = str(error) if isinstance(error, RingwearError) else repr(error)
+    return _cut(" ".join(told.split()), LONGEST_SENTENCE)
+
+
 class HistoriesError(ComputationError):
     """Some of many histories that could not go on; why, each is told when it is computed alone.
 

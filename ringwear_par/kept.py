@@ -1,19 +1,19 @@
 """Contact pairs kept on disk, so that a shape that is known needs no assembly.
 
 A file for each pair, named by a hash of all that its numbers depend on, to the last bit: the shape,
-mesh, Poisson's ratios and grip (``pair_key``), the source of the room ``elasticity``, the
-libraries, the processor and the number of BLAS threads. What has changed is thus never read; what
-has not been used for long makes room. The number of ranks is no part of it: pairs whose systems one
-rank solves are the same on any number of ranks, and others, as those that PETSc has options for,
-are not kept.
+mesh, Poisson's ratios and grip (``pair_key``), our version and the source of the room
+``elasticity``, the libraries, the processor and the number of BLAS threads. What has changed is
+thus never read; what has not been used for long makes room. The number of ranks is no part of it:
+pairs whose systems one rank solves are the same on any number of ranks, and others, as those that
+PETSc has options for, are not kept.
 
 They are in ``RINGWEAR_CACHE`` (empty: nothing is kept), or else among the user's caches. Whatever
 is wrong with folder or file, the pair is assembled.
 """
 
 import hashlib
-import io
 import logging
+import math
 import os
 import platform
 import time
@@ -29,6 +29,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import scipy
 
+from ringwear_par import __version__
 from ringwear_par.arrays import FloatArray
 from ringwear_par.atomic import atomic_write
 from ringwear_par.parallel import blas_threads, on_first_rank
@@ -42,11 +43,12 @@ log = logging.getLogger(__name__)
 VARIABLE = "RINGWEAR_CACHE"
 #: bytes of all files together
 LIMIT = 256_000_000
-_MAGIC = b"ringwear-par contact pair 1\n"
+#: what a file begins with; its checksum and its numbers follow
+_MAGIC = b"ringwear-par contact pair 2\n"
 _ENDING = ".pair"
-#: files written between two looks at the size of the folder, and age at which a file that was not
-#: finished is left over, s
-_WRITES, _LEFT_OVER = 16, 3600.0
+#: part of the limit that a process writes between two looks at the size of the folder, and age at
+#: which a file that was not finished is left over, s
+_UNSEEN, _LEFT_OVER = 1 / 16, 3600.0
 
 
 def folder() -> Path | None:
@@ -77,9 +79,7 @@ def write(key: Hashable, stacked: FloatArray, comm: "MPI.Comm") -> None:
     where = folder()
     if comm.rank > 0 or where is None:
         return
-    data = io.BytesIO()
-    np.save(data, stacked)
-    content = data.getvalue()
+    content = np.ascontiguousarray(stacked, dtype=np.float64).tobytes()
     if len(content) > LIMIT:
         return
     path = where / _name(key)
@@ -87,7 +87,7 @@ def write(key: Hashable, stacked: FloatArray, comm: "MPI.Comm") -> None:
         where.mkdir(parents=True, exist_ok=True)
         with atomic_write(path) as temporary:
             temporary.write_bytes(_MAGIC + _checksum(content) + content)
-        _make_room(where)
+        _make_room(where, len(content))
     except OSError as error:
         _tell(f"{where}: {error.strerror or error}")
 
@@ -102,19 +102,20 @@ def _read(key: Hashable, n: int) -> FloatArray | None:
     where = folder()
     if where is None:
         return None
-    path = where / _name(key)
+    path, shape = where / _name(key), (2, n + 3, n)
+    start = len(_MAGIC) + hashlib.sha256().digest_size
+    size = start + 8 * math.prod(shape)
     try:
-        content = path.read_bytes()
+        with path.open("rb") as file:
+            content = file.read(size + 1)  # whatever lies there
     except OSError:
         return None
-    start = len(_MAGIC) + hashlib.sha256().digest_size
-    if content[:start] != _MAGIC + _checksum(content[start:]):
+    if len(content) != size or content[:start] != _MAGIC + _checksum(content[start:]):
         log.warning("%s: damaged; what it held is assembled anew", path)
         return None
     with suppress(OSError):
         os.utime(path)  # it is in use
-    stacked: FloatArray = np.load(io.BytesIO(content[start:]), allow_pickle=False)
-    return stacked if stacked.shape == (2, n + 3, n) else None
+    return np.frombuffer(content, offset=start).reshape(shape)
 
 
 def _checksum(content: bytes) -> bytes:
@@ -147,20 +148,22 @@ def _surroundings() -> str:
         lines = file.read(8192).decode(errors="replace").splitlines()
         processor = "\n".join(x for x in lines if x.startswith(("model name", "flags", "Features")))
     return "\n".join(
-        (source.hexdigest(), np.__version__, scipy.__version__, version("numba"),
+        (__version__, source.hexdigest(), np.__version__, scipy.__version__, version("numba"),
          platform.machine(), processor)
     )  # fmt: skip
 
 
-_writes = 0
+#: bytes written since the last look; none was yet
+_unseen = math.inf
 
 
-def _make_room(where: Path) -> None:
+def _make_room(where: Path, written: int) -> None:
     """Remove what was used longest ago, until the rest is below the limit."""
-    global _writes
-    _writes += 1
-    if (_writes - 1) % _WRITES:
+    global _unseen
+    _unseen += written
+    if _unseen <= _UNSEEN * LIMIT:
         return
+    _unseen = 0.0
     for left in where.glob(f"*{_ENDING}.tmp*"):
         with suppress(OSError):
             if time.time() - left.stat().st_mtime > _LEFT_OVER:
@@ -170,8 +173,9 @@ def _make_room(where: Path) -> None:
     for _, bytes_, path in found:
         if total <= LIMIT:
             return
-        path.unlink(missing_ok=True)
-        total -= bytes_
+        with suppress(OSError):  # it may be somebody else's
+            path.unlink(missing_ok=True)
+            total -= bytes_
 
 
 def _files(where: Path) -> list[tuple[float, int, Path]]:

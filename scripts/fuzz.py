@@ -47,10 +47,10 @@ from ringwear_par.results.files import open_result, read_error, read_status
 from ringwear_par.results.reading import seal
 from ringwear_par.results.variables import HISTORIES
 from ringwear_par.results.writing import write_result
-from ringwear_par.studies.dataset import read_entries
 from ringwear_par.studies.ensemble import read_ensemble
 from ringwear_par.studies.figures import plot_sweep
 from ringwear_par.studies.index import DamagedError, read_stored
+from ringwear_par.studies.results_file import read_entries
 from ringwear_par.studies.study import read_study
 
 CASES = Path(__file__).parent / "cases"

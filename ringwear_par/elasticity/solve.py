@@ -82,17 +82,26 @@ def _solve_whole(systems: Sequence[Rows], comm: MPI.Comm) -> list[Solution]:
     solutions, worst = [], 0.0
     # all of them first: a rank that is factoring sends nothing to others
     MPI.Request.Waitall([request for *_, requests in gathered for request in requests])
-    for system, (matrix, loads, _) in zip(systems, gathered, strict=True):
-        x = np.empty((0, system.loads.shape[1]))
+    for system in systems:
+        matrix, loads, _ = gathered.pop(0)  # in memory no longer than needed
+        x, residual = np.empty((0, system.loads.shape[1])), 0.0
         if len(matrix):
-            # row by row, the matrix is the transpose of what LAPACK reads column by column
-            factor, pivots, failed = dgetrf(matrix.copy().T, overwrite_a=True)
-            if not failed:
-                x, failed = dgetrs(factor, pivots, loads, trans=1)
-            worst = max(worst, np.inf if failed else _residual(matrix, loads, x.sum(axis=1)))
+            x, residual = _solve_alone(matrix, loads)
+        worst = max(worst, residual)
         solutions.append((x, 0))
     _check(worst, comm)
     return solutions
+
+
+def _solve_alone(matrix: FloatArray, loads: FloatArray) -> tuple[FloatArray, float]:
+    """Return the solution of a system and its residual. Not collective."""
+    # row by row, the matrix is the transpose of what LAPACK reads column by column
+    factor, pivots, failed = dgetrf(matrix.copy().T, overwrite_a=True)
+    if not failed:
+        x, failed = dgetrs(factor, pivots, loads, trans=1)
+    if failed:
+        return np.full_like(loads, np.nan), np.inf
+    return x, _residual(matrix, loads, x.sum(axis=1))
 
 
 def _gather(

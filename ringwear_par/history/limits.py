@@ -14,32 +14,47 @@ from ringwear_par.errors import InputError
 def memory_needed(case: Case, ranks: int) -> float:
     """Return an estimate of the bytes that a run needs on all ranks together.
 
-    The (r, z) system of the larger body (two unknowns a node, two nodes an element) with its
-    factor, which every rank holds where there is no ScaLAPACK; the torsion system; the right-hand
-    sides; where elements follow the wear, what stays of the matrices of each body that wears; on
-    every rank the compliance and its copies, and the responses of whole boundaries where their
-    fields are asked for; on one the history.
+    The systems of the boundary elements; where elements follow the wear, what stays of the matrices
+    of each body that wears; on every rank the compliance and its copies, and the responses of whole
+    boundaries where their fields are asked for; on one the history.
     """
     n = float(case.mesh.contact_elements)
-    unknowns = 4.0 * max(
-        count_elements(case.section(r), case.contact, case.mesh) for r in case.rings
-    )
-    copies = 1.0
-    if ranks > 1:
-        from ringwear_par.elasticity.solve import has_scalapack
-
-        copies = 1.0 if has_scalapack() else float(ranks)
+    elements = max(count_elements(case.section(r), case.contact, case.mesh) for r in case.rings)
+    # two at each of two nodes an element; on the fixed face, n/2 elements, at one
+    unknowns = 4.0 * elements - n
     kept = 0.0
     if case.mesh.geometry == "updated":
         kept = 1.25 * sum(law is not None for law in case.laws)
     history, shared = len(case.output.fields) * n * case.stored_rows, 8.0 * n**2
     if case.output.boundary != "none":
         # displacements of two nodes an element and its traction, of both bodies and n loads
-        shared += 2.0 * 9.0 * n * unknowns / 4.0
+        shared += 2.0 * 9.0 * n * elements
         # what is stored of them; an element has six coordinates, six displacements and more
         rows = 1.0 if case.output.boundary == "last" else case.stored_rows
-        history += 2.0 * 15.0 * unknowns / 4.0 * rows
-    return 8.0 * ((1.25 + kept + 1.25 * copies) * unknowns**2 + ranks * shared + history)
+        history += 2.0 * 15.0 * elements * rows
+    systems = _numbers_of_systems(unknowns, n, ranks) + kept * unknowns**2
+    return 8.0 * (systems + ranks * shared + history)
+
+
+def _numbers_of_systems(unknowns: float, loads: float, ranks: int) -> float:
+    """Return how many numbers the systems of two bodies take at once, on all ranks together.
+
+    Parameters
+    ----------
+    unknowns : of the (r, z) system of the larger body; that of theta has half as many.
+    loads : right-hand sides.
+    """
+    matrix, right = unknowns**2, unknowns * loads
+    of_a_body = 1.25 * matrix + 1.5 * right
+    if ranks == 1:  # one body after another: its rows, their factors
+        return 2.0 * of_a_body
+    from ringwear_par.elasticity.solve import has_scalapack, solved_whole
+
+    if solved_whole(round(unknowns), ranks):  # both at once: rows, gathered ones, factors
+        return 6.0 * of_a_body
+    # one body after another: its rows, and the copies of PETSc 3.18, measured on 2 ranks
+    copies = 6.0 if has_scalapack() else 1.0 + 3.0 * ranks
+    return of_a_body + copies * (matrix + right)
 
 
 def check_ranks(case: Case, ranks: int, name: str) -> None:

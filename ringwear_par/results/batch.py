@@ -12,7 +12,7 @@ from ringwear_par.arrays import FloatArray, IntArray
 from ringwear_par.cases.case import Case
 from ringwear_par.contact.problem import WarmStart
 from ringwear_par.elasticity.pair import ContactPair
-from ringwear_par.errors import RingwearError
+from ringwear_par.errors import reason_of
 from ringwear_par.history.balances import Balances, balances
 from ringwear_par.history.snapshots import BatchSnapshot
 from ringwear_par.history.state import Progress, State
@@ -42,10 +42,7 @@ class Alone:
     @property
     def reason(self) -> str:
         """Why it failed, on one line; "" if it did not."""
-        error = self.error
-        if error is None:
-            return ""
-        return " ".join((str(error) if isinstance(error, RingwearError) else repr(error)).split())
+        return "" if self.error is None else reason_of(self.error)
 
 
 @dataclass(frozen=True)

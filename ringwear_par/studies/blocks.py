@@ -10,6 +10,7 @@ from ringwear_par.arrays import FloatArray, IntArray
 from ringwear_par.cases.case import Case
 from ringwear_par.results.columns import HistoryColumns
 from ringwear_par.results.variables import HISTORIES, LINE, PROFILES
+from ringwear_par.studies.index import STATUS, Index, Kind, Piece, Source, index_of
 from ringwear_par.studies.texts import Texts
 
 
@@ -55,6 +56,27 @@ class Record:
     def deep(self) -> bool:
         """Whether they are stored at every stored step."""
         return any(self.arrays[name].ndim == 2 for name in self.fields)
+
+
+def piece_of(record: Record, name: str) -> Piece | None:
+    """Return a variable of a case; None where it is not stored."""
+    values = record.arrays.get(name)
+    if values is None:
+        return None
+    if name in LINE or (name in PROFILES and values.ndim == 1):
+        return Piece(values[None])
+    return Piece(values, np.array([0, len(values)]))
+
+
+def index_record(record: Record, source: Source, block: int) -> Index:
+    """Return the index of a case by itself."""
+    return index_of(
+        source, block, np.array([record.id.encode()]), np.array([STATUS.index(record.status)]),
+        np.array([record.rows]), np.array([len(record.arrays.get("r", ()))]),
+        np.array([record.seconds]), np.array([record.imbalance]),
+        [Kind(record.version, record.flags, record.fields, record.deep)],
+        errors={0: record.error} if record.error else {}, longest=len(record.toml.encode()),
+    )  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)

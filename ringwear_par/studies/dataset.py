@@ -8,9 +8,10 @@ import csv
 import math
 import zlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import h5py
 import numpy as np
@@ -23,73 +24,37 @@ from ringwear_par.cases.text import toml_value
 from ringwear_par.cases.values import is_number
 from ringwear_par.errors import InputError
 from ringwear_par.results.hdf5 import atomic_hdf5
-from ringwear_par.results.reading import (
-    UnreadableError,
-    find_array,
-    read_array,
-    read_words,
-    reading,
-)
-from ringwear_par.results.variables import ELEMENT, HISTORIES, LINE, PROFILES, STEP, Variable
+from ringwear_par.results.variables import ELEMENT, HISTORIES, LINE, PROFILES, Variable
 from ringwear_par.studies.index import (
     STATUS,
     Index,
     Kind,
     Piece,
-    index_of,
     join_flags,
     put,
     read_stored,
-    split_flags,
     telling_damage,
 )
-from ringwear_par.studies.shards import UNKNOWN_VERSION
+from ringwear_par.studies.results_file import (
+    FINAL,
+    OF_CASES,
+    RESULTS,
+    SAME_STEPS,
+    SOFTWARE,
+    TABLE,
+    cases_at_once,
+    over_cases,
+    power_of_2,
+)
 from ringwear_par.studies.variations import Column, path_of, value_of
 
-SOFTWARE = "ringwear-par sweep"
-#: what messages call the file
-WHAT = "a results file of ringwear sweep"
-RESULTS, TABLE = "results.h5", "cases.csv"
-#: the last values that cases.csv shows
-FINAL = ("penetration", "worn_volume_lower", "worn_volume_upper")
 _COLUMNS = ("status", "error", *FINAL, "seconds", "in_study", "version", "flags")
-#: of the largest table that is filled before it is written, of a chunk in the file
-_WINDOW_BYTES, _CHUNK_BYTES = 24e6, 256e3
-#: cases that are made texts of, or are rows of a table, at once; and those of a results file that
-#: are read at once
-_WINDOW, _STRETCH = 2**13, 2**12
+#: of a chunk in the file
+_CHUNK_BYTES = 256e3
+#: most cases that are made texts of, or are rows of a table, at once
+_WINDOW = 2**13
 #: a variable whose first chunk gzip makes so much smaller is stored so; it takes no time then
 _WORTH_IT = 8
-#: attribute of ``step``: whether all histories begin with the same numbers of steps made
-_SAME_STEPS = "same_in_all_cases"
-#: variables that older files do not have, and what is said of their cases
-_OLDER = {"version": UNKNOWN_VERSION, "flags": ""}
-#: variables with dimension (case,)
-OF_CASES = {
-    variable.name: variable
-    for variable in (
-        Variable("case_toml", ("case",), "1", "the case as a case file"),
-        Variable("status", ("case",), "1", "done, failed or incomplete"),
-        Variable("error", ("case",), "1", "why the case failed"),
-        Variable("in_study", ("case",), "1", "whether the study still has the case"),
-        Variable("version", ("case",), "1", "version of ringwear-par that computed the case"),
-        Variable("flags", ("case",), "1", "what makes the answer doubtful, separated by commas"),
-        Variable("seconds", ("case",), "s", "wall time of the case"),
-        Variable(
-            "imbalance", ("case",), "1",
-            "worst balance of force, volume, energy or KKT residual of its steps",
-        ),
-        Variable("steps_stored", ("case",), "1", "number of stored steps", integer=True),
-        Variable("elements", ("case",), "1", "number of contact elements", integer=True),
-        *(
-            Variable(
-                f"final_{name}", ("case",), HISTORIES[name].unit,
-                f"{HISTORIES[name].meaning}, at the last stored step",
-            )
-            for name in FINAL
-        ),
-    )
-}  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
@@ -209,7 +174,7 @@ class _Writer:
             ),
         ]
         shapes = {v.name: tuple(len(file[axis]) for axis in v.dimensions) for v in variables}
-        window = _power_of_2(_WINDOW_BYTES / (8 * max(map(math.prod, shapes.values()))))
+        window = cases_at_once(8 * max(map(math.prod, shapes.values())))
         columns: dict[str, _Column] = {}
         common = _CommonSteps()
         for start in range(0, max(len(entry), 1), window):
@@ -238,18 +203,14 @@ class _Writer:
         if common.steps is not None and len(common.steps) == len(file["step"]):
             file["step"][:] = common.steps.astype(int)
             file["step"].attrs["long_name"] = "number of time steps made"
-            file["step"].attrs[_SAME_STEPS] = 1
+            file["step"].attrs[SAME_STEPS] = 1
 
     def write_cases(self) -> None:
         """Write what cases have one of each, and the varied keys."""
         self._write_texts()
         index, file = self._listing.index, self._file
-        for name, words in self._words().items():
-            kind = _text_dtype(words.dtype.itemsize)
-            column = _Column(_make(file, OF_CASES[name], kind, _WINDOW, gzip=True))
-            for start in range(0, len(words), _WINDOW):
-                column.write(start, words[start : start + _WINDOW])
-            self._check_disk()
+        for name, words in self._words.items():
+            self._write_words(OF_CASES[name], words)
         for name, values in (
             ("seconds", self._of_cases(index.seconds, np.nan)),
             ("imbalance", self._of_cases(index.imbalance, np.nan)),
@@ -260,24 +221,31 @@ class _Writer:
             _make(file, OF_CASES[name], values.dtype, _WINDOW)[:] = values
         self._write_varied()
 
-    def _words(self) -> dict[str, Any]:
-        """Return the short texts of cases, as bytes."""
+    @cached_property
+    def _words(self) -> dict[str, "_Words"]:
+        """The short texts of cases."""
         index = self._listing.index
-        kind = self._of_cases(index.kind, -1)
         kinds = [*index.kinds, Kind("")]  # the last of which nothing is known
-        errors = np.zeros(len(kind), dtype=f"S{max(map(_size, index.errors.values()), default=1)}")
-        if index.errors:
-            for case in np.flatnonzero(self._there).tolist():
-                reason = index.errors.get(int(self._listing.entry[case]))
-                if reason is not None:
-                    errors[case] = reason.encode()
+        kind = self._of_cases(index.kind, -1)
+        reasons, error = {"": 0}, np.zeros(len(index), dtype=np.int64)
+        for place, reason in index.errors.items():
+            error[place] = reasons.setdefault(reason, len(reasons))
         return {
-            "status": _bytes(STATUS)[self._of_cases(index.status, 0)],
-            "error": errors,
-            "in_study": _bytes(("no", "yes"))[self._listing.in_study.astype(int)],
-            "version": _bytes([each.version for each in kinds])[kind],
-            "flags": _bytes([join_flags(each.flags) for each in kinds])[kind],
+            "status": _Words(_bytes(STATUS), self._of_cases(index.status, 0)),
+            "error": _Words(_bytes(list(reasons)), self._of_cases(error, 0)),
+            "in_study": _Words(_bytes(("no", "yes")), self._listing.in_study.astype(int)),
+            "version": _Words(_bytes([each.version for each in kinds]), kind),
+            "flags": _Words(_bytes([join_flags(each.flags) for each in kinds]), kind),
         }
+
+    def _write_words(self, variable: Variable, words: "_Words") -> None:
+        """Write texts of cases, window by window."""
+        kind = _text_dtype(words.there.dtype.itemsize)
+        window = _text_window(kind)
+        column = _Column(_make(self._file, variable, kind, window, gzip=True))
+        for start in range(0, len(words.codes), window):
+            column.write(start, words.of(slice(start, start + window)))
+        self._check_disk()
 
     def _write_texts(self) -> None:
         """Write the texts of all cases, and look up varied keys that nobody knows any more."""
@@ -289,9 +257,10 @@ class _Writer:
             texts = listing.texts(missing[start : start + _WINDOW])
             longest = max(longest, *map(_size, texts))
         kind = _text_dtype(longest)
-        column = _Column(_make(self._file, OF_CASES["case_toml"], kind, _WINDOW, gzip=True))
-        for start in range(0, count, _WINDOW):
-            stop = min(start + _WINDOW, count)
+        window = _text_window(kind)
+        column = _Column(_make(self._file, OF_CASES["case_toml"], kind, window, gzip=True))
+        for start in range(0, count, window):
+            stop = min(start + window, count)
             found: list[str] = [""] * (stop - start)
             for source, block, cases in self._blocks(start, stop, full=False):
                 places = listing.index.place[listing.entry[cases]].tolist()
@@ -323,15 +292,16 @@ class _Writer:
                 values = np.concatenate([known, list(map(_number, more))])
                 _make(file, variable, float, _WINDOW)[:] = values
             else:
-                words = _bytes(column.each(_shown) + list(map(_shown, more)))
-                kind = _text_dtype(words.dtype.itemsize)
-                dataset = _make(file, variable, kind, _WINDOW, gzip=True)
-                dataset[:] = words.astype(dataset.dtype)
+                there = [*column.there, *more]
+                codes = np.arange(len(there))
+                if column.codes is not None:
+                    codes = np.concatenate([column.codes, codes[len(column.values) :]])
+                self._write_words(variable, _Words(_bytes(list(map(_shown, there))), codes))
         file.attrs["coordinates"] = " ".join(listing.names)
 
     def rows(self) -> Iterator[Iterator[tuple[str, ...]]]:
         """Yield the rows of cases.csv, window by window."""
-        listing, count, words = self._listing, len(self._there), self._words()
+        listing, count, words = self._listing, len(self._there), self._words
         seconds = self._of_cases(listing.index.seconds, np.nan)
         known = len(listing.columns[0]) if listing.columns else count
         for start in range(0, count, _WINDOW):
@@ -346,18 +316,13 @@ class _Writer:
             yield zip(
                 _texts(listing.ids[here]),
                 *varied,
-                _texts(words["status"][here]),
-                _texts(words["error"][here]),
+                _texts(words["status"].of(here)),
+                _texts(words["error"].of(here)),
                 *(["" if v != v else repr(v) for v in values] for values in finals),
                 ["" if v != v else f"{v:.4f}" for v in seconds[here].tolist()],
-                *(_texts(words[name][here]) for name in ("in_study", "version", "flags")),
+                *(_texts(words[name].of(here)) for name in ("in_study", "version", "flags")),
                 strict=True,
             )
-
-
-def over_cases(variable: Variable) -> Variable:
-    """Return a variable of one case as the results of all have it, padded with NaN."""
-    return replace(variable, dimensions=("case", *variable.dimensions), integer=False)
 
 
 def _looked_up(text: str, names: Sequence[str]) -> tuple[Any, ...]:
@@ -378,6 +343,23 @@ def _bytes(texts: Sequence[str]) -> Any:
     return np.array([text.encode() for text in texts] or [b""])[: len(texts)]
 
 
+class _Words(NamedTuple):
+    """Texts of cases.
+
+    Parameters
+    ----------
+    there : those that there are, as bytes.
+    codes : (cases,) int, which of them each case has.
+    """
+
+    there: Any
+    codes: IntArray
+
+    def of(self, cases: slice) -> Any:
+        """Return the texts of some cases."""
+        return self.there[self.codes[cases]]
+
+
 def _texts(words: Any) -> list[str]:
     """Return what ``_bytes`` was made of."""
     return [word.decode() for word in words.tolist()]
@@ -386,6 +368,11 @@ def _texts(words: Any) -> list[str]:
 def _text_dtype(size: int) -> Any:
     """Return the type of texts of at most so many bytes, which gzip shrinks as no others."""
     return h5py.string_dtype("utf-8", max(size, 1))
+
+
+def _text_window(kind: Any) -> int:
+    """Return how many cases to write the texts of at once."""
+    return min(_WINDOW, cases_at_once(kind.itemsize))
 
 
 def _shown(value: Any) -> str:
@@ -434,16 +421,11 @@ def _make_scales(file: h5py.File, ids: Any, steps: int, elements: int) -> None:
     file["case"].attrs.update({"units": "1", "long_name": meaning, **_ENCODED})
     file.create_dataset("step", data=np.arange(steps))
     meaning = "stored step (their numbers differ from case to case)"
-    file["step"].attrs.update({"units": "1", "long_name": meaning, _SAME_STEPS: 0})
+    file["step"].attrs.update({"units": "1", "long_name": meaning, SAME_STEPS: 0})
     file.create_dataset("element", data=np.arange(elements))
     file["element"].attrs.update(ELEMENT.attributes)
     for name in ("case", "step", "element"):
         file[name].make_scale(name)
-
-
-def _power_of_2(number: float) -> int:
-    """Return the largest power of 2 up to a number, 1 at least."""
-    return 1 << max(int(number).bit_length() - 1, 0)
 
 
 class _Column:
@@ -498,7 +480,7 @@ def _make(
     for axis in range(len(shape)):
         rest = size * math.prod(chunks[axis + 1 :])
         chunks[axis] = min(shape[axis], max(1, int(_CHUNK_BYTES // rest)))
-    chunks[0] = min(shape[0], _power_of_2(_CHUNK_BYTES / (size * math.prod(chunks[1:]))), window)
+    chunks[0] = min(shape[0], power_of_2(_CHUNK_BYTES / (size * math.prod(chunks[1:]))), window)
     extra: dict[str, Any] = {}
     if np.dtype(kind).kind == "f":
         extra["fillvalue"] = np.nan
@@ -518,120 +500,3 @@ def _make(
 
 #: with which xarray takes bytes for the texts that they are
 _ENCODED = {"_Encoding": "utf-8"}
-
-
-def read_entries(path: Path) -> Index | None:
-    """Return the begun cases of a results file; None if it is damaged. Not collective.
-
-    Raises
-    ------
-    UnreadableError : it cannot be read now.
-    """
-    try:
-        with reading(path, SOFTWARE, WHAT) as file:
-            return _index(path, file)
-    except UnreadableError:
-        raise
-    except InputError:
-        return None
-
-
-def _index(path: Path, file: h5py.File) -> Index:
-    sizes: dict[str, int] = {}
-    ids, status, errors = (read_words(file, name, sizes) for name in ("case", "status", "error"))
-    rows, elements, seconds, imbalance = (
-        read_array(file, OF_CASES[name], sizes)
-        for name in ("steps_stored", "elements", "seconds", "imbalance")
-    )
-    fields = tuple(name for name in PROFILES if name in file)
-    deep = any(file[name].ndim == 3 for name in fields)
-    version, flags = (
-        read_words(file, name, sizes)
-        if name in file
-        else np.full(len(ids), default.encode() or b"", dtype=f"S{len(default) or 1}")
-        for name, default in _OLDER.items()
-    )
-    tables = _tables(file, sizes)
-    for numbers, axis in ((rows, "step"), (elements, "element")):
-        if not ((numbers >= 0) & (numbers <= sizes.get(axis, 0))).all():
-            raise ValueError(axis)
-    there, state = np.unique(status, return_inverse=True)
-    states = np.array([STATUS.index(word.decode()) for word in there], dtype=np.int64)[state]
-    _, first, which = np.unique(
-        np.char.add(np.char.add(version, b"\0x"), flags), return_index=True, return_inverse=True
-    )
-    kinds = [Kind(version[i].decode(), split_flags(flags[i].decode()), fields, deep) for i in first]
-    source = Results(path, set(tables))
-    whole = replace(
-        index_of(
-            source, 0, ids, states, rows, elements, seconds, imbalance, kinds[:1] or [Kind("")],
-            errors={int(i): errors[i].decode() for i in np.flatnonzero(errors)},
-            longest=_longest(file["case_toml"]),
-        ),
-        kind=which, kinds=tuple(kinds) or (Kind(""),),
-        block=np.arange(len(ids)) // _STRETCH, place=np.arange(len(ids)) % _STRETCH,
-    )  # fmt: skip
-    begun = np.flatnonzero(~np.isnan(seconds))
-    return whole if len(begun) == len(ids) else whole.only(begun)
-
-
-def _longest(dataset: h5py.Dataset) -> int:
-    """Return the bytes of the longest text of a variable."""
-    if dataset.dtype.kind == "S":
-        return int(dataset.dtype.itemsize)
-    return max((len(word) for word in dataset[:].tolist()), default=1)
-
-
-class Results:
-    """The cases of a results file, in stretches of them; see ``Source``.
-
-    Parameters
-    ----------
-    path : of the file.
-    names : variables that it has over steps and elements.
-    """
-
-    def __init__(self, path: Path, names: set[str]) -> None:
-        self.path, self._names = path, names
-
-    def read(self, block: int, name: str) -> Piece | None:
-        """Return a variable of the cases of a stretch; None where it is not stored.
-
-        Raises
-        ------
-        InputError : the file is damaged.
-        """
-        if name != "step" and name not in self._names:
-            return None
-        with reading(self.path, SOFTWARE, WHAT) as file:
-            if name != "step":
-                return Piece(file[name][block * _STRETCH : (block + 1) * _STRETCH])
-            steps = read_array(file, STEP, {}).astype(float)
-            # files of before the attribute: only where they are not just numbered does it matter
-            same = file["step"].attrs.get(_SAME_STEPS, (steps != np.arange(len(steps))).any())
-            return Piece(steps[None]) if same else None
-
-    def texts(self, block: int, places: Sequence[int]) -> list[str]:
-        """Return the texts of some cases of a stretch.
-
-        Raises
-        ------
-        InputError : the file is damaged.
-        """
-        with reading(self.path, SOFTWARE, WHAT) as file:
-            words = file["case_toml"][block * _STRETCH : (block + 1) * _STRETCH]
-            return [words[place].decode() for place in places]
-
-    def close(self) -> None:
-        """Let the file go, which is opened for each answer."""
-
-
-def _tables(file: h5py.File, sizes: dict[str, int]) -> dict[str, h5py.Dataset]:
-    """Return the variables over cases and steps or elements."""
-    found = {}
-    for name, variable in {**HISTORIES, **LINE, **PROFILES}.items():
-        if name in file:
-            last = name in PROFILES and file[name].ndim == 2
-            own = over_cases(variable.at_last_step() if last else variable)
-            found[name] = find_array(file, own, sizes)
-    return found

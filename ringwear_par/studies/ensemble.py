@@ -19,7 +19,7 @@ from ringwear_par.results.reading import (
     reading,
 )
 from ringwear_par.results.variables import HISTORIES, LINE, PROFILES, Variable
-from ringwear_par.studies.dataset import (
+from ringwear_par.studies.results_file import (
     FINAL,
     OF_CASES,
     RESULTS,

@@ -16,6 +16,8 @@ from ringwear_par.results.reading import UnreadableError
 #: a case's status is a place in this
 STATUS = ("incomplete", "failed", "done")
 INCOMPLETE, FAILED, DONE = range(3)
+#: numbers of blocks are smaller
+MOST_BLOCKS = 2**31
 #: between the flags of a case
 _SEPARATOR = ", "
 

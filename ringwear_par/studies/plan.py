@@ -13,10 +13,10 @@ import ringwear_par
 from ringwear_par.arrays import BoolArray, IntArray
 from ringwear_par.errors import InputError
 from ringwear_par.history.limits import memory_needed
-from ringwear_par.studies.dataset import RESULTS
 from ringwear_par.studies.groups import Groups
 from ringwear_par.studies.index import DONE, FAILED, NOTHING, Index
-from ringwear_par.studies.shards import locked
+from ringwear_par.studies.locks import locked
+from ringwear_par.studies.results_file import RESULTS
 from ringwear_par.studies.store import Store
 from ringwear_par.studies.study import Study
 

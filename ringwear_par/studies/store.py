@@ -24,11 +24,12 @@ from ringwear_par.history.balances import Balances
 from ringwear_par.results.checkpoints import restored
 from ringwear_par.results.files import open_result
 from ringwear_par.results.reading import UnreadableError
-from ringwear_par.studies import dataset, shards
-from ringwear_par.studies.blocks import Record
-from ringwear_par.studies.dataset import RESULTS
+from ringwear_par.studies import results_file, shards
+from ringwear_par.studies.blocks import Record, index_record, piece_of
+from ringwear_par.studies.identities import case_id
 from ringwear_par.studies.index import DAMAGE, INCOMPLETE, Index, Piece, join, latest
-from ringwear_par.studies.study import case_id
+from ringwear_par.studies.locks import forget_slices
+from ringwear_par.studies.results_file import RESULTS
 
 
 @contextmanager
@@ -123,7 +124,7 @@ class Store:
         notes = []
         results = self.folder / RESULTS
         if results.exists():
-            found = dataset.read_entries(results)
+            found = results_file.read_entries(results)
             if found is None:
                 notes.append(self.set_aside(results, mend))
             else:
@@ -156,12 +157,14 @@ class Store:
         found, notes = [], []
         for path, entry, own in zip(paths, entries.tolist(), mine.tolist(), strict=True):
             if entry >= 0 and stored.status[entry] != INCOMPLETE:
+                if mend:  # killed between storing the case and this
+                    path.unlink(missing_ok=True)
                 continue
             try:
                 record = _interrupted(path)
                 if own and _id_of(record) != path.stem:
                     raise InputError(f"{path}: is of another case than its name says")
-                found.append(shards.index_record(record, _InFlight(path), 0))
+                found.append(index_record(record, _InFlight(path), 0))
             except UnreadableError:
                 raise
             except InputError as error:
@@ -189,7 +192,7 @@ class Store:
         """Remove what results.h5 holds by now, and what slices have left."""
         for path in (self.folder / "shards").glob("*.sqlite*"):
             path.unlink(missing_ok=True)
-        shards.forget_slices(self.folder)
+        forget_slices(self.folder)
         for name in _FOLDERS:  # what is damaged or interrupted stays
             with suppress(OSError):
                 (self.folder / name).rmdir()
@@ -220,7 +223,7 @@ class _InFlight:
 
     def read(self, _: int, name: str) -> Piece | None:
         """Return a variable of the case; None where it is not stored."""
-        return shards.piece_of(self._record, name)
+        return piece_of(self._record, name)
 
     def texts(self, _: int, places: Sequence[int]) -> list[str]:
         """Return its text."""

@@ -1,15 +1,7 @@
-"""Studies: every case made once, checked, known by its content, and grouped by operator.
+"""Studies: every case made once, checked, known by its content, and grouped by operator."""
 
-A case is known by its content: its id does not depend on the study it belongs to, on the order of
-its keys or on how a number is written, so that a study may grow, shrink or change and the cases
-that stay the same keep their results.
-"""
-
-import hashlib
-import itertools
-import json
 import pickle
-from collections.abc import Hashable, Iterator, Mapping, Sequence
+from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -17,12 +9,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ringwear_par.arrays import BoolArray, FloatArray, IntArray
+from ringwear_par.arrays import FloatArray, IntArray
 from ringwear_par.cases.case import Case
 from ringwear_par.cases.law_trials import law_sources, refuse_bad_laws
-from ringwear_par.cases.numbers import Number, doubtful, interval_of, with_numbers
+from ringwear_par.cases.numbers import doubtful, with_numbers
 from ringwear_par.cases.reading import make_case
-from ringwear_par.cases.schema import BY_PATH
 from ringwear_par.cases.text import toml_value
 from ringwear_par.elasticity.mesh import count_elements
 from ringwear_par.errors import InputError
@@ -30,98 +21,17 @@ from ringwear_par.history.bodies import operator_key, young
 from ringwear_par.history.limits import check_memory, check_mesh, check_ranks
 from ringwear_par.studies.designs import Draft, read_draft
 from ringwear_par.studies.groups import Groups
-from ringwear_par.studies.texts import Frame, Place, Texts, joined
-from ringwear_par.studies.variations import Column, split_key, varied_keys
-from ringwear_par.textfiles import read_text
+from ringwear_par.studies.identities import identities_of
+from ringwear_par.studies.rows import Rows, by_kind
+from ringwear_par.studies.texts import Frame, Texts, joined
 
 if TYPE_CHECKING:
     from mpi4py import MPI
 
-#: defaults of before keys had to be given: the ids of the cases of then have to stay
-_NOT_IN_IDS = {f"wear.{body}.law": "threshold" for body in ("lower", "upper")}
 #: faults of single cases told one by one; the rest are counted
 _FAULTS_TOLD = 5
-#: cases whose texts are made at once
-_WINDOW = 2**14
 #: most kinds of cases that a rank keeps at hand
 _MOST_KINDS = 64
-
-
-@dataclass(frozen=True, eq=False)
-class Rows:
-    """The cases of a study, or a stretch of them, by column.
-
-    Cases whose columns differ in numbers only (see ``cases.numbers``) are of one kind.
-
-    Parameters
-    ----------
-    base : dotted keys and raw values of the base case.
-    names : the varied keys.
-    columns : raw values, in the order of ``names``.
-    """
-
-    base: Mapping[str, Any]
-    names: tuple[str, ...]
-    columns: tuple[Column, ...]
-
-    def part(self, cases: slice | IntArray) -> "Rows":
-        """Return some of the cases."""
-        return Rows(self.base, self.names, tuple(c.part(cases) for c in self.columns))
-
-    def keys(self, case: int, places: bool = False) -> dict[str, Any]:
-        """Return the dotted keys and raw values of a case, perhaps with places for its numbers."""
-        hollow = set(self.numbers.values()) if places else set()
-        row = [Place(i) if i in hollow else c[case] for i, c in enumerate(self.columns)]
-        return varied_keys(self.base, self._parts, row)
-
-    @cached_property
-    def _parts(self) -> list[tuple[str, int | str | None]]:
-        return [split_key(name) for name in self.names]
-
-    @cached_property
-    def numbers(self) -> dict[Number, int]:
-        """Which columns are numbers of a case, whatever the others are."""
-        found: dict[Number, int] = {}
-        for i, (path, entry) in enumerate(self._parts):
-            if isinstance(entry, int) or self.columns[i].numbers is None:
-                continue
-            if interval_of((path, entry)) is not None:
-                found[path, entry] = i
-        return found
-
-    @cached_property
-    def kinds(self) -> IntArray:
-        """(cases,) number of the kind that each case is of."""
-        kinds = np.zeros(len(self.columns[0]), dtype=np.int64)
-        for i, column in enumerate(self.columns):
-            if i not in self.numbers.values():
-                own = column.kinds
-                kinds = kinds * (int(own.max(initial=0)) + 1) + own
-                kinds = np.unique(kinds, return_inverse=True)[1].astype(np.int64)
-        return kinds
-
-    def others(self, case: int) -> str:
-        """Return what tells the kind of a case: all values but the numbers."""
-        numbers = self.numbers.values()
-        return repr([column[case] for i, column in enumerate(self.columns) if i not in numbers])
-
-    def inside(self) -> BoolArray:
-        """Return in which cases all numbers are right by themselves."""
-        good = np.ones(len(self.columns[0]), dtype=bool)
-        for number, i in self.numbers.items():
-            interval, values = interval_of(number), self.columns[i].numbers
-            assert interval is not None
-            assert values is not None
-            good &= interval.holds(values)
-        return good
-
-    def floats(self, cases: IntArray) -> dict[Number, FloatArray]:
-        """Return the numbers of some cases."""
-        return {
-            number: values[cases]
-            for number, i in self.numbers.items()
-            if (values := self.columns[i].numbers) is not None
-        }
 
 
 @dataclass(frozen=True)
@@ -201,12 +111,12 @@ class Study:
         """Return some cases, and their texts by what they have in common."""
         numbers = np.asarray(numbers, dtype=np.int64)
         rows, kinds = self.cases.part(numbers), self.cases.kinds[numbers]
-        written = [column.each(toml_value) for column in rows.columns]
+        written = {i: rows.columns[i].each(toml_value) for i in rows.numbers.values()}
         cases = np.empty(len(kinds), dtype=object)
         values = np.empty(len(kinds), dtype=object)
         frame_of = np.zeros(len(kinds), dtype=np.int64)
         frames: list[tuple[str, ...]] = []
-        for kind, here in _by_kind(kinds):
+        for kind, here in by_kind(kinds):
             own = self._kind(kind, int(numbers[here[0]]))
             places = here.tolist()
             columns = [[written[c][i] for i in places] for c in own.frame.columns]
@@ -312,114 +222,12 @@ def read_study_together(
     return study
 
 
-def case_id(case_keys: Mapping[str, Any]) -> str:
-    """Return the id of a case, from all that its results depend on: 16 hexadecimal digits.
-
-    Parameters
-    ----------
-    case_keys : dotted keys and raw values of a good case.
-    """
-    pieces = _id_pieces(case_keys, {})
-    return _digest("".join(map(str, pieces)))
-
-
-def _digest(contents: str) -> str:
-    """Return the id of JSON pairs, each of which begins with a comma."""
-    return hashlib.sha256(f"{{{contents[2:]}}}".encode()).hexdigest()[:16]
-
-
-def _id_pieces(case_keys: Mapping[str, Any], numbers: Mapping[Number, int]) -> list[str | int]:
-    """Return the JSON pairs that an id is made of, and numbers of columns in their places.
-
-    Parameters
-    ----------
-    case_keys : dotted keys and raw values of a good case, Places for numbers.
-    numbers : their columns.
-    """
-    pieces: list[str | int] = []
-    for path in sorted(case_keys.keys() - {"title"}):
-        raw, key = case_keys[path], BY_PATH[path]
-        if (path, None) in numbers:
-            pieces.append(numbers[path, None])
-        elif path.startswith("wear.") and path.endswith(".file"):  # what it says, not where it is
-            pieces.append(_pair(path, read_text(Path(raw))))
-        elif isinstance(raw, dict) and any((path, name) in numbers for name in raw):
-            there = key.read({n: 0.0 if (path, n) in numbers else v for n, v in raw.items()})
-            pieces.append(f", {json.dumps(path)}: [")
-            for i, (name, value) in enumerate(there):
-                pieces.append(f"{', ' if i else ''}[{json.dumps(name)}, ")
-                known = (path, name) in numbers
-                pieces.append(numbers[path, name] if known else json.dumps(value, default=repr))
-                pieces.append("]")
-            pieces.append("]")
-        else:
-            value = key.read(raw)
-            if value != _NOT_IN_IDS.get(path, key.default):
-                pieces.append(_pair(path, value))
-    return pieces
-
-
-def _pair(path: str, value: Any) -> str:
-    return f", {json.dumps(path)}: {json.dumps(value, default=repr)}"
-
-
-def _identities(rows: Rows, firsts: Mapping[int, int]) -> Any:
-    """Return (cases,) bytes, the ids of good cases.
-
-    Parameters
-    ----------
-    firsts : a good case of each kind that has one.
-    """
-    found = np.zeros(len(rows.kinds), dtype="S16")
-    for start in range(0, len(found), _WINDOW):
-        window = slice(start, start + _WINDOW)
-        part = rows.part(window)
-        written: list[list[str]] = [[]] * len(rows.columns)
-        for (path, entry), i in rows.numbers.items():
-            written[i] = part.columns[i].each(_Told(path) if entry is None else _told)
-        for kind, here in _by_kind(rows.kinds[window]):
-            if kind in firsts:
-                pieces = _id_pieces(rows.keys(firsts[kind], places=True), rows.numbers)
-                columns = [
-                    itertools.repeat(piece, len(here))
-                    if isinstance(piece, str)
-                    else [written[piece][i] for i in here.tolist()]
-                    for piece in pieces
-                ]
-                found[start + here] = [_digest("".join(e)) for e in zip(*columns, strict=True)]
-    return found
-
-
-def _told(raw: Any) -> str:
-    """Return a number as JSON has it."""
-    return repr(float(raw))
-
-
-class _Told:
-    """Writes the numbers of a key as JSON pairs, but for its default."""
-
-    def __init__(self, path: str) -> None:
-        self._begin, self._default = f", {json.dumps(path)}: ", BY_PATH[path].default
-
-    def __call__(self, raw: Any) -> str:
-        value = float(raw)
-        return "" if value == self._default else self._begin + repr(value)
-
-
-def _by_kind(kinds: IntArray) -> Iterator[tuple[int, IntArray]]:
-    """Yield each kind and its cases."""
-    order = np.argsort(kinds, kind="stable")
-    there, starts = np.unique(kinds[order], return_index=True)
-    if len(there):  # no case is no kind, and yet one part
-        yield from zip(there.tolist(), np.split(order, starts[1:]), strict=True)
-
-
 class _Checker:
     """Checks the cases of a stretch of a draft: of each kind one, the others by their numbers."""
 
     def __init__(self, draft: Draft, first: int, last: int, ranks: int) -> None:
         self._draft, self._first, self._ranks = draft, first, ranks
-        self.rows = Rows(draft.base, draft.names, draft.columns).part(slice(first, last))
+        self.rows = Rows.of(draft).part(slice(first, last))
         self.count = last - first
         self.operators = np.zeros(self.count, dtype=np.int64)
         self.moduli, self.work = np.zeros((self.count, 2)), np.zeros(self.count)
@@ -435,7 +243,7 @@ class _Checker:
         """Look at all of them."""
         inside = self.rows.inside()
         self.bad[~inside] = True
-        for kind, here in _by_kind(self.rows.kinds):
+        for kind, here in by_kind(self.rows.kinds):
             self._check_kind(kind, here[inside[here]])
         faults = []
         for i in np.flatnonzero(self.bad)[:_FAULTS_TOLD].tolist():
@@ -445,7 +253,7 @@ class _Checker:
                 faults.append(error.faults)
         identities = np.zeros(0, dtype="S16")
         if not self.bad.any():
-            identities = _identities(self.rows, self.firsts)
+            identities = identities_of(self.rows, self.firsts)
         return _Checked(
             identities, self.operators, self.moduli, self.work, self.largest,
             self.operator_faults, self.tried, faults, int(self.bad.sum()),
@@ -463,6 +271,9 @@ class _Checker:
                 continue
             self._note(np.array([first]), case)
             self.firsts.setdefault(kind, first)
+            if not self.rows.numbers:  # they are one case
+                self._note(rest, case)
+                return
             if len(rest):
                 look = doubtful(case, self.rows.floats(rest))
                 self._note(rest[~look], case)
@@ -536,7 +347,7 @@ def _complete(draft: Draft, stretches: Sequence[_Checked], ranks: int) -> Study:
     operator_of = np.concatenate([np.array(o, dtype=np.int64)[p.operators] for o, p in own])
     moduli = np.concatenate([part.moduli for part in stretches])
     work = np.concatenate([part.work for part in stretches])
-    rows = Rows(draft.base, draft.names, draft.columns)
+    rows = Rows.of(draft)
     firsts = np.unique(identities, return_index=True)[1]
     if len(firsts) < len(identities):  # some cases are there twice
         firsts.sort()

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from ringwear_par.results.progress import duration
-from ringwear_par.studies.dataset import RESULTS, TABLE
+from ringwear_par.studies.results_file import RESULTS, TABLE
 from ringwear_par.studies.workers import Timings
 
 _KNOWN = ("stepping", "assembly", "waiting", "output")

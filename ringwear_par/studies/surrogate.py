@@ -19,9 +19,9 @@ from ringwear_par.errors import InputError, RingwearError, legible
 from ringwear_par.results.hdf5 import atomic_hdf5
 from ringwear_par.results.reading import read_array, read_number, read_text, reading
 from ringwear_par.results.variables import HISTORIES, Variable
-from ringwear_par.studies.dataset import FINAL
 from ringwear_par.studies.ensemble import Ensemble, read_ensemble
 from ringwear_par.studies.regression import Part, Response, fitted, forms_for, places_between
+from ringwear_par.studies.results_file import FINAL
 from ringwear_par.studies.sensitivity import chosen_cases, done_cases
 from ringwear_par.studies.variations import read_variations
 from ringwear_par.textfiles import parse_toml

@@ -27,12 +27,13 @@ from ringwear_par.parallel import on_first_rank, warn_of_threads
 from ringwear_par.results.progress import SweepProgress
 from ringwear_par.results.reading import UnreadableError
 from ringwear_par.stopping import StopSignals, name_of, remark
-from ringwear_par.studies.dataset import RESULTS, TABLE, Listing, write_ensemble
+from ringwear_par.studies.dataset import Listing, write_ensemble
 from ringwear_par.studies.ensemble import read_ensemble
 from ringwear_par.studies.estimate import estimate
 from ringwear_par.studies.index import DamagedError, Index
 from ringwear_par.studies.operators import PATIENCE_SECONDS, StorageError
 from ringwear_par.studies.plan import Plan, Request, make_plan
+from ringwear_par.studies.results_file import RESULTS, TABLE
 from ringwear_par.studies.scheduling import Scheduler
 from ringwear_par.studies.store import telling_unreadable
 from ringwear_par.studies.study import Study, read_study_together
@@ -304,25 +305,27 @@ def _settle(plan: Plan, summary: Summary, well: bool) -> tuple[int, int]:
         with suppress(RingwearError, OSError):  # there is trouble enough to tell
             return plan.count(plan.store.scan(plan.study.identities, mend=False)[0])
         return summary.done, summary.failed
+    awaited = summary.done + summary.failed
     while True:
-        index = _scan(plan, summary.done + summary.failed)
+        index = _scan(plan, awaited)
         try:
             if not plan.store.part:
                 _merge(plan, summary, index)
         except DamagedError as error:
             log.warning("%s", plan.store.set_aside(error.path))
+            awaited = 0  # what was in it will not come to light
             continue
         return plan.count(index)
 
 
-def _scan(plan: Plan, counted: int) -> Index:
-    """Return what is stored; if that is less than counted, network disks may show it late."""
+def _scan(plan: Plan, awaited: int) -> Index:
+    """Return what is stored; if that is less than awaited, network disks may show it late."""
     limit = time.monotonic() + PATIENCE_SECONDS
     while True:
         index, notes = plan.store.scan(plan.study.identities, mend=True)
         for note in notes:
             log.warning("%s", note)
-        if notes or sum(plan.count(index)) >= counted or time.monotonic() > limit:
+        if notes or sum(plan.count(index)) >= awaited or time.monotonic() > limit:
             return index
         time.sleep(_LATE_SECONDS)
 

@@ -85,7 +85,8 @@ class Column:
             return self.codes
         if isinstance(self.values, tuple):
             return np.arange(len(self.values))
-        return np.unique(self.values, return_inverse=True)[1].astype(np.int64)
+        bits = np.ascontiguousarray(self.values, dtype=np.float64).view(np.int64)  # -0.0 is not 0.0
+        return np.unique(bits, return_inverse=True)[1].astype(np.int64)
 
 
 def column_of(values: list[Any]) -> Column:

@@ -13,7 +13,13 @@ from ringwear_par import __version__
 from ringwear_par.cases.case import Case
 from ringwear_par.contact.solver import ContactSolver
 from ringwear_par.elasticity.pair import ContactPair
-from ringwear_par.errors import ComputationError, InputError, RingwearError, UnfitError
+from ringwear_par.errors import (
+    ComputationError,
+    InputError,
+    RingwearError,
+    UnfitError,
+    reason_of,
+)
 from ringwear_par.history.batch import batch_key
 from ringwear_par.history.simulate import simulate
 from ringwear_par.history.snapshots import Observer, Snapshot
@@ -302,10 +308,8 @@ class Worker:
                 raise  # the disk, or an option for PETSc, not the case
             if self._lender is not None:
                 self._lender.drop()
-            reason = str(error) if isinstance(error, RingwearError) else repr(error)
             arrays = {} if recorder is None else recorder.arrays()
-            seconds = time.perf_counter() - started
-            reason = " ".join(reason.split())
+            seconds, reason = time.perf_counter() - started, reason_of(error)
             return Record(identity, text, "failed", reason, seconds, 0.0, arrays, __version__)
         if recorder.last is None or not recorder.last.finished:
             return None

@@ -16,10 +16,11 @@ from ringwear_par.history.limits import check_ranks
 from ringwear_par.studies import study as studies
 from ringwear_par.studies.designs import read_draft
 from ringwear_par.studies.groups import Groups
+from ringwear_par.studies.identities import case_id
 from ringwear_par.studies.index import Piece, index_of, join, latest, put
-from ringwear_par.studies.study import case_id, read_study
+from ringwear_par.studies.study import read_study
 from ringwear_par.studies.texts import Texts
-from ringwear_par.studies.variations import column_of, varied_keys
+from ringwear_par.studies.variations import column_of, split_key, varied_keys
 
 pytestmark = pytest.mark.serial
 CASES = Path(__file__).parents[2] / "scripts/cases"
@@ -100,7 +101,7 @@ def study_of(rng, folder):
 def one_by_one(tables):
     """Return ids and cases of a study without repetitions, or its first faults and their number."""
     draft = read_draft(tables)
-    parts = [studies.split_key(name) for name in draft.names]
+    parts = [split_key(name) for name in draft.names]
     found, faults, bad = {}, [], 0
     for number, row in enumerate(zip(*(c.each() for c in draft.columns), strict=True)):
         keys, name = varied_keys(draft.base, parts, row), f"study: case {number + 1}"
@@ -154,6 +155,21 @@ def test_the_drawn_studies_are_good_and_bad(tmp_path):
     assert 30 <= bad <= 90
 
 
+def test_rows_of_the_same_case_without_any_number(tmp_path):
+    """Nothing but texts, whole numbers and pairs, some of them again and again."""
+    (tmp_path / "base.toml").write_text(PAPER)
+    rows = ["clamped,10,32", "platen,10,32", "clamped,10,32", "clamped,20,32.0", "platen,10,32"]
+    (tmp_path / "rows.csv").write_text("\n".join(["upper.grip,time.steps,upper.r[1]", *rows]))
+    design = {"method": "list", "file": str(tmp_path / "rows.csv")}
+    tables = {"case": str(tmp_path / "base.toml"), "design": design}
+    wanted, faults = one_by_one(tables)
+    found = read_study(tables)
+    assert faults == ()
+    assert len(found.ids) == 3
+    assert found.ids == tuple(wanted)
+    assert found.made(range(3))[0] == [case for _, case, _ in wanted.values()]
+
+
 def test_few_cases_are_made_where_only_numbers_differ(tmp_path, comm, monkeypatch):
     text = (
         '[vary]\n"wear.lower.k" = { log = [1e-8, 1e-6] }\n"load.pressure" = { linear = [50, 90] }\n'
@@ -191,6 +207,27 @@ def test_a_users_law_is_the_one_that_was_tried(tmp_path):
     assert [dict(case.wear_lower.parameters)["p1"] for case in cases] == [30, 45, 60, 75, 90]
 
 
+def test_it_is_so_where_a_stretch_of_the_study_has_but_numbers(tmp_path):
+    """And all of it has tables too: ranks look at stretches."""
+    for name in ("user_law.toml", "user_law.py"):
+        (tmp_path / name).write_text((CASES / name).read_text())
+    omega = [3.5, [[0, 0], [10, 3.5]], 4.0]
+    vary = {
+        "load.omega": {"values": omega},
+        "wear.lower.parameters.p1": {"values": [30, 90]},
+    }
+    draft = read_draft({"case": str(tmp_path / "user_law.toml"), "vary": vary})
+    stretches = [studies._Checker(draft, first, first + 2, 1).check() for first in (0, 2, 4)]
+    study = studies._complete(draft, stretches, 1)
+    (tmp_path / "user_law.py").unlink()
+    cases = study.made(range(6))[0]
+    assert [dict(case.wear_lower.parameters)["p1"] for case in cases] == [30, 90] * 3
+    assert [case.load.omega for case in cases[::4]] == [3.5, 4.0]
+    assert [study.ids[n] for n in range(6)] == [
+        identity for part in stretches for identity in part.identities.astype(str)
+    ]
+
+
 def test_numbers_of_a_table_are_those_that_toml_has(tmp_path):
     """Whichever way they are read."""
     cells = ["1", "-0", "0.50", "1e-7", "1E3", "+5", "01", "1_000", "inf", ".5", "5.", "0x10", "a"]
@@ -209,6 +246,7 @@ def test_columns_tell_values_apart_as_they_are_written():
     assert repr(column.each()) == "[0, 0.0, -0.0, 1, True, '1', [1, 2], [1, 2]]"
     assert len(set(column.kinds.tolist())) == 7
     assert column.numbers is None
+    assert len(set(column_of([0.0, -0.0, 1.5, 0.0]).kinds.tolist())) == 3
     part = column.part(np.array([6, 0, 7]))
     assert part.each() == [[1, 2], 0, [1, 2]]
 

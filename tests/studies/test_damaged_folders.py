@@ -19,7 +19,7 @@ from swept import write_study
 import ringwear_par
 from ringwear_par.errors import ComputationError, InputError
 from ringwear_par.results.variables import HISTORIES, LINE, PROFILES
-from ringwear_par.studies import scheduling, shards, store, sweep, workers
+from ringwear_par.studies import earlier, scheduling, shards, store, sweep, workers
 from ringwear_par.studies.index import join_flags
 from ringwear_par.studies.sweep import run_sweep
 
@@ -135,9 +135,9 @@ def as_earlier(path):
     path.unlink()
     connection = sqlite3.connect(path)
     with connection:
-        table = ", ".join(f"{name} {kinds.get(name, 'TEXT')}" for name in shards._CASES)
+        table = ", ".join(f"{name} {kinds.get(name, 'TEXT')}" for name in earlier.COLUMNS)
         connection.execute(f"CREATE TABLE cases ({table})")
-        marks = ", ".join("?" for _ in shards._CASES)
+        marks = ", ".join("?" for _ in earlier.COLUMNS)
         connection.executemany(f"INSERT INTO cases VALUES ({marks})", rows)
     connection.close()
 
@@ -188,7 +188,7 @@ shards.Shard(Path(sys.argv[1]))
         ("pathlib.py", "replace", 2),  # results.h5 is whole, but has not its name yet
         ("pathlib.py", "replace", 3),  # it has, cases.csv has not
         ("store.py", "forget_shards", 1),
-        ("shards.py", "forget_slices", 1),  # shards are gone, their folder is not
+        ("locks.py", "forget_slices", 1),  # shards are gone, their folder is not
     ],
 )
 def test_a_sweep_killed_at_a_moment_of_note(tmp_path, swept, comm, file, function, call):
@@ -262,6 +262,14 @@ def test_shards_that_are_removed_under_a_sweep(tmp_path, swept, comm, monkeypatc
     assert "the same command" in str(trouble.value)
     run_sweep(study, output, comm)
     assert not faults.differences(output, reference)
+
+
+@pytest.fixture
+def looks(monkeypatch):
+    """Looks for what is stored."""
+    looks, scan = [], store.Store.scan
+    monkeypatch.setattr(store.Store, "scan", lambda *a, **b: (looks.append(a), scan(*a, **b))[1])
+    return looks
 
 
 def test_a_shard_that_comes_to_light_late(output, swept, comm, monkeypatch):
@@ -444,15 +452,22 @@ def test_damaged_arrays_of_a_block(output, swept, comm, told, statement):
     assert not faults.differences(output, reference)
 
 
-def test_a_block_whose_texts_are_none_takes_its_file_along(output, swept, comm, told, monkeypatch):
-    """That is seen only when they are read."""
+@pytest.mark.parametrize("what", ["texts", "numbers"])
+def test_what_is_damaged_within_a_block_takes_its_file_along(
+    output, swept, comm, told, looks, what
+):
+    """That is seen only when it is read; what is lost with it is not waited for."""
     study, reference, _ = swept
     shard = shard_of(output)
-    poison_block(shard, 1, "texts = '[[], [], []]'")
-    monkeypatch.setattr(sweep, "PATIENCE_SECONDS", 0.3)
+    if what == "texts":
+        poison_block(shard, 1, "texts = '[[], [], []]'")
+    else:  # as by a single flipped bit
+        where = "block = 1 AND name = 'torque'"
+        poison(shard, f"UPDATE arrays SET data = zeroblob(length(data)) WHERE {where}")
     with pytest.raises(ComputationError, match="6 of 6 cases that have ended are not stored"):
         run_sweep(study, output, comm)
     assert told() == [f"{shard}: is damaged (kept as 1-1_0000.damaged); its cases run again"]
+    assert len(looks) == 3
     run_sweep(study, output, comm)
     shutil.rmtree(output / "shards")
     assert not faults.differences(output, reference)
@@ -583,7 +598,20 @@ def test_checkpoints_in_flight(tmp_path, interrupted, swept, comm, told, one_by_
     assert not faults.differences(output, reference)
 
 
-def test_results_that_fail_only_when_they_are_read(swept, tmp_path, comm, told, monkeypatch):
+def test_a_checkpoint_of_a_case_that_has_ended_goes(interrupted, swept, comm, told, one_by_one):
+    """As after a kill between storing the case and removing its checkpoint."""
+    study, output, content = swept[0], interrupted.parents[1], interrupted.read_bytes()
+    run_sweep(study, output, comm)
+    before = faults.seconds_by_id(output)
+    interrupted.parent.mkdir()
+    interrupted.write_bytes(content)
+    run_sweep(study, output, comm)
+    assert not told()
+    assert not interrupted.parent.exists()
+    assert faults.seconds_by_id(output) == before
+
+
+def test_results_that_fail_only_when_they_are_read(swept, tmp_path, comm, told, looks, monkeypatch):
     """Then they are set aside, the rest is merged, and another sweep computes what was in them."""
     study, reference, _ = swept
     output = tmp_path / "out"
@@ -597,10 +625,10 @@ def test_results_that_fail_only_when_they_are_read(swept, tmp_path, comm, told, 
         raise InputError(f"{self.path}: a block of it cannot be read")
 
     with monkeypatch.context() as patch:  # the index of cases is as it was
-        patch.setattr(store.dataset.Results, "read", damaged)
-        patch.setattr(sweep, "PATIENCE_SECONDS", 0.3)
+        patch.setattr(store.results_file.Results, "read", damaged)
         with pytest.raises(ComputationError, match="6 of 9 cases that have ended are not stored"):
             run_sweep(changed, output, comm)
+    assert len(looks) == 3
     (note,) = told()
     assert note.startswith(f"{output / 'results.h5'}: is damaged (kept as results.damaged.h5)")
     run_sweep(changed, output, comm)

@@ -16,7 +16,8 @@ from ringwear_par.cases.reading import make_case, parse_case
 from ringwear_par.errors import InputError
 from ringwear_par.studies import plan
 from ringwear_par.studies import study as studies
-from ringwear_par.studies.study import case_id, read_study, read_study_together
+from ringwear_par.studies.identities import case_id
+from ringwear_par.studies.study import read_study, read_study_together
 
 CASE = (Path(__file__).parents[2] / "scripts/cases/paper.toml").read_text()
 GRID = """
@@ -293,6 +294,12 @@ def test_every_rank_checks_its_share_of_the_cases(write, comm, monkeypatch):
             assert getattr(found, name) == getattr(alone, name), name
         assert found.case(36) == make_case(found.keys(36), "")
         assert found.case(36).text == make_case(found.keys(36), "").text
+
+
+def test_ranks_without_any_case(write, comm):
+    path = write('[vary]\n"load.pressure" = { values = [50] }\n')
+    found = read_study_together(path, 1, comm)
+    assert comm.bcast(found).ids == read_study(path).ids
 
 
 def test_faults_found_together_are_those_found_alone(write, comm):

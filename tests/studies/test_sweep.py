@@ -1,6 +1,7 @@
 """Sweeps: the numbers of single runs, one assembly for many cases, extension and resumption."""
 
 import re
+import shutil
 import tomllib
 from functools import partial
 
@@ -14,7 +15,7 @@ from ringwear_par.errors import ComputationError, InputError
 from ringwear_par.results.files import open_result
 from ringwear_par.results.run import run_case
 from ringwear_par.results.variables import HISTORIES, PROFILES
-from ringwear_par.studies import estimate, operators, sweep, workers
+from ringwear_par.studies import dataset, estimate, operators, results_file, sweep, workers
 from ringwear_par.studies.ensemble import open_ensemble, read_ensemble
 from ringwear_par.studies.study import read_study
 
@@ -169,6 +170,25 @@ def test_teams_of_ranks(write, shared_path, comm):
     one, team = variables(shared_path / "ones"), variables(shared_path / "team")
     for name in ("penetration", "worn_volume_lower", "torque"):
         assert team[name] == pytest.approx(one[name], rel=1e-12, abs=1e-15)
+
+
+@pytest.mark.serial
+def test_files_do_not_depend_on_windows(write, shared_path, comm, monkeypatch):
+    """Neither those of shards nor those of earlier results, nor where cases are gone."""
+    studies = [STUDY, STUDY.replace("[5e4, 1e5]", "[1e5, 2e5]"), STUDY]
+    for name in ("whole", "parts"):
+        if name == "parts":
+            monkeypatch.setattr(results_file, "_WINDOW_BYTES", 4000)
+            monkeypatch.setattr(dataset, "_WINDOW", 4)
+        for n, text in enumerate(studies):
+            swept(write(text), shared_path / name, comm)
+            shutil.copytree(shared_path / name, shared_path / f"{name}{n}")
+    for n in range(len(studies)):
+        same(variables(shared_path / f"whole{n}"), variables(shared_path / f"parts{n}"))
+        whole, parts = (table(shared_path / f"{name}{n}") for name in ("whole", "parts"))
+        for row in (*whole, *parts):
+            del row["seconds"]
+        assert whole == parts
 
 
 def test_sizes_that_do_not_divide_are_refused(write, shared_path, comm):

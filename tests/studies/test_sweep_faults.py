@@ -255,13 +255,20 @@ def test_damaged_results(tmp_path, short):
     assert not faults.differences(output, reference)
 
 
+def contents(output):
+    return {path: path.read_bytes() for path in output.rglob("*") if path.is_file()}
+
+
 def test_dry_run_changes_nothing(tmp_path, short):
     study, reference = short
     output = tmp_path / "out"
     shutil.copytree(reference, output)
     os.truncate(output / "results.h5", 1000)
-    assert sweep(study, output, "--dry-run").returncode == 0
-    assert (output / "results.h5").exists()
+    before = contents(output)
+    result = sweep(study, output, "--dry-run")
+    assert result.returncode == 0, result.stderr
+    assert f"{SHORT} cases, 0 done" in result.stdout
+    assert contents(output) == before
 
 
 def test_damaged_shard(tmp_path, held):
