@@ -10,6 +10,7 @@ import copy
 import logging
 from collections.abc import Callable, Hashable, Sequence
 from dataclasses import fields, is_dataclass
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -17,7 +18,6 @@ from mpi4py import MPI
 
 from ringwear_par.arrays import BoolArray, FloatArray, IntArray
 from ringwear_par.cases.case import Case
-from ringwear_par.contact.batch import has_own_options
 from ringwear_par.elasticity.pair import ContactPair
 from ringwear_par.errors import HistoriesError
 from ringwear_par.history import euler, sdirk2
@@ -29,7 +29,7 @@ from ringwear_par.history.snapshots import BatchSnapshot
 from ringwear_par.history.state import State
 from ringwear_par.wear.catalogue import LAWS
 from ringwear_par.wear.law import CompletedLaw, Law
-from ringwear_par.wear.parameters import parameters_of
+from ringwear_par.wear.parameters import Parameter, parameters_of
 from ringwear_par.wear.user import serves_many
 
 log = logging.getLogger(__name__)
@@ -46,19 +46,23 @@ _METHODS: dict[str, tuple[Scheme, type[Control]]] = {
 }
 
 
+def stays_alone(case: Case) -> bool:
+    """Tell whether a case does not step together with others. Not collective."""
+    return (
+        case.follows_wear
+        or case.output.boundary != "none"
+        or case.mesh.contact_elements > MOST_ELEMENTS
+    )
+
+
 def batch_key(case: Case) -> Hashable | None:
     """Return what cases of one pair have to share to step together; None for one that stays alone.
 
-    Of the case, and the options for PETSc, alone. Not collective.
+    Of the case alone. Not collective.
     """
-    output = case.output
-    if (
-        case.follows_wear
-        or output.boundary != "none"
-        or case.mesh.contact_elements > MOST_ELEMENTS
-        or has_own_options()
-    ):
+    if stays_alone(case):
         return None
+    output = case.output
     kinds = tuple(None if law is None else _kind(law) for law in case.laws)
     force = case.load.force is not None
     return case.time.scheme, force, kinds, output.fields, output.profiles, bool(output.times)
@@ -75,13 +79,11 @@ def can_share(case: Case) -> bool:
 
 def _kind(law: Law) -> Hashable:
     """Return what laws have to share to be stacked."""
-    declared = parameters_of(type(law))
     parts: list[Any] = [type(law)]
     if isinstance(law, CompletedLaw):
         return (*parts, *_own_kind(law.own))
-    names: list[str] = [field.name for field in fields(law)] if is_dataclass(law) else []
-    for name in names:
-        value, parameter = getattr(law, name), declared.get(name)
+    for name, parameter in _fields_of(type(law)):  # type: ignore[arg-type]
+        value = getattr(law, name)
         if parameter is not None and parameter.numeric:
             parts.append(value is None)
         elif parameter is not None and parameter.kind == "parameters":
@@ -89,6 +91,14 @@ def _kind(law: Law) -> Hashable:
         else:
             parts.append(value)
     return tuple(parts)
+
+
+@cache
+def _fields_of(law: type[Law]) -> tuple[tuple[str, Parameter | None], ...]:
+    """Return the fields of a law, each with its parameter if it is one."""
+    declared = parameters_of(law)
+    names: list[str] = [field.name for field in fields(law)] if is_dataclass(law) else []
+    return tuple((name, declared.get(name)) for name in names)
 
 
 def _own_kind(own: Any) -> tuple[Hashable, ...]:

@@ -114,7 +114,7 @@ def _unlike_slopes(
 ) -> list[Doubt]:
     """Return whether faces that touch slope by different angles, now or as elements have them."""
     p = state.contact.pressure
-    if not any(section.face for section in case.sections):
+    if not any(ring.face for ring in case.rings):
         return []  # contact does not last where wear alone slopes faces apart
     slopes = [*case_slopes(case.sections, line, case.mesh, state.wear), compliance.slope]
     angles = np.degrees(np.arctan(slopes))

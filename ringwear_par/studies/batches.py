@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from mpi4py import MPI
 
 from ringwear_par.cases.case import Case
+from ringwear_par.contact.batch import has_own_options
 from ringwear_par.elasticity.pair import ContactPair
 from ringwear_par.history.batch import batch_key, can_share, simulate_batch
 from ringwear_par.history.bodies import young
@@ -103,8 +104,9 @@ def computed(
     """
     together: dict[Hashable, list[int]] = defaultdict(list)
     singles: list[int] = []
+    own_options = has_own_options()  # they are of the solver of single contacts
     for number, case in enumerate(cases):
-        key = batch_key(case)
+        key = None if own_options else batch_key(case)
         (singles if key is None else together[key]).append(number)
     for key, numbers in list(together.items()):
         if not can_share(cases[numbers[0]]):

@@ -11,6 +11,7 @@ from mpi4py import MPI
 
 from ringwear_par import __version__
 from ringwear_par.cases.case import Case
+from ringwear_par.contact.batch import has_own_options
 from ringwear_par.contact.solver import ContactSolver
 from ringwear_par.elasticity.pair import ContactPair
 from ringwear_par.errors import (
@@ -20,7 +21,7 @@ from ringwear_par.errors import (
     UnfitError,
     reason_of,
 )
-from ringwear_par.history.batch import batch_key
+from ringwear_par.history.batch import stays_alone
 from ringwear_par.history.simulate import simulate
 from ringwear_par.history.snapshots import Observer, Snapshot
 from ringwear_par.options import reject_unused_options
@@ -154,7 +155,7 @@ class Worker:
             cases, texts = self._plan.study.made(numbers)
         ids = [identity.decode() for identity in self._plan.study.identities[numbers]]
         left: Sequence[int] = range(count)
-        if self._team.size == 1:
+        if self._team.size == 1 and not has_own_options():
             both = [i for i in left if self._goes_with_others(ids[i], cases[i])]
             try:
                 pair = self._pair_of(group, first, cases[0]) if both else None
@@ -178,7 +179,7 @@ class Worker:
     def _goes_with_others(self, identity: str, case: Case) -> bool:
         """Tell whether a case is stepped side by side with others, if there are some or not."""
         long = case.about_steps > LONG_STEPS  # too much to lose if all are stopped
-        return not long and identity not in self._plan.interrupted and batch_key(case) is not None
+        return not long and identity not in self._plan.interrupted and not stays_alone(case)
 
     def _work_in_lock_step(
         self,
