@@ -8,6 +8,8 @@ find ringwear_par -name '*.nb[ic]' -delete
 ruff check .
 ruff format --check .
 mypy
+# the programs that tests start are many: each would compile the whole package again
+unset PYTHONDONTWRITEBYTECODE
 # ranks that wait give way: there are more of them than cores, and spinning takes the others' time
 export OMPI_MCA_mpi_yield_when_idle=1
 # all of them are on this machine; Open MPI 5 complains of other interfaces that do not reach each other
