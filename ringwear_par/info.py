@@ -3,6 +3,7 @@
 import os
 import platform
 import sys
+from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from typing import TYPE_CHECKING
 
@@ -27,12 +28,18 @@ def versions() -> dict[str, str]:
         "python_version": platform.python_version(),
         "numpy_version": numpy.__version__,
         "scipy_version": scipy.__version__,
-        "numba_version": version("numba"),
+        "numba_version": _numba_version(),
         "h5py_version": h5py.__version__,
         "mpi4py_version": mpi4py.__version__,
         "petsc_version": ".".join(map(str, PETSc.Sys.getVersion())),
         "mpi_library": MPI.Get_library_version().split(",")[0].splitlines()[0].strip("\0 "),
     }
+
+
+@cache
+def _numba_version() -> str:
+    """Return the version of what takes long to import, and long to ask."""
+    return version("numba")
 
 
 def _optional(package: str) -> str:

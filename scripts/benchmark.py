@@ -20,7 +20,6 @@ import argparse
 import csv
 import math
 import os
-import resource
 import subprocess
 import sys
 import time
@@ -47,6 +46,7 @@ from ringwear_par.elasticity.solve import solve_systems
 from ringwear_par.history.bodies import bodies, young
 from ringwear_par.history.simulate import simulate
 from ringwear_par.history.snapshots import Snapshot
+from ringwear_par.parallel import peak_memory
 from ringwear_par.verification.paper import paper_case
 
 COLUMNS = (
@@ -149,7 +149,7 @@ def measure(n: int, repeats: int, comm: MPI.Comm) -> dict[str, float]:
     adaptive_recorded = timed(comm, repeats, lambda: rw.simulate(grown, comm, pair=pair))
     followed = timed(comm, repeats, updated)
     commands = timed_commands(n, repeats) if comm.size == 1 else (math.nan, math.nan)
-    peak = comm.allreduce(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024, MPI.MAX)
+    peak = 1e-6 * comm.allreduce(peak_memory(), MPI.MAX)
     return dict(
         zip(
             COLUMNS,

@@ -143,50 +143,70 @@ def _backward(context: Any, to: Any, known: Any, row: Any) -> Any:
 
 
 @compiled
-def _factor(u: FloatArray) -> None:
-    """Factor eight interleaved matrices (n, n, 8), U'U, in place; diagonals are inverted."""
+def _range(free: BoolArray, group: int) -> tuple[int, int]:
+    """Return between which rows elements of a group are free, by panels: others are unit rows."""
+    n = free.shape[1]
+    first, last = n, 0
+    for k in range(GROUP * group, GROUP * group + GROUP):
+        for i in range(first):
+            if free[k, i]:
+                first = i
+                break
+        for i in range(n - 1, last - 1, -1):
+            if free[k, i]:
+                last = i + 1
+                break
+    return first // PANEL * PANEL, -(-last // PANEL) * PANEL
+
+
+@compiled
+def _factor(u: FloatArray, first: int, last: int) -> None:
+    """Factor eight interleaved matrices (n, n, 8), U'U, in place; diagonals are inverted.
+
+    From a row to another: the rest is unit rows, which change nothing, not by a bit.
+    """
     n = u.shape[0]
     base, row = u.ctypes.data, _BYTES * n
-    for k in range(0, n, PANEL):
+    for k in range(first, last, PANEL):
         for a in range(k, k + PANEL):
             here = base + a * row
             diagonal = here + _BYTES * a
             _inverse_root(diagonal)
-            for j in range(a + 1, n):
+            for j in range(a + 1, last):
                 _multiply(here + _BYTES * j, diagonal)
             for c in range(a + 1, k + PANEL):
                 there = base + c * row
-                for j in range(c, n):
+                for j in range(c, last):
                     _subtract(there + _BYTES * j, here + _BYTES * c, here + _BYTES * j)
         panel = base + k * row
-        for i in range(k + PANEL, n, 2):
+        for i in range(k + PANEL, last, 2):
             there = base + i * row
-            for j in range(i, n, 2):
+            for j in range(i, last, 2):
                 _eliminate(there + _BYTES * j, panel + _BYTES * i, panel + _BYTES * j, row)
 
 
 @compiled
-def _substitute(u: FloatArray, x: FloatArray) -> None:
+def _substitute(u: FloatArray, x: FloatArray, first: int, last: int) -> None:
     """Solve eight interleaved systems with their factors, in place of right sides (n, 8)."""
     n = u.shape[0]
     base, row, at = u.ctypes.data, _BYTES * n, x.ctypes.data
-    for k in range(n):
+    for k in range(first, last):
         here, known = base + k * row, at + _BYTES * k
         _multiply(known, here + _BYTES * k)
         j = k + 1
         while j % 4 != 0:
             _subtract(at + _BYTES * j, known, here + _BYTES * j)
             j += 1
-        while j < n:
+        while j < last:
             _forward(at + _BYTES * j, known, here + _BYTES * j)
             j += 4
-    for k in range(n - 1, -1, -1):
+    for k in range(last - 1, first - 1, -1):
         here, unknown = base + k * row, at + _BYTES * k
         j = k + 1
         while j % 4 != 0:
             _subtract(unknown, at + _BYTES * j, here + _BYTES * j)
             j += 1
-        while j < n:
+        while j < last:
             _backward(unknown, at + _BYTES * j, here + _BYTES * j)
             j += 4
         _multiply(unknown, here + _BYTES * k)
@@ -212,9 +232,10 @@ def factor(
     slope : (B, n) float, what wear adds to the diagonal.
     free : (B, n) bool.
     coupling : (B, n, n) float, what non-local wear adds; (0, n, n) where it is local.
-    factors : (B / 8, n', n', 8) float, n' being n padded; those of the groups are replaced.
+    factors : (B / 8, n', n', 8) float, n' being n padded; those of the groups are replaced, as far
+        as there are free elements.
     """
-    n, padded = matrices.shape[1], factors.shape[1]
+    n = matrices.shape[1]
     coupled = coupling.shape[0] > 0
     mask = np.empty((n, GROUP))
     for group in groups:
@@ -226,8 +247,10 @@ def factor(
                 inside = free[first + k, i]
                 mask[i, k] = 1.0 if inside else 0.0
                 all_free = all_free and inside
-        for i in range(n):
-            for j in range(i, n):
+        start, stop = _range(free, group)
+        end = min(stop, n)
+        for i in range(start, end):
+            for j in range(i, end):
                 if same:
                     value = matrices[one, i, j]
                     for k in range(GROUP):
@@ -241,7 +264,7 @@ def factor(
                 if not all_free:
                     for k in range(GROUP):
                         u[i, j, k] *= mask[i, k] * mask[j, k]
-            for j in range(n, padded):
+            for j in range(n, stop):
                 for k in range(GROUP):
                     u[i, j, k] = 0.0
             for k in range(GROUP):
@@ -249,11 +272,11 @@ def factor(
                     u[i, i, k] += slope[first + k, i]
                 else:
                     u[i, i, k] = 1.0
-        for i in range(n, padded):
-            for j in range(i, padded):
+        for i in range(n, stop):
+            for j in range(i, stop):
                 for k in range(GROUP):
                     u[i, j, k] = 1.0 if i == j else 0.0
-        _factor(u)
+        _factor(u, start, stop)
 
 
 @compiled
@@ -269,7 +292,7 @@ def solve(
     Parameters
     ----------
     histories : (h,) int, increasing.
-    free : (B, n) bool, those that were factored.
+    free : (B, n) bool, those that were factored, or some of them.
     factors : of ``factor``.
     right : (h, n) float.
     out : (h, n) float, the solutions.
@@ -287,7 +310,8 @@ def solve(
             for i in range(n):
                 if free[history, i]:
                     x[i, history % GROUP] = right[place, i]
-        _substitute(factors[group], x)
+        start, stop = _range(free, group)
+        _substitute(factors[group], x, start, stop)
         for place in range(first, last):
             history = histories[place]
             for i in range(n):

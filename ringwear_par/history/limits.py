@@ -82,8 +82,12 @@ def check_ranks(case: Case, ranks: int, name: str) -> None:
         raise InputError(*faults)
 
 
-def check_case(case: Case, ranks: int, name: str) -> None:
+def check_case(case: Case, ranks: int, name: str, known_mesh: bool = False) -> None:
     """Refuse a case that cannot be computed, as far as that can be told before. Not collective.
+
+    Parameters
+    ----------
+    known_mesh : whether a case of the same mesh was checked before.
 
     Raises
     ------
@@ -93,7 +97,8 @@ def check_case(case: Case, ranks: int, name: str) -> None:
 
     def try_memory_and_mesh() -> None:
         check_memory(case, ranks, name)  # first: a mesh takes memory as well
-        check_mesh(case, name)
+        if not known_mesh:
+            check_mesh(case, name)
 
     for check in (
         lambda: refuse_bad_laws(case, name),

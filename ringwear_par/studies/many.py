@@ -79,8 +79,9 @@ def simulate_all(
             found.update(_simulated(cases, waiting, batch))
             waiting = []
     found.update(_simulated(cases, waiting, batch))
-    for place, number in enumerate(dealt):  # one by one: all might be too much for a message
-        found[number] = comm.bcast(found.get(number), place % comm.size)
+    if comm.size > 1:
+        for place, number in enumerate(dealt):  # one by one: all might be too much for a message
+            found[number] = comm.bcast(found.get(number), place % comm.size)
     return [found[number] for number in range(len(cases))]
 
 
@@ -90,10 +91,13 @@ def _checked(cases: Sequence[Case], comm: MPI.Comm) -> list[Hashable | FailedRes
     Collective on comm: every rank checks its share.
     """
     own: list[Hashable | FailedResult] = []
+    known: set[Hashable] = set()
     for case in cases[comm.rank :: comm.size]:
         try:
-            check_case(case, 1, "case")
-            own.append(operator_key(case))
+            key = operator_key(case)
+            check_case(case, 1, "case", known_mesh=key in known)
+            known.add(key)
+            own.append(key)
         except Exception as error:
             own.append(_failed(case, error))
     parts = comm.allgather(own)

@@ -7,7 +7,6 @@ drawn.
 """
 
 import logging
-import resource
 import time
 from collections.abc import Mapping
 from contextlib import ExitStack, suppress
@@ -23,7 +22,7 @@ from ringwear_par.elasticity.assembly import load_kernels
 from ringwear_par.errors import ComputationError, InputError, RingwearError
 from ringwear_par.history.limits import check_ranks
 from ringwear_par.info import versions
-from ringwear_par.parallel import on_first_rank, warn_of_threads
+from ringwear_par.parallel import on_first_rank, peak_memory, warn_of_threads
 from ringwear_par.results.progress import SweepProgress
 from ringwear_par.results.reading import UnreadableError
 from ringwear_par.stopping import StopSignals, name_of, remark
@@ -207,7 +206,7 @@ def _compute(
             done + failed,
             sum(t.operators for t in every) // (comm.size if plan.all_assemble else team.size),
             0.0,
-            comm.allreduce(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss, MPI.MAX) / 1024.0,
+            1e-6 * comm.allreduce(peak_memory(), MPI.MAX),
             every,
             sum((t.flagged for t in every), plan.flagged),
         )
