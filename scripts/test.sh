@@ -10,6 +10,14 @@ ruff format --check .
 mypy
 # the programs that tests start are many: each would compile the whole package again
 unset PYTHONDONTWRITEBYTECODE
+# once, before many processes want it at the same time
+python - <<COMPILE
+from mpi4py import MPI
+from ringwear_par.contact.batch import load_batch_kernels
+from ringwear_par.elasticity.assembly import load_kernels
+load_kernels(MPI.COMM_SELF)
+load_batch_kernels(MPI.COMM_SELF)
+COMPILE
 # ranks that wait give way: there are more of them than cores, and spinning takes the others' time
 export OMPI_MCA_mpi_yield_when_idle=1
 # all of them are on this machine; Open MPI 5 complains of other interfaces that do not reach each other

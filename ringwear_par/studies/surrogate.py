@@ -130,7 +130,14 @@ class Surrogate:
                 f"{', '.join(self.names)}"
             )
         part = self._part(values)
-        columns = np.broadcast_arrays(*(_numbers(key, values[key]) for key in part.keys))
+        arrays = {key: _numbers(key, values[key]) for key in part.keys}
+        try:
+            columns = np.broadcast_arrays(*arrays.values())
+        except ValueError:
+            shapes = ", ".join(f"{key} {array.shape}" for key, array in arrays.items())
+            raise InputError(
+                f"surrogate: arrays of different shapes: {shapes}; must be one, or single numbers"
+            ) from None
         for key, column, low, high in zip(part.keys, columns, part.low, part.high, strict=True):
             inside = (column >= low - _ROUNDING * abs(low)) & (
                 column <= high + _ROUNDING * abs(high)
