@@ -102,6 +102,28 @@ def test_simulate_all_keeps_the_order_and_the_numbers(case, comm):
             assert one.values == pytest.approx(other.values, rel=1e-9, abs=1e-15), name
 
 
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"friction": -1.0}, "contact.friction = -1: must be "),
+        ({"friction": np.nan}, "contact.friction = nan: must be "),
+        ({"lower": {"young": -1.0}}, "lower.young = -1: must be "),
+        ({"wear_lower": {"k": -1e-7}}, "wear.lower.k = -1e-07: must be "),
+    ],
+)
+def test_numbers_of_cases_that_were_not_read_are_checked(case, comm, changes, said):
+    parts = {
+        name: replace(getattr(case, name), **change) if isinstance(change, dict) else change
+        for name, change in changes.items()
+    }
+    bad = replace(case, **parts)
+    with pytest.raises(rw.InputError, match=f"^case: {re.escape(said)}"):
+        rw.simulate(bad, comm)
+    good, failed = rw.simulate_all([case, bad], comm)
+    assert isinstance(good, rw.Result)
+    assert said in str(failed.error)
+
+
 def test_results_do_not_depend_on_company(case, comm):
     cases = [case.replace({"wear.lower.k": k}) for k in (1e-8, 1e-7, 1e-6)]
     together = rw.simulate_all(cases, comm)

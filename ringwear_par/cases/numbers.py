@@ -17,6 +17,8 @@ from ringwear_par.cases.case import Case
 from ringwear_par.cases.schema import BY_PATH
 from ringwear_par.cases.values import Interval
 from ringwear_par.schedules import largest, smallest
+from ringwear_par.wear.law import Law
+from ringwear_par.wear.parameters import parameters_of
 from ringwear_par.wear.running_in import RunningInLaw
 from ringwear_par.wear.user import UserLaw
 
@@ -51,6 +53,29 @@ def interval_of(number: Number) -> Interval | None:
     if entry is not None:
         return _ANY if path in _TABLES else None
     return BY_PATH[path].numbers if path in _PLACES else None
+
+
+def number_faults(case: Case, name: str) -> list[str]:
+    """Return what is wrong with the numbers of a case that was not read, one sentence each.
+
+    Parameters
+    ----------
+    name : what messages call the case.
+    """
+    faults = []
+    for path, (part, attribute) in _PLACES.items():
+        key, whole = BY_PATH[path], getattr(case, part) if part else case
+        value = getattr(whole, attribute, None)
+        other = (
+            path == "load.pressure"
+            or (part == "time" and not case.time.adaptive)
+            or (isinstance(whole, Law) and attribute not in parameters_of(type(whole)))
+        )
+        if other or not isinstance(value, float | int) or key.numbers is None:
+            continue
+        if not key.numbers.holds(np.array(float(value))):
+            faults.append(f"{name}: {path} = {value:g}: {key.rule}")
+    return faults
 
 
 def doubtful(case: Case, numbers: Mapping[Number, FloatArray]) -> BoolArray:

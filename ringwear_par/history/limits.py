@@ -6,6 +6,7 @@ import numpy as np
 
 from ringwear_par.cases.case import Case
 from ringwear_par.cases.law_trials import refuse_bad_laws
+from ringwear_par.cases.numbers import number_faults
 from ringwear_par.contact.problem import REPLICATED_LIMIT
 from ringwear_par.elasticity.mesh import boundary_mesh, count_elements
 from ringwear_par.errors import InputError
@@ -100,7 +101,12 @@ def check_case(case: Case, ranks: int, name: str, known_mesh: bool = False) -> N
         if not known_mesh:
             check_mesh(case, name)
 
+    def try_numbers() -> None:
+        if faults := number_faults(case, name):
+            raise InputError(*faults)
+
     for check in (
+        try_numbers,
         lambda: refuse_bad_laws(case, name),
         lambda: check_ranks(case, ranks, name),
         try_memory_and_mesh,
