@@ -14,10 +14,11 @@ from ringwear_par.contact.approach import FORCE_TOLERANCE
 from ringwear_par.contact.blocks import HessianBlocks
 from ringwear_par.contact.newton import PLAIN_ITERATIONS, ROUND_OFF, stop_if_told
 from ringwear_par.contact.problem import GRADIENT_TOLERANCE
+from ringwear_par.contact.tao import Method
 from ringwear_par.petsc import PETSc
 
 
-class LockStepNewton:
+class LockStepNewton(Method):
     """Context of a TAO of type "python" over the (B, n) unknowns of B problems, lower bounds 0.
 
     Parameters
@@ -27,6 +28,7 @@ class LockStepNewton:
     """
 
     def __init__(self, blocks: HessianBlocks, weights: FloatArray) -> None:
+        super().__init__()
         self._blocks, self._weights = blocks, weights
         #: (h,) the histories that are at work: others stay as they are, and so does their gradient
         self.at_work: IntArray = np.arange(len(weights))
@@ -36,19 +38,6 @@ class LockStepNewton:
         #: (B,) iterations of the last solution, and which were given up
         self.iterations = np.zeros(len(weights), dtype=np.int64)
         self.failed: BoolArray = np.zeros(len(weights), dtype=bool)
-        self._forget()
-
-    def _forget(self) -> None:
-        self._x, self._g, self._hessian = PETSc.Vec(), PETSc.Vec(), PETSc.Mat()
-
-    def setUp(self, tao: PETSc.TAO) -> None:
-        """Take the TAO's vectors and its Hessian."""
-        self._x, self._g = tao.getSolution(), tao.getGradient()[0]
-        self._hessian = tao.getHessian()[0]
-
-    def destroy(self, tao: PETSc.TAO) -> None:
-        """Forget what is the TAO's."""
-        self._forget()
 
     def solve(self, tao: PETSc.TAO) -> None:
         """Solve the problems at work from the present values.

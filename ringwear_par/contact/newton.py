@@ -15,13 +15,14 @@ import numpy as np
 from scipy.linalg.lapack import dpotrf, dpotrs
 
 from ringwear_par.arrays import BoolArray, FloatArray
+from ringwear_par.contact.tao import Method
 from ringwear_par.petsc import PETSc
 
 PLAIN_ITERATIONS = 25
 ROUND_OFF = 1e-13
 
 
-class ActiveSetNewton:
+class ActiveSetNewton(Method):
     """Context of a TAO of type "python" on one rank, with a dense Hessian and lower bounds 0.
 
     Converged when the active set repeats and the natural residual min(g, diag(H) x) is below the
@@ -29,26 +30,22 @@ class ActiveSetNewton:
     """
 
     def __init__(self) -> None:
+        super().__init__()
         self._factor: FloatArray | None = None
         self._free: BoolArray = np.empty(0, dtype=bool)
         self._diagonal: FloatArray | float = 1.0
         self._state = -1
         self._monitored = False
-        self._forget()
-
-    def _forget(self) -> None:
-        self._x, self._g, self._hessian = PETSc.Vec(), PETSc.Vec(), PETSc.Mat()
 
     def setUp(self, tao: PETSc.TAO) -> None:
         """Take the TAO's vectors and its Hessian; look whether somebody watches."""
-        self._x, self._g = tao.getSolution(), tao.getGradient()[0]
-        self._hessian = tao.getHessian()[0]
+        super().setUp(tao)
         self._monitored = PETSc.Options(tao.getOptionsPrefix()).hasName("tao_monitor")
 
     def destroy(self, tao: PETSc.TAO) -> None:
         """Forget the factor, and what is the TAO's."""
         self._factor, self._state = None, -1
-        self._forget()
+        super().destroy(tao)
 
     def solve(self, tao: PETSc.TAO) -> None:
         """Minimise from the solution vector's present value.
