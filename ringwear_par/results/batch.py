@@ -13,7 +13,7 @@ from ringwear_par.cases.case import Case
 from ringwear_par.contact.problem import WarmStart
 from ringwear_par.elasticity.pair import ContactPair
 from ringwear_par.errors import reason_of
-from ringwear_par.history.balances import Balances, balances
+from ringwear_par.history.balances import TO_ROUND_OFF, Balances, balances
 from ringwear_par.history.snapshots import BatchSnapshot
 from ringwear_par.history.state import Progress, State
 from ringwear_par.results.checkpoints import take
@@ -173,9 +173,7 @@ class BatchRecorder:
         count = len(self._cases)
         numbers, steps, rows = self._sorted(alone)
         offsets = np.searchsorted(numbers, np.arange(count + 1))
-        imbalance = np.max(
-            [self._worst[name] for name in ("force", "volume", "energy", "residual")], axis=0
-        )
+        imbalance = np.max([self._worst[name] for name in TO_ROUND_OFF], axis=0)
         flags = [tuple(doubt.flag for doubt in found) for found in self._doubts]
         seconds = np.full(count, self._seconds / count)
         for number, one in alone.items():
