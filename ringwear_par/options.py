@@ -20,8 +20,8 @@ if TYPE_CHECKING:
 
 log = logging.getLogger(__name__)
 
-#: of the boundary element systems and of the contact problem
-BEM_PREFIX, CONTACT_PREFIX = "bem_", "contact_"
+#: of the boundary element systems, of the contact problem, and of fits to measurements
+BEM_PREFIX, CONTACT_PREFIX, FIT_PREFIX = "bem_", "contact_", "identify_"
 
 
 def start_petsc(words: Sequence[str]) -> None:
