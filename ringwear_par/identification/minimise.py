@@ -18,7 +18,10 @@ Residuals = Callable[[FloatArray], Evaluation]
 _GRADIENT = 1e-5
 #: largest gradient of what still counts as an optimum, where a line search sees round-off only
 _GOOD_GRADIENT = 1e-2
-_MOST_ITERATIONS = 60
+#: iterations on one scale, and how often the scale is that of the place reached
+_ITERATIONS, _SCALES = 8, 10
+#: relative decrease of the sum of squares that is none
+_NO_GAIN = 1e-9
 #: relative to the Jacobian: keeps steps finite in directions that nothing is known of
 _REGULARISER = 1e-10
 
@@ -70,14 +73,20 @@ def minimise(
         x[free] = part
         return x
 
-    sizes = np.linalg.norm(evaluate(start).jacobian[:, free], axis=0)
     widths = np.where(np.isfinite(upper - lower), upper - lower, 1.0)
-    scale = np.where(sizes > 0, 1.0 / np.where(sizes > 0, sizes, 1.0), widths)
-    problem = _Scaled(lambda part: evaluate(whole(part)), scale, lower, upper, free)
     solve = _brgn if method == "brgn" else _scipy
-    part, iterations = solve(problem, start[free])
-    x = whole(np.clip(part, lower, upper))
-    found = evaluate(x)
+    x, iterations = start, 0
+    for _ in range(_SCALES):
+        found = evaluate(x)
+        sizes = np.linalg.norm(found.jacobian[:, free], axis=0)
+        scale = np.where(sizes > 0, 1.0 / np.where(sizes > 0, sizes, 1.0), widths)
+        problem = _Scaled(lambda part: evaluate(whole(part)), scale, lower, upper, free)
+        part, more = solve(problem, x[free])
+        before, x = found, whole(np.clip(part, lower, upper))
+        found, iterations = evaluate(x), iterations + more
+        gain = before.objective - found.objective
+        if more < _ITERATIONS or not gain > _NO_GAIN * (1.0 + found.objective):
+            break
     return Optimum(x, found, problem.gradient(x[free], found) <= _GOOD_GRADIENT, iterations)
 
 
@@ -150,7 +159,7 @@ def _brgn(problem: _Scaled, start: FloatArray) -> tuple[FloatArray, int]:
         tao.setBRGNRegularizerWeight(_REGULARISER)
         tao.setVariableBounds((low, high))
         tao.setTolerances(gatol=_GRADIENT, grtol=0.0, gttol=0.0)
-        tao.setMaximumIterations(_MOST_ITERATIONS)
+        tao.setMaximumIterations(_ITERATIONS)
         tao.setSolution(x)
         set_from_options(tao, FIT_PREFIX)
         guard.solve(tao, "brgn")
@@ -169,6 +178,6 @@ def _scipy(problem: _Scaled, start: FloatArray) -> tuple[FloatArray, int]:
     inside = np.clip(start / scale, low, high)
     found = least_squares(
         problem.residuals, inside, problem.jacobian, (low, high), x_scale="jac", xtol=1e-10,
-        ftol=1e-12, gtol=_GRADIENT, max_nfev=_MOST_ITERATIONS,
+        ftol=1e-12, gtol=_GRADIENT, max_nfev=_ITERATIONS,
     )  # fmt: skip
     return found.x * scale, found.nfev
