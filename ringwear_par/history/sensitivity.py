@@ -128,6 +128,12 @@ def _is_number(quantity: Any) -> bool:
     return isinstance(quantity, float | int) and not isinstance(quantity, bool)
 
 
+def units_of(case: Case, keys: Sequence[str]) -> dict[str, str]:
+    """Return the units of some of these keys."""
+    units = differentiable(case) if keys else {}
+    return {key: units[key] for key in keys}
+
+
 def check_derivatives(case: Case, keys: Sequence[str], ranks: int = 1) -> None:
     """Refuse derivatives that there are not. Not collective.
 
