@@ -28,6 +28,7 @@ _CORRECTIONS = 10
 #: no pressure, MPa
 _TINY = 1e-300
 
+
 class Tangents(Protocol):
     """Derivatives of contact solutions, which a solution tells of each of its corrections."""
 

@@ -179,9 +179,7 @@ class _Lot:
             self.control = make_control(cases)
         else:
             self.control = GivenBatch(cases, [self._step_times[i] for i in self.numbers.tolist()])
-        self.model = WearModel(
-            cases, MPI.COMM_SELF, self._pair, derivatives=self._derivatives
-        )
+        self.model = WearModel(cases, MPI.COMM_SELF, self._pair, derivatives=self._derivatives)
         self._every = np.array([case.output.every for case in cases])
         self.state = self.model.initial()
 

@@ -69,9 +69,7 @@ class Entering:
             ones = ones + np.maximum(more, _LEAST)[..., None]
         return np.where(late, counts, ones)
 
-    def d_counts(
-        self, p: FloatArray, d_p: FloatArray, counts: Any, d_counts: Any
-    ) -> FloatArray:
+    def d_counts(self, p: FloatArray, d_p: FloatArray, counts: Any, d_counts: Any) -> FloatArray:
         """Return derivatives of ``counts``, (P, ..., n), from those of what it is given."""
         late, area = self.late, self.area
         if not self.force_kept:

@@ -176,7 +176,10 @@ class WearModel:
         assert isinstance(self._contact, CorrectedContact)
         self._take_compliance(pair)
         self._contact.take(self.compliance.matrix, self.compliance.excess)
-        self._own_compliance, self.twist_weights = self._yielding(self.compliance), self.compliance.twist
+        self._own_compliance, self.twist_weights = (
+            self._yielding(self.compliance),
+            self.compliance.twist,
+        )
         self._softness: Numbers = self._sum_of(self.compliance)
 
     def _take_moduli(self, known: Mapping[tuple[float, float], ContactCompliance]) -> None:
@@ -295,9 +298,7 @@ class WearModel:
         rates = self.rates_at(nothing, wear, contact.pressure)
         worn = np.zeros(wear.shape[:-1])
         tangent = None if along is None else along.reached(contact)
-        return self.checked(
-            State(nothing, wear, worn, nothing, contact, rates, tangent=tangent)
-        )
+        return self.checked(State(nothing, wear, worn, nothing, contact, rates, tangent=tangent))
 
     def _check_interpenetration(self) -> None:
         """Refuse undeformed bodies that overlap by more than the largest force presses them."""

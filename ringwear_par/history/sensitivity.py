@@ -249,7 +249,12 @@ class Sensitivity:
 
         return rates
 
-    def d_gap(self, products: Callable[[FloatArray, Any, FloatArray], FloatArray], p: FloatArray, at: FloatArray) -> FloatArray | float:
+    def d_gap(
+        self,
+        products: Callable[[FloatArray, Any, FloatArray], FloatArray],
+        p: FloatArray,
+        at: FloatArray,
+    ) -> FloatArray | float:
         """Return what moduli do to the gap at given pressures, (P, ..., n) mm.
 
         Parameters
@@ -446,7 +451,9 @@ class Along:
         self._step = columns(step) * np.where(self._enter.late, 0.0, d_counts)
         self._near = self._first
 
-    def last_stage(self, last: WearIncrement, p: FloatArray, worn: FloatArray, step: Numbers) -> None:
+    def last_stage(
+        self, last: WearIncrement, p: FloatArray, worn: FloatArray, step: Numbers
+    ) -> None:
         """Wear off what the last stage of two does, see ``first_stage`` and ``lengthen``."""
         d_worn = self.unhindered()
         self._counted_last = self.pressure

@@ -133,9 +133,7 @@ def find_array(group: h5py.Group, variable: Variable, sizes: dict[str, int]) -> 
     return dataset
 
 
-def find_texts(
-    group: h5py.Group, name: str, sizes: dict[str, int], dimension: str = "case"
-) -> Any:
+def find_texts(group: h5py.Group, name: str, sizes: dict[str, int], dimension: str = "case") -> Any:
     """Return a variable of texts, one a case, as ``find_array`` does."""
     return _find(group, name, (dimension,), sizes).asstr()
 

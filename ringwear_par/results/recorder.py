@@ -269,9 +269,7 @@ class Recorder:
                 if rows
             },
             **{
-                name: np.stack(rows, axis=1)
-                if self._deep or name not in D_PROFILES
-                else rows[-1]
+                name: np.stack(rows, axis=1) if self._deep or name not in D_PROFILES else rows[-1]
                 for name, rows in self._derivatives.items()
                 if rows
             },

@@ -217,7 +217,12 @@ class WearIncrement:
         return depths
 
     def varied(
-        self, p: FloatArray, numbers: RateVariation, d_wear: FloatArray, d_step: FloatArray | None, instant: bool
+        self,
+        p: FloatArray,
+        numbers: RateVariation,
+        d_wear: FloatArray,
+        d_step: FloatArray | None,
+        instant: bool,
     ) -> "VariedIncrement":
         """Return how the unhindered depths vary with P numbers, and with pressure.
 
