@@ -5,6 +5,7 @@ approaches, wear and moduli are those of each history; so are all digits of its 
 the others are.
 """
 
+from collections.abc import Callable
 from typing import Any, TypeVar
 
 import numpy as np
@@ -304,6 +305,65 @@ class BatchSolver:
         by_gap /= -self._scale
         return by_gap
 
+    def tangents(
+        self,
+        found: ContactState,
+        d_gap: FloatArray,
+        d_force: FloatArray | None,
+        d_approach: FloatArray | None,
+        slope: FloatArray | None,
+        histories: IntArray,
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return derivatives of the last pressures, (P, h, n), and approaches, (P, h), of some.
+
+        See ``ContactSolver.tangents``; what is given is of all histories.
+        """
+        rows = self._rows_of(histories)
+        weights, scale = self._weights[rows], self._scale[rows]
+        right = d_gap[:, rows] * weights
+        by_gap = np.array([self._blocks.solve(histories, each) for each in right])
+        border, sums = self._blocks.border[rows], self._blocks.sums[rows]
+        left = self._left_out(slope, histories)
+        if left is not None:
+            by_gap -= [self._blocks.solve(histories, left(each)) for each in by_gap]
+            border = border - self._blocks.solve(histories, left(border))
+            sums = (weights * border).sum(axis=1)
+        if d_approach is None:
+            assert d_force is not None
+            carried = d_force[:, rows] + inner(weights, by_gap)
+            touching = sums > 0.0
+            # where nothing touches, the force being 0, bodies stay at the nearest element
+            nearest = found.gap[rows].argmin(axis=1)
+            d_approach = np.where(
+                touching,
+                carried / np.where(touching, sums, 1.0),
+                d_gap[:, histories, nearest],
+            )
+        else:
+            d_approach = d_approach[:, rows]
+        return (border * d_approach[..., None] - by_gap) / scale, d_approach
+
+    def _rows_of(self, histories: IntArray) -> Any:
+        """Return the rows of some histories, all by a slice, which is quicker."""
+        return slice(None) if len(histories) == len(self._every) else histories
+
+    def _left_out(
+        self, slope: FloatArray | None, histories: IntArray
+    ) -> Callable[[FloatArray], FloatArray] | None:
+        """Return what makes of x (h, n) what ``ContactProblem.left_out`` does."""
+        if slope is None:
+            return None
+        rows, blocks = self._rows_of(histories), self._blocks
+        weights, scale = self._weights[rows], self._scale[rows]
+        if slope.ndim > self._weights.ndim:
+            change = weights[..., None] * slope[rows] / scale[:, None, :] - blocks.coupling[rows]
+            own = np.arange(change.shape[1])
+            change[:, own, own] -= blocks.slope[rows]
+            return lambda x: np.array([each @ row for each, row in zip(change, x, strict=True)])
+        # TAO's callbacks make it in the same way, so that what has not changed is 0
+        change = slope[rows] * (weights / scale) - blocks.slope[rows]
+        return (lambda x: change * x) if change.any() else None
+
     @property
     def rates(self) -> FloatArray:
         """(B, n) MPa/mm, derivative of the last pressures with respect to the approach."""
@@ -329,6 +389,11 @@ class BatchSolver:
         found = np.empty(p.shape)
         multiply(self._every, matrices, which, np.ascontiguousarray(p), found)
         return found
+
+    def deflections(self, d_p: FloatArray) -> FloatArray:
+        """Return what (P, B, n) MPa make of the gaps, mm."""
+        every = (self.products(self._scaled, self._which, self._scale * p) for p in d_p)
+        return np.array(list(every)) / self._weights
 
     def take(self, histories: IntArray) -> "BatchSolver":
         """Return a solver of some of the histories, which starts where this one would."""

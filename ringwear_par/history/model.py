@@ -32,6 +32,7 @@ from ringwear_par.elasticity.updated import UpdatedGeometry
 from ringwear_par.errors import ComputationError, HistoriesError, UnfitError
 from ringwear_par.history.bodies import young
 from ringwear_par.history.pairs import assemble, updated_geometry
+from ringwear_par.history.sensitivity import Along, Sensitivity
 from ringwear_par.history.state import Start, State
 from ringwear_par.schedules import Quantity, in_time, integral, largest, stack, take
 from ringwear_par.wear.increment import Closing, WearIncrement, averaged_rate, averaging
@@ -39,6 +40,7 @@ from ringwear_par.wear.law import LocalState, stack_laws
 
 if TYPE_CHECKING:
     from ringwear_par.contact.batch import BatchSolver
+    from ringwear_par.history.entering import Entering
 
 
 class WearModel:
@@ -51,6 +53,7 @@ class WearModel:
     pair : contact pair of the cases; None: it is assembled here.
     solver : of the pair with the case's moduli, to be used again from cold; None: made here.
     known : compliances of several cases by their moduli, as far as they are known.
+    derivatives : keys that states are to have derivatives with respect to, see ``sensitivity``.
     """
 
     def __init__(
@@ -60,6 +63,7 @@ class WearModel:
         pair: ContactPair | None = None,
         solver: ContactSolver | None = None,
         known: Mapping[tuple[float, float], ContactCompliance] = MappingProxyType({}),
+        derivatives: Sequence[str] = (),
     ) -> None:
         self.cases = (cases,) if isinstance(cases, Case) else tuple(cases)
         self.case, self.comm = self.cases[0], comm
@@ -117,6 +121,10 @@ class WearModel:
         self._fit: FloatArray | None = None
         #: the wear that the present elasticity is of
         self._followed = np.zeros((2, *self._shape))
+        #: what the numbers act on that there are to be derivatives with respect to, if any
+        self.sensitivity: Sensitivity | None = None
+        if derivatives:
+            self.sensitivity = Sensitivity(derivatives, self.cases, self.pair, several)
         self._lent = solver is not None
         self._warm: WarmStart | None = None  # once the history has ended
         if several:
@@ -149,6 +157,16 @@ class WearModel:
         return self._contact.solver
 
     @property
+    def contacts(self) -> CorrectedContact | CorrectedBatch:
+        """The contact of a single history, or those of B."""
+        return self._contact
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """That of fields, (..., n)."""
+        return self._shape
+
+    @property
     def batch(self) -> CorrectedBatch:
         """The contacts of B histories."""
         assert isinstance(self._contact, CorrectedBatch)
@@ -158,7 +176,10 @@ class WearModel:
         assert isinstance(self._contact, CorrectedContact)
         self._take_compliance(pair)
         self._contact.take(self.compliance.matrix, self.compliance.excess)
-        self._own_compliance, self._twist = self._yielding(self.compliance), self.compliance.twist
+        self._own_compliance, self.twist_weights = (
+            self._yielding(self.compliance),
+            self.compliance.twist,
+        )
         self._softness: Numbers = self._sum_of(self.compliance)
 
     def _take_moduli(self, known: Mapping[tuple[float, float], ContactCompliance]) -> None:
@@ -178,7 +199,7 @@ class WearModel:
         self._contact = CorrectedBatch(solver, excess, which, stiffness)
         self._own_compliance = np.array([self._yielding(each) for each in every])[which]
         self._softness = np.array([self._sum_of(each) for each in every])[which]
-        self._twist = np.array([each.twist for each in every])[which]
+        self.twist_weights = np.array([each.twist for each in every])[which]
         self._compliances = every
         #: (B,) of the compliance of each history
         self.symmetry_defects = np.array([each.symmetry_defect for each in every])[which]
@@ -213,7 +234,7 @@ class WearModel:
         taken._followed = np.zeros((2, *taken._shape))
         taken._contact = self.batch.take(histories)
         for name in (
-            "friction", "_initial_gap", "_own_compliance", "_softness", "_twist",
+            "friction", "_initial_gap", "_own_compliance", "_softness", "twist_weights",
             "symmetry_defects", "_tolerance", "_which",
         ):  # fmt: skip
             setattr(taken, name, getattr(self, name)[histories])
@@ -221,6 +242,8 @@ class WearModel:
             setattr(taken, name, take(getattr(self, name), histories))
         taken.laws = tuple(None if law is None else law.take(histories) for law in self.laws)
         taken.per_energy = tuple(rows_of(each, histories) for each in self.per_energy)
+        if self.sensitivity is not None:
+            taken.sensitivity = self.sensitivity.take(histories)
         return taken
 
     def joined(self, other: "WearModel") -> "WearModel":
@@ -230,7 +253,10 @@ class WearModel:
             for model in (self, other)
             for i in range(len(model.cases))
         }
-        model = WearModel((*self.cases, *other.cases), self.comm, self.pair, known=known)
+        keys = () if self.sensitivity is None else self.sensitivity.keys
+        model = WearModel(
+            (*self.cases, *other.cases), self.comm, self.pair, known=known, derivatives=keys
+        )
         model.batch.go_on(self.batch, other.batch)
         return model
 
@@ -261,8 +287,9 @@ class WearModel:
         """
         wear = np.zeros((2, *self._shape))
         nothing: Numbers = 0.0 if wear.ndim == 2 else np.zeros(len(self.cases))
+        along = None if self.sensitivity is None else Along(self, None)
         try:
-            contact = self.contact(nothing, wear, np.zeros(self._shape), exact=True)
+            contact = self.contact(nothing, wear, np.zeros(self._shape), exact=True, along=along)
         except HistoriesError:
             raise
         except ComputationError as error:
@@ -270,7 +297,8 @@ class WearModel:
         self._check_interpenetration()
         rates = self.rates_at(nothing, wear, contact.pressure)
         worn = np.zeros(wear.shape[:-1])
-        return self.checked(State(nothing, wear, worn, nothing, contact, rates))
+        tangent = None if along is None else along.reached(contact)
+        return self.checked(State(nothing, wear, worn, nothing, contact, rates, tangent=tangent))
 
     def _check_interpenetration(self) -> None:
         """Refuse undeformed bodies that overlap by more than the largest force presses them."""
@@ -364,6 +392,7 @@ class WearModel:
         during: WearIncrement | None = None,
         found: tuple[BoolArray, ContactState] | None = None,
         exact: bool = False,
+        along: Along | None = None,
     ) -> ContactState:
         """Return the contact at a time, under the loads of that time. Collective.
 
@@ -375,6 +404,7 @@ class WearModel:
         during : wear of an implicit step, which is part of the contact problem.
         found : which of B histories have their solution already, and it.
         exact : whether no other pressures are near, see ``contact.correction``.
+        along : derivatives along the step that this contact is of.
 
         Raises
         ------
@@ -392,7 +422,14 @@ class WearModel:
         how: Any = {"force": force, "approach": approach, "wear": during, "exact": exact}
         if found is not None:
             how["found"] = found
+        if along is not None:
+            along.pose(during)
+            how["along"] = along
         return self._contact.solve(gap, near, **how)
+
+    def along(self, state: State, enter: "Entering | None" = None) -> Along | None:
+        """Return what derivatives are told along a step from a state; None where there are none."""
+        return None if self.sensitivity is None else Along(self, state.tangent, enter)
 
     @property
     def asymmetry(self) -> tuple[Numbers, Any]:
@@ -472,7 +509,7 @@ class WearModel:
 
     def twist(self, p: FloatArray) -> Numbers:
         """Return the area mean of the circumferential displacement jump, mm, at pressure."""
-        return self.friction * inner(self._twist, p)
+        return self.friction * inner(self.twist_weights, p)
 
     def reactions(self, p: FloatArray) -> FloatArray:
         """Return friction torque / mu, axial force and torque / mu on both fixed faces, (5, ...).

@@ -1,12 +1,15 @@
 """What a wear history is at an instant, and where it goes on from."""
 
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from ringwear_par.arrays import BoolArray, FloatArray, IntArray, Numbers
 from ringwear_par.contact.problem import ContactState, WarmStart
+
+if TYPE_CHECKING:
+    from ringwear_par.history.sensitivity import Tangent
 
 
 @dataclass(frozen=True)
@@ -24,6 +27,7 @@ class State:
     shape : (2, ..., n) float, mm, the wear that the elements have followed; None where they do not.
     fit : (..., n) float, mm, what elements are nearer than their profiles say since their slopes
         turned, see ``WearModel.update_geometry``; None where they do not.
+    tangent : derivatives, where they were asked for.
     """
 
     time: Numbers
@@ -34,6 +38,7 @@ class State:
     rates: FloatArray
     shape: FloatArray | None = None
     fit: FloatArray | None = None
+    tangent: "Tangent | None" = None
 
     def take(self, histories: IntArray) -> "State":
         """Return some of B histories."""
@@ -45,6 +50,7 @@ class State:
             self.energy[histories],
             ContactState(*(values[histories] for values in vars(contact).values())),
             self.rates[:, histories],
+            tangent=self.tangent and self.tangent.take(histories),
         )
 
     def joined(self, other: "State") -> "State":
@@ -56,8 +62,9 @@ class State:
         both = zip(vars(self.contact).values(), vars(other.contact).values(), strict=True)
         contact = ContactState(*map(np.concatenate, both))
         return State(
-            of("time"), of("wear", 1), of("worn", 1), of("energy"), contact, of("rates", 1)
-        )
+            of("time"), of("wear", 1), of("worn", 1), of("energy"), contact, of("rates", 1),
+            tangent=self.tangent and self.tangent.joined(other.tangent),
+        )  # fmt: skip
 
     def history(self, i: int) -> "State":
         """Return one of B histories."""
@@ -72,6 +79,7 @@ class State:
                 float(contact.force[i]), int(contact.iterations[i]), float(contact.residual[i]),
             ),
             self.rates[:, i],
+            tangent=self.tangent and self.tangent.history(i),
         )  # fmt: skip
 
     def updated(self, which: BoolArray, after: "State") -> "State":
@@ -92,6 +100,7 @@ class State:
             of("energy"),
             contact,
             np.where(rows, after.rates, self.rates),
+            tangent=self.tangent and self.tangent.updated(which, after.tangent),
         )
 
 

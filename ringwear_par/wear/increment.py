@@ -1,5 +1,6 @@
 """The wear of one implicit step: a convex part of the contact problem, whatever the laws."""
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -14,6 +15,8 @@ _MEMORY_ITERATIONS = 60
 #: relative change at which the wear of a step is found, and below which it may stop falling
 _ROUND_OFF, _NOISE = 1e-15, 1e-9
 _POTENTIAL_PANELS, _BISECTIONS = 8, 60
+#: what P numbers do to the rate of a body, see ``WearIncrement.varied``
+RateVariation = Callable[[int, Law, FloatArray, LocalState], FloatArray]
 _GAUSS = tuple(0.5 * v for v in np.polynomial.legendre.leggauss(8))
 
 
@@ -213,6 +216,46 @@ class WearIncrement:
             depths[i] = self._axial(self._depth(law, at, average, p))
         return depths
 
+    def varied(
+        self,
+        p: FloatArray,
+        numbers: RateVariation,
+        d_wear: FloatArray,
+        d_step: FloatArray | None,
+        instant: bool,
+    ) -> "VariedIncrement":
+        """Return how the unhindered depths vary with P numbers, and with pressure.
+
+        Parameters
+        ----------
+        numbers : ``(i, law, p, at) -> (P, ..., n)`` mm/s, what the numbers themselves do to the
+            rate of body i at given pressure and wear.
+        d_wear : (2, P, ..., n) mm, derivatives of the wear before the step.
+        d_step : (P, ..., n) s, those of ``step``; None: 0.
+        instant : whether rates are those before the step, as in explicit steps.
+        """
+        depths, slopes = np.zeros(d_wear.shape), []
+        for i, law, at, average in self._each:
+            q = np.maximum(p if average is None else averaged(average, p), 0.0)
+            within = law.remembers and not instant
+            there = self._after(law, at, q) if within else at
+            change = numbers(i, law, q, there)
+            before = law.d_rate_dbefore(q, there)
+            if before is not None:
+                normal = d_wear[i] if self.obliquity is None else d_wear[i] / self.obliquity
+                change += before * normal
+            change *= self.step
+            slope = self.step * law.d_rate_dp(q, there)
+            if d_step is not None:
+                change += d_step * law.rate(q, there)
+            if within and before is not None:
+                left = 1.0 - self.step * before
+                change /= left
+                slope = slope / left
+            slopes.append((i, slope, average))
+            depths[i] = self._axial(change if average is None else averaged(average, change))
+        return VariedIncrement(depths, slopes, self.obliquity)
+
     def _axial(self, normal: FloatArray) -> FloatArray:
         """Return along the axis what is (..., n) along the normal."""
         return normal if self.obliquity is None else self.obliquity * normal
@@ -340,6 +383,38 @@ class WearIncrement:
             obliquity=None if self.obliquity is None else self.obliquity[here],
             closing=None if self.closing is None else self.closing.part(here),
         )
+
+
+@dataclass(frozen=True)
+class VariedIncrement:
+    """How the unhindered depths of an increment vary with P numbers.
+
+    Parameters
+    ----------
+    depths : (2, P, ..., n) mm, of lower and upper, at given pressure.
+    slopes : of each body that wears: which it is, (..., n) mm/MPa along the normal, its average.
+    obliquity : as of the increment.
+    """
+
+    depths: FloatArray
+    slopes: Sequence[tuple[int, FloatArray, FloatArray | None]]
+    obliquity: FloatArray | None
+
+    @property
+    def slope(self) -> FloatArray:
+        """``WearIncrement.d_depth_dp`` of local laws in contact all along, (..., n) mm/MPa."""
+        total = _total([slope for _, slope, _ in self.slopes])
+        return total if self.obliquity is None else self.obliquity * total
+
+    def with_pressure(self, d_p: FloatArray) -> FloatArray:
+        """Return the same, (2, P, ..., n) mm, as the pressure varies too, by (P, ..., n) MPa."""
+        total = self.depths.copy()
+        for i, slope, average in self.slopes:
+            change = slope * (d_p if average is None else averaged(average, d_p))
+            if average is not None:
+                change = averaged(average, change)
+            total[i] += change if self.obliquity is None else self.obliquity * change
+        return total
 
 
 def _total(parts: list[FloatArray]) -> FloatArray:

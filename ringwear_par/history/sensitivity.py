@@ -1,0 +1,532 @@
+"""Tangent-linear histories: derivatives of everything that is stored with respect to numbers.
+
+What is differentiated is what the program computes, its step sizes given: every contact solution,
+corrected as it is, on the factor that it ended with. On the elements in contact
+
+    K p + m (gap + depth(p, q) - excess p_near - delta) = 0,    m.p = F,
+
+so that (K + m D) p' = m (delta' - gap' - depth_q - K'p / m + (excess p_near)'), m.p' = F', and then
+depth' = D p' + depth_q. Where elements pass a kink (contact, a threshold), derivatives are those of
+one of its sides.
+
+Derivatives with respect to P numbers are (P, ..., n) of fields, (P, ...) of a history's numbers, and
+(2, P, ..., n) of what both bodies have.
+"""
+
+import copy
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ringwear_par.arrays import BoolArray, FloatArray, IntArray, Numbers, columns, inner
+from ringwear_par.cases.case import Case
+from ringwear_par.cases.schema import UNITS
+from ringwear_par.contact.problem import REPLICATED_LIMIT, ContactState
+from ringwear_par.elasticity.pair import ContactPair
+from ringwear_par.errors import InputError, legible
+from ringwear_par.history.bodies import young
+from ringwear_par.wear.increment import RateVariation, VariedIncrement, WearIncrement
+from ringwear_par.wear.law import Law, LocalState
+from ringwear_par.wear.parameters import parameters_of
+
+if TYPE_CHECKING:
+    from ringwear_par.history.entering import Entering
+    from ringwear_par.history.model import WearModel
+    from ringwear_par.history.state import State
+
+_BODIES = ("lower", "upper")
+
+
+@dataclass(frozen=True)
+class Tangent:
+    """Derivatives of a state.
+
+    Parameters
+    ----------
+    wear : (2, P, ..., n) float, mm over each number's unit.
+    energy : (P, ...) float, N mm.
+    pressure, gap : (P, ..., n) float, MPa and mm, of the contact.
+    approach : (P, ...) float, mm.
+    """
+
+    wear: FloatArray
+    energy: FloatArray
+    pressure: FloatArray
+    gap: FloatArray
+    approach: FloatArray
+
+    def history(self, i: int) -> "Tangent":
+        """Return that of one of B histories."""
+        return self._each(lambda values, axis: np.take(values, i, axis))
+
+    def take(self, histories: IntArray) -> "Tangent":
+        """Return that of some of B histories."""
+        return self._each(lambda values, axis: np.take(values, histories, axis))
+
+    def _each(self, function: Any) -> "Tangent":
+        pairs = vars(self).items()
+        return Tangent(**{name: function(values, _axis(name)) for name, values in pairs})
+
+    def joined(self, other: "Tangent") -> "Tangent":
+        """Return that of the histories of both."""
+        return self._with(other, lambda *values, axis: np.concatenate(values, axis))
+
+    def updated(self, which: BoolArray, after: "Tangent") -> "Tangent":
+        """Return that of B histories, some of which have become others."""
+        rows = which[:, None]
+        return self._with(
+            after,
+            lambda old, new, axis: np.where(rows if new.ndim > 2 else which, new, old),
+        )
+
+    def _with(self, other: "Tangent", function: Any) -> "Tangent":
+        return Tangent(
+            **{
+                name: function(values, getattr(other, name), axis=_axis(name))
+                for name, values in vars(self).items()
+            }
+        )
+
+
+def _axis(name: str) -> int:
+    """Return the axis of B histories."""
+    return 2 if name == "wear" else 1
+
+
+# -- the numbers -----------------------------------------------------------------------------------
+
+
+def differentiable(case: Case) -> dict[str, str]:
+    """Return the keys of a case that histories have derivatives with respect to, and their units.
+
+    Its plain numbers: of a law's parameters, those that rates have derivatives with respect to.
+    """
+    found: dict[str, str] = {}
+    for body, law in zip(_BODIES, case.laws, strict=True):
+        for name in () if law is None else law.numeric:
+            if _is_number(law.quantity(name)):
+                parameter = parameters_of(type(law)).get(name)
+                found[f"wear.{body}.{name}"] = "1" if parameter is None else parameter.unit
+    found["contact.friction"] = UNITS["contact.friction"]
+    load = case.load
+    for key, number in (
+        ("load.pressure", load.force),
+        ("load.force", load.force),
+        ("load.displacement", load.displacement),
+        ("load.omega", load.omega),
+        ("lower.young", case.lower.young),
+        ("upper.young", case.upper.young),
+    ):
+        if _is_number(number):
+            found[key] = UNITS[key]
+    return found
+
+
+def _is_number(quantity: Any) -> bool:
+    return isinstance(quantity, float | int) and not isinstance(quantity, bool)
+
+
+def units_of(case: Case, keys: Sequence[str]) -> dict[str, str]:
+    """Return the units of some of these keys."""
+    units = differentiable(case) if keys else {}
+    return {key: units[key] for key in keys}
+
+
+def check_derivatives(case: Case, keys: Sequence[str], ranks: int = 1) -> None:
+    """Refuse derivatives that there are not. Not collective.
+
+    Raises
+    ------
+    InputError : one sentence a key, or why this case has none at all.
+    """
+    if isinstance(keys, str) or not all(isinstance(key, str) for key in keys):
+        raise InputError(f"derivatives = {keys!r}: must be a list of keys, as ['wear.lower.k']")
+    if not keys:
+        return
+    if case.follows_wear:
+        raise InputError(
+            'derivatives: are not known with mesh.geometry = "updated"; must be "fixed" with them'
+        )
+    if ranks > 1 and case.mesh.contact_elements > REPLICATED_LIMIT:
+        raise InputError(
+            f"derivatives: {case.mesh.contact_elements} contact elements are shared by {ranks} "
+            f"ranks; must be at most {REPLICATED_LIMIT}, or on one rank, with them"
+        )
+    allowed = differentiable(case)
+    faults = [
+        f"derivatives: {legible(key)}: is no plain number of this case that its history depends "
+        f"on smoothly; must be one of {', '.join(allowed)}"
+        for key in keys
+        if key not in allowed
+    ]
+    twice = dict.fromkeys(key for key in keys if list(keys).count(key) > 1)
+    faults += [f"derivatives: {legible(key)}: must be named once" for key in twice]
+    if faults:
+        raise InputError(*faults)
+
+
+class Sensitivity:
+    """What P numbers of a case, or of B cases that step together, act on directly.
+
+    Parameters
+    ----------
+    keys : of the numbers.
+    cases : one case, or several of one pair.
+    pair : of the cases.
+    several : whether histories have an axis, though there may be one.
+    """
+
+    def __init__(
+        self, keys: Sequence[str], cases: Sequence[Case], pair: ContactPair, several: bool
+    ) -> None:
+        self.keys = tuple(keys)
+        rows = {key: row for row, key in enumerate(keys)}
+        #: rows and names of the parameters of the laws of lower and upper
+        self._laws = tuple(
+            [(row, key.removeprefix(f"wear.{body}.")) for key, row in rows.items()
+             if key.startswith(f"wear.{body}.")]
+            for body in _BODIES
+        )  # fmt: skip
+        self.friction, self.omega = rows.get("contact.friction"), rows.get("load.omega")
+
+        def of_cases(numbers: list[Any]) -> Any:
+            return np.array(numbers) if several else numbers[0]
+
+        #: what mu and omega are, which tells how far differences may go
+        self._sizes = {
+            row: of_cases([abs(number(case)) or 1.0 for case in cases])
+            for row, number in (
+                (self.friction, lambda case: case.friction),
+                (self.omega, lambda case: case.load.omega),
+            )
+            if row is not None
+        }
+        #: (P, ...) derivatives of the force, N, or of the displacement, mm
+        self.load = np.zeros((len(keys), len(cases)) if several else len(keys))
+        for key, row in rows.items():
+            if key == "load.pressure":
+                self.load[row] = of_cases([case.area for case in cases])
+            elif key in ("load.force", "load.displacement"):
+                self.load[row] = 1.0
+        self._moduli = [
+            (rows[key], _Moduli.of(cases, pair, body, several))
+            for body, key in enumerate(("lower.young", "upper.young"))
+            if key in rows
+        ]
+
+    def __len__(self) -> int:
+        return len(self.keys)
+
+    def take(self, histories: IntArray) -> "Sensitivity":
+        """Return that of some of B histories."""
+        taken = copy.copy(self)
+        taken._sizes = {row: size[histories] for row, size in self._sizes.items()}
+        taken.load = self.load[:, histories]
+        taken._moduli = [(row, moduli.take(histories)) for row, moduli in self._moduli]
+        return taken
+
+    def nothing(self, *shape: int) -> FloatArray:
+        """Return derivatives (P, ...) that are 0."""
+        return np.zeros((len(self), *shape))
+
+    def rates(self, arm: FloatArray) -> RateVariation:
+        """Return what gives what the numbers do to rates, see ``WearIncrement.varied``."""
+
+        def rates(i: int, law: Law, p: FloatArray, at: LocalState) -> FloatArray:
+            out = self.nothing(*p.shape)
+            for row, name in self._laws[i]:
+                out[row] = law.d_rate_dparameter(name, p, at)
+            for row, size in self._sizes.items():
+                scaled = columns(size)
+                none, turn = np.zeros_like(arm), scaled * arm if row == self.omega else 0.0 * arm
+                along = LocalState(
+                    0.0, at.r, turn, scaled if row == self.friction else 0.0, none, at.time * turn
+                )
+                out[row] = law.d_rate_dlocal(p, at, along) / scaled
+            return out
+
+        return rates
+
+    def d_gap(
+        self,
+        products: Callable[[FloatArray, Any, FloatArray], FloatArray],
+        p: FloatArray,
+        at: FloatArray,
+    ) -> FloatArray | float:
+        """Return what moduli do to the gap at given pressures, (P, ..., n) mm.
+
+        Parameters
+        ----------
+        products : of matrices and pressures, see ``CorrectedContact.products``.
+        p, at : (..., n) MPa, of a solution, and those that it was corrected at.
+        """
+        if not self._moduli:
+            return 0.0
+        out = self.nothing(*p.shape)
+        for row, moduli in self._moduli:
+            out[row] = products(moduli.symmetric, moduli.which, p - at)
+            out[row] += products(moduli.collocated, moduli.which, at)
+        return out
+
+    def torque(self, model: "WearModel", p: FloatArray, d_p: FloatArray) -> FloatArray:
+        """Return derivatives of the friction torque, (P, ...) N mm."""
+        out = np.asarray(model.torque(d_p))
+        if self.friction is not None:
+            out[self.friction] += model.reactions(p)[0]
+        return out
+
+    def twist(self, model: "WearModel", p: FloatArray, d_p: FloatArray) -> FloatArray:
+        """Return derivatives of the mean circumferential displacement, (P, ...) mm."""
+        out = np.asarray(model.twist(d_p))
+        if self.friction is not None:
+            out[self.friction] += inner(model.twist_weights, p)
+        for row, moduli in self._moduli:
+            out[row] += model.friction * inner(moduli.twist[moduli.which], p)
+        return out
+
+
+@dataclass(frozen=True)
+class _Moduli:
+    """Derivatives with respect to the Young's modulus of a body, those of m pairs of moduli.
+
+    Parameters
+    ----------
+    symmetric, collocated : (m, n, n) of K / m and C, transposed.
+    twist : (m, n).
+    which : (B,) int of each history, or 0.
+    """
+
+    symmetric: FloatArray
+    collocated: FloatArray
+    twist: FloatArray
+    which: Any
+
+    @classmethod
+    def of(cls, cases: Sequence[Case], pair: ContactPair, body: int, several: bool) -> "_Moduli":
+        """Return those of some cases."""
+        moduli = [young(case) for case in cases]
+        places = {each: place for place, each in enumerate(dict.fromkeys(moduli))}
+        every = [pair.d_compliance(each, body) for each in places]
+        return cls(
+            np.array([(matrix / pair.line.area[:, None]).T for matrix, _, _ in every]),
+            np.array([collocated.T for _, collocated, _ in every]),
+            np.array([twist for _, _, twist in every]),
+            np.array([places[each] for each in moduli]) if several else 0,
+        )
+
+    def take(self, histories: IntArray) -> "_Moduli":
+        """Return those of some of B histories."""
+        return replace(self, which=self.which[histories])
+
+
+# -- along one step --------------------------------------------------------------------------------
+
+
+class Along:
+    """Derivatives along one step, stage by stage: told of by the scheme and its contacts.
+
+    Parameters
+    ----------
+    model : the physics, with its ``sensitivity``.
+    before : at the start of the step; None: there is no step, and nothing was worn.
+    enter : the elements that wear may bring into contact in it.
+    """
+
+    def __init__(
+        self, model: "WearModel", before: Tangent | None, enter: "Entering | None" = None
+    ) -> None:
+        assert model.sensitivity is not None
+        self._model, self._numbers, self._enter = model, model.sensitivity, enter
+        nothing = self._numbers.nothing
+        shape = model.shape
+        if before is None:
+            before = Tangent(
+                np.stack([nothing(*shape)] * 2), nothing(*shape[:-1]), nothing(*shape),
+                nothing(*shape), nothing(*shape[:-1]),
+            )  # fmt: skip
+        self._before = before
+        #: (2, P, ..., n) mm, of the wear that a stage starts from
+        self.wear = before.wear
+        #: (P, ..., n) MPa and (P, ...) mm, of the last contact
+        self.pressure, self.approach = before.pressure.copy(), before.approach.copy()
+        #: of the pressures that the next solution is corrected at
+        self._near = before.pressure
+        #: of the gap at given pressure
+        self._gap = nothing(*shape)
+        self._during: WearIncrement | None = None
+        self._varied: VariedIncrement | None = None
+        self._closes: FloatArray | None = None
+        if enter is not None:
+            self._closes = np.where(enter.late, before.gap, 0.0)
+        #: (P, ..., n) s, of the steps of elements
+        self._step: FloatArray | None = None
+        self._energy = before.energy
+
+    # -- contact -----------------------------------------------------------------------------------
+
+    def pose(self, during: WearIncrement | None) -> None:
+        """Take the wear of the next contact problem."""
+        self._during = during
+
+    def solved(self, found: ContactState, at: FloatArray, asked: Any = None) -> None:
+        """Differentiate a contact solution, see ``contact.correction.Tangents``."""
+        model, during, p = self._model, self._during, found.pressure
+        contacts = model.contacts
+        gap = self.wear[0] + self.wear[1] - contacts.d_shift(self._near)
+        gap += self._numbers.d_gap(contacts.products, p, at)
+        slope: FloatArray | None = None
+        if during is not None:
+            rates = self._numbers.rates(model.line.arm)
+            varied = during.varied(p, rates, self.wear, self._step, instant=False)
+            worn = varied.depths[0] + varied.depths[1]
+            slope = varied.slope if during.local else during.jacobian(p)
+            if during.closing is not None:
+                closed = (during.closing.gap == 0.0) | (during.depth(p) > 0.0)
+                worn = np.where(closed, worn - self._closes, 0.0)
+                slope = np.where(closed, slope, 0.0)
+            gap += worn
+            self._varied = varied
+        load = self._numbers.load
+        loads = (None, load) if model.force is None else (load, None)
+        rows = (slice(None),) if asked is None else (slice(None), asked)
+        self._gap[rows] = gap[rows]
+        self.pressure[rows], self.approach[rows] = contacts.tangents(
+            found, gap, *loads, slope, asked=asked
+        )
+        self._near = self.pressure
+
+    def unhindered(self) -> FloatArray:
+        """Return derivatives of what the last stage would wear off all along, (2, P, ..., n) mm."""
+        if self._varied is None:
+            return np.zeros_like(self.wear)
+        return self._varied.with_pressure(self.pressure)
+
+    # -- what schemes tell -------------------------------------------------------------------------
+
+    def explicit(self, increment: WearIncrement, p: FloatArray) -> None:
+        """Wear off what an explicit step does at the pressure of its start."""
+        rates = self._numbers.rates(self._model.line.arm)
+        varied = increment.varied(p, rates, self.wear, None, instant=True)
+        self.wear = self.wear + varied.with_pressure(self._before.pressure)
+
+    def implicit(self) -> None:
+        """Wear off what the last stage does."""
+        self.wear = self.wear + self.unhindered()
+
+    def first_stage(
+        self, p: FloatArray, worn: FloatArray, counts: FloatArray | float, share: float
+    ) -> None:
+        """Go on to the last stage of two.
+
+        Parameters
+        ----------
+        p : (..., n) MPa, at the end of the first.
+        worn : (2, ..., n) mm, unhindered.
+        counts : how many times its weight the stage counts, (..., n) or 1.
+        share : of what is worn that the last stage starts from.
+        """
+        first, lost = self.pressure.copy(), counts * self.unhindered()
+        self._counted = counts * first
+        if self._enter is not None:
+            d_counts = self._enter.d_counts(p, first, 0.0, 0.0)
+            self._counted += d_counts * p
+            lost += d_counts * worn[:, None]
+        self.wear = self.wear + share * lost
+        self._near = self._first = first
+
+    def lengthen(self, last: WearIncrement, p: FloatArray, step: Numbers) -> None:
+        """Take note that the last stage is tried again, its steps being those that ``p`` asks for.
+
+        Parameters
+        ----------
+        step : s, of which steps are so many times as much as the stage counts.
+        """
+        assert self._enter is not None
+        worn, whole = last.unhindered(p), last.step / columns(step)
+        inside, d_inside = last.share(worn), self._d_share(last, worn, self.unhindered())
+        counts = whole * inside
+        d_counts = self._enter.d_counts(p, self.pressure, counts, whole * d_inside)
+        self._step = columns(step) * np.where(self._enter.late, 0.0, d_counts)
+        self._near = self._first
+
+    def last_stage(
+        self, last: WearIncrement, p: FloatArray, worn: FloatArray, step: Numbers
+    ) -> None:
+        """Wear off what the last stage of two does, see ``first_stage`` and ``lengthen``."""
+        d_worn = self.unhindered()
+        self._counted_last = self.pressure
+        if self._enter is not None:
+            inside, d_inside = last.share(worn), self._d_share(last, worn, d_worn)
+            d_worn = inside * d_worn + d_inside * worn[:, None]
+            counts = last.step / columns(step)
+            d_counts = counts * d_inside
+            if self._step is not None:
+                d_counts = d_counts + inside * self._step / columns(step)
+            self._counted_last = counts * inside * self.pressure + d_counts * p
+        self.wear = self.wear + d_worn
+
+    def _d_share(self, last: WearIncrement, worn: FloatArray, d_worn: FloatArray) -> FloatArray:
+        """Return derivatives of ``WearIncrement.share``, (P, ..., n)."""
+        assert last.closing is not None and self._closes is not None
+        gap, total = last.closing.gap, worn[0] + worn[1]
+        inside = (gap > 0.0) & (total > gap)
+        total = np.where(inside, total, 1.0)
+        return np.where(inside, (gap * (d_worn[0] + d_worn[1]) / total - self._closes) / total, 0.0)
+
+    def work(self, lasts: Numbers, omega: Numbers, p: FloatArray, d_p: FloatArray) -> None:
+        """Dissipate the energy of a time, s, at a speed, rad/s, and a pressure."""
+        power = omega * self._numbers.torque(self._model, p, d_p)
+        if self._numbers.omega is not None:
+            power[self._numbers.omega] += self._model.torque(p)
+        self._energy = self._energy + lasts * power
+
+    @property
+    def counted(self) -> tuple[FloatArray, FloatArray]:
+        """Derivatives of the pressures of both stages, (P, ..., n), times what these count."""
+        return self._counted, self._counted_last
+
+    def reached(self, contact: ContactState) -> Tangent:
+        """Return the derivatives of the state at the end, whose contact is the last one."""
+        return Tangent(self.wear, self._energy, self.pressure, self._d_gap(contact), self.approach)
+
+    def _d_gap(self, found: ContactState) -> FloatArray:
+        """Return derivatives of the gap: 0 in contact."""
+        open_ = found.pressure <= 0.0
+        if not open_.any():
+            return np.zeros_like(self._gap)
+        gap = self._gap + self._model.contacts.deflections(self.pressure)
+        if self._during is not None and not self._during.local:
+            assert self._varied is not None
+            worn = self.unhindered() - self._varied.depths
+            gap += worn[0] + worn[1]
+        return np.where(open_, gap - self.approach[..., None], 0.0)
+
+
+# -- what is stored --------------------------------------------------------------------------------
+
+
+def variables(model: "WearModel", state: "State") -> dict[str, Any]:
+    """Return derivatives of what is stored of a state by name, (P, ...) each. Not collective.
+
+    All but that of ``penetration``, in which the first state has a part.
+    """
+    tangent, numbers = state.tangent, model.sensitivity
+    if tangent is None or numbers is None:
+        return {}
+    p, d_p = state.contact.pressure, tangent.pressure
+    volumes = model.integrals(tangent.wear)
+    return {
+        "d_approach": tangent.approach,
+        "d_force": np.asarray(inner(model.area, d_p)),
+        "d_torque": numbers.torque(model, p, d_p),
+        "d_twist": numbers.twist(model, p, d_p),
+        "d_worn_volume_lower": volumes[0],
+        "d_worn_volume_upper": volumes[1],
+        "d_dissipated_energy": tangent.energy,
+        "d_pressure": d_p,
+        "d_gap": tangent.gap,
+        "d_wear_lower": tangent.wear[0],
+        "d_wear_upper": tangent.wear[1],
+    }
