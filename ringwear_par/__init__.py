@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from ringwear_par.elasticity.pair import ContactPair
     from ringwear_par.errors import ComputationError, InputError
     from ringwear_par.history.pairs import assemble
+    from ringwear_par.identification.design import DesignResult, design
     from ringwear_par.identification.fit import fit
     from ringwear_par.identification.outcome import FitResult
     from ringwear_par.results.files import open_result
@@ -42,6 +43,7 @@ _PUBLIC = {
     "Case": "cases.case",
     "ComputationError": "errors",
     "ContactPair": "elasticity.pair",
+    "DesignResult": "identification.design",
     "FailedResult": "results.result",
     "FitResult": "identification.outcome",
     "InputError": "errors",
@@ -50,6 +52,7 @@ _PUBLIC = {
     "Study": "studies.study",
     "WearLaw": "wear.law",
     "assemble": "history.pairs",
+    "design": "identification.design",
     "fit": "identification.fit",
     "open_ensemble": "studies.ensemble",
     "open_result": "results.files",
@@ -62,8 +65,8 @@ _PUBLIC = {
     "sweep": "studies.sweep",
 }
 __all__ = [
-    "Case", "ComputationError", "ContactPair", "FailedResult", "FitResult", "InputError",
-    "LocalState", "Result", "Study", "WearLaw", "assemble", "fit", "open_ensemble", "open_result",
+    "Case", "ComputationError", "ContactPair", "DesignResult", "FailedResult", "FitResult", "InputError",
+    "LocalState", "Result", "Study", "WearLaw", "assemble", "design", "fit", "open_ensemble", "open_result",
     "plot", "read_case", "read_study", "simulate", "simulate_all", "surrogate", "sweep",
 ]  # fmt: skip
 

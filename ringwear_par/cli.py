@@ -116,6 +116,17 @@ def _parser() -> argparse.ArgumentParser:
     fit.add_argument("--compare", action="store_true", help="fit the laws of [compare] as well")
     _add_no_cache(fit)
 
+    design = command("design", "find the next tests that tell most, from [design] of a fit file")
+    design.add_argument("fit", type=_path, metavar="FIT.toml", help="fit file")
+    design.add_argument("-o", "--output", type=_path, required=True, metavar="DIR")
+    design.add_argument(
+        "--after", type=_path, metavar="DIR", help="folder of a fit whose information counts"
+    )
+    design.add_argument(
+        "--criterion", choices=("D", "A", "eig"), help="instead of that of the fit file"
+    )
+    _add_no_cache(design)
+
     plot = command("plot", "draw the figures of the paper from result files, or those of a sweep")
     plot.add_argument("results", type=_path, nargs="+", metavar="RUN.h5 or DIR")
     plot.add_argument("-o", "--output", type=_path, required=True, metavar="FIG.png")
@@ -226,6 +237,12 @@ def _fit(args: argparse.Namespace, comm: Any) -> None:
     )  # fmt: skip
 
 
+def _design(args: argparse.Namespace, comm: Any) -> None:
+    from ringwear_par.identification.design import run_design
+
+    run_design(args.fit, args.output, comm, after=args.after, criterion=args.criterion)
+
+
 def _plot(args: argparse.Namespace, comm: Any) -> None:
     from ringwear_par.parallel import on_first_rank
 
@@ -288,7 +305,7 @@ def _info(args: argparse.Namespace, comm: Any) -> None:
 
 
 _COMMANDS = {
-    "run": _run, "sweep": _sweep, "fit": _fit, "plot": _plot, "export": _export, "laws": _laws,
+    "run": _run, "sweep": _sweep, "fit": _fit, "design": _design, "plot": _plot, "export": _export, "laws": _laws,
     "verify": _verify, "info": _info,
 }  # fmt: skip
 
@@ -386,6 +403,7 @@ def _left(words: Sequence[str]) -> str:
         "run": " before the first step; nothing written",
         "sweep": "; the same command goes on",
         "fit": " before the first start; nothing written",
+        "design": "; nothing written",
         "plot": "; nothing written",
         "export": "; nothing written",
     }.get(words[0] if words else "", "")

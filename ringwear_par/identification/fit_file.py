@@ -16,6 +16,7 @@ from ringwear_par.cases.text import shortened, toml_value
 from ringwear_par.cases.values import number, some_of, text, whole
 from ringwear_par.errors import InputError, legible
 from ringwear_par.history.limits import check_case
+from ringwear_par.identification.candidates import read_space
 from ringwear_par.identification.fitted import read_parameters, refuse_both
 from ringwear_par.identification.problem import (
     Experiment,
@@ -67,7 +68,7 @@ def read_fit(source: Path | str | Mapping[str, Any]) -> Problem:
     files = FileStore(folder)
     read = _Experiments(name, folder, base, files)
     experiments = read.all(tables.get("experiment"), parameters, faults)
-    design = _read_design(f"{name}: design", tables.get("design", {}), faults)
+    design = read_space(f"{name}: design", tables.get("design", {}), faults)
     others = _read_alternatives(f"{name}: compare", tables.get("compare", {}), faults)
     if faults:
         raise InputError(*faults)
@@ -76,7 +77,7 @@ def read_fit(source: Path | str | Mapping[str, Any]) -> Problem:
     for other, (changes, own) in others.items():
         alternatives[other] = Problem(
             f"{name}: compare.{other}", written, settings, own,
-            read.changed(other, experiments, changes, own, faults), {}, files.hashes, {},
+            read.changed(other, experiments, changes, own, faults), {}, files.hashes, design,
         )  # fmt: skip
         _check_counts(f"{name}: compare.{other}", own, experiments, faults)
     if faults:
@@ -305,17 +306,6 @@ def _read_alternatives(
             continue
         found[name] = changes, parameters
     return found
-
-
-def _read_design(said: str, table: Any, faults: list[str]) -> Mapping[str, Any]:
-    """Return what ``ringwear design`` would be asked; only its form is looked at."""
-    reader = TableReader(said, table, faults)
-    reader.choice("criterion", ("D", "A", "eig"), "D")
-    for key in ("vary", "budget"):
-        if not isinstance(reader.raw(key, {}), Mapping):
-            reader.wrong(key, "must be a table")
-    reader.finish()
-    return table if isinstance(table, Mapping) else {}
 
 
 def _check_counts(

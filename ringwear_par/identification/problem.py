@@ -1,7 +1,7 @@
 """What is to be found from which measurements, complete and consistent, as frozen dataclasses."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -15,6 +15,7 @@ Quantity = Literal[
 ]  # fmt: skip
 Method = Literal["brgn", "lm"]
 Loss = Literal["gaussian", "student"]
+Criterion = Literal["D", "A", "eig"]
 
 
 class Prior(NamedTuple):
@@ -158,6 +159,25 @@ class Settings:
     loss: Loss = "gaussian"
 
 
+@dataclass(frozen=True)
+class Space:
+    """What ``[design]`` asks.
+
+    Parameters
+    ----------
+    criterion : "D", the determinant of the information; "A", the mean variance; "eig", the expected
+        gain of information.
+    ranges : lowest and highest value of each key that varies.
+    seconds : of all experiments together; None: no limit.
+    experiments : how many.
+    """
+
+    criterion: Criterion = "D"
+    ranges: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    seconds: float | None = None
+    experiments: int = 1
+
+
 @dataclass(frozen=True, eq=False)
 class Problem:
     """What a fit file asks.
@@ -169,6 +189,7 @@ class Problem:
     parameters : sought; the same in all experiments.
     alternatives : other laws with parameters of their own, by name.
     hashes : SHA-256 of the files of data, by their names in the fit file.
+    design : what tests may be made next.
     """
 
     name: str
@@ -178,7 +199,7 @@ class Problem:
     experiments: tuple[Experiment, ...]
     alternatives: "Mapping[str, Problem]"
     hashes: Mapping[str, str]
-    design: Mapping[str, Any]
+    design: Space
 
     @property
     def n(self) -> int:

@@ -2,6 +2,7 @@
 
 import json
 import re
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -17,10 +18,11 @@ if TYPE_CHECKING:
     from ringwear_par.identification.outcome import FitResult
 
 OUTCOME, RESULTS, FIGURE = "fit.json", "results.h5", "fit.png"
+FILES = (OUTCOME, RESULTS, FIGURE)
 
 
-def check(folder: Path) -> None:
-    """Refuse a folder that cannot be written, before any work. On one rank.
+def check(folder: Path, files: Sequence[str] = FILES) -> None:
+    """Refuse a folder where files cannot be written, before any work. On one rank.
 
     Raises
     ------
@@ -29,7 +31,7 @@ def check(folder: Path) -> None:
     if folder.exists() and not folder.is_dir():
         raise InputError(f"{folder}: is a file; must be a folder, or new")
     if folder.is_dir():
-        for name in (OUTCOME, RESULTS, FIGURE):
+        for name in files:
             check_writable(folder / name)
     else:
         check_writable(folder)
