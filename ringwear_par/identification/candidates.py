@@ -1,4 +1,4 @@
-"""Tests that could be made: what ``[design]`` lets vary, as experiments measured like a given one."""
+"""Tests that could be made, by ``[design]``: experiments that are measured like a given one."""
 
 import itertools
 from collections.abc import Mapping, Sequence

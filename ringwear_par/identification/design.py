@@ -25,7 +25,7 @@ from ringwear_par.identification.histories import Histories
 from ringwear_par.identification.problem import Criterion, Experiment, Problem
 from ringwear_par.identification.readings import nuisance_columns, whitened
 from ringwear_par.info import versions
-from ringwear_par.parallel import on_first_rank, together
+from ringwear_par.parallel import on_first_rank
 from ringwear_par.textfiles import read_text
 
 if TYPE_CHECKING:
