@@ -116,7 +116,7 @@ class _Posed:
         before = histories.count
         with together(comm):
             own = solve_starts(
-                squares, histories, unknowns, range(len(unknowns))[comm.rank :: comm.size],
+                squares, unknowns, range(len(unknowns))[comm.rank :: comm.size],
                 self._name, self._progress, lambda: bool(self._signals.received),
             )  # fmt: skip
         self._refuse_stop(comm)

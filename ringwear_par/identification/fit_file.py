@@ -17,7 +17,7 @@ from ringwear_par.cases.values import number, some_of, text, whole
 from ringwear_par.errors import InputError, legible
 from ringwear_par.history.limits import check_case
 from ringwear_par.identification.candidates import read_space
-from ringwear_par.identification.fitted import read_parameters, refuse_both
+from ringwear_par.identification.fitted import read_parameters, refuse_both, refuse_fixed
 from ringwear_par.identification.problem import (
     Experiment,
     FittedParameter,
@@ -235,6 +235,7 @@ class _Experiments:
         if case.mesh.geometry == "updated":
             faults.append(f'{said}: mesh.geometry = "updated": must be "fixed" in a fit')
             return None
+        refuse_fixed(said, parameters, case, faults)
         return case
 
     def _refuse_twin(self, one: Experiment, other: Experiment, faults: list[str]) -> None:

@@ -6,10 +6,12 @@ from typing import Any
 
 import numpy as np
 
+from ringwear_par.cases.case import Case
 from ringwear_par.cases.numbers import interval_of
 from ringwear_par.cases.suggestions import nearest_key
 from ringwear_par.cases.values import number
 from ringwear_par.errors import legible
+from ringwear_par.history.sensitivity import differentiable
 from ringwear_par.identification.problem import FittedParameter
 from ringwear_par.identification.tables import TableReader
 from ringwear_par.studies.variations import split_key
@@ -72,6 +74,29 @@ def _parameter(said: str, key: str, table: Any, faults: list[str]) -> FittedPara
     if len(faults) > before or start is None or bounds is None:
         return None
     return FittedParameter(key, start, bounds, log, prior)
+
+
+def derivative_key(key: str) -> str:
+    """Return what histories call a fitted key among those that they have derivatives of."""
+    return key.replace(".parameters.", ".")
+
+
+def refuse_fixed(
+    said: str, parameters: Sequence[FittedParameter], case: Case, faults: list[str]
+) -> None:
+    """Add a fault for each key that histories of a case have no derivative with respect to.
+
+    Parameters
+    ----------
+    said : how sentences about it begin.
+    """
+    allowed = differentiable(case)
+    for parameter in parameters:
+        if derivative_key(parameter.key) not in allowed:
+            faults.append(
+                f"{said}: {parameter.key}: cannot be fitted here, the history does not depend on "
+                f"it smoothly; must be one of {', '.join(allowed)}"
+            )
 
 
 def refuse_both(

@@ -71,7 +71,7 @@ class LeastSquares:
         self.n = int(ends[-1])
         self._data = np.concatenate([series.value for _, series in self.series])
         self.noise_scale = np.ones(len(self.series))
-        self._known: dict[bytes, FloatArray] = {}
+        self._known: dict[bytes, FloatArray | Exception] = {}
         self._pose()
 
     def _pose(self) -> None:
@@ -111,25 +111,29 @@ class LeastSquares:
         """Return the derivatives (m,) of the values with respect to their unknowns."""
         return np.array([p.slope(v) for p, v in zip(self.problem.parameters, values, strict=True)])
 
-    def look_up(self, points: Sequence[FloatArray]) -> list[Exception | None]:
-        """Have the histories at unknowns computed together, and return why any failed."""
+    @property
+    def histories(self) -> int:
+        """How many histories were computed so far."""
+        return self._histories.count
+
+    def knows(self, x: FloatArray) -> bool:
+        """Tell whether the histories at unknowns are there."""
+        return self.values(x).tobytes() in self._known
+
+    def look_up(self, points: Sequence[FloatArray]) -> None:
+        """Have the histories at unknowns computed together, and keep them. Not collective."""
         values = [self.values(x) for x in points]
         new = {v.tobytes(): v for v in values if v.tobytes() not in self._known}
-        failures: dict[bytes, Exception] = {}
         if new:
             found = self._histories.responses(np.array(list(new.values())))
-            for key, response in zip(new, found, strict=True):
-                if isinstance(response, Exception):
-                    failures[key] = response
-                else:
-                    self._known[key] = response
-        return [failures.get(v.tobytes()) for v in values]
+            self._known.update(zip(new, found, strict=True))
 
     def _response(self, x: FloatArray) -> FloatArray:
-        (failure,) = self.look_up([x])
-        if failure is not None:
-            raise failure
-        return self._known[self.values(x).tobytes()]
+        self.look_up([x])
+        found = self._known[self.values(x).tobytes()]
+        if isinstance(found, Exception):
+            raise found
+        return found
 
     def bare(self, x: FloatArray) -> FloatArray:
         """Return the readings (n,) as the model has them without nuisances. Not collective.

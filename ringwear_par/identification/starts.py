@@ -5,15 +5,16 @@ import logging
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 
 from ringwear_par.arrays import BoolArray, FloatArray
 from ringwear_par.atomic import atomic_write
-from ringwear_par.errors import RingwearError, reason_of
-from ringwear_par.identification.histories import Histories
-from ringwear_par.identification.least_squares import LeastSquares
+from ringwear_par.errors import ComputationError, RingwearError, reason_of
+from ringwear_par.identification.least_squares import Evaluation, LeastSquares
+from ringwear_par.identification.lockstep import Meet, StoppedError, side_by_side
 from ringwear_par.identification.minimise import minimise
 from ringwear_par.identification.problem import Problem
 
@@ -22,6 +23,8 @@ log = logging.getLogger(__name__)
 _SEED = 0
 #: how often a start is drawn nearer to the first one
 _MOST_DRAWS = 12
+#: starts that advance side by side
+_MOST_TOGETHER = 64
 #: wall seconds between lines of progress
 _PROGRESS_SECONDS = 10.0
 
@@ -133,14 +136,14 @@ def responsive(squares: LeastSquares, unknowns: FloatArray) -> FloatArray:
     def felt(rows: FloatArray) -> list[BoolArray]:
         """Return which parameters move some reading by its noise, over their bounds."""
         whole = [np.concatenate([row, nothing]) for row in rows]
-        failures = squares.look_up(whole)
+        squares.look_up(whole)
         found = []
-        for x, failure in zip(whole, failures, strict=True):
-            if failure is not None:
-                found.append(np.zeros(m, dtype=bool))
-            else:
+        for x in whole:
+            try:
                 columns = squares.evaluate(x).noise_jacobian[:, :m]
-                found.append(np.linalg.norm(columns, axis=0) * widths > 1.0)
+            except ComputationError:
+                columns = np.zeros((1, m))
+            found.append(np.linalg.norm(columns, axis=0) * widths > 1.0)
         return found
 
     moved = unknowns.copy()
@@ -157,7 +160,6 @@ def responsive(squares: LeastSquares, unknowns: FloatArray) -> FloatArray:
 
 def solve_starts(
     squares: LeastSquares,
-    histories: Histories,
     unknowns: FloatArray,
     numbers: Sequence[int],
     name: str,
@@ -165,6 +167,8 @@ def solve_starts(
     stop: Callable[[], bool],
 ) -> list[Started]:
     """Return the optima of some starts, by number, until ``stop`` says so. Not collective.
+
+    They advance side by side.
 
     Parameters
     ----------
@@ -174,39 +178,67 @@ def solve_starts(
     kept = {number: progress.read(name, number) for number in numbers}
     found = [one for one in kept.values() if one is not None]
     left = [number for number in numbers if kept[number] is None]
-    told = time.perf_counter()
-    if not left:
-        return found
-    ready = responsive(squares, unknowns[[0, *left]])[1:]
-    for number, start in zip(left, ready, strict=True):
-        if stop():
-            break
-        found.append(_solved(squares, histories, number, start))
-        progress.write(name, found[-1])
-        if time.perf_counter() - told > _PROGRESS_SECONDS:
-            told = time.perf_counter()
-            best = min(2.0 * one.objective for one in found)
-            log.info(
-                "%s%d of %d starts, %d histories, smallest sum of squares %.6g",
-                f"{name}: " if name else "", len(found), len(numbers), histories.count, best,
-            )  # fmt: skip
+    telling = _Telling(name, len(numbers), found)
+    for first in range(0, len(left), _MOST_TOGETHER):
+        part = left[first : first + _MOST_TOGETHER]
+        ready = responsive(squares, unknowns[[0, *part]])[1:]
+
+        def solved(number: int, start: FloatArray, meet: Meet) -> None:
+            found.append(_solved(squares, number, start, meet))
+            progress.write(name, found[-1])
+
+        def compute(points: list[FloatArray]) -> None:
+            squares.look_up(points)
+            telling(squares.histories)
+
+        jobs = [partial(solved, number, start) for number, start in zip(part, ready, strict=True)]
+        for outcome in side_by_side(jobs, compute, stop):
+            if isinstance(outcome, StoppedError):
+                return found
+            if isinstance(outcome, BaseException):
+                raise outcome
     return found
 
 
-def _solved(
-    squares: LeastSquares, histories: Histories, number: int, unknowns: FloatArray
-) -> Started:
-    before = histories.count
-    bounds = squares.lower, squares.upper
-    method = squares.problem.settings.method
-    values = tuple(squares.values(unknowns).tolist())
-    try:
-        optimum = minimise(squares.evaluate, squares.started(values), bounds, method, squares.idle)
-    except RingwearError as error:
-        return Started(
-            number, values, (), (), float("inf"), False, 0, histories.count - before,
-            reason_of(error),
+class _Telling:
+    """A line of progress now and then."""
+
+    def __init__(self, name: str, total: int, found: list[Started]) -> None:
+        self._name, self._total, self._found = name, total, found
+        self._told = time.perf_counter()
+
+    def __call__(self, histories: int) -> None:
+        if time.perf_counter() - self._told < _PROGRESS_SECONDS:
+            return
+        self._told = time.perf_counter()
+        best = min((2.0 * one.objective for one in self._found), default=float("inf"))
+        log.info(
+            "%s%d of %d starts have ended, %d histories, smallest sum of squares %.6g",
+            f"{self._name}: " if self._name else "", len(self._found), self._total, histories, best,
         )  # fmt: skip
+
+
+def _solved(squares: LeastSquares, number: int, unknowns: FloatArray, meet: Meet) -> Started:
+    bounds = squares.lower, squares.upper
+    values = tuple(squares.values(unknowns).tolist())
+    asked = 0
+
+    def evaluate(x: FloatArray) -> Evaluation:
+        nonlocal asked
+        if not squares.knows(x):
+            asked += len(squares.problem.experiments)
+            meet(x)
+        return squares.evaluate(x)
+
+    try:
+        start = squares.started(values)
+        method = squares.problem.settings.method
+        optimum = minimise(evaluate, start, bounds, method, squares.idle)
+    except StoppedError:
+        raise
+    except RingwearError as error:
+        failed = reason_of(error)
+        return Started(number, values, (), (), float("inf"), False, 0, asked, failed)
     return Started(
         number,
         values,
@@ -215,5 +247,5 @@ def _solved(
         optimum.evaluation.objective,
         optimum.converged,
         optimum.iterations,
-        histories.count - before,
+        asked,
     )
