@@ -21,6 +21,7 @@ from ringwear_par.identification.least_squares import LeastSquares
 from ringwear_par.identification.minimise import Optimum, minimise
 from ringwear_par.identification.outcome import FitResult
 from ringwear_par.identification.plausible import refuse_idle, refuse_reversed
+from ringwear_par.identification.posterior import require_emcee, sample_posterior
 from ringwear_par.identification.problem import Problem
 from ringwear_par.identification.profile import likelihood_profiles
 from ringwear_par.identification.starts import Progress, Started, points, solve_starts
@@ -52,7 +53,7 @@ def fit(source: Source, comm: MPI.Intracomm | None = None, *, compare: bool = Tr
     ComputationError : no start leads to an optimum.
     """
     comm = MPI.COMM_WORLD if comm is None else comm
-    problem = on_first_rank(comm, lambda: read_fit(source))
+    problem = on_first_rank(comm, lambda: _readable(source))
     return fitted(problem, comm, compare=compare)
 
 
@@ -74,6 +75,14 @@ def fitted(
         }
         alternatives = {name: other.solved(comm, {}) for name, other in others.items()}
         return posed.solved(comm, alternatives)
+
+
+def _readable(source: Source) -> Problem:
+    """Return the problem of a fit file, if there is what its intervals need. On one rank."""
+    problem = read_fit(source)
+    if "posterior" in problem.settings.intervals:
+        require_emcee()
+    return problem
 
 
 def predicted(problem: Problem, comm: MPI.Intracomm) -> FitResult:
@@ -129,10 +138,21 @@ class _Posed:
             optimum = self._with_noise(np.array(best.unknowns))
             told, covariance = estimates(squares, optimum.x, optimum.evaluation)
             told, profiles = likelihood_profiles(squares, optimum, told, covariance)
+        spent += histories.count - after
         self._refuse_stop(comm)
+        posterior = None
+        if "posterior" in self._problem.settings.intervals:
+            after = histories.count
+            with together(comm):
+                posterior = sample_posterior(
+                    squares, histories, optimum.x, covariance, comm,
+                    lambda: bool(self._signals.received),
+                )  # fmt: skip
+            spent += comm.allreduce(histories.count - after)
+            self._refuse_stop(comm)
         return FitResult(
-            squares, optimum.x, optimum.evaluation, told, covariance, tuple(starts),
-            spent + histories.count - after, alternatives, profiles, versions(),
+            squares, optimum.x, optimum.evaluation, told, covariance, tuple(starts), spent,
+            alternatives, profiles, versions(), posterior,
         )  # fmt: skip
 
     def predicted(self) -> FitResult:
@@ -206,7 +226,7 @@ def run_fit(
     from ringwear_par.identification import storing
     from ringwear_par.identification.summary import prediction
 
-    problem = on_first_rank(comm, lambda: read_fit(source))
+    problem = on_first_rank(comm, lambda: _readable(source))
     if dry_run:
         found = predicted(problem, comm)
         if comm.rank == 0:

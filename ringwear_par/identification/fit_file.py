@@ -37,7 +37,7 @@ _OUTPUT = {
 }  # fmt: skip
 _TABLES = ("case", "fit", "experiment", "compare", "design")
 _INTERVALS = ("linear", "profile", "posterior")
-MOST_STARTS = 10_000
+MOST_STARTS, MOST_SAMPLES = 10_000, 10_000_000
 
 
 def read_fit(source: Path | str | Mapping[str, Any]) -> Problem:
@@ -134,11 +134,11 @@ def _read_settings(
     intervals = reader.read("intervals", some_of(*_INTERVALS), usual.intervals)
     level = reader.read("level", number(0.5, 1.0), usual.level)
     loss = reader.choice("loss", ("gaussian", "student"), usual.loss)
-    if "posterior" in intervals:
-        reader.wrong("intervals", 'may be "linear" and "profile"; "posterior" is not built')
+    samples = reader.read("samples", whole(1, MOST_SAMPLES), usual.samples)
     reader.finish()
+    intervals = ("linear", *(each for each in intervals if each != "linear"))
     return (
-        Settings(starts, method, ("linear", *(i for i in intervals if i != "linear")), level, loss),  # type: ignore[arg-type]
+        Settings(starts, method, intervals, samples, level, loss),  # type: ignore[arg-type]
         parameters,
     )
 

@@ -8,6 +8,7 @@ from mpi4py import MPI
 
 from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.case import Case
+from ringwear_par.cases.numbers import doubtful, with_numbers
 from ringwear_par.contact.batch import load_batch_kernels
 from ringwear_par.elasticity.pair import ContactPair
 from ringwear_par.errors import ComputationError, reason_of
@@ -20,6 +21,7 @@ from ringwear_par.identification.steps import STEPS, step_times
 from ringwear_par.identification.trajectory import Trajectory
 from ringwear_par.results.result import Result
 from ringwear_par.studies.batches import computed
+from ringwear_par.studies.variations import split_key
 
 
 class Histories:
@@ -51,7 +53,7 @@ class Histories:
         self.count = 0
 
     def responses(
-        self, points: FloatArray, steps: int = STEPS
+        self, points: FloatArray, steps: int = STEPS, *, derivatives: bool = True
     ) -> list[FloatArray | ComputationError]:
         """Return readings and derivatives of all experiments at some points. Not collective.
 
@@ -61,15 +63,18 @@ class Histories:
         ----------
         points : (p, m) values of the fitted keys.
         steps : about how many a history makes.
+        derivatives : whether they are asked for.
 
         Returns
         -------
         For each point (n, 1 + m), the readings of all experiments, one after another, and their
-        derivatives with respect to the values; or why there are none.
+        derivatives with respect to the values, or (n, 1) without; or why there are none.
         """
         grids = [step_times(experiment, steps).tolist() for experiment in self._experiments]
         wanted = [(i, e) for i in range(len(points)) for e in range(len(grids))]
-        results = self._computed([self._case(e, points[i]) for i, e in wanted], wanted, grids)
+        made = [self._cases(e, points) for e in range(len(grids))]
+        cases = [made[e][i] for i, e in wanted]
+        results = self._computed(cases, wanted, grids, derivatives)
         found: list[list[FloatArray]] = [[] for _ in points]
         failures: dict[int, Exception] = {}
         for (i, e), result in zip(wanted, results, strict=True):
@@ -82,16 +87,24 @@ class Histories:
             for i, parts in enumerate(found)
         ]
 
-    def _case(self, experiment: int, values: FloatArray) -> Case:
-        """Return the case of an experiment at some values."""
-        changes = dict(zip(self._keys, values.tolist(), strict=True))
-        return self._experiments[experiment].case.replace(changes)
+    def _cases(self, experiment: int, points: FloatArray) -> list[Case]:
+        """Return the cases of an experiment at some values (p, m)."""
+        case = self._experiments[experiment].case
+        columns = {split_key(key): column for key, column in zip(self._keys, points.T, strict=True)}
+        numbers = {(path, entry): values for (path, entry), values in columns.items()}
+        doubts = doubtful(case, numbers)
+        lists = {number: values.tolist() for number, values in numbers.items()}
+        cases = with_numbers(case, lists, [case.text] * len(points))
+        for i in np.flatnonzero(doubts):
+            cases[i] = case.replace(dict(zip(self._keys, points[i].tolist(), strict=True)))
+        return cases
 
     def _computed(
         self,
         cases: Sequence[Case],
         wanted: Sequence[tuple[int, int]],
         grids: Sequence[Sequence[float]],
+        derivatives: bool,
     ) -> list[Result | Exception]:
         """Return the results of cases, of a point and an experiment each, or their failures."""
         groups: dict[Hashable, list[int]] = defaultdict(list)
@@ -101,7 +114,7 @@ class Histories:
         for key, numbers in groups.items():
             blocks = computed(
                 [cases[number] for number in numbers], self._pairs[key], keep_ends=True,
-                derivatives=[derivative_key(key) for key in self._keys],
+                derivatives=[derivative_key(key) for key in self._keys if derivatives],
                 step_times=[grids[wanted[number][1]] for number in numbers],
             )  # fmt: skip
             for block in blocks:
@@ -112,9 +125,11 @@ class Histories:
 
 
 def _trajectory(result: Result) -> Trajectory:
-    """Return values and derivatives of a history, (..., 1 + m)."""
+    """Return values of a history and derivatives, if it has any, (..., 1 + m)."""
 
     def both(name: str, values: FloatArray) -> FloatArray:
+        if not result.derivatives:
+            return values[..., None]
         slopes = np.moveaxis(result.derivatives[f"d_{name}"], 0, -1)
         return np.concatenate([values[..., None], slopes], axis=-1)
 

@@ -58,6 +58,8 @@ class LeastSquares:
     Attributes
     ----------
     names : (u,) of the unknowns: keys, then (experiment, series, kind) of nuisances.
+    data : (n,) the readings.
+    nuisance_columns : (n, u - m) what nuisances add to the readings, by their units.
     lower, upper : (u,) bounds.
     noise_scale : of each series, by which its sd is multiplied.
     """
@@ -69,7 +71,7 @@ class LeastSquares:
         ends = np.cumsum([series.n for _, series in self.series])
         self.parts = [slice(end - s.n, end) for end, (_, s) in zip(ends, self.series, strict=True)]
         self.n = int(ends[-1])
-        self._data = np.concatenate([series.value for _, series in self.series])
+        self.data = np.concatenate([series.value for _, series in self.series])
         self.noise_scale = np.ones(len(self.series))
         self._known: dict[bytes, FloatArray | Exception] = {}
         self._pose()
@@ -93,7 +95,7 @@ class LeastSquares:
                 self.names.append((experiment.name, series.name, nuisance.kind))
                 limits.append(list(nuisance.bounds))
         self.lower, self.upper = np.array(limits).T
-        self._nuisance = np.stack(columns, axis=1) if columns else np.zeros((self.n, 0))
+        self.nuisance_columns = np.stack(columns, axis=1) if columns else np.zeros((self.n, 0))
         self.priors = priors
 
     @property
@@ -152,7 +154,7 @@ class LeastSquares:
         ComputationError : a history.
         """
         own = self._response(x)[:, 1:] * self.slopes(self.values(x))
-        return np.concatenate([own, self._nuisance], axis=1)
+        return np.concatenate([own, self.nuisance_columns], axis=1)
 
     def evaluate(self, x: FloatArray) -> Evaluation:
         """Return the residuals at unknowns (u,). Not collective.
@@ -162,9 +164,9 @@ class LeastSquares:
         ComputationError : a history.
         """
         values, response = self.values(x), self._response(x)
-        model = response[:, 0] + self._nuisance @ x[self._m :]
+        model = response[:, 0] + self.nuisance_columns @ x[self._m :]
         jacobian = self.columns(x)
-        rows = np.concatenate([(model - self._data)[:, None], jacobian], axis=1)
+        rows = np.concatenate([(model - self.data)[:, None], jacobian], axis=1)
         rows = self._whitened(rows / self.sd[:, None])
         noise, noise_jacobian = rows[:, 0], rows[:, 1:]
         loss, slope = self._loss(noise)
@@ -243,5 +245,7 @@ class LeastSquares:
     def idle(self) -> BoolArray:
         """(u,) bool, which nuisances do nothing to any reading and have no prior."""
         known = {j for j, _ in self.priors}
-        does = np.append(np.ones(self._m, dtype=bool), np.abs(self._nuisance).sum(axis=0) > 0)
+        does = np.append(
+            np.ones(self._m, dtype=bool), np.abs(self.nuisance_columns).sum(axis=0) > 0
+        )
         return ~does & ~np.isin(np.arange(len(does)), list(known))

@@ -11,6 +11,7 @@ from scipy.stats import chi2
 from ringwear_par.arrays import FloatArray
 from ringwear_par.identification.intervals import ParameterEstimate, told
 from ringwear_par.identification.least_squares import Evaluation, LeastSquares
+from ringwear_par.identification.posterior import Posterior
 from ringwear_par.identification.starts import Started
 
 if TYPE_CHECKING:
@@ -38,6 +39,7 @@ class FitResult:
     alternatives : outcomes under other laws, by name.
     profiles : of the likelihood, by key: (2, points) values and what the sum of squares grows by.
     versions : of the software.
+    posterior : samples of the fitted keys, where they were asked for.
     """
 
     squares: LeastSquares
@@ -50,6 +52,7 @@ class FitResult:
     alternatives: "Mapping[str, FitResult]"
     profiles: Mapping[str, FloatArray]
     versions: Mapping[str, str]
+    posterior: Posterior | None = None
 
     def __repr__(self) -> str:
         found = ", ".join(f"{p.key} = {p.estimate:.4g} ({p.verdict})" for p in self.parameters)
@@ -148,7 +151,7 @@ class FitResult:
         """Return what fit.json holds."""
         problem = self.squares.problem
         return {
-            "parameters": {p.key: _parameter(p) for p in self.parameters},
+            "parameters": self._parameters(),
             "keys": [p.key for p in self.parameters],
             "covariance": _finite(self.natural_covariance),
             "level": problem.settings.level,
@@ -176,6 +179,20 @@ class FitResult:
             "versions": dict(self.versions),
             "data": dict(problem.hashes),
         }
+
+    def _parameters(self) -> dict[str, Any]:
+        told = {p.key: _parameter(p) for p in self.parameters}
+        if self.posterior is not None:
+            samples = self.posterior.samples
+            ends = self.posterior.interval(self.squares.problem.settings.level)
+            for j, entry in enumerate(told.values()):
+                entry["posterior"] = {
+                    "median": float(np.median(samples[:, j])),
+                    "sd": float(samples[:, j].std(ddof=1)),
+                    "interval": ends[:, j].tolist(),
+                    "effective_samples": self.posterior.effective,
+                }
+        return told
 
     @property
     def experiments(self) -> dict[str, dict[str, Any]]:
@@ -211,8 +228,14 @@ class FitResult:
 
         return figure(self)
 
+    def plot_parameters(self) -> "Figure":
+        """Return the figure of the fitted keys: ellipses, likelihood profiles, samples."""
+        from ringwear_par.identification.parameter_figures import figure
+
+        return figure(self)
+
     def save(self, folder: str | Path) -> None:
-        """Write fit.json, results.h5 and fit.png to a folder, which is made. On one rank.
+        """Write fit.json, results.h5, fit.png and parameters.png to a folder. On one rank.
 
         Raises
         ------

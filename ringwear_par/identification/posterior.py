@@ -8,6 +8,7 @@ same as integrating over them where noise is Gaussian and they have no bounds.
 """
 
 import logging
+import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -20,14 +21,14 @@ from ringwear_par.errors import InputError
 from ringwear_par.identification.histories import Histories
 from ringwear_par.identification.least_squares import NU, LeastSquares
 from ringwear_par.identification.readings import whitened
-from ringwear_par.results.progress import Progress
+from ringwear_par.results.progress import PROGRESS_SECONDS
 
 log = logging.getLogger(__name__)
 
-_WALKERS, _SEED = 64, 0
+_WALKERS, _SEED = 128, 0
 #: steps that are thrown away: walkers start from the covariance, or from the bounds where that is
 #: wider
-_BURN = 30
+_BURN = 20
 #: rounds of reweighting where the loss is not Gaussian
 _REWEIGHTED = 20
 #: effective samples below which quantiles mean little
@@ -89,7 +90,6 @@ def sample_posterior(
     settings, m = squares.problem.settings, len(squares.problem.parameters)
     low, high = squares.lower[:m], squares.upper[:m]
     marginal = _Marginal(squares)
-    bar = Progress(1, "posterior") if comm.rank == 0 else None
 
     def log_probability(points: FloatArray) -> FloatArray:
         """Return (w,) of unknowns (w, m)."""
@@ -97,9 +97,11 @@ def sample_posterior(
         own = inside[comm.rank :: comm.size]
         values = np.array([squares.values(points[i]) for i in own]).reshape(len(own), m)
         found = {}
-        for i, value, readings in zip(own, values, histories.readings(values), strict=True):
+        for i, value, readings in zip(
+            own, values, histories.responses(values, derivatives=False), strict=True
+        ):
             if not isinstance(readings, Exception):
-                found[int(i)] = marginal(value, readings)
+                found[int(i)] = marginal(value, readings[:, 0])
         scores = np.full(len(points), -np.inf)
         for part in comm.allgather(found):
             scores[list(part)] = list(part.values())
@@ -120,13 +122,17 @@ def sample_posterior(
     sampler = emcee.EnsembleSampler(walkers, m, log_probability, moves=moves, vectorize=True)
     sampler.random_state = np.random.RandomState(_SEED).get_state()
     steps = _BURN + -(-settings.samples // walkers)
-    for step, _ in enumerate(sampler.sample(start, iterations=steps, skip_initial_state_check=True)):
-        if bar is not None:
-            bar.show((step + 1) / steps)
+    told = time.perf_counter()
+    for step, _ in enumerate(
+        sampler.sample(start, iterations=steps, skip_initial_state_check=True)
+    ):
         if comm.allreduce(int(stop()), op=MPI.MAX):
             return None
+        if comm.rank == 0 and time.perf_counter() - told > PROGRESS_SECONDS:
+            told = time.perf_counter()
+            log.info("posterior: %d of %d steps of %d walkers", step + 1, steps, walkers)
     chain = sampler.get_chain(discard=_BURN)
-    times = emcee.autocorr.integrated_time(chain, quiet=True)
+    times = emcee.autocorr.integrated_time(chain, tol=0)
     values = np.array([squares.values(row) for row in chain.reshape(-1, m)])
     return Posterior(
         values, float(np.mean(sampler.acceptance_fraction)), float(len(values) / np.max(times))

@@ -147,7 +147,8 @@ class Settings:
     ----------
     starts : how many; the first is that of the parameters.
     method : "brgn" of TAO, or "lm" of SciPy.
-    intervals : "linear" ones, or those of the likelihood "profile" as well.
+    intervals : "linear" ones, and those of the likelihood "profile" or of the "posterior" as well.
+    samples : of the posterior.
     level : of the intervals.
     loss : "gaussian", or "student" (with 4 degrees of freedom) where there are outliers.
     """
@@ -155,6 +156,7 @@ class Settings:
     starts: int = 8
     method: Method = "brgn"
     intervals: tuple[str, ...] = ("linear",)
+    samples: int = 4000
     level: float = 0.95
     loss: Loss = "gaussian"
 

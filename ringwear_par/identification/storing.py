@@ -1,4 +1,4 @@
-"""The folder of a fit: ``fit.json``, ``results.h5``, ``fit.png``, each there once it is whole."""
+"""The folder of a fit: its outcome, its readings and two figures, each there once it is whole."""
 
 import json
 import re
@@ -11,14 +11,15 @@ import numpy as np
 
 from ringwear_par.atomic import atomic_write, check_writable, unwritable
 from ringwear_par.errors import ComputationError, InputError
+from ringwear_par.identification.summary import unit_of
 from ringwear_par.results.hdf5 import atomic_hdf5, write_variable
 from ringwear_par.results.variables import SOFTWARE, Variable
 
 if TYPE_CHECKING:
     from ringwear_par.identification.outcome import FitResult
 
-OUTCOME, RESULTS, FIGURE = "fit.json", "results.h5", "fit.png"
-FILES = (OUTCOME, RESULTS, FIGURE)
+OUTCOME, RESULTS, FIGURE, ESTIMATES = "fit.json", "results.h5", "fit.png", "parameters.png"
+FILES = (OUTCOME, RESULTS, FIGURE, ESTIMATES)
 
 
 def check(folder: Path, files: Sequence[str] = FILES) -> None:
@@ -59,7 +60,7 @@ def make(folder: Path, keep: bool) -> None:
 
 
 def save(found: "FitResult", folder: Path) -> None:
-    """Write all three files; fit.json, which says that it is whole, the last. On one rank.
+    """Write all files; fit.json, which says that it is whole, the last. On one rank.
 
     Raises
     ------
@@ -72,6 +73,8 @@ def save(found: "FitResult", folder: Path) -> None:
             _write(file, found)
         with atomic_write(folder / FIGURE) as path:
             found.plot().savefig(path, format="png", dpi=130)
+        with atomic_write(folder / ESTIMATES) as path:
+            found.plot_parameters().savefig(path, format="png", dpi=130)
         with atomic_write(folder / OUTCOME) as path:
             path.write_text(json.dumps(found.to_dict(), indent=1, allow_nan=False) + "\n")
     except OSError as error:
@@ -86,6 +89,15 @@ def _write(file: h5py.File, found: "FitResult") -> None:
     file.attrs.update(
         {"software": SOFTWARE, "fit": squares.problem.text, "keys": keys, **found.versions}
     )
+    if found.posterior is not None:
+        group = file.create_group("posterior")
+        samples = found.posterior.samples
+        axis = Variable("sample", ("sample",), "1", "number of the sample", integer=True)
+        write_variable(group, axis, np.arange(len(samples)))
+        for j, one in enumerate(found.parameters):
+            unit = unit_of(one.key).strip() or "1"
+            variable = Variable(one.key, ("sample",), unit, "sample of the posterior")
+            write_variable(group, variable, samples[:, j])
     for number, ((experiment, series), part) in enumerate(
         zip(squares.series, squares.parts, strict=True), start=1
     ):

@@ -6,10 +6,12 @@ import numpy as np
 
 from ringwear_par.cases.schema import BY_PATH
 from ringwear_par.identification.intervals import ParameterEstimate
+from ringwear_par.identification.posterior import FEW
 from ringwear_par.studies.variations import path_of
 
 if TYPE_CHECKING:
     from ringwear_par.identification.outcome import FitResult
+    from ringwear_par.identification.posterior import Posterior
 
 #: correlations that are told
 _STRONG = 0.9
@@ -49,6 +51,10 @@ def warnings(found: "FitResult") -> tuple[str, ...]:
             sentences.append(
                 f"{len(failed)} of {len(found.starts)} starts failed: {failed[0].error}"
             )
+    if found.posterior is not None and found.posterior.effective < FEW:
+        sentences.append(
+            f"the posterior's samples are worth {found.posterior.effective:.0f} only: more samples"
+        )
     sentences += [
         f"{series.name} ({experiment.name}): no unit is named, {series.unit} is taken"
         for experiment, series in found.squares.series
@@ -66,6 +72,8 @@ def summary(found: "FitResult") -> str:
     ]
     lines += [f"warning: {sentence}" for sentence in found.warnings]
     lines += _parameter_lines(found)
+    if found.posterior is not None:
+        lines += _posterior_lines(found, found.posterior)
     lines.append(_fit_line(found))
     lines += _series_lines(found)
     lines += _correlation_lines(found)
@@ -124,6 +132,21 @@ def _told(one: ParameterEstimate, level: float) -> str:
     else:
         limits = f"less than {high:.5g}" if high is not None else f"more than {low:.5g}"
     return f"{value}{spread}{unit}  {limits} ({100 * level:g} %)  {one.verdict}"
+
+
+def _posterior_lines(found: "FitResult", posterior: "Posterior") -> list[str]:
+    level, width = found.squares.problem.settings.level, max(len(p.key) for p in found.parameters)
+    lines = [
+        f"posterior: {len(posterior.samples)} samples worth {posterior.effective:.0f}, "
+        f"{100.0 * posterior.acceptance:.0f} % of the moves accepted"
+    ]
+    for j, (low, high) in enumerate(posterior.interval(level).T.tolist()):
+        one, middle = found.parameters[j], float(np.median(posterior.samples[:, j]))
+        lines.append(
+            f"  {one.key.ljust(width)}  {middle:.5g}{unit_of(one.key)}  from {low:.5g} to "
+            f"{high:.5g} ({100 * level:g} %)"
+        )
+    return lines
 
 
 def _fit_line(found: "FitResult") -> str:
