@@ -228,7 +228,7 @@ class LeastSquares:
         if len(x) == self._m:
             return x
         found = self.evaluate(x)
-        rows = np.append(np.ones(self.n, dtype=bool), [j >= self._m for j, _ in self.priors])
+        rows = np.array([True] * self.n + [j >= self._m for j, _ in self.priors])
         columns = found.jacobian[rows, self._m :]
         size = np.linalg.norm(columns, axis=0)
         size[size == 0] = 1.0  # one that does nothing

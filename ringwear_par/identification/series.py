@@ -31,7 +31,7 @@ _NUISANCES = {
 #: readings of which data are smoothed by their median
 _SMOOTH = 9
 #: of the largest reading: below it a relative error means nothing
-_NEAR_ZERO = 1e-2
+_NEAR_ZERO = 0.05
 #: relative to the end of the test, for times in other units
 _CLOSE = 1e-9
 _FAULTS_TOLD = 5
