@@ -8,7 +8,7 @@ from mpi4py import MPI
 
 from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.case import Case
-from ringwear_par.cases.numbers import doubtful, with_numbers
+from ringwear_par.cases.numbers import Number, doubtful, with_numbers
 from ringwear_par.contact.batch import load_batch_kernels
 from ringwear_par.elasticity.pair import ContactPair
 from ringwear_par.errors import ComputationError, reason_of
@@ -90,8 +90,11 @@ class Histories:
     def _cases(self, experiment: int, points: FloatArray) -> list[Case]:
         """Return the cases of an experiment at some values (p, m)."""
         case = self._experiments[experiment].case
-        columns = {split_key(key): column for key, column in zip(self._keys, points.T, strict=True)}
-        numbers = {(path, entry): values for (path, entry), values in columns.items()}
+        numbers: dict[Number, FloatArray] = {}
+        for key, column in zip(self._keys, points.T, strict=True):
+            path, entry = split_key(key)
+            assert not isinstance(entry, int)
+            numbers[path, entry] = column
         doubts = doubtful(case, numbers)
         lists = {number: values.tolist() for number, values in numbers.items()}
         cases = with_numbers(case, lists, [case.text] * len(points))

@@ -67,7 +67,7 @@ def require_emcee() -> None:
         import emcee  # noqa: F401
     except ImportError as error:
         raise InputError(
-            'fit: intervals: "posterior" needs emcee: pip install emcee, or leave it out'
+            'fit: intervals: "posterior" needs emcee: pip install ringwear-par[posterior], or leave it out'
         ) from error
 
 
