@@ -321,11 +321,11 @@ class BatchSolver:
         rows = self._rows_of(histories)
         weights, scale = self._weights[rows], self._scale[rows]
         right = d_gap[:, rows] * weights
-        by_gap = np.array([self._blocks.solve(histories, each) for each in right])
+        by_gap = self._blocks.solve_more(histories, right)
         border, sums = self._blocks.border[rows], self._blocks.sums[rows]
         left = self._left_out(slope, histories)
         if left is not None:
-            by_gap -= [self._blocks.solve(histories, left(each)) for each in by_gap]
+            by_gap -= self._blocks.solve_more(histories, np.array([left(x) for x in by_gap]))
             border = border - self._blocks.solve(histories, left(border))
             sums = (weights * border).sum(axis=1)
         if d_approach is None:
@@ -424,8 +424,10 @@ def load_batch_kernels(comm: MPI.Comm) -> None:
     def load() -> None:
         solver = BatchSolver(np.eye(2)[None], np.zeros(1, dtype=np.int64), np.ones(2))
         try:
-            solver.solve(np.zeros((1, 2)), force=np.ones(1))
+            state = solver.solve(np.zeros((1, 2)), force=np.ones(1))
             solver.response(np.zeros((1, 2)), True)
+            one = np.ones((1, 1))
+            solver.tangents(state, one[..., None] * np.ones(2), one, None, None, np.arange(1))
         finally:
             solver.destroy()
 

@@ -276,10 +276,11 @@ class CorrectedBatch:
         return self.solver.deflections(d_p)
 
     def tangents(
-        self, found: ContactState, *how: Any, asked: IntArray
+        self, found: ContactState, *how: Any, asked: Any
     ) -> tuple[FloatArray, FloatArray]:
         """Return derivatives of pressures and approaches of the histories asked for."""
-        return self.solver.tangents(found, *how, asked)
+        what: tuple[Any, ...] = (*how, asked)
+        return self.solver.tangents(found, *what)
 
     def go_on(self, *before: "CorrectedBatch") -> None:
         """Start where others would, whose histories follow each other here."""

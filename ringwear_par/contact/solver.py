@@ -364,7 +364,7 @@ class ContactSolver:
         Parameters
         ----------
         found : the last solution.
-        d_gap : (P, n) mm, what P numbers do to the gap at given pressure, wear of the step included.
+        d_gap : (P, n) mm, what P numbers do to the gap at given pressure, wear included.
         d_force, d_approach : (P,) N or mm, whichever is given.
         slope : derivative of the wear of the step with respect to pressure at the solution, (n,)
             mm/MPa, or (n, n) where it is non-local; None where there is none.
@@ -373,7 +373,9 @@ class ContactSolver:
         if problem.apart:
             nearest = d_gap[:, found.gap.argmin()] if d_approach is None else d_approach
             return np.zeros_like(d_gap), nearest
-        right = np.concatenate([d_gap, np.ones((1, len(problem.weights)))]) * problem.weights
+        right = np.empty((len(d_gap) + 1, len(problem.weights)))
+        np.multiply(d_gap, problem.weights, out=right[:-1])
+        right[-1] = problem.weights
         x = self._solved(right.T)
         left = problem.left_out(x, slope)
         if left is not None:

@@ -70,6 +70,6 @@ def advanced(
     return model.checked(
         State(
             end, state.wear + depths, state.worn + volumes, state.energy + energy, contact, rates,
-            state.shape, state.fit, along and along.reached(contact),
+            state.shape, state.fit, None if along is None else along.reached(contact),
         )
     )  # fmt: skip

@@ -9,8 +9,8 @@ so that (K + m D) p' = m (delta' - gap' - depth_q - K'p / m + (excess p_near)'),
 depth' = D p' + depth_q. Where elements pass a kink (contact, a threshold), derivatives are those of
 one of its sides.
 
-Derivatives with respect to P numbers are (P, ..., n) of fields, (P, ...) of a history's numbers, and
-(2, P, ..., n) of what both bodies have.
+Derivatives with respect to P numbers are (P, ..., n) of fields, (P, ...) of a history's numbers,
+and (2, P, ..., n) of what both bodies have.
 """
 
 import copy
@@ -27,7 +27,7 @@ from ringwear_par.contact.problem import REPLICATED_LIMIT, ContactState
 from ringwear_par.elasticity.pair import ContactPair
 from ringwear_par.errors import InputError, legible
 from ringwear_par.history.bodies import young
-from ringwear_par.wear.increment import RateVariation, VariedIncrement, WearIncrement
+from ringwear_par.wear.increment import VariedIncrement, WearIncrement
 from ringwear_par.wear.law import Law, LocalState
 from ringwear_par.wear.parameters import parameters_of
 
@@ -105,7 +105,9 @@ def differentiable(case: Case) -> dict[str, str]:
     """
     found: dict[str, str] = {}
     for body, law in zip(_BODIES, case.laws, strict=True):
-        for name in () if law is None else law.numeric:
+        if law is None:
+            continue
+        for name in law.numeric:
             if _is_number(law.quantity(name)):
                 parameter = parameters_of(type(law)).get(name)
                 found[f"wear.{body}.{name}"] = "1" if parameter is None else parameter.unit
@@ -181,7 +183,7 @@ class Sensitivity:
     def __init__(
         self, keys: Sequence[str], cases: Sequence[Case], pair: ContactPair, several: bool
     ) -> None:
-        self.keys = tuple(keys)
+        self.keys, self._arm = tuple(keys), pair.line.arm
         rows = {key: row for row, key in enumerate(keys)}
         #: rows and names of the parameters of the laws of lower and upper
         self._laws = tuple(
@@ -231,23 +233,21 @@ class Sensitivity:
         """Return derivatives (P, ...) that are 0."""
         return np.zeros((len(self), *shape))
 
-    def rates(self, arm: FloatArray) -> RateVariation:
-        """Return what gives what the numbers do to rates, see ``WearIncrement.varied``."""
-
-        def rates(i: int, law: Law, p: FloatArray, at: LocalState) -> FloatArray:
-            out = self.nothing(*p.shape)
-            for row, name in self._laws[i]:
-                out[row] = law.d_rate_dparameter(name, p, at)
-            for row, size in self._sizes.items():
-                scaled = columns(size)
-                none, turn = np.zeros_like(arm), scaled * arm if row == self.omega else 0.0 * arm
-                along = LocalState(
-                    0.0, at.r, turn, scaled if row == self.friction else 0.0, none, at.time * turn
-                )
-                out[row] = law.d_rate_dlocal(p, at, along) / scaled
-            return out
-
-        return rates
+    def rates(self, i: int, law: Law, p: FloatArray, at: LocalState) -> FloatArray:
+        """Return what the numbers do to rates, see ``RateVariation`` of increments."""
+        out = self.nothing(*p.shape)
+        for row, name in self._laws[i]:
+            out[row] = law.d_rate_dparameter(name, p, at)
+        if self.friction is not None:
+            size, still = columns(self._sizes[self.friction]), np.zeros(p.shape[-1])
+            along = LocalState(0.0, at.r, still, size, still, still)
+            out[self.friction] = law.d_rate_dlocal(p, at, along) / size
+        if self.omega is not None:
+            size, still = columns(self._sizes[self.omega]), np.zeros(p.shape[-1])
+            turn = size * self._arm
+            along = LocalState(0.0, at.r, turn, 0.0, still, at.time * turn)
+            out[self.omega] = law.d_rate_dlocal(p, at, along) / size
+        return out
 
     def d_gap(
         self,
@@ -378,8 +378,7 @@ class Along:
         gap += self._numbers.d_gap(contacts.products, p, at)
         slope: FloatArray | None = None
         if during is not None:
-            rates = self._numbers.rates(model.line.arm)
-            varied = during.varied(p, rates, self.wear, self._step, instant=False)
+            varied = during.varied(p, self._numbers.rates, self.wear, self._step, instant=False)
             worn = varied.depths[0] + varied.depths[1]
             slope = varied.slope if during.local else during.jacobian(p)
             if during.closing is not None:
@@ -407,8 +406,7 @@ class Along:
 
     def explicit(self, increment: WearIncrement, p: FloatArray) -> None:
         """Wear off what an explicit step does at the pressure of its start."""
-        rates = self._numbers.rates(self._model.line.arm)
-        varied = increment.varied(p, rates, self.wear, None, instant=True)
+        varied = increment.varied(p, self._numbers.rates, self.wear, None, instant=True)
         self.wear = self.wear + varied.with_pressure(self._before.pressure)
 
     def implicit(self) -> None:
@@ -469,7 +467,8 @@ class Along:
 
     def _d_share(self, last: WearIncrement, worn: FloatArray, d_worn: FloatArray) -> FloatArray:
         """Return derivatives of ``WearIncrement.share``, (P, ..., n)."""
-        assert last.closing is not None and self._closes is not None
+        assert last.closing is not None
+        assert self._closes is not None
         gap, total = last.closing.gap, worn[0] + worn[1]
         inside = (gap > 0.0) & (total > gap)
         total = np.where(inside, total, 1.0)

@@ -1,15 +1,14 @@
 """What a wear history is at an instant, and where it goes on from."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from ringwear_par.arrays import BoolArray, FloatArray, IntArray, Numbers
 from ringwear_par.contact.problem import ContactState, WarmStart
-
-if TYPE_CHECKING:
-    from ringwear_par.history.sensitivity import Tangent
+from ringwear_par.history.sensitivity import Tangent
 
 
 @dataclass(frozen=True)
@@ -38,7 +37,7 @@ class State:
     rates: FloatArray
     shape: FloatArray | None = None
     fit: FloatArray | None = None
-    tangent: "Tangent | None" = None
+    tangent: Tangent | None = None
 
     def take(self, histories: IntArray) -> "State":
         """Return some of B histories."""
@@ -50,7 +49,7 @@ class State:
             self.energy[histories],
             ContactState(*(values[histories] for values in vars(contact).values())),
             self.rates[:, histories],
-            tangent=self.tangent and self.tangent.take(histories),
+            tangent=None if self.tangent is None else self.tangent.take(histories),
         )
 
     def joined(self, other: "State") -> "State":
@@ -63,7 +62,7 @@ class State:
         contact = ContactState(*map(np.concatenate, both))
         return State(
             of("time"), of("wear", 1), of("worn", 1), of("energy"), contact, of("rates", 1),
-            tangent=self.tangent and self.tangent.joined(other.tangent),
+            tangent=_tangent(self, other, Tangent.joined),
         )  # fmt: skip
 
     def history(self, i: int) -> "State":
@@ -79,7 +78,7 @@ class State:
                 float(contact.force[i]), int(contact.iterations[i]), float(contact.residual[i]),
             ),
             self.rates[:, i],
-            tangent=self.tangent and self.tangent.history(i),
+            tangent=None if self.tangent is None else self.tangent.history(i),
         )  # fmt: skip
 
     def updated(self, which: BoolArray, after: "State") -> "State":
@@ -100,8 +99,17 @@ class State:
             of("energy"),
             contact,
             np.where(rows, after.rates, self.rates),
-            tangent=self.tangent and self.tangent.updated(which, after.tangent),
+            tangent=_tangent(self, after, lambda old, new: old.updated(which, new)),
         )
+
+
+def _tangent(
+    one: State, other: State, make: Callable[[Tangent, Tangent], Tangent]
+) -> Tangent | None:
+    """Return what is made of the derivatives of two states, where there are any."""
+    if one.tangent is None or other.tangent is None:
+        return None
+    return make(one.tangent, other.tangent)
 
 
 @dataclass(frozen=True)

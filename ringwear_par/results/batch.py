@@ -161,8 +161,9 @@ class BatchRecorder:
         for name, rows in self._rows.items():
             if name not in _SINCE_START:
                 rows.append(values[name][stored])
-        for name, last in self._last.items():
-            last[numbers] = values[name][stored]
+        ended = np.flatnonzero(snapshot.finished)
+        for name, last in self._last.items() if len(ended) else ():
+            last[snapshot.numbers[ended]] = values[name][ended]
         self._pending[numbers] = 0
 
     def _end(self, snapshot: BatchSnapshot, ended: IntArray) -> None:

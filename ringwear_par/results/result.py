@@ -57,8 +57,8 @@ class Result:
     path : of its file, None for a result in memory.
     comm : of the ranks that have it in memory, None where it was read or sent.
     parameters : keys of the numbers that there are derivatives with respect to, with their units.
-    derivatives : (P, s) or (P, s, n) each, by name, see variables.D_HISTORIES and D_PROFILES; (P, n)
-        where the last profiles are stored only.
+    derivatives : (P, s) or (P, s, n) each, by name, see variables.D_HISTORIES and D_PROFILES;
+        (P, n) where the last profiles are stored only.
     """
 
     line: ContactLine

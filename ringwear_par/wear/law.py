@@ -87,11 +87,14 @@ class LocalState:
 
     def moved(self, by: Any, along: "LocalState") -> "LocalState":
         """Return the same with so many times another's speed, friction and slid added."""
-        return replace(
-            self,
-            speed=self.speed + by * along.speed,
-            friction=self.friction + by * along.friction,
-            slid=self.slid + by * along.slid,
+        return LocalState(
+            self.time,
+            self.r,
+            self.speed + by * along.speed,
+            self.friction + by * along.friction,
+            self.wear,
+            self.slid + by * along.slid,
+            self.parameters,
         )
 
     def history(self, i: int) -> "LocalState":
@@ -372,6 +375,7 @@ class CompletedLaw(Law):
         )
 
     def quantity(self, name: str) -> Quantity:
+        """Return a numeric parameter as it was given."""
         return getattr(self.own, name)
 
     @property

@@ -152,6 +152,7 @@ class UserLaw(Law):
         return tuple(_PARAMETERS + name for name, _ in self.parameters)
 
     def quantity(self, name: str) -> Quantity:
+        """Return a numeric parameter as it was given."""
         return dict(self.parameters)[name.removeprefix(_PARAMETERS)]
 
     def with_parameter(self, name: str, there: Any) -> Self:
