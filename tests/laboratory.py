@@ -35,7 +35,9 @@ def penetration(result, rng=None, times=None, offset=1e-3, drift=3e-4):
     there = result.histories["time"]
     values = np.interp(times, there, result.histories["penetration"]) + offset
     values = values + drift * times / end
-    return times, values + (0.0 if rng is None else SD_PENETRATION * rng.standard_normal(len(times)))
+    return times, values + (
+        0.0 if rng is None else SD_PENETRATION * rng.standard_normal(len(times))
+    )
 
 
 def profile(result, rng=None, level=2e-4, tilt=5e-5, body="lower"):

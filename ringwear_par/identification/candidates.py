@@ -213,7 +213,7 @@ def _measured(template: Experiment, case: Case, profiles: int) -> tuple[Series, 
             found.append(replace(series, x=series.x * longer))
         else:
             span = series.x[-1] - series.x[0]
-            count = max(round((series.n - 1) * longer) + 1, 2)
+            count = max(round(series.n * longer), 2)
             x = longer * (series.x[0] + span * np.linspace(0.0, 1.0, count))
             sd: FloatArray = np.full(count, np.median(series.sd))
             found.append(replace(series, x=x, value=np.zeros(count), sd=sd, lines=None))

@@ -202,12 +202,18 @@ def design(
                 f'{problem.name}: design: criterion = "eig": needs something that is known before, '
                 "a prior of every parameter or an earlier fit (--after)"
             )
+        if not problem.design.ranges:
+            raise InputError(
+                f"{problem.name}: design.vary: is missing or empty; must name what may "
+                "differ between tests, as the range of load.pressure"
+            )
         found = tuple(candidates(problem.design, problem.experiments[0]))
+        _check_budget(problem, found)
         return problem, told, found
 
     problem, told, tests = on_first_rank(comm, read)
     space = problem.design
-    count = _feasible(space.experiments, space.seconds, tests, problem.name)
+    count = space.experiments
     information, histories = _informations(
         problem, [test.experiment for test in tests], told.draws, comm
     )
@@ -244,14 +250,16 @@ def _is_whole(information: FloatArray) -> bool:
     return bool(np.linalg.matrix_rank(information, hermitian=True) == len(information))
 
 
-def _feasible(count: int, seconds: float | None, tests: tuple[Candidate, ...], name: str) -> int:
-    shortest = min((test.seconds for test in tests), default=np.inf)
+def _check_budget(problem: Problem, tests: tuple[Candidate, ...]) -> None:
+    """Refuse a budget that is too small for any design."""
+    count, seconds = problem.design.experiments, problem.design.seconds
+    end = problem.experiments[0].case.time.end
+    shortest = min((test.seconds for test in tests), default=end)
     if seconds is not None and shortest * count > seconds * (1.0 + 1e-9):
         raise InputError(
-            f"{name}: design: budget: time.end = {seconds:g}: must be at least "
+            f"{problem.name}: design.budget: time.end = {seconds:g}: must be at least "
             f"{shortest * count:g}, {count} of the shortest tests"
         )
-    return count
 
 
 # -- what is known before --------------------------------------------------------------------------

@@ -25,12 +25,15 @@ from ringwear_par.results.progress import PROGRESS_SECONDS
 
 log = logging.getLogger(__name__)
 
-_WALKERS, _SEED = 128, 0
+#: most walkers, steps that they make at least, and the seed of all
+_WALKERS, _STEPS, _SEED = 128, 16, 0
 #: steps that are thrown away: walkers start from the covariance, or from the bounds where that is
 #: wider
-_BURN = 20
+_BURN = 12
 #: rounds of reweighting where the loss is not Gaussian
 _REWEIGHTED = 20
+#: change of residuals over their noise at which they are done
+_SAME = 1e-4
 #: effective samples below which quantiles mean little
 FEW = 200.0
 
@@ -67,7 +70,7 @@ def require_emcee() -> None:
         import emcee  # noqa: F401
     except ImportError as error:
         raise InputError(
-            'fit: intervals: "posterior" needs emcee: pip install ringwear-par[posterior], or leave it out'
+            'fit: intervals: "posterior" needs emcee: pip install emcee, or leave it out'
         ) from error
 
 
@@ -111,7 +114,7 @@ def sample_posterior(
     spread = np.sqrt(np.minimum(np.diag(covariance)[:m], ((high - low) / 4.0) ** 2))
     known = np.isfinite(covariance[:m, :m]).all()
     root = np.linalg.cholesky(covariance[:m, :m] + 1e-12 * np.diag(spread**2)) if known else None
-    walkers = max(_WALKERS, 4 * m)
+    walkers = max(min(_WALKERS, 2 * (settings.samples // (2 * _STEPS))), 16, 4 * m)
     drawn = random.standard_normal((walkers, m))
     moved = drawn * spread if root is None else drawn @ root.T
     wide = np.abs(moved) > high - low
@@ -132,7 +135,9 @@ def sample_posterior(
             told = time.perf_counter()
             log.info("posterior: %d of %d steps of %d walkers", step + 1, steps, walkers)
     chain = sampler.get_chain(discard=_BURN)
-    times = emcee.autocorr.integrated_time(chain, tol=0)
+    # means over walkers scatter by the correlation time of their steps
+    scatter, whole = chain.mean(axis=0).var(axis=0, ddof=1), chain.reshape(-1, m).var(axis=0)
+    times = np.maximum(len(chain) * scatter / np.where(whole > 0.0, whole, 1.0), 1.0)
     values = np.array([squares.values(row) for row in chain.reshape(-1, m)])
     return Posterior(
         values, float(np.mean(sampler.acceptance_fraction)), float(len(values) / np.max(times))
@@ -173,9 +178,11 @@ class _Marginal:
         for _ in range(_REWEIGHTED if self._student else 1):
             if not len(self._low):
                 break
-            nuisances = self._nuisances(bare, np.sqrt(weights))
+            nuisances, before = self._nuisances(bare, np.sqrt(weights)), noise
             noise = bare + self._columns @ nuisances
             rest = self._prior_rows @ nuisances - self._prior_values
+            if np.abs(noise - before).max() < _SAME:
+                break
             weights = (NU + 1.0) / (NU + noise * noise)
         square = noise @ noise
         if self._student:
