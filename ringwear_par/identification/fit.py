@@ -162,7 +162,7 @@ class _Posed:
         bounds, method = (squares.lower, squares.upper), self._problem.settings.method
         fitted_noise = np.array([series.sd_fitted for _, series in squares.series])
         for _ in range(_MOST_ROUNDS):
-            optimum = minimise(squares.evaluate, x, bounds, method, squares.idle)
+            optimum = minimise(squares.evaluate, x, bounds, method, squares.idle, squares.linear)
             if not fitted_noise.any():
                 return optimum
             growth = self._growth(optimum)

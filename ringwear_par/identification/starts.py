@@ -233,7 +233,7 @@ def _solved(squares: LeastSquares, number: int, unknowns: FloatArray, meet: Meet
     try:
         start = squares.started(values)
         method = squares.problem.settings.method
-        optimum = minimise(evaluate, start, bounds, method, squares.idle)
+        optimum = minimise(evaluate, start, bounds, method, squares.idle, squares.linear)
     except StoppedError:
         raise
     except RingwearError as error:
