@@ -25,6 +25,7 @@ from ringwear_par.identification.problem import Problem
 from ringwear_par.identification.profile import likelihood_profiles
 from ringwear_par.identification.starts import Progress, Started, points, solve_starts
 from ringwear_par.info import versions
+from ringwear_par.options import reject_unused_options
 from ringwear_par.parallel import on_first_rank, together, warn_of_threads
 from ringwear_par.stopping import StopSignals, name_of, remark
 
@@ -215,8 +216,11 @@ def run_fit(
     on_first_rank(comm, lambda: storing.check(folder))
     if comm.rank == 0:
         warn_of_threads(comm.size)
-    on_first_rank(comm, lambda: storing.make(folder, keep=restart))
+    if not restart:
+        on_first_rank(comm, Progress(folder, "").forget)
     found = fitted(problem, comm, compare=compare, folder=folder)
+    with together(comm):
+        reject_unused_options()
 
     def write() -> None:
         found.save(folder)
