@@ -26,6 +26,7 @@ from ringwear_par.identification.problem import Problem
 from ringwear_par.identification.profile import likelihood_profiles
 from ringwear_par.identification.starts import Progress, Started, points, solve_starts
 from ringwear_par.info import versions
+from ringwear_par.options import reject_unused_options
 from ringwear_par.parallel import on_first_rank, together, warn_of_threads
 from ringwear_par.stopping import StopSignals, name_of, remark
 
@@ -182,7 +183,7 @@ class _Posed:
         bounds, method = (squares.lower, squares.upper), self._problem.settings.method
         fitted_noise = np.array([series.sd_fitted for _, series in squares.series])
         for _ in range(_MOST_ROUNDS):
-            optimum = minimise(squares.evaluate, x, bounds, method, squares.idle)
+            optimum = minimise(squares.evaluate, x, bounds, method, squares.idle, squares.linear)
             if not fitted_noise.any():
                 return optimum
             growth = self._growth(optimum)
@@ -235,8 +236,11 @@ def run_fit(
     on_first_rank(comm, lambda: storing.check(folder))
     if comm.rank == 0:
         warn_of_threads(comm.size)
-    on_first_rank(comm, lambda: storing.make(folder, keep=restart))
+    if not restart:
+        on_first_rank(comm, Progress(folder, "").forget)
     found = fitted(problem, comm, compare=compare, folder=folder)
+    with together(comm):
+        reject_unused_options()
 
     def write() -> None:
         found.save(folder)

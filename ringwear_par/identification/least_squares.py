@@ -242,6 +242,13 @@ class LeastSquares:
         return self.lower[self._m :], self.upper[self._m :]
 
     @property
+    def linear(self) -> BoolArray:
+        """(u,) bool, unknowns on which residuals depend linearly, and which have no bounds."""
+        free = np.isinf(self.lower) & np.isinf(self.upper)
+        free[: self._m] = False
+        return free & (self.problem.settings.loss == "gaussian")
+
+    @property
     def idle(self) -> BoolArray:
         """(u,) bool, which nuisances do nothing to any reading and have no prior."""
         known = {j for j, _ in self.priors}

@@ -20,8 +20,10 @@ _GRADIENT = 1e-5
 _GOOD_GRADIENT = 1e-2
 #: iterations on one scale, and how often the scale is that of the place reached
 _ITERATIONS, _SCALES = 8, 10
-#: relative decrease of the sum of squares that is none
-_NO_GAIN = 1e-9
+#: decrease of half the sum of squares on one scale that is none: 0.01 sd along the valley
+_NO_GAIN = 1e-4
+#: singular values of nuisances below it, over the largest: they are one
+_DEPENDENT = 1e-10
 #: relative to the Jacobian: keeps steps finite in directions that nothing is known of
 _REGULARISER = 1e-10
 
@@ -49,7 +51,8 @@ def minimise(
     start: FloatArray,
     bounds: tuple[FloatArray, FloatArray],
     method: Method,
-    held: BoolArray | None = None,
+    held: BoolArray,
+    linear: BoolArray,
 ) -> Optimum:
     """Return the least squares near a start, within bounds. Not collective.
 
@@ -58,81 +61,110 @@ def minimise(
     evaluate : residuals and Jacobian at unknowns (u,).
     start : (u,) within the bounds.
     held : (u,) bool, unknowns that stay where they are.
+    linear : (u,) bool, unknowns without bounds on which residuals depend linearly: at every trial
+        they are the best for the others.
 
     Raises
     ------
     ComputationError : of ``evaluate``.
     """
-    free = np.ones(len(start), dtype=bool) if held is None else ~held
-    lower, upper = (bound[free] for bound in bounds)
-    if not free.any():
-        return Optimum(start, evaluate(start), True, 0)
-
-    def whole(part: FloatArray) -> FloatArray:
-        x = start.copy()
-        x[free] = part
-        return x
-
-    widths = np.where(np.isfinite(upper - lower), upper - lower, 1.0)
-    solve = _brgn if method == "brgn" else _scipy
+    sought, projected = ~held & ~linear, ~held & linear
     x, iterations = start, 0
+    solve = _brgn if method == "brgn" else _scipy
     for _ in range(_SCALES):
-        found = evaluate(x)
-        sizes = np.linalg.norm(found.jacobian[:, free], axis=0)
-        scale = np.where(sizes > 0, 1.0 / np.where(sizes > 0, sizes, 1.0), widths)
-        problem = _Scaled(lambda part: evaluate(whole(part)), scale, lower, upper, free)
-        part, more = solve(problem, x[free])
-        before, x = found, whole(np.clip(part, lower, upper))
-        found, iterations = evaluate(x), iterations + more
-        gain = before.objective - found.objective
-        if more < _ITERATIONS or not gain > _NO_GAIN * (1.0 + found.objective):
+        problem = _Reduced(evaluate, x, bounds, sought, projected)
+        if not sought.any():
+            x = problem.whole(x[sought])
             break
-    return Optimum(x, found, problem.gradient(x[free], found) <= _GOOD_GRADIENT, iterations)
+        before = problem.residuals(problem.start)
+        part, more = solve(problem)
+        x, iterations = problem.whole(part), iterations + more
+        gain = 0.5 * float(before @ before) - evaluate(x).objective
+        if more < _ITERATIONS or not gain > _NO_GAIN:
+            break
+    found = evaluate(x)
+    good = _gradient(found, x, bounds, ~held) <= _GOOD_GRADIENT
+    return Optimum(x, found, good, iterations)
 
 
-class _Scaled:
-    """A problem over free unknowns divided by their scale, which remembers its last point."""
+def _gradient(
+    found: Evaluation, x: FloatArray, bounds: tuple[FloatArray, FloatArray], free: BoolArray
+) -> float:
+    """Return the norm of the gradient, without what bounds hold, by each unknown's own sd."""
+    size = np.linalg.norm(found.jacobian, axis=0)
+    slope = found.jacobian.T @ found.residuals / np.where(size > 0, size, 1.0)
+    out = ((x <= bounds[0]) & (slope > 0)) | ((x >= bounds[1]) & (slope < 0)) | ~free
+    return float(np.linalg.norm(np.where(out, 0.0, slope)))
+
+
+class _Reduced:
+    """A problem over the unknowns sought, in units of their scale where it starts.
+
+    Remembers its last point, as minimisers ask for residuals and Jacobian one after the other.
+
+    Parameters
+    ----------
+    x : (u,) where it starts.
+    sought, projected : (u,) bool.
+    """
 
     def __init__(
         self,
         evaluate: Residuals,
-        scale: FloatArray,
-        lower: FloatArray,
-        upper: FloatArray,
-        free: BoolArray,
+        x: FloatArray,
+        bounds: tuple[FloatArray, FloatArray],
+        sought: BoolArray,
+        projected: BoolArray,
     ) -> None:
-        self._evaluate, self.scale, self._free = evaluate, scale, free
-        self.lower, self.upper = lower, upper
-        self._last: tuple[bytes, FloatArray, FloatArray] = b"", np.empty(0), np.empty((0, 0))
+        self._evaluate, self._x, self._sought, self._projected = evaluate, x, sought, projected
+        self._low, self._high = (bound[sought] for bound in bounds)
+        self._scale = np.ones(int(sought.sum()))
+        self._last: tuple[bytes, FloatArray, FloatArray, FloatArray] | None = None
+        sizes = np.linalg.norm(self._at(x[sought])[2], axis=0)
+        widths = np.where(np.isfinite(self._high - self._low), self._high - self._low, 1.0)
+        self._scale = np.where(sizes > 0, 1.0 / np.where(sizes > 0, sizes, 1.0), widths)
+        self._last = None
+        #: where it starts, and the bounds
+        self.start, self.low, self.high = (
+            value / self._scale for value in (x[sought], self._low, self._high)
+        )
 
-    def _at(self, y: FloatArray) -> tuple[bytes, FloatArray, FloatArray]:
-        if self._last[0] != y.tobytes():
-            found = self._evaluate(np.clip(y * self.scale, self.lower, self.upper))
-            jacobian = found.jacobian[:, self._free] * self.scale
-            self._last = y.tobytes(), found.residuals, jacobian
+    def _at(self, y: FloatArray) -> tuple[bytes, FloatArray, FloatArray, FloatArray]:
+        """Return residuals, Jacobian and unknowns."""
+        if self._last is None or self._last[0] != y.tobytes():
+            x = self._x.copy()
+            x[self._sought] = np.clip(y * self._scale, self._low, self._high)
+            found = self._evaluate(x)
+            residuals, jacobian = found.residuals, found.jacobian[:, self._sought] * self._scale
+            if self._projected.any():
+                columns = found.jacobian[:, self._projected]
+                size = np.linalg.norm(columns, axis=0)
+                left, values, right = np.linalg.svd(columns / size, full_matrices=False)
+                left = left[:, values > _DEPENDENT * values[0]]
+                part = left.T @ residuals
+                own = right[: len(part)].T @ (part / values[: len(part)])
+                x[self._projected] -= own / size
+                residuals = residuals - left @ part
+                jacobian = jacobian - left @ (left.T @ jacobian)
+            self._last = y.tobytes(), residuals, jacobian, x
         return self._last
 
     def residuals(self, y: FloatArray) -> FloatArray:
-        """Return the residuals."""
+        """Return the residuals with the best of what is projected."""
         return self._at(y)[1]
 
     def jacobian(self, y: FloatArray) -> FloatArray:
-        """Return their derivatives with respect to scaled unknowns."""
+        """Return their derivatives, but for terms that vanish with the residuals."""
         return self._at(y)[2]
 
-    def gradient(self, part: FloatArray, found: Evaluation) -> float:
-        """Return the norm of the gradient, without what bounds hold, by each unknown's own sd."""
-        jacobian = found.jacobian[:, self._free]
-        size = np.linalg.norm(jacobian, axis=0)
-        slope = jacobian.T @ found.residuals / np.where(size > 0, size, 1.0)
-        out = ((part <= self.lower) & (slope > 0)) | ((part >= self.upper) & (slope < 0))
-        return float(np.linalg.norm(np.where(out, 0.0, slope)))
+    def whole(self, y: FloatArray) -> FloatArray:
+        """Return all unknowns."""
+        return self._at(y)[3]
 
 
-def _brgn(problem: _Scaled, start: FloatArray) -> tuple[FloatArray, int]:
+def _brgn(problem: _Reduced) -> tuple[FloatArray, int]:
     """Return the optimum of TAO's regularised Gauss-Newton method, and its iterations."""
-    scale = problem.scale
-    y = start / scale
+    y = problem.start
     guard = Guard()
 
     def residuals(_: PETSc.TAO, at: PETSc.Vec, f: PETSc.Vec) -> None:
@@ -148,8 +180,8 @@ def _brgn(problem: _Scaled, start: FloatArray) -> tuple[FloatArray, int]:
     matrix.setUp()
     low, high = x.duplicate(), x.duplicate()
     x.setArray(y)
-    low.setArray(np.maximum(problem.lower / scale, PETSc.NINFINITY))
-    high.setArray(np.minimum(problem.upper / scale, PETSc.INFINITY))
+    low.setArray(np.maximum(problem.low, PETSc.NINFINITY))
+    high.setArray(np.minimum(problem.high, PETSc.INFINITY))
     tao = PETSc.TAO().create(PETSc.COMM_SELF)
     try:
         tao.setOptionsPrefix(FIT_PREFIX)
@@ -163,21 +195,19 @@ def _brgn(problem: _Scaled, start: FloatArray) -> tuple[FloatArray, int]:
         tao.setSolution(x)
         set_from_options(tao, FIT_PREFIX)
         guard.solve(tao, "brgn")
-        return x.getArray(readonly=True) * scale, tao.getIterationNumber()
+        return x.getArray(readonly=True).copy(), tao.getIterationNumber()
     finally:
         for each in (tao, matrix, f, x, low, high):
             each.destroy()
 
 
-def _scipy(problem: _Scaled, start: FloatArray) -> tuple[FloatArray, int]:
+def _scipy(problem: _Reduced) -> tuple[FloatArray, int]:
     """Return the optimum of SciPy's trust region method, and its evaluations."""
     from scipy.optimize import least_squares
 
-    scale = problem.scale
-    low, high = problem.lower / scale, problem.upper / scale
-    inside = np.clip(start / scale, low, high)
+    inside = np.clip(problem.start, problem.low, problem.high)
     found = least_squares(
-        problem.residuals, inside, problem.jacobian, (low, high), x_scale="jac", xtol=1e-10,
-        ftol=1e-12, gtol=_GRADIENT, max_nfev=_ITERATIONS,
+        problem.residuals, inside, problem.jacobian, (problem.low, problem.high), x_scale="jac",
+        xtol=1e-10, ftol=1e-12, gtol=_GRADIENT, max_nfev=_ITERATIONS,
     )  # fmt: skip
-    return found.x * scale, found.nfev
+    return found.x, found.nfev

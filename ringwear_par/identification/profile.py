@@ -101,7 +101,9 @@ def _limit(
         at = max(at, end) if side < 0 else min(at, end)
         start = x + follow * (at - before)
         start[j] = at
-        best = minimise(squares.evaluate, np.clip(start, *bounds), bounds, method, held)
+        best = minimise(
+            squares.evaluate, np.clip(start, *bounds), bounds, method, held, squares.linear
+        )
         growth = max(2.0 * (best.evaluation.objective - least), 0.0)
         points[at] = growth
         root, step, x, before = math.sqrt(growth), abs(at - centre), best.x, at

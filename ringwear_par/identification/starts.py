@@ -89,14 +89,19 @@ class Progress:
         if path is None:
             return
         try:
-            path.parent.mkdir(exist_ok=True)
+            path.parent.mkdir(parents=True, exist_ok=True)
             with atomic_write(path) as temporary:
                 temporary.write_text(json.dumps({"key": self._key, **asdict(found)}))
         except OSError as error:
             log.warning("%s: cannot be written: %s", path, error.strerror or error)
 
     def forget(self) -> None:
-        """Remove what was kept. On one rank."""
+        """Remove what was kept. On one rank.
+
+        Raises
+        ------
+        OSError : the folder.
+        """
         if self._folder is None or not (self._folder / "progress").is_dir():
             return
         for path in (self._folder / "progress").iterdir():
@@ -233,7 +238,7 @@ def _solved(squares: LeastSquares, number: int, unknowns: FloatArray, meet: Meet
     try:
         start = squares.started(values)
         method = squares.problem.settings.method
-        optimum = minimise(evaluate, start, bounds, method, squares.idle)
+        optimum = minimise(evaluate, start, bounds, method, squares.idle, squares.linear)
     except StoppedError:
         raise
     except RingwearError as error:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import h5py
 import numpy as np
 
-from ringwear_par.atomic import atomic_write, check_writable, unwritable
+from ringwear_par.atomic import atomic_write, check_writable
 from ringwear_par.errors import ComputationError, InputError
 from ringwear_par.identification.summary import unit_of
 from ringwear_par.results.hdf5 import atomic_hdf5, write_variable
@@ -38,27 +38,6 @@ def check(folder: Path, files: Sequence[str] = FILES) -> None:
         check_writable(folder)
 
 
-def make(folder: Path, keep: bool) -> None:
-    """Make the folder, or use one that is there. On one rank.
-
-    Parameters
-    ----------
-    keep : whether what an interrupted fit has left is used.
-
-    Raises
-    ------
-    InputError, ComputationError : it cannot be made.
-    """
-    from ringwear_par.identification.starts import Progress
-
-    try:
-        folder.mkdir(exist_ok=True)
-        if not keep:
-            Progress(folder, "").forget()
-    except OSError as error:
-        raise unwritable(folder, error) from error
-
-
 def save(found: "FitResult", folder: Path) -> None:
     """Write all files; fit.json, which says that it is whole, the last. On one rank.
 
@@ -67,8 +46,8 @@ def save(found: "FitResult", folder: Path) -> None:
     InputError, ComputationError : the folder or the disk.
     """
     check(folder)
-    make(folder, keep=True)
     try:
+        folder.mkdir(exist_ok=True)
         with atomic_hdf5(folder / RESULTS) as (file, _):
             _write(file, found)
         with atomic_write(folder / FIGURE) as path:

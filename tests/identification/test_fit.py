@@ -2,6 +2,7 @@
 
 import copy
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import h5py
@@ -57,10 +58,13 @@ def near(found, truth=TRUTH, most=3.0):
 @pytest.mark.serial
 def test_a_laboratory_found_the_law(comm):
     """Files of an independent model with noise, in the repository as a worked example."""
-    found = fit(SCRIPTS / "fit/fit.toml", comm, compare=False)
+    problem = read_fit(SCRIPTS / "fit/fit.toml")
+    found = fitted(
+        replace(problem, settings=replace(problem.settings, starts=3)), comm, compare=False
+    )
     assert near(found)
     assert not found.flagged
-    assert found.at_best == len(found.starts) == 8
+    assert found.at_best == 3
     assert [p.verdict for p in found.parameters] == ["identified"] * 2
     for one in found.parameters:  # the likelihood is nearly quadratic here
         low, high = one.interval
