@@ -249,26 +249,23 @@ class Sensitivity:
             out[self.omega] = law.d_rate_dlocal(p, at, along) / size
         return out
 
-    def d_gap(
+    def add_gap(
         self,
+        gap: FloatArray,
         products: Callable[[FloatArray, Any, FloatArray], FloatArray],
         p: FloatArray,
         at: FloatArray,
-    ) -> FloatArray | float:
-        """Return what moduli do to the gap at given pressures, (P, ..., n) mm.
+    ) -> None:
+        """Add to derivatives of the gap, (P, ..., n) mm, what moduli do at given pressures.
 
         Parameters
         ----------
         products : of matrices and pressures, see ``CorrectedContact.products``.
         p, at : (..., n) MPa, of a solution, and those that it was corrected at.
         """
-        if not self._moduli:
-            return 0.0
-        out = self.nothing(*p.shape)
         for row, moduli in self._moduli:
-            out[row] = products(moduli.symmetric, moduli.which, p - at)
-            out[row] += products(moduli.collocated, moduli.which, at)
-        return out
+            gap[row] += products(moduli.symmetric, moduli.which, p - at)
+            gap[row] += products(moduli.collocated, moduli.which, at)
 
     def torque(self, model: "WearModel", p: FloatArray, d_p: FloatArray) -> FloatArray:
         """Return derivatives of the friction torque, (P, ...) N mm."""
@@ -350,7 +347,7 @@ class Along:
         #: (2, P, ..., n) mm, of the wear that a stage starts from
         self.wear = before.wear
         #: (P, ..., n) MPa and (P, ...) mm, of the last contact
-        self.pressure, self.approach = before.pressure.copy(), before.approach.copy()
+        self.pressure, self.approach = before.pressure, before.approach
         #: of the pressures that the next solution is corrected at
         self._near = before.pressure
         #: of the gap at given pressure
@@ -374,26 +371,31 @@ class Along:
         """Differentiate a contact solution, see ``contact.correction.Tangents``."""
         model, during, p = self._model, self._during, found.pressure
         contacts = model.contacts
-        gap = self.wear[0] + self.wear[1] - contacts.d_shift(self._near)
-        gap += self._numbers.d_gap(contacts.products, p, at)
+        gap = self.wear[0] + self.wear[1]
+        contacts.take_shift(gap, self._near)
+        self._numbers.add_gap(gap, contacts.products, p, at)
         slope: FloatArray | None = None
         if during is not None:
             varied = during.varied(p, self._numbers.rates, self.wear, self._step, instant=False)
-            worn = varied.depths[0] + varied.depths[1]
+            worn = varied.depth
             slope = varied.slope if during.local else during.jacobian(p)
             if during.closing is not None:
                 closed = (during.closing.gap == 0.0) | (during.depth(p) > 0.0)
+                assert self._closes is not None
                 worn = np.where(closed, worn - self._closes, 0.0)
                 slope = np.where(closed, slope, 0.0)
             gap += worn
             self._varied = varied
         load = self._numbers.load
         loads = (None, load) if model.force is None else (load, None)
-        rows = (slice(None),) if asked is None else (slice(None), asked)
-        self._gap[rows] = gap[rows]
-        self.pressure[rows], self.approach[rows] = contacts.tangents(
-            found, gap, *loads, slope, asked=asked
-        )
+        solved = contacts.tangents(found, gap, *loads, slope, asked=asked)
+        if asked is None or len(asked) == gap.shape[1]:
+            self._gap, (self.pressure, self.approach) = gap, solved
+        else:
+            self._gap, self.pressure = self._gap.copy(), self.pressure.copy()
+            self.approach = self.approach.copy()
+            self._gap[:, asked] = gap[:, asked]
+            self.pressure[:, asked], self.approach[:, asked] = solved
         self._near = self.pressure
 
     def unhindered(self) -> FloatArray:
@@ -425,13 +427,16 @@ class Along:
         counts : how many times its weight the stage counts, (..., n) or 1.
         share : of what is worn that the last stage starts from.
         """
-        first, lost = self.pressure.copy(), counts * self.unhindered()
-        self._counted = counts * first
+        first, lost = self.pressure, self.unhindered()
+        self._counted = first
         if self._enter is not None:
+            lost *= counts
+            self._counted = counts * first
             d_counts = self._enter.d_counts(p, first, 0.0, 0.0)
             self._counted += d_counts * p
             lost += d_counts * worn[:, None]
-        self.wear = self.wear + share * lost
+        lost *= share
+        self.wear = self.wear + lost
         self._near = self._first = first
 
     def lengthen(self, last: WearIncrement, p: FloatArray, step: Numbers) -> None:
@@ -498,8 +503,8 @@ class Along:
         gap = self._gap + self._model.contacts.deflections(self.pressure)
         if self._during is not None and not self._during.local:
             assert self._varied is not None
-            worn = self.unhindered() - self._varied.depths
-            gap += worn[0] + worn[1]
+            worn = self.unhindered()
+            gap += worn[0] + worn[1] - self._varied.depth
         return np.where(open_, gap - self.approach[..., None], 0.0)
 
 

@@ -234,7 +234,7 @@ class WearIncrement:
         d_step : (P, ..., n) s, those of ``step``; None: 0.
         instant : whether rates are those before the step, as in explicit steps.
         """
-        depths, slopes = np.zeros(d_wear.shape), []
+        bodies = []
         for i, law, at, average in self._each:
             q = np.maximum(p if average is None else averaged(average, p), 0.0)
             within = law.remembers and not instant
@@ -252,9 +252,9 @@ class WearIncrement:
                 left = 1.0 - self.step * before
                 change /= left
                 slope = slope / left
-            slopes.append((i, slope, average))
-            depths[i] = self._axial(change if average is None else averaged(average, change))
-        return VariedIncrement(depths, slopes, self.obliquity)
+            depths = self._axial(change if average is None else averaged(average, change))
+            bodies.append((i, depths, slope, average))
+        return VariedIncrement(bodies, self.obliquity)
 
     def _axial(self, normal: FloatArray) -> FloatArray:
         """Return along the axis what is (..., n) along the normal."""
@@ -391,29 +391,35 @@ class VariedIncrement:
 
     Parameters
     ----------
-    depths : (2, P, ..., n) mm, of lower and upper, at given pressure.
-    slopes : of each body that wears: which it is, (..., n) mm/MPa along the normal, its average.
+    bodies : of each that wears: which it is; (P, ..., n) mm, at given pressure; (..., n) mm/MPa,
+        its slope along the normal; its average.
     obliquity : as of the increment.
     """
 
-    depths: FloatArray
-    slopes: Sequence[tuple[int, FloatArray, FloatArray | None]]
+    bodies: Sequence[tuple[int, FloatArray, FloatArray, FloatArray | None]]
     obliquity: FloatArray | None
 
     @property
     def slope(self) -> FloatArray:
         """``WearIncrement.d_depth_dp`` of local laws in contact all along, (..., n) mm/MPa."""
-        total = _total([slope for _, slope, _ in self.slopes])
+        total = _total([slope for _, _, slope, _ in self.bodies])
         return total if self.obliquity is None else self.obliquity * total
 
+    @property
+    def depth(self) -> FloatArray:
+        """(P, ..., n) mm, of both bodies together at given pressure."""
+        return _total([depths for _, depths, _, _ in self.bodies])
+
     def with_pressure(self, d_p: FloatArray) -> FloatArray:
-        """Return the same, (2, P, ..., n) mm, as the pressure varies too, by (P, ..., n) MPa."""
-        total = self.depths.copy()
-        for i, slope, average in self.slopes:
+        """Return (2, P, ..., n) mm, of both bodies as the pressure varies by (P, ..., n) MPa."""
+        total = np.zeros((2, *d_p.shape))
+        for i, depths, slope, average in self.bodies:
             change = slope * (d_p if average is None else averaged(average, d_p))
             if average is not None:
                 change = averaged(average, change)
-            total[i] += change if self.obliquity is None else self.obliquity * change
+            if self.obliquity is not None:
+                change *= self.obliquity
+            np.add(depths, change, out=total[i])
         return total
 
 
