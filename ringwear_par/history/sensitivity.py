@@ -398,22 +398,26 @@ class Along:
             self.pressure[:, asked], self.approach[:, asked] = solved
         self._near = self.pressure
 
-    def unhindered(self) -> FloatArray:
-        """Return derivatives of what the last stage would wear off all along, (2, P, ..., n) mm."""
-        if self._varied is None:
-            return np.zeros_like(self.wear)
-        return self._varied.with_pressure(self.pressure)
+    def unhindered(self) -> dict[int, FloatArray]:
+        """Return derivatives of what the last stage wears off bodies all along, (P, ..., n) mm."""
+        return {} if self._varied is None else self._varied.with_pressure(self.pressure)
+
+    def _wear_off(self, lost: dict[int, FloatArray]) -> None:
+        """Add to derivatives of the wear."""
+        self.wear = self.wear.copy()
+        for i, depths in lost.items():
+            self.wear[i] += depths
 
     # -- what schemes tell -------------------------------------------------------------------------
 
     def explicit(self, increment: WearIncrement, p: FloatArray) -> None:
         """Wear off what an explicit step does at the pressure of its start."""
         varied = increment.varied(p, self._numbers.rates, self.wear, None, instant=True)
-        self.wear = self.wear + varied.with_pressure(self._before.pressure)
+        self._wear_off(varied.with_pressure(self._before.pressure))
 
     def implicit(self) -> None:
         """Wear off what the last stage does."""
-        self.wear = self.wear + self.unhindered()
+        self._wear_off(self.unhindered())
 
     def first_stage(
         self, p: FloatArray, worn: FloatArray, counts: FloatArray | float, share: float
@@ -430,13 +434,10 @@ class Along:
         first, lost = self.pressure, self.unhindered()
         self._counted = first
         if self._enter is not None:
-            lost *= counts
-            self._counted = counts * first
             d_counts = self._enter.d_counts(p, first, 0.0, 0.0)
-            self._counted += d_counts * p
-            lost += d_counts * worn[:, None]
-        lost *= share
-        self.wear = self.wear + lost
+            self._counted = counts * first + d_counts * p
+            lost = {i: counts * d_worn + d_counts * worn[i] for i, d_worn in lost.items()}
+        self._wear_off({i: share * depths for i, depths in lost.items()})
         self._near = self._first = first
 
     def lengthen(self, last: WearIncrement, p: FloatArray, step: Numbers) -> None:
@@ -462,22 +463,25 @@ class Along:
         self._counted_last = self.pressure
         if self._enter is not None:
             inside, d_inside = last.share(worn), self._d_share(last, worn, d_worn)
-            d_worn = inside * d_worn + d_inside * worn[:, None]
+            d_worn = {i: inside * lost + d_inside * worn[i] for i, lost in d_worn.items()}
             counts = last.step / columns(step)
             d_counts = counts * d_inside
             if self._step is not None:
                 d_counts = d_counts + inside * self._step / columns(step)
             self._counted_last = counts * inside * self.pressure + d_counts * p
-        self.wear = self.wear + d_worn
+        self._wear_off(d_worn)
 
-    def _d_share(self, last: WearIncrement, worn: FloatArray, d_worn: FloatArray) -> FloatArray:
+    def _d_share(
+        self, last: WearIncrement, worn: FloatArray, d_worn: dict[int, FloatArray]
+    ) -> FloatArray:
         """Return derivatives of ``WearIncrement.share``, (P, ..., n)."""
         assert last.closing is not None
         assert self._closes is not None
         gap, total = last.closing.gap, worn[0] + worn[1]
         inside = (gap > 0.0) & (total > gap)
         total = np.where(inside, total, 1.0)
-        return np.where(inside, (gap * (d_worn[0] + d_worn[1]) / total - self._closes) / total, 0.0)
+        d_total = sum(d_worn.values())
+        return np.where(inside, (gap * d_total / total - self._closes) / total, 0.0)
 
     def work(self, lasts: Numbers, omega: Numbers, p: FloatArray, d_p: FloatArray) -> None:
         """Dissipate the energy of a time, s, at a speed, rad/s, and a pressure."""
@@ -503,8 +507,7 @@ class Along:
         gap = self._gap + self._model.contacts.deflections(self.pressure)
         if self._during is not None and not self._during.local:
             assert self._varied is not None
-            worn = self.unhindered()
-            gap += worn[0] + worn[1] - self._varied.depth
+            gap += sum(self.unhindered().values()) - self._varied.depth
         return np.where(open_, gap - self.approach[..., None], 0.0)
 
 
@@ -523,7 +526,7 @@ def variables(model: "WearModel", state: "State") -> dict[str, Any]:
     volumes = model.integrals(tangent.wear)
     return {
         "d_approach": tangent.approach,
-        "d_force": np.asarray(inner(model.area, d_p)),
+        "d_force": numbers.load if model.force is not None else np.asarray(inner(model.area, d_p)),
         "d_torque": numbers.torque(model, p, d_p),
         "d_twist": numbers.twist(model, p, d_p),
         "d_worn_volume_lower": volumes[0],

@@ -410,17 +410,18 @@ class VariedIncrement:
         """(P, ..., n) mm, of both bodies together at given pressure."""
         return _total([depths for _, depths, _, _ in self.bodies])
 
-    def with_pressure(self, d_p: FloatArray) -> FloatArray:
-        """Return (2, P, ..., n) mm, of both bodies as the pressure varies by (P, ..., n) MPa."""
-        total = np.zeros((2, *d_p.shape))
+    def with_pressure(self, d_p: FloatArray) -> dict[int, FloatArray]:
+        """Return (P, ..., n) mm of each body, as the pressure varies by (P, ..., n) MPa."""
+        found = {}
         for i, depths, slope, average in self.bodies:
             change = slope * (d_p if average is None else averaged(average, d_p))
             if average is not None:
                 change = averaged(average, change)
             if self.obliquity is not None:
                 change *= self.obliquity
-            np.add(depths, change, out=total[i])
-        return total
+            change += depths
+            found[i] = change
+        return found
 
 
 def _total(parts: list[FloatArray]) -> FloatArray:
