@@ -12,8 +12,10 @@ from ringwear_par.cases.case import Case
 from ringwear_par.cases.schema import UNITS
 from ringwear_par.contact.problem import REPLICATED_LIMIT
 from ringwear_par.elasticity.pair import ContactPair
+from ringwear_par.elasticity.slopes import obliquity
 from ringwear_par.errors import InputError, legible
 from ringwear_par.history.bodies import young
+from ringwear_par.wear.increment import d_averaging
 from ringwear_par.wear.law import Law, LocalState
 from ringwear_par.wear.parameters import parameters_of
 
@@ -36,6 +38,8 @@ def differentiable(case: Case) -> dict[str, str]:
             if _is_number(law.quantity(name)):
                 parameter = parameters_of(type(law)).get(name)
                 found[f"wear.{body}.{name}"] = "1" if parameter is None else parameter.unit
+        if law.length and "length" in parameters_of(type(law)):
+            found[f"wear.{body}.length"] = "mm"
     found["contact.friction"] = UNITS["contact.friction"]
     load = case.load
     for key, number in (
@@ -116,6 +120,14 @@ class Sensitivity:
              if key.startswith(f"wear.{body}.")]
             for body in _BODIES
         )  # fmt: skip
+        #: of bodies, which number is the length of their averages, and what it does to these
+        self.averages: dict[int, tuple[int, FloatArray]] = {}
+        line, true_area = pair.line, pair.line.area * obliquity(pair.slope)
+        for body, (own, law) in enumerate(zip(self._laws, cases[0].laws, strict=True)):
+            for row in [row for row, name in own if name == "length"]:
+                assert law is not None
+                self.averages[body] = row, d_averaging(line.r, true_area, law.length)
+                own.remove((row, "length"))
         self.friction, self.omega = rows.get("contact.friction"), rows.get("load.omega")
 
         def of_cases(numbers: list[Any]) -> Any:

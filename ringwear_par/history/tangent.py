@@ -142,7 +142,7 @@ class Along:
         self._numbers.add_gap(gap, contacts.products, p, at)
         slope: FloatArray | None = None
         if during is not None:
-            varied = during.varied(p, self._numbers.rates, self.wear, self._step, instant=False)
+            varied = self._varied_by(during, p, self._step, instant=False)
             worn = varied.depth
             slope = varied.slope if during.local else during.jacobian(p)
             if during.closing is not None:
@@ -164,6 +164,13 @@ class Along:
             self.pressure[:, asked], self.approach[:, asked] = solved
         self._near = self.pressure
 
+    def _varied_by(
+        self, increment: WearIncrement, p: FloatArray, d_step: FloatArray | None, instant: bool
+    ) -> VariedIncrement:
+        """Return how an increment varies with the numbers."""
+        numbers = self._numbers
+        return increment.varied(p, numbers.rates, self.wear, d_step, instant, numbers.averages)
+
     def unhindered(self) -> dict[int, FloatArray]:
         """Return derivatives of what the last stage wears off bodies all along, (P, ..., n) mm."""
         return {} if self._varied is None else self._varied.with_pressure(self.pressure)
@@ -178,7 +185,7 @@ class Along:
 
     def explicit(self, increment: WearIncrement, p: FloatArray) -> None:
         """Wear off what an explicit step does at the pressure of its start."""
-        varied = increment.varied(p, self._numbers.rates, self.wear, None, instant=True)
+        varied = self._varied_by(increment, p, None, instant=True)
         self._wear_off(varied.with_pressure(self._before.pressure))
 
     def implicit(self) -> None:

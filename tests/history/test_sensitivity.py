@@ -69,7 +69,7 @@ def value_of(case, key):
     if table.startswith("wear"):
         body, _, more = key.removeprefix("wear.").partition(".")
         law = getattr(case, f"wear_{body}")
-        return law.quantity(more)
+        return law.length if more == "length" else law.quantity(more)
     return case.friction if key == "contact.friction" else getattr(getattr(case, table), name)
 
 
