@@ -274,6 +274,24 @@ def test_a_dry_run_stops_after_a_step_at_the_earliest(
         assert "implicit steps (the first of them)" in capsys.readouterr().out
 
 
+@pytest.mark.serial
+def test_a_dry_run_knows_that_cases_go_side_by_side(write, shared_path, comm, capsys):
+    """Adaptive histories take some tenth of the time so, or less."""
+    text = """
+[vary]
+"wear.lower.k" = { log = [1e-8, 1e-6], count = 400 }
+"time.scheme" = { values = ["adaptive"] }
+[design]
+method = "grid"
+"""
+    sweep.run_sweep(write(text), shared_path / "out", comm, dry_run=True)
+    told = capsys.readouterr().out
+    found = re.search(r"([\d.]+) s for its adaptive steps, ([\d.]+) ms more", told)
+    alone, each = map(float, found.groups())
+    seconds = float(re.search(r"about ([\d.]+) s,", told)[1])
+    assert 400 * each < 1e3 * seconds < 0.5 * 1e3 * 400 * alone
+
+
 def test_a_dry_run_whose_first_case_fails_ends_on_all_ranks(write, shared_path, comm, monkeypatch):
     def failing(*_, **__):
         raise ComputationError("step 1: the contact failed")
