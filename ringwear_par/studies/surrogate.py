@@ -230,7 +230,7 @@ def surrogate(
 
     Parameters
     ----------
-    ensemble : the folder of a sweep, or what ``rw.open_ensemble`` returns of it.
+    ensemble : the folder of a sweep, its results.h5, or what ``rw.open_ensemble`` returns of it.
     times : s, of the responses; None for the last step. Between stored states they are on a
         straight line: ``output.times`` in the base case is better.
 
@@ -277,8 +277,8 @@ def _ensemble(ensemble: Any) -> Ensemble:
     source = getattr(ensemble, "encoding", {}).get("source")
     if source is None:
         raise InputError(
-            f"ensemble: a {type(ensemble).__name__} without a file; must be the folder of a sweep "
-            "or what open_ensemble returns"
+            f"ensemble: a {type(ensemble).__name__} without a file; must be the folder of a sweep, "
+            "its results.h5 or what open_ensemble returns"
         )
     found = read_ensemble(Path(source).parent)
     if ensemble.sizes.get("case") != len(found.ids):

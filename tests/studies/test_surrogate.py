@@ -376,7 +376,7 @@ def test_a_sweep_is_answered_for(swept, monkeypatch):
     """Profiles and times, too, from the data set that users open."""
     with rw.open_ensemble(swept / "a") as data:
         made = rw.surrogate(data)
-        early = rw.surrogate(data, times=[35.0, 100.0])
+        early = rw.surrogate(swept / "a" / "results.h5", times=[35.0, 100.0])
         with pytest.raises(rw.InputError, match="some of its cases were selected"):
             rw.surrogate(data.isel(case=slice(0, 30)))
     assert set(made.names) == {
@@ -384,7 +384,7 @@ def test_a_sweep_is_answered_for(swept, monkeypatch):
         "largest_wear_upper", "wear_lower", "wear_upper",
     }  # fmt: skip
     assert made.ranges == {"wear.lower.k": (1e-8, 1e-6), "load.pressure": (40.0, 80.0)}
-    with rw.open_ensemble(swept / "b") as data:
+    with rw.open_ensemble(swept / "b" / "results.h5") as data:
         at = {key: data[key].to_numpy() for key in made.ranges}
         wear, depth = data.wear_lower.to_numpy(), data.penetration.to_numpy()
     found, then = made.predict(at), early.predict(at)
