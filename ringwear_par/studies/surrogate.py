@@ -32,6 +32,9 @@ if TYPE_CHECKING:
 log = logging.getLogger(__name__)
 
 SURROGATE = "surrogate.h5"
+#: profiles of wear, and their largest values
+_DEPTHS = ("wear_lower", "wear_upper")
+_LARGEST = tuple(f"largest_{name}" for name in _DEPTHS)
 _SOFTWARE, _WHAT = "ringwear-par surrogate 1", "a surrogate of a sweep"
 #: leave-out errors above this part of a response's spread are called coarse
 COARSE = 0.1
@@ -125,8 +128,14 @@ class Surrogate:
         wanted = self.names if names is None else tuple(names)
         unknown = [name for name in wanted if name not in self.names]
         if unknown:
+            why = "unknown response"
+            if unknown[0] in (*_DEPTHS, *_LARGEST):
+                why = (
+                    'needs stored profiles, of all steps (output.profiles = "all") where there are '
+                    "times, and of the same contact elements"
+                )
             raise InputError(
-                f"surrogate: {legible(str(unknown[0]))}: unknown response; must be one of "
+                f"surrogate: {legible(str(unknown[0]))}: {why}; must be one of "
                 f"{', '.join(self.names)}"
             )
         part = self._part(values)
@@ -221,9 +230,10 @@ def surrogate(
 
     Responses are ``penetration``, ``worn_volume_lower``, ``worn_volume_upper`` and, where profiles
     are stored, the largest depths of wear ``largest_wear_lower``, ``largest_wear_upper`` and, where
-    all cases have the same contact elements, the profiles ``wear_lower``, ``wear_upper``. Cases
-    that are not done are left out; of many, 1,000 are chosen at random. The surrogate is kept
-    beside the results, as ``surrogate.h5``, and is made again once these have changed.
+    all cases have the same contact elements, the profiles ``wear_lower``, ``wear_upper``. At times
+    these four need profiles of all stored steps (``output.profiles = "all"``). Cases that are not
+    done are left out; of many, 1,000 are chosen at random. The surrogate is kept beside the
+    results, as ``surrogate.h5``, and is made again once these have changed.
 
     Keys that are no numbers get a surrogate for each combination of their values. Ranges are those
     of each key alone: where keys of a list vary together, what no case is near is not told.
@@ -426,12 +436,12 @@ def _responses(
     values = {name: np.concatenate([each[name] for each in read]) for name in read[0]}
     mid_points = ensemble.profiles("r", cases)
     same = mid_points is not None and np.ptp(mid_points, axis=0).max() <= 1e-9
-    for body in ("lower", "upper"):
-        wear = values.pop(f"wear_{body}", None)
+    for name, largest in zip(_DEPTHS, _LARGEST, strict=True):
+        wear = values.pop(name, None)
         if wear is not None and np.isfinite(wear).any(axis=-1).all():
-            values[f"largest_wear_{body}"] = np.nanmax(wear, axis=-1)
+            values[largest] = np.nanmax(wear, axis=-1)
             if same and np.isfinite(wear).all():
-                values[f"wear_{body}"] = wear
+                values[name] = wear
     return values
 
 
@@ -448,7 +458,7 @@ def _read_responses(
         states = _States(ensemble.histories("time", cases), stored, times)
         for name in FINAL:
             yield name, states.of(ensemble.histories(name, cases))
-    for name in ("wear_lower", "wear_upper"):
+    for name in _DEPTHS:
         table = ensemble.profiles(name, cases)
         if table is None or (table.ndim == 2 and states is not None):
             continue

@@ -137,6 +137,8 @@ def test_missing_keys_unknown_responses_and_shapes(tmp_path):
     asked = {"wear.lower.k": [[1e-7], [2e-7]], "load.pressure": [5.0, 6.0, 7.0]}
     with pytest.raises(rw.InputError, match="torque: unknown response; must be one of penetration"):
         made.predict(asked, ["torque"])
+    with pytest.raises(rw.InputError, match=r'wear_lower: needs .*"all".* one of penetration'):
+        made.predict(asked, ["wear_lower"])
     (name, found), *more = made.predict(asked, ["penetration"]).items()
     assert (name, more) == ("penetration", [])
     assert found == pytest.approx(1e3 * np.array([[1e-7], [2e-7]]) * np.array([5, 6, 7]) ** 0.8)
