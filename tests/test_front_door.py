@@ -179,7 +179,7 @@ def test_what_is_no_case_is_told_what_makes_one(case, comm):
             rw.simulate(wrong, comm)
         with pytest.raises(rw.InputError, match=words.format("assemble", kind)):
             rw.assemble(wrong, comm)
-        with pytest.raises(rw.InputError, match=words.format("simulate_all", kind)):
+        with pytest.raises(rw.InputError, match=words.format(r"simulate_all: cases\[1\]", kind)):
             rw.simulate_all([case, wrong], comm)
     for wrong in (case, str(PAPER)):
         with pytest.raises(rw.InputError, match="simulate_all: a list of cases is needed, not"):
