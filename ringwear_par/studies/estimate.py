@@ -61,6 +61,12 @@ def _timed(plan: Plan) -> str:
         f"{plan.total} cases, {plan.done} done, {plan.failed} failed before",
         f"{len(study.members)} distinct operator(s), {len(left)} still needed",
     ]
+    if plan.others:
+        lines.insert(
+            1,
+            f"{plan.others} cases in {request.folder} are not of this study; they stay there, "
+            'with in_study = "no"',
+        )
     if not left:
         return "\n".join(lines)
     group, number = left[0], int(plan.todo[left[0]][0])

@@ -274,6 +274,17 @@ def test_a_dry_run_stops_after_a_step_at_the_earliest(
         assert "implicit steps (the first of them)" in capsys.readouterr().out
 
 
+def test_a_dry_run_tells_of_cases_of_another_study(write, shared_path, comm, capsys):
+    other = '[vary]\n"wear.lower.k" = { values = [2e-8, 1e-8] }\n'
+    swept(write(other), shared_path / "out", comm)
+    comm.Barrier()
+    sweep.run_sweep(write(STUDY), shared_path / "out", comm, dry_run=True)
+    if comm.rank == 0:
+        told = capsys.readouterr().out
+        assert "12 cases, 1 done" in told
+        assert f"1 cases in {shared_path / 'out'} are not of this study" in told
+
+
 @pytest.mark.serial
 def test_a_dry_run_knows_that_cases_go_side_by_side(write, shared_path, comm, capsys):
     """Adaptive histories take some tenth of the time so, or less."""
