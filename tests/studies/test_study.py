@@ -220,6 +220,12 @@ def test_a_case_is_told_as_such(tmp_path):
     assert raised.value.faults == (f"{path}: is a case, not a study; ringwear run computes it",)
 
 
+def test_a_missing_case_file_is_told_with_its_study(tmp_path):
+    (tmp_path / "study.toml").write_text('case = "no.toml"\n' + GRID)
+    with pytest.raises(InputError, match=r'study.toml: case = "no.toml": \S*no.toml: cannot be'):
+        read_study(tmp_path / "study.toml")
+
+
 def test_a_list_separated_by_semicolons(write, shared_path):
     """As spreadsheets write it where decimals have commas."""
     (shared_path / "rows.csv").write_text("wear.lower.k;load.pressure\n1,5e-7;50\n")
