@@ -390,7 +390,7 @@ def test_many_cases_are_drawn_from_a_part_of_their_histories(tmp_path, monkeypat
         return table
 
     monkeypatch.setattr(Ensemble, "histories", counted)
-    monkeypatch.setattr("ringwear_par.studies.figures._BLOCK_BYTES", 2e5)
+    monkeypatch.setattr("ringwear_par.studies.fan._BLOCK_BYTES", 2e5)
     plot_sweep(tmp_path / "a", tmp_path / "a.png")
     assert sum(cases for name, cases, _ in read if name == "penetration") == 2000
     assert {name for name, _, _ in read} == {"time", "penetration"}
