@@ -22,8 +22,9 @@ from ringwear_par.studies.axes import set_legend
 from ringwear_par.studies.effects import Key, Plan, draw_effects, key_of, plan_of
 from ringwear_par.studies.ensemble import Ensemble, read_ensemble
 from ringwear_par.studies.fan import draw_fan, draw_histories
+from ringwear_par.studies.predictions import Surrogate
 from ringwear_par.studies.sensitivity import SENSITIVE, Sensitivity, done_cases, sensitivity
-from ringwear_par.studies.surrogate import Surrogate, surrogate
+from ringwear_par.studies.surrogate import surrogate
 from ringwear_par.studies.surrogate_figures import Responses
 
 log = logging.getLogger(__name__)

@@ -19,9 +19,9 @@ from ringwear_par.studies.axes import (
     set_legend,
     spans,
 )
+from ringwear_par.studies.predictions import Surrogate, told_share
 from ringwear_par.studies.regression import Part
 from ringwear_par.studies.sensitivity import SEED, SENSITIVE, SobolIndices, sobol_indices
-from ringwear_par.studies.surrogate import Surrogate, told_share
 
 #: panels beside each other, places along a key, and points over the other keys at each
 _COLUMNS, _PLACES, _OTHERS = 4, 41, 2**8

@@ -11,6 +11,7 @@ from test_sweep_plots import sample, write
 
 import ringwear_par as rw
 from ringwear_par.studies import surrogate as module
+from ringwear_par.studies import surrogate_file
 from ringwear_par.studies.figures import draw_sweep_and_surrogate
 from ringwear_par.studies.sensitivity import sobol_indices
 
@@ -221,7 +222,7 @@ def test_a_folder_that_cannot_be_written_to(tmp_path, caplog, monkeypatch):
     def full(path):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(module, "atomic_hdf5", full)
+    monkeypatch.setattr(surrogate_file, "atomic_hdf5", full)
     assert rw.surrogate(tmp_path).relative_error["penetration"] < 1e-9
     assert "the surrogate is not kept: [Errno 28] No space left" in caplog.text
     assert not (tmp_path / "surrogate.h5").exists()
