@@ -15,7 +15,15 @@ from ringwear_par.errors import ComputationError, InputError
 from ringwear_par.results.files import open_result
 from ringwear_par.results.run import run_case
 from ringwear_par.results.variables import HISTORIES, PROFILES
-from ringwear_par.studies import dataset, estimate, operators, results_file, sweep, workers
+from ringwear_par.studies import (
+    case_variables,
+    dataset,
+    estimate,
+    operators,
+    results_file,
+    sweep,
+    workers,
+)
 from ringwear_par.studies.ensemble import open_ensemble, read_ensemble
 from ringwear_par.studies.study import read_study
 
@@ -179,7 +187,8 @@ def test_files_do_not_depend_on_windows(write, shared_path, comm, monkeypatch):
     for name in ("whole", "parts"):
         if name == "parts":
             monkeypatch.setattr(results_file, "_WINDOW_BYTES", 4000)
-            monkeypatch.setattr(dataset, "_WINDOW", 4)
+            monkeypatch.setattr(dataset, "WINDOW", 4)
+            monkeypatch.setattr(case_variables, "WINDOW", 4)
         for n, text in enumerate(studies):
             swept(write(text), shared_path / name, comm)
             shutil.copytree(shared_path / name, shared_path / f"{name}{n}")
