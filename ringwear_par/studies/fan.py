@@ -7,7 +7,7 @@ import numpy as np
 
 from ringwear_par.arrays import FloatArray, IntArray
 from ringwear_par.results.figures import COLOURS
-from ringwear_par.studies.axes import GREY, OUTPUTS, set_legend
+from ringwear_par.studies.axes import GREY, LOG_VALUE, OUTPUTS, set_legend, spans
 from ringwear_par.studies.effects import DASHES, Key, values_told
 from ringwear_par.studies.ensemble import Ensemble
 from ringwear_par.studies.sensitivity import chosen_cases
@@ -44,6 +44,9 @@ def draw_fan(axes: Any, ensemble: Ensemble, drawn: IntArray, columns: int) -> No
     cases = chosen_cases(drawn, _MOST_HISTORIES)
     grid, table, even = _fan_table(ensemble, cases)
     low, lower, median, upper, high = np.nanquantile(table, [0.05, 0.25, 0.5, 0.75, 0.95], axis=0)
+    few = np.isfinite(table).sum(axis=0) < 0.5 * len(table)  # their quantiles would jump about
+    for quantile in (low, lower, median, upper, high):
+        quantile[few] = np.nan
     colour = COLOURS[0]
     by_depth = table[np.argsort(np.nanmax(table, axis=1))]  # the least and the deepest included
     for number, row in enumerate(by_depth[np.linspace(0, len(table) - 1, _SINGLES).astype(int)]):
@@ -62,8 +65,12 @@ def draw_fan(axes: Any, ensemble: Ensemble, drawn: IntArray, columns: int) -> No
     if len(cases) < len(drawn):
         titles.append(f"{len(cases)} of {len(drawn)} cases, chosen at random")
     if not even:
-        titles.append("quantiles of the cases that last so long")
+        titles.append("quantiles of cases that last so long,\nas long as half of them do")
     _finish_fan(axes)
+    ends = 1e3 * ensemble.final["penetration"][cases]
+    if spans(ends, LOG_VALUE):
+        axes.set_yscale("log")
+        axes.set_ylim(0.1 * ends.min(), 1.5 * ends.max())
     set_legend(axes, columns, ",\n".join(titles))
 
 

@@ -17,13 +17,13 @@ from matplotlib.figure import Figure
 
 from ringwear_par.arrays import IntArray
 from ringwear_par.errors import InputError
-from ringwear_par.results.figures import COLOURS, STYLE, check_figure, save_figure
-from ringwear_par.studies.axes import set_legend
+from ringwear_par.results.figures import STYLE, check_figure, save_figure
 from ringwear_par.studies.effects import Key, Plan, draw_effects, key_of, plan_of
 from ringwear_par.studies.ensemble import Ensemble, read_ensemble
 from ringwear_par.studies.fan import draw_fan, draw_histories
+from ringwear_par.studies.index_bars import IndexBars, index_bars, most_important
 from ringwear_par.studies.predictions import Surrogate
-from ringwear_par.studies.sensitivity import SENSITIVE, Sensitivity, done_cases, sensitivity
+from ringwear_par.studies.sensitivity import done_cases
 from ringwear_par.studies.surrogate import surrogate
 from ringwear_par.studies.surrogate_figures import Responses
 
@@ -31,6 +31,8 @@ log = logging.getLogger(__name__)
 
 #: cases drawn one by one
 _FEW = 12
+#: keys that are drawn: with more of them the figure is of no use
+_MOST_KEYS = 8
 _COLUMNS, _PANEL, _WIDTH = 4, (2.3, 2.1), 7.2
 #: inches of a line of a legend
 _LINE = 0.18
@@ -79,32 +81,42 @@ def draw_sweep(ensemble: Ensemble, regressions: Surrogate | None = None) -> Figu
     InputError : no case is done.
     """
     drawn = _drawn(ensemble)
-    keys = [key_of(name, values[drawn]) for name, values in ensemble.varied.items()]
-    keys = [key for key in keys if key.differs] or keys
-    method = str(ensemble.attributes.get("method"))
-    plans = [plan_of(key, [other for other in keys if other is not key], method) for key in keys]
     outputs = ["penetration", "worn_volume_lower"]
     upper = ensemble.final["worn_volume_upper"][drawn]
     if np.any(upper[np.isfinite(upper)] != 0.0):
         outputs.append("worn_volume_upper")
-    found = sensitivity(ensemble)
+    bars = index_bars(ensemble, regressions)
+    varied = [key_of(name, values[drawn]) for name, values in ensemble.varied.items()]
+    varied = [key for key in varied if key.differs] or varied
+    names = most_important([key.name for key in varied], bars, _MOST_KEYS)
+    keys = [key for key in varied if key.name in names]
+    below = None if regressions is None else Responses.of(regressions, outputs, names)
+    method = str(ensemble.attributes.get("method"))
+    plans = [plan_of(key, [other for other in varied if other is not key], method) for key in keys]
+    if below is not None:  # which has the cases, too
+        plans = [plan for plan in plans if plan.kind != "scatter" or not below.shows(plan.key.name)]
     blocks = _blocks(plans)
     shapes = [
         (len(outputs), len(block)) if len(keys) > 1 else (1, len(outputs)) for block in blocks
     ]
     with matplotlib.rc_context(STYLE):
-        top = max(2.6, 1.5 + 0.3 * len(found[0].keys)) if found else 2.6
-        heights = [top]
+        heights = [max(2.6, 1.8 + 0.3 * len(keys)) if bars else 2.6]
         for block, (rows, _) in zip(blocks, shapes, strict=True):
             heights.append(_PANEL[1] * rows + 0.3 + _LINE * max(plan.lines for plan in block))
-        below = Responses.of(regressions, outputs) if regressions is not None else None
         if below is not None:
             heights += below.heights
-        width = max(_WIDTH, _PANEL[0] * max((columns for _, columns in shapes), default=0))
+        columns = max((columns for _, columns in shapes), default=0)
+        if below is not None:
+            columns = max(columns, below.columns)
+        width = max(_WIDTH, _PANEL[0] * columns)
         figure = Figure(figsize=(width, sum(heights) + 0.3), layout="constrained")
-        figure.suptitle(_counts(ensemble), fontsize=9.0)
+        told = _counts(ensemble)
+        if len(keys) < len(varied):
+            why = "of the largest indices" if bars else "the first"
+            told += f"; {len(keys)} of {len(varied)} keys, {why}"
+        figure.suptitle(told, fontsize=9.0)
         parts: Any = figure.subfigures(len(heights), 1, height_ratios=heights, squeeze=False)[:, 0]
-        _draw_top(parts[0], ensemble, drawn, keys, found)
+        _draw_top(parts[0], ensemble, drawn, keys, bars)
         for part, block, shape in zip(parts[1 : 1 + len(blocks)], blocks, shapes, strict=True):
             values = {name: ensemble.final[name][drawn] for name in outputs}
             draw_effects(part, block, values, shape, transposed=len(keys) == 1)
@@ -144,39 +156,16 @@ def _blocks(plans: Sequence[Plan]) -> list[Sequence[Plan]]:
 
 
 def _draw_top(
-    part: Any, ensemble: Ensemble, drawn: IntArray, keys: Sequence[Key],
-    found: Sequence[Sensitivity],
-) -> None:  # fmt: skip
+    part: Any, ensemble: Ensemble, drawn: IntArray, keys: Sequence[Key], bars: Sequence[IndexBars]
+) -> None:
     panels = np.atleast_1d(
-        part.subplots(1, 1 + len(found), width_ratios=[1.3, *(1.0 for _ in found)])
+        part.subplots(1, 1 + len(bars), width_ratios=[1.3, *(1.0 for _ in bars)])
     )
     if len(drawn) > _FEW:
-        draw_fan(panels[0], ensemble, drawn, 2 if found else 4)
+        draw_fan(panels[0], ensemble, drawn, 2 if bars else 4)
     else:
         draw_histories(panels[0], ensemble, drawn, keys)
-    for number, (axes, indices) in enumerate(zip(panels[1:], found, strict=True)):
-        _draw_indices(axes, indices)
-        if number:
+    for number, (axes, each) in enumerate(zip(panels[1:], bars, strict=True)):
+        each.draw(axes, [key.name for key in keys])
+        if number and each.keys == bars[0].keys:
             axes.tick_params(labelleft=False)
-
-
-def _draw_indices(axes: Any, found: Sensitivity) -> None:
-    places = np.arange(len(found.keys), dtype=float)
-    for shift, colour, values, widths, label in (
-        (-0.17, COLOURS[0], found.delta, found.delta_conf, "\N{GREEK SMALL LETTER DELTA}"),
-        (0.17, COLOURS[1], found.s1, found.s1_conf, "S\N{SUBSCRIPT ONE}"),
-    ):
-        axes.barh(
-            places + shift, values, 0.3, xerr=widths, color=colour, alpha=0.75, label=label,
-            error_kw={"ecolor": "0.1", "elinewidth": 0.9, "capsize": 2.0},
-        )  # fmt: skip
-    axes.set_yticks(places, found.keys)
-    axes.set_ylim(len(places) - 0.5, -0.5)
-    axes.set_xlim(0.0, 1.04)
-    axes.grid(axis="x", linewidth=0.4, color="0.85")
-    axes.set_axisbelow(True)
-    axes.set_xlabel("index, 95 % confidence")
-    title = f"sensitivity of\n{SENSITIVE[found.output]}"
-    if found.used < found.cases:
-        title += f"\n({found.used} of {found.cases} cases)"
-    set_legend(axes, 2, title)
