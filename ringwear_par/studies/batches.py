@@ -47,7 +47,7 @@ def _block(case: Case, most: int) -> int:
 
 
 @dataclass(frozen=True)
-class Block:
+class Computed:
     """Cases that were computed together.
 
     Parameters
@@ -89,7 +89,7 @@ def computed(
     batch: int | None = None,
     stop: Callable[[], bool] = lambda: False,
     keep_ends: bool = False,
-) -> Iterator[Block]:
+) -> Iterator[Computed]:
     """Yield blocks of cases as they are computed, on this rank alone, until ``stop`` says so.
 
     Each case gets the same, to the last bit, in whatever company. Failures are among what is
@@ -129,11 +129,11 @@ def computed(
                     if (one := _alone(own[place], lender, stop)) is None:
                         return
                     alone[place] = one
-                yield Block(tuple(part), recorder, alone)
+                yield Computed(tuple(part), recorder, alone)
         for number in sorted(singles, key=lambda n: young(cases[n])):
             if (one := _alone(cases[number], lender, stop)) is None:
                 return
-            yield Block((number,), BatchRecorder([cases[number]], pair), {0: one})
+            yield Computed((number,), BatchRecorder([cases[number]], pair), {0: one})
 
 
 def _alone(case: Case, lender: SolverLender, stop: Callable[[], bool]) -> Alone | None:
