@@ -65,9 +65,10 @@ _PUBLIC = {
     "sweep": "studies.sweep",
 }
 __all__ = [
-    "Case", "ComputationError", "ContactPair", "DesignResult", "FailedResult", "FitResult", "InputError",
-    "LocalState", "Result", "Study", "WearLaw", "assemble", "design", "fit", "open_ensemble", "open_result",
-    "plot", "read_case", "read_study", "simulate", "simulate_all", "surrogate", "sweep",
+    "Case", "ComputationError", "ContactPair", "DesignResult", "FailedResult", "FitResult",
+    "InputError", "LocalState", "Result", "Study", "WearLaw", "assemble", "design", "fit",
+    "open_ensemble", "open_result", "plot", "read_case", "read_study", "simulate", "simulate_all",
+    "surrogate", "sweep",
 ]  # fmt: skip
 
 

@@ -19,7 +19,7 @@ from typing import Any, NoReturn
 
 from ringwear_par import __version__
 from ringwear_par.errors import LONGEST_SENTENCE, InputError, RingwearError, legible
-from ringwear_par.stopping import StopAtOnce, Stopped, remark
+from ringwear_par.stopping import StopAtOnce, Stopped, ignore_at_end, remark
 
 #: how long a rank that fails waits for the others to fail alike, and one that is stopped: mpirun
 #: kills a second after its signal
@@ -305,8 +305,8 @@ def _info(args: argparse.Namespace, comm: Any) -> None:
 
 
 _COMMANDS = {
-    "run": _run, "sweep": _sweep, "fit": _fit, "design": _design, "plot": _plot, "export": _export, "laws": _laws,
-    "verify": _verify, "info": _info,
+    "run": _run, "sweep": _sweep, "fit": _fit, "design": _design, "plot": _plot,
+    "export": _export, "laws": _laws, "verify": _verify, "info": _info,
 }  # fmt: skip
 
 
@@ -392,6 +392,8 @@ def main(argv: Sequence[str] | None = None) -> int:
             return world.end(
                 f"stopped by {stopped}{_left(words)}{remark(stopped.number)}", 1, STOP_SECONDS
             )
+    finally:
+        ignore_at_end()
     return status
 
 

@@ -3,6 +3,7 @@
 from pathlib import Path
 
 import numpy as np
+from mpi4py import MPI
 
 import ringwear_par as rw
 
@@ -25,7 +26,7 @@ def history(pressure, truth=TRUTH, end=END, **changes):
     with_rings = {"load.pressure": pressure, "load.omega": 3.5, **truth, **changes}
     path = Path(__file__).parents[1] / "scripts/cases/paper.toml"
     case = rw.read_case(path, {"mesh.contact_elements": 12, **steps, **with_rings})
-    return rw.simulate(case)
+    return rw.simulate(case, MPI.COMM_SELF)
 
 
 def penetration(result, rng=None, times=None, offset=1e-3, drift=3e-4):
@@ -34,10 +35,8 @@ def penetration(result, rng=None, times=None, offset=1e-3, drift=3e-4):
     times = np.linspace(end / 50, end, 50) if times is None else times
     there = result.histories["time"]
     values = np.interp(times, there, result.histories["penetration"]) + offset
-    values = values + drift * times / end
-    return times, values + (
-        0.0 if rng is None else SD_PENETRATION * rng.standard_normal(len(times))
-    )
+    noise = 0.0 if rng is None else SD_PENETRATION * rng.standard_normal(len(times))
+    return times, values + drift * times / end + noise
 
 
 def profile(result, rng=None, level=2e-4, tilt=5e-5, body="lower"):

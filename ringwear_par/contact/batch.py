@@ -12,7 +12,7 @@ import numpy as np
 from mpi4py import MPI
 
 from ringwear_par.arrays import FloatArray, IntArray, inner
-from ringwear_par.contact.active_sets import natural
+from ringwear_par.contact.active_sets import follow, natural
 from ringwear_par.contact.blocks import HessianBlocks
 from ringwear_par.contact.interleaved import multiply
 from ringwear_par.contact.lockstep import LockStepNewton
@@ -329,19 +329,14 @@ class BatchSolver:
             border = border - self._blocks.solve(histories, left(border))
             sums = (weights * border).sum(axis=1)
         if d_approach is None:
-            assert d_force is not None
-            carried = d_force[:, rows] + inner(weights, by_gap)
-            touching = sums > 0.0
             # where nothing touches, the force being 0, bodies stay at the nearest element
             nearest = found.gap[rows].argmin(axis=1)
-            d_approach = np.where(
-                touching,
-                carried / np.where(touching, sums, 1.0),
-                d_gap[:, histories, nearest],
-            )
+            moved = d_gap[:, histories, nearest]
         else:
-            d_approach = d_approach[:, rows]
-        return (border * d_approach[..., None] - by_gap) / scale, d_approach
+            moved = d_approach[:, rows].copy()
+        forces = np.zeros((len(d_gap), 0)) if d_force is None else d_force[:, rows]
+        follow(weights, scale, border, sums, forces, by_gap, moved)
+        return by_gap, moved
 
     def _rows_of(self, histories: IntArray) -> Any:
         """Return the rows of some histories, all by a slice, which is quicker."""
@@ -427,7 +422,7 @@ def load_batch_kernels(comm: MPI.Comm) -> None:
             state = solver.solve(np.zeros((1, 2)), force=np.ones(1))
             solver.response(np.zeros((1, 2)), True)
             one = np.ones((1, 1))
-            solver.tangents(state, one[..., None] * np.ones(2), one, None, None, np.arange(1))
+            solver.tangents(state, np.ones((1, 1, 2)), one, None, None, np.arange(1))
         finally:
             solver.destroy()
 

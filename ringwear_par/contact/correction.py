@@ -62,9 +62,9 @@ class CorrectedContact:
         """Return what a small growth (n,) mm of the gap does to the last pressures, MPa."""
         return self.solver.response(gap, force_kept)
 
-    def d_shift(self, d_p: FloatArray) -> FloatArray:
-        """Return what the excess makes of derivatives of pressures, (P, n)."""
-        return d_p @ self._excess.T
+    def take_shift(self, d_gap: FloatArray, d_p: FloatArray) -> None:
+        """Take what the excess makes of derivatives of pressures, (P, n), from those of the gap."""
+        d_gap -= d_p @ self._excess.T
 
     def products(self, matrices: FloatArray, which: int, p: FloatArray) -> FloatArray:
         """Return the product of one of some transposed matrices (m, n, n) and p (n,)."""
@@ -263,9 +263,10 @@ class CorrectedBatch:
         again = np.where(carrying > 0.0, again, elements)
         return np.where(worst > most, left, worst), np.where(worst > most, again, elements)
 
-    def d_shift(self, d_p: FloatArray) -> FloatArray:
-        """Return what the excesses make of derivatives of pressures, (P, B, n)."""
-        return np.array([self.solver.products(self._transposed, self._which, p) for p in d_p])
+    def take_shift(self, d_gap: FloatArray, d_p: FloatArray) -> None:
+        """Take what the excesses make of derivatives of pressures, (P, B, n), from gaps'."""
+        for gap, p in zip(d_gap, d_p, strict=True):
+            gap -= self.solver.products(self._transposed, self._which, p)
 
     def products(self, matrices: FloatArray, which: IntArray, p: FloatArray) -> FloatArray:
         """Return the products of transposed matrices (m, n, n), one a history, and p (B, n)."""
@@ -275,9 +276,7 @@ class CorrectedBatch:
         """Return what (P, B, n) MPa make of the gaps by the symmetric compliances, mm."""
         return self.solver.deflections(d_p)
 
-    def tangents(
-        self, found: ContactState, *how: Any, asked: Any
-    ) -> tuple[FloatArray, FloatArray]:
+    def tangents(self, found: ContactState, *how: Any, asked: Any) -> tuple[FloatArray, FloatArray]:
         """Return derivatives of pressures and approaches of the histories asked for."""
         what: tuple[Any, ...] = (*how, asked)
         return self.solver.tangents(found, *what)

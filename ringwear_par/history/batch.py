@@ -21,7 +21,13 @@ from ringwear_par.cases.case import Case
 from ringwear_par.elasticity.pair import ContactPair
 from ringwear_par.errors import HistoriesError
 from ringwear_par.history import euler, sdirk2
-from ringwear_par.history.control import ErrorBatch, FixedBatch, GivenBatch, joined
+from ringwear_par.history.control import (
+    ErrorBatch,
+    FixedBatch,
+    GivenBatch,
+    joined,
+    step_times_of,
+)
 from ringwear_par.history.model import WearModel
 from ringwear_par.history.saving import stores, times_within
 from ringwear_par.history.schemes import Scheme
@@ -312,7 +318,13 @@ def simulate_batch(
     -------
     Numbers of the histories that came to trouble, and are to be computed alone, whatever was shown
     of them; None if all were stopped.
+
+    Raises
+    ------
+    ValueError : steps that are given do not increase to the ends of the cases.
     """
+    for times, case in () if step_times is None else zip(step_times, cases, strict=True):
+        step_times_of(times, case)
     alone: list[int] = []
     lots: list[_Lot] = []
     begun, most = 0, most or len(cases)

@@ -95,15 +95,20 @@ class GivenSteps(FixedSteps):
 
     def __init__(self, times: Sequence[float], case: Case, progress: Progress) -> None:
         super().__init__(case, progress)
-        self._times = _step_times(times, case)
+        self._times = step_times_of(times, case)
 
     def end(self, state: State) -> float:
         """Return the time of the next step's end, s."""
         return self._times[self.progress.steps]
 
 
-def _step_times(times: Sequence[float], case: Case) -> list[float]:
-    """Return the ends of steps as numbers; those of a case have to reach its end."""
+def step_times_of(times: Sequence[float], case: Case) -> list[float]:
+    """Return the ends of steps of a case as numbers.
+
+    Raises
+    ------
+    ValueError : they do not increase to its end, or there are more or less than fixed ones.
+    """
     given = [float(time) for time in times]
     if not given or given[-1] != case.time.end or not np.all(np.diff([0.0, *given]) > 0.0):
         raise ValueError(f"step_times: must increase from 0 to {case.time.end:g} s")
@@ -292,7 +297,7 @@ class GivenBatch(FixedBatch):
 
     def __init__(self, cases: Sequence[Case], times: Sequence[Sequence[float]]) -> None:
         super().__init__(cases)
-        given = [_step_times(*each) for each in zip(times, cases, strict=True)]
+        given = [step_times_of(*each) for each in zip(times, cases, strict=True)]
         self._steps = np.array(list(map(len, given)))
         most = self._steps.max()
         #: (B, m) s, each history's last one repeated

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 from ringwear_par.arrays import FloatArray, Numbers
 from ringwear_par.contact.problem import ContactState
 from ringwear_par.history.model import WearModel
-from ringwear_par.history.sensitivity import Along
 from ringwear_par.history.state import State
+from ringwear_par.history.tangent import Along
 
 
 @dataclass(frozen=True)

@@ -19,8 +19,8 @@ from ringwear_par.contact.problem import ContactState
 from ringwear_par.history.entering import Entering, entering, entry_error
 from ringwear_par.history.model import WearModel
 from ringwear_par.history.schemes import Step, advanced
-from ringwear_par.history.sensitivity import Along
 from ringwear_par.history.state import State
+from ringwear_par.history.tangent import Along
 from ringwear_par.schedules import in_time
 from ringwear_par.wear.increment import WearIncrement
 

@@ -1,17 +1,4 @@
-"""Tangent-linear histories: derivatives of everything that is stored with respect to numbers.
-
-What is differentiated is what the program computes, its step sizes given: every contact solution,
-corrected as it is, on the factor that it ended with. On the elements in contact
-
-    K p + m (gap + depth(p, q) - excess p_near - delta) = 0,    m.p = F,
-
-so that (K + m D) p' = m (delta' - gap' - depth_q - K'p / m + (excess p_near)'), m.p' = F', and then
-depth' = D p' + depth_q. Where elements pass a kink (contact, a threshold), derivatives are those of
-one of its sides.
-
-Derivatives with respect to P numbers are (P, ..., n) of fields, (P, ...) of a history's numbers,
-and (2, P, ..., n) of what both bodies have.
-"""
+"""What numbers of a case histories have derivatives with respect to, and what these act on."""
 
 import copy
 from collections.abc import Callable, Sequence
@@ -20,82 +7,22 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ringwear_par.arrays import BoolArray, FloatArray, IntArray, Numbers, columns, inner
+from ringwear_par.arrays import FloatArray, IntArray, columns, inner
 from ringwear_par.cases.case import Case
 from ringwear_par.cases.schema import UNITS
-from ringwear_par.contact.problem import REPLICATED_LIMIT, ContactState
+from ringwear_par.contact.problem import REPLICATED_LIMIT
 from ringwear_par.elasticity.pair import ContactPair
+from ringwear_par.elasticity.slopes import obliquity
 from ringwear_par.errors import InputError, legible
 from ringwear_par.history.bodies import young
-from ringwear_par.wear.increment import VariedIncrement, WearIncrement
+from ringwear_par.wear.increment import d_averaging
 from ringwear_par.wear.law import Law, LocalState
 from ringwear_par.wear.parameters import parameters_of
 
 if TYPE_CHECKING:
-    from ringwear_par.history.entering import Entering
     from ringwear_par.history.model import WearModel
-    from ringwear_par.history.state import State
 
 _BODIES = ("lower", "upper")
-
-
-@dataclass(frozen=True)
-class Tangent:
-    """Derivatives of a state.
-
-    Parameters
-    ----------
-    wear : (2, P, ..., n) float, mm over each number's unit.
-    energy : (P, ...) float, N mm.
-    pressure, gap : (P, ..., n) float, MPa and mm, of the contact.
-    approach : (P, ...) float, mm.
-    """
-
-    wear: FloatArray
-    energy: FloatArray
-    pressure: FloatArray
-    gap: FloatArray
-    approach: FloatArray
-
-    def history(self, i: int) -> "Tangent":
-        """Return that of one of B histories."""
-        return self._each(lambda values, axis: np.take(values, i, axis))
-
-    def take(self, histories: IntArray) -> "Tangent":
-        """Return that of some of B histories."""
-        return self._each(lambda values, axis: np.take(values, histories, axis))
-
-    def _each(self, function: Any) -> "Tangent":
-        pairs = vars(self).items()
-        return Tangent(**{name: function(values, _axis(name)) for name, values in pairs})
-
-    def joined(self, other: "Tangent") -> "Tangent":
-        """Return that of the histories of both."""
-        return self._with(other, lambda *values, axis: np.concatenate(values, axis))
-
-    def updated(self, which: BoolArray, after: "Tangent") -> "Tangent":
-        """Return that of B histories, some of which have become others."""
-        rows = which[:, None]
-        return self._with(
-            after,
-            lambda old, new, axis: np.where(rows if new.ndim > 2 else which, new, old),
-        )
-
-    def _with(self, other: "Tangent", function: Any) -> "Tangent":
-        return Tangent(
-            **{
-                name: function(values, getattr(other, name), axis=_axis(name))
-                for name, values in vars(self).items()
-            }
-        )
-
-
-def _axis(name: str) -> int:
-    """Return the axis of B histories."""
-    return 2 if name == "wear" else 1
-
-
-# -- the numbers -----------------------------------------------------------------------------------
 
 
 def differentiable(case: Case) -> dict[str, str]:
@@ -111,6 +38,8 @@ def differentiable(case: Case) -> dict[str, str]:
             if _is_number(law.quantity(name)):
                 parameter = parameters_of(type(law)).get(name)
                 found[f"wear.{body}.{name}"] = "1" if parameter is None else parameter.unit
+        if law.length and "length" in parameters_of(type(law)):
+            found[f"wear.{body}.length"] = "mm"
     found["contact.friction"] = UNITS["contact.friction"]
     load = case.load
     for key, number in (
@@ -191,6 +120,14 @@ class Sensitivity:
              if key.startswith(f"wear.{body}.")]
             for body in _BODIES
         )  # fmt: skip
+        #: of bodies, which number is the length of their averages, and what it does to these
+        self.averages: dict[int, tuple[int, FloatArray]] = {}
+        line, true_area = pair.line, pair.line.area * obliquity(pair.slope)
+        for body, (own, law) in enumerate(zip(self._laws, cases[0].laws, strict=True)):
+            for row in [row for row, name in own if name == "length"]:
+                assert law is not None
+                self.averages[body] = row, d_averaging(line.r, true_area, law.length)
+                own.remove((row, "length"))
         self.friction, self.omega = rows.get("contact.friction"), rows.get("load.omega")
 
         def of_cases(numbers: list[Any]) -> Any:
@@ -249,26 +186,23 @@ class Sensitivity:
             out[self.omega] = law.d_rate_dlocal(p, at, along) / size
         return out
 
-    def d_gap(
+    def add_gap(
         self,
+        gap: FloatArray,
         products: Callable[[FloatArray, Any, FloatArray], FloatArray],
         p: FloatArray,
         at: FloatArray,
-    ) -> FloatArray | float:
-        """Return what moduli do to the gap at given pressures, (P, ..., n) mm.
+    ) -> None:
+        """Add to derivatives of the gap, (P, ..., n) mm, what moduli do at given pressures.
 
         Parameters
         ----------
         products : of matrices and pressures, see ``CorrectedContact.products``.
         p, at : (..., n) MPa, of a solution, and those that it was corrected at.
         """
-        if not self._moduli:
-            return 0.0
-        out = self.nothing(*p.shape)
         for row, moduli in self._moduli:
-            out[row] = products(moduli.symmetric, moduli.which, p - at)
-            out[row] += products(moduli.collocated, moduli.which, at)
-        return out
+            gap[row] += products(moduli.symmetric, moduli.which, p - at)
+            gap[row] += products(moduli.collocated, moduli.which, at)
 
     def torque(self, model: "WearModel", p: FloatArray, d_p: FloatArray) -> FloatArray:
         """Return derivatives of the friction torque, (P, ...) N mm."""
@@ -319,213 +253,3 @@ class _Moduli:
     def take(self, histories: IntArray) -> "_Moduli":
         """Return those of some of B histories."""
         return replace(self, which=self.which[histories])
-
-
-# -- along one step --------------------------------------------------------------------------------
-
-
-class Along:
-    """Derivatives along one step, stage by stage: told of by the scheme and its contacts.
-
-    Parameters
-    ----------
-    model : the physics, with its ``sensitivity``.
-    before : at the start of the step; None: there is no step, and nothing was worn.
-    enter : the elements that wear may bring into contact in it.
-    """
-
-    def __init__(
-        self, model: "WearModel", before: Tangent | None, enter: "Entering | None" = None
-    ) -> None:
-        assert model.sensitivity is not None
-        self._model, self._numbers, self._enter = model, model.sensitivity, enter
-        nothing = self._numbers.nothing
-        shape = model.shape
-        if before is None:
-            before = Tangent(
-                np.stack([nothing(*shape)] * 2), nothing(*shape[:-1]), nothing(*shape),
-                nothing(*shape), nothing(*shape[:-1]),
-            )  # fmt: skip
-        self._before = before
-        #: (2, P, ..., n) mm, of the wear that a stage starts from
-        self.wear = before.wear
-        #: (P, ..., n) MPa and (P, ...) mm, of the last contact
-        self.pressure, self.approach = before.pressure.copy(), before.approach.copy()
-        #: of the pressures that the next solution is corrected at
-        self._near = before.pressure
-        #: of the gap at given pressure
-        self._gap = nothing(*shape)
-        self._during: WearIncrement | None = None
-        self._varied: VariedIncrement | None = None
-        self._closes: FloatArray | None = None
-        if enter is not None:
-            self._closes = np.where(enter.late, before.gap, 0.0)
-        #: (P, ..., n) s, of the steps of elements
-        self._step: FloatArray | None = None
-        self._energy = before.energy
-
-    # -- contact -----------------------------------------------------------------------------------
-
-    def pose(self, during: WearIncrement | None) -> None:
-        """Take the wear of the next contact problem."""
-        self._during = during
-
-    def solved(self, found: ContactState, at: FloatArray, asked: Any = None) -> None:
-        """Differentiate a contact solution, see ``contact.correction.Tangents``."""
-        model, during, p = self._model, self._during, found.pressure
-        contacts = model.contacts
-        gap = self.wear[0] + self.wear[1] - contacts.d_shift(self._near)
-        gap += self._numbers.d_gap(contacts.products, p, at)
-        slope: FloatArray | None = None
-        if during is not None:
-            varied = during.varied(p, self._numbers.rates, self.wear, self._step, instant=False)
-            worn = varied.depths[0] + varied.depths[1]
-            slope = varied.slope if during.local else during.jacobian(p)
-            if during.closing is not None:
-                closed = (during.closing.gap == 0.0) | (during.depth(p) > 0.0)
-                worn = np.where(closed, worn - self._closes, 0.0)
-                slope = np.where(closed, slope, 0.0)
-            gap += worn
-            self._varied = varied
-        load = self._numbers.load
-        loads = (None, load) if model.force is None else (load, None)
-        rows = (slice(None),) if asked is None else (slice(None), asked)
-        self._gap[rows] = gap[rows]
-        self.pressure[rows], self.approach[rows] = contacts.tangents(
-            found, gap, *loads, slope, asked=asked
-        )
-        self._near = self.pressure
-
-    def unhindered(self) -> FloatArray:
-        """Return derivatives of what the last stage would wear off all along, (2, P, ..., n) mm."""
-        if self._varied is None:
-            return np.zeros_like(self.wear)
-        return self._varied.with_pressure(self.pressure)
-
-    # -- what schemes tell -------------------------------------------------------------------------
-
-    def explicit(self, increment: WearIncrement, p: FloatArray) -> None:
-        """Wear off what an explicit step does at the pressure of its start."""
-        varied = increment.varied(p, self._numbers.rates, self.wear, None, instant=True)
-        self.wear = self.wear + varied.with_pressure(self._before.pressure)
-
-    def implicit(self) -> None:
-        """Wear off what the last stage does."""
-        self.wear = self.wear + self.unhindered()
-
-    def first_stage(
-        self, p: FloatArray, worn: FloatArray, counts: FloatArray | float, share: float
-    ) -> None:
-        """Go on to the last stage of two.
-
-        Parameters
-        ----------
-        p : (..., n) MPa, at the end of the first.
-        worn : (2, ..., n) mm, unhindered.
-        counts : how many times its weight the stage counts, (..., n) or 1.
-        share : of what is worn that the last stage starts from.
-        """
-        first, lost = self.pressure.copy(), counts * self.unhindered()
-        self._counted = counts * first
-        if self._enter is not None:
-            d_counts = self._enter.d_counts(p, first, 0.0, 0.0)
-            self._counted += d_counts * p
-            lost += d_counts * worn[:, None]
-        self.wear = self.wear + share * lost
-        self._near = self._first = first
-
-    def lengthen(self, last: WearIncrement, p: FloatArray, step: Numbers) -> None:
-        """Take note that the last stage is tried again, its steps being those that ``p`` asks for.
-
-        Parameters
-        ----------
-        step : s, of which steps are so many times as much as the stage counts.
-        """
-        assert self._enter is not None
-        worn, whole = last.unhindered(p), last.step / columns(step)
-        inside, d_inside = last.share(worn), self._d_share(last, worn, self.unhindered())
-        counts = whole * inside
-        d_counts = self._enter.d_counts(p, self.pressure, counts, whole * d_inside)
-        self._step = columns(step) * np.where(self._enter.late, 0.0, d_counts)
-        self._near = self._first
-
-    def last_stage(
-        self, last: WearIncrement, p: FloatArray, worn: FloatArray, step: Numbers
-    ) -> None:
-        """Wear off what the last stage of two does, see ``first_stage`` and ``lengthen``."""
-        d_worn = self.unhindered()
-        self._counted_last = self.pressure
-        if self._enter is not None:
-            inside, d_inside = last.share(worn), self._d_share(last, worn, d_worn)
-            d_worn = inside * d_worn + d_inside * worn[:, None]
-            counts = last.step / columns(step)
-            d_counts = counts * d_inside
-            if self._step is not None:
-                d_counts = d_counts + inside * self._step / columns(step)
-            self._counted_last = counts * inside * self.pressure + d_counts * p
-        self.wear = self.wear + d_worn
-
-    def _d_share(self, last: WearIncrement, worn: FloatArray, d_worn: FloatArray) -> FloatArray:
-        """Return derivatives of ``WearIncrement.share``, (P, ..., n)."""
-        assert last.closing is not None
-        assert self._closes is not None
-        gap, total = last.closing.gap, worn[0] + worn[1]
-        inside = (gap > 0.0) & (total > gap)
-        total = np.where(inside, total, 1.0)
-        return np.where(inside, (gap * (d_worn[0] + d_worn[1]) / total - self._closes) / total, 0.0)
-
-    def work(self, lasts: Numbers, omega: Numbers, p: FloatArray, d_p: FloatArray) -> None:
-        """Dissipate the energy of a time, s, at a speed, rad/s, and a pressure."""
-        power = omega * self._numbers.torque(self._model, p, d_p)
-        if self._numbers.omega is not None:
-            power[self._numbers.omega] += self._model.torque(p)
-        self._energy = self._energy + lasts * power
-
-    @property
-    def counted(self) -> tuple[FloatArray, FloatArray]:
-        """Derivatives of the pressures of both stages, (P, ..., n), times what these count."""
-        return self._counted, self._counted_last
-
-    def reached(self, contact: ContactState) -> Tangent:
-        """Return the derivatives of the state at the end, whose contact is the last one."""
-        return Tangent(self.wear, self._energy, self.pressure, self._d_gap(contact), self.approach)
-
-    def _d_gap(self, found: ContactState) -> FloatArray:
-        """Return derivatives of the gap: 0 in contact."""
-        open_ = found.pressure <= 0.0
-        if not open_.any():
-            return np.zeros_like(self._gap)
-        gap = self._gap + self._model.contacts.deflections(self.pressure)
-        if self._during is not None and not self._during.local:
-            assert self._varied is not None
-            worn = self.unhindered() - self._varied.depths
-            gap += worn[0] + worn[1]
-        return np.where(open_, gap - self.approach[..., None], 0.0)
-
-
-# -- what is stored --------------------------------------------------------------------------------
-
-
-def variables(model: "WearModel", state: "State") -> dict[str, Any]:
-    """Return derivatives of what is stored of a state by name, (P, ...) each. Not collective.
-
-    All but that of ``penetration``, in which the first state has a part.
-    """
-    tangent, numbers = state.tangent, model.sensitivity
-    if tangent is None or numbers is None:
-        return {}
-    p, d_p = state.contact.pressure, tangent.pressure
-    volumes = model.integrals(tangent.wear)
-    return {
-        "d_approach": tangent.approach,
-        "d_force": np.asarray(inner(model.area, d_p)),
-        "d_torque": numbers.torque(model, p, d_p),
-        "d_twist": numbers.twist(model, p, d_p),
-        "d_worn_volume_lower": volumes[0],
-        "d_worn_volume_upper": volumes[1],
-        "d_dissipated_energy": tangent.energy,
-        "d_pressure": d_p,
-        "d_gap": tangent.gap,
-        "d_wear_lower": tangent.wear[0],
-        "d_wear_upper": tangent.wear[1],
-    }

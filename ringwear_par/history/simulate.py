@@ -65,6 +65,8 @@ def simulate(
     ComputationError : a step could not be made; it is named with its time.
     UnfitError : the case's own numbers do not go together, as its first contact tells.
     """
+    if start is not None and derivatives:
+        raise ValueError("a history that goes on has no derivatives: they are not stored")
     scheme, make_control = METHODS[case.time.scheme]
     if step_times is not None:
         make_control = partial(GivenSteps, step_times)

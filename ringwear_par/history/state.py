@@ -8,7 +8,7 @@ import numpy as np
 
 from ringwear_par.arrays import BoolArray, FloatArray, IntArray, Numbers
 from ringwear_par.contact.problem import ContactState, WarmStart
-from ringwear_par.history.sensitivity import Tangent
+from ringwear_par.history.tangent import Tangent
 
 
 @dataclass(frozen=True)

@@ -81,6 +81,7 @@ class DesignResult:
     pairs : of two tests: (c, c, m) predicted standard deviations; (0, 0, m) otherwise.
     histories : computed.
     versions : of the software.
+    comm : of the ranks that have looked.
     """
 
     problem: Problem
@@ -95,6 +96,7 @@ class DesignResult:
     pairs: FloatArray
     histories: int
     versions: Mapping[str, str]
+    comm: Any
 
     def __repr__(self) -> str:
         tests = " + ".join(str(self.candidates[i].told()) for i in self.designs[0].tests)
@@ -152,7 +154,9 @@ class DesignResult:
         return figure(self)
 
     def save(self, folder: str | Path) -> None:
-        """Write design.json, next.toml and design.png to a folder, which is made. On one rank.
+        """Write design.json, next.toml and design.png to a folder, which is made.
+
+        Where several ranks have looked, all of them call this, and the first writes.
 
         Raises
         ------
@@ -161,7 +165,7 @@ class DesignResult:
         """
         from ringwear_par.identification.design_summary import save
 
-        save(self, Path(folder))
+        on_first_rank(self.comm, lambda: save(self, Path(folder)))
 
 
 def _finite(value: float) -> float | None:
@@ -223,7 +227,7 @@ def design(
     single, pairs = search.singles(), search.pairs() if count == 2 else np.zeros((0, 0, 0))
     return DesignResult(
         problem, space.criterion, tests, single, tuple(best), search.planned(planned),
-        told.nominal, len(told.draws), told.after, pairs, histories + more, versions(),
+        told.nominal, len(told.draws), told.after, pairs, histories + more, versions(), comm,
     )  # fmt: skip
 
 
@@ -241,7 +245,7 @@ def run_design(
 
     on_first_rank(comm, lambda: check(folder, FILES))
     found = design(source, comm, after=after, criterion=criterion)
-    on_first_rank(comm, lambda: found.save(folder))
+    found.save(folder)
     if comm.rank == 0:
         print(found.summary())
 

@@ -89,7 +89,7 @@ def _readable(source: Source) -> Problem:
 def predicted(problem: Problem, comm: MPI.Intracomm) -> FitResult:
     """Return what a fit would find if the parameters were those of the start. Collective."""
     with StopSignals() as signals:
-        return _Posed(problem, "", Progress(None, ""), signals, comm).predicted()
+        return _Posed(problem, "", Progress(None, ""), signals, comm).predicted(comm)
 
 
 def key_of(problem: Problem) -> str:
@@ -138,7 +138,9 @@ class _Posed:
         with together(comm):
             optimum = self._with_noise(np.array(best.unknowns))
             told, covariance = estimates(squares, optimum.x, optimum.evaluation)
-            told, profiles = likelihood_profiles(squares, optimum, told, covariance)
+            told, profiles = likelihood_profiles(
+                squares, optimum, told, covariance, lambda: bool(self._signals.received)
+            )
         spent += histories.count - after
         self._refuse_stop(comm)
         posterior = None
@@ -153,17 +155,17 @@ class _Posed:
             self._refuse_stop(comm)
         return FitResult(
             squares, optimum.x, optimum.evaluation, told, covariance, tuple(starts), spent,
-            alternatives, profiles, versions(), posterior,
+            alternatives, profiles, versions(), comm, posterior,
         )  # fmt: skip
 
-    def predicted(self) -> FitResult:
+    def predicted(self, comm: MPI.Intracomm) -> FitResult:
         """Return what would be found at the start. Not collective."""
         squares = self._squares
         x = squares.started(list(self._problem.start.values()))
         found = squares.evaluate(x)
         told, covariance = estimates(squares, x, found)
         return FitResult(
-            squares, x, found, told, covariance, (), self._histories.count, {}, {}, versions()
+            squares, x, found, told, covariance, (), self._histories.count, {}, {}, versions(), comm
         )
 
     def _best(self, starts: list[Started]) -> Started:
@@ -242,11 +244,8 @@ def run_fit(
     with together(comm):
         reject_unused_options()
 
-    def write() -> None:
-        found.save(folder)
-        Progress(folder, "").forget()
-
-    on_first_rank(comm, write)
+    found.save(folder)
+    on_first_rank(comm, Progress(folder, "").forget)
     if comm.rank == 0:
         print(found.summary())
         for sentence in found.warnings:

@@ -115,13 +115,13 @@ class Histories:
             groups[self._owners[experiment]].append(number)
         found: dict[int, Result | Exception] = {}
         for key, numbers in groups.items():
-            blocks = computed(
+            parts = computed(
                 [cases[number] for number in numbers], self._pairs[key], keep_ends=True,
                 derivatives=[derivative_key(key) for key in self._keys if derivatives],
                 step_times=[grids[wanted[number][1]] for number in numbers],
             )  # fmt: skip
-            for block in blocks:
-                for place, result in zip(block.numbers, block.results(), strict=True):
+            for part in parts:
+                for place, result in zip(part.numbers, part.results(), strict=True):
                     found[numbers[place]] = result
         self.count += len(cases)
         return [found[number] for number in range(len(cases))]

@@ -7,7 +7,9 @@ import numpy as np
 
 from ringwear_par.arrays import BoolArray, FloatArray
 from ringwear_par.contact.tao import Guard
+from ringwear_par.errors import ComputationError, LawError
 from ringwear_par.identification.least_squares import Evaluation
+from ringwear_par.identification.lockstep import StoppedError
 from ringwear_par.identification.problem import Method
 from ringwear_par.options import FIT_PREFIX, set_from_options
 from ringwear_par.petsc import PETSc
@@ -22,6 +24,8 @@ _GOOD_GRADIENT = 1e-2
 _ITERATIONS, _SCALES = 8, 10
 #: decrease of half the sum of squares on one scale that is none: 0.01 sd along the valley
 _NO_GAIN = 1e-4
+#: how much larger residuals are where there is no history
+_FAR = 1e3
 #: singular values of nuisances below it, over the largest: they are one
 _DEPENDENT = 1e-10
 #: relative to the Jacobian: keeps steps finite in directions that nothing is known of
@@ -123,18 +127,28 @@ class _Reduced:
         sizes = np.linalg.norm(self._at(x[sought])[2], axis=0)
         widths = np.where(np.isfinite(self._high - self._low), self._high - self._low, 1.0)
         self._scale = np.where(sizes > 0, 1.0 / np.where(sizes > 0, sizes, 1.0), widths)
-        self._last = None
         #: where it starts, and the bounds
         self.start, self.low, self.high = (
             value / self._scale for value in (x[sought], self._low, self._high)
         )
+        self._last = None
+        self._at(self.start)
 
     def _at(self, y: FloatArray) -> tuple[bytes, FloatArray, FloatArray, FloatArray]:
         """Return residuals, Jacobian and unknowns."""
         if self._last is None or self._last[0] != y.tobytes():
             x = self._x.copy()
             x[self._sought] = np.clip(y * self._scale, self._low, self._high)
-            found = self._evaluate(x)
+            try:
+                found = self._evaluate(x)
+            except (StoppedError, LawError):
+                raise
+            except ComputationError:  # a trial too far: a ring worn through, say
+                if self._last is None:
+                    raise
+                far = np.full_like(self._last[1], _FAR * (1.0 + np.abs(self._last[1]).max()))
+                self._last = y.tobytes(), far, np.zeros_like(self._last[2]), x
+                return self._last
             residuals, jacobian = found.residuals, found.jacobian[:, self._sought] * self._scale
             if self._projected.any():
                 columns = found.jacobian[:, self._projected]

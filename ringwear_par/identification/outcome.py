@@ -39,6 +39,7 @@ class FitResult:
     alternatives : outcomes under other laws, by name.
     profiles : of the likelihood, by key: (2, points) values and what the sum of squares grows by.
     versions : of the software.
+    comm : of the ranks that have fitted.
     posterior : samples of the fitted keys, where they were asked for.
     """
 
@@ -52,6 +53,7 @@ class FitResult:
     alternatives: "Mapping[str, FitResult]"
     profiles: Mapping[str, FloatArray]
     versions: Mapping[str, str]
+    comm: Any
     posterior: Posterior | None = None
 
     def __repr__(self) -> str:
@@ -235,7 +237,9 @@ class FitResult:
         return figure(self)
 
     def save(self, folder: str | Path) -> None:
-        """Write fit.json, results.h5, fit.png and parameters.png to a folder. On one rank.
+        """Write fit.json, results.h5 and both figures to a folder, which is made.
+
+        Where several ranks have fitted, all of them call this, and the first writes.
 
         Raises
         ------
@@ -243,8 +247,9 @@ class FitResult:
         ComputationError : the disk.
         """
         from ringwear_par.identification.storing import save
+        from ringwear_par.parallel import on_first_rank
 
-        save(self, Path(folder))
+        on_first_rank(self.comm, lambda: save(self, Path(folder)))
 
     def correlations(self) -> list[tuple[str, str, float]]:
         """Return pairs of fitted keys and nuisances and their correlation, the strongest first."""

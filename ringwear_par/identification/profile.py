@@ -5,15 +5,17 @@ allows when all other unknowns make the best of it.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from scipy.stats import chi2
 
 from ringwear_par.arrays import FloatArray
 from ringwear_par.identification.intervals import ParameterEstimate
-from ringwear_par.identification.least_squares import LeastSquares
+from ringwear_par.identification.least_squares import Evaluation, LeastSquares
+from ringwear_par.identification.lockstep import Meet, StoppedError, side_by_side
 from ringwear_par.identification.minimise import Optimum, minimise
 
 #: of the root of the growth of the sum of squares, at which a limit is found
@@ -26,15 +28,18 @@ def likelihood_profiles(
     optimum: Optimum,
     estimates: Sequence[ParameterEstimate],
     covariance: FloatArray,
+    stop: Callable[[], bool],
 ) -> tuple[tuple[ParameterEstimate, ...], dict[str, FloatArray]]:
     """Return estimates with limits of the profile, and the profiles by key.
 
-    Where they are not asked for all stays as it is. Not collective.
+    Where they are not asked for all stays as it is. All limits are sought side by side. Not
+    collective.
 
     Parameters
     ----------
     estimates : with linear limits.
     covariance : (u, u) of the unknowns.
+    stop : tells that the search is to be given up.
 
     Returns
     -------
@@ -43,27 +48,41 @@ def likelihood_profiles(
     """
     if "profile" not in squares.problem.settings.intervals:
         return tuple(estimates), {}
-    found, profiles = [], {}
+    level = squares.problem.settings.level
+    tables: dict[int, dict[float, float]] = {}
+    sought = []
     for j, estimate in enumerate(estimates):
         if estimate.verdict == "not identified":
-            found.append(estimate)
             continue
+        tables[j] = {float(optimum.x[j]): 0.0}
         one_sided = estimate.verdict == "at bound"
-        level = squares.problem.settings.level
-        wanted = math.sqrt(float(chi2.ppf(2.0 * level - 1.0 if one_sided else level, 1)))
-        points: dict[float, float] = {float(optimum.x[j]): 0.0}
-        limits = tuple(
-            None
-            if one_sided and estimate.interval[side] is None
-            else _limit(squares, optimum, covariance, j, (-1.0, 1.0)[side], wanted, points)
+        root = math.sqrt(float(chi2.ppf(2.0 * level - 1.0 if one_sided else level, 1)))
+        sought += [
+            (j, side, root)
             for side in (0, 1)
-        )
+            if not one_sided or estimate.interval[side] is not None
+        ]
+    searches = [
+        partial(_limit, squares, optimum, covariance, j, (-1.0, 1.0)[side], root, tables[j])
+        for j, side, root in sought
+    ]
+    limits: dict[tuple[int, int], float | None] = {}
+    outcomes = side_by_side(searches, squares.look_up, stop)
+    for (j, side, _), outcome in zip(sought, outcomes, strict=True):
+        if isinstance(outcome, StoppedError):
+            return tuple(estimates), {}
+        if isinstance(outcome, BaseException):
+            raise outcome
+        limits[j, side] = outcome
+    found, profiles = list(estimates), {}
+    for j, points in tables.items():
         parameter = squares.problem.parameters[j]
-        low, high = (None if limit is None else parameter.value(limit) for limit in limits)
-        found.append(replace(estimate, interval=(low, high)))
+        ends = (limits.get((j, side)) for side in (0, 1))
+        low, high = (None if end is None else parameter.value(end) for end in ends)
+        found[j] = replace(estimates[j], interval=(low, high))
         table = np.array(sorted(points.items())).T
         table[0] = [parameter.value(u) for u in table[0]]
-        profiles[estimate.key] = table
+        profiles[parameter.key] = table
     return tuple(found), profiles
 
 
@@ -75,6 +94,7 @@ def _limit(
     side: float,
     wanted: float,
     points: dict[float, float],
+    meet: Meet,
 ) -> float | None:
     """Return the unknown at which the root of the growth is ``wanted``; None: at no bound either.
 
@@ -88,6 +108,12 @@ def _limit(
     bounds, method = (squares.lower, squares.upper), squares.problem.settings.method
     held = squares.idle
     held[j] = True
+
+    def evaluate(x: FloatArray) -> Evaluation:
+        if not squares.knows(x):
+            meet(x)
+        return squares.evaluate(x)
+
     sd = math.sqrt(covariance[j, j])
     centre, end = float(optimum.x[j]), float(bounds[0][j] if side < 0 else bounds[1][j])
     # how the others follow where the model is linear
@@ -101,9 +127,7 @@ def _limit(
         at = max(at, end) if side < 0 else min(at, end)
         start = x + follow * (at - before)
         start[j] = at
-        best = minimise(
-            squares.evaluate, np.clip(start, *bounds), bounds, method, held, squares.linear
-        )
+        best = minimise(evaluate, np.clip(start, *bounds), bounds, method, held, squares.linear)
         growth = max(2.0 * (best.evaluation.objective - least), 0.0)
         points[at] = growth
         root, step, x, before = math.sqrt(growth), abs(at - centre), best.x, at

@@ -32,8 +32,8 @@ _NUISANCES = {
 _SMOOTH = 9
 #: of the largest reading: below it a relative error means nothing
 _NEAR_ZERO = 0.05
-#: relative to the end of the test, for times in other units
-_CLOSE = 1e-9
+#: of the test: times that are rounded, in minutes, say, may be so much later than its end
+_ROUNDED = 2e-4
 _FAULTS_TOLD = 5
 
 #: reads a table of measurements, once
@@ -95,7 +95,7 @@ def read_series(
     end = math.inf if case is None else case.time.end
     at = reader.read("at", number(0.0), None)
     density = reader.read("density", number(0.0), ...) if kind == "mass" else 1.0
-    if at is not None and at > end * (1.0 + _CLOSE):
+    if at is not None and at > end:
         reader.wrong("at", f"must be within the test, which ends at {end:g} s")
     if kind == "profile" and "file" not in reader:
         reader.wrong("file", "must be the name of a table of depths over radii")
@@ -121,6 +121,8 @@ def read_series(
         scale = single_scale
         x, value = np.array([end if at is None else at]), np.array([scale * single])
         lines, where, data, rows = None, "", None, np.ones(1, dtype=bool)
+    if kind != "profile":
+        x = np.where(x > end * (1.0 + _ROUNDED), x, np.minimum(x, end))
     keep = np.ones(len(x), dtype=bool)
     for low, high in _intervals(reader):
         keep &= (x < low) | (x > high)
@@ -319,7 +321,7 @@ def _check_times(reader: TableReader, series: Series, case: Case) -> None:
 
     for i in np.flatnonzero(np.diff(x) <= 0).tolist():
         faults.append(f"{line(i + 1)}time {x[i + 1]:g} s after {x[i]:g} s: times must increase")
-    for i in np.flatnonzero((x < 0) | (x > end * (1.0 + _CLOSE))).tolist():
+    for i in np.flatnonzero((x < 0) | (x > end)).tolist():
         faults.append(
             f"{line(i)}time {x[i]:g} s: must be within the test, from 0 to {end:g} s (time.end)"
         )

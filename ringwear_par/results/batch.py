@@ -15,9 +15,9 @@ from ringwear_par.elasticity.pair import ContactPair
 from ringwear_par.errors import reason_of
 from ringwear_par.history.balances import TO_ROUND_OFF, Balances, balances
 from ringwear_par.history.sensitivity import units_of
-from ringwear_par.history.sensitivity import variables as derivatives_of
 from ringwear_par.history.snapshots import BatchSnapshot
 from ringwear_par.history.state import Progress, State
+from ringwear_par.history.tangent import variables as derivatives_of
 from ringwear_par.results.checkpoints import take
 from ringwear_par.results.columns import HistoryColumns
 from ringwear_par.results.doubts import Doubt, doubts_at, unstable

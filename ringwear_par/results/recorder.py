@@ -19,9 +19,9 @@ from ringwear_par.history.boundaries import BoundaryObserver
 from ringwear_par.history.model import WearModel
 from ringwear_par.history.saving import stores
 from ringwear_par.history.sensitivity import units_of
-from ringwear_par.history.sensitivity import variables as derivatives_of
 from ringwear_par.history.snapshots import Snapshot
 from ringwear_par.history.state import Start, State
+from ringwear_par.history.tangent import variables as derivatives_of
 from ringwear_par.info import versions
 from ringwear_par.results.checkpoints import restored, take
 from ringwear_par.results.doubts import Doubt, doubts, instability

@@ -1,7 +1,8 @@
 """The wear of one implicit step: a convex part of the contact problem, whatever the laws."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -9,6 +10,7 @@ import numpy as np
 from ringwear_par.arrays import FloatArray, IntArray, columns
 from ringwear_par.errors import ComputationError, InputError
 from ringwear_par.schedules import history, take
+from ringwear_par.wear.derivatives import COMPLEX_STEP
 from ringwear_par.wear.law import Law, LocalState, WearLaw, complete
 
 _MEMORY_ITERATIONS = 60
@@ -20,13 +22,13 @@ RateVariation = Callable[[int, Law, FloatArray, LocalState], FloatArray]
 _GAUSS = tuple(0.5 * v for v in np.polynomial.legendre.leggauss(8))
 
 
-def averaging(r: FloatArray, area: FloatArray, length: float) -> FloatArray:
+def averaging(r: FloatArray, area: FloatArray, length: complex) -> FloatArray:
     """Return the (n, n) matrix of Gaussian averages over a length.
 
     Rows sum to 1 and ``diag(area) A`` is symmetric, so that constants and area integrals are
     kept (Sinkhorn's scaling).
     """
-    if length <= 0.0:
+    if length == 0.0:
         return np.eye(len(r))
     kernel = np.exp(-0.5 * ((r[:, None] - r) / length) ** 2) * area[:, None] * area
     scale = 1.0 / np.sqrt(kernel.sum(axis=1) / area)
@@ -38,6 +40,11 @@ def averaging(r: FloatArray, area: FloatArray, length: float) -> FloatArray:
     symmetric = scale[:, None] * kernel * scale
     matrix = symmetric / area[:, None]
     return matrix / matrix.sum(axis=1)[:, None]
+
+
+def d_averaging(r: FloatArray, area: FloatArray, length: float) -> FloatArray:
+    """Return the derivative of the matrix of averages with respect to its length, (n, n) 1/mm."""
+    return np.imag(averaging(r, area, length + 1j * COMPLEX_STEP)) / COMPLEX_STEP
 
 
 def averaged(average: FloatArray, x: FloatArray) -> FloatArray:
@@ -223,6 +230,7 @@ class WearIncrement:
         d_wear: FloatArray,
         d_step: FloatArray | None,
         instant: bool,
+        d_averages: Mapping[int, tuple[int, FloatArray]] = MappingProxyType({}),
     ) -> "VariedIncrement":
         """Return how the unhindered depths vary with P numbers, and with pressure.
 
@@ -233,8 +241,9 @@ class WearIncrement:
         d_wear : (2, P, ..., n) mm, derivatives of the wear before the step.
         d_step : (P, ..., n) s, those of ``step``; None: 0.
         instant : whether rates are those before the step, as in explicit steps.
+        d_averages : of bodies, which number their averages depend on, and (n, n) how.
         """
-        depths, slopes = np.zeros(d_wear.shape), []
+        bodies = []
         for i, law, at, average in self._each:
             q = np.maximum(p if average is None else averaged(average, p), 0.0)
             within = law.remembers and not instant
@@ -252,9 +261,14 @@ class WearIncrement:
                 left = 1.0 - self.step * before
                 change /= left
                 slope = slope / left
-            slopes.append((i, slope, average))
-            depths[i] = self._axial(change if average is None else averaged(average, change))
-        return VariedIncrement(depths, slopes, self.obliquity)
+            row, d_average = d_averages.get(i, (0, None))
+            if d_average is not None:
+                change[row] += slope * averaged(d_average, p)
+            depths = self._axial(change if average is None else averaged(average, change))
+            if d_average is not None:
+                depths[row] += self._axial(averaged(d_average, self.step * law.rate(q, there)))
+            bodies.append((i, depths, slope, average))
+        return VariedIncrement(bodies, self.obliquity)
 
     def _axial(self, normal: FloatArray) -> FloatArray:
         """Return along the axis what is (..., n) along the normal."""
@@ -391,30 +405,37 @@ class VariedIncrement:
 
     Parameters
     ----------
-    depths : (2, P, ..., n) mm, of lower and upper, at given pressure.
-    slopes : of each body that wears: which it is, (..., n) mm/MPa along the normal, its average.
+    bodies : of each that wears: which it is; (P, ..., n) mm, at given pressure; (..., n) mm/MPa,
+        its slope along the normal; its average.
     obliquity : as of the increment.
     """
 
-    depths: FloatArray
-    slopes: Sequence[tuple[int, FloatArray, FloatArray | None]]
+    bodies: Sequence[tuple[int, FloatArray, FloatArray, FloatArray | None]]
     obliquity: FloatArray | None
 
     @property
     def slope(self) -> FloatArray:
         """``WearIncrement.d_depth_dp`` of local laws in contact all along, (..., n) mm/MPa."""
-        total = _total([slope for _, slope, _ in self.slopes])
+        total = _total([slope for _, _, slope, _ in self.bodies])
         return total if self.obliquity is None else self.obliquity * total
 
-    def with_pressure(self, d_p: FloatArray) -> FloatArray:
-        """Return the same, (2, P, ..., n) mm, as the pressure varies too, by (P, ..., n) MPa."""
-        total = self.depths.copy()
-        for i, slope, average in self.slopes:
+    @property
+    def depth(self) -> FloatArray:
+        """(P, ..., n) mm, of both bodies together at given pressure."""
+        return _total([depths for _, depths, _, _ in self.bodies])
+
+    def with_pressure(self, d_p: FloatArray) -> dict[int, FloatArray]:
+        """Return (P, ..., n) mm of each body, as the pressure varies by (P, ..., n) MPa."""
+        found = {}
+        for i, depths, slope, average in self.bodies:
             change = slope * (d_p if average is None else averaged(average, d_p))
             if average is not None:
                 change = averaged(average, change)
-            total[i] += change if self.obliquity is None else self.obliquity * change
-        return total
+            if self.obliquity is not None:
+                change *= self.obliquity
+            change += depths
+            found[i] = change
+        return found
 
 
 def _total(parts: list[FloatArray]) -> FloatArray:

@@ -97,9 +97,7 @@ def test_an_earlier_fit_counts(tables, comm, tmp_path):
     source = tables()
     earlier = fit(source, comm, compare=False)
     folder = MPI.COMM_WORLD.bcast(str(tmp_path)) if comm.size > 1 else str(tmp_path)
-    if comm.rank == 0:
-        earlier.save(folder)
-    comm.barrier()
+    earlier.save(folder)
     found = rw.design(source, comm, after=folder)
     assert found.after == folder
     assert found.nominal == pytest.approx([p.estimate for p in earlier.parameters])
