@@ -19,7 +19,7 @@ from typing import Any, NoReturn
 
 from ringwear_par import __version__
 from ringwear_par.errors import LONGEST_SENTENCE, InputError, RingwearError, legible
-from ringwear_par.stopping import StopAtOnce, Stopped, remark
+from ringwear_par.stopping import StopAtOnce, Stopped, ignore_at_end, remark
 
 #: how long a rank that fails waits for the others to fail alike, and one that is stopped: mpirun
 #: kills a second after its signal
@@ -353,6 +353,8 @@ def main(argv: Sequence[str] | None = None) -> int:
             return world.end(
                 f"stopped by {stopped}{_left(words)}{remark(stopped.number)}", 1, STOP_SECONDS
             )
+    finally:
+        ignore_at_end()
     return status
 
 

@@ -1,5 +1,6 @@
 """Signals that ask to stop: at once while there is nothing to keep, later after a step."""
 
+import atexit
 import os
 import signal
 import sys
@@ -17,6 +18,17 @@ _LATER_SECONDS = 0.05
 def name_of(number: int) -> str:
     """Return the name of a signal."""
     return signal.Signals(number).name
+
+
+def ignore_at_end() -> None:
+    """Ignore them all once Python ends: what there was to stop is over, its status is known."""
+    atexit.unregister(_ignore)
+    atexit.register(_ignore)
+
+
+def _ignore() -> None:
+    for number in SIGNALS:
+        signal.signal(number, signal.SIG_IGN)
 
 
 def remark(number: int) -> str:

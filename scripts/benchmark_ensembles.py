@@ -1,7 +1,8 @@
 """Histories a second of ensembles: what ``scripts/benchmark.py --ensembles`` prints.
 
 The paper's rings, 200 s; k, p0 and load are drawn by Sobol. "Together" is ``rw.simulate_all``,
-checks and results included; "alone" is ``rw.simulate``, one case after another, of some of them.
+checks and results included; "alone" is ``rw.simulate``, one case after another, of sixteen of them,
+chosen evenly by their numbers of steps.
 The bare loop is what a script does that has the compliance of both bodies, here ours: 200 explicit
 steps, in each of which NumPy solves the bordered system of the elements in contact. All of one kind
 are timed in turns; medians. A sweep is ``ringwear sweep`` from the command to its files; outside of
@@ -55,6 +56,8 @@ KINDS: dict[str, dict[str, Any]] = {
     "growing contact": {**_ADAPTIVE, "upper.profile": _CROWN},
     "own moduli": _ADAPTIVE,
 }
+#: histories that are timed alone
+_ALONE = 16
 _ONE_STEP = {"time.steps": 1, "output.profiles": "last", "mesh.contact_elements": 8}
 
 
@@ -108,9 +111,12 @@ def _seconds(action: Callable[[], object]) -> float:
 def measure(kind: str, count: int, elements: int, repeats: int) -> tuple[float, float, float]:
     """Return histories a second together, alone, and of the bare loop."""
     cases, alone = cases_of(kind, count, elements), MPI.COMM_SELF
-    few, pair = cases[:: max(count // 8, 1)], rw.assemble(cases[0], alone)
+    pair = rw.assemble(cases[0], alone)
+    # histories differ by ten times in their steps: those alone are chosen evenly by them
+    steps = [len(result.histories["time"]) for result in rw.simulate_all(cases, alone)]
+    parts = np.array_split(np.argsort(steps, kind="stable"), min(_ALONE, count))
+    few = [cases[part[len(part) // 2]] for part in parts]
     plain = cases_of("adaptive", len(few), elements)
-    rw.simulate_all(cases[:16], alone)  # compiled code is loaded
     actions: dict[Callable[[], object], int] = {
         lambda: rw.simulate_all(cases, alone): count,
         lambda: [rw.simulate(case, alone, pair=pair) for case in few]: len(few),

@@ -179,7 +179,7 @@ def test_what_is_no_case_is_told_what_makes_one(case, comm):
             rw.simulate(wrong, comm)
         with pytest.raises(rw.InputError, match=words.format("assemble", kind)):
             rw.assemble(wrong, comm)
-        with pytest.raises(rw.InputError, match=words.format("simulate_all", kind)):
+        with pytest.raises(rw.InputError, match=words.format(r"simulate_all: cases\[1\]", kind)):
             rw.simulate_all([case, wrong], comm)
     for wrong in (case, str(PAPER)):
         with pytest.raises(rw.InputError, match="simulate_all: a list of cases is needed, not"):
@@ -224,7 +224,7 @@ def test_what_is_shown_of_objects_is_short(case, pair, comm):
     )
     assert repr(result.line) == "<ContactLine: 16 elements, r = 28.5 to 31.5 mm>"
     failed = rw.FailedResult(case.text, rw.ComputationError("step 3: no"))
-    assert repr(failed) == "<FailedResult: ComputationError: step 3: no>"
+    assert repr(failed) == f"<FailedResult: {case.title}: ComputationError: step 3: no>"
     study = rw.read_study({"case": str(PAPER), "vary": {"load.pressure": {"values": [40, 80]}}})
     assert repr(study) == "<Study study: grid, cases: 2, operators: 1, varied: load.pressure>"
 

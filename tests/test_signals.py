@@ -154,6 +154,31 @@ def test_nohup_is_respected(tmp_path):
     assert "stopped" not in errors
 
 
+@pytest.mark.parametrize("number", NUMBERS)
+def test_a_signal_at_the_end_of_the_program_is_too_late(tmp_path, number):
+    """What it came to is written: MPI and Python's own end take some time yet."""
+    program = """
+import atexit, sys, time
+from pathlib import Path
+
+def end():
+    Path("waits_1").touch()
+    limit = time.monotonic() + 60.0
+    while not Path("go").exists() and time.monotonic() < limit:
+        time.sleep(0.005)
+
+atexit.register(end)
+from ringwear_par.cli import main
+sys.exit(main(["info", "--schema"]))
+"""
+    with started([sys.executable, "-c", program], tmp_path) as process:
+        wait_for((tmp_path / "waits_1").exists, process)
+        process.send_signal(number)
+        (tmp_path / "go").touch()
+        _, errors = process.communicate(timeout=60)
+    assert (process.returncode, errors) == (0, "")
+
+
 def test_a_signal_while_an_object_is_taken_down_stops_all_the_same():
     program = """
 import os, signal, sys, time

@@ -21,6 +21,8 @@ from ringwear_par.wear.law import Law, WearLaw, complete
 Overrides = Mapping[str, Any] | Sequence[str]
 #: times closer than this share of them are one
 SAME_TIME = 1e-12
+#: first line of a stored text that is not the whole truth
+CHANGED = "# changed in Python after it was read: not all of this is as run"
 
 
 @dataclass(frozen=True)
@@ -263,7 +265,7 @@ class Case:
         """The text to be stored: one that is not the whole truth says so."""
         if self.rebuild is not None:
             return self.text
-        return f"# changed in Python after it was read: not all of this is as run\n{self.text}"
+        return f"{CHANGED}\n{self.text}"
 
 
 def need_case(given: object, name: str) -> None:

@@ -304,7 +304,7 @@ def _pressure(axes: Any, result: Result, label: str, rows: Sequence[int]) -> Non
     mean = result.histories["force"][list(rows)] / np.where(touched > 0.0, touched, np.inf)
     top = 3.0 * float(mean.max())
     if highest > top:
-        label = f"{label} (peak {highest:.0f} MPa cut)"
+        label = f"{label}\npeak {highest:.0f} MPa cut"
     _profiles(axes, result, label, rows, lambda row: pressure[row])
     if highest > 0.0:
         axes.set_ylim(0.0, min(top, 1.1 * highest))

@@ -29,6 +29,7 @@ from ringwear_par.results.variables import (
     STEPS_MADE,
     Variable,
 )
+from ringwear_par.textfiles import parse_toml
 
 if TYPE_CHECKING:
     import xarray
@@ -214,7 +215,11 @@ class FailedResult:
     error: RingwearError
 
     def __repr__(self) -> str:
-        return f"<FailedResult: {type(self.error).__name__}: {self.error}>"
+        try:
+            title = parse_toml(self.case, "case").get("title")
+        except InputError:  # whatever text it was given
+            title = None
+        return f"<FailedResult: {title or 'no title'}: {type(self.error).__name__}: {self.error}>"
 
 
 def balance_attributes(balances: Mapping[str, float]) -> dict[str, float]:

@@ -5,6 +5,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from ringwear_par.cases.case import CHANGED
+from ringwear_par.cases.keys import read_keys
+from ringwear_par.cases.schema import BY_PATH
+from ringwear_par.cases.values import is_number
 from ringwear_par.errors import LONGEST_SENTENCE, InputError, legible
 
 if TYPE_CHECKING:
@@ -95,6 +99,20 @@ def _trust(result: "Result") -> list[str]:
         when = ""
         if about.get("step_error_time"):
             when = f", in the step to t = {about['step_error_time']:g} s"
-        most = f"{1e3 * off['step_error']:.1e} um at most{when}"
+        most = f"{_plain(1e3 * off['step_error'])} um at most{_tolerance(result)}{when}"
         lines.append(f"estimated error of wear of a time step: {most}")
     return lines
+
+
+def _plain(value: float) -> str:
+    """Return a number in two digits, without an exponent as long as it is not very small."""
+    return f"{float(f'{value:.2g}'):g}"
+
+
+def _tolerance(result: "Result") -> str:
+    """Return what the errors of time steps were held to, "" where the stored case does not say."""
+    if result.attributes.get("scheme") != "adaptive" or result.case.startswith(CHANGED):
+        return ""
+    key = BY_PATH["time.tolerance"]
+    tolerance = read_keys(result.case).get(key.path, key.default)
+    return f" (tolerance {1e3 * tolerance:g} um)" if is_number(tolerance) else ""

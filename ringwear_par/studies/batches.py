@@ -48,7 +48,7 @@ def _block(case: Case, most: int, parameters: int = 0) -> int:
 
 
 @dataclass(frozen=True)
-class Block:
+class Computed:
     """Cases that were computed together.
 
     Parameters
@@ -92,7 +92,7 @@ def computed(
     keep_ends: bool = False,
     derivatives: Sequence[str] = (),
     step_times: Sequence[Sequence[float]] | None = None,
-) -> Iterator[Block]:
+) -> Iterator[Computed]:
     """Yield blocks of cases as they are computed, on this rank alone, until ``stop`` says so.
 
     Each case gets the same, to the last bit, in whatever company. Failures are among what is
@@ -136,13 +136,13 @@ def computed(
                     if (one := _alone(own[place], lender, stop, derivatives, grid)) is None:
                         return
                     alone[place] = one
-                yield Block(tuple(part), recorder, alone)
+                yield Computed(tuple(part), recorder, alone)
         for number in sorted(singles, key=lambda n: young(cases[n])):
             grid = None if step_times is None else step_times[number]
             if (one := _alone(cases[number], lender, stop, derivatives, grid)) is None:
                 return
             recorder = BatchRecorder([cases[number]], pair, derivatives=derivatives)
-            yield Block((number,), recorder, {0: one})
+            yield Computed((number,), recorder, {0: one})
 
 
 def _alone(

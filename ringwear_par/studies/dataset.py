@@ -6,7 +6,6 @@ with NaN; ``steps_stored`` and ``elements`` say how much is there. Both files ap
 
 import csv
 import math
-import zlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -24,7 +23,15 @@ from ringwear_par.cases.text import toml_value
 from ringwear_par.cases.values import is_number
 from ringwear_par.errors import InputError
 from ringwear_par.results.hdf5 import atomic_hdf5
-from ringwear_par.results.variables import ELEMENT, HISTORIES, LINE, PROFILES, Variable
+from ringwear_par.results.variables import HISTORIES, LINE, PROFILES, Variable
+from ringwear_par.studies.case_variables import (
+    WINDOW,
+    ColumnWriter,
+    make_scales,
+    make_variable,
+    text_dtype,
+    text_window,
+)
 from ringwear_par.studies.index import (
     STATUS,
     Index,
@@ -44,17 +51,10 @@ from ringwear_par.studies.results_file import (
     TABLE,
     cases_at_once,
     over_cases,
-    power_of_2,
 )
 from ringwear_par.studies.variations import Column, path_of, value_of
 
 _COLUMNS = ("status", "error", *FINAL, "seconds", "in_study", "version", "flags")
-#: of a chunk in the file
-_CHUNK_BYTES = 256e3
-#: most cases that are made texts of, or are rows of a table, at once
-_WINDOW = 2**13
-#: a variable whose first chunk gzip makes so much smaller is stored so; it takes no time then
-_WORTH_IT = 8
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,7 +133,7 @@ class _Writer:
         # cases that are stored together are read together
         stored = index.source.astype(np.int64) * (int(index.block.max(initial=0)) + 1) + index.block
         self._block = self._of_cases(np.unique(stored, return_inverse=True)[1], -1)
-        _make_scales(
+        make_scales(
             file, listing.ids, int(self._rows.max(initial=0)) or 1,
             int(self._elements.max(initial=0)) or 1,
         )  # fmt: skip
@@ -175,7 +175,7 @@ class _Writer:
         ]
         shapes = {v.name: tuple(len(file[axis]) for axis in v.dimensions) for v in variables}
         window = cases_at_once(8 * max(map(math.prod, shapes.values())))
-        columns: dict[str, _Column] = {}
+        columns: dict[str, ColumnWriter] = {}
         common = _CommonSteps()
         for start in range(0, max(len(entry), 1), window):
             stop = min(start + window, len(entry))
@@ -197,7 +197,9 @@ class _Writer:
                     self._final[name][start + some] = table[some, last]
                 if not start:
                     own = over_cases(variable)
-                    columns[name] = _Column(_make(file, own, float, window, sample=table))
+                    columns[name] = ColumnWriter(
+                        make_variable(file, own, float, window, sample=table)
+                    )
                 columns[name].write(start, table)
                 self._check_disk()
         if common.steps is not None and len(common.steps) == len(file["step"]):
@@ -218,7 +220,7 @@ class _Writer:
             ("elements", self._elements),
             *((f"final_{name}", values) for name, values in self._final.items()),
         ):
-            _make(file, OF_CASES[name], values.dtype, _WINDOW)[:] = values
+            make_variable(file, OF_CASES[name], values.dtype, WINDOW)[:] = values
         self._write_varied()
 
     @cached_property
@@ -240,9 +242,9 @@ class _Writer:
 
     def _write_words(self, variable: Variable, words: "_Words") -> None:
         """Write texts of cases, window by window."""
-        kind = _text_dtype(words.there.dtype.itemsize)
-        window = _text_window(kind)
-        column = _Column(_make(self._file, variable, kind, window, gzip=True))
+        kind = text_dtype(words.there.dtype.itemsize)
+        window = text_window(kind)
+        column = ColumnWriter(make_variable(self._file, variable, kind, window, gzip=True))
         for start in range(0, len(words.codes), window):
             column.write(start, words.of(slice(start, start + window)))
         self._check_disk()
@@ -253,12 +255,14 @@ class _Writer:
         known = len(listing.columns[0]) if listing.columns else count
         longest = listing.index.longest if self._there.any() else 1
         missing = np.flatnonzero(~self._there)
-        for start in range(0, len(missing), _WINDOW):
-            texts = listing.texts(missing[start : start + _WINDOW])
+        for start in range(0, len(missing), WINDOW):
+            texts = listing.texts(missing[start : start + WINDOW])
             longest = max(longest, *map(_size, texts))
-        kind = _text_dtype(longest)
-        window = _text_window(kind)
-        column = _Column(_make(self._file, OF_CASES["case_toml"], kind, window, gzip=True))
+        kind = text_dtype(longest)
+        window = text_window(kind)
+        column = ColumnWriter(
+            make_variable(self._file, OF_CASES["case_toml"], kind, window, gzip=True)
+        )
         for start in range(0, count, window):
             stop = min(start + window, count)
             found: list[str] = [""] * (stop - start)
@@ -290,7 +294,7 @@ class _Writer:
             if numbers:
                 known = column.each(_number) if column.numbers is None else column.numbers
                 values = np.concatenate([known, list(map(_number, more))])
-                _make(file, variable, float, _WINDOW)[:] = values
+                make_variable(file, variable, float, WINDOW)[:] = values
             else:
                 there = [*column.there, *more]
                 codes = np.arange(len(there))
@@ -304,8 +308,8 @@ class _Writer:
         listing, count, words = self._listing, len(self._there), self._words
         seconds = self._of_cases(listing.index.seconds, np.nan)
         known = len(listing.columns[0]) if listing.columns else count
-        for start in range(0, count, _WINDOW):
-            here = slice(start, min(start + _WINDOW, count))
+        for start in range(0, count, WINDOW):
+            here = slice(start, min(start + WINDOW, count))
             more = self._looked_up[max(start - known, 0) : max(here.stop - known, 0)]
             varied = [
                 column.part(slice(start, min(here.stop, known))).each(_shown)
@@ -365,16 +369,6 @@ def _texts(words: Any) -> list[str]:
     return [word.decode() for word in words.tolist()]
 
 
-def _text_dtype(size: int) -> Any:
-    """Return the type of texts of at most so many bytes, which gzip shrinks as no others."""
-    return h5py.string_dtype("utf-8", max(size, 1))
-
-
-def _text_window(kind: Any) -> int:
-    """Return how many cases to write the texts of at once."""
-    return min(_WINDOW, cases_at_once(kind.itemsize))
-
-
 def _shown(value: Any) -> str:
     if isinstance(value, str):
         return value
@@ -411,92 +405,3 @@ class _CommonSteps:
         step = np.arange(rows.sum()) - np.repeat(np.cumsum(rows) - rows, rows)
         if not np.array_equal(values[step + np.repeat(starts, rows)], self.steps[step]):
             self.steps = None
-
-
-def _make_scales(file: h5py.File, ids: Any, steps: int, elements: int) -> None:
-    """Make the dimensions; ``step`` is numbered, until it is known to be the same in all cases."""
-    kind = _text_dtype(ids.dtype.itemsize)
-    file.create_dataset("case", data=ids.astype(kind), dtype=kind)
-    meaning = "case, by its content"
-    file["case"].attrs.update({"units": "1", "long_name": meaning, **_ENCODED})
-    file.create_dataset("step", data=np.arange(steps))
-    meaning = "stored step (their numbers differ from case to case)"
-    file["step"].attrs.update({"units": "1", "long_name": meaning, SAME_STEPS: 0})
-    file.create_dataset("element", data=np.arange(elements))
-    file["element"].attrs.update(ELEMENT.attributes)
-    for name in ("case", "step", "element"):
-        file[name].make_scale(name)
-
-
-class _Column:
-    """Writes a variable window by window; what is compressed by itself.
-
-    HDF5 would do it as well; but much of what gzip is worth its time for is the same again and
-    again, such as the radii of the contact elements, and then need not be compressed again.
-
-    Parameters
-    ----------
-    dataset : whose windows are whole chunks, but for the last.
-    """
-
-    def __init__(self, dataset: h5py.Dataset) -> None:
-        self._dataset, self._known = dataset, (b"", b"")
-        self._direct = dataset.compression == "gzip" and dataset.chunks[1:] == dataset.shape[1:]
-
-    def write(self, start: int, values: Any) -> None:
-        """Write the values of cases from one on."""
-        dataset = self._dataset
-        if not self._direct:
-            dataset[start : start + len(values)] = values
-            return
-        rows, rest = dataset.chunks[0], (0,) * (dataset.ndim - 1)
-        for first in range(0, len(values), rows):
-            data = np.ascontiguousarray(values[first : first + rows], dtype=dataset.dtype).tobytes()
-            data += bytes(math.prod(dataset.chunks) * dataset.dtype.itemsize - len(data))
-            if data != self._known[0]:
-                self._known = data, zlib.compress(data, 1)
-            dataset.id.write_direct_chunk((start + first, *rest), self._known[1])
-
-
-def _make(
-    file: h5py.File,
-    variable: Variable,
-    kind: Any,
-    window: int,
-    *,
-    sample: Any = None,
-    gzip: bool = False,
-) -> h5py.Dataset:
-    """Make a variable, in chunks that hold whole histories as far as they are small.
-
-    Parameters
-    ----------
-    window : cases that are written at once; a chunk has no more.
-    sample : its first values, which tell whether gzip is worth it; or else ``gzip``.
-    """
-    shape = tuple(len(file[name]) for name in variable.dimensions)
-    size = np.dtype(kind).itemsize
-    chunks = list(shape)
-    for axis in range(len(shape)):
-        rest = size * math.prod(chunks[axis + 1 :])
-        chunks[axis] = min(shape[axis], max(1, int(_CHUNK_BYTES // rest)))
-    chunks[0] = min(shape[0], power_of_2(_CHUNK_BYTES / (size * math.prod(chunks[1:]))), window)
-    extra: dict[str, Any] = {}
-    if np.dtype(kind).kind == "f":
-        extra["fillvalue"] = np.nan
-    if sample is not None:
-        first = np.ascontiguousarray(sample[tuple(map(slice, chunks))]).tobytes()
-        gzip = len(zlib.compress(first, 1)) * _WORTH_IT < len(first)
-    if gzip:
-        extra |= {"compression": "gzip", "compression_opts": 1}
-    dataset = file.create_dataset(variable.name, shape, dtype=kind, chunks=tuple(chunks), **extra)
-    dataset.attrs.update(variable.attributes)
-    if np.dtype(kind).kind == "S":
-        dataset.attrs.update(_ENCODED)
-    for axis, name in enumerate(variable.dimensions):
-        dataset.dims[axis].attach_scale(file[name])
-    return dataset
-
-
-#: with which xarray takes bytes for the texts that they are
-_ENCODED = {"_Encoding": "utf-8"}

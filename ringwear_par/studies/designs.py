@@ -150,7 +150,12 @@ def _read_base(
             return override({}, find_files(flatten(base, f"{name}: case"), folder))
         if isinstance(base, str):
             path = folder / base
-            return find_files(read_keys(read_text(path), str(path)), path.parent)
+            try:
+                text = read_text(path)
+            except InputError as error:
+                faults.append(f"{name}: case = {shortened(base)}: {error}")
+                return {}
+            return find_files(read_keys(text, str(path)), path.parent)
     except InputError as error:
         faults += error.faults
         return {}

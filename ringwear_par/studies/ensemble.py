@@ -93,11 +93,15 @@ class Ensemble:
 def read_ensemble(folder: Path) -> Ensemble:
     """Read a sweep's results. Not collective.
 
+    Parameters
+    ----------
+    folder : of the sweep, or its results.h5.
+
     Raises
     ------
     InputError : the folder holds none.
     """
-    path = folder / RESULTS
+    path = folder if folder.name == RESULTS and folder.is_file() else folder / RESULTS
     if not path.exists():
         raise InputError(
             f"{path}: does not exist; must be written by ringwear sweep (without --slice), which "
@@ -143,6 +147,10 @@ def open_ensemble(folder: Path | str) -> "xarray.Dataset":
 
     Dimensions case, step and element, each varied key a coordinate on ``case``. Close it, or use it
     in a ``with`` block, before the sweep goes on.
+
+    Parameters
+    ----------
+    folder : of the sweep, or its results.h5.
 
     Raises
     ------

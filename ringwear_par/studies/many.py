@@ -55,8 +55,8 @@ def simulate_all(
             "takes one case"
         )
     cases = list(cases)
-    for case in cases:
-        need_case(case, "simulate_all")
+    for number, case in enumerate(cases):
+        need_case(case, f"simulate_all: cases[{number}]")
     comm = MPI.COMM_WORLD if comm is None else comm
     found: dict[int, Result | FailedResult] = {}
     groups: dict[Hashable, list[int]] = defaultdict(list)

@@ -88,6 +88,7 @@ class Plan:
     interrupted : those of them that go on from their checkpoint.
     mine : (cases,) which cases are of this slice.
     done, failed : how many of them had ended before.
+    others : how many cases the folder holds that are not of the study.
     flagged : how many have the same flags, by these.
     all_assemble : whether all ranks assemble each operator (there are fewer than teams) or the team
         that takes its group.
@@ -102,6 +103,7 @@ class Plan:
     mine: BoolArray
     done: int
     failed: int
+    others: int
     flagged: Counter[tuple[str, ...]]
     all_assemble: bool
 
@@ -195,6 +197,7 @@ def make_plan(study: Study, request: Request, held: ExitStack | None) -> Plan:
         mine,
         int((status[kept] == DONE).sum()),
         int((status[kept] == FAILED).sum()),
+        len(index) - int((entry >= 0).sum()),
         Counter({
             own: n for kind, n in flags.items() if (own := index.kinds[kind].flags)
         }),

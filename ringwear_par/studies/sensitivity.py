@@ -64,7 +64,9 @@ class Sensitivity:
     s1_conf: FloatArray
 
 
-def sensitivity(ensemble: Ensemble) -> tuple[Sensitivity, ...]:
+def sensitivity(
+    ensemble: Ensemble, outputs: Sequence[str] = tuple(SENSITIVE)
+) -> tuple[Sensitivity, ...]:
     """Return how the final values depend on the varied keys, from the cases of a sampled design.
 
     One item an output that varies. None where the design is no sample, and, with a sentence in the
@@ -87,7 +89,7 @@ def sensitivity(ensemble: Ensemble) -> tuple[Sensitivity, ...]:
     x = np.stack(columns, axis=1)
     known = done & np.isfinite(x).all(axis=1)
     found = []
-    for output in SENSITIVE:
+    for output in outputs:
         y = ensemble.final[output]
         cases = np.flatnonzero(known & np.isfinite(y))
         if len(cases) < _FEWEST:

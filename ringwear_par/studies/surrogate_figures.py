@@ -1,4 +1,4 @@
-"""What a surrogate tells, drawn: Sobol' indices, and responses over each key with their error."""
+"""What a surrogate tells, drawn: responses over each key with their error."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -19,13 +19,13 @@ from ringwear_par.studies.axes import (
     set_legend,
     spans,
 )
+from ringwear_par.studies.predictions import Surrogate, told_share
 from ringwear_par.studies.regression import Part
-from ringwear_par.studies.sensitivity import SEED, SENSITIVE, SobolIndices, sobol_indices
-from ringwear_par.studies.surrogate import Surrogate, told_share
+from ringwear_par.studies.sensitivity import SEED
 
 #: panels beside each other, places along a key, and points over the other keys at each
 _COLUMNS, _PLACES, _OTHERS = 4, 41, 2**8
-_ROW, _INDICES = 1.9, 1.5
+_ROW = 1.9
 
 
 @dataclass(frozen=True)
@@ -36,52 +36,53 @@ class Responses:
     ----------
     surrogate : whose part of most cases is drawn.
     names : responses that vary, final values.
-    indices : of some of them; () of one key, or without SALib.
+    keys : numbers of the part's keys over which they are drawn.
     """
 
     surrogate: Surrogate
     names: tuple[str, ...]
-    indices: tuple[SobolIndices, ...]
+    keys: tuple[int, ...]
 
     @classmethod
-    def of(cls, surrogate: Surrogate, outputs: Sequence[str]) -> "Responses | None":
-        """Return what is drawn of some outputs; None if none of them varies."""
+    def of(
+        cls, surrogate: Surrogate, outputs: Sequence[str], keys: Sequence[str]
+    ) -> "Responses | None":
+        """Return what is drawn of some outputs over some keys; None if nothing varies."""
         part = surrogate.parts[0]
         names = tuple(n for n in outputs if part.responses[n].relative_error > 0.0)
-        if not names:
-            return None
-        sensitive = [name for name in names if name in SENSITIVE]
-        found = sobol_indices(part, sensitive) if len(part.keys) > 1 else ()
-        return cls(surrogate, names, found)
+        over = tuple(i for i, key in enumerate(part.keys) if key in keys)
+        return cls(surrogate, names, over) if names and over else None
+
+    def shows(self, key: str) -> bool:
+        """Tell whether all cases are shown over a key, but for those that are left out by lot."""
+        return len(self.surrogate.parts) == 1 and key in self._part.keys
+
+    @property
+    def columns(self) -> int:
+        """Number of panels beside each other."""
+        return max(map(len, self._blocks))
 
     @property
     def heights(self) -> list[float]:
-        """Inches of the rows that it takes: one of indices, and those of curves."""
-        rows = [_INDICES + 0.3 * len(self._part.keys)] if self.indices else []
-        return rows + [_ROW * len(self.names) + 0.9 for _ in self._blocks]
+        """Inches of the rows that it takes."""
+        return [_ROW * len(self.names) + 1.1 for _ in self._blocks]
 
     @property
     def _part(self) -> Part:
         return self.surrogate.parts[0]
 
     @property
-    def _blocks(self) -> list[range]:
-        """Numbers of the keys beside each other, as even as may be."""
-        count = len(self._part.keys)
+    def _blocks(self) -> list[tuple[int, ...]]:
+        """The keys beside each other, as even as may be."""
+        count = len(self.keys)
         columns = -(-count // -(-count // _COLUMNS))
-        return [range(i, min(i + columns, count)) for i in range(0, count, columns)]
+        return [self.keys[i : i + columns] for i in range(0, count, columns)]
 
     def draw(self, parts: Sequence[Any]) -> None:
         """Draw into parts of a figure, one a row."""
-        if self.indices:
-            parts[0].suptitle(self._said, fontsize=8.0)
-            panels = np.atleast_1d(parts[0].subplots(1, len(self.indices), sharey=True))
-            for axes, found in zip(panels, self.indices, strict=True):
-                self._draw_indices(axes, found)
-        else:
-            parts[0].suptitle(self._said, fontsize=8.0)
-        for part, block in zip(parts[-len(self._blocks) :], self._blocks, strict=True):
-            self._draw_curves(part, block)
+        parts[0].suptitle(self._said, fontsize=8.0)
+        for number, (part, block) in enumerate(zip(parts, self._blocks, strict=True)):
+            self._draw_curves(part, block, legend=not number)
 
     @property
     def _said(self) -> str:
@@ -90,31 +91,15 @@ class Responses:
         if part.texts:
             texts = zip(self.surrogate.text_keys, part.texts, strict=True)
             said += " with " + ", ".join(f"{key} = {shortened(text)}" for key, text in texts)
-        return plain(f"{said}; keys vary evenly over their ranges")
-
-    def _error(self, name: str) -> str:
-        return told_share(self._part.responses[name].relative_error)
-
-    def _draw_indices(self, axes: Any, found: SobolIndices) -> None:
-        places = np.arange(len(found.keys), dtype=float)
-        for shift, colour, values, label in (
-            (-0.17, COLOURS[3], found.first, "S\N{SUBSCRIPT ONE}"),
-            (0.17, COLOURS[2], found.total, "S\N{LATIN SUBSCRIPT SMALL LETTER T}"),
-        ):
-            axes.barh(places + shift, values, 0.3, color=colour, alpha=0.75, label=label)
-        axes.set_yticks(places, [plain(key) for key in found.keys])
-        axes.set_ylim(len(places) - 0.5, -0.5)
-        axes.set_xlim(0.0, 1.04)
-        axes.grid(axis="x", linewidth=0.4, color="0.85")
-        axes.set_axisbelow(True)
-        axes.set_xlabel("Sobol' index of the surrogate")
-        title = (
-            f"{SENSITIVE[found.output]}\n{found.evaluations / 1e6:.1f} million evaluations,\n"
-            f"leave-out error (of the spread): {self._error(found.output)}"
+        errors = "; ".join(
+            f"{OUTPUTS[name][1].rpartition(' (')[0]} "
+            f"{told_share(part.responses[name].relative_error)}"
+            for name in self.names
         )
-        set_legend(axes, 2, title)
+        said = plain(f"{said}; keys vary evenly over their ranges")
+        return f"{said}\nleave-out errors, of the spread: {errors}"
 
-    def _draw_curves(self, figure: Any, keys: range) -> None:
+    def _draw_curves(self, figure: Any, keys: Sequence[int], *, legend: bool) -> None:
         """Draw one row an output and one column a key."""
         part = self._part
         mean_of = "mean over the others" if len(part.keys) > 1 else "surrogate"
@@ -137,17 +122,17 @@ class Responses:
                 )  # fmt: skip
                 places = np.linspace(0.0, 1.0, _PLACES)
                 along, mean = part.values_at(key, places), self._means(name, key, places)
-                low, high = (factor * response.shifted(mean, by) for by in (-1.0, 1.0))
+                low, high = (factor * response.shifted(mean, by) for by in (-2.0, 2.0))
                 axes.fill_between(
-                    along, low, high, color=COLOURS[0], alpha=0.25, linewidth=0.0,
-                    label="\N{PLUS-MINUS SIGN} leave-out error",
+                    along, low, high, color=COLOURS[1], alpha=0.6, linewidth=0.9,
+                    label="\N{PLUS-MINUS SIGN} 2 leave-out errors",
                 )  # fmt: skip
-                axes.plot(along, factor * mean, color=COLOURS[0], label=mean_of)
+                axes.plot(along, factor * mean, color=COLOURS[0], linewidth=0.6, label=mean_of)
                 if part.logarithmic[key]:
                     axes.set_xscale("log")
                     set_decades(axes.xaxis, along)
                 else:
-                    axes.locator_params(axis="x", nbins=5)
+                    axes.locator_params(axis="x", nbins=3 if along.max() >= 1e4 else 5)
                 if row == len(self.names) - 1:
                     axes.set_xlabel(labelled(part.keys[key]))
                 if logarithmic:
@@ -155,9 +140,9 @@ class Responses:
                     axes.set_ylim(0.5 * values.min(), 2.0 * values.max())
             if logarithmic:
                 set_decades(panels[row, 0].yaxis, values)
-            final = f"final {label}" if name == "penetration" else label
-            panels[row, 0].set_ylabel(f"{final}\nleave-out error\n{self._error(name)}")
-        set_legend(panels[0, 0], 1, "")
+            panels[row, 0].set_ylabel(f"final {label}" if name == "penetration" else label)
+        if legend:
+            set_legend(panels[0, 0], 1, "")
         figure.align_ylabels(panels[:, 0])
 
     def _means(self, name: str, key: int, places: FloatArray) -> FloatArray:

@@ -13,11 +13,13 @@ from ringwear_par.cases.keys import override
 from ringwear_par.cases.schema import BY_PATH
 from ringwear_par.cases.suggestions import nearest_key
 from ringwear_par.cases.text import shortened
-from ringwear_par.cases.values import is_number
+from ringwear_par.cases.values import RejectedError, is_number
 from ringwear_par.errors import legible
 
 #: of a design
 MOST_CASES = 10**7
+#: samples are not nearer to the ends of a range than this part of it, which may be open ones
+_INSIDE = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
@@ -292,7 +294,22 @@ def _variation(said: str, key: str, entry: Any, method: str, faults: list[str]) 
             f"{said}: count {told}: must be absent; design.count says how many "
             f'cases method = "{method}" draws'
         )
-    return Variation(
+    made = Variation(
         key, path, index, "log" if spacing == "log" else "linear", tuple(map(float, values)),
         count or 0,
     )  # fmt: skip
+    if index is None and (rule := _rule_broken(made, method)):
+        faults.append(f"{shown}: all of it {rule}")
+        return None
+    return made
+
+
+def _rule_broken(made: Variation, method: str) -> str:
+    """Return what a key must be that has a range which reaches beyond that, "" if it does not."""
+    key, inside = BY_PATH[made.path], 0.0 if method == "grid" else _INSIDE
+    try:
+        for value in made.at(np.array([inside, 1.0 - inside])).each():
+            key.read(value)
+    except RejectedError:
+        return key.rule
+    return ""

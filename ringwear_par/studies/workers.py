@@ -71,6 +71,11 @@ class Timings:
     flagged: Counter[tuple[str, ...]] = field(default_factory=Counter)
 
 
+def goes_with_others(case: Case) -> bool:
+    """Tell whether a case is stepped side by side with others, if there are some or not."""
+    return case.about_steps <= LONG_STEPS and not stays_alone(case)
+
+
 class Worker:
     """Where a team computes its cases: the contact pair and solver in use, and its shard.
 
@@ -156,7 +161,8 @@ class Worker:
         ids = [identity.decode() for identity in self._plan.study.identities[numbers]]
         left: Sequence[int] = range(count)
         if self._team.size == 1 and not has_own_options():
-            both = [i for i in left if self._goes_with_others(ids[i], cases[i])]
+            going_on = self._plan.interrupted
+            both = [i for i in left if ids[i] not in going_on and goes_with_others(cases[i])]
             try:
                 pair = self._pair_of(group, first, cases[0]) if both else None
             except _StoppedError:
@@ -175,11 +181,6 @@ class Worker:
             raise
         except ComputationError:
             return None
-
-    def _goes_with_others(self, identity: str, case: Case) -> bool:
-        """Tell whether a case is stepped side by side with others, if there are some or not."""
-        long = case.about_steps > LONG_STEPS  # too much to lose if all are stopped
-        return not long and identity not in self._plan.interrupted and not stays_alone(case)
 
     def _work_in_lock_step(
         self,

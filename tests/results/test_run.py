@@ -1,5 +1,6 @@
 """``ringwear run`` where a result is there: complete, interrupted, failed, of another case."""
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -112,6 +113,15 @@ def test_the_summary_tells_when_the_error_of_a_step_is_largest(comm, interrupted
     run_case(PAPER, interrupted, SMALL, comm=comm, restart=True)
     (told,) = (line for line in open_result(interrupted).summary().splitlines() if "um at" in line)
     assert told.endswith("um at most, in the step to t = 1 s")
+
+
+def test_the_summary_tells_the_error_of_steps_beside_their_tolerance(comm):
+    case = read_case(PAPER, [*SMALL, "time.scheme=adaptive", "time.tolerance=2e-5"])
+    told = simulate(case, comm).summary()
+    found = re.search(r"a time step: ([\d.]+) um at most \(tolerance 0\.02 um\), in the", told)
+    assert 0.0 < float(found[1]) <= 0.02
+    changed = simulate(replace(case, friction=0.2), comm).summary()
+    assert re.search(r"a time step: [\d.]+ um at most, in the step", changed)
 
 
 def test_the_summary_says_that_nothing_wears(comm):

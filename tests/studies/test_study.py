@@ -212,12 +212,31 @@ def test_each_fault_has_its_sentence(write, text, words):
         assert word in str(raised.value)
 
 
+def test_a_range_that_reaches_too_far_is_one_fault(write):
+    for text in (
+        "{ linear = [-100, 10], count = 30 }\n",
+        '{ linear = [-100, 10] }\n[design]\nmethod = "random"\ncount = 30\n',
+    ):
+        with pytest.raises(InputError) as raised:
+            read_study(write(f'[vary]\n"load.pressure" = {text}'))
+        (fault,) = raised.value.faults
+        assert '"load.pressure": linear = [-100, 10]: all of it must be' in fault
+    open_end = '[vary]\n"lower.young" = { linear = [0, 1e4] }\n[design]\nmethod = "random"\n'
+    assert len(read_study(write(open_end + "count = 30\n")).ids) == 30
+
+
 def test_a_case_is_told_as_such(tmp_path):
     path = tmp_path / "case.toml"
     path.write_text("title = 'a'\n[lower]\nyung = 1\n")
     with pytest.raises(InputError) as raised:
         read_study(path)
     assert raised.value.faults == (f"{path}: is a case, not a study; ringwear run computes it",)
+
+
+def test_a_missing_case_file_is_told_with_its_study(tmp_path):
+    (tmp_path / "study.toml").write_text('case = "no.toml"\n' + GRID)
+    with pytest.raises(InputError, match=r'study.toml: case = "no.toml": \S*no.toml: cannot be'):
+        read_study(tmp_path / "study.toml")
 
 
 def test_a_list_separated_by_semicolons(write, shared_path):
@@ -228,7 +247,7 @@ def test_a_list_separated_by_semicolons(write, shared_path):
 
 
 def test_bad_cases_are_counted(write):
-    text = '[vary]\n"load.pressure" = { linear = [-100, -1], count = 30 }\n'
+    text = f'[vary]\n"load.pressure" = {{ values = {list(range(-30, 0))} }}\n'
     with pytest.raises(InputError) as raised:
         read_study(write(text))
     assert len(raised.value.faults) == 6
@@ -303,7 +322,7 @@ def test_ranks_without_any_case(write, comm):
 
 
 def test_faults_found_together_are_those_found_alone(write, comm):
-    text = '[vary]\n"load.pressure" = { linear = [-100, 10], count = 30 }\n'
+    text = f'[vary]\n"load.pressure" = {{ values = {list(range(-26, 4))} }}\n'
     path = write(text)
     with pytest.raises(InputError) as alone:
         read_study(path)

@@ -11,6 +11,7 @@ from test_sweep_plots import sample, write
 
 import ringwear_par as rw
 from ringwear_par.studies import surrogate as module
+from ringwear_par.studies import surrogate_file
 from ringwear_par.studies.figures import draw_sweep_and_surrogate
 from ringwear_par.studies.sensitivity import sobol_indices
 
@@ -137,6 +138,8 @@ def test_missing_keys_unknown_responses_and_shapes(tmp_path):
     asked = {"wear.lower.k": [[1e-7], [2e-7]], "load.pressure": [5.0, 6.0, 7.0]}
     with pytest.raises(rw.InputError, match="torque: unknown response; must be one of penetration"):
         made.predict(asked, ["torque"])
+    with pytest.raises(rw.InputError, match=r'wear_lower: needs .*"all".* one of penetration'):
+        made.predict(asked, ["wear_lower"])
     (name, found), *more = made.predict(asked, ["penetration"]).items()
     assert (name, more) == ("penetration", [])
     assert found == pytest.approx(1e3 * np.array([[1e-7], [2e-7]]) * np.array([5, 6, 7]) ** 0.8)
@@ -219,7 +222,7 @@ def test_a_folder_that_cannot_be_written_to(tmp_path, caplog, monkeypatch):
     def full(path):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(module, "atomic_hdf5", full)
+    monkeypatch.setattr(surrogate_file, "atomic_hdf5", full)
     assert rw.surrogate(tmp_path).relative_error["penetration"] < 1e-9
     assert "the surrogate is not kept: [Errno 28] No space left" in caplog.text
     assert not (tmp_path / "surrogate.h5").exists()
@@ -329,16 +332,17 @@ def test_it_is_drawn(tmp_path, monkeypatch):
     monkeypatch.setattr("ringwear_par.studies.sensitivity._RESAMPLES", 20)
     ensemble = written(tmp_path, power, 128)
     figure = draw_sweep_and_surrogate(ensemble)
-    # histories, given-data indices, final values, Sobol' indices, responses
-    assert len(figure.axes) == 1 + 1 + 4 + 1 + 2
+    # histories, Sobol' indices, responses with the cases
+    assert len(figure.axes) == 1 + 1 + 2
     indices, along_k, _ = figure.axes[-3:]
     part = rw.surrogate(tmp_path).parts[0]
     (found,) = sobol_indices(part, ["penetration"])
     assert [bar.get_width() for bar in indices.containers[0]] == pytest.approx(found.first)
     assert [bar.get_width() for bar in indices.containers[1]] == pytest.approx(found.total)
     assert "leave-out error" in indices.get_legend().get_title().get_text()
-    assert "surrogate of 128 cases" in [part.get_suptitle() for part in figure.subfigs][2]
-    assert "leave-out error" in along_k.get_ylabel()
+    title = figure.subfigs[1].get_suptitle()
+    assert title.startswith("surrogate of 128 cases; ")
+    assert "leave-out errors, of the spread: penetration < 1e-06 %" in title
     points, mean = along_k.lines
     assert points.get_ydata() == pytest.approx(1e3 * ensemble.final["penetration"])
     k, depth = mean.get_data()
@@ -376,7 +380,7 @@ def test_a_sweep_is_answered_for(swept, monkeypatch):
     """Profiles and times, too, from the data set that users open."""
     with rw.open_ensemble(swept / "a") as data:
         made = rw.surrogate(data)
-        early = rw.surrogate(data, times=[35.0, 100.0])
+        early = rw.surrogate(swept / "a" / "results.h5", times=[35.0, 100.0])
         with pytest.raises(rw.InputError, match="some of its cases were selected"):
             rw.surrogate(data.isel(case=slice(0, 30)))
     assert set(made.names) == {
@@ -384,7 +388,7 @@ def test_a_sweep_is_answered_for(swept, monkeypatch):
         "largest_wear_upper", "wear_lower", "wear_upper",
     }  # fmt: skip
     assert made.ranges == {"wear.lower.k": (1e-8, 1e-6), "load.pressure": (40.0, 80.0)}
-    with rw.open_ensemble(swept / "b") as data:
+    with rw.open_ensemble(swept / "b" / "results.h5") as data:
         at = {key: data[key].to_numpy() for key in made.ranges}
         wear, depth = data.wear_lower.to_numpy(), data.penetration.to_numpy()
     found, then = made.predict(at), early.predict(at)
@@ -403,4 +407,4 @@ def test_a_sweep_is_answered_for(swept, monkeypatch):
     assert error < 3.0 * early.error["penetration"]
     monkeypatch.setattr("ringwear_par.studies.sensitivity._EVALUATIONS", 1e4)
     figure = rw.plot(swept / "a")
-    assert "surrogate of 64 cases" in [part.get_suptitle() for part in figure.subfigs][-2]
+    assert "surrogate of 64 cases" in figure.subfigs[-1].get_suptitle()

@@ -15,7 +15,15 @@ from ringwear_par.errors import ComputationError, InputError
 from ringwear_par.results.files import open_result
 from ringwear_par.results.run import run_case
 from ringwear_par.results.variables import HISTORIES, PROFILES
-from ringwear_par.studies import dataset, estimate, operators, results_file, sweep, workers
+from ringwear_par.studies import (
+    case_variables,
+    dataset,
+    estimate,
+    operators,
+    results_file,
+    sweep,
+    workers,
+)
 from ringwear_par.studies.ensemble import open_ensemble, read_ensemble
 from ringwear_par.studies.study import read_study
 
@@ -179,7 +187,8 @@ def test_files_do_not_depend_on_windows(write, shared_path, comm, monkeypatch):
     for name in ("whole", "parts"):
         if name == "parts":
             monkeypatch.setattr(results_file, "_WINDOW_BYTES", 4000)
-            monkeypatch.setattr(dataset, "_WINDOW", 4)
+            monkeypatch.setattr(dataset, "WINDOW", 4)
+            monkeypatch.setattr(case_variables, "WINDOW", 4)
         for n, text in enumerate(studies):
             swept(write(text), shared_path / name, comm)
             shutil.copytree(shared_path / name, shared_path / f"{name}{n}")
@@ -272,6 +281,35 @@ def test_a_dry_run_stops_after_a_step_at_the_earliest(
     sweep.run_sweep(write(STUDY), shared_path / "out", comm, dry_run=True)
     if comm.rank == 0:
         assert "implicit steps (the first of them)" in capsys.readouterr().out
+
+
+def test_a_dry_run_tells_of_cases_of_another_study(write, shared_path, comm, capsys):
+    other = '[vary]\n"wear.lower.k" = { values = [2e-8, 1e-8] }\n'
+    swept(write(other), shared_path / "out", comm)
+    comm.Barrier()
+    sweep.run_sweep(write(STUDY), shared_path / "out", comm, dry_run=True)
+    if comm.rank == 0:
+        told = capsys.readouterr().out
+        assert "12 cases, 1 done" in told
+        assert f"1 cases in {shared_path / 'out'} are not of this study" in told
+
+
+@pytest.mark.serial
+def test_a_dry_run_knows_that_cases_go_side_by_side(write, shared_path, comm, capsys):
+    """Adaptive histories take some tenth of the time so, or less."""
+    text = """
+[vary]
+"wear.lower.k" = { log = [1e-8, 1e-6], count = 400 }
+"time.scheme" = { values = ["adaptive"] }
+[design]
+method = "grid"
+"""
+    sweep.run_sweep(write(text), shared_path / "out", comm, dry_run=True)
+    told = capsys.readouterr().out
+    found = re.search(r"([\d.]+) s for its adaptive steps, ([\d.]+) ms more", told)
+    alone, each = map(float, found.groups())
+    seconds = float(re.search(r"about ([\d.]+) s,", told)[1])
+    assert 400 * each < 1e3 * seconds < 0.5 * 1e3 * 400 * alone
 
 
 def test_a_dry_run_whose_first_case_fails_ends_on_all_ranks(write, shared_path, comm, monkeypatch):

@@ -213,8 +213,11 @@ def test_indices_are_drawn(tmp_path):
     ensemble = write(tmp_path, KEYS, u, linear(u), "latin-hypercube", lower=u[:, 1])
     depth, _ = sensitivity(ensemble)
     panel, other = draw_sweep(ensemble).axes[1:3]
-    assert [bar.get_width() for bar in panel.containers[1]] == pytest.approx(depth.delta)
-    assert [bar.get_width() for bar in panel.containers[3]] == pytest.approx(depth.s1)
+    bars = {each.get_label(): each for each in panel.containers if len(each.get_label()) > 0}
+    (first,), (delta,) = ([b for n, b in bars.items() if word in n] for word in ("first", "\u03b4"))
+    assert [bar.get_width() for bar in delta] == pytest.approx(depth.delta)
+    assert [bar.get_width() for bar in first] == pytest.approx(depth.s1)
+    assert "sample of 128 cases" in panel.get_legend().get_title().get_text()
     assert [text.get_text() for text in panel.get_yticklabels()] == list(KEYS)
     assert "penetration" in panel.get_legend().get_title().get_text()
     assert "worn volume" in other.get_legend().get_title().get_text()
@@ -344,6 +347,29 @@ def test_scatter_of_categories_and_missing_values(tmp_path):
     assert list(pressure.lines[0].get_xdata()) == [n + 1.0 for n in range(5, 50)]
 
 
+@pytest.mark.usefixtures("few_resamples")
+def test_of_many_keys_those_that_matter_are_drawn(tmp_path):
+    names = ("contact.friction", "lower.young", "upper.young", "lower.poisson", "upper.poisson",
+             "time.step", "wear.lower.k", "load.omega", "load.pressure", "upper.r[1]")  # fmt: skip
+    u = sample(names, 512)
+    figure = draw_sweep(write(tmp_path, names, u, u @ np.arange(10.0), "sobol"))
+    indices, *panels = figure.axes[1:]
+    drawn = [text.get_text() for text in indices.get_yticklabels()]
+    assert len(drawn) == 8
+    assert set(drawn) >= set(names[4:])
+    assert len(panels) == 2 * 8
+    assert figure.get_suptitle() == "512 cases; 8 of 10 keys, of the largest indices"
+    assert figure.get_size_inches()[1] < 15.0
+
+
+def test_a_fan_over_decades_is_logarithmic(tmp_path):
+    depth = np.geomspace(1e-6, 1e-2, 40)
+    rows = [(n,) for n in range(40)]
+    fan = draw_sweep(write(tmp_path, ("load.omega",), rows, depth, "list")).axes[0]
+    assert fan.get_yscale() == "log"
+    assert fan.get_ylim() == pytest.approx((1e-4, 15.0))
+
+
 def test_upper_ring_that_wears_and_many_keys(tmp_path):
     names = (*KEYS, "contact.friction", "lower.young")
     u = sample(names, 20)
@@ -390,7 +416,7 @@ def test_many_cases_are_drawn_from_a_part_of_their_histories(tmp_path, monkeypat
         return table
 
     monkeypatch.setattr(Ensemble, "histories", counted)
-    monkeypatch.setattr("ringwear_par.studies.figures._BLOCK_BYTES", 2e5)
+    monkeypatch.setattr("ringwear_par.studies.fan._BLOCK_BYTES", 2e5)
     plot_sweep(tmp_path / "a", tmp_path / "a.png")
     assert sum(cases for name, cases, _ in read if name == "penetration") == 2000
     assert {name for name, _, _ in read} == {"time", "penetration"}
@@ -398,6 +424,6 @@ def test_many_cases_are_drawn_from_a_part_of_their_histories(tmp_path, monkeypat
     figure = draw_sweep(read_ensemble(tmp_path / "a"))
     fan, indices = figure.axes[:2]
     assert "2000 of 20000 cases" in fan.get_legend().get_title().get_text()
-    assert "(4000 of 20000 cases)" in indices.get_legend().get_title().get_text()
+    assert "sample of 4000 of 20000 cases" in indices.get_legend().get_title().get_text()
     median = fan.lines[-1].get_ydata()[-1]
     assert median == pytest.approx(1e3 * np.median(linear(u)), rel=0.03)

@@ -1,0 +1,108 @@
+"""Histories of a sweep over time: one line a case, or a fan of quantiles where there are many."""
+
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+import numpy as np
+
+from ringwear_par.arrays import FloatArray, IntArray
+from ringwear_par.results.figures import COLOURS
+from ringwear_par.studies.axes import GREY, LOG_VALUE, OUTPUTS, set_legend, spans
+from ringwear_par.studies.effects import DASHES, Key, values_told
+from ringwear_par.studies.ensemble import Ensemble
+from ringwear_par.studies.sensitivity import chosen_cases
+
+_MOST_HISTORIES, _TIMES, _SINGLES = 2000, 200, 8
+_BLOCK_BYTES = 16e6
+
+
+def draw_histories(axes: Any, ensemble: Ensemble, drawn: IntArray, keys: Sequence[Key]) -> None:
+    """Draw one line a case."""
+    differ = [key for key in keys if key.differs]
+    labels = [", ".join(words) for words in zip(*map(values_told, differ), strict=True)]
+    title = ",\n".join(key.label for key in differ)
+    if len(differ) > 3:
+        labels, title = [ensemble.ids[case] for case in drawn], "case"
+    time, depth = (ensemble.histories(name, drawn) for name in ("time", "penetration"))
+    for number, count in enumerate(ensemble.steps_stored[drawn]):
+        axes.plot(
+            time[number, :count], 1e3 * depth[number, :count],
+            color=COLOURS[number % len(COLOURS)],
+            linestyle=DASHES[number // len(COLOURS)],
+            label=labels[number] if labels else None,
+        )  # fmt: skip
+    _finish_fan(axes)
+    if labels:
+        axes.legend(
+            frameon=False, loc="center left", bbox_to_anchor=(1.0, 0.5), title=title,
+            title_fontsize=8.0, ncols=1 if len(labels) <= 8 else 2,
+        )  # fmt: skip
+
+
+def draw_fan(axes: Any, ensemble: Ensemble, drawn: IntArray, columns: int) -> None:
+    """Draw quantile bands, the median and a few cases."""
+    cases = chosen_cases(drawn, _MOST_HISTORIES)
+    grid, table, even = _fan_table(ensemble, cases)
+    low, lower, median, upper, high = np.nanquantile(table, [0.05, 0.25, 0.5, 0.75, 0.95], axis=0)
+    few = np.isfinite(table).sum(axis=0) < 0.5 * len(table)  # their quantiles would jump about
+    for quantile in (low, lower, median, upper, high):
+        quantile[few] = np.nan
+    colour = COLOURS[0]
+    by_depth = table[np.argsort(np.nanmax(table, axis=1))]  # the least and the deepest included
+    for number, row in enumerate(by_depth[np.linspace(0, len(table) - 1, _SINGLES).astype(int)]):
+        axes.plot(
+            grid, row, color=GREY, linewidth=0.5, alpha=0.7, zorder=1.5,
+            label=None if number else f"{_SINGLES} of the cases",
+        )  # fmt: skip
+    axes.fill_between(
+        grid, low, high, color=colour, alpha=0.16, linewidth=0.0, label="5\N{EN DASH}95 %"
+    )
+    axes.fill_between(
+        grid, lower, upper, color=colour, alpha=0.3, linewidth=0.0, label="25\N{EN DASH}75 %"
+    )
+    axes.plot(grid, median, color=colour, label="median")
+    titles = []
+    if len(cases) < len(drawn):
+        titles.append(f"{len(cases)} of {len(drawn)} cases, chosen at random")
+    if not even:
+        titles.append("quantiles of cases that last so long,\nas long as half of them do")
+    _finish_fan(axes)
+    ends = 1e3 * ensemble.final["penetration"][cases]
+    if spans(ends, LOG_VALUE):
+        axes.set_yscale("log")
+        axes.set_ylim(0.1 * ends.min(), 1.5 * ends.max())
+    set_legend(axes, columns, ",\n".join(titles))
+
+
+def _finish_fan(axes: Any) -> None:
+    axes.set_xlim(0.0, axes.dataLim.x1)
+    axes.set_ylim(bottom=min(0.0, axes.dataLim.y0))
+    axes.set_xlabel("time (s)")
+    axes.set_ylabel(OUTPUTS["penetration"][1])
+
+
+def _fan_table(ensemble: Ensemble, cases: IntArray) -> tuple[FloatArray, FloatArray, bool]:
+    """Return common times, penetrations (um) at them, (cases, times), and if all last equally.
+
+    Histories that are shorter have NaN.
+    """
+    last = ensemble.steps_stored[cases] - 1
+    ends = np.empty(len(cases))
+    for part in _parts(ensemble, cases):
+        time = ensemble.histories("time", cases[part])
+        ends[part] = time[np.arange(len(time)), last[part]]
+    grid = np.linspace(0.0, ends.max(), _TIMES + 1)
+    table = np.empty((len(cases), len(grid)))
+    for part in _parts(ensemble, cases):
+        time, depth = (ensemble.histories(name, cases[part]) for name in ("time", "penetration"))
+        for number, t, d in zip(range(part.start, part.stop), time, depth, strict=True):
+            stop, end = last[number] + 1, ends[number] * (1.0 + 1e-9)
+            table[number] = 1e3 * np.interp(grid, t[:stop], d[:stop])
+            table[number, grid > end] = np.nan
+    return grid, table, bool(ends.min() >= ends.max() * (1.0 - 1e-9))
+
+
+def _parts(ensemble: Ensemble, cases: IntArray) -> Iterator[slice]:
+    block = max(1, int(_BLOCK_BYTES // (8 * max(1, int(ensemble.steps_stored.max())))))
+    for start in range(0, len(cases), block):
+        yield slice(start, min(start + block, len(cases)))
