@@ -155,8 +155,7 @@ def reject_unused_options() -> None:
     unused = [name for name in unused if name.startswith(ours)]
     if others:
         log.warning(
-            "-%s: no solver of this run reads it; names of their options begin with "
-            "-%s, -%s or -%s",
+            "-%s: no solver of this run reads it; names of their options begin with -%s, -%s, -%s",
             ", -".join(others), *ours,
         )  # fmt: skip
     if unused:

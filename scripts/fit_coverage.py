@@ -97,7 +97,7 @@ def coverage(repeats: int, folder: Path) -> tuple[FloatArray, int, float]:
     ]
     known: dict[bytes, np.ndarray] = {}
     for squares in posed:
-        squares._known = known  # the histories do not depend on the noise
+        squares.known = known  # the histories do not depend on the noise
     begun, before = time.process_time(), histories.count
 
     def job(squares: LeastSquares) -> Callable[[Meet], list[float]]:

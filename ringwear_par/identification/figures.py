@@ -58,6 +58,7 @@ def _draw(
     if series.n == 1:
         above.errorbar(x, data, quantile * sd, fmt="o", color=_DATA, ms=4, label="data")
         above.errorbar(x, model, band, fmt="_", color=_MODEL, ms=14, label="model")
+        below.set_xticks(x)
     else:
         above.plot(x, data[order], ".", color=_DATA, ms=3, label="data")
         for values, shade, what in ((predicted, 0.15, "of readings"), (band, 0.5, "of the model")):

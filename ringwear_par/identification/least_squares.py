@@ -62,6 +62,7 @@ class LeastSquares:
     nuisance_columns : (n, u - m) what nuisances add to the readings, by their units.
     lower, upper : (u,) bounds.
     noise_scale : of each series, by which its sd is multiplied.
+    known : what histories gave, or failed with, by the bytes of the fitted keys' values.
     """
 
     def __init__(self, problem: Problem, histories: Histories) -> None:
@@ -73,7 +74,7 @@ class LeastSquares:
         self.n = int(ends[-1])
         self.data = np.concatenate([series.value for _, series in self.series])
         self.noise_scale = np.ones(len(self.series))
-        self._known: dict[bytes, FloatArray | Exception] = {}
+        self.known: dict[bytes, FloatArray | Exception] = {}
         self._pose()
 
     def _pose(self) -> None:
@@ -120,19 +121,19 @@ class LeastSquares:
 
     def knows(self, x: FloatArray) -> bool:
         """Tell whether the histories at unknowns are there."""
-        return self.values(x).tobytes() in self._known
+        return self.values(x).tobytes() in self.known
 
     def look_up(self, points: Sequence[FloatArray]) -> None:
         """Have the histories at unknowns computed together, and keep them. Not collective."""
         values = [self.values(x) for x in points]
-        new = {v.tobytes(): v for v in values if v.tobytes() not in self._known}
+        new = {v.tobytes(): v for v in values if v.tobytes() not in self.known}
         if new:
             found = self._histories.responses(np.array(list(new.values())))
-            self._known.update(zip(new, found, strict=True))
+            self.known.update(zip(new, found, strict=True))
 
     def _response(self, x: FloatArray) -> FloatArray:
         self.look_up([x])
-        found = self._known[self.values(x).tobytes()]
+        found = self.known[self.values(x).tobytes()]
         if isinstance(found, Exception):
             raise found
         return found

@@ -204,11 +204,6 @@ class Problem:
     design: Space
 
     @property
-    def n(self) -> int:
-        """Number of readings."""
-        return sum(experiment.n for experiment in self.experiments)
-
-    @property
     def keys(self) -> tuple[str, ...]:
         """The fitted keys."""
         return tuple(parameter.key for parameter in self.parameters)
