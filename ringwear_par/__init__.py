@@ -2,7 +2,7 @@
 
 Rooms follow the paper (Serre, Bonnet and Pradeilles-Duval 2001): ``elasticity`` eq. (5),
 ``contact`` (3), ``wear`` (4), ``history`` section 3; around them ``cases``, ``results``,
-``studies`` and ``verification``. Units: mm, N, MPa, s, rad; energies N mm.
+``studies``, ``identification`` and ``verification``. Units: mm, N, MPa, s, rad; energies N mm.
 
     import ringwear_par as rw
 
@@ -25,6 +25,9 @@ if TYPE_CHECKING:
     from ringwear_par.elasticity.pair import ContactPair
     from ringwear_par.errors import ComputationError, InputError
     from ringwear_par.history.pairs import assemble
+    from ringwear_par.identification.design import DesignResult, design
+    from ringwear_par.identification.fit import fit
+    from ringwear_par.identification.outcome import FitResult
     from ringwear_par.results.files import open_result
     from ringwear_par.results.result import FailedResult, Result
     from ringwear_par.results.simulate import simulate
@@ -40,13 +43,17 @@ _PUBLIC = {
     "Case": "cases.case",
     "ComputationError": "errors",
     "ContactPair": "elasticity.pair",
+    "DesignResult": "identification.design",
     "FailedResult": "results.result",
+    "FitResult": "identification.outcome",
     "InputError": "errors",
     "LocalState": "wear.law",
     "Result": "results.result",
     "Study": "studies.study",
     "WearLaw": "wear.law",
     "assemble": "history.pairs",
+    "design": "identification.design",
+    "fit": "identification.fit",
     "open_ensemble": "studies.ensemble",
     "open_result": "results.files",
     "plot": "studies.plot",
@@ -58,9 +65,10 @@ _PUBLIC = {
     "sweep": "studies.sweep",
 }
 __all__ = [
-    "Case", "ComputationError", "ContactPair", "FailedResult", "InputError", "LocalState",
-    "Result", "Study", "WearLaw", "assemble", "open_ensemble", "open_result", "plot", "read_case",
-    "read_study", "simulate", "simulate_all", "surrogate", "sweep",
+    "Case", "ComputationError", "ContactPair", "DesignResult", "FailedResult", "FitResult",
+    "InputError", "LocalState", "Result", "Study", "WearLaw", "assemble", "design", "fit",
+    "open_ensemble", "open_result", "plot", "read_case", "read_study", "simulate", "simulate_all",
+    "surrogate", "sweep",
 ]  # fmt: skip
 
 

@@ -103,6 +103,30 @@ def _parser() -> argparse.ArgumentParser:
 
     _add_no_cache(sweep)
 
+    fit = command("fit", "find parameters of the wear law from measurements, with intervals")
+    fit.add_argument("fit", type=_path, metavar="FIT.toml", help="fit file")
+    fit.add_argument("-o", "--output", type=_path, required=True, metavar="DIR")
+    fit.add_argument(
+        "--dry-run", action="store_true",
+        help="tell the intervals to be expected from the start; write nothing",
+    )  # fmt: skip
+    fit.add_argument(
+        "--restart", action="store_true", help="use the optima that an interrupted fit has kept"
+    )
+    fit.add_argument("--compare", action="store_true", help="fit the laws of [compare] as well")
+    _add_no_cache(fit)
+
+    design = command("design", "find the next tests that tell most, from [design] of a fit file")
+    design.add_argument("fit", type=_path, metavar="FIT.toml", help="fit file")
+    design.add_argument("-o", "--output", type=_path, required=True, metavar="DIR")
+    design.add_argument(
+        "--after", type=_path, metavar="DIR", help="folder of a fit whose information counts"
+    )
+    design.add_argument(
+        "--criterion", choices=("D", "A", "eig"), help="instead of that of the fit file"
+    )
+    _add_no_cache(design)
+
     plot = command("plot", "draw the figures of the paper from result files, or those of a sweep")
     plot.add_argument("results", type=_path, nargs="+", metavar="RUN.h5 or DIR")
     plot.add_argument("-o", "--output", type=_path, required=True, metavar="FIG.png")
@@ -204,6 +228,21 @@ def _sweep(args: argparse.Namespace, comm: Any) -> None:
     )  # fmt: skip
 
 
+def _fit(args: argparse.Namespace, comm: Any) -> None:
+    from ringwear_par.identification.fit import run_fit
+
+    run_fit(
+        args.fit, args.output, comm, dry_run=args.dry_run, restart=args.restart,
+        compare=args.compare,
+    )  # fmt: skip
+
+
+def _design(args: argparse.Namespace, comm: Any) -> None:
+    from ringwear_par.identification.design import run_design
+
+    run_design(args.fit, args.output, comm, after=args.after, criterion=args.criterion)
+
+
 def _plot(args: argparse.Namespace, comm: Any) -> None:
     from ringwear_par.parallel import on_first_rank
 
@@ -266,8 +305,8 @@ def _info(args: argparse.Namespace, comm: Any) -> None:
 
 
 _COMMANDS = {
-    "run": _run, "sweep": _sweep, "plot": _plot, "export": _export, "laws": _laws,
-    "verify": _verify, "info": _info,
+    "run": _run, "sweep": _sweep, "fit": _fit, "design": _design, "plot": _plot,
+    "export": _export, "laws": _laws, "verify": _verify, "info": _info,
 }  # fmt: skip
 
 
@@ -365,6 +404,8 @@ def _left(words: Sequence[str]) -> str:
     return {
         "run": " before the first step; nothing written",
         "sweep": "; the same command goes on",
+        "fit": " before the first start; nothing written",
+        "design": "; nothing written",
         "plot": "; nothing written",
         "export": "; nothing written",
     }.get(words[0] if words else "", "")

@@ -20,8 +20,8 @@ if TYPE_CHECKING:
 
 log = logging.getLogger(__name__)
 
-#: of the boundary element systems and of the contact problem
-BEM_PREFIX, CONTACT_PREFIX = "bem_", "contact_"
+#: of the boundary element systems, of the contact problem, and of fits to measurements
+BEM_PREFIX, CONTACT_PREFIX, FIT_PREFIX = "bem_", "contact_", "identify_"
 
 
 def start_petsc(words: Sequence[str]) -> None:
@@ -149,13 +149,13 @@ def reject_unused_options() -> None:
     """
     from petsc4py import PETSc
 
-    ours = (BEM_PREFIX, CONTACT_PREFIX)
+    ours = (BEM_PREFIX, CONTACT_PREFIX, FIT_PREFIX)
     unused = [name for name in PETSc.Options().getAll() if not _was_used(name)]
     others = [name for name in unused if not name.startswith(ours)]
     unused = [name for name in unused if name.startswith(ours)]
     if others:
         log.warning(
-            "-%s: no solver of this run reads it; names of their options begin with -%s or -%s",
+            "-%s: no solver of this run reads it; names of their options begin with -%s, -%s, -%s",
             ", -".join(others), *ours,
         )  # fmt: skip
     if unused:
@@ -173,6 +173,7 @@ def _nearest(name: str) -> str:
         f"{CONTACT_PREFIX}tao_type", f"{CONTACT_PREFIX}tao_monitor", f"{CONTACT_PREFIX}tao_view",
         f"{CONTACT_PREFIX}ksp_type", f"{CONTACT_PREFIX}pc_type", f"{CONTACT_PREFIX}ksp_rtol",
         f"{BEM_PREFIX}ksp_type", f"{BEM_PREFIX}ksp_view", f"{BEM_PREFIX}pc_type",
+        f"{FIT_PREFIX}tao_monitor", f"{FIT_PREFIX}tao_view",
     ]  # fmt: skip
     near = difflib.get_close_matches(name, known, n=1, cutoff=0.8)
     return f" (did you mean -{near[0]}?)" if near else ""

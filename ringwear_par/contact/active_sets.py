@@ -134,3 +134,34 @@ def natural(
             top = max(top, q[history, i])
         worst[place] = most if math.isfinite(most) else np.inf
         largest[place] = top
+
+
+@compiled
+def follow(
+    weights: FloatArray,
+    scale: FloatArray,
+    border: FloatArray,
+    sums: FloatArray,
+    d_forces: FloatArray,
+    d_q: FloatArray,
+    d_approaches: FloatArray,
+) -> None:
+    """Make derivatives of pressures and approaches of what gaps alone do, for some histories.
+
+    Parameters
+    ----------
+    weights, scale, border, sums : (h, n) and (h,) float, as of ``advance``.
+    d_forces : (P, h) float, N, of the forces; (P, 0) where approaches are given.
+    d_q : (P, h, n) float, H^-1 times the derivatives of the weighted gaps; pressures in place.
+    d_approaches : (P, h) float, mm; replaced where forces are given and something touches.
+    """
+    for k in range(d_q.shape[0]):
+        for h in range(d_q.shape[1]):
+            x = d_q[k, h]
+            if d_forces.shape[1] and sums[h] > 0.0:
+                carried = 0.0
+                for i in range(len(x)):
+                    carried += weights[h, i] * x[i]
+                d_approaches[k, h] = (d_forces[k, h] + carried) / sums[h]
+            for i in range(len(x)):
+                x[i] = (border[h, i] * d_approaches[k, h] - x[i]) / scale[h, i]

@@ -5,13 +5,14 @@ approaches, wear and moduli are those of each history; so are all digits of its 
 the others are.
 """
 
+from collections.abc import Callable
 from typing import Any, TypeVar
 
 import numpy as np
 from mpi4py import MPI
 
 from ringwear_par.arrays import FloatArray, IntArray, inner
-from ringwear_par.contact.active_sets import natural
+from ringwear_par.contact.active_sets import follow, natural
 from ringwear_par.contact.blocks import HessianBlocks
 from ringwear_par.contact.interleaved import multiply
 from ringwear_par.contact.lockstep import LockStepNewton
@@ -304,6 +305,60 @@ class BatchSolver:
         by_gap /= -self._scale
         return by_gap
 
+    def tangents(
+        self,
+        found: ContactState,
+        d_gap: FloatArray,
+        d_force: FloatArray | None,
+        d_approach: FloatArray | None,
+        slope: FloatArray | None,
+        histories: IntArray,
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return derivatives of the last pressures, (P, h, n), and approaches, (P, h), of some.
+
+        See ``ContactSolver.tangents``; what is given is of all histories.
+        """
+        rows = self._rows_of(histories)
+        weights, scale = self._weights[rows], self._scale[rows]
+        right = d_gap[:, rows] * weights
+        by_gap = self._blocks.solve_more(histories, right)
+        border, sums = self._blocks.border[rows], self._blocks.sums[rows]
+        left = self._left_out(slope, histories)
+        if left is not None:
+            by_gap -= self._blocks.solve_more(histories, np.array([left(x) for x in by_gap]))
+            border = border - self._blocks.solve(histories, left(border))
+            sums = (weights * border).sum(axis=1)
+        if d_approach is None:
+            # where nothing touches, the force being 0, bodies stay at the nearest element
+            nearest = found.gap[rows].argmin(axis=1)
+            moved = d_gap[:, histories, nearest]
+        else:
+            moved = d_approach[:, rows].copy()
+        forces = np.zeros((len(d_gap), 0)) if d_force is None else d_force[:, rows]
+        follow(weights, scale, border, sums, forces, by_gap, moved)
+        return by_gap, moved
+
+    def _rows_of(self, histories: IntArray) -> Any:
+        """Return the rows of some histories, all by a slice, which is quicker."""
+        return slice(None) if len(histories) == len(self._every) else histories
+
+    def _left_out(
+        self, slope: FloatArray | None, histories: IntArray
+    ) -> Callable[[FloatArray], FloatArray] | None:
+        """Return what makes of x (h, n) what ``ContactProblem.left_out`` does."""
+        if slope is None:
+            return None
+        rows, blocks = self._rows_of(histories), self._blocks
+        weights, scale = self._weights[rows], self._scale[rows]
+        if slope.ndim > self._weights.ndim:
+            change = weights[..., None] * slope[rows] / scale[:, None, :] - blocks.coupling[rows]
+            own = np.arange(change.shape[1])
+            change[:, own, own] -= blocks.slope[rows]
+            return lambda x: np.array([each @ row for each, row in zip(change, x, strict=True)])
+        # TAO's callbacks make it in the same way, so that what has not changed is 0
+        change = slope[rows] * (weights / scale) - blocks.slope[rows]
+        return (lambda x: change * x) if change.any() else None
+
     @property
     def rates(self) -> FloatArray:
         """(B, n) MPa/mm, derivative of the last pressures with respect to the approach."""
@@ -329,6 +384,11 @@ class BatchSolver:
         found = np.empty(p.shape)
         multiply(self._every, matrices, which, np.ascontiguousarray(p), found)
         return found
+
+    def deflections(self, d_p: FloatArray) -> FloatArray:
+        """Return what (P, B, n) MPa make of the gaps, mm."""
+        every = (self.products(self._scaled, self._which, self._scale * p) for p in d_p)
+        return np.array(list(every)) / self._weights
 
     def take(self, histories: IntArray) -> "BatchSolver":
         """Return a solver of some of the histories, which starts where this one would."""
@@ -359,8 +419,10 @@ def load_batch_kernels(comm: MPI.Comm) -> None:
     def load() -> None:
         solver = BatchSolver(np.eye(2)[None], np.zeros(1, dtype=np.int64), np.ones(2))
         try:
-            solver.solve(np.zeros((1, 2)), force=np.ones(1))
+            state = solver.solve(np.zeros((1, 2)), force=np.ones(1))
             solver.response(np.zeros((1, 2)), True)
+            one = np.ones((1, 1))
+            solver.tangents(state, np.ones((1, 1, 2)), one, None, None, np.arange(1))
         finally:
             solver.destroy()
 

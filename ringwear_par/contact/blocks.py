@@ -139,6 +139,20 @@ class HessianBlocks:
             interleaved.solve(histories, self._free, self._factors, right, out)
         return out
 
+    def solve_more(self, histories: IntArray, right: FloatArray) -> FloatArray:
+        """Return the same for several right sides, (k, h, n)."""
+        out = np.zeros_like(right)
+        if isinstance(self._factors, list):
+            for place, history in enumerate(histories):
+                free, factor = self._free[history], self._factors[history]
+                if factor is None:
+                    out[:, place, free] = np.nan
+                elif free.any():
+                    out[:, place, free] = dpotrs(factor, right[:, place, free].T, lower=1)[0].T
+        else:
+            interleaved.solve_more(histories, self._free, self._factors, right, out)
+        return out
+
 
 def _memory(numbers: int) -> FloatArray:
     """Return memory for so many numbers, or more, whatever is in it."""

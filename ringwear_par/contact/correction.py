@@ -7,7 +7,7 @@ cent of the error, and within a history the pressures of the step before are mos
 """
 
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
@@ -29,6 +29,21 @@ _CORRECTIONS = 10
 _TINY = 1e-300
 
 
+class Tangents(Protocol):
+    """Derivatives of contact solutions, which a solution tells of each of its corrections."""
+
+    def solved(self, found: ContactState, at: FloatArray, asked: Any = ...) -> None:
+        """Differentiate a solution on the factor that its solver has now.
+
+        Parameters
+        ----------
+        found : the solution.
+        at : (..., n) float, MPa, the pressures at which it was corrected.
+        asked : (h,) int, of B histories those that were solved.
+        """
+        ...
+
+
 class CorrectedContact:
     """The contact of one history. Collective on the solver's communicator.
 
@@ -47,9 +62,27 @@ class CorrectedContact:
         """Return what a small growth (n,) mm of the gap does to the last pressures, MPa."""
         return self.solver.response(gap, force_kept)
 
+    def take_shift(self, d_gap: FloatArray, d_p: FloatArray) -> None:
+        """Take what the excess makes of derivatives of pressures, (P, n), from those of the gap."""
+        d_gap -= d_p @ self._excess.T
+
+    def products(self, matrices: FloatArray, which: int, p: FloatArray) -> FloatArray:
+        """Return the product of one of some transposed matrices (m, n, n) and p (n,)."""
+        return p @ matrices[which]
+
+    def deflections(self, d_p: FloatArray) -> FloatArray:
+        """Return what (P, n) MPa make of the gap by the symmetric compliance, mm."""
+        return (d_p @ self._matrix) / self._area
+
+    def tangents(
+        self, found: ContactState, *how: Any, asked: Any = None
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return derivatives of pressures and approach, see ``ContactSolver.tangents``."""
+        return self.solver.tangents(found, *how)
+
     def take(self, matrix: FloatArray, excess: FloatArray) -> None:
         """Take K, (n, n) mm^3/MPa, which the solver has, and its excess, (n, n) mm/MPa."""
-        self._excess = excess
+        self._matrix, self._excess = matrix, excess
         self._stiffness = self._area / np.diagonal(matrix)  # MPa/mm, of each element alone
         self._shift_at: tuple[FloatArray, FloatArray] | None = None
 
@@ -68,6 +101,7 @@ class CorrectedContact:
         approach: float | None,
         wear: WearIncrement | None,
         exact: bool = False,
+        along: Tangents | None = None,
     ) -> ContactState:
         """Solve at a given force (N) or approach (mm), as ``ContactSolver.solve`` does.
 
@@ -75,12 +109,16 @@ class CorrectedContact:
         ----------
         near : (n,) float, MPa, pressures near the solution.
         exact : whether to correct until no more than 1e-4 is left.
+        along : told of every correction.
         """
         most = _EXACT if exact else _NEAR_ENOUGH
         shift, iterations = self._shift(near), 0
         for _ in range(1 + _CORRECTIONS):
             found = self.solver.solve(gap - shift, force=force, approach=approach, wear=wear)
             iterations += found.iterations
+            if along is not None:
+                along.solved(found, near)
+                near = found.pressure
             before, shift = shift, self._shift(found.pressure)
             error, e = self._error(found, shift - before, force is not None, most)
             again = error > most
@@ -160,6 +198,7 @@ class CorrectedBatch:
         wear: WearIncrement | None,
         exact: bool = False,
         found: tuple[BoolArray, ContactState] | None = None,
+        along: Tangents | None = None,
     ) -> ContactState:
         """Solve at given forces (B,) N or approaches (B,) mm, as ``CorrectedContact.solve`` does.
 
@@ -182,6 +221,9 @@ class CorrectedBatch:
             state = self.solver.solve(
                 gap - shift, force=force, approach=approach, wear=wear, histories=asked
             )
+            if along is not None:
+                along.solved(state, near, asked)
+                near = state.pressure
             iterations[asked] += state.iterations[asked]
             residual[asked] = state.residual[asked]
             before, shift = shift, self._shift(state.pressure)
@@ -220,6 +262,24 @@ class CorrectedBatch:
         left = np.where(carrying > 0.0, errors[rows, again], np.inf)
         again = np.where(carrying > 0.0, again, elements)
         return np.where(worst > most, left, worst), np.where(worst > most, again, elements)
+
+    def take_shift(self, d_gap: FloatArray, d_p: FloatArray) -> None:
+        """Take what the excesses make of derivatives of pressures, (P, B, n), from gaps'."""
+        for gap, p in zip(d_gap, d_p, strict=True):
+            gap -= self.solver.products(self._transposed, self._which, p)
+
+    def products(self, matrices: FloatArray, which: IntArray, p: FloatArray) -> FloatArray:
+        """Return the products of transposed matrices (m, n, n), one a history, and p (B, n)."""
+        return self.solver.products(matrices, which, p)
+
+    def deflections(self, d_p: FloatArray) -> FloatArray:
+        """Return what (P, B, n) MPa make of the gaps by the symmetric compliances, mm."""
+        return self.solver.deflections(d_p)
+
+    def tangents(self, found: ContactState, *how: Any, asked: Any) -> tuple[FloatArray, FloatArray]:
+        """Return derivatives of pressures and approaches of the histories asked for."""
+        what: tuple[Any, ...] = (*how, asked)
+        return self.solver.tangents(found, *what)
 
     def go_on(self, *before: "CorrectedBatch") -> None:
         """Start where others would, whose histories follow each other here."""

@@ -142,6 +142,44 @@ def _backward(context: Any, to: Any, known: Any, row: Any) -> Any:
     return types.void(to, known, row), generate
 
 
+@intrinsic
+def _forward_rows(context: Any, to: Any, known: Any, row: Any, length: Any) -> Any:
+    """Take from four entries what four known ones make of them; a row is so many bytes long."""
+
+    def generate(target: Any, builder: Any, signature: Any, a: Any) -> Any:
+        to, known, row, length = a
+        sums = [_load(builder, to, j) for j in range(4)]
+        for i in range(4):
+            x = _load(builder, known, i)
+            sums = [_less(builder, sums[j], x, _load(builder, row, j)) for j in range(4)]
+            row = builder.add(row, length)
+        for j in range(4):
+            _store(builder, sums[j], to, j)
+        return target.get_dummy_value()
+
+    return types.void(to, known, row, length), generate
+
+
+@intrinsic
+def _backward_rows(context: Any, to: Any, known: Any, row: Any, length: Any) -> Any:
+    """Take from four entries, of a row each, what four known ones make of them."""
+
+    def generate(target: Any, builder: Any, signature: Any, a: Any) -> Any:
+        to, known, row, length = a
+        rows = [row]
+        for _ in range(3):
+            rows.append(builder.add(rows[-1], length))
+        sums = [_load(builder, to, j) for j in range(4)]
+        for i in range(4):
+            x = _load(builder, known, i)
+            sums = [_less(builder, sums[j], x, _load(builder, rows[j], i)) for j in range(4)]
+        for j in range(4):
+            _store(builder, sums[j], to, j)
+        return target.get_dummy_value()
+
+    return types.void(to, known, row, length), generate
+
+
 @compiled
 def _range(free: BoolArray, group: int) -> tuple[int, int]:
     """Return between which rows elements of a group are free, by panels: others are unit rows."""
@@ -210,6 +248,29 @@ def _substitute(u: FloatArray, x: FloatArray, first: int, last: int) -> None:
             _backward(unknown, at + _BYTES * j, here + _BYTES * j)
             j += 4
         _multiply(unknown, here + _BYTES * k)
+
+
+@compiled
+def _substitute_rows(u: FloatArray, x: FloatArray, first: int, last: int) -> None:
+    """Do as ``_substitute``, four rows at a time, to round-off: quicker where rows are near."""
+    n = u.shape[0]
+    base, row, at = u.ctypes.data, _BYTES * n, x.ctypes.data
+    for k in range(first, last, 4):
+        for a in range(k, k + 4):
+            here, known = base + a * row, at + _BYTES * a
+            _multiply(known, here + _BYTES * a)
+            for j in range(a + 1, k + 4):
+                _subtract(at + _BYTES * j, known, here + _BYTES * j)
+        for j in range(k + 4, last, 4):
+            _forward_rows(at + _BYTES * j, at + _BYTES * k, base + k * row + _BYTES * j, row)
+    for k in range(last - 4, first - 1, -4):
+        for j in range(k + 4, last, 4):
+            _backward_rows(at + _BYTES * k, at + _BYTES * j, base + k * row + _BYTES * j, row)
+        for a in range(k + 3, k - 1, -1):
+            here, unknown = base + a * row, at + _BYTES * a
+            for j in range(a + 1, k + 4):
+                _subtract(unknown, at + _BYTES * j, here + _BYTES * j)
+            _multiply(unknown, here + _BYTES * a)
 
 
 @compiled
@@ -316,6 +377,38 @@ def solve(
             history = histories[place]
             for i in range(n):
                 out[place, i] = x[i, history % GROUP] if free[history, i] else 0.0
+        first = last
+
+
+@compiled
+def solve_more(
+    histories: IntArray,
+    free: BoolArray,
+    factors: FloatArray,
+    right: FloatArray,
+    out: FloatArray,
+) -> None:
+    """Solve as ``solve`` does for (k, h, n) right sides: factors are fetched once for all."""
+    n, padded, count = free.shape[1], factors.shape[1], len(histories)
+    x = np.zeros((padded, GROUP))
+    first = 0
+    while first < count:
+        group, last = histories[first] // GROUP, first
+        while last < count and histories[last] // GROUP == group:
+            last += 1
+        start, stop = _range(free, group)
+        for k in range(right.shape[0]):
+            x[:] = 0.0
+            for place in range(first, last):
+                history = histories[place]
+                for i in range(n):
+                    if free[history, i]:
+                        x[i, history % GROUP] = right[k, place, i]
+            _substitute_rows(factors[group], x, start, stop)
+            for place in range(first, last):
+                history = histories[place]
+                for i in range(n):
+                    out[k, place, i] = x[i, history % GROUP] if free[history, i] else 0.0
         first = last
 
 

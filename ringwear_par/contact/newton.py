@@ -134,6 +134,8 @@ class ActiveSetNewton(Method):
         """
         if self._factor is None:
             return None
+        if self._free.all():
+            return dpotrs(self._factor, right, lower=1)[0]
         x = np.zeros_like(right)
         x[self._free], _ = dpotrs(self._factor, right[self._free], lower=1)
         return x

@@ -104,6 +104,7 @@ class ContactProblem:
         self._slope_weight = self._weight / self._own_scale
         # what wear adds to the diagonal of the Hessian, and whether it adds more than that
         self._slope, self._coupled = np.zeros_like(self._own_area), False
+        self._coupling: FloatArray | float = 0.0
 
     def scaled(self, compliance: FloatArray) -> FloatArray:
         """Return the own rows of A."""
@@ -175,11 +176,29 @@ class ContactProblem:
         """Diagonal of the Hessian."""
         return 1.0 + self._slope
 
+    def left_out(self, x: FloatArray, slope: FloatArray | None) -> FloatArray | None:
+        """Return what the wear's slopes at a solution make of x, (n, k), more than the Hessian's.
+
+        The Hessian is that of the iterate before; None where it is the same.
+
+        Parameters
+        ----------
+        slope : (n,) or (n, n) mm/MPa, see ``ContactSolver.tangents``.
+        """
+        if slope is None:
+            return None
+        if slope.ndim > 1:
+            scaled = self.weights[:, None] * slope / self.scale
+            return (scaled - self._coupling) @ x
+        change = slope * self._slope_weight - self._slope
+        return change[:, None] * x if change.any() else None
+
     def add_coupling(self, q: FloatArray, hessian: FloatArray) -> None:
         """Add to the own rows of the Hessian what non-local wear does."""
         if self._wear is not None and self._coupled:
             derivative = self._wear.jacobian(q / self._own_scale)
-            hessian += self.weights[:, None] * derivative / self.scale
+            self._coupling = self.weights[:, None] * derivative / self.scale
+            hessian += self._coupling
 
     def defect(self, q: FloatArray, gradient: FloatArray) -> tuple[float, float]:
         """Return the natural KKT residual, infinite where it is no number, and the largest q."""

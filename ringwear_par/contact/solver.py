@@ -333,17 +333,58 @@ class ContactSolver:
         if problem.apart:
             return np.zeros_like(gap)
         right = np.stack([problem.weights * gap, problem.weights], axis=1)
+        by_gap, by_approach = (self._solved(right) / problem.scale[:, None]).T
+        stiffness = self._area @ by_approach
+        if force_kept and stiffness > 0.0:
+            return by_approach * (self._area @ by_gap) / stiffness - by_gap
+        return -by_gap
+
+    def _solved(self, right: FloatArray) -> FloatArray:
+        """Return H^-1 right, (n, k), on the active set of the last solution, else 0."""
         x = self._newton.response(right) if self._newton is not None else None
         if x is None:
             free = self._gathered(self._x.getArray(readonly=True)) > 0.0
             hessian = self._gathered(self._h.getDenseArray(readonly=True))
             x = np.zeros_like(right)
             x[free] = np.linalg.solve(hessian[np.ix_(free, free)], right[free])
-        by_gap, by_approach = (x / problem.scale[:, None]).T
-        stiffness = self._area @ by_approach
-        if force_kept and stiffness > 0.0:
-            return by_approach * (self._area @ by_gap) / stiffness - by_gap
-        return -by_gap
+        return x
+
+    def tangents(
+        self,
+        found: ContactState,
+        d_gap: FloatArray,
+        d_force: FloatArray | None,
+        d_approach: FloatArray | None,
+        slope: FloatArray | None,
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return derivatives of the last pressures, (P, n) MPa, and of its approach, (P,) mm.
+
+        On the factor that it ended with. Not collective: not of problems that ranks share.
+
+        Parameters
+        ----------
+        found : the last solution.
+        d_gap : (P, n) mm, what P numbers do to the gap at given pressure, wear included.
+        d_force, d_approach : (P,) N or mm, whichever is given.
+        slope : derivative of the wear of the step with respect to pressure at the solution, (n,)
+            mm/MPa, or (n, n) where it is non-local; None where there is none.
+        """
+        problem = self._problem
+        if problem.apart:
+            nearest = d_gap[:, found.gap.argmin()] if d_approach is None else d_approach
+            return np.zeros_like(d_gap), nearest
+        right = np.empty((len(d_gap) + 1, len(problem.weights)))
+        np.multiply(d_gap, problem.weights, out=right[:-1])
+        right[-1] = problem.weights
+        x = self._solved(right.T)
+        left = problem.left_out(x, slope)
+        if left is not None:
+            x -= self._solved(left)
+        x = x.T / problem.scale
+        by_gap, by_approach = x[:-1], x[-1]
+        if d_approach is None:
+            d_approach = (d_force + by_gap @ self._area) / (self._area @ by_approach)
+        return by_approach * d_approach[:, None] - by_gap, d_approach
 
     def cold_start(self) -> None:
         """Start the next solve as a new solver would. Not collective."""

@@ -16,6 +16,9 @@ from ringwear_par.elasticity.sections import Body
 from ringwear_par.elasticity.slopes import obliquity, pair_slope
 from ringwear_par.errors import ComputationError
 
+#: by which a body is made softer and stiffer to see what that does to the symmetric compliance
+_SHARE = 1e-4
+
 
 @dataclass(frozen=True)
 class BodyCost:
@@ -151,6 +154,23 @@ class ContactPair:
             self.torque_reaction,
             self.slope,
             normal,
+        )
+
+    def d_compliance(
+        self, young: tuple[float, float], body: int
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return the derivatives with respect to the modulus of lower (0) or upper (1).
+
+        Of ``matrix`` (by differences, see ``symmetric``), ``collocated`` and ``twist``; over MPa.
+        """
+        share, line = 1.0 / young[body], self.line
+        normal = sum(each / modulus for each, modulus in zip(self.normal, young, strict=True))
+        own = share * self.normal[body]
+        softer, stiffer = (symmetric(line, normal + by * own) for by in (_SHARE, -_SHARE))
+        return (
+            -share * (softer - stiffer) / (2.0 * _SHARE),
+            -share * own,
+            -share * share * self.twist[body] / line.area.sum(),
         )
 
 

@@ -21,7 +21,13 @@ from ringwear_par.cases.case import Case
 from ringwear_par.elasticity.pair import ContactPair
 from ringwear_par.errors import HistoriesError
 from ringwear_par.history import euler, sdirk2
-from ringwear_par.history.control import ErrorBatch, FixedBatch, joined
+from ringwear_par.history.control import (
+    ErrorBatch,
+    FixedBatch,
+    GivenBatch,
+    joined,
+    step_times_of,
+)
 from ringwear_par.history.model import WearModel
 from ringwear_par.history.saving import stores, times_within
 from ringwear_par.history.schemes import Scheme
@@ -118,10 +124,19 @@ class _Lot:
     cases : of all histories.
     pair : contact pair of the cases.
     numbers : (B,) int, those of this lot.
+    derivatives, step_times : as of ``simulate_batch``.
     """
 
-    def __init__(self, cases: Sequence[Case], pair: ContactPair, numbers: IntArray) -> None:
+    def __init__(
+        self,
+        cases: Sequence[Case],
+        pair: ContactPair,
+        numbers: IntArray,
+        derivatives: Sequence[str] = (),
+        step_times: Sequence[Sequence[float]] | None = None,
+    ) -> None:
         self._all, self._pair, self.numbers = cases, pair, numbers
+        self._derivatives, self._step_times = derivatives, step_times
         self.begun = False
         #: whether it was parted from others with which it fails
         self.apart = False
@@ -166,8 +181,11 @@ class _Lot:
     def _begin(self) -> None:
         cases = self._cases
         self._scheme, make_control = _METHODS[cases[0].time.scheme]
-        self.control = make_control(cases)
-        self.model = WearModel(cases, MPI.COMM_SELF, self._pair)
+        if self._step_times is None:
+            self.control = make_control(cases)
+        else:
+            self.control = GivenBatch(cases, [self._step_times[i] for i in self.numbers.tolist()])
+        self.model = WearModel(cases, MPI.COMM_SELF, self._pair, derivatives=self._derivatives)
         self._every = np.array([case.output.every for case in cases])
         self.state = self.model.initial()
 
@@ -247,7 +265,7 @@ class _Lot:
 
     def take(self, histories: IntArray) -> "_Lot":
         """Return a lot of some of the histories, as far as they are."""
-        lot = _Lot(self._all, self._pair, self.numbers[histories])
+        lot = self._of(self.numbers[histories])
         if self.begun:
             lot.begun, lot._scheme = True, self._scheme
             lot.control, lot.model = self.control.take(histories), self.model.take(histories)
@@ -256,13 +274,17 @@ class _Lot:
 
     def joined(self, other: "_Lot") -> "_Lot":
         """Return one lot of both, which have begun."""
-        lot = _Lot(self._all, self._pair, np.append(self.numbers, other.numbers))
+        lot = self._of(np.append(self.numbers, other.numbers))
         lot.begun, lot._scheme = True, self._scheme
         lot.model = self.model.joined(other.model)
         lot.control = joined(self.control, other.control)
         lot.state = self.state.joined(other.state)
         lot._every = np.append(self._every, other._every)
         return lot
+
+    def _of(self, numbers: IntArray) -> "_Lot":
+        """Return a lot of other histories that has not begun."""
+        return _Lot(self._all, self._pair, numbers, self._derivatives, self._step_times)
 
     def close(self) -> None:
         """Free the contact solver."""
@@ -276,6 +298,8 @@ def simulate_batch(
     observe: Callable[[BatchSnapshot], None],
     stop: Callable[[], bool] = lambda: False,
     most: int | None = None,
+    derivatives: Sequence[str] = (),
+    step_times: Sequence[Sequence[float]] | None = None,
 ) -> list[int] | None:
     """Step the histories of cases in lock step, from their starts to their ends. Not collective.
 
@@ -286,12 +310,21 @@ def simulate_batch(
     observe : called with new states.
     stop : asked between two rounds.
     most : histories that step at a time; as they end others take their places. None: all.
+    derivatives : keys that states have derivatives with respect to.
+    step_times : s, ends of the steps of each history, its last one that of its case; None: each
+        steps as its case says.
 
     Returns
     -------
     Numbers of the histories that came to trouble, and are to be computed alone, whatever was shown
     of them; None if all were stopped.
+
+    Raises
+    ------
+    ValueError : steps that are given do not increase to the ends of the cases.
     """
+    for times, case in () if step_times is None else zip(step_times, cases, strict=True):
+        step_times_of(times, case)
     alone: list[int] = []
     lots: list[_Lot] = []
     begun, most = 0, most or len(cases)
@@ -299,7 +332,7 @@ def simulate_batch(
         going = sum(len(lot.numbers) for lot in lots)
         if begun < len(cases) and 2 * going <= most:
             more = np.arange(begun, min(begun + most - going, len(cases)))
-            lots.append(_Lot(cases, pair, more))
+            lots.append(_Lot(cases, pair, more, derivatives, step_times))
             begun += len(more)
         if len(lots) > 1 and all(lot.begun and not lot.apart for lot in lots[-2:]):
             one, other = lots[-2:]

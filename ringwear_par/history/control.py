@@ -83,6 +83,40 @@ class FixedSteps:
         raise error
 
 
+class GivenSteps(FixedSteps):
+    """Steps to given times; what they miss is told, not held.
+
+    Parameters
+    ----------
+    times : s, increasing; the last one is the end of the case.
+    case : the case.
+    progress : from where on.
+    """
+
+    def __init__(self, times: Sequence[float], case: Case, progress: Progress) -> None:
+        super().__init__(case, progress)
+        self._times = step_times_of(times, case)
+
+    def end(self, state: State) -> float:
+        """Return the time of the next step's end, s."""
+        return self._times[self.progress.steps]
+
+
+def step_times_of(times: Sequence[float], case: Case) -> list[float]:
+    """Return the ends of steps of a case as numbers.
+
+    Raises
+    ------
+    ValueError : they do not increase to its end, or there are more or less than fixed ones.
+    """
+    given = [float(time) for time in times]
+    if not given or given[-1] != case.time.end or not np.all(np.diff([0.0, *given]) > 0.0):
+        raise ValueError(f"step_times: must increase from 0 to {case.time.end:g} s")
+    if not case.time.adaptive and len(given) != case.time.steps:
+        raise ValueError(f"step_times: must be {case.time.steps} of them")
+    return given
+
+
 class ErrorControl:
     """Steps whose estimated errors of wear, pressure and energy are within tolerances.
 
@@ -250,6 +284,28 @@ class FixedBatch:
     def take(self, histories: IntArray) -> Self:
         """Return the control of some of the histories."""
         return _taken(self, histories)
+
+
+class GivenBatch(FixedBatch):
+    """Steps of each of B histories to given times.
+
+    Parameters
+    ----------
+    cases : their ends.
+    times : of each, see ``GivenSteps``.
+    """
+
+    def __init__(self, cases: Sequence[Case], times: Sequence[Sequence[float]]) -> None:
+        super().__init__(cases)
+        given = [step_times_of(*each) for each in zip(times, cases, strict=True)]
+        self._steps = np.array(list(map(len, given)))
+        most = self._steps.max()
+        #: (B, m) s, each history's last one repeated
+        self._ends = np.array([each + each[-1:] * (most - len(each)) for each in given])
+
+    def end(self, state: State) -> FloatArray:
+        """Return the times of the next steps' ends, (B,) s."""
+        return self._ends[np.arange(len(self._ends)), self.progress.steps]
 
 
 class ErrorBatch:

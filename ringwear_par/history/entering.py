@@ -8,6 +8,7 @@ as much longer as makes up for it: over a step, all elements together carry the 
 """
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -20,6 +21,8 @@ from ringwear_par.wear.increment import Closing
 _REACH = 2.0
 #: largest area of elements that enter, in that of those in contact
 _MOST = 0.25
+#: least of what a stage counts more: wear never falls
+_LEAST = -0.9
 #: measured shares of the pressure at stake that elements are off by after they have entered, in a
 #: step of their own and in the stages of all others
 _ENTRY_ERROR, _STAGE_ERROR = 0.33, 0.67
@@ -63,8 +66,24 @@ class Entering:
             lacking = np.asarray(inner(area, np.where(late, (1.0 - counts) * p, 0.0)))
             carried = np.asarray(inner(area, np.where(late, 0.0, p)))
             more = np.divide(lacking, carried, out=np.zeros_like(carried), where=carried > 0.0)
-            ones = ones + np.maximum(more, -0.9)[..., None]  # wear never falls
+            ones = ones + np.maximum(more, _LEAST)[..., None]
         return np.where(late, counts, ones)
+
+    def d_counts(self, p: FloatArray, d_p: FloatArray, counts: Any, d_counts: Any) -> FloatArray:
+        """Return derivatives of ``counts``, (P, ..., n), from those of what it is given."""
+        late, area = self.late, self.area
+        if not self.force_kept:
+            return np.where(late, d_counts, np.zeros_like(d_p))
+
+        def carried(late_ones: Any, others: Any) -> Any:
+            return np.asarray(inner(area, np.where(late, late_ones, others)))
+
+        lacking, held = carried((1.0 - counts) * p, 0.0), carried(0.0, p)
+        d_lacking, d_held = carried((1.0 - counts) * d_p - d_counts * p, 0.0), carried(0.0, d_p)
+        whole = np.where(held > 0.0, held, 1.0)
+        more = lacking / whole
+        d_more = np.where((held > 0.0) & (more > _LEAST), (d_lacking - more * d_held) / whole, 0.0)
+        return np.where(late, d_counts, d_more[..., None])
 
 
 def entering(model: WearModel, state: State, length: Numbers) -> Entering | None:

@@ -23,10 +23,14 @@ def forward(model: WearModel, state: State, end: Numbers) -> Step:
     if not model.steady_speed:
         rates = model.rates(state.time, omega, state.wear, p)
     depths, volumes = columns(length) * rates, length * model.integrals(rates)
-    contact = model.contact(end, state.wear + depths, p)
+    along = model.along(state)
+    if along is not None:
+        along.explicit(model.increment(state.time, omega, state.wear, length), p)
+        along.work(length, omega, p, along.pressure)
+    contact = model.contact(end, state.wear + depths, p, along=along)
     then = model.rates_at(end, state.wear + depths, contact.pressure)
     energy = length * omega * model.torque(p)
-    after = advanced(model, state, end, depths, volumes, energy, contact, then)
+    after = advanced(model, state, end, depths, volumes, energy, contact, then, along)
     return _judged(state, after)
 
 
@@ -35,7 +39,8 @@ def backward(model: WearModel, state: State, end: Numbers) -> Step:
     length = end - state.time
     omega = mean(model.omega, state.time, end)
     during = model.increment(end, omega, state.wear, length)
-    contact = model.contact(end, state.wear, state.contact.pressure, during)
+    along = model.along(state)
+    contact = model.contact(end, state.wear, state.contact.pressure, during, along=along)
     p = contact.pressure
     depths = during.depths(p)
     then = during.rates(p, depths)
@@ -43,7 +48,10 @@ def backward(model: WearModel, state: State, end: Numbers) -> Step:
     if not model.rates_last:
         then = model.rates_at(end, state.wear + depths, p)
     energy = length * omega * model.torque(p)
-    after = advanced(model, state, end, depths, volumes, energy, contact, then)
+    if along is not None:
+        along.implicit()
+        along.work(length, omega, p, along.pressure)
+    after = advanced(model, state, end, depths, volumes, energy, contact, then, along)
     return _judged(state, after)
 
 

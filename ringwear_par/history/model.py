@@ -26,19 +26,22 @@ from ringwear_par.elasticity.pair import (
     BodyCost,
     ContactCompliance,
     ContactPair,
-    largest_stable_step,
 )
 from ringwear_par.elasticity.updated import UpdatedGeometry
 from ringwear_par.errors import ComputationError, HistoriesError, UnfitError
 from ringwear_par.history.bodies import young
 from ringwear_par.history.pairs import assemble, updated_geometry
+from ringwear_par.history.sensitivity import Sensitivity
+from ringwear_par.history.stability import pressed
 from ringwear_par.history.state import Start, State
+from ringwear_par.history.tangent import Along
 from ringwear_par.schedules import Quantity, in_time, integral, largest, stack, take
 from ringwear_par.wear.increment import Closing, WearIncrement, averaged_rate, averaging
 from ringwear_par.wear.law import LocalState, stack_laws
 
 if TYPE_CHECKING:
     from ringwear_par.contact.batch import BatchSolver
+    from ringwear_par.history.entering import Entering
 
 
 class WearModel:
@@ -51,6 +54,7 @@ class WearModel:
     pair : contact pair of the cases; None: it is assembled here.
     solver : of the pair with the case's moduli, to be used again from cold; None: made here.
     known : compliances of several cases by their moduli, as far as they are known.
+    derivatives : keys that states are to have derivatives with respect to, see ``sensitivity``.
     """
 
     def __init__(
@@ -60,6 +64,7 @@ class WearModel:
         pair: ContactPair | None = None,
         solver: ContactSolver | None = None,
         known: Mapping[tuple[float, float], ContactCompliance] = MappingProxyType({}),
+        derivatives: Sequence[str] = (),
     ) -> None:
         self.cases = (cases,) if isinstance(cases, Case) else tuple(cases)
         self.case, self.comm = self.cases[0], comm
@@ -82,7 +87,7 @@ class WearModel:
         if several:
             if any(c.follows_wear for c in self.cases):
                 raise ValueError("histories with updated geometry cannot be stacked")
-            self._initial_gap = _initial_gaps(self.cases)
+            self.initial_gap = _initial_gaps(self.cases)
             loads = [c.load for c in self.cases]
             self.friction: Numbers = np.array([c.friction for c in self.cases])
             self._tolerance: Numbers = np.array([c.time.tolerance for c in self.cases])
@@ -90,13 +95,14 @@ class WearModel:
             self.force = _stacked_loads([each.force for each in loads])
             self.displacement = _stacked_loads([each.displacement for each in loads])
             self.laws = tuple(stack_laws([c.laws[i] for c in self.cases]) for i in (0, 1))
-            self._shape: tuple[int, ...] = (len(self.cases), line.n)
+            #: of fields: (n,), or (B, n)
+            self.shape: tuple[int, ...] = (len(self.cases), line.n)
         else:
-            self._initial_gap = case.initial_gap
+            self.initial_gap = case.initial_gap
             self.friction, self.omega = case.friction, load.omega
             self._tolerance = case.time.tolerance
             self.force, self.displacement = load.force, load.displacement
-            self.laws, self._shape = case.laws, (line.n,)
+            self.laws, self.shape = case.laws, (line.n,)
         #: worn volume of lower and upper per dissipated energy, 1/MPa, None where it is not fixed
         self.per_energy = tuple(
             law.per_energy(self.friction) if law is not None else None for law in self.laws
@@ -116,7 +122,11 @@ class WearModel:
         #: what elements are nearer than their profiles say
         self._fit: FloatArray | None = None
         #: the wear that the present elasticity is of
-        self._followed = np.zeros((2, *self._shape))
+        self._followed = np.zeros((2, *self.shape))
+        #: what the numbers act on that there are to be derivatives with respect to, if any
+        self.sensitivity: Sensitivity | None = None
+        if derivatives:
+            self.sensitivity = Sensitivity(derivatives, self.cases, self.pair, several)
         self._lent = solver is not None
         self._warm: WarmStart | None = None  # once the history has ended
         if several:
@@ -126,39 +136,43 @@ class WearModel:
             solver.cold_start()
         else:
             solver = ContactSolver(self.pair.compliance(young(case)).matrix, self.area, comm)
-        self._contact: CorrectedContact | CorrectedBatch = CorrectedContact(solver, self.area)
+        #: the contact of a single history, or those of B
+        self.contacts: CorrectedContact | CorrectedBatch = CorrectedContact(solver, self.area)
         self._take(self.pair)
 
     def __enter__(self) -> "WearModel":
         return self
 
     def __exit__(self, failure: type[BaseException] | None, *_: object) -> None:
-        if isinstance(self._contact, CorrectedBatch):
-            self._contact.solver.destroy()
+        if isinstance(self.contacts, CorrectedBatch):
+            self.contacts.solver.destroy()
             return
         if failure is not None:  # where a failed solution ended is no place to start
-            self._solver.cold_start()
-        self._warm = self._solver.warm()
+            self.solver.cold_start()
+        self._warm = self.solver.warm()
         if not self._lent:
-            self._solver.destroy()
+            self.solver.destroy()
 
     @property
-    def _solver(self) -> ContactSolver:
+    def solver(self) -> ContactSolver:
         """The contact solver of a single history."""
-        assert isinstance(self._contact, CorrectedContact)
-        return self._contact.solver
+        assert isinstance(self.contacts, CorrectedContact)
+        return self.contacts.solver
 
     @property
     def batch(self) -> CorrectedBatch:
         """The contacts of B histories."""
-        assert isinstance(self._contact, CorrectedBatch)
-        return self._contact
+        assert isinstance(self.contacts, CorrectedBatch)
+        return self.contacts
 
     def _take(self, pair: ContactPair) -> None:
-        assert isinstance(self._contact, CorrectedContact)
+        assert isinstance(self.contacts, CorrectedContact)
         self._take_compliance(pair)
-        self._contact.take(self.compliance.matrix, self.compliance.excess)
-        self._own_compliance, self._twist = self._yielding(self.compliance), self.compliance.twist
+        self.contacts.take(self.compliance.matrix, self.compliance.excess)
+        self._own_compliance, self.twist_weights = (
+            self._yielding(self.compliance),
+            self.compliance.twist,
+        )
         self._softness: Numbers = self._sum_of(self.compliance)
 
     def _take_moduli(self, known: Mapping[tuple[float, float], ContactCompliance]) -> None:
@@ -175,10 +189,10 @@ class WearModel:
         stiffness = self.area / np.diagonal(matrices, axis1=1, axis2=2)
         excess = np.array([each.excess for each in every])
         solver = BatchSolver(matrices, which, self.area)
-        self._contact = CorrectedBatch(solver, excess, which, stiffness)
+        self.contacts = CorrectedBatch(solver, excess, which, stiffness)
         self._own_compliance = np.array([self._yielding(each) for each in every])[which]
         self._softness = np.array([self._sum_of(each) for each in every])[which]
-        self._twist = np.array([each.twist for each in every])[which]
+        self.twist_weights = np.array([each.twist for each in every])[which]
         self._compliances = every
         #: (B,) of the compliance of each history
         self.symmetry_defects = np.array([each.symmetry_defect for each in every])[which]
@@ -195,7 +209,7 @@ class WearModel:
 
     def gap(self, wear: FloatArray, histories: IntArray) -> FloatArray:
         """Return (h, n) mm, the gaps of some of B histories worn by (2, h, n) mm."""
-        return self._initial_gap[histories] + wear[0] + wear[1]
+        return self.initial_gap[histories] + wear[0] + wear[1]
 
     def approach_rates(self, histories: IntArray) -> FloatArray:
         """Return what the approach does to pressures of some of B histories, (h, n) MPa/mm.
@@ -209,11 +223,11 @@ class WearModel:
         """Return the model of some of B histories; its contacts start where these would."""
         taken = copy.copy(self)
         taken.cases = tuple(self.cases[i] for i in histories.tolist())
-        taken.case, taken._shape = taken.cases[0], (len(histories), self.line.n)
-        taken._followed = np.zeros((2, *taken._shape))
-        taken._contact = self.batch.take(histories)
+        taken.case, taken.shape = taken.cases[0], (len(histories), self.line.n)
+        taken._followed = np.zeros((2, *taken.shape))
+        taken.contacts = self.batch.take(histories)
         for name in (
-            "friction", "_initial_gap", "_own_compliance", "_softness", "_twist",
+            "friction", "initial_gap", "_own_compliance", "_softness", "twist_weights",
             "symmetry_defects", "_tolerance", "_which",
         ):  # fmt: skip
             setattr(taken, name, getattr(self, name)[histories])
@@ -221,6 +235,8 @@ class WearModel:
             setattr(taken, name, take(getattr(self, name), histories))
         taken.laws = tuple(None if law is None else law.take(histories) for law in self.laws)
         taken.per_energy = tuple(rows_of(each, histories) for each in self.per_energy)
+        if self.sensitivity is not None:
+            taken.sensitivity = self.sensitivity.take(histories)
         return taken
 
     def joined(self, other: "WearModel") -> "WearModel":
@@ -230,7 +246,10 @@ class WearModel:
             for model in (self, other)
             for i in range(len(model.cases))
         }
-        model = WearModel((*self.cases, *other.cases), self.comm, self.pair, known=known)
+        keys = () if self.sensitivity is None else self.sensitivity.keys
+        model = WearModel(
+            (*self.cases, *other.cases), self.comm, self.pair, known=known, derivatives=keys
+        )
         model.batch.go_on(self.batch, other.batch)
         return model
 
@@ -259,10 +278,11 @@ class WearModel:
         ComputationError : the contact failed.
         UnfitError : the bodies interpenetrate by more than the load presses them together.
         """
-        wear = np.zeros((2, *self._shape))
+        wear = np.zeros((2, *self.shape))
         nothing: Numbers = 0.0 if wear.ndim == 2 else np.zeros(len(self.cases))
+        along = None if self.sensitivity is None else Along(self, None)
         try:
-            contact = self.contact(nothing, wear, np.zeros(self._shape), exact=True)
+            contact = self.contact(nothing, wear, np.zeros(self.shape), exact=True, along=along)
         except HistoriesError:
             raise
         except ComputationError as error:
@@ -270,27 +290,28 @@ class WearModel:
         self._check_interpenetration()
         rates = self.rates_at(nothing, wear, contact.pressure)
         worn = np.zeros(wear.shape[:-1])
-        return self.checked(State(nothing, wear, worn, nothing, contact, rates))
+        tangent = None if along is None else along.reached(contact)
+        return self.checked(State(nothing, wear, worn, nothing, contact, rates, tangent=tangent))
 
     def _check_interpenetration(self) -> None:
         """Refuse undeformed bodies that overlap by more than the largest force presses them."""
-        if isinstance(self._contact, CorrectedBatch):
-            return self._check_interpenetrations(self._contact.solver)
+        if isinstance(self.contacts, CorrectedBatch):
+            return self._check_interpenetrations(self.contacts.solver)
         case, overlap = self.case, self.case.interpenetration
         if case.load.force is None or overlap == 0.0:
             return None
-        pressed = _pressed(self._solver, case)
-        if pressed.approach < 0.0:
+        found = pressed(self.solver, case)
+        if found.approach < 0.0:
             e = int(case.initial_gap.argmin())
             raise UnfitError(
                 f"upper.z, lower.z and contact faces: the undeformed bodies interpenetrate by "
                 f"{overlap:.6g} mm at element {e} (r = {self._r[e]:.6g} mm); must be at most "
-                f"the {overlap + pressed.approach:.6g} mm that the load presses them together"
+                f"the {overlap + found.approach:.6g} mm that the load presses them together"
             )
         return None
 
     def _check_interpenetrations(self, solver: "BatchSolver") -> None:
-        if self.force is None or not (self._initial_gap < 0.0).any():
+        if self.force is None or not (self.initial_gap < 0.0).any():
             return
         known: dict[Hashable, float] = {}
         for case in self.cases:
@@ -298,8 +319,8 @@ class WearModel:
                 known[key] = case.interpenetration
         overlapping = np.flatnonzero([known[_geometry(case)] > 0.0 for case in self.cases])
         forces = np.array([largest(case.load.force or 0.0) for case in self.cases])
-        pressed = solver.solve(self._initial_gap, force=forces, histories=overlapping)
-        if (apart := pressed.approach[overlapping] < 0.0).any():
+        found = solver.solve(self.initial_gap, force=forces, histories=overlapping)
+        if (apart := found.approach[overlapping] < 0.0).any():
             which = np.zeros(len(self.cases), dtype=bool)
             which[overlapping[apart]] = True
             raise HistoriesError(which)
@@ -310,12 +331,12 @@ class WearModel:
             self._follow(start.state.shape)
         self._fit = start.state.fit
         self.updates = start.updates
-        self._solver.warm_start(start.warm)
+        self.solver.warm_start(start.warm)
         return start.state
 
     def warm(self) -> WarmStart:
         """Return where the next contact solution starts, after the end too. Collective."""
-        return self._solver.warm() if self._warm is None else self._warm
+        return self.solver.warm() if self._warm is None else self._warm
 
     # -- elements that follow the wear -------------------------------------------------------------
 
@@ -351,7 +372,7 @@ class WearModel:
             return
         pair = self._geometry.update(shape)
         self._take(pair)
-        self._solver.set_compliance(self.compliance.matrix)
+        self.solver.set_compliance(self.compliance.matrix)
         self._followed, self.following = shape, self.following + pair.cost
 
     # -- contact, eq. (3) --------------------------------------------------------------------------
@@ -364,6 +385,7 @@ class WearModel:
         during: WearIncrement | None = None,
         found: tuple[BoolArray, ContactState] | None = None,
         exact: bool = False,
+        along: Along | None = None,
     ) -> ContactState:
         """Return the contact at a time, under the loads of that time. Collective.
 
@@ -375,12 +397,13 @@ class WearModel:
         during : wear of an implicit step, which is part of the contact problem.
         found : which of B histories have their solution already, and it.
         exact : whether no other pressures are near, see ``contact.correction``.
+        along : derivatives along the step that this contact is of.
 
         Raises
         ------
         ComputationError : the contact was not found.
         """
-        gap = self._initial_gap + wear[0] + wear[1]
+        gap = self.initial_gap + wear[0] + wear[1]
         if self._fit is not None:
             gap = gap - self._fit
         force: Numbers = None if self.force is None else in_time(self.force, time)
@@ -392,7 +415,14 @@ class WearModel:
         how: Any = {"force": force, "approach": approach, "wear": during, "exact": exact}
         if found is not None:
             how["found"] = found
-        return self._contact.solve(gap, near, **how)
+        if along is not None:
+            along.pose(during)
+            how["along"] = along
+        return self.contacts.solve(gap, near, **how)
+
+    def along(self, state: State, enter: "Entering | None" = None) -> Along | None:
+        """Return what derivatives are told along a step from a state; None where there are none."""
+        return None if self.sensitivity is None else Along(self, state.tangent, enter)
 
     @property
     def asymmetry(self) -> tuple[Numbers, Any]:
@@ -400,11 +430,11 @@ class WearModel:
 
         Of all contacts so far, see ``contact.correction``; floats or (B,).
         """
-        return self._contact.worst
+        return self.contacts.worst
 
     def pressure_response(self, gap: FloatArray) -> FloatArray:
         """Return what a small growth (..., n) mm of the gap does to the last pressures, MPa."""
-        return self._contact.response(gap, self.force is not None)
+        return self.contacts.response(gap, self.force is not None)
 
     @property
     def slight_pressure(self) -> Numbers:
@@ -472,7 +502,7 @@ class WearModel:
 
     def twist(self, p: FloatArray) -> Numbers:
         """Return the area mean of the circumferential displacement jump, mm, at pressure."""
-        return self.friction * inner(self._twist, p)
+        return self.friction * inner(self.twist_weights, p)
 
     def reactions(self, p: FloatArray) -> FloatArray:
         """Return friction torque / mu, axial force and torque / mu on both fixed faces, (5, ...).
@@ -522,57 +552,6 @@ class WearModel:
         if off.any():
             raise HistoriesError(off)
         return state
-
-    def stable_step(self) -> float:
-        """Return the largest stable step of the explicit scheme, s. Collective.
-
-        Unworn, under the largest load and speed, with the steepest of what laws do in time.
-        """
-        solver = self._solver
-        warm = solver.warm()
-        most = float(_pressed(solver, self.case).pressure.max())
-        solver.warm_start(warm)
-        return self._stable_step(self.case, self.compliance, most)
-
-    def stable_steps(self) -> list[float]:
-        """Return the same of B histories."""
-        solver = self.batch.solver
-        start = solver.start
-        loads = [case.load for case in self.cases]
-        if self.force is None:
-            given: dict[str, Any] = {
-                "approach": np.array([largest(load.displacement or 0.0) for load in loads])
-            }
-        else:
-            given = {"force": np.array([largest(load.force or 0.0) for load in loads])}
-        most = solver.solve(self._initial_gap, **given).pressure.max(axis=1).tolist()
-        solver.start = start
-        return [
-            self._stable_step(case, self.compliance_of(i), most[i])
-            for i, case in enumerate(self.cases)
-        ]
-
-    def _stable_step(self, case: Case, compliance: ContactCompliance, most: float) -> float:
-        """Return the largest stable step of a case whose largest pressure is so many MPa."""
-        p = np.full_like(self.area, most)
-        zero = np.zeros_like(p)
-        slopes, omega = zero, case.load.omega
-        for time in (0.0, *case.breakpoints):
-            slid = integral(omega, 0.0, time) * self._arm
-            at = LocalState(time, self._r, largest(omega) * self._arm, case.friction, zero, slid)
-            every = [law.d_rate_dp(p, at) for law in case.laws if law is not None]
-            slopes = np.maximum(slopes, sum(every, zero))
-        return largest_stable_step(compliance, slopes * compliance.obliquity)
-
-
-def _pressed(solver: ContactSolver, case: Case) -> ContactState:
-    """Return the contact before any wear, under the largest load of a case. Collective."""
-    force, displacement = case.load.force, case.load.displacement
-    return solver.solve(
-        case.initial_gap,
-        force=None if force is None else largest(force),
-        approach=None if displacement is None else largest(displacement),
-    )
 
 
 def _geometry(case: Case) -> Hashable:

@@ -12,6 +12,7 @@ from ringwear_par.arrays import FloatArray, Numbers
 from ringwear_par.contact.problem import ContactState
 from ringwear_par.history.model import WearModel
 from ringwear_par.history.state import State
+from ringwear_par.history.tangent import Along
 
 
 @dataclass(frozen=True)
@@ -50,6 +51,7 @@ def advanced(
     energy: Numbers,
     contact: ContactState,
     rates: FloatArray,
+    along: Along | None,
 ) -> State:
     """Return the state at the end of a step.
 
@@ -59,6 +61,7 @@ def advanced(
     volumes : (2, ...) float, mm^3, integrals over the step of the rates of the worn volumes.
     energy : float or (B,), N mm, dissipated in it.
     rates : (2, ..., n) float, mm/s, of wear at its end.
+    along : derivatives along it, where they are asked for.
 
     Raises
     ------
@@ -67,6 +70,6 @@ def advanced(
     return model.checked(
         State(
             end, state.wear + depths, state.worn + volumes, state.energy + energy, contact, rates,
-            state.shape, state.fit,
+            state.shape, state.fit, None if along is None else along.reached(contact),
         )
     )  # fmt: skip

@@ -20,6 +20,7 @@ from ringwear_par.history.entering import Entering, entering, entry_error
 from ringwear_par.history.model import WearModel
 from ringwear_par.history.schemes import Step, advanced
 from ringwear_par.history.state import State
+from ringwear_par.history.tangent import Along
 from ringwear_par.schedules import in_time
 from ringwear_par.wear.increment import WearIncrement
 
@@ -41,12 +42,15 @@ def step(model: WearModel, state: State, end: Numbers) -> Step:
     enter = entering(model, state, length)
     closing = None if enter is None else enter.closing(GAMMA * length, np.ones_like(enter.gap))
     first = model.increment(middle, speeds[1], state.wear, GAMMA * length, closing)
-    stage = model.contact(middle, state.wear, state.contact.pressure, first)
+    along = model.along(state, enter)
+    stage = model.contact(middle, state.wear, state.contact.pressure, first, along=along)
     worn_first = first.unhindered(stage.pressure)
     counts = 1.0 if enter is None else enter.counts(stage.pressure, 0.0)
     carried = state.wear + _SHARE * (counts * worn_first)
+    if along is not None:
+        along.first_stage(stage.pressure, worn_first, counts, _SHARE)
     last, contact, counts_last = _last_stage(
-        model, enter, end, speeds[2], carried, length, stage.pressure
+        model, enter, end, speeds[2], carried, length, stage.pressure, along
     )
     worn_last = last.unhindered(contact.pressure)
     losses = worn_last if enter is None else last.depths(contact.pressure)
@@ -69,7 +73,11 @@ def step(model: WearModel, state: State, end: Numbers) -> Step:
     )
     if not model.rates_last:
         then = model.rates(end, speeds[2], state.wear + depths, contact.pressure)
-    after = advanced(model, state, end, depths, volumes, energy, contact, then)
+    if along is not None:
+        along.last_stage(last, contact.pressure, worn_last, GAMMA * length)
+        for i, d_p in enumerate(along.counted, start=1):
+            along.work(_WEIGHTS[i] * length, speeds[i], pressures[i], d_p)
+    after = advanced(model, state, end, depths, volumes, energy, contact, then, along)
     standard = worn_last  # in a last stage of its usual length
     if enter is not None:
         standard = np.where(enter.late, 0.0, worn_last / np.where(enter.late, 1.0, counts_last))
@@ -102,6 +110,7 @@ def _last_stage(
     carried: FloatArray,
     length: Numbers,
     near: FloatArray,
+    along: Along | None,
 ) -> tuple[WearIncrement, ContactState, FloatArray | float]:
     """Return the last stage, its contact, and how many times its weight it counts, (..., n).
 
@@ -110,18 +119,20 @@ def _last_stage(
     step = GAMMA * length
     if enter is None:
         last = model.increment(end, speed, carried, step)
-        contact = model.contact(end, carried, near, last)
+        contact = model.contact(end, carried, near, last, along=along)
         return last, contact, 1.0
     counts = np.where(enter.late, 1.0 / GAMMA, 1.0)
     last = model.increment(end, speed, carried, step, enter.closing(step, counts))
-    contact = model.contact(end, carried, near, last)
+    contact = model.contact(end, carried, near, last, along=along)
     p, inside = contact.pressure, last.share(last.unhindered(contact.pressure))
     if enter.force_kept:
         # what the others count depends on what those that enter carry: so little that twice will do
+        if along is not None:
+            along.lengthen(last, p, step)
         counts = np.where(enter.late, counts, enter.counts(p, np.divide(inside, GAMMA)))
         last = model.increment(end, speed, carried, step, enter.closing(step, counts))
         found = None if p.ndim == 1 else (np.logical_not(enter.late.any(axis=-1)), contact)
-        again = model.contact(end, carried, near, last, found=found)
+        again = model.contact(end, carried, near, last, found=found, along=along)
         more: Numbers = (
             contact.iterations if found is None else np.where(found[0], 0, contact.iterations)
         )

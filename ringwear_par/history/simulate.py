@@ -5,6 +5,7 @@
 """
 
 from collections.abc import Callable, Sequence
+from functools import partial
 
 from mpi4py import MPI
 
@@ -13,7 +14,7 @@ from ringwear_par.contact.solver import ContactSolver
 from ringwear_par.elasticity.pair import ContactPair
 from ringwear_par.errors import ComputationError
 from ringwear_par.history import euler, sdirk2
-from ringwear_par.history.control import Control, ErrorControl, FixedSteps
+from ringwear_par.history.control import Control, ErrorControl, FixedSteps, GivenSteps
 from ringwear_par.history.model import WearModel
 from ringwear_par.history.saving import stores, times_within
 from ringwear_par.history.schemes import Scheme, Step
@@ -37,6 +38,8 @@ def simulate(
     solver: ContactSolver | None = None,
     start: Start | None = None,
     observers: Sequence[Observer] = (),
+    derivatives: Sequence[str] = (),
+    step_times: Sequence[float] | None = None,
 ) -> State:
     """Step a wear history from its start to its end, or until an observer says stop.
 
@@ -50,6 +53,8 @@ def simulate(
     solver : contact solver of the pair at the case's moduli, to be used again; None: made here.
     start : where an interrupted history goes on.
     observers : called with every state, in this order.
+    derivatives : keys that states have derivatives with respect to; not of one that goes on.
+    step_times : s, ends of the steps, the last that of the case; None: the case's own.
 
     Returns
     -------
@@ -60,8 +65,12 @@ def simulate(
     ComputationError : a step could not be made; it is named with its time.
     UnfitError : the case's own numbers do not go together, as its first contact tells.
     """
+    if start is not None and derivatives:
+        raise ValueError("a history that goes on has no derivatives: they are not stored")
     scheme, make_control = METHODS[case.time.scheme]
-    with WearModel(case, comm, pair, solver) as model:
+    if step_times is not None:
+        make_control = partial(GivenSteps, step_times)
+    with WearModel(case, comm, pair, solver, derivatives=derivatives) as model:
         control = make_control(case, Progress() if start is None else start.progress)
         show = _Showing(observers, model, control)
         if start is None:

@@ -1,5 +1,6 @@
 """What a wear history is at an instant, and where it goes on from."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -7,6 +8,7 @@ import numpy as np
 
 from ringwear_par.arrays import BoolArray, FloatArray, IntArray, Numbers
 from ringwear_par.contact.problem import ContactState, WarmStart
+from ringwear_par.history.tangent import Tangent
 
 
 @dataclass(frozen=True)
@@ -24,6 +26,7 @@ class State:
     shape : (2, ..., n) float, mm, the wear that the elements have followed; None where they do not.
     fit : (..., n) float, mm, what elements are nearer than their profiles say since their slopes
         turned, see ``WearModel.update_geometry``; None where they do not.
+    tangent : derivatives, where they were asked for.
     """
 
     time: Numbers
@@ -34,6 +37,7 @@ class State:
     rates: FloatArray
     shape: FloatArray | None = None
     fit: FloatArray | None = None
+    tangent: Tangent | None = None
 
     def take(self, histories: IntArray) -> "State":
         """Return some of B histories."""
@@ -45,6 +49,7 @@ class State:
             self.energy[histories],
             ContactState(*(values[histories] for values in vars(contact).values())),
             self.rates[:, histories],
+            tangent=None if self.tangent is None else self.tangent.take(histories),
         )
 
     def joined(self, other: "State") -> "State":
@@ -56,8 +61,9 @@ class State:
         both = zip(vars(self.contact).values(), vars(other.contact).values(), strict=True)
         contact = ContactState(*map(np.concatenate, both))
         return State(
-            of("time"), of("wear", 1), of("worn", 1), of("energy"), contact, of("rates", 1)
-        )
+            of("time"), of("wear", 1), of("worn", 1), of("energy"), contact, of("rates", 1),
+            tangent=_tangent(self, other, Tangent.joined),
+        )  # fmt: skip
 
     def history(self, i: int) -> "State":
         """Return one of B histories."""
@@ -72,6 +78,7 @@ class State:
                 float(contact.force[i]), int(contact.iterations[i]), float(contact.residual[i]),
             ),
             self.rates[:, i],
+            tangent=None if self.tangent is None else self.tangent.history(i),
         )  # fmt: skip
 
     def updated(self, which: BoolArray, after: "State") -> "State":
@@ -92,7 +99,17 @@ class State:
             of("energy"),
             contact,
             np.where(rows, after.rates, self.rates),
+            tangent=_tangent(self, after, lambda old, new: old.updated(which, new)),
         )
+
+
+def _tangent(
+    one: State, other: State, make: Callable[[Tangent, Tangent], Tangent]
+) -> Tangent | None:
+    """Return what is made of the derivatives of two states, where there are any."""
+    if one.tangent is None or other.tangent is None:
+        return None
+    return make(one.tangent, other.tangent)
 
 
 @dataclass(frozen=True)

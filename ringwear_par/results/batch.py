@@ -14,14 +14,19 @@ from ringwear_par.contact.problem import WarmStart
 from ringwear_par.elasticity.pair import ContactPair
 from ringwear_par.errors import reason_of
 from ringwear_par.history.balances import TO_ROUND_OFF, Balances, balances
+from ringwear_par.history.sensitivity import units_of
 from ringwear_par.history.snapshots import BatchSnapshot
 from ringwear_par.history.state import Progress, State
+from ringwear_par.history.tangent import variables as derivatives_of
 from ringwear_par.results.checkpoints import take
 from ringwear_par.results.columns import HistoryColumns
 from ringwear_par.results.doubts import Doubt, doubts_at, unstable
-from ringwear_par.results.recorder import Recorder, attributes, row
+from ringwear_par.results.recorder import Recorder, attributes, derivative_names, row
 from ringwear_par.results.result import Result
-from ringwear_par.results.variables import HISTORIES
+from ringwear_par.results.variables import D_PROFILES, HISTORIES
+
+#: what is told since the start, and of what
+_SINCE_START = {"penetration": "approach", "d_penetration": "d_approach"}
 
 
 @dataclass(frozen=True)
@@ -58,6 +63,14 @@ class _End:
     gap: FloatArray
 
 
+def _by_row(arrays: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the arrays of a recorder, those of derivatives by row, then by parameter."""
+    return {
+        name: np.moveaxis(values, 0, 1) if name.startswith("d_") else values
+        for name, values in arrays.items()
+    }
+
+
 class BatchRecorder:
     """Stores the states of histories in lock step, their balances and doubts.
 
@@ -68,21 +81,38 @@ class BatchRecorder:
     cases : of one ``batch_key``.
     pair : their contact pair.
     keep_ends : whether there are to be results, which hold what it takes to go on.
+    derivatives : keys that the histories have derivatives with respect to.
     """
 
-    def __init__(self, cases: Sequence[Case], pair: ContactPair, keep_ends: bool = False) -> None:
+    def __init__(
+        self,
+        cases: Sequence[Case],
+        pair: ContactPair,
+        keep_ends: bool = False,
+        derivatives: Sequence[str] = (),
+    ) -> None:
         self._cases, self._pair, self._keep_ends = cases, pair, keep_ends
         output, count = cases[0].output, len(cases)
         self._fields, self._deep = output.fields, output.profiles == "all"
         # rows as they come: numbers of the histories, steps, variables
         self._numbers: list[IntArray] = []
         self._steps: list[IntArray] = []
-        self._rows: dict[str, list[Any]] = {name: [] for name in HISTORIES}
-        self._profiles: dict[str, list[FloatArray]] = {name: [] for name in self._fields}
-        self._last = {
-            name: np.full((count, pair.line.n), np.nan)
-            for name in (() if self._deep else self._fields)
+        self._parameters = tuple(derivatives)
+        names = derivative_names(cases[0], derivatives)
+        #: what is stored, and the shape of a row of it
+        self._shapes: dict[str, tuple[int, ...]] = {
+            **dict.fromkeys(HISTORIES, ()),
+            **dict.fromkeys(self._fields, (pair.line.n,)),
+            **{
+                name: (len(derivatives), *((pair.line.n,) if name in D_PROFILES else ()))
+                for name in names
+            },
         }
+        last = (
+            () if self._deep else (*self._fields, *(name for name in names if name in D_PROFILES))
+        )
+        self._rows: dict[str, list[Any]] = {name: [] for name in self._shapes if name not in last}
+        self._last = {name: np.full((count, *self._shapes[name]), np.nan) for name in last}
         self._pending = np.zeros(count, dtype=np.int64)
         self._worst = {each.name: np.zeros(count) for each in fields(Balances)}
         self._step_error_time = np.zeros(count)
@@ -124,17 +154,16 @@ class BatchRecorder:
     def _store(self, snapshot: BatchSnapshot, stored: IntArray) -> None:
         values, numbers = row(snapshot.model, snapshot.state), snapshot.numbers[stored]
         values["contact_iterations"] = self._pending[snapshot.numbers]
+        slopes = derivatives_of(snapshot.model, snapshot.state)
+        values |= {name: np.moveaxis(slope, 0, 1) for name, slope in slopes.items()}
         self._numbers.append(numbers)
         self._steps.append(snapshot.progress.steps[stored])
         for name, rows in self._rows.items():
-            if name != "penetration":
+            if name not in _SINCE_START:
                 rows.append(values[name][stored])
-        if self._deep:
-            for name, profiles in self._profiles.items():
-                profiles.append(values[name][stored])
-        else:
-            for name, last in self._last.items():
-                last[numbers] = values[name][stored]
+        ended = np.flatnonzero(snapshot.finished)
+        for name, last in self._last.items() if len(ended) else ():
+            last[snapshot.numbers[ended]] = values[name][ended]
         self._pending[numbers] = 0
 
     def _end(self, snapshot: BatchSnapshot, ended: IntArray) -> None:
@@ -172,6 +201,7 @@ class BatchRecorder:
         """
         count = len(self._cases)
         numbers, steps, rows = self._sorted(alone)
+        found = rows | self._last_ones(alone)
         offsets = np.searchsorted(numbers, np.arange(count + 1))
         imbalance = np.max([self._worst[name] for name in TO_ROUND_OFF], axis=0)
         flags = [tuple(doubt.flag for doubt in found) for found in self._doubts]
@@ -187,31 +217,32 @@ class BatchRecorder:
         return HistoryColumns(
             offsets,
             steps,
-            {name: rows[name] for name in HISTORIES},
-            {name: rows[name] for name in self._fields} if self._deep else self._last_ones(alone),
+            {name: found[name] for name in HISTORIES},
+            {name: found[name] for name in self._fields},
             imbalance,
             tuple(() if bad else found for bad, found in zip(failed, flags, strict=True)),
             seconds,
             tuple("failed" if bad else "done" for bad in failed),
             tuple(alone[i].reason if bad else "" for i, bad in enumerate(failed)),
+            {name: values for name, values in found.items() if name.startswith("d_")},
         )
 
     def _sorted(self, alone: Mapping[int, Alone]) -> tuple[IntArray, IntArray, dict[str, Any]]:
         """Return number, steps and variables of all rows, by history."""
         chunks = list(self._numbers)
         steps = list(self._steps)
-        rows = {name: list(parts) for name, parts in (self._rows | self._deep_ones).items()}
+        rows = {name: list(parts) for name, parts in self._rows.items()}
         together = np.concatenate([np.empty(0, dtype=np.int64), *chunks])
         kept = ~np.isin(together, list(alone))
         for number, one in alone.items():
             if one.recorder is None:
                 continue
-            arrays = one.recorder.arrays()
+            arrays = _by_row(one.recorder.arrays())
             made = one.recorder.steps
             chunks.append(np.full(len(made), number))
             steps.append(made)
             for name, parts in rows.items():
-                parts.append(arrays.get(name, np.empty((0, self._pair.line.n))))
+                parts.append(arrays.get(name, np.empty((0, *self._shapes[name]))))
         everything = np.concatenate([np.empty(0, dtype=np.int64), *chunks])
         kept = np.append(kept, np.ones(len(everything) - len(kept), dtype=bool))
         order = np.argsort(everything[kept], kind="stable")
@@ -222,22 +253,20 @@ class BatchRecorder:
         found = {
             name: by_history(
                 parts,
-                np.empty(0, HISTORIES[name].dtype)
-                if name in HISTORIES
-                else np.empty((0, self._pair.line.n)),
+                np.empty(
+                    (0, *self._shapes[name]),
+                    HISTORIES[name].dtype if name in HISTORIES else np.float64,
+                ),
             )
             for name, parts in rows.items()
-            if name != "penetration"
+            if name not in _SINCE_START
         }
         numbers = everything[kept][order]
-        approach = found["approach"]
         first = np.searchsorted(numbers, numbers)
-        found["penetration"] = approach - approach[first]
+        for name, whole in _SINCE_START.items():
+            if name in rows:
+                found[name] = found[whole] - found[whole][first]
         return numbers, by_history(steps, np.empty(0, dtype=np.int64)), found
-
-    @property
-    def _deep_ones(self) -> dict[str, list[FloatArray]]:
-        return self._profiles if self._deep else {}
 
     def _last_ones(self, alone: Mapping[int, Alone]) -> dict[str, FloatArray]:
         """Return the profiles of the last stored states, (B, n)."""
@@ -305,4 +334,11 @@ class BatchRecorder:
                 step_error_time=float(self._step_error_time[number]),
             ),
             take(state, progress, warm, 0, 0),
+            parameters=units_of(case, self._parameters),
+            derivatives={
+                name: np.moveaxis(values[rows], 0, 1)
+                if name in self._rows
+                else values[number]
+                for name, values in columns.derivatives.items()
+            },
         )  # fmt: skip

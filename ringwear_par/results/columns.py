@@ -1,7 +1,7 @@
 """Many histories of one contact pair by column: what is stored of all of them in few arrays."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 from ringwear_par.arrays import FloatArray, IntArray
@@ -26,6 +26,8 @@ class HistoryColumns:
     seconds : (B,) float, s, that each took: of those that are stepped together, its share.
     status : "done" or "failed".
     reason : why it failed, one line; "" for one that has not.
+    derivatives : (rows, P) each, of fields (rows, P, n) or (B, P, n), by name, see
+        ``variables.D_HISTORIES`` and ``D_PROFILES``.
     """
 
     offsets: IntArray
@@ -37,6 +39,7 @@ class HistoryColumns:
     seconds: FloatArray
     status: tuple[str, ...]
     reason: tuple[str, ...]
+    derivatives: Mapping[str, FloatArray] = field(default_factory=dict)
 
     @property
     def count(self) -> int:

@@ -10,6 +10,7 @@ from ringwear_par.elasticity.pair import ContactCompliance
 from ringwear_par.elasticity.slopes import case_slopes
 from ringwear_par.history.balances import Balances
 from ringwear_par.history.model import WearModel
+from ringwear_par.history.stability import stable_step, stable_steps
 from ringwear_par.history.state import State
 
 #: fewer elements in contact than this do not resolve it
@@ -156,7 +157,7 @@ def instability(model: WearModel) -> tuple[Doubt, ...]:
     case = model.case
     if case.time.scheme != "explicit":
         return ()
-    limit, step = model.stable_step(), case.time.step
+    limit, step = stable_step(model), case.time.step
     return () if step <= limit else (_unstable(step, limit),)
 
 
@@ -165,7 +166,7 @@ def unstable(model: WearModel) -> dict[int, Doubt]:
     if model.case.time.scheme != "explicit":
         return {}
     steps = [case.time.step for case in model.cases]
-    both = enumerate(zip(steps, model.stable_steps(), strict=True))
+    both = enumerate(zip(steps, stable_steps(model), strict=True))
     return {i: _unstable(step, limit) for i, (step, limit) in both if step > limit}
 
 

@@ -10,15 +10,25 @@ import numpy as np
 from ringwear_par.elasticity.boundary_fields import BODIES, FACES, BoundaryFields, BoundaryState
 from ringwear_par.elasticity.mesh import ContactLine
 from ringwear_par.results.checkpoints import Checkpoint, read_checkpoint
-from ringwear_par.results.reading import read_array, read_number, read_text, reading
+from ringwear_par.results.reading import (
+    find_texts,
+    read_array,
+    read_number,
+    read_text,
+    reading,
+)
 from ringwear_par.results.result import Result, balance_attributes
 from ringwear_par.results.variables import (
     BOUNDARY_FIELDS,
     BOUNDARY_MESH,
     BOUNDARY_STEPS_MADE,
     BOUNDARY_TIME,
+    D_HISTORIES,
+    D_PROFILES,
     EDGES,
     HISTORIES,
+    PARAMETER,
+    PARAMETER_UNIT,
     PROFILES,
     SOFTWARE,
     STEP,
@@ -123,7 +133,31 @@ def _read(file: h5py.File, path: Path) -> Result:
         attributes,
         checkpoint,
         path,
+        None,
+        *_read_derivatives(file, sizes),
     )
+
+
+def _read_derivatives(
+    file: h5py.File, sizes: dict[str, int]
+) -> tuple[dict[str, str], dict[str, Any]]:
+    """Return the parameters with their units, and the derivatives by name; nothing of most."""
+    if PARAMETER.name not in file:
+        return {}, {}
+    keys, units = (
+        [read_text(text) for text in find_texts(file, name, sizes, PARAMETER.name)[()].tolist()]
+        for name in (PARAMETER.name, PARAMETER_UNIT.name)
+    )
+    found = {
+        name: read_array(file, variable, sizes)
+        for name, variable in D_HISTORIES.items()
+        if name in file
+    }
+    for name, variable in D_PROFILES.items():
+        if name in file:
+            last = file[name].ndim == 2
+            found[name] = read_array(file, variable.at_last_step() if last else variable, sizes)
+    return dict(zip(keys, units, strict=True)), found
 
 
 def _attributes(file: h5py.File) -> dict[str, Any]:

@@ -133,9 +133,9 @@ def find_array(group: h5py.Group, variable: Variable, sizes: dict[str, int]) -> 
     return dataset
 
 
-def find_texts(group: h5py.Group, name: str, sizes: dict[str, int]) -> Any:
+def find_texts(group: h5py.Group, name: str, sizes: dict[str, int], dimension: str = "case") -> Any:
     """Return a variable of texts, one a case, as ``find_array`` does."""
-    return _find(group, name, ("case",), sizes).asstr()
+    return _find(group, name, (dimension,), sizes).asstr()
 
 
 def read_words(group: h5py.Group, name: str, sizes: dict[str, int]) -> Any:

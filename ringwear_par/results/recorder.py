@@ -18,13 +18,15 @@ from ringwear_par.history.balances import Balances, WorstBalances
 from ringwear_par.history.boundaries import BoundaryObserver
 from ringwear_par.history.model import WearModel
 from ringwear_par.history.saving import stores
+from ringwear_par.history.sensitivity import units_of
 from ringwear_par.history.snapshots import Snapshot
 from ringwear_par.history.state import Start, State
+from ringwear_par.history.tangent import variables as derivatives_of
 from ringwear_par.info import versions
 from ringwear_par.results.checkpoints import restored, take
 from ringwear_par.results.doubts import Doubt, doubts, instability
 from ringwear_par.results.result import Result, balance_attributes
-from ringwear_par.results.variables import HISTORIES
+from ringwear_par.results.variables import D_HISTORIES, D_PROFILES, HISTORIES
 
 
 def row(model: WearModel, state: State) -> dict[str, Any]:
@@ -47,6 +49,14 @@ def row(model: WearModel, state: State) -> dict[str, Any]:
         "wear_lower": state.wear[0],
         "wear_upper": state.wear[1],
     }
+
+
+def derivative_names(case: Case, keys: Sequence[str]) -> list[str]:
+    """Return which derivatives are stored of a case, with respect to some keys or none."""
+    if not keys:
+        return []
+    fields = {f"d_{name}" for name in case.output.fields}
+    return [*D_HISTORIES, *(name for name in D_PROFILES if name in fields)]
 
 
 def attributes(
@@ -108,9 +118,16 @@ class Recorder:
     case : the case.
     comm : communicator of its history.
     before : result of the interrupted history that goes on; None: it starts.
+    derivatives : keys that the history has derivatives with respect to.
     """
 
-    def __init__(self, case: Case, comm: MPI.Comm, before: Result | None = None) -> None:
+    def __init__(
+        self,
+        case: Case,
+        comm: MPI.Comm,
+        before: Result | None = None,
+        derivatives: Sequence[str] = (),
+    ) -> None:
         self._case, self._comm = case, comm
         #: where the history goes on, None where it starts
         self.start: Start | None = None
@@ -119,6 +136,10 @@ class Recorder:
         self._steps: list[int] = []
         self._histories: dict[str, list[float]] = {name: [] for name in HISTORIES}
         self._profiles: dict[str, list[FloatArray]] = {name: [] for name in case.output.fields}
+        self._parameters = tuple(derivatives)
+        self._derivatives: dict[str, list[FloatArray]] = {
+            name: [] for name in derivative_names(case, derivatives)
+        }
         self._earlier: list[BoundaryState] = []
         #: iterations of the contact solver since the last stored state
         self._pending_iterations = 0
@@ -198,6 +219,14 @@ class Recorder:
             if not self._deep:
                 rows.clear()
             rows.append(values[name])
+        slopes = derivatives_of(snapshot.model, snapshot.state)
+        for name, rows in self._derivatives.items():
+            if name == "d_penetration":
+                first = self._derivatives["d_approach"][0]
+                slopes[name] = slopes["d_approach"] - first
+            if not self._deep and name in D_PROFILES:
+                rows.clear()
+            rows.append(slopes[name])
         self._pending_iterations = 0
 
     @property
@@ -239,6 +268,11 @@ class Recorder:
                 for name, rows in self._profiles.items()
                 if rows
             },
+            **{
+                name: np.stack(rows, axis=1) if self._deep or name not in D_PROFILES else rows[-1]
+                for name, rows in self._derivatives.items()
+                if rows
+            },
         }
 
     def result(self, error: str = "") -> Result:
@@ -273,6 +307,8 @@ class Recorder:
             ),
             take(state, progress, model.warm(), model.updates, self._pending_iterations),
             comm=self._comm,
+            parameters=units_of(case, self._parameters),
+            derivatives={name: arrays[name] for name in self._derivatives},
         )
 
     def kernel_evaluations(self) -> int:

@@ -2,7 +2,7 @@
 
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,9 +15,13 @@ from ringwear_par.elasticity.mesh import ContactLine
 from ringwear_par.errors import ComputationError, InputError, RingwearError
 from ringwear_par.results.variables import (
     COORDINATES,
+    D_HISTORIES,
+    D_PROFILES,
     ELEMENT,
     HISTORIES,
     LINE,
+    PARAMETER,
+    PARAMETER_UNIT,
     PROFILES,
     SOFTWARE,
     STATE_NUMBER,
@@ -53,6 +57,9 @@ class Result:
     checkpoint : what a run goes on from, None where the result was made without.
     path : of its file, None for a result in memory.
     comm : of the ranks that have it in memory, None where it was read or sent.
+    parameters : keys of the numbers that there are derivatives with respect to, with their units.
+    derivatives : (P, s) or (P, s, n) each, by name, see variables.D_HISTORIES and D_PROFILES;
+        (P, n) where the last profiles are stored only.
     """
 
     line: ContactLine
@@ -65,6 +72,8 @@ class Result:
     checkpoint: "Checkpoint | None" = None
     path: Path | None = None
     comm: Any = None
+    parameters: Mapping[str, str] = field(default_factory=dict)
+    derivatives: Mapping[str, FloatArray] = field(default_factory=dict)
 
     def __repr__(self) -> str:
         title = self.attributes.get("title") or "no title"
@@ -124,7 +133,24 @@ class Result:
         for name, values in self.profiles.items():
             variable = PROFILES[name]
             found.append((variable if values.ndim == 2 else variable.at_last_step(), values))
+        if self.parameters:
+            found.append((PARAMETER, list(self.parameters)))
+            found.append((PARAMETER_UNIT, list(self.parameters.values())))
+        found += [
+            (D_HISTORIES[name], values)
+            for name, values in self.derivatives.items()
+            if name in D_HISTORIES
+        ]
+        for name, values in self.derivatives.items():
+            if name in D_PROFILES:
+                variable = D_PROFILES[name]
+                found.append((variable if values.ndim == 3 else variable.at_last_step(), values))
         return found
+
+    @property
+    def coordinates(self) -> tuple[str, ...]:
+        """The names of its coordinates that are no dimensions."""
+        return COORDINATES if self.parameters else COORDINATES[:-1]
 
     def to_xarray(self) -> "xarray.Dataset":
         """Return the dataset that xarray makes of the result's file.
@@ -144,7 +170,7 @@ class Result:
             {v.name: (v.dimensions, values, v.attributes) for v, values in self.variables()},
             attrs={"software": SOFTWARE, **self.attributes},
         )
-        return dataset.set_coords(COORDINATES)
+        return dataset.set_coords(self.coordinates)
 
     def save(self, path: str | Path) -> None:
         """Write the result's file.

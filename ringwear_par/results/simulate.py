@@ -1,5 +1,7 @@
 """From a case to its result: ``rw.simulate``, the path that ``run`` and ``sweep`` take as well."""
 
+from collections.abc import Sequence
+
 from mpi4py import MPI
 
 from ringwear_par.cases.case import Case, need_case
@@ -8,13 +10,18 @@ from ringwear_par.errors import InputError
 from ringwear_par.history import simulate as history
 from ringwear_par.history.bodies import operator_key
 from ringwear_par.history.limits import check_case
+from ringwear_par.history.sensitivity import check_derivatives
 from ringwear_par.parallel import on_first_rank
 from ringwear_par.results.recorder import Recorder
 from ringwear_par.results.result import Result
 
 
 def simulate(
-    case: Case, comm: MPI.Comm | None = None, *, pair: ContactPair | None = None
+    case: Case,
+    comm: MPI.Comm | None = None,
+    *,
+    pair: ContactPair | None = None,
+    derivatives: Sequence[str] = (),
 ) -> Result:
     """Return the wear history of a case.
 
@@ -26,21 +33,28 @@ def simulate(
     pair : what ``assemble`` made of a case of the same shape, mesh, Poisson's ratios and grip, to
         be used again; None: it is assembled. With ``geometry = "updated"`` numbers may differ in
         the last digits between both.
+    derivatives : keys of plain numbers of the case; of everything that is stored, the result then
+        has derivatives with respect to them too: ``d_pressure``, ``d_approach``, ...
 
     Raises
     ------
     InputError : no case, a law that is none, a mesh or a memory that cannot be, bodies that
-        interpenetrate, a pair of another shape.
+        interpenetrate, a pair of another shape, derivatives that there are not.
     ComputationError : a step failed; it is named with its time.
     """
     need_case(case, "simulate")
     comm = MPI.COMM_WORLD if comm is None else comm
-    on_first_rank(comm, lambda: check_case(case, comm.size, "case"))
+
+    def check() -> None:
+        check_derivatives(case, derivatives, comm.size)
+        check_case(case, comm.size, "case")
+
+    on_first_rank(comm, check)
     if pair is not None and pair.key != operator_key(case):
         raise InputError(
             "pair: was assembled for another shape, mesh, Poisson's ratio or grip; must be "
             "assemble(case) of a case that shares them"
         )
-    recorder = Recorder(case, comm)
-    history.simulate(case, comm, pair=pair, observers=[recorder])
+    recorder = Recorder(case, comm, derivatives=derivatives)
+    history.simulate(case, comm, pair=pair, observers=[recorder], derivatives=derivatives)
     return recorder.result()

@@ -103,8 +103,35 @@ PROFILES = _table(
         "wear_upper", ("step", "element"), "mm", "depth worn off the upper ring, along the axis"
     ),
 )
-#: coordinates of the result file that are no dimensions
-COORDINATES = ("time", *LINE)
+
+# -- derivatives -----------------------------------------------------------------------------------
+
+PARAMETER = Variable(
+    "parameter", ("parameter",), "1", "key of the number that derivatives are with respect to"
+)
+PARAMETER_UNIT = Variable("parameter_unit", ("parameter",), "1", "its unit")
+#: what all numbers of a state but these have
+_NOT_DIFFERENTIATED = ("time", "contact_iterations")
+
+
+def derivative_of(variable: Variable) -> Variable:
+    """Return the derivative of a variable with respect to some numbers."""
+    return Variable(
+        f"d_{variable.name}",
+        (PARAMETER.name, *variable.dimensions),
+        f"{variable.unit}/{PARAMETER_UNIT.name}",
+        f"derivative with respect to each parameter: {variable.meaning}",
+    )
+
+
+#: derivatives of numbers at each stored state, and of fields
+D_HISTORIES = _table(
+    *(derivative_of(v) for name, v in HISTORIES.items() if name not in _NOT_DIFFERENTIATED)
+)
+D_PROFILES = _table(*map(derivative_of, PROFILES.values()))
+
+#: coordinates of the result file that are no dimensions; it may lack the last
+COORDINATES = ("time", *LINE, PARAMETER_UNIT.name)
 
 # -- groups boundary/lower and boundary/upper ------------------------------------------------------
 # dimensions of their own: those of the contact line have other sizes

@@ -20,7 +20,6 @@ from ringwear_par.results.variables import (
     BOUNDARY_MESH,
     BOUNDARY_STEPS_MADE,
     BOUNDARY_TIME,
-    COORDINATES,
     EDGE,
     EDGES,
     SOFTWARE,
@@ -50,7 +49,7 @@ def write_result(path: Path, result: "Result") -> None:
         if result.checkpoint is not None:
             write_checkpoint(file.create_group("checkpoint"), result.checkpoint)
         file.attrs.update(
-            {"software": SOFTWARE, "coordinates": " ".join(COORDINATES), **result.attributes}
+            {"software": SOFTWARE, "coordinates": " ".join(result.coordinates), **result.attributes}
         )
 
 

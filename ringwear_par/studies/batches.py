@@ -38,11 +38,12 @@ def default_batch(case: Case) -> int:
     return min(max(_NUMBERS // case.mesh.contact_elements**2, 16), _MOST)
 
 
-def _block(case: Case, most: int) -> int:
+def _block(case: Case, most: int, parameters: int = 0) -> int:
     """Return how many histories to store together, of which ``most`` step at a time."""
     profiles = case.stored_rows if case.output.profiles == "all" else 1.0
     each = 8.0 * profiles * case.mesh.contact_elements * len(case.output.fields)
     each += 8.0 * case.stored_rows * (len(HISTORIES) + 2)  # with their numbers and steps
+    each *= 1 + parameters
     return max(min(_BATCHES * most, int(_BLOCK_BYTES / each)), 1)
 
 
@@ -89,6 +90,8 @@ def computed(
     batch: int | None = None,
     stop: Callable[[], bool] = lambda: False,
     keep_ends: bool = False,
+    derivatives: Sequence[str] = (),
+    step_times: Sequence[Sequence[float]] | None = None,
 ) -> Iterator[Computed]:
     """Yield blocks of cases as they are computed, on this rank alone, until ``stop`` says so.
 
@@ -101,6 +104,8 @@ def computed(
     batch : most histories that step at a time; a block has some times as many.
     stop : asked between two steps, and may answer others meanwhile.
     keep_ends : whether there are to be results.
+    derivatives : keys that the histories are to have derivatives with respect to.
+    step_times : s, ends of the steps of each case, its own end the last; None: as cases say.
     """
     together: dict[Hashable, list[int]] = defaultdict(list)
     singles: list[int] = []
@@ -116,27 +121,37 @@ def computed(
             numbers.sort(key=lambda n: young(cases[n]))  # those of the same moduli share a matrix
             most = batch or default_batch(cases[numbers[0]])
             longest = max((cases[n] for n in numbers), key=lambda case: case.stored_rows)
-            size = _block(longest, most)
+            size = _block(longest, most, len(derivatives))
             for first in range(0, len(numbers), size):
                 part = numbers[first : first + size]
                 own = [cases[number] for number in part]
-                recorder = BatchRecorder(own, pair, keep_ends)
-                left = simulate_batch(own, pair, recorder, stop, most)
+                times = None if step_times is None else [step_times[n] for n in part]
+                recorder = BatchRecorder(own, pair, keep_ends, derivatives)
+                left = simulate_batch(own, pair, recorder, stop, most, derivatives, times)
                 if left is None:
                     return
                 alone = {}
                 for place in sorted(left, key=lambda i: young(own[i])):
-                    if (one := _alone(own[place], lender, stop)) is None:
+                    grid = None if times is None else times[place]
+                    if (one := _alone(own[place], lender, stop, derivatives, grid)) is None:
                         return
                     alone[place] = one
                 yield Computed(tuple(part), recorder, alone)
         for number in sorted(singles, key=lambda n: young(cases[n])):
-            if (one := _alone(cases[number], lender, stop)) is None:
+            grid = None if step_times is None else step_times[number]
+            if (one := _alone(cases[number], lender, stop, derivatives, grid)) is None:
                 return
-            yield Computed((number,), BatchRecorder([cases[number]], pair), {0: one})
+            recorder = BatchRecorder([cases[number]], pair, derivatives=derivatives)
+            yield Computed((number,), recorder, {0: one})
 
 
-def _alone(case: Case, lender: SolverLender, stop: Callable[[], bool]) -> Alone | None:
+def _alone(
+    case: Case,
+    lender: SolverLender,
+    stop: Callable[[], bool],
+    derivatives: Sequence[str],
+    step_times: Sequence[float] | None,
+) -> Alone | None:
     """Return a case computed by itself; None if it was stopped."""
     begun, recorder = time.perf_counter(), None
     stopped = False
@@ -148,10 +163,10 @@ def _alone(case: Case, lender: SolverLender, stop: Callable[[], bool]) -> Alone 
 
     error: Exception | None = None
     try:
-        recorder = Recorder(case, MPI.COMM_SELF)
+        recorder = Recorder(case, MPI.COMM_SELF, derivatives=derivatives)
         simulate(
             case, MPI.COMM_SELF, pair=lender.pair, solver=lender.lend(case),
-            observers=[recorder, asked],
+            observers=[recorder, asked], derivatives=derivatives, step_times=step_times,
         )  # fmt: skip
     except Exception as failure:  # of the solver, or of a law that is not ours
         lender.drop()

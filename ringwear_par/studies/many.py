@@ -14,6 +14,7 @@ from ringwear_par.errors import InputError
 from ringwear_par.history.bodies import operator_key
 from ringwear_par.history.limits import check_case
 from ringwear_par.history.pairs import assemble
+from ringwear_par.history.sensitivity import check_derivatives
 from ringwear_par.parallel import as_ours, together
 from ringwear_par.results.result import FailedResult, Result
 from ringwear_par.studies.batches import computed
@@ -23,7 +24,11 @@ log = logging.getLogger(__name__)
 
 
 def simulate_all(
-    cases: Sequence[Case], comm: MPI.Comm | None = None, *, batch: int | None = None
+    cases: Sequence[Case],
+    comm: MPI.Comm | None = None,
+    *,
+    batch: int | None = None,
+    derivatives: Sequence[str] = (),
 ) -> list[Result | FailedResult]:
     """Return the wear histories of many cases, in their order.
 
@@ -36,6 +41,7 @@ def simulate_all(
     cases : the same on all ranks.
     batch : most histories that a rank steps side by side; None: as many as are quickest. Results
         do not depend on it.
+    derivatives : keys that all results are to have derivatives with respect to, as of ``simulate``.
 
     Raises
     ------
@@ -54,7 +60,7 @@ def simulate_all(
     comm = MPI.COMM_WORLD if comm is None else comm
     found: dict[int, Result | FailedResult] = {}
     groups: dict[Hashable, list[int]] = defaultdict(list)
-    for number, checked in enumerate(_checked(cases, comm)):
+    for number, checked in enumerate(_checked(cases, comm, derivatives)):
         if isinstance(checked, FailedResult):
             found[number] = checked
         else:
@@ -76,16 +82,18 @@ def simulate_all(
         if mine:
             waiting.append((pair, mine))
         if len(dealt) // comm.size > rounds:  # every rank has something to do
-            found.update(_simulated(cases, waiting, batch))
+            found.update(_simulated(cases, waiting, batch, derivatives))
             waiting = []
-    found.update(_simulated(cases, waiting, batch))
+    found.update(_simulated(cases, waiting, batch, derivatives))
     if comm.size > 1:
         for place, number in enumerate(dealt):  # one by one: all might be too much for a message
             found[number] = comm.bcast(found.get(number), place % comm.size)
     return [found[number] for number in range(len(cases))]
 
 
-def _checked(cases: Sequence[Case], comm: MPI.Comm) -> list[Hashable | FailedResult]:
+def _checked(
+    cases: Sequence[Case], comm: MPI.Comm, derivatives: Sequence[str]
+) -> list[Hashable | FailedResult]:
     """Return what the pair of each case depends on, or why it cannot be computed.
 
     Collective on comm: every rank checks its share.
@@ -95,6 +103,7 @@ def _checked(cases: Sequence[Case], comm: MPI.Comm) -> list[Hashable | FailedRes
     for case in cases[comm.rank :: comm.size]:
         try:
             key = operator_key(case)
+            check_derivatives(case, derivatives)
             check_case(case, 1, "case", known_mesh=key in known)
             known.add(key)
             own.append(key)
@@ -108,11 +117,12 @@ def _simulated(
     cases: Sequence[Case],
     work: Sequence[tuple[ContactPair, Sequence[int]]],
     batch: int | None,
+    derivatives: Sequence[str],
 ) -> Iterator[tuple[int, Result | FailedResult]]:
     """Yield numbers and results of cases, by the pair that they share, on this rank alone."""
     for pair, numbers in work:
         own = [cases[number] for number in numbers]
-        for block in computed(own, pair, batch=batch, keep_ends=True):
+        for block in computed(own, pair, batch=batch, keep_ends=True, derivatives=derivatives):
             for place, result in zip(block.numbers, block.results(), strict=True):
                 if isinstance(result, Exception):
                     yield numbers[place], _failed(own[place], result)

@@ -13,6 +13,7 @@ from ringwear_par.elasticity.pair import ContactPair
 from ringwear_par.elasticity.sections import Polyline
 from ringwear_par.history.model import WearModel
 from ringwear_par.history.pairs import assemble
+from ringwear_par.history.stability import stable_step
 from ringwear_par.history.trace import Trace, trace
 from ringwear_par.verification import reference
 from ringwear_par.verification.check import NU, Check, bound, identity
@@ -159,7 +160,7 @@ def explicit_limit_error(n: int, comm: MPI.Comm) -> float:
         upper=replace(case.upper, r=(298.5, 301.5)),
     )
     with WearModel(case, comm) as model:
-        step = model.stable_step()
+        step = stable_step(model)
     fastest = 1e-7 * case.friction * OMEGA * float(model.line.arm.max())  # mm/s per MPa
     wear = step * fastest
     modulus = reference.contact_modulus((case.lower.young, NU))

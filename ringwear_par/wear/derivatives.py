@@ -8,7 +8,8 @@ import numpy as np
 
 from ringwear_par.arrays import FloatArray
 
-_COMPLEX_STEP = 1e-30
+#: so small that its square is nothing
+COMPLEX_STEP = 1e-30
 #: relative step of differences: their error is its square, their round-off eps over it
 _STEP = 1e-5
 #: relative deviation from the difference at which a complex step counts as failed
@@ -37,7 +38,7 @@ def derivative(
         with warnings.catch_warnings():
             warnings.simplefilter("error", np.exceptions.ComplexWarning)
             with np.errstate(over="ignore"):
-                exact = np.imag(function(x + 1j * _COMPLEX_STEP)) / _COMPLEX_STEP
+                exact = np.imag(function(x + 1j * COMPLEX_STEP)) / COMPLEX_STEP
     except Exception:  # whatever code that was written for real numbers may raise
         return difference
     with np.errstate(over="ignore", invalid="ignore"):  # where there is no number

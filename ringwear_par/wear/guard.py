@@ -49,7 +49,7 @@ def ask(
 ) -> FloatArray:
     """Return what a user's law answers, (..., n): its own copy, checked.
 
-    Real, unless pressure, wear or a parameter is complex: such answers are held against differences
+    Real, unless something that it knows is complex: such answers are held against differences
     element by element (see ``derivative``), so that they are not refused here for one of them.
 
     Parameters
@@ -71,7 +71,8 @@ def ask(
     try:
         with np.errstate(all="ignore"):
             result = function(read_only(p), local)
-        real = not any(np.iscomplexobj(x) for x in (p, local.wear, *parameters))
+        known = (p, local.wear, local.speed, local.friction, local.slid, *parameters)
+        real = not any(map(np.iscomplexobj, known))
         if result is None or (real and np.iscomplexobj(result)):
             raise TypeError(f"it returns {type(result).__name__}, not real numbers")
         result = np.asarray(result, dtype=float if real else complex)

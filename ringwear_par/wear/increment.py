@@ -1,6 +1,8 @@
 """The wear of one implicit step: a convex part of the contact problem, whatever the laws."""
 
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -8,22 +10,25 @@ import numpy as np
 from ringwear_par.arrays import FloatArray, IntArray, columns
 from ringwear_par.errors import ComputationError, InputError
 from ringwear_par.schedules import history, take
+from ringwear_par.wear.derivatives import COMPLEX_STEP
 from ringwear_par.wear.law import Law, LocalState, WearLaw, complete
 
 _MEMORY_ITERATIONS = 60
 #: relative change at which the wear of a step is found, and below which it may stop falling
 _ROUND_OFF, _NOISE = 1e-15, 1e-9
 _POTENTIAL_PANELS, _BISECTIONS = 8, 60
+#: what P numbers do to the rate of a body, see ``WearIncrement.varied``
+RateVariation = Callable[[int, Law, FloatArray, LocalState], FloatArray]
 _GAUSS = tuple(0.5 * v for v in np.polynomial.legendre.leggauss(8))
 
 
-def averaging(r: FloatArray, area: FloatArray, length: float) -> FloatArray:
+def averaging(r: FloatArray, area: FloatArray, length: complex) -> FloatArray:
     """Return the (n, n) matrix of Gaussian averages over a length.
 
     Rows sum to 1 and ``diag(area) A`` is symmetric, so that constants and area integrals are
     kept (Sinkhorn's scaling).
     """
-    if length <= 0.0:
+    if length == 0.0:
         return np.eye(len(r))
     kernel = np.exp(-0.5 * ((r[:, None] - r) / length) ** 2) * area[:, None] * area
     scale = 1.0 / np.sqrt(kernel.sum(axis=1) / area)
@@ -35,6 +40,11 @@ def averaging(r: FloatArray, area: FloatArray, length: float) -> FloatArray:
     symmetric = scale[:, None] * kernel * scale
     matrix = symmetric / area[:, None]
     return matrix / matrix.sum(axis=1)[:, None]
+
+
+def d_averaging(r: FloatArray, area: FloatArray, length: float) -> FloatArray:
+    """Return the derivative of the matrix of averages with respect to its length, (n, n) 1/mm."""
+    return np.imag(averaging(r, area, length + 1j * COMPLEX_STEP)) / COMPLEX_STEP
 
 
 def averaged(average: FloatArray, x: FloatArray) -> FloatArray:
@@ -213,6 +223,53 @@ class WearIncrement:
             depths[i] = self._axial(self._depth(law, at, average, p))
         return depths
 
+    def varied(
+        self,
+        p: FloatArray,
+        numbers: RateVariation,
+        d_wear: FloatArray,
+        d_step: FloatArray | None,
+        instant: bool,
+        d_averages: Mapping[int, tuple[int, FloatArray]] = MappingProxyType({}),
+    ) -> "VariedIncrement":
+        """Return how the unhindered depths vary with P numbers, and with pressure.
+
+        Parameters
+        ----------
+        numbers : ``(i, law, p, at) -> (P, ..., n)`` mm/s, what the numbers themselves do to the
+            rate of body i at given pressure and wear.
+        d_wear : (2, P, ..., n) mm, derivatives of the wear before the step.
+        d_step : (P, ..., n) s, those of ``step``; None: 0.
+        instant : whether rates are those before the step, as in explicit steps.
+        d_averages : of bodies, which number their averages depend on, and (n, n) how.
+        """
+        bodies = []
+        for i, law, at, average in self._each:
+            q = np.maximum(p if average is None else averaged(average, p), 0.0)
+            within = law.remembers and not instant
+            there = self._after(law, at, q) if within else at
+            change = numbers(i, law, q, there)
+            before = law.d_rate_dbefore(q, there)
+            if before is not None:
+                normal = d_wear[i] if self.obliquity is None else d_wear[i] / self.obliquity
+                change += before * normal
+            change *= self.step
+            slope = self.step * law.d_rate_dp(q, there)
+            if d_step is not None:
+                change += d_step * law.rate(q, there)
+            if within and before is not None:
+                left = 1.0 - self.step * before
+                change /= left
+                slope = slope / left
+            row, d_average = d_averages.get(i, (0, None))
+            if d_average is not None:
+                change[row] += slope * averaged(d_average, p)
+            depths = self._axial(change if average is None else averaged(average, change))
+            if d_average is not None:
+                depths[row] += self._axial(averaged(d_average, self.step * law.rate(q, there)))
+            bodies.append((i, depths, slope, average))
+        return VariedIncrement(bodies, self.obliquity)
+
     def _axial(self, normal: FloatArray) -> FloatArray:
         """Return along the axis what is (..., n) along the normal."""
         return normal if self.obliquity is None else self.obliquity * normal
@@ -340,6 +397,45 @@ class WearIncrement:
             obliquity=None if self.obliquity is None else self.obliquity[here],
             closing=None if self.closing is None else self.closing.part(here),
         )
+
+
+@dataclass(frozen=True)
+class VariedIncrement:
+    """How the unhindered depths of an increment vary with P numbers.
+
+    Parameters
+    ----------
+    bodies : of each that wears: which it is; (P, ..., n) mm, at given pressure; (..., n) mm/MPa,
+        its slope along the normal; its average.
+    obliquity : as of the increment.
+    """
+
+    bodies: Sequence[tuple[int, FloatArray, FloatArray, FloatArray | None]]
+    obliquity: FloatArray | None
+
+    @property
+    def slope(self) -> FloatArray:
+        """``WearIncrement.d_depth_dp`` of local laws in contact all along, (..., n) mm/MPa."""
+        total = _total([slope for _, _, slope, _ in self.bodies])
+        return total if self.obliquity is None else self.obliquity * total
+
+    @property
+    def depth(self) -> FloatArray:
+        """(P, ..., n) mm, of both bodies together at given pressure."""
+        return _total([depths for _, depths, _, _ in self.bodies])
+
+    def with_pressure(self, d_p: FloatArray) -> dict[int, FloatArray]:
+        """Return (P, ..., n) mm of each body, as the pressure varies by (P, ..., n) MPa."""
+        found = {}
+        for i, depths, slope, average in self.bodies:
+            change = slope * (d_p if average is None else averaged(average, d_p))
+            if average is not None:
+                change = averaged(average, change)
+            if self.obliquity is not None:
+                change *= self.obliquity
+            change += depths
+            found[i] = change
+        return found
 
 
 def _total(parts: list[FloatArray]) -> FloatArray:

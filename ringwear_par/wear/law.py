@@ -14,7 +14,7 @@ import numpy as np
 from ringwear_par.arrays import FloatArray, IntArray, columns
 from ringwear_par.schedules import Quantity, Stacked, breakpoints, history, take, told, value
 from ringwear_par.schedules import stack as stack_quantities
-from ringwear_par.wear.derivatives import derivative
+from ringwear_par.wear.derivatives import COMPLEX_STEP, derivative
 from ringwear_par.wear.guard import Asked, ask, read_only, shown
 from ringwear_par.wear.parameters import parameters_of
 
@@ -85,6 +85,18 @@ class LocalState:
             slid=take(self.slid, histories),
         )
 
+    def moved(self, by: Any, along: "LocalState") -> "LocalState":
+        """Return the same with so many times another's speed, friction and slid added."""
+        return LocalState(
+            self.time,
+            self.r,
+            self.speed + by * along.speed,
+            self.friction + by * along.friction,
+            self.wear,
+            self.slid + by * along.slid,
+            self.parameters,
+        )
+
     def history(self, i: int) -> "LocalState":
         """Return what one of B histories knows."""
         return replace(
@@ -138,7 +150,7 @@ class Law:
     @property
     def breakpoints(self) -> tuple[float, ...]:
         """Times, s, at which a parameter's table bends."""
-        return breakpoints(*map(self._quantity, self.numeric))
+        return breakpoints(*map(self.quantity, self.numeric))
 
     @property
     def numeric(self) -> tuple[str, ...]:
@@ -179,6 +191,20 @@ class Law:
             _SMALL_PARAMETER,
         )
 
+    def d_rate_dlocal(self, p: FloatArray, local: LocalState, along: LocalState) -> FloatArray:
+        """Return how the rate changes as speed, friction and slid do along those of another state.
+
+        By complex step, exact to round-off: the rates of our own laws take complex numbers.
+        """
+        return np.imag(self.rate(p, local.moved(1j * COMPLEX_STEP, along))) / COMPLEX_STEP
+
+    def d_rate_dbefore(self, p: FloatArray, local: LocalState) -> FloatArray | None:
+        """Return how the rate changes with the wear before a step, 1/s; None: not at all.
+
+        Laws may read it without remembering what is worn within the step.
+        """
+        return self.d_rate_dwear(p, local) if self.remembers else None
+
     def parameter(self, name: str, local: LocalState) -> float | FloatArray:
         """Return the value of a numeric parameter: a number, or one that broadcasts with p.
 
@@ -188,9 +214,9 @@ class Law:
         """
         if name not in self.numeric:
             raise ValueError(f"{name}: must be one of {', '.join(self.numeric) or 'none'}")
-        return value(self._quantity(name), local.time, local.r)
+        return value(self.quantity(name), local.time, local.r)
 
-    def _quantity(self, name: str) -> Quantity:
+    def quantity(self, name: str) -> Quantity:
         """Return a numeric parameter as it was given."""
         return getattr(self, name)
 
@@ -348,7 +374,8 @@ class CompletedLaw(Law):
             if name != "length" and isinstance(getattr(own, name), float | np.ndarray)
         )
 
-    def _quantity(self, name: str) -> Quantity:
+    def quantity(self, name: str) -> Quantity:
+        """Return a numeric parameter as it was given."""
         return getattr(self.own, name)
 
     @property
@@ -394,6 +421,14 @@ class CompletedLaw(Law):
             return super().d_rate_dwear(p, local)
         return self._ask("d_rate_dwear", p, local)
 
+    def d_rate_dlocal(self, p: FloatArray, local: LocalState, along: LocalState) -> FloatArray:
+        """Return how the rate changes as speed, friction and slid do along those of another."""
+        return found_along(self, p, local, along)
+
+    def d_rate_dbefore(self, p: FloatArray, local: LocalState) -> FloatArray | None:
+        """Return how the rate changes with the wear before a step, 1/s."""
+        return self.d_rate_dwear(p, local) if self.remembers else found_before(self, p, local)
+
     def d_rate_dparameter(self, name: str, p: FloatArray, local: LocalState) -> FloatArray:
         """Return the derivative of the rate with respect to a numeric parameter."""
         if not hasattr(self.own, "d_rate_dparameter"):
@@ -419,7 +454,17 @@ class CompletedLaw(Law):
     def describe(self) -> str:
         """Return what it calls itself, with its numbers."""
         formula = self._own("formula", f"{type(self.own).__name__}.rate(p, local)")
-        return formula + self._with({name: self._quantity(name) for name in self.numeric})
+        return formula + self._with({name: self.quantity(name) for name in self.numeric})
+
+
+def found_along(law: Law, p: FloatArray, local: LocalState, along: LocalState) -> FloatArray:
+    """Return ``d_rate_dlocal`` of a user's law, which need not take complex numbers."""
+    return derivative(lambda x: law.rate(p, local.moved(x, along)), 0.0, 1.0)
+
+
+def found_before(law: Law, p: FloatArray, local: LocalState) -> FloatArray:
+    """Return the derivative of a user's rate with respect to wear that it does not remember."""
+    return derivative(lambda wear: law.rate(p, replace(local, wear=wear)), local.wear, _SMALL_WEAR)
 
 
 def complete(law: WearLaw | Law) -> Law:

@@ -71,6 +71,11 @@ class ThresholdLaw(AboveThreshold):
     def _rise(self, local: LocalState) -> FloatArray:
         return value(self.k, local.time, local.r) * local.power
 
+    def d_rate_dlocal(self, p: FloatArray, local: LocalState, along: LocalState) -> FloatArray:
+        """Return how the rate changes as speed and friction do along those of another state."""
+        power = local.friction * along.speed + along.friction * local.speed
+        return value(self.k, local.time, local.r) * power * self._excess(p, local)
+
     def d_rate_dparameter(self, name: str, p: FloatArray, local: LocalState) -> FloatArray:
         """Return the derivative of the rate with respect to a numeric parameter's value there."""
         if name == "k":

@@ -15,7 +15,14 @@ from ringwear_par.schedules import Quantity, breakpoints, value
 from ringwear_par.schedules import stack as stack_quantities
 from ringwear_par.textfiles import read_text
 from ringwear_par.wear.guard import Asked, ask, shown
-from ringwear_par.wear.law import CompletedLaw, Law, LocalState, WearLaw
+from ringwear_par.wear.law import (
+    CompletedLaw,
+    Law,
+    LocalState,
+    WearLaw,
+    found_along,
+    found_before,
+)
 from ringwear_par.wear.parameters import Parameter
 
 _BISECTIONS = 30
@@ -144,7 +151,8 @@ class UserLaw(Law):
         """Names of the parameters: "parameters.k"."""
         return tuple(_PARAMETERS + name for name, _ in self.parameters)
 
-    def _quantity(self, name: str) -> Quantity:
+    def quantity(self, name: str) -> Quantity:
+        """Return a numeric parameter as it was given."""
         return dict(self.parameters)[name.removeprefix(_PARAMETERS)]
 
     def with_parameter(self, name: str, there: Any) -> Self:
@@ -179,12 +187,20 @@ class UserLaw(Law):
     def _with_stacks(self, change: Callable[[Any], Any]) -> Self:
         return replace(self, parameters=tuple((name, change(q)) for name, q in self.parameters))
 
-    def _of_each(self, asked: Asked, p: FloatArray, local: LocalState) -> FloatArray:
+    def _of_each(
+        self, asked: str, p: FloatArray, local: LocalState, along: LocalState | None = None
+    ) -> FloatArray:
         """Return what a method gives of B histories, (B, n), each by itself.
 
         Derivatives too: whether code takes complex numbers may depend on the history.
         """
-        each = (getattr(self.history(i), asked)(p[i], local.history(i)) for i in range(len(p)))
+        others = () if along is None else (along,)
+        each = (
+            getattr(self.history(i), asked)(
+                p[i], local.history(i), *(other.history(i) for other in others)
+            )
+            for i in range(len(p))
+        )
         return np.array(list(each))
 
     def _call(self, asked: Asked, name: str, p: FloatArray, local: LocalState) -> FloatArray:
@@ -232,6 +248,29 @@ class UserLaw(Law):
         if not name:
             return super().d_rate_dwear(p, local)
         return self._call("d_rate_dwear", name, p, local)
+
+    def d_rate_dparameter(self, name: str, p: FloatArray, local: LocalState) -> FloatArray:
+        """Return the derivative of the rate with respect to a parameter's value there."""
+        if p.ndim == 1:
+            return super().d_rate_dparameter(name, p, local)
+        each = (
+            self.history(i).d_rate_dparameter(name, p[i], local.history(i)) for i in range(len(p))
+        )
+        return np.array(list(each))
+
+    def d_rate_dlocal(self, p: FloatArray, local: LocalState, along: LocalState) -> FloatArray:
+        """Return how the rate changes as speed, friction and slid do along those of another."""
+        if p.ndim > 1:
+            return self._of_each("d_rate_dlocal", p, local, along)
+        return found_along(self, p, local, along)
+
+    def d_rate_dbefore(self, p: FloatArray, local: LocalState) -> FloatArray | None:
+        """Return how the rate changes with the wear before a step, 1/s."""
+        if self.remembers:
+            return self.d_rate_dwear(p, local)
+        if p.ndim > 1:
+            return self._of_each("d_rate_dbefore", p, local)
+        return found_before(self, p, local)
 
 
 def check_object(law: object) -> None:

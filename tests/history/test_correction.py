@@ -149,7 +149,7 @@ def test_last_pressures_of_a_history_are_near_the_collocated_ones(cases, number,
     with WearModel(case, comm, pair) as model:
         contact = model.contact
 
-        def corrected(time, wear, near, during=None, found=None, exact=False):
+        def corrected(time, wear, near, during=None, found=None, exact=False, along=None):
             for _ in range(4):
                 solution = contact(time, wear, near, during, found, exact=True)
                 near = solution.pressure

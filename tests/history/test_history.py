@@ -11,6 +11,7 @@ from ringwear_par.contact.solver import ContactSolver
 from ringwear_par.history.bodies import young
 from ringwear_par.history.model import WearModel
 from ringwear_par.history.pairs import assemble
+from ringwear_par.history.stability import stable_step
 from ringwear_par.history.trace import trace
 from ringwear_par.wear.threshold import ThresholdLaw
 
@@ -141,7 +142,7 @@ def test_both_schemes_are_of_first_order_and_meet(stepped):
 @pytest.mark.most_ranks(2)
 def test_explicit_limit_separates_smooth_from_oscillating(stepped, paper_pair, comm):
     with WearModel(paper_pair[0], comm, paper_pair[1]) as model:
-        limit = model.stable_step()
+        limit = stable_step(model)
 
     def roughness(factor):
         _, states = stepped(

@@ -1,0 +1,255 @@
+"""What numbers of a case histories have derivatives with respect to, and what these act on."""
+
+import copy
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ringwear_par.arrays import FloatArray, IntArray, columns, inner
+from ringwear_par.cases.case import Case
+from ringwear_par.cases.schema import UNITS
+from ringwear_par.contact.problem import REPLICATED_LIMIT
+from ringwear_par.elasticity.pair import ContactPair
+from ringwear_par.elasticity.slopes import obliquity
+from ringwear_par.errors import InputError, legible
+from ringwear_par.history.bodies import young
+from ringwear_par.wear.increment import d_averaging
+from ringwear_par.wear.law import Law, LocalState
+from ringwear_par.wear.parameters import parameters_of
+
+if TYPE_CHECKING:
+    from ringwear_par.history.model import WearModel
+
+_BODIES = ("lower", "upper")
+
+
+def differentiable(case: Case) -> dict[str, str]:
+    """Return the keys of a case that histories have derivatives with respect to, and their units.
+
+    Its plain numbers: of a law's parameters, those that rates have derivatives with respect to.
+    """
+    found: dict[str, str] = {}
+    for body, law in zip(_BODIES, case.laws, strict=True):
+        if law is None:
+            continue
+        for name in law.numeric:
+            if _is_number(law.quantity(name)):
+                parameter = parameters_of(type(law)).get(name)
+                found[f"wear.{body}.{name}"] = "1" if parameter is None else parameter.unit
+        if law.length and "length" in parameters_of(type(law)):
+            found[f"wear.{body}.length"] = "mm"
+    found["contact.friction"] = UNITS["contact.friction"]
+    load = case.load
+    for key, number in (
+        ("load.pressure", load.force),
+        ("load.force", load.force),
+        ("load.displacement", load.displacement),
+        ("load.omega", load.omega),
+        ("lower.young", case.lower.young),
+        ("upper.young", case.upper.young),
+    ):
+        if _is_number(number):
+            found[key] = UNITS[key]
+    return found
+
+
+def _is_number(quantity: Any) -> bool:
+    return isinstance(quantity, float | int) and not isinstance(quantity, bool)
+
+
+def units_of(case: Case, keys: Sequence[str]) -> dict[str, str]:
+    """Return the units of some of these keys."""
+    units = differentiable(case) if keys else {}
+    return {key: units[key] for key in keys}
+
+
+def check_derivatives(case: Case, keys: Sequence[str], ranks: int = 1) -> None:
+    """Refuse derivatives that there are not. Not collective.
+
+    Raises
+    ------
+    InputError : one sentence a key, or why this case has none at all.
+    """
+    if isinstance(keys, str) or not all(isinstance(key, str) for key in keys):
+        raise InputError(f"derivatives = {keys!r}: must be a list of keys, as ['wear.lower.k']")
+    if not keys:
+        return
+    if case.follows_wear:
+        raise InputError(
+            'derivatives: are not known with mesh.geometry = "updated"; must be "fixed" with them'
+        )
+    if ranks > 1 and case.mesh.contact_elements > REPLICATED_LIMIT:
+        raise InputError(
+            f"derivatives: {case.mesh.contact_elements} contact elements are shared by {ranks} "
+            f"ranks; must be at most {REPLICATED_LIMIT}, or on one rank, with them"
+        )
+    allowed = differentiable(case)
+    faults = [
+        f"derivatives: {legible(key)}: is no plain number of this case that its history depends "
+        f"on smoothly; must be one of {', '.join(allowed)}"
+        for key in keys
+        if key not in allowed
+    ]
+    twice = dict.fromkeys(key for key in keys if list(keys).count(key) > 1)
+    faults += [f"derivatives: {legible(key)}: must be named once" for key in twice]
+    if faults:
+        raise InputError(*faults)
+
+
+class Sensitivity:
+    """What P numbers of a case, or of B cases that step together, act on directly.
+
+    Parameters
+    ----------
+    keys : of the numbers.
+    cases : one case, or several of one pair.
+    pair : of the cases.
+    several : whether histories have an axis, though there may be one.
+    """
+
+    def __init__(
+        self, keys: Sequence[str], cases: Sequence[Case], pair: ContactPair, several: bool
+    ) -> None:
+        self.keys, self._arm = tuple(keys), pair.line.arm
+        rows = {key: row for row, key in enumerate(keys)}
+        #: rows and names of the parameters of the laws of lower and upper
+        self._laws = tuple(
+            [(row, key.removeprefix(f"wear.{body}.")) for key, row in rows.items()
+             if key.startswith(f"wear.{body}.")]
+            for body in _BODIES
+        )  # fmt: skip
+        #: of bodies, which number is the length of their averages, and what it does to these
+        self.averages: dict[int, tuple[int, FloatArray]] = {}
+        line, true_area = pair.line, pair.line.area * obliquity(pair.slope)
+        for body, (own, law) in enumerate(zip(self._laws, cases[0].laws, strict=True)):
+            for row in [row for row, name in own if name == "length"]:
+                assert law is not None
+                self.averages[body] = row, d_averaging(line.r, true_area, law.length)
+                own.remove((row, "length"))
+        self.friction, self.omega = rows.get("contact.friction"), rows.get("load.omega")
+
+        def of_cases(numbers: list[Any]) -> Any:
+            return np.array(numbers) if several else numbers[0]
+
+        #: what mu and omega are, which tells how far differences may go
+        self._sizes = {
+            row: of_cases([abs(number(case)) or 1.0 for case in cases])
+            for row, number in (
+                (self.friction, lambda case: case.friction),
+                (self.omega, lambda case: case.load.omega),
+            )
+            if row is not None
+        }
+        #: (P, ...) derivatives of the force, N, or of the displacement, mm
+        self.load = np.zeros((len(keys), len(cases)) if several else len(keys))
+        for key, row in rows.items():
+            if key == "load.pressure":
+                self.load[row] = of_cases([case.area for case in cases])
+            elif key in ("load.force", "load.displacement"):
+                self.load[row] = 1.0
+        self._moduli = [
+            (rows[key], _Moduli.of(cases, pair, body, several))
+            for body, key in enumerate(("lower.young", "upper.young"))
+            if key in rows
+        ]
+
+    def __len__(self) -> int:
+        return len(self.keys)
+
+    def take(self, histories: IntArray) -> "Sensitivity":
+        """Return that of some of B histories."""
+        taken = copy.copy(self)
+        taken._sizes = {row: size[histories] for row, size in self._sizes.items()}
+        taken.load = self.load[:, histories]
+        taken._moduli = [(row, moduli.take(histories)) for row, moduli in self._moduli]
+        return taken
+
+    def nothing(self, *shape: int) -> FloatArray:
+        """Return derivatives (P, ...) that are 0."""
+        return np.zeros((len(self), *shape))
+
+    def rates(self, i: int, law: Law, p: FloatArray, at: LocalState) -> FloatArray:
+        """Return what the numbers do to rates, see ``RateVariation`` of increments."""
+        out = self.nothing(*p.shape)
+        for row, name in self._laws[i]:
+            out[row] = law.d_rate_dparameter(name, p, at)
+        if self.friction is not None:
+            size, still = columns(self._sizes[self.friction]), np.zeros(p.shape[-1])
+            along = LocalState(0.0, at.r, still, size, still, still)
+            out[self.friction] = law.d_rate_dlocal(p, at, along) / size
+        if self.omega is not None:
+            size, still = columns(self._sizes[self.omega]), np.zeros(p.shape[-1])
+            turn = size * self._arm
+            along = LocalState(0.0, at.r, turn, 0.0, still, at.time * turn)
+            out[self.omega] = law.d_rate_dlocal(p, at, along) / size
+        return out
+
+    def add_gap(
+        self,
+        gap: FloatArray,
+        products: Callable[[FloatArray, Any, FloatArray], FloatArray],
+        p: FloatArray,
+        at: FloatArray,
+    ) -> None:
+        """Add to derivatives of the gap, (P, ..., n) mm, what moduli do at given pressures.
+
+        Parameters
+        ----------
+        products : of matrices and pressures, see ``CorrectedContact.products``.
+        p, at : (..., n) MPa, of a solution, and those that it was corrected at.
+        """
+        for row, moduli in self._moduli:
+            gap[row] += products(moduli.symmetric, moduli.which, p - at)
+            gap[row] += products(moduli.collocated, moduli.which, at)
+
+    def torque(self, model: "WearModel", p: FloatArray, d_p: FloatArray) -> FloatArray:
+        """Return derivatives of the friction torque, (P, ...) N mm."""
+        out = np.asarray(model.torque(d_p))
+        if self.friction is not None:
+            out[self.friction] += model.reactions(p)[0]
+        return out
+
+    def twist(self, model: "WearModel", p: FloatArray, d_p: FloatArray) -> FloatArray:
+        """Return derivatives of the mean circumferential displacement, (P, ...) mm."""
+        out = np.asarray(model.twist(d_p))
+        if self.friction is not None:
+            out[self.friction] += inner(model.twist_weights, p)
+        for row, moduli in self._moduli:
+            out[row] += model.friction * inner(moduli.twist[moduli.which], p)
+        return out
+
+
+@dataclass(frozen=True)
+class _Moduli:
+    """Derivatives with respect to the Young's modulus of a body, those of m pairs of moduli.
+
+    Parameters
+    ----------
+    symmetric, collocated : (m, n, n) of K / m and C, transposed.
+    twist : (m, n).
+    which : (B,) int of each history, or 0.
+    """
+
+    symmetric: FloatArray
+    collocated: FloatArray
+    twist: FloatArray
+    which: Any
+
+    @classmethod
+    def of(cls, cases: Sequence[Case], pair: ContactPair, body: int, several: bool) -> "_Moduli":
+        """Return those of some cases."""
+        moduli = [young(case) for case in cases]
+        places = {each: place for place, each in enumerate(dict.fromkeys(moduli))}
+        every = [pair.d_compliance(each, body) for each in places]
+        return cls(
+            np.array([(matrix / pair.line.area[:, None]).T for matrix, _, _ in every]),
+            np.array([collocated.T for _, collocated, _ in every]),
+            np.array([twist for _, _, twist in every]),
+            np.array([places[each] for each in moduli]) if several else 0,
+        )
+
+    def take(self, histories: IntArray) -> "_Moduli":
+        """Return those of some of B histories."""
+        return replace(self, which=self.which[histories])

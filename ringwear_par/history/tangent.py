@@ -1,0 +1,312 @@
+"""Tangent-linear histories: derivatives of everything that is stored with respect to numbers.
+
+What is differentiated is what the program computes, its step sizes given: every contact solution,
+corrected as it is, on the factor that it ended with. On the elements in contact
+
+    K p + m (gap + depth(p, q) - excess p_near - delta) = 0,    m.p = F,
+
+so that (K + m D) p' = m (delta' - gap' - depth_q - K'p / m + (excess p_near)'), m.p' = F', and then
+depth' = D p' + depth_q. Where elements pass a kink (contact, a threshold), derivatives are those of
+one of its sides.
+
+Derivatives with respect to P numbers are (P, ..., n) of fields, (P, ...) of a history's numbers,
+and (2, P, ..., n) of what both bodies have.
+"""
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ringwear_par.arrays import BoolArray, FloatArray, IntArray, Numbers, columns, inner
+from ringwear_par.contact.problem import ContactState
+from ringwear_par.wear.increment import VariedIncrement, WearIncrement
+
+if TYPE_CHECKING:
+    from ringwear_par.history.entering import Entering
+    from ringwear_par.history.model import WearModel
+    from ringwear_par.history.state import State
+
+
+@dataclass(frozen=True)
+class Tangent:
+    """Derivatives of a state.
+
+    Parameters
+    ----------
+    wear : (2, P, ..., n) float, mm over each number's unit.
+    energy : (P, ...) float, N mm.
+    pressure, gap : (P, ..., n) float, MPa and mm, of the contact.
+    approach : (P, ...) float, mm.
+    """
+
+    wear: FloatArray
+    energy: FloatArray
+    pressure: FloatArray
+    gap: FloatArray
+    approach: FloatArray
+
+    def history(self, i: int) -> "Tangent":
+        """Return that of one of B histories."""
+        return self._each(lambda values, axis: np.take(values, i, axis))
+
+    def take(self, histories: IntArray) -> "Tangent":
+        """Return that of some of B histories."""
+        return self._each(lambda values, axis: np.take(values, histories, axis))
+
+    def _each(self, function: Any) -> "Tangent":
+        pairs = vars(self).items()
+        return Tangent(**{name: function(values, _axis(name)) for name, values in pairs})
+
+    def joined(self, other: "Tangent") -> "Tangent":
+        """Return that of the histories of both."""
+        return self._with(other, lambda *values, axis: np.concatenate(values, axis))
+
+    def updated(self, which: BoolArray, after: "Tangent") -> "Tangent":
+        """Return that of B histories, some of which have become others."""
+        rows = which[:, None]
+        return self._with(
+            after,
+            lambda old, new, axis: np.where(rows if new.ndim > 2 else which, new, old),
+        )
+
+    def _with(self, other: "Tangent", function: Any) -> "Tangent":
+        return Tangent(
+            **{
+                name: function(values, getattr(other, name), axis=_axis(name))
+                for name, values in vars(self).items()
+            }
+        )
+
+
+def _axis(name: str) -> int:
+    """Return the axis of B histories."""
+    return 2 if name == "wear" else 1
+
+
+# -- along one step --------------------------------------------------------------------------------
+
+
+class Along:
+    """Derivatives along one step, stage by stage: told of by the scheme and its contacts.
+
+    Parameters
+    ----------
+    model : the physics, with its ``sensitivity``.
+    before : at the start of the step; None: there is no step, and nothing was worn.
+    enter : the elements that wear may bring into contact in it.
+    """
+
+    def __init__(
+        self, model: "WearModel", before: Tangent | None, enter: "Entering | None" = None
+    ) -> None:
+        assert model.sensitivity is not None
+        self._model, self._numbers, self._enter = model, model.sensitivity, enter
+        nothing = self._numbers.nothing
+        shape = model.shape
+        if before is None:
+            before = Tangent(
+                np.stack([nothing(*shape)] * 2), nothing(*shape[:-1]), nothing(*shape),
+                nothing(*shape), nothing(*shape[:-1]),
+            )  # fmt: skip
+        self._before = before
+        #: (2, P, ..., n) mm, of the wear that a stage starts from
+        self.wear = before.wear
+        #: (P, ..., n) MPa and (P, ...) mm, of the last contact
+        self.pressure, self.approach = before.pressure, before.approach
+        #: of the pressures that the next solution is corrected at
+        self._near = before.pressure
+        #: of the gap at given pressure
+        self._gap = nothing(*shape)
+        self._during: WearIncrement | None = None
+        self._varied: VariedIncrement | None = None
+        self._closes: FloatArray | None = None
+        if enter is not None:
+            self._closes = np.where(enter.late, before.gap, 0.0)
+        #: (P, ..., n) s, of the steps of elements
+        self._step: FloatArray | None = None
+        self._energy = before.energy
+
+    # -- contact -----------------------------------------------------------------------------------
+
+    def pose(self, during: WearIncrement | None) -> None:
+        """Take the wear of the next contact problem."""
+        self._during = during
+
+    def solved(self, found: ContactState, at: FloatArray, asked: Any = None) -> None:
+        """Differentiate a contact solution, see ``contact.correction.Tangents``."""
+        model, during, p = self._model, self._during, found.pressure
+        contacts = model.contacts
+        gap = self.wear[0] + self.wear[1]
+        contacts.take_shift(gap, self._near)
+        self._numbers.add_gap(gap, contacts.products, p, at)
+        slope: FloatArray | None = None
+        if during is not None:
+            varied = self._varied_by(during, p, self._step, instant=False)
+            worn = varied.depth
+            slope = varied.slope if during.local else during.jacobian(p)
+            if during.closing is not None:
+                closed = (during.closing.gap == 0.0) | (during.depth(p) > 0.0)
+                assert self._closes is not None
+                worn = np.where(closed, worn - self._closes, 0.0)
+                slope = np.where(closed, slope, 0.0)
+            gap += worn
+            self._varied = varied
+        load = self._numbers.load
+        loads = (None, load) if model.force is None else (load, None)
+        solved = contacts.tangents(found, gap, *loads, slope, asked=asked)
+        if asked is None or len(asked) == gap.shape[1]:
+            self._gap, (self.pressure, self.approach) = gap, solved
+        else:
+            self._gap, self.pressure = self._gap.copy(), self.pressure.copy()
+            self.approach = self.approach.copy()
+            self._gap[:, asked] = gap[:, asked]
+            self.pressure[:, asked], self.approach[:, asked] = solved
+        self._near = self.pressure
+
+    def _varied_by(
+        self, increment: WearIncrement, p: FloatArray, d_step: FloatArray | None, instant: bool
+    ) -> VariedIncrement:
+        """Return how an increment varies with the numbers."""
+        numbers = self._numbers
+        return increment.varied(p, numbers.rates, self.wear, d_step, instant, numbers.averages)
+
+    def unhindered(self) -> dict[int, FloatArray]:
+        """Return derivatives of what the last stage wears off bodies all along, (P, ..., n) mm."""
+        return {} if self._varied is None else self._varied.with_pressure(self.pressure)
+
+    def _wear_off(self, lost: dict[int, FloatArray]) -> None:
+        """Add to derivatives of the wear."""
+        self.wear = self.wear.copy()
+        for i, depths in lost.items():
+            self.wear[i] += depths
+
+    # -- what schemes tell -------------------------------------------------------------------------
+
+    def explicit(self, increment: WearIncrement, p: FloatArray) -> None:
+        """Wear off what an explicit step does at the pressure of its start."""
+        varied = self._varied_by(increment, p, None, instant=True)
+        self._wear_off(varied.with_pressure(self._before.pressure))
+
+    def implicit(self) -> None:
+        """Wear off what the last stage does."""
+        self._wear_off(self.unhindered())
+
+    def first_stage(
+        self, p: FloatArray, worn: FloatArray, counts: FloatArray | float, share: float
+    ) -> None:
+        """Go on to the last stage of two.
+
+        Parameters
+        ----------
+        p : (..., n) MPa, at the end of the first.
+        worn : (2, ..., n) mm, unhindered.
+        counts : how many times its weight the stage counts, (..., n) or 1.
+        share : of what is worn that the last stage starts from.
+        """
+        first, lost = self.pressure, self.unhindered()
+        self._counted = first
+        if self._enter is not None:
+            d_counts = self._enter.d_counts(p, first, 0.0, 0.0)
+            self._counted = counts * first + d_counts * p
+            lost = {i: counts * d_worn + d_counts * worn[i] for i, d_worn in lost.items()}
+        self._wear_off({i: share * depths for i, depths in lost.items()})
+        self._near = self._first = first
+
+    def lengthen(self, last: WearIncrement, p: FloatArray, step: Numbers) -> None:
+        """Take note that the last stage is tried again, its steps being those that ``p`` asks for.
+
+        Parameters
+        ----------
+        step : s, of which steps are so many times as much as the stage counts.
+        """
+        assert self._enter is not None
+        worn, whole = last.unhindered(p), last.step / columns(step)
+        inside, d_inside = last.share(worn), self._d_share(last, worn, self.unhindered())
+        counts = whole * inside
+        d_counts = self._enter.d_counts(p, self.pressure, counts, whole * d_inside)
+        self._step = columns(step) * np.where(self._enter.late, 0.0, d_counts)
+        self._near = self._first
+
+    def last_stage(
+        self, last: WearIncrement, p: FloatArray, worn: FloatArray, step: Numbers
+    ) -> None:
+        """Wear off what the last stage of two does, see ``first_stage`` and ``lengthen``."""
+        d_worn = self.unhindered()
+        self._counted_last = self.pressure
+        if self._enter is not None:
+            inside, d_inside = last.share(worn), self._d_share(last, worn, d_worn)
+            d_worn = {i: inside * lost + d_inside * worn[i] for i, lost in d_worn.items()}
+            counts = last.step / columns(step)
+            d_counts = counts * d_inside
+            if self._step is not None:
+                d_counts = d_counts + inside * self._step / columns(step)
+            self._counted_last = counts * inside * self.pressure + d_counts * p
+        self._wear_off(d_worn)
+
+    def _d_share(
+        self, last: WearIncrement, worn: FloatArray, d_worn: dict[int, FloatArray]
+    ) -> FloatArray:
+        """Return derivatives of ``WearIncrement.share``, (P, ..., n)."""
+        assert last.closing is not None
+        assert self._closes is not None
+        gap, total = last.closing.gap, worn[0] + worn[1]
+        inside = (gap > 0.0) & (total > gap)
+        total = np.where(inside, total, 1.0)
+        d_total = sum(d_worn.values())
+        return np.where(inside, (gap * d_total / total - self._closes) / total, 0.0)
+
+    def work(self, lasts: Numbers, omega: Numbers, p: FloatArray, d_p: FloatArray) -> None:
+        """Dissipate the energy of a time, s, at a speed, rad/s, and a pressure."""
+        power = omega * self._numbers.torque(self._model, p, d_p)
+        if self._numbers.omega is not None:
+            power[self._numbers.omega] += self._model.torque(p)
+        self._energy = self._energy + lasts * power
+
+    @property
+    def counted(self) -> tuple[FloatArray, FloatArray]:
+        """Derivatives of the pressures of both stages, (P, ..., n), times what these count."""
+        return self._counted, self._counted_last
+
+    def reached(self, contact: ContactState) -> Tangent:
+        """Return the derivatives of the state at the end, whose contact is the last one."""
+        return Tangent(self.wear, self._energy, self.pressure, self._d_gap(contact), self.approach)
+
+    def _d_gap(self, found: ContactState) -> FloatArray:
+        """Return derivatives of the gap: 0 in contact."""
+        open_ = found.pressure <= 0.0
+        if not open_.any():
+            return np.zeros_like(self._gap)
+        gap = self._gap + self._model.contacts.deflections(self.pressure)
+        if self._during is not None and not self._during.local:
+            assert self._varied is not None
+            gap += sum(self.unhindered().values()) - self._varied.depth
+        return np.where(open_, gap - self.approach[..., None], 0.0)
+
+
+# -- what is stored --------------------------------------------------------------------------------
+
+
+def variables(model: "WearModel", state: "State") -> dict[str, Any]:
+    """Return derivatives of what is stored of a state by name, (P, ...) each. Not collective.
+
+    All but that of ``penetration``, in which the first state has a part.
+    """
+    tangent, numbers = state.tangent, model.sensitivity
+    if tangent is None or numbers is None:
+        return {}
+    p, d_p = state.contact.pressure, tangent.pressure
+    volumes = model.integrals(tangent.wear)
+    return {
+        "d_approach": tangent.approach,
+        "d_force": numbers.load if model.force is not None else np.asarray(inner(model.area, d_p)),
+        "d_torque": numbers.torque(model, p, d_p),
+        "d_twist": numbers.twist(model, p, d_p),
+        "d_worn_volume_lower": volumes[0],
+        "d_worn_volume_upper": volumes[1],
+        "d_dissipated_energy": tangent.energy,
+        "d_pressure": d_p,
+        "d_gap": tangent.gap,
+        "d_wear_lower": tangent.wear[0],
+        "d_wear_upper": tangent.wear[1],
+    }

@@ -1,0 +1,118 @@
+"""The map of a test design: predicted standard deviations over loads, or over load and duration."""
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from matplotlib.colors import LogNorm
+from matplotlib.figure import Figure
+
+from ringwear_par.arrays import FloatArray, IntArray
+from ringwear_par.identification.candidates import Candidate
+from ringwear_par.identification.design_summary import name_of
+from ringwear_par.identification.summary import unit_of
+
+if TYPE_CHECKING:
+    from ringwear_par.identification.design import DesignResult
+
+_MAP = "viridis_r"
+
+
+def figure(found: "DesignResult") -> Figure:
+    """Return a map for each key: of two tests over their loads, of one over load and duration.
+
+    Where neither varies, bars of the best designs. Of several tests the map is that of one.
+    """
+    parameters = found.problem.parameters
+    m = len(parameters)
+    chart = Figure(figsize=(4.6 * m, 4.2), layout="constrained")
+    panels = chart.subplots(1, m, squeeze=False)[0]
+    plain = np.array(
+        [i for i, test in enumerate(found.candidates) if _is_plain(test)], dtype=np.int64
+    )
+    for j, (axes, parameter) in enumerate(zip(panels, parameters, strict=True)):
+        scale = 100.0 / found.nominal[j] if parameter.log else 1.0
+        unit = "%" if parameter.log else unit_of(parameter.key).strip()
+        label = f"predicted sd of {parameter.key} ({unit})"
+        if len(plain) and len(found.pairs):
+            _map_of_pairs(axes, found, plain, scale * found.pairs[..., j], label)
+        elif len({found.candidates[i].seconds for i in plain}) > 1:
+            _map_of_tests(axes, found, plain, scale * found.single[:, j], label)
+        else:
+            _bars(axes, found, j, scale, label)
+    return chart
+
+
+def _is_plain(test: Candidate) -> bool:
+    return len(test.loads) == 1 and test.profiles <= 1 and "load.omega" not in test.keys
+
+
+def _axis_of(found: "DesignResult", plain: IntArray) -> tuple[str, list[float]]:
+    first = found.candidates[plain[0]]
+    unit = "MPa" if "load.pressure" in first.keys else "N"
+    what = "mean pressure" if unit == "MPa" else "force"
+    return f"{what} ({unit})", sorted({found.candidates[i].loads[0] for i in plain})
+
+
+def _map_of_pairs(
+    axes: Any, found: "DesignResult", plain: IntArray, values: FloatArray, label: str
+) -> None:
+    """Draw the smallest sd that two tests of these loads give, of whatever durations."""
+    name, loads = _axis_of(found, plain)
+    place = {load: k for k, load in enumerate(loads)}
+    own = np.array([place[found.candidates[i].loads[0]] for i in plain])
+    table = np.full((len(loads), len(loads)), np.inf)
+    part = values[np.ix_(plain, plain)]
+    rows, columns = np.nonzero(np.isfinite(part))
+    np.minimum.at(table, (own[rows], own[columns]), part[rows, columns])
+    _draw(axes, loads, loads, np.where(np.isfinite(table), table, np.nan), label)
+    axes.set_xlabel(f"{name} of one test")
+    axes.set_ylabel(f"{name} of the other")
+    tests = [found.candidates[i] for i in found.designs[0].tests]
+    if all(map(_is_plain, tests)):
+        (x,), (y,) = (test.loads for test in tests)
+        _mark(axes, [x, y], [y, x], " + ".join(map(name_of, tests)))
+
+
+def _map_of_tests(
+    axes: Any, found: "DesignResult", plain: IntArray, values: FloatArray, label: str
+) -> None:
+    """Draw the sd of one test over its load and duration."""
+    name, loads = _axis_of(found, plain)
+    seconds = sorted({found.candidates[i].seconds for i in plain})
+    table = np.full((len(seconds), len(loads)), np.nan)
+    for i in plain:
+        test = found.candidates[i]
+        table[seconds.index(test.seconds), loads.index(test.loads[0])] = values[i]
+    _draw(axes, loads, seconds, np.where(np.isfinite(table), table, np.nan), label)
+    axes.set_xlabel(f"{name} of one test")
+    axes.set_ylabel("duration (s)")
+    best = [found.candidates[i] for i in found.designs[0].tests]
+    if all(map(_is_plain, best)):
+        _mark(
+            axes, [test.loads[0] for test in best], [test.seconds for test in best],
+            " + ".join(map(name_of, best)),
+        )  # fmt: skip
+
+
+def _draw(axes: Any, x: list[float], y: list[float], table: FloatArray, label: str) -> None:
+    known = table[np.isfinite(table)]
+    wide = len(known) > 0 and known.max() > 5.0 * known.min() > 0.0
+    drawn = axes.pcolormesh(
+        x, y, table, cmap=_MAP, shading="nearest", norm=LogNorm() if wide else None
+    )
+    bar = axes.figure.colorbar(drawn, ax=axes)
+    bar.set_label(label)
+
+
+def _mark(axes: Any, x: list[float], y: list[float], told: str) -> None:
+    axes.plot(x, y, "o", mfc="none", mec="C3", mew=2, ms=10, label=f"best: {told}")
+    axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), fontsize=8, frameon=False)
+
+
+def _bars(axes: Any, found: "DesignResult", j: int, scale: float, label: str) -> None:
+    names = [" + ".join(name_of(found.candidates[i]) for i in one.tests) for one in found.designs]
+    values = [scale * one.sd[j] for one in found.designs]
+    axes.barh(range(len(values)), np.where(np.isfinite(values), values, 0.0), color="C0")
+    axes.set_yticks(range(len(values)), names, fontsize=7)
+    axes.invert_yaxis()
+    axes.set_xlabel(label)

@@ -1,0 +1,128 @@
+"""A test design in the words of who makes the tests, and the folder that it is kept in."""
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ringwear_par.atomic import atomic_write, unwritable
+from ringwear_par.cases.text import toml_value
+from ringwear_par.errors import ComputationError
+from ringwear_par.identification.candidates import Candidate
+from ringwear_par.identification.storing import check
+from ringwear_par.identification.summary import unit_of
+
+if TYPE_CHECKING:
+    from ringwear_par.identification.design import Design, DesignResult
+
+OUTCOME, NEXT, FIGURE = "design.json", "next.toml", "design.png"
+FILES = (OUTCOME, NEXT, FIGURE)
+
+_CRITERIA = {
+    "D": "smallest volume of the confidence ellipsoid (D)",
+    "A": "smallest mean variance over the widths of the bounds (A)",
+    "eig": "largest expected gain of information (eig)",
+}
+#: designs that a summary shows
+_SHOWN = 5
+
+
+def summary(found: "DesignResult") -> str:
+    """Return the outcome in a few lines."""
+    problem, count = found.problem, len(found.designs[0].tests)
+    lines = [
+        f"{problem.name}: {count} of {len(found.candidates)} tests, {_CRITERIA[found.criterion]}; "
+        f"measured as in {problem.experiments[0].name}; {found.histories} histories"
+    ]
+    about = ", ".join(
+        f"{p.key} = {v:.4g}{unit_of(p.key)}"
+        for p, v in zip(problem.parameters, found.nominal.tolist(), strict=True)
+    )
+    where = f"after {found.after}" if found.after else "at the start"
+    spread = (
+        f", and {found.draws - 1} draws around it" if found.draws > 1
+        else "; without priors or an earlier fit (--after) it holds there only"
+    )  # fmt: skip
+    lines.append(f"{where}: {about}{spread}")
+    names = [_tests(found, one) for one in found.designs[:_SHOWN]]
+    width = max(map(len, names))
+    for name, one in zip(names, found.designs, strict=False):
+        lines.append(f"  {name.ljust(width)}  {_spreads(found, one)}")
+    planned = "with the fit's tests again" if found.after else "the tests of the fit file"
+    lines.append(f"  {planned.ljust(width)}  {_spreads(found, found.planned)}")
+    return "\n".join(lines)
+
+
+def _tests(found: "DesignResult", one: "Design") -> str:
+    return " + ".join(name_of(found.candidates[i]) for i in one.tests)
+
+
+def name_of(test: Candidate) -> str:
+    """Return a test in a few words."""
+    words = []
+    if test.loads:
+        unit = "MPa" if "load.pressure" in test.keys else "N"
+        words.append(f"{' then '.join(f'{load:.4g}' for load in test.loads)} {unit}")
+    if "load.omega" in test.keys:
+        words.append(f"{test.keys['load.omega']:.4g} rad/s")
+    words.append(f"{test.seconds:.4g} s")
+    if test.profiles > 1:
+        words.append(f"{test.profiles} profiles")
+    return ", ".join(words)
+
+
+def _spreads(found: "DesignResult", one: "Design") -> str:
+    told = []
+    pairs = zip(found.problem.parameters, found.nominal, one.sd, strict=True)
+    for place, (parameter, value, sd) in enumerate(pairs):
+        low, high = one.range[:, place]
+        if not np.isfinite(sd):
+            told.append(f"{parameter.key} not told")
+        elif parameter.log:
+            told.append(f"{parameter.key} +- {100.0 * sd / value:.2g} %")
+        else:
+            told.append(f"{parameter.key} +- {sd:.2g}{unit_of(parameter.key)}")
+        if np.isfinite(sd) and high > 1.5 * low:
+            worst = f"{high / sd:.2g} times" if np.isfinite(high) else "not told"
+            told[-1] += f" (at worst {worst})"
+    return "; ".join(told)
+
+
+def next_tests(found: "DesignResult") -> str:
+    """Return the best design as tables of a fit file."""
+    problem, best = found.problem, found.designs[0]
+    lines = [
+        f"# the best of {len(found.candidates)} candidates: {_spreads(found, best)}",
+        f"# readings as in {problem.experiments[0].name} of {problem.name}",
+    ]
+    for number, place in enumerate(best.tests, start=1):
+        test = found.candidates[place]
+        changes = ", ".join(f"{toml_value(k)} = {toml_value(v)}" for k, v in test.changes().items())
+        lines += ["", "[[experiment]]", f'name = "next {number}"', f"set = {{ {changes} }}"]
+        lines += [f"# {series.name}: {series.n} readings" for series in test.experiment.series]
+    return "\n".join(lines) + "\n"
+
+
+def save(found: "DesignResult", folder: Path) -> None:
+    """Write all three files; design.json, which says that it is whole, the last. On one rank.
+
+    Raises
+    ------
+    InputError, ComputationError : the folder or the disk.
+    """
+    check(folder, FILES)
+    try:
+        folder.mkdir(exist_ok=True)
+    except OSError as error:
+        raise unwritable(folder, error) from error
+    try:
+        with atomic_write(folder / FIGURE) as path:
+            found.plot().savefig(path, format="png", dpi=130)
+        with atomic_write(folder / NEXT) as path:
+            path.write_text(next_tests(found), encoding="utf-8")
+        with atomic_write(folder / OUTCOME) as path:
+            path.write_text(json.dumps(found.to_dict(), indent=1, allow_nan=False) + "\n")
+    except OSError as error:
+        name = error.filename or folder
+        raise ComputationError(f"{name}: {error.strerror or error}") from error

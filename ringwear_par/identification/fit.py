@@ -1,0 +1,256 @@
+"""``rw.fit`` and ``ringwear fit``: the values of case keys that measurements tell."""
+
+import hashlib
+import itertools
+import json
+import logging
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from mpi4py import MPI
+
+from ringwear_par import __version__
+from ringwear_par.arrays import FloatArray
+from ringwear_par.errors import ComputationError
+from ringwear_par.identification.fit_file import read_fit
+from ringwear_par.identification.histories import Histories
+from ringwear_par.identification.intervals import estimates
+from ringwear_par.identification.least_squares import LeastSquares
+from ringwear_par.identification.minimise import Optimum, minimise
+from ringwear_par.identification.outcome import FitResult
+from ringwear_par.identification.plausible import refuse_idle, refuse_reversed
+from ringwear_par.identification.posterior import require_emcee, sample_posterior
+from ringwear_par.identification.problem import Problem
+from ringwear_par.identification.profile import likelihood_profiles
+from ringwear_par.identification.starts import Progress, Started, points, solve_starts
+from ringwear_par.info import versions
+from ringwear_par.options import reject_unused_options
+from ringwear_par.parallel import on_first_rank, together, warn_of_threads
+from ringwear_par.stopping import StopSignals, name_of, remark
+
+log = logging.getLogger(__name__)
+
+Source = Path | str | Mapping[str, Any]
+
+#: relative change of a fitted noise at which it is found, and most rounds to get there
+_SAME_NOISE, _MOST_ROUNDS = 1e-4, 20
+
+
+def fit(source: Source, comm: MPI.Intracomm | None = None, *, compare: bool = True) -> FitResult:
+    """Return the values of case keys that measurements tell, with intervals.
+
+    Collective on comm, the world's where none is given; the same on all ranks.
+
+    Parameters
+    ----------
+    source : the name of a fit file, or the same as a dict.
+    compare : whether the laws of ``[compare]`` are fitted as well.
+
+    Raises
+    ------
+    InputError : all faults of the file and its data.
+    ComputationError : no start leads to an optimum.
+    """
+    comm = MPI.COMM_WORLD if comm is None else comm
+    problem = on_first_rank(comm, lambda: _readable(source))
+    return fitted(problem, comm, compare=compare)
+
+
+def fitted(
+    problem: Problem, comm: MPI.Intracomm, *, compare: bool = True, folder: Path | None = None
+) -> FitResult:
+    """Do as ``fit`` with a problem that was read. Collective on comm.
+
+    Parameters
+    ----------
+    folder : where optima of starts are kept until the fit is done; None: nowhere.
+    """
+    progress = Progress(folder, key_of(problem))
+    with StopSignals() as signals:
+        posed = _Posed(problem, "", progress, signals, comm)
+        others = {
+            name: _Posed(other, name, progress, signals, comm)
+            for name, other in (problem.alternatives if compare else {}).items()
+        }
+        alternatives = {name: other.solved(comm, {}) for name, other in others.items()}
+        return posed.solved(comm, alternatives)
+
+
+def _readable(source: Source) -> Problem:
+    """Return the problem of a fit file, if there is what its intervals need. On one rank."""
+    problem = read_fit(source)
+    if "posterior" in problem.settings.intervals:
+        require_emcee()
+    return problem
+
+
+def predicted(problem: Problem, comm: MPI.Intracomm) -> FitResult:
+    """Return what a fit would find if the parameters were those of the start. Collective."""
+    with StopSignals() as signals:
+        return _Posed(problem, "", Progress(None, ""), signals, comm).predicted(comm)
+
+
+def key_of(problem: Problem) -> str:
+    """Return what tells a problem, its data and this version from others."""
+    told = json.dumps([problem.text, sorted(problem.hashes.items()), __version__])
+    return hashlib.sha256(told.encode()).hexdigest()
+
+
+class _Posed:
+    """A problem with its histories. Making one is collective on comm."""
+
+    def __init__(
+        self,
+        problem: Problem,
+        name: str,
+        progress: Progress,
+        signals: StopSignals,
+        comm: MPI.Intracomm,
+    ) -> None:
+        self._problem, self._name, self._progress = problem, name, progress
+        self._signals = signals
+        with together(comm):
+            self._histories = Histories(problem, comm)
+        self._squares = LeastSquares(problem, self._histories)
+        with together(comm):
+            start = self._squares.started(list(problem.start.values()))
+            refuse_idle(self._squares, start)
+            refuse_reversed(self._squares, start)
+
+    def solved(self, comm: MPI.Intracomm, alternatives: Mapping[str, FitResult]) -> FitResult:
+        """Return the best of all starts. Collective on comm."""
+        squares, histories = self._squares, self._histories
+        unknowns = points(self._problem)
+        before = histories.count
+        with together(comm):
+            own = solve_starts(
+                squares, unknowns, range(len(unknowns))[comm.rank :: comm.size],
+                self._name, self._progress, lambda: bool(self._signals.received),
+            )  # fmt: skip
+        self._refuse_stop(comm)
+        every = itertools.chain.from_iterable(comm.allgather(own))
+        starts = sorted(every, key=lambda one: one.number)
+        after = histories.count
+        spent = before + comm.allreduce(after - before)
+        best = self._best(starts)
+        with together(comm):
+            optimum = self._with_noise(np.array(best.unknowns))
+            told, covariance = estimates(squares, optimum.x, optimum.evaluation)
+            told, profiles = likelihood_profiles(
+                squares, optimum, told, covariance, lambda: bool(self._signals.received)
+            )
+        spent += histories.count - after
+        self._refuse_stop(comm)
+        posterior = None
+        if "posterior" in self._problem.settings.intervals:
+            after = histories.count
+            with together(comm):
+                posterior = sample_posterior(
+                    squares, histories, optimum.x, covariance, comm,
+                    lambda: bool(self._signals.received),
+                )  # fmt: skip
+            spent += comm.allreduce(histories.count - after)
+            self._refuse_stop(comm)
+        return FitResult(
+            squares, optimum.x, optimum.evaluation, told, covariance, tuple(starts), spent,
+            alternatives, profiles, versions(), comm, posterior,
+        )  # fmt: skip
+
+    def predicted(self, comm: MPI.Intracomm) -> FitResult:
+        """Return what would be found at the start. Not collective."""
+        squares = self._squares
+        x = squares.started(list(self._problem.start.values()))
+        found = squares.evaluate(x)
+        told, covariance = estimates(squares, x, found)
+        return FitResult(
+            squares, x, found, told, covariance, (), self._histories.count, {}, {}, versions(), comm
+        )
+
+    def _best(self, starts: list[Started]) -> Started:
+        """Return the start with the smallest sum of squares; of equal ones the first."""
+        ended = [one for one in starts if not one.error]
+        if not ended:
+            raise ComputationError(
+                f"{self._problem.name}: none of {len(starts)} starts could be fitted: "
+                f"{starts[0].error}"
+            )
+        smallest = min(one.objective for one in ended)
+        return next(one for one in ended if one.objective <= smallest * (1.0 + 1e-9))
+
+    def _with_noise(self, x: FloatArray) -> Optimum:
+        """Return the optimum, with the noise that is to be fitted. Not collective."""
+        squares = self._squares
+        bounds, method = (squares.lower, squares.upper), self._problem.settings.method
+        fitted_noise = np.array([series.sd_fitted for _, series in squares.series])
+        for _ in range(_MOST_ROUNDS):
+            optimum = minimise(squares.evaluate, x, bounds, method, squares.idle, squares.linear)
+            if not fitted_noise.any():
+                return optimum
+            growth = self._growth(optimum)
+            x = optimum.x
+            if np.abs(growth[fitted_noise] - 1.0).max() < _SAME_NOISE:
+                return optimum
+            squares.noise_scale = np.where(fitted_noise, growth, 1.0) * squares.noise_scale
+        return optimum
+
+    def _growth(self, optimum: Optimum) -> FloatArray:
+        """Return by how much each series scatters more than its noise."""
+        squares, found = self._squares, optimum.evaluation
+        weighted = squares.weights(found.noise) * found.noise**2
+        leverage = (np.linalg.qr(found.jacobian)[0] ** 2).sum(axis=1)
+        return np.array(
+            [
+                np.sqrt(weighted[part].sum() / max(1.0, (1.0 - leverage[part]).sum()))
+                for part in squares.parts
+            ]
+        )
+
+    def _refuse_stop(self, comm: MPI.Intracomm) -> None:
+        received = max(comm.allgather(self._signals.received))
+        if received:
+            raise ComputationError(
+                f"stopped by {name_of(received)}; the same command with --restart goes on"
+                f"{remark(received)}"
+            )
+
+
+def run_fit(
+    source: Path,
+    folder: Path,
+    comm: MPI.Intracomm,
+    *,
+    dry_run: bool = False,
+    restart: bool = False,
+    compare: bool = False,
+) -> None:
+    """Fit and write the outcome to a folder, or in a dry run print what to expect. Collective."""
+    from ringwear_par.identification import storing
+    from ringwear_par.identification.summary import prediction
+
+    problem = on_first_rank(comm, lambda: _readable(source))
+    if dry_run:
+        found = predicted(problem, comm)
+        if comm.rank == 0:
+            print(prediction(found))
+        return
+    on_first_rank(comm, lambda: storing.check(folder))
+    if comm.rank == 0:
+        warn_of_threads(comm.size)
+    if not restart:
+        on_first_rank(comm, Progress(folder, "").forget)
+    found = fitted(problem, comm, compare=compare, folder=folder)
+    with together(comm):
+        reject_unused_options()
+
+    found.save(folder)
+    on_first_rank(comm, Progress(folder, "").forget)
+    if comm.rank == 0:
+        print(found.summary())
+        for sentence in found.warnings:
+            log.warning("%s", sentence)
+        if problem.alternatives and not compare:
+            log.info(
+                "[compare] was not looked at: --compare fits %s", ", ".join(problem.alternatives)
+            )

@@ -1,0 +1,149 @@
+"""Histories of all experiments at values of the fitted keys, with derivatives, side by side."""
+
+from collections import defaultdict
+from collections.abc import Hashable, Sequence
+
+import numpy as np
+from mpi4py import MPI
+
+from ringwear_par.arrays import FloatArray
+from ringwear_par.cases.case import Case
+from ringwear_par.cases.numbers import Number, doubtful, with_numbers
+from ringwear_par.contact.batch import load_batch_kernels
+from ringwear_par.elasticity.pair import ContactPair
+from ringwear_par.errors import ComputationError, reason_of
+from ringwear_par.history.bodies import operator_key
+from ringwear_par.history.pairs import assemble
+from ringwear_par.identification.fitted import derivative_key
+from ringwear_par.identification.problem import Problem
+from ringwear_par.identification.readings import Reader
+from ringwear_par.identification.steps import STEPS, step_times
+from ringwear_par.identification.trajectory import Trajectory
+from ringwear_par.results.result import Result
+from ringwear_par.studies.batches import computed
+from ringwear_par.studies.variations import split_key
+
+
+class Histories:
+    """What the experiments of a problem would read, at any values of the fitted keys.
+
+    Making one is collective on comm; all else is done by each rank for itself.
+
+    Parameters
+    ----------
+    problem : the problem.
+    comm : of the ranks that share the assembly.
+
+    Raises
+    ------
+    ComputationError : the assembly.
+    """
+
+    def __init__(self, problem: Problem, comm: MPI.Comm) -> None:
+        self._experiments = problem.experiments
+        self._keys = problem.keys
+        self._readers = [Reader(experiment) for experiment in problem.experiments]
+        self._owners: list[Hashable] = [operator_key(e.case) for e in problem.experiments]
+        self._pairs: dict[Hashable, ContactPair] = {}
+        for key, experiment in zip(self._owners, problem.experiments, strict=True):
+            if key not in self._pairs:
+                self._pairs[key] = assemble(experiment.case, comm)
+        load_batch_kernels(comm)
+        #: histories computed so far
+        self.count = 0
+
+    def responses(
+        self, points: FloatArray, steps: int = STEPS, *, derivatives: bool = True
+    ) -> list[FloatArray | ComputationError]:
+        """Return readings and derivatives of all experiments at some points. Not collective.
+
+        Histories of all points and experiments step side by side; none depends on the others.
+
+        Parameters
+        ----------
+        points : (p, m) values of the fitted keys.
+        steps : about how many a history makes.
+        derivatives : whether they are asked for.
+
+        Returns
+        -------
+        For each point (n, 1 + m), the readings of all experiments, one after another, and their
+        derivatives with respect to the values, or (n, 1) without; or why there are none.
+        """
+        grids = [step_times(experiment, steps).tolist() for experiment in self._experiments]
+        wanted = [(i, e) for i in range(len(points)) for e in range(len(grids))]
+        made = [self._cases(e, points) for e in range(len(grids))]
+        cases = [made[e][i] for i, e in wanted]
+        results = self._computed(cases, wanted, grids, derivatives)
+        found: list[list[FloatArray]] = [[] for _ in points]
+        failures: dict[int, Exception] = {}
+        for (i, e), result in zip(wanted, results, strict=True):
+            if isinstance(result, Exception):
+                failures.setdefault(i, result)
+            else:
+                found[i].append(self._readers[e].read(_trajectory(result)))
+        return [
+            ComputationError(reason_of(failures[i])) if i in failures else np.concatenate(parts)
+            for i, parts in enumerate(found)
+        ]
+
+    def _cases(self, experiment: int, points: FloatArray) -> list[Case]:
+        """Return the cases of an experiment at some values (p, m)."""
+        case = self._experiments[experiment].case
+        numbers: dict[Number, FloatArray] = {}
+        for key, column in zip(self._keys, points.T, strict=True):
+            path, entry = split_key(key)
+            assert not isinstance(entry, int)
+            numbers[path, entry] = column
+        doubts = doubtful(case, numbers)
+        lists = {number: values.tolist() for number, values in numbers.items()}
+        cases = with_numbers(case, lists, [case.text] * len(points))
+        for i in np.flatnonzero(doubts):
+            cases[i] = case.replace(dict(zip(self._keys, points[i].tolist(), strict=True)))
+        return cases
+
+    def _computed(
+        self,
+        cases: Sequence[Case],
+        wanted: Sequence[tuple[int, int]],
+        grids: Sequence[Sequence[float]],
+        derivatives: bool,
+    ) -> list[Result | Exception]:
+        """Return the results of cases, of a point and an experiment each, or their failures."""
+        groups: dict[Hashable, list[int]] = defaultdict(list)
+        for number, (_, experiment) in enumerate(wanted):
+            groups[self._owners[experiment]].append(number)
+        found: dict[int, Result | Exception] = {}
+        for key, numbers in groups.items():
+            parts = computed(
+                [cases[number] for number in numbers], self._pairs[key], keep_ends=True,
+                derivatives=[derivative_key(key) for key in self._keys if derivatives],
+                step_times=[grids[wanted[number][1]] for number in numbers],
+            )  # fmt: skip
+            for part in parts:
+                for place, result in zip(part.numbers, part.results(), strict=True):
+                    found[numbers[place]] = result
+        self.count += len(cases)
+        return [found[number] for number in range(len(cases))]
+
+
+def _trajectory(result: Result) -> Trajectory:
+    """Return values of a history and derivatives, if it has any, (..., 1 + m)."""
+
+    def both(name: str, values: FloatArray) -> FloatArray:
+        if not result.derivatives:
+            return values[..., None]
+        slopes = np.moveaxis(result.derivatives[f"d_{name}"], 0, -1)
+        return np.concatenate([values[..., None], slopes], axis=-1)
+
+    histories, profiles = result.histories, result.profiles
+    return Trajectory(
+        histories["time"],
+        both("approach", histories["approach"]),
+        both("torque", histories["torque"]),
+        np.stack([both(f"worn_volume_{b}", histories[f"worn_volume_{b}"]) for b in _BODIES]),
+        np.stack([both(f"wear_{b}", profiles[f"wear_{b}"]) for b in _BODIES]),
+    )
+
+
+_BODIES = ("lower", "upper")

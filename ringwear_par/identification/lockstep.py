@@ -1,0 +1,83 @@
+"""Minimisers side by side: they meet where they ask for histories, which one batch then computes.
+
+Each has a thread of its own, as TAO asks by callbacks and does not let go; only one of them runs at
+a time, and always in the same order, so that nothing depends on how threads are scheduled.
+"""
+
+import threading
+from collections.abc import Callable, Sequence
+from typing import Any, Generic, TypeVar
+
+from ringwear_par.arrays import FloatArray
+from ringwear_par.errors import ComputationError
+
+T = TypeVar("T")
+#: tells that somebody is about to need what belongs to a point
+Meet = Callable[[FloatArray], None]
+
+
+class StoppedError(ComputationError):
+    """A minimisation that was asked to stop."""
+
+
+def side_by_side(
+    jobs: Sequence[Callable[[Meet], T]],
+    compute: Callable[[list[FloatArray]], Any],
+    stop: Callable[[], bool],
+) -> list[T | BaseException]:
+    """Return what jobs return, or raise. Not collective.
+
+    Parameters
+    ----------
+    jobs : each is given a function to be called before it needs the histories at a point.
+    compute : computes those at several points; must keep them.
+    stop : asked before; jobs are then ended.
+    """
+    workers = [_Worker(job) for job in jobs]
+    for worker in workers:
+        worker.go()
+    while waiting := [worker for worker in workers if worker.asked is not None]:
+        stopped = stop()
+        if not stopped:
+            compute([worker.asked for worker in waiting if worker.asked is not None])
+        for worker in waiting:
+            worker.go(stopped)
+    return [worker.outcome for worker in workers]
+
+
+class _Worker(Generic[T]):
+    """A job in its thread, which runs between ``go`` and the return of ``go``."""
+
+    def __init__(self, job: Callable[[Meet], T]) -> None:
+        self._job = job
+        self._mine, self._theirs = threading.Semaphore(0), threading.Semaphore(0)
+        self._stopped = False
+        #: the point that it waits for; None: it does not, or has ended
+        self.asked: FloatArray | None = None
+        self.outcome: T | BaseException = StoppedError("not begun")
+        self._thread = threading.Thread(target=self._run, daemon=True)
+        self._thread.start()
+
+    def go(self, stopped: bool = False) -> None:
+        """Let it run to its next point, or to its end."""
+        self._stopped, self.asked = stopped, None
+        self._mine.release()
+        self._theirs.acquire()
+        if self.asked is None:
+            self._thread.join()
+
+    def _run(self) -> None:
+        self._mine.acquire()
+        try:
+            self.outcome = self._job(self._meet)
+        except BaseException as error:
+            self.outcome = error
+        finally:
+            self._theirs.release()
+
+    def _meet(self, point: FloatArray) -> None:
+        self.asked = point
+        self._theirs.release()
+        self._mine.acquire()
+        if self._stopped:
+            raise StoppedError("stopped")

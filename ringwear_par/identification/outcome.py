@@ -1,0 +1,286 @@
+"""What a fit found: estimates with intervals, how well the model fits, and what was left open."""
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from scipy.stats import chi2
+
+from ringwear_par.arrays import FloatArray
+from ringwear_par.identification.intervals import ParameterEstimate, told
+from ringwear_par.identification.least_squares import Evaluation, LeastSquares
+from ringwear_par.identification.posterior import Posterior
+from ringwear_par.identification.starts import Started
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+#: of the p-value: below it a model does not fit
+IMPROBABLE = 1e-3
+#: relative difference of sums of squares that are one optimum
+_SAME = 1e-3
+
+
+@dataclass(frozen=True, eq=False)
+class FitResult:
+    """The outcome of a fit, with a fixed set of names in ``to_dict``.
+
+    Parameters
+    ----------
+    squares : the least squares problem, with its noise.
+    x : (u,) unknowns at the optimum.
+    evaluation : residuals there.
+    parameters : estimates of the fitted keys.
+    covariance : (u, u) of the unknowns.
+    starts : what came of each, the best optimum among them.
+    histories : computed in all.
+    alternatives : outcomes under other laws, by name.
+    profiles : of the likelihood, by key: (2, points) values and what the sum of squares grows by.
+    versions : of the software.
+    comm : of the ranks that have fitted.
+    posterior : samples of the fitted keys, where they were asked for.
+    """
+
+    squares: LeastSquares
+    x: FloatArray
+    evaluation: Evaluation
+    parameters: tuple[ParameterEstimate, ...]
+    covariance: FloatArray
+    starts: tuple[Started, ...]
+    histories: int
+    alternatives: "Mapping[str, FitResult]"
+    profiles: Mapping[str, FloatArray]
+    versions: Mapping[str, str]
+    comm: Any
+    posterior: Posterior | None = None
+
+    def __repr__(self) -> str:
+        found = ", ".join(f"{p.key} = {p.estimate:.4g} ({p.verdict})" for p in self.parameters)
+        return f"<FitResult: {found}; chi2 = {self.chi2:.4g} of {self.n} readings>"
+
+    @property
+    def n(self) -> int:
+        """Number of readings."""
+        return self.squares.n
+
+    @property
+    def chi2(self) -> float:
+        """Sum of the squares of the readings' residuals over their noise."""
+        return float(self.evaluation.noise @ self.evaluation.noise)
+
+    @property
+    def sought(self) -> int:
+        """Number of what was fitted: keys, nuisances that do something, and noises."""
+        fitted_noise = sum(series.sd_fitted for _, series in self.squares.series)
+        return len(self.x) - int(self.squares.idle.sum()) + fitted_noise
+
+    @property
+    def freedom(self) -> int:
+        """Degrees of freedom of ``chi2``: readings and priors, less what was fitted."""
+        return self.n + len(self.squares.priors) - self.sought
+
+    @property
+    def total(self) -> float:
+        """``chi2`` and the squares of the priors' residuals."""
+        rest = self.evaluation.residuals[self.n :]
+        return self.chi2 + float(rest @ rest)
+
+    @property
+    def p_value(self) -> float | None:
+        """How probable so large a ``total`` is by chance; None where noise was fitted."""
+        if any(series.sd_fitted for _, series in self.squares.series) or self.freedom < 1:
+            return None
+        return float(chi2.sf(self.total, self.freedom))
+
+    @property
+    def flagged(self) -> bool:
+        """Whether the readings speak against the model."""
+        return self.p_value is not None and self.p_value < IMPROBABLE
+
+    @property
+    def aic(self) -> float:
+        """Akaike's information criterion."""
+        return 2.0 * self.sought - 2.0 * self.squares.log_likelihood(self.evaluation)
+
+    @property
+    def bic(self) -> float:
+        """The Bayesian one."""
+        return float(
+            np.log(self.n) * self.sought - 2.0 * self.squares.log_likelihood(self.evaluation)
+        )
+
+    @property
+    def standard_deviations(self) -> FloatArray:
+        """(u,) of the unknowns, infinite where nothing is known."""
+        return np.sqrt(np.diag(self.covariance))
+
+    @property
+    def natural_covariance(self) -> FloatArray:
+        """(m, m) of the fitted keys' values."""
+        m = len(self.parameters)
+        slopes = self.squares.slopes(self.squares.values(self.x))
+        return self.covariance[:m, :m] * np.outer(slopes, slopes)
+
+    @property
+    def band(self) -> FloatArray:
+        """(n,) sd of the model's readings, with nuisances; nothing of what nobody knows."""
+        rows = self.squares.columns(self.x)
+        finite = np.where(np.isfinite(self.covariance), self.covariance, 0.0)
+        return np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", rows, finite, rows), 0.0))
+
+    @property
+    def at_best(self) -> int:
+        """How many starts ended at the best optimum."""
+        best = min(one.objective for one in self.starts)
+        return sum(one.objective <= best * (1.0 + _SAME) for one in self.starts)
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What speaks against taking the numbers as they are, a sentence each."""
+        from ringwear_par.identification.summary import warnings
+
+        return warnings(self)
+
+    def summary(self) -> str:
+        """Return the outcome in a few lines, what is doubtful first."""
+        from ringwear_par.identification.summary import summary
+
+        return summary(self)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return what fit.json holds."""
+        problem = self.squares.problem
+        return {
+            "parameters": self._parameters(),
+            "keys": [p.key for p in self.parameters],
+            "covariance": _finite(self.natural_covariance),
+            "level": problem.settings.level,
+            "chi2": self.chi2,
+            "n_data": self.n,
+            "degrees_of_freedom": self.freedom,
+            "p_value": self.p_value,
+            "flagged": self.flagged,
+            "aic": self.aic,
+            "bic": self.bic,
+            "experiments": self.experiments,
+            "nuisance": self.nuisances,
+            "histories": self.histories,
+            "warnings": list(self.warnings),
+            "starts": [_started(one, problem.keys) for one in self.starts],
+            "profiles": {key: _finite(table) for key, table in self.profiles.items()},
+            "alternatives": {
+                name: {
+                    k: v for k, v in other.to_dict().items() if k not in ("alternatives", "data")
+                }
+                for name, other in self.alternatives.items()
+            },
+            "method": problem.settings.method,
+            "loss": problem.settings.loss,
+            "versions": dict(self.versions),
+            "data": dict(problem.hashes),
+        }
+
+    def _parameters(self) -> dict[str, Any]:
+        told = {p.key: _parameter(p) for p in self.parameters}
+        if self.posterior is not None:
+            samples = self.posterior.samples
+            ends = self.posterior.interval(self.squares.problem.settings.level)
+            for j, entry in enumerate(told.values()):
+                entry["posterior"] = {
+                    "median": float(np.median(samples[:, j])),
+                    "sd": float(samples[:, j].std(ddof=1)),
+                    "interval": ends[:, j].tolist(),
+                    "effective_samples": self.posterior.effective,
+                }
+        return told
+
+    @property
+    def experiments(self) -> dict[str, dict[str, Any]]:
+        """Sum of squares and number of readings of each series, by experiment."""
+        found: dict[str, dict[str, Any]] = {}
+        scales = self.squares.noise_scale.tolist()
+        parts = zip(self.squares.series, self.squares.parts, scales, strict=True)
+        for (experiment, series), part, scale in parts:
+            noise = self.evaluation.noise[part]
+            entry = {"chi2": float(noise @ noise), "n": series.n, "unit": series.unit}
+            if series.sd_fitted:
+                entry["sd"] = scale * float(series.sd[0]) / series.factor
+            found.setdefault(experiment.name, {})[series.name] = entry
+        return found
+
+    @property
+    def nuisances(self) -> dict[str, dict[str, dict[str, Any]]]:
+        """Estimate and sd of each nuisance, by experiment and series, in the data's unit."""
+        found: dict[str, Any] = {}
+        idle, sds = self.squares.idle, self.standard_deviations
+        for i, name in enumerate(self.squares.names):
+            if isinstance(name, str):
+                continue
+            experiment, series, kind = name
+            known = not idle[i] and np.isfinite(sds[i])
+            entry = {"estimate": float(self.x[i]), "sd": float(sds[i]) if known else None}
+            found.setdefault(experiment, {}).setdefault(series, {})[kind] = entry
+        return found
+
+    def plot(self) -> "Figure":
+        """Return the figure of data, model and residuals."""
+        from ringwear_par.identification.figures import figure
+
+        return figure(self)
+
+    def plot_parameters(self) -> "Figure":
+        """Return the figure of the fitted keys: ellipses, likelihood profiles, samples."""
+        from ringwear_par.identification.parameter_figures import figure
+
+        return figure(self)
+
+    def save(self, folder: str | Path) -> None:
+        """Write fit.json, results.h5 and both figures to a folder, which is made.
+
+        Where several ranks have fitted, all of them call this, and the first writes.
+
+        Raises
+        ------
+        InputError : a folder that cannot be written.
+        ComputationError : the disk.
+        """
+        from ringwear_par.identification.storing import save
+        from ringwear_par.parallel import on_first_rank
+
+        on_first_rank(self.comm, lambda: save(self, Path(folder)))
+
+    def correlations(self) -> list[tuple[str, str, float]]:
+        """Return pairs of fitted keys and nuisances and their correlation, the strongest first."""
+        sds, names = self.standard_deviations, self.squares.names
+        known = [i for i in range(len(names)) if 0 < sds[i] < np.inf]
+        pairs = [
+            (told(names[i]), told(names[j]), float(self.covariance[i, j] / (sds[i] * sds[j])))
+            for i in known
+            for j in known
+            if i < j and i < len(self.parameters)
+        ]
+        return sorted(pairs, key=lambda pair: -abs(pair[2]))
+
+
+def _parameter(found: ParameterEstimate) -> dict[str, Any]:
+    entry = asdict(found)
+    del entry["key"]
+    entry["interval"] = list(found.interval)
+    if not found.direction:
+        del entry["direction"]
+    return entry
+
+
+def _started(found: Started, keys: tuple[str, ...]) -> dict[str, Any]:
+    entry = asdict(found)
+    del entry["unknowns"], entry["number"]
+    for name in ("start", "optimum"):
+        entry[name] = dict(zip(keys, entry[name], strict=False))
+    entry["objective"] = found.objective if np.isfinite(found.objective) else None
+    return entry
+
+
+def _finite(table: FloatArray) -> list[list[float | None]]:
+    return [[v if np.isfinite(v) else None for v in row] for row in table.tolist()]

@@ -1,0 +1,214 @@
+"""What is to be found from which measurements, complete and consistent, as frozen dataclasses."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Literal, NamedTuple
+
+import numpy as np
+
+from ringwear_par.arrays import FloatArray, IntArray
+from ringwear_par.cases.case import Case
+
+Quantity = Literal[
+    "penetration", "approach", "torque", "profile.lower", "profile.upper", "mass.lower",
+    "mass.upper", "volume.lower", "volume.upper",
+]  # fmt: skip
+Method = Literal["brgn", "lm"]
+Loss = Literal["gaussian", "student"]
+Criterion = Literal["D", "A", "eig"]
+
+
+class Prior(NamedTuple):
+    """What is known before the measurements: a normal distribution."""
+
+    mean: float
+    sd: float
+
+
+@dataclass(frozen=True)
+class FittedParameter:
+    """A case key whose value is sought.
+
+    Its unknown is the value itself or, where ``log``, its natural logarithm.
+
+    Parameters
+    ----------
+    key : dotted case key.
+    start, bounds, prior : in the case's unit.
+    """
+
+    key: str
+    start: float
+    bounds: tuple[float, float]
+    log: bool = False
+    prior: Prior | None = None
+
+    def unknown(self, value: float) -> float:
+        """Return the unknown of a value."""
+        return float(np.log(value)) if self.log else value
+
+    def value(self, unknown: float) -> float:
+        """Return the value of an unknown, within the bounds to the last bit."""
+        low, high = self.bounds
+        return min(max(float(np.exp(unknown)) if self.log else float(unknown), low), high)
+
+    def slope(self, value: float) -> float:
+        """Return the derivative of the value with respect to the unknown."""
+        return value if self.log else 1.0
+
+
+@dataclass(frozen=True)
+class Nuisance:
+    """Something linear that a measurement has besides what is measured.
+
+    Parameters
+    ----------
+    kind : "offset", "drift" (in total over the test), "compliance" (per kN), "level" or "tilt" (per
+        mm of radius).
+    prior, bounds : in the measurement's unit.
+    """
+
+    kind: str
+    prior: Prior | None = None
+    bounds: tuple[float, float] = (-np.inf, np.inf)
+
+
+@dataclass(frozen=True, eq=False)
+class Series:
+    """Readings of one quantity in one experiment.
+
+    Parameters
+    ----------
+    name : unique within the experiment.
+    quantity : what was read.
+    x : (n,) s, or mm of a profile.
+    value, sd : (n,) mm, N mm, g or mm^3.
+    sd_fitted : whether ``sd`` is but a first guess.
+    unit, factor : the unit of the data, and how much it is in those above.
+    at : s, of a profile.
+    density : g/mm^3, of a mass.
+    nuisances : what is fitted along.
+    correlation_time : s, of the noise; 0: it is white.
+    file, lines : where the readings stand; "" and none of a single value.
+    unit_told : whether the unit was named, by ``units`` or by the column's own name.
+    """
+
+    name: str
+    quantity: Quantity
+    x: FloatArray
+    value: FloatArray
+    sd: FloatArray
+    sd_fitted: bool = False
+    unit: str = "mm"
+    factor: float = 1.0
+    at: float | None = None
+    density: float = 1.0
+    nuisances: tuple[Nuisance, ...] = ()
+    correlation_time: float = 0.0
+    file: str = ""
+    lines: IntArray | None = None
+    unit_told: bool = True
+
+    @property
+    def n(self) -> int:
+        """Number of readings."""
+        return len(self.x)
+
+    @property
+    def profile(self) -> bool:
+        """Whether it is read along the radius."""
+        return self.quantity.startswith("profile")
+
+    @property
+    def body(self) -> Literal["lower", "upper"]:
+        """The body that a profile, mass or volume is of."""
+        return "upper" if self.quantity.endswith(".upper") else "lower"
+
+
+@dataclass(frozen=True, eq=False)
+class Experiment:
+    """One test: its case, with the fitted keys at their starts, and what was read of it."""
+
+    name: str
+    case: Case
+    series: tuple[Series, ...]
+
+    @property
+    def n(self) -> int:
+        """Number of readings."""
+        return sum(series.n for series in self.series)
+
+
+@dataclass(frozen=True)
+class Settings:
+    """How to fit.
+
+    Parameters
+    ----------
+    starts : how many; the first is that of the parameters.
+    method : "brgn" of TAO, or "lm" of SciPy.
+    intervals : "linear" ones, and those of the likelihood "profile" or of the "posterior" as well.
+    samples : of the posterior.
+    level : of the intervals.
+    loss : "gaussian", or "student" (with 4 degrees of freedom) where there are outliers.
+    """
+
+    starts: int = 8
+    method: Method = "brgn"
+    intervals: tuple[str, ...] = ("linear",)
+    samples: int = 4000
+    level: float = 0.95
+    loss: Loss = "gaussian"
+
+
+@dataclass(frozen=True)
+class Space:
+    """What ``[design]`` asks.
+
+    Parameters
+    ----------
+    criterion : "D", the determinant of the information; "A", the mean variance; "eig", the expected
+        gain of information.
+    ranges : lowest and highest value of each key that varies.
+    seconds : of all experiments together; None: no limit.
+    experiments : how many.
+    """
+
+    criterion: Criterion = "D"
+    ranges: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    seconds: float | None = None
+    experiments: int = 1
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """What a fit file asks.
+
+    Parameters
+    ----------
+    name : what messages call it.
+    text : the TOML text.
+    parameters : sought; the same in all experiments.
+    alternatives : other laws with parameters of their own, by name.
+    hashes : SHA-256 of the files of data, by their names in the fit file.
+    design : what tests may be made next.
+    """
+
+    name: str
+    text: str
+    settings: Settings
+    parameters: tuple[FittedParameter, ...]
+    experiments: tuple[Experiment, ...]
+    alternatives: "Mapping[str, Problem]"
+    hashes: Mapping[str, str]
+    design: Space
+
+    @property
+    def keys(self) -> tuple[str, ...]:
+        """The fitted keys."""
+        return tuple(parameter.key for parameter in self.parameters)
+
+    @property
+    def start(self) -> dict[str, float]:
+        """The fitted keys at their starts."""
+        return {parameter.key: parameter.start for parameter in self.parameters}

@@ -1,0 +1,147 @@
+"""Likelihood profiles: how the best fit worsens as one parameter is held elsewhere.
+
+Their limits need no linear model: a parameter is as far from its estimate as the sum of squares
+allows when all other unknowns make the best of it.
+"""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+from scipy.stats import chi2
+
+from ringwear_par.arrays import FloatArray
+from ringwear_par.identification.intervals import ParameterEstimate
+from ringwear_par.identification.least_squares import Evaluation, LeastSquares
+from ringwear_par.identification.lockstep import Meet, StoppedError, side_by_side
+from ringwear_par.identification.minimise import Optimum, minimise
+
+#: of the root of the growth of the sum of squares, at which a limit is found
+_CLOSE = 0.01
+_MOST_POINTS = 8
+
+
+def likelihood_profiles(
+    squares: LeastSquares,
+    optimum: Optimum,
+    estimates: Sequence[ParameterEstimate],
+    covariance: FloatArray,
+    stop: Callable[[], bool],
+) -> tuple[tuple[ParameterEstimate, ...], dict[str, FloatArray]]:
+    """Return estimates with limits of the profile, and the profiles by key.
+
+    Where they are not asked for all stays as it is. All limits are sought side by side. Not
+    collective.
+
+    Parameters
+    ----------
+    estimates : with linear limits.
+    covariance : (u, u) of the unknowns.
+    stop : tells that the search is to be given up.
+
+    Returns
+    -------
+    Estimates, and for each key (2, points): values of the parameter, increasing, and what twice the
+    objective grows by.
+    """
+    if "profile" not in squares.problem.settings.intervals:
+        return tuple(estimates), {}
+    level = squares.problem.settings.level
+    tables: dict[int, dict[float, float]] = {}
+    sought = []
+    for j, estimate in enumerate(estimates):
+        if estimate.verdict == "not identified":
+            continue
+        tables[j] = {float(optimum.x[j]): 0.0}
+        one_sided = estimate.verdict == "at bound"
+        root = math.sqrt(float(chi2.ppf(2.0 * level - 1.0 if one_sided else level, 1)))
+        sought += [
+            (j, side, root)
+            for side in (0, 1)
+            if not one_sided or estimate.interval[side] is not None
+        ]
+    searches = [
+        partial(_limit, squares, optimum, covariance, j, (-1.0, 1.0)[side], root, tables[j])
+        for j, side, root in sought
+    ]
+    limits: dict[tuple[int, int], float | None] = {}
+    outcomes = side_by_side(searches, squares.look_up, stop)
+    for (j, side, _), outcome in zip(sought, outcomes, strict=True):
+        if isinstance(outcome, StoppedError):
+            return tuple(estimates), {}
+        if isinstance(outcome, BaseException):
+            raise outcome
+        limits[j, side] = outcome
+    found, profiles = list(estimates), {}
+    for j, points in tables.items():
+        parameter = squares.problem.parameters[j]
+        ends = (limits.get((j, side)) for side in (0, 1))
+        low, high = (None if end is None else parameter.value(end) for end in ends)
+        found[j] = replace(estimates[j], interval=(low, high))
+        table = np.array(sorted(points.items())).T
+        table[0] = [parameter.value(u) for u in table[0]]
+        profiles[parameter.key] = table
+    return tuple(found), profiles
+
+
+def _limit(
+    squares: LeastSquares,
+    optimum: Optimum,
+    covariance: FloatArray,
+    j: int,
+    side: float,
+    wanted: float,
+    points: dict[float, float],
+    meet: Meet,
+) -> float | None:
+    """Return the unknown at which the root of the growth is ``wanted``; None: at no bound either.
+
+    The root grows nearly linearly, so that secants find it.
+
+    Parameters
+    ----------
+    side : -1 below the optimum, 1 above.
+    points : of the profile, to which those on the way are added.
+    """
+    bounds, method = (squares.lower, squares.upper), squares.problem.settings.method
+    held = squares.idle
+    held[j] = True
+
+    def evaluate(x: FloatArray) -> Evaluation:
+        if not squares.knows(x):
+            meet(x)
+        return squares.evaluate(x)
+
+    sd = math.sqrt(covariance[j, j])
+    centre, end = float(optimum.x[j]), float(bounds[0][j] if side < 0 else bounds[1][j])
+    # how the others follow where the model is linear
+    follow = np.where(np.isfinite(covariance[:, j]), covariance[:, j], 0.0) / covariance[j, j]
+    least = optimum.evaluation.objective
+    inner, outer = (0.0, 0.0), (math.inf, math.inf)
+    step, x = wanted * sd, optimum.x
+    before = centre
+    for _ in range(_MOST_POINTS):
+        at = centre + side * step
+        at = max(at, end) if side < 0 else min(at, end)
+        start = x + follow * (at - before)
+        start[j] = at
+        best = minimise(evaluate, np.clip(start, *bounds), bounds, method, held, squares.linear)
+        growth = max(2.0 * (best.evaluation.objective - least), 0.0)
+        points[at] = growth
+        root, step, x, before = math.sqrt(growth), abs(at - centre), best.x, at
+        if abs(root - wanted) <= _CLOSE * wanted:
+            return at
+        if root < wanted:
+            if at == end:
+                return None
+            inner = step, root
+        else:
+            outer = step, root
+        if math.isinf(outer[0]):
+            step = step * min(wanted / max(root, 0.1 * wanted), 4.0)
+        else:
+            share = (wanted - inner[1]) / (outer[1] - inner[1])
+            step = inner[0] + (outer[0] - inner[0]) * min(max(share, 0.05), 0.95)
+    return centre + side * step

@@ -1,0 +1,148 @@
+"""What instruments would read of a history: the model of each series, and its nuisances.
+
+Readings lie between steps: splines in time over them, and over the contact elements in radius, cost
+no contact solution. Where a schedule bends, one spline ends and another begins.
+"""
+
+import itertools
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+
+from ringwear_par.arrays import FloatArray
+from ringwear_par.cases.case import Case
+from ringwear_par.identification.problem import Experiment, Series
+from ringwear_par.identification.trajectory import Trajectory
+from ringwear_par.schedules import in_time
+
+#: of a segment's length: within it steps are equal, beyond it their logarithms
+_EARLY = 5e-4
+#: relative, for times that are one
+_CLOSE = 1e-9
+
+
+class Reader:
+    """Reads all series of an experiment.
+
+    Parameters
+    ----------
+    experiment : its case may have other values of the fitted keys than the histories.
+    """
+
+    def __init__(self, experiment: Experiment) -> None:
+        case = experiment.case
+        self._series = experiment.series
+        self._breaks = (0.0, *case.breakpoints, case.time.end)
+        self._radial = {s.name: _radial(s, case) for s in self._series if s.profile}
+
+    def read(self, trajectory: Trajectory) -> FloatArray:
+        """Return the readings of all series, one after another, (n, q), without nuisances."""
+        return np.concatenate([self._of(series, trajectory) for series in self._series])
+
+    def _of(self, series: Series, found: Trajectory) -> FloatArray:
+        body = ("lower", "upper").index(series.body)
+        if series.profile:
+            at = np.array([series.at])
+            wear = in_steps(found.time, found.wear[body], at, self._breaks)[0]
+            profile: FloatArray = self._radial[series.name] @ wear
+            return profile
+        if series.quantity in ("penetration", "approach"):
+            values = found.approach
+            if series.quantity == "penetration":
+                values = values - values[0]
+        elif series.quantity == "torque":
+            values = found.torque
+        else:
+            values = series.density * found.volume[body]
+        return in_steps(found.time, values, series.x, self._breaks)
+
+
+def _radial(series: Series, case: Case) -> FloatArray:
+    """Return (n, elements) what a profile's points are of the elements' depths.
+
+    Outside the contact it is unworn.
+    """
+    a, b = case.contact
+    mid_points = case.line.r
+    close = _CLOSE * b
+    inside = (series.x >= a - close) & (series.x <= b + close)
+    # the outermost half elements are thinner than any stylus
+    r = np.clip(series.x[inside], mid_points[0], mid_points[-1])
+    weights = np.zeros((series.n, len(mid_points)))
+    weights[inside] = CubicSpline(mid_points, np.eye(len(mid_points)))(r)
+    return weights
+
+
+def in_steps(
+    time: FloatArray, values: FloatArray, at: FloatArray, breaks: Sequence[float]
+) -> FloatArray:
+    """Return values (s, ...) over steps at other times, (t, ...).
+
+    Parameters
+    ----------
+    time : (s,) s, of the steps, the breaks among them.
+    at : (t,) s.
+    breaks : from the start to the end, s.
+    """
+    result = np.empty((len(at), *values.shape[1:]))
+    for low, high in itertools.pairwise(breaks):
+        close = _CLOSE * breaks[-1]
+        steps = np.flatnonzero((time >= low - close) & (time <= high + close))
+        wanted = np.flatnonzero((at >= low) & (at <= high + close))
+        if not len(wanted):
+            continue
+        own, there = (
+            np.log1p(np.clip(t - low, 0.0, high - low) / (_EARLY * (high - low)))
+            for t in (time[steps], at[wanted])
+        )
+        if len(steps) > 3:
+            result[wanted] = CubicSpline(own, values[steps])(there)
+        else:
+            parts = np.stack([np.interp(there, own, unit) for unit in np.eye(len(steps))], axis=1)
+            result[wanted] = np.tensordot(parts, values[steps], axes=1)
+    return result
+
+
+def nuisance_columns(series: Series, case: Case) -> FloatArray:
+    """Return (n, nuisances) what each nuisance of a series adds to its readings, by its unit.
+
+    The offset and the level are constant; the drift grows to 1 at the end of the test; the
+    compliance goes with the load in kN (of a penetration with what it has changed since the start);
+    the tilt with the distance in mm from the middle of the contact.
+    """
+    columns = []
+    for nuisance in series.nuisances:
+        if nuisance.kind == "drift":
+            column = series.x / case.time.end
+        elif nuisance.kind == "compliance":
+            assert case.load.force is not None
+            start = 0.0 if series.quantity == "approach" else in_time(case.load.force, 0.0)
+            column = 1e-3 * (in_time(case.load.force, series.x) - start)
+        elif nuisance.kind == "tilt":
+            column = series.x - 0.5 * sum(case.contact)
+        else:
+            column = np.ones(series.n)
+        columns.append(series.factor * column)
+    return np.stack(columns, axis=1) if columns else np.zeros((series.n, 0))
+
+
+def whitened(series: Series, rows: FloatArray) -> FloatArray:
+    """Return rows (n, ...) of a series, in units of its noise, without their correlation in time.
+
+    The noise is an AR(1) process of the series' ``correlation_time``.
+    """
+    if not series.correlation_time or series.n < 2:
+        return rows
+    share = np.exp(-np.diff(series.x) / series.correlation_time)
+    share = share.reshape(-1, *(1,) * (rows.ndim - 1))
+    rest = (rows[1:] - share * rows[:-1]) / np.sqrt(1.0 - share * share)
+    return np.concatenate([rows[:1], rest])
+
+
+def log_volume(series: Series) -> float:
+    """Return the logarithm of what ``whitened`` divides volumes by."""
+    if not series.correlation_time or series.n < 2:
+        return 0.0
+    share = np.exp(-np.diff(series.x) / series.correlation_time)
+    return float(0.5 * np.log1p(-share * share).sum())

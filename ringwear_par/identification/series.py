@@ -1,0 +1,312 @@
+"""``[[experiment.data]]``: from a table of a fit file to readings in the units of a case."""
+
+import math
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any, cast, get_args
+
+import numpy as np
+from scipy.ndimage import median_filter
+
+from ringwear_par.arrays import BoolArray, FloatArray
+from ringwear_par.cases.case import Case
+from ringwear_par.cases.text import shortened
+from ringwear_par.cases.values import RejectedError, number, text
+from ringwear_par.errors import InputError, legible
+from ringwear_par.identification.measurements import Measurements, read_measurements
+from ringwear_par.identification.problem import Nuisance, Quantity, Series
+from ringwear_par.identification.ranges import check_profile, check_times
+from ringwear_par.identification.tables import TableReader
+from ringwear_par.identification.units import BASE, factor, unit_of_column
+
+QUANTITIES = get_args(Quantity)
+#: which nuisances a quantity may have
+_NUISANCES = {
+    "penetration": ("offset", "drift", "compliance"),
+    "approach": ("offset", "drift", "compliance"),
+    "torque": ("offset", "drift"),
+    "profile": ("level", "tilt"),
+    "mass": ("offset",),
+    "volume": ("offset",),
+}
+#: readings of which data are smoothed by their median
+_SMOOTH = 9
+#: of the largest reading: below it a relative error means nothing
+_NEAR_ZERO = 0.05
+#: of the test: times that are rounded, in minutes, say, may be so much later than its end
+_ROUNDED = 2e-4
+_FAULTS_TOLD = 5
+
+#: reads a table of measurements, once
+Files = Callable[[str], Measurements]
+
+
+class FileStore:
+    """The files of data, each read once.
+
+    Parameters
+    ----------
+    folder : from which their names count.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        self._read: dict[str, Measurements | InputError] = {}
+
+    def __call__(self, name: str) -> Measurements:
+        """Return a file's table.
+
+        Raises
+        ------
+        InputError : it cannot be read; every time it is asked for.
+        """
+        if name not in self._read:
+            try:
+                self._read[name] = read_measurements(self._folder / name)
+            except InputError as error:
+                self._read[name] = error
+        found = self._read[name]
+        if isinstance(found, InputError):
+            raise found
+        return found
+
+    @property
+    def hashes(self) -> dict[str, str]:
+        """SHA-256 of what has been read."""
+        return {k: v.sha256 for k, v in self._read.items() if isinstance(v, Measurements)}
+
+
+def read_series(
+    said: str, table: Any, case: Case | None, files: Files, faults: list[str]
+) -> Series | None:
+    """Return the readings of one table, and add what is wrong with it to the faults.
+
+    Parameters
+    ----------
+    said : how sentences about it begin.
+    case : of the experiment; None where that has faults itself.
+    """
+    before = len(faults)
+    reader = TableReader(said, table, faults)
+    quantity = reader.choice("quantity", QUANTITIES)
+    if quantity is None:
+        return None
+    kind = quantity.partition(".")[0]
+    reader.said = f"{said} ({quantity})"
+    end = math.inf if case is None else case.time.end
+    at = reader.read("at", number(0.0), None)
+    density = reader.read("density", number(0.0), ...) if kind == "mass" else 1.0
+    if at is not None and at > end:
+        reader.wrong("at", f"must be within the test, which ends at {end:g} s")
+    if kind == "profile" and "file" not in reader:
+        reader.wrong("file", "must be the name of a table of depths over radii")
+        return None
+    column: str | None = None
+    if "file" in reader:
+        if at is not None and kind != "profile":
+            reader.wrong("at", "must be absent beside file, whose readings have their times")
+        found = _from_file(reader, kind, files)
+        if found is None:
+            return None
+        data, rows, names, units, factors = found
+        x, value = (factors[role] * _column(reader, data, names[role], rows) for role in names)
+        lines, where, unit, scale = data.lines[rows], data.name, units["value"], factors["value"]
+        told = reader.raw("units", {}).get("value") is not None or unit != BASE[kind]
+        column = _sd_column(reader, data)
+    else:
+        single = reader.read("value", number(-math.inf), ...)
+        unit = str(reader.raw("unit") or "")
+        single_scale, told = _factor(reader, "unit", unit, BASE[kind]), True
+        if single is None or single_scale is None:
+            return None
+        scale = single_scale
+        x, value = np.array([end if at is None else at]), np.array([scale * single])
+        lines, where, data, rows = None, "", None, np.ones(1, dtype=bool)
+    if kind != "profile":
+        x = np.where(x > end * (1.0 + _ROUNDED), x, np.minimum(x, end))
+    keep = np.ones(len(x), dtype=bool)
+    for low, high in _intervals(reader):
+        keep &= (x < low) | (x > high)
+    sd, fitted = _sd(reader, data, rows, column, value, scale, where, lines)
+    nuisances = _nuisances(reader, kind, case)
+    correlation = reader.read("correlation_time", number(0.0, ends=True), 0.0)
+    if correlation > 0 and kind == "profile":
+        reader.wrong("correlation_time", "must be absent for a profile, it is for noise in time")
+    reader.finish()
+    if len(faults) > before:
+        return None
+    series = Series(
+        quantity, cast(Quantity, quantity), x[keep], value[keep], sd[keep], fitted, unit, scale,
+        (end if at is None else at) if kind == "profile" else None, density, nuisances,
+        correlation, where, None if lines is None else lines[keep], told,
+    )  # fmt: skip
+    if not series.n:
+        reader.fault("has no readings; must have one at least that is neither empty nor excluded")
+    elif case is not None:
+        (check_profile if series.profile else check_times)(reader, series, case)
+    return series if len(faults) == before else None
+
+
+def _from_file(
+    reader: TableReader, kind: str, files: Files
+) -> tuple[Measurements, BoolArray, dict[str, str], dict[str, str], dict[str, float]] | None:
+    """Return a table, its rows with readings, and the names, units and factors of its columns."""
+    name = reader.read("file", text("the name of a table"))
+    for key in ("value", "unit"):
+        if key in reader:
+            reader.raw(key)
+            reader.wrong(key, "must be absent beside file")
+    roles = ("r" if kind == "profile" else "time", "value")
+    given, units = reader.raw("columns", {}), reader.raw("units", {})
+    for key, table in (("columns", given), ("units", units)):
+        wrong = not isinstance(table, Mapping) or set(table) - set(roles)
+        if wrong or not all(isinstance(entry, str) for entry in table.values()):
+            reader.wrong(key, f"must be a table of texts, for {' and '.join(roles)}")
+            return None
+    if name is None:
+        return None
+    try:
+        data = files(name)
+    except InputError as error:
+        for fault in error.faults:
+            reader.fault(fault)
+        return None
+    names, found, factors = {}, {}, {}
+    for role in roles:
+        column = given.get(role, role)
+        if column not in data.columns:
+            reader.fault(
+                f"{data.name}: has no column {legible(column)} for {role}; must be one of "
+                f"{legible(', '.join(data.columns), 200)}"
+            )
+            continue
+        base = BASE[kind if role == "value" else role]
+        unit = units.get(role) or unit_of_column(column, base) or base
+        scale = _factor(reader, f"units.{role}", unit, base)
+        if scale is not None:
+            names[role], found[role], factors[role] = column, unit, scale
+    if len(names) < len(roles):
+        return None
+    return data, data.filled(*names.values()), names, found, factors
+
+
+def _column(reader: TableReader, data: Measurements, name: str, rows: BoolArray) -> FloatArray:
+    try:
+        return data.numbers(name, rows)
+    except InputError as error:
+        for fault in error.faults:
+            reader.fault(fault)
+        return np.full(int(rows.sum()), np.nan)
+
+
+def _factor(reader: TableReader, key: str, unit: str, base: str) -> float | None:
+    try:
+        return factor(unit, base)
+    except RejectedError:
+        told = f"= {shortened(unit)}" if unit else "is missing"
+        reader.fault(f"{key} {told}: must be a unit that pint knows, such as {base}")
+        return None
+
+
+def _intervals(reader: TableReader) -> list[tuple[float, float]]:
+    """Return what is to be left out, in mm or s."""
+    value = reader.raw("exclude", [])
+    good = isinstance(value, list | tuple) and all(
+        isinstance(entry, list | tuple)
+        and len(entry) == 2
+        and all(isinstance(v, int | float) and math.isfinite(v) for v in entry)
+        and entry[0] < entry[1]
+        for entry in value
+    )
+    if not good:
+        reader.wrong("exclude", "must be a list of increasing pairs (mm of a profile, else s)")
+        return []
+    return [(float(low), float(high)) for low, high in value]
+
+
+def _sd_column(reader: TableReader, data: Measurements) -> str | None:
+    value = reader.raw("sd")
+    if not isinstance(value, str) or value == "fit":
+        return None
+    if value not in data.columns:
+        reader.wrong(
+            "sd", f'must be a number, "fit", {{ relative = x }} or a column of {data.name}'
+        )
+        return None
+    return value
+
+
+def _sd(
+    reader: TableReader,
+    data: Measurements | None,
+    rows: BoolArray,
+    column: str | None,
+    value: FloatArray,
+    scale: float,
+    where: str,
+    lines: Any,
+) -> tuple[FloatArray, bool]:
+    """Return the standard deviation of each reading, and whether it is to be fitted."""
+    given = reader.raw("sd")
+    unknown = np.full(len(value), np.nan)
+    if column is not None and data is not None:
+        if not data.filled(column)[rows].all():
+            line = data.lines[rows][~data.filled(column)[rows]][0]
+            reader.fault(f"{where}: line {line}: {column} is empty; must be a number > 0")
+            return unknown, False
+        found = scale * _column(reader, data, column, rows)
+        for i in np.flatnonzero(found <= 0)[:_FAULTS_TOLD].tolist():
+            told = f"{column} = {found[i] / scale:g}"
+            reader.fault(f"{where}: line {lines[i]}: {told}: must be a number > 0")
+        return found, False
+    if given == "fit":
+        if len(value) < _SMOOTH:
+            reader.wrong("sd", f'must be a number: "fit" needs {_SMOOTH} readings at least')
+        return np.full(len(value), _scatter(value)), True
+    if isinstance(given, Mapping):
+        share = TableReader(f"{reader.said}: sd", given, [])
+        relative = share.read("relative", number(0.0), None)
+        if relative is None or set(given) != {"relative"}:
+            reader.wrong("sd", "must be { relative = x }, a number > 0")
+            return unknown, False
+        smooth = np.abs(median_filter(value, min(_SMOOTH, len(value)), mode="nearest"))
+        small = smooth <= _NEAR_ZERO * smooth.max(initial=0.0)
+        if small.any():
+            line = "" if lines is None else f"{where}: line {lines[np.flatnonzero(small)[0]]}: "
+            reader.wrong(
+                "sd", f"{line}must be in the data's unit where readings are near zero, as here"
+            )
+            return unknown, False
+        return relative * smooth, False
+    if isinstance(given, str):  # a column, of which has been told
+        if data is None:
+            reader.wrong("sd", "must be a number > 0 or { relative = x }")
+        return unknown, False
+    single = reader.read("sd", number(0.0), ...)
+    return np.full(len(value), math.nan if single is None else scale * single), False
+
+
+def _scatter(value: FloatArray) -> float:
+    """Return a guess of the noise of readings: what second differences scatter by."""
+    second = np.abs(np.diff(value, 2)) / math.sqrt(6.0)
+    guess = 1.4826 * float(np.median(second)) if len(second) else 0.0
+    return guess or 1e-3 * float(np.abs(value).max(initial=0.0)) or 1e-9
+
+
+def _nuisances(reader: TableReader, kind: str, case: Case | None) -> tuple[Nuisance, ...]:
+    table = reader.raw("nuisance", {})
+    if not isinstance(table, Mapping):
+        reader.wrong("nuisance", f"must be a table of {', '.join(_NUISANCES[kind])}")
+        return ()
+    found = []
+    for name, entry in table.items():
+        if name not in _NUISANCES[kind]:
+            reader.fault(f"nuisance.{legible(name)}: must be one of {', '.join(_NUISANCES[kind])}")
+            continue
+        own = TableReader(f"{reader.said}: nuisance.{name}", entry, reader.faults)
+        bounds = own.bounds((-math.inf, math.inf))
+        found.append(Nuisance(name, own.prior(), bounds or (-math.inf, math.inf)))
+        own.finish()
+        if name == "compliance" and case is not None and case.load.force is None:
+            own.fault('needs load.control = "force"')
+    return tuple(found)

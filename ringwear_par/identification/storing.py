@@ -1,0 +1,116 @@
+"""The folder of a fit: its outcome, its readings and two figures, each there once it is whole."""
+
+import json
+import re
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import h5py
+import numpy as np
+
+from ringwear_par.atomic import atomic_write, check_writable
+from ringwear_par.errors import ComputationError, InputError
+from ringwear_par.identification.summary import unit_of
+from ringwear_par.results.hdf5 import atomic_hdf5, write_variable
+from ringwear_par.results.variables import SOFTWARE, Variable
+
+if TYPE_CHECKING:
+    from ringwear_par.identification.outcome import FitResult
+
+OUTCOME, RESULTS, FIGURE, ESTIMATES = "fit.json", "results.h5", "fit.png", "parameters.png"
+FILES = (OUTCOME, RESULTS, FIGURE, ESTIMATES)
+
+
+def check(folder: Path, files: Sequence[str] = FILES) -> None:
+    """Refuse a folder where files cannot be written, before any work. On one rank.
+
+    Raises
+    ------
+    InputError, ComputationError : why not.
+    """
+    if folder.exists() and not folder.is_dir():
+        raise InputError(f"{folder}: is a file; must be a folder, or new")
+    if folder.is_dir():
+        for name in files:
+            check_writable(folder / name)
+    else:
+        check_writable(folder)
+
+
+def save(found: "FitResult", folder: Path) -> None:
+    """Write all files; fit.json, which says that it is whole, the last. On one rank.
+
+    Raises
+    ------
+    InputError, ComputationError : the folder or the disk.
+    """
+    check(folder)
+    try:
+        folder.mkdir(exist_ok=True)
+        with atomic_hdf5(folder / RESULTS) as (file, _):
+            _write(file, found)
+        with atomic_write(folder / FIGURE) as path:
+            found.plot().savefig(path, format="png", dpi=130)
+        with atomic_write(folder / ESTIMATES) as path:
+            found.plot_parameters().savefig(path, format="png", dpi=130)
+        with atomic_write(folder / OUTCOME) as path:
+            path.write_text(json.dumps(found.to_dict(), indent=1, allow_nan=False) + "\n")
+    except OSError as error:
+        name = error.filename or folder
+        raise ComputationError(f"{name}: {error.strerror or error}") from error
+
+
+def _write(file: h5py.File, found: "FitResult") -> None:
+    squares = found.squares
+    keys = [p.key for p in found.parameters]
+    sd, band = squares.sd, found.band
+    file.attrs.update(
+        {"software": SOFTWARE, "fit": squares.problem.text, "keys": keys, **found.versions}
+    )
+    if found.posterior is not None:
+        group = file.create_group("posterior")
+        samples = found.posterior.samples
+        axis = Variable("sample", ("sample",), "1", "number of the sample", integer=True)
+        write_variable(group, axis, np.arange(len(samples)))
+        for j, one in enumerate(found.parameters):
+            unit = unit_of(one.key).strip() or "1"
+            variable = Variable(one.key, ("sample",), unit, "sample of the posterior")
+            write_variable(group, variable, samples[:, j])
+    for number, ((experiment, series), part) in enumerate(
+        zip(squares.series, squares.parts, strict=True), start=1
+    ):
+        group = file.create_group(f"{number}_{re.sub(r'[^A-Za-z0-9.]+', '_', series.name)}")
+        group.attrs.update(
+            {"experiment": experiment.name, "series": series.name, "quantity": series.quantity,
+             "file": series.file, "data_unit": series.unit}
+        )  # fmt: skip
+        base = _unit(series.quantity)
+
+        def put(name: str, values: Any, unit: str, meaning: str, *more: str) -> None:
+            variable = Variable(name, ("reading", *more), unit, meaning)
+            write_variable(group, variable, values)  # noqa: B023
+
+        readings = Variable("reading", ("reading",), "1", "number of the reading", integer=True)
+        parameters = Variable("parameter", ("parameter",), "1", "fitted key", integer=True)
+        write_variable(group, readings, np.arange(series.n))
+        write_variable(group, parameters, np.arange(len(keys)))
+        if series.profile:
+            put("r", series.x, "mm", "radius")
+        else:
+            put("time", series.x, "s", "time")
+        put("data", series.value, base, "what was read")
+        put("sd", sd[part], base, "noise of the data")
+        put("model", found.evaluation.model[part], base, "the model's reading, with nuisances")
+        put("band", band[part], base, "sd of the model's reading")
+        put("residual", found.evaluation.noise[part], "1", "model less data over its noise, white")
+        put(
+            "sensitivity", found.evaluation.sensitivity[part], f"{base} per unit of the key",
+            "derivative of the model's reading with respect to each fitted key", "parameter",
+        )  # fmt: skip
+
+
+def _unit(quantity: str) -> str:
+    from ringwear_par.identification.units import BASE
+
+    return BASE[quantity.partition(".")[0]]

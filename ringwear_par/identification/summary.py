@@ -1,0 +1,206 @@
+"""A fit in the words of who made the test, what is doubtful first."""
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ringwear_par.cases.schema import BY_PATH
+from ringwear_par.identification.intervals import ParameterEstimate
+from ringwear_par.identification.posterior import FEW
+from ringwear_par.studies.variations import path_of
+
+if TYPE_CHECKING:
+    from ringwear_par.identification.outcome import FitResult
+    from ringwear_par.identification.posterior import Posterior
+
+#: correlations that are told
+_STRONG = 0.9
+#: of chi2 over its readings, of a series that stands out
+_HIGH = 2.0
+
+
+def warnings(found: "FitResult") -> tuple[str, ...]:
+    """Return what speaks against taking the numbers as they are, a sentence each."""
+    sentences = []
+    for one in found.parameters:
+        if one.verdict == "not identified":
+            sentences.append(f"{one.key} is not identified: {one.direction}")
+        elif one.verdict == "at bound":
+            sentences.append(
+                f"{one.key} = {one.estimate:g} is at its bound; its limit is one-sided"
+            )
+    if found.flagged:
+        sentences.append(
+            f"the model does not fit: chi2 = {found.total:.4g} of {found.freedom} degrees of "
+            f"freedom (p = {found.p_value:.1g}); noise larger than told, or another law"
+        )
+        if found.alternatives and all(other.flagged for other in found.alternatives.values()):
+            sentences.append("none of the laws compared fits either")
+    for experiment, series in found.experiments.items():
+        for name, entry in series.items():
+            if entry["n"] > 5 and entry["chi2"] > _HIGH * entry["n"] and not entry.get("sd"):
+                sentences.append(
+                    f"{name} ({experiment}): chi2 = {entry['chi2']:.4g} of {entry['n']} readings"
+                )
+    if found.starts:
+        best = min(found.starts, key=lambda one: one.objective)
+        if not best.converged:
+            sentences.append("the best start has not converged; its numbers are the best there are")
+        failed = [one for one in found.starts if one.error]
+        if failed:
+            sentences.append(
+                f"{len(failed)} of {len(found.starts)} starts failed: {failed[0].error}"
+            )
+    if found.posterior is not None and found.posterior.effective < FEW:
+        sentences.append(
+            f"the posterior's samples are worth {found.posterior.effective:.0f} only: more samples"
+        )
+    sentences += [
+        f"{series.name} ({experiment.name}): no unit is named, {series.unit} is taken"
+        for experiment, series in found.squares.series
+        if not series.unit_told
+    ]
+    return tuple(sentences)
+
+
+def summary(found: "FitResult") -> str:
+    """Return the outcome in a few lines."""
+    problem = found.squares.problem
+    lines = [
+        f"{problem.name}: {found.n} readings in {len(problem.experiments)} experiments, "
+        f"{len(found.parameters)} parameters, {found.histories} histories"
+    ]
+    lines += [f"warning: {sentence}" for sentence in found.warnings]
+    lines += _parameter_lines(found)
+    if found.posterior is not None:
+        lines += _posterior_lines(found, found.posterior)
+    lines.append(_fit_line(found))
+    lines += _series_lines(found)
+    lines += _correlation_lines(found)
+    if found.starts:
+        lines.append(f"{found.at_best} of {len(found.starts)} starts end at this optimum")
+    if found.alternatives:
+        lines += _alternative_lines(found)
+    return "\n".join(lines)
+
+
+def prediction(found: "FitResult") -> str:
+    """Return what a fit would tell if the parameters were those of the start."""
+    problem = found.squares.problem
+    lines = [
+        f"{problem.name}: {found.n} readings in {len(problem.experiments)} experiments; to be "
+        "expected if the parameters are those of the start (nothing written):"
+    ]
+    lines += _parameter_lines(found)
+    for one in found.parameters:
+        if one.direction:
+            lines.append(f"  {one.key} would not be identified: {one.direction}")
+    lines += _unit_lines(found)
+    lines += _correlation_lines(found)
+    settings = problem.settings
+    lines.append(
+        f"to be done: {settings.starts} starts by {settings.method}, intervals: "
+        f"{', '.join(settings.intervals)}"
+    )
+    if problem.alternatives:
+        lines.append(f"to be compared: {', '.join(problem.alternatives)}")
+    return "\n".join(lines)
+
+
+def unit_of(key: str) -> str:
+    """Return the unit of a fitted key, with a blank before it; "" for none."""
+    unit = BY_PATH[path_of(key)].unit
+    return "" if unit in ("1", "-") else f" {unit}"
+
+
+def _parameter_lines(found: "FitResult") -> list[str]:
+    width = max(len(one.key) for one in found.parameters)
+    level = found.squares.problem.settings.level
+    return [f"  {one.key.ljust(width)}  {_told(one, level)}" for one in found.parameters]
+
+
+def _told(one: ParameterEstimate, level: float) -> str:
+    unit, (low, high) = unit_of(one.key), one.interval
+    value = f"{one.estimate:.5g}"
+    if one.verdict == "not identified":
+        return f"{value}{unit}  not identified"
+    spread = "" if one.sd is None or one.verdict == "at bound" else f" +- {one.sd:.2g}"
+    if low is not None and high is not None:
+        limits = f"from {low:.5g} to {high:.5g}"
+    elif low is None and high is None:
+        limits = "no limit within its bounds"
+    else:
+        limits = f"less than {high:.5g}" if high is not None else f"more than {low:.5g}"
+    return f"{value}{spread}{unit}  {limits} ({100 * level:g} %)  {one.verdict}"
+
+
+def _posterior_lines(found: "FitResult", posterior: "Posterior") -> list[str]:
+    level, width = found.squares.problem.settings.level, max(len(p.key) for p in found.parameters)
+    lines = [
+        f"posterior: {len(posterior.samples)} samples worth {posterior.effective:.0f}, "
+        f"{100.0 * posterior.acceptance:.0f} % of the moves accepted"
+    ]
+    for j, (low, high) in enumerate(posterior.interval(level).T.tolist()):
+        one, middle = found.parameters[j], float(np.median(posterior.samples[:, j]))
+        lines.append(
+            f"  {one.key.ljust(width)}  {middle:.5g}{unit_of(one.key)}  from {low:.5g} to "
+            f"{high:.5g} ({100 * level:g} %)"
+        )
+    return lines
+
+
+def _fit_line(found: "FitResult") -> str:
+    probable = "noise was fitted" if found.p_value is None else f"p = {found.p_value:.2g}"
+    return (
+        f"chi2 = {found.chi2:.5g} of {found.n} readings, {found.freedom} degrees of freedom "
+        f"({probable}); AIC {found.aic:.5g}, BIC {found.bic:.5g}"
+    )
+
+
+def _series_lines(found: "FitResult") -> list[str]:
+    nuisances, lines = found.nuisances, []
+    for experiment, series in found.experiments.items():
+        for name, entry in series.items():
+            unit = entry["unit"]
+            line = f"  {experiment}, {name}: {entry['n']} readings, chi2 {entry['chi2']:.4g}"
+            if "sd" in entry:
+                line += f", noise {entry['sd']:.3g} {unit}"
+            for kind, own in nuisances.get(experiment, {}).get(name, {}).items():
+                if own["sd"] is None:
+                    line += f", {kind} not told"
+                else:
+                    per = {"compliance": "/kN", "tilt": "/mm"}.get(kind, "")
+                    line += f", {kind} {own['estimate']:.3g} +- {own['sd']:.2g} {unit}{per}"
+            lines.append(line)
+    return lines
+
+
+def _unit_lines(found: "FitResult") -> list[str]:
+    lines = []
+    for experiment, series in found.squares.series:
+        spread = np.median(series.sd) / series.factor
+        lines.append(
+            f"  {experiment.name}, {series.name}: {series.n} readings in {series.unit}, noise "
+            f"{spread:.3g}{' (guessed, to be fitted)' if series.sd_fitted else ''}"
+        )
+    return lines
+
+
+def _correlation_lines(found: "FitResult") -> list[str]:
+    strong = [pair for pair in found.correlations() if abs(pair[2]) > _STRONG]
+    return [f"correlated by {value:+.3f}: {one} and {other}" for one, other, value in strong[:5]]
+
+
+def _alternative_lines(found: "FitResult") -> list[str]:
+    laws = {"this law": found, **found.alternatives}
+    best = min(other.aic for other in laws.values())
+    lines = ["laws compared (AIC over the smallest, BIC, chi2, parameters):"]
+    for name, other in sorted(laws.items(), key=lambda item: item[1].aic):
+        values = ", ".join(f"{p.key} = {p.estimate:.4g}" for p in other.parameters)
+        flag = "; does not fit" if other.flagged else ""
+        lines.append(
+            f"  {name}: {other.aic - best:+.1f}, {other.bic:.5g}, {other.chi2:.5g}; {values}{flag}"
+        )
+    if all(other.flagged for other in laws.values()):
+        lines.append("  none of them fits")
+    return lines

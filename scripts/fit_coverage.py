@@ -1,0 +1,150 @@
+"""How often intervals of a fit hold the truth: synthetic repeats of two tests, seeds fixed.
+
+python scripts/fit_coverage.py [--repeats 200]
+
+The paper's rings at 50 and 100 MPa, 100 s each: penetrations (0.2 um, offset, drift of 0.5 um) and
+profiles of the lower ring at the end (0.1 um, not levelled). Readings come from histories of ten
+times as many steps. All repeats advance side by side.
+"""
+
+import argparse
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from mpi4py import MPI
+
+from ringwear_par.arrays import FloatArray
+from ringwear_par.identification.fit_file import read_fit
+from ringwear_par.identification.histories import Histories
+from ringwear_par.identification.intervals import estimates
+from ringwear_par.identification.least_squares import Evaluation, LeastSquares
+from ringwear_par.identification.lockstep import Meet, side_by_side
+from ringwear_par.identification.minimise import minimise
+from ringwear_par.identification.problem import Problem
+from ringwear_par.identification.steps import STEPS
+from ringwear_par.options import start_petsc
+
+TRUTH = {"wear.lower.k": 1e-7, "wear.lower.p0": 40.0}
+DRIFT = 0.5
+CASE = str(Path(__file__).parent / "cases/paper.toml")
+
+
+def problem(folder: Path) -> Problem:
+    """Return the problem, with readings that are to be replaced."""
+    t, r = np.linspace(1.0, 100.0, 100), np.linspace(28.0, 32.0, 81)
+    times, profile = folder / "t.csv", folder / "r.csv"
+    times.write_text("t_s,z_um\n" + "".join(f"{v:g},{i:g}\n" for i, v in enumerate(t)))
+    profile.write_text("r_mm,d_um\n" + "".join(f"{v:g},{i:g}\n" for i, v in enumerate(r)))
+
+    def experiment(pressure: float) -> dict[str, Any]:
+        drift = {"prior": {"normal": [0.0, DRIFT]}}
+        return {
+            "name": f"{pressure:g} MPa",
+            "set": {"load.pressure": pressure, "load.omega": 85 / 24, "time.end": 100.0},
+            "data": [
+                {"quantity": "penetration", "file": str(times), "sd": 0.2,
+                 "columns": {"time": "t_s", "value": "z_um"},
+                 "nuisance": {"offset": {}, "drift": drift}},
+                {"quantity": "profile.lower", "file": str(profile), "sd": 0.1,
+                 "columns": {"r": "r_mm", "value": "d_um"},
+                 "nuisance": {"level": {}, "tilt": {}},
+                 "exclude": [[28.45, 28.55], [31.45, 31.55]]},
+            ],
+        }  # fmt: skip
+
+    sought = {
+        "wear.lower.k": {"start": 3e-8, "bounds": [1e-9, 1e-5], "scale": "log"},
+        "wear.lower.p0": {"start": 0.0, "bounds": [0.0, 200.0]},
+    }
+    tables = {"case": CASE, "fit": {"parameters": sought}}
+    # the files hold the same numbers, which two tests may not
+    read = [read_fit({**tables, "experiment": [experiment(p)]}) for p in (50.0, 100.0)]
+    return replace(read[0], experiments=tuple(one.experiments[0] for one in read))
+
+
+def repeated(asked: Problem, truth: FloatArray, rng: np.random.Generator) -> Problem:
+    """Return the problem with readings of its own noise, offsets, drifts, levels and tilts."""
+    experiments, start = [], 0
+    for experiment in asked.experiments:
+        series = []
+        for one in experiment.series:
+            bare = truth[start : start + one.n]
+            start += one.n
+            if one.profile:
+                shift = 3e-4 * rng.standard_normal() + 1e-4 * rng.standard_normal() * (one.x - 30)
+            else:
+                shift = 1e-3 * rng.standard_normal()
+                shift = shift + 1e-3 * DRIFT * rng.standard_normal() * one.x / 100.0
+            noise = one.sd * rng.standard_normal(one.n)
+            series.append(replace(one, value=bare + shift + noise))
+        experiments.append(replace(experiment, series=tuple(series)))
+    return replace(asked, experiments=tuple(experiments))
+
+
+def coverage(repeats: int, folder: Path) -> tuple[FloatArray, int, float]:
+    """Return errors over their sd (repeats, parameters), chi2 over freedom, histories and CPU s."""
+    asked = problem(folder)
+    histories = Histories(asked, MPI.COMM_SELF)
+    point = np.array(list(TRUTH.values()))
+    truth = histories.responses(point[None], 10 * STEPS)[0][:, 0]
+    posed = [
+        LeastSquares(repeated(asked, truth, np.random.default_rng(seed)), histories)
+        for seed in range(repeats)
+    ]
+    known: dict[bytes, np.ndarray] = {}
+    for squares in posed:
+        squares.known = known  # the histories do not depend on the noise
+    begun, before = time.process_time(), histories.count
+
+    def job(squares: LeastSquares) -> Callable[[Meet], list[float]]:
+        def run(meet: Meet) -> list[float]:
+            def evaluate(x: FloatArray) -> Evaluation:
+                if not squares.knows(x):
+                    meet(x)
+                return squares.evaluate(x)
+
+            start = squares.started(list(asked.start.values()))
+            bounds = squares.lower, squares.upper
+            found = minimise(evaluate, start, bounds, "brgn", squares.idle, squares.linear)
+            told, _ = estimates(squares, found.x, found.evaluation)
+            errors = [(p.estimate - t) / p.sd for p, t in zip(told, point, strict=True)]
+            chi2 = 2 * found.evaluation.objective
+            return [*errors, chi2 / (squares.n + 2 - len(squares.names)), found.converged]
+
+        return run
+
+    rows = side_by_side([job(squares) for squares in posed], posed[0].look_up, lambda: False)
+    failed = [row for row in rows if isinstance(row, BaseException)]
+    if failed:
+        raise failed[0]
+    seconds = time.process_time() - begun
+    return np.array(rows, dtype=float), histories.count - before, seconds
+
+
+def main() -> None:
+    """Print how often the truth is within two standard deviations."""
+    import tempfile
+
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--repeats", type=int, default=200)
+    repeats = parser.parse_args().repeats
+    start_petsc([])
+    with tempfile.TemporaryDirectory() as folder:
+        rows, histories, seconds = coverage(repeats, Path(folder))
+    for key, errors in zip(TRUTH, rows.T, strict=False):
+        inside = np.mean(np.abs(errors) < 2.0)
+        print(f"{key}: within 2 sd {100 * inside:.1f} %, errors {errors.mean():+.2f} +- "
+              f"{errors.std():.2f} sd")  # fmt: skip
+    print(
+        f"chi2 / freedom {rows[:, 2].mean():.3f}; converged {int(rows[:, 3].sum())} of {repeats}; "
+        f"{histories / repeats / 2:.1f} histories an experiment; {seconds / repeats:.2f} s of CPU "
+        "a fit, side by side"
+    )
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,401 @@
+"""Tangent-linear histories: derivatives of what the program computes, its steps being given."""
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+import pytest
+from mpi4py import MPI
+
+import ringwear_par as rw
+from ringwear_par.history.pairs import assemble
+from ringwear_par.history.sensitivity import differentiable
+from ringwear_par.history.simulate import simulate
+from ringwear_par.results.recorder import Recorder
+from ringwear_par.studies.batches import computed
+
+CASES = Path(__file__).parents[2] / "scripts" / "cases"
+ALONE = MPI.COMM_SELF
+LAW = {"law": "threshold", "k": 1e-7, "p0": 10.0}
+#: keys of laws of lower and upper
+LAWS = {
+    "threshold": (LAW, None),
+    "two bodies": ({**LAW, "p0": 25.0}, {"law": "archard", "k": 1e-8}),
+    "power": ({"law": "power", "k": 1e-9, "m": 1.3, "n": 0.8}, LAW),
+    "table": ({"law": "table", "table": [[0.0, 0.0], [8e3, 2e-5], [2e4, 9e-5]]}, None),
+    "memory": ({"law": "running-in", "k": 1e-7, "k_start": 3e-7, "p0": 9.0, "depth": 1e-3}, None),
+    "distance": ({"law": "running-in", "k": 1e-7, "k_start": 3e-7, "distance": 100.0}, None),
+    "non-local": ({**LAW, "law": "non-local", "length": 0.3}, {"law": "archard", "k": 2e-8}),
+    "user": ({"law": "user", "file": "law.py", "parameters": {"k": 1e-7, "p1": 30.0}}, None),
+}
+STEPPINGS = {
+    "adaptive": {"time.end": 30.0},
+    "implicit": {"time.step": 4.0, "time.steps": 8},
+    "explicit": {"time.step": 0.05, "time.steps": 8},
+}
+#: takes no complex numbers: derivatives are found by differences
+USER = (
+    "def rate(p, at):\n"
+    "    k, p1 = at.parameters['k'], at.parameters['p1']\n"
+    "    return float(k) * float(at.friction) * at.speed * p * (1.0 + p / float(p1))\n"
+)
+CROWN = [[float(r), float(20.0 + (r - 30.0) ** 2 / 40.0)] for r in np.linspace(28.5, 31.5, 13)]
+VARYING = [[0.0, 40.0], [12.0, 0.0], [16.0, 0.0], [25.0, 60.0]]
+
+
+def case_of(tmp_path, law="threshold", scheme="adaptive", elements=12, **changes):
+    (tmp_path / "law.py").write_text(USER)
+    keys = {"mesh.contact_elements": elements, "mesh.grading": 1.5, "time.scheme": scheme}
+    for body, own in zip(("lower", "upper"), LAWS[law], strict=True):
+        keys |= {f"wear.{body}.{name}": value for name, value in (own or {}).items()}
+    if law == "user":
+        keys |= {"wear.lower.file": str(tmp_path / "law.py")}
+    return rw.read_case(CASES / "paper.toml", {**keys, **STEPPINGS[scheme], **changes})
+
+
+def history(case, pair, keys=(), times=None):
+    """The result of a history alone."""
+    recorder = Recorder(case, ALONE, derivatives=keys)
+    how = {"derivatives": keys, "step_times": times}
+    simulate(case, ALONE, pair=pair, observers=[recorder], **how)
+    return recorder.result()
+
+
+def value_of(case, key):
+    """The value of a number of a case."""
+    load, (table, _, name) = case.load, key.rpartition(".")
+    if key == "load.pressure":
+        return load.force / case.area
+    if table.startswith("wear"):
+        body, _, more = key.removeprefix("wear.").partition(".")
+        law = getattr(case, f"wear_{body}")
+        return law.length if more == "length" else law.quantity(more)
+    return case.friction if key == "contact.friction" else getattr(getattr(case, table), name)
+
+
+def numbers_of(case):
+    """Keys of numbers, each once: not the load in two units."""
+    keys = [key for key in differentiable(case) if key != "load.force"]
+    return {key: value_of(case, key) for key in keys if value_of(case, key) != 0.0}
+
+
+def values(result):
+    """All that a result has derivatives of, by name."""
+    return {
+        name: (result.histories | result.profiles)[name.removeprefix("d_")]
+        for name in result.derivatives
+    }
+
+
+def ends_of(case, pair):
+    """Ends of the steps of an adaptive history; None of others."""
+    return history(case, pair).histories["time"][1:].tolist() if case.time.adaptive else None
+
+
+def sizes(case, plain, keys):
+    """By name (P,): what a derivative is if the variable is proportional to the number."""
+    largest = {name: np.abs(there).max() for name, there in values(plain).items()}
+    for name in ("d_gap", "d_penetration"):  # differences of larger ones
+        largest[name] = max(largest.get(name, 0.0), largest["d_approach"])
+    numbers = np.array([value_of(case, key) for key in keys])
+    return {name: most / numbers for name, most in largest.items()}
+
+
+def off_differences(case, pair, keys, times=None, step=1e-6):
+    """Largest deviation from central differences, over the largest derivative of each variable.
+
+    Less what round-off makes of differences.
+    """
+    times = ends_of(case, pair) if times is None else times
+    there = history(case, pair, keys, times)
+    noise = sizes(case, there, keys)
+    worst = 0.0
+    for row, key in enumerate(keys):
+        h = step * value_of(case, key)
+        up, down = (
+            history(case.replace({key: value_of(case, key) + by}), pair, keys, times)
+            for by in (h, -h)
+        )
+        for name, slopes in there.derivatives.items():
+            central = (values(up)[name] - values(down)[name]) / (2.0 * h)
+            off = np.abs(slopes[row] - central).max() - 3e-13 / step * noise[name][row]
+            if off > 0.0:
+                worst = max(worst, off / np.abs(slopes[row]).max())
+    return worst
+
+
+# -- derivatives are those of the history ----------------------------------------------------------
+
+
+@pytest.mark.parametrize("scheme", STEPPINGS)
+@pytest.mark.parametrize("law", LAWS)
+def test_remainders_are_of_second_order(tmp_path, law, scheme):
+    case = case_of(tmp_path, law, scheme)
+    pair = assemble(case, ALONE)
+    times, numbers = ends_of(case, pair), numbers_of(case)
+    there = history(case, pair, list(numbers), times)
+    size = {name: np.abs(v).max() or 1.0 for name, v in values(there).items()}
+    rng, orders = np.random.default_rng(3), []
+    for _ in range(2):
+        way = rng.uniform(0.5, 1.0, len(numbers)) * rng.choice([-1.0, 1.0], len(numbers))
+        remainders = []
+        for h in 0.02 * 0.5 ** np.arange(4):
+            by = h * way * np.array(list(numbers.values()))
+            moved = case.replace(dict(zip(numbers, list(numbers.values()) + by, strict=True)))
+            after = values(history(moved, pair, list(numbers), times))
+            parts = [
+                (after[name] - v - np.tensordot(by, there.derivatives[name], 1)) / size[name]
+                for name, v in values(there).items()
+                if name not in ("d_gap", "d_force")
+            ]
+            remainders.append(np.sqrt(sum((part**2).sum() for part in parts)))
+        orders += np.log2(np.divide(remainders[:-1], remainders[1:])).tolist()
+    assert np.median(orders) >= 1.9
+    assert remainders[0] > 1e-6  # above round-off
+
+
+@pytest.mark.parametrize(
+    ("law", "scheme", "changes"),
+    [
+        ("threshold", "adaptive", {"upper.profile": CROWN}),
+        ("two bodies", "adaptive", {"upper.profile": CROWN, "wear.lower.p0": 40.0}),
+        ("memory", "implicit", {"upper.profile": CROWN}),
+        ("power", "explicit", {"upper.profile": CROWN}),
+        ("non-local", "implicit", {"upper.profile": CROWN}),
+        ("two bodies", "adaptive", {"load.pressure": VARYING}),
+        ("memory", "implicit", {"load.pressure": VARYING}),
+        ("threshold", "adaptive", {"load.control": "displacement", "load.displacement": 0.04}),
+        ("distance", "implicit", {"load.control": "displacement", "load.displacement": 0.04}),
+        ("two bodies", "adaptive", {"load.omega": VARYING, "upper.chamfer": 0.3}),
+        ("threshold", "adaptive", {"output.times": [7.0, 21.0]}),
+        ("user", "adaptive", {"lower.r": [29.0, 40.0]}),
+    ],
+)
+def test_derivatives_are_central_differences(tmp_path, law, scheme, changes):
+    """Partial contact, lift-off, stops, sloping faces, displacements, times of output."""
+    case = case_of(tmp_path, law, scheme, elements=16, **changes)
+    pair = assemble(case, ALONE)
+    keys = list(numbers_of(case))
+    times = None
+    if case.output.times:
+        times = ends_of(case.replace({"output.times": None}), pair)
+    assert off_differences(case, pair, keys, times) < 1e-6
+
+
+def test_elements_that_enter_within_steps_are_differentiated(tmp_path, monkeypatch):
+    from ringwear_par.history import sdirk2
+
+    entering, late = sdirk2.entering, []
+
+    def noted(*args):
+        late.append(entering(*args))
+        return late[-1]
+
+    monkeypatch.setattr(sdirk2, "entering", noted)
+    case = rw.read_case(CASES / "crown.toml", {"mesh.contact_elements": 16})
+    pair = assemble(case, ALONE)
+    assert off_differences(case, pair, list(numbers_of(case))) < 1e-6
+    assert sum(each is not None for each in late) > len(late) / 5
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_derivatives_of_random_cases(tmp_path, seed):
+    rng = np.random.default_rng(seed)
+    law, scheme = rng.choice(list(LAWS)), rng.choice(list(STEPPINGS))
+    changes = {
+        "lower.young": 10.0 ** rng.uniform(3.5, 5.5),
+        "upper.young": 10.0 ** rng.uniform(3.5, 5.5),
+        "load.pressure": rng.uniform(20.0, 120.0),
+        "lower.r": [float(rng.choice([20.0, 28.5, 29.0])), 40.0],
+        "contact.friction": rng.uniform(0.05, 0.5),
+    }
+    if rng.uniform() < 0.5:
+        changes["upper.profile"] = CROWN
+    case = case_of(tmp_path, law, scheme, **changes)
+    assert off_differences(case, assemble(case, ALONE), list(numbers_of(case))) < 1e-6
+
+
+def test_objects_of_users_are_differentiated(tmp_path):
+    @dataclasses.dataclass(frozen=True)
+    class Own:
+        k: float = 1e-7
+        depth: float = 2e-3
+
+        def rate(self, p, local):
+            return self.k * np.exp(-local.wear / self.depth) * local.power * p
+
+    case = dataclasses.replace(case_of(tmp_path, scheme="implicit"), wear_lower=Own())
+    pair, keys = assemble(case, ALONE), ["wear.lower.k", "wear.lower.depth"]
+    slopes = history(case, pair, keys).derivatives["d_wear_lower"]
+    for slope, name in zip(slopes, ("k", "depth"), strict=True):
+        h = 1e-5 * getattr(Own, name)
+        up, down = (
+            history(dataclasses.replace(case, wear_lower=Own(**{name: there})), pair)
+            for there in (getattr(Own, name) + h, getattr(Own, name) - h)
+        )
+        central = (up.profiles["wear_lower"] - down.profiles["wear_lower"]) / (2.0 * h)
+        np.testing.assert_allclose(slope, central, atol=1e-6 * np.abs(slope).max())
+
+
+# -- whoever the others are ------------------------------------------------------------------------
+
+
+def columns_of(cases, pair, keys=(), times=None, batch=None):
+    """Results of cases computed together, in their order."""
+    found = {}
+    for block in computed(
+        cases, pair, batch=batch, keep_ends=True, derivatives=keys, step_times=times
+    ):
+        assert not block.alone
+        found.update(zip(block.numbers, block.results(), strict=True))
+    return [found[number] for number in range(len(cases))]
+
+
+def same(one, other, derivatives=True):
+    """Whether two results are the same to the last bit."""
+    kinds = ("histories", "profiles", *(["derivatives"] if derivatives else []))
+    return all(
+        np.array_equal(there, getattr(other, kind)[name])
+        for kind in kinds
+        for name, there in getattr(one, kind).items()
+    )
+
+
+@pytest.mark.parametrize(
+    ("law", "scheme"),
+    [
+        ("two bodies", "adaptive"),
+        ("power", "adaptive"),
+        ("memory", "implicit"),
+        ("non-local", "implicit"),
+        ("user", "explicit"),
+        ("two bodies", "explicit"),
+    ],
+)
+def test_histories_in_lock_step(tmp_path, law, scheme):
+    """Derivatives do not depend on the others, and change nothing; alone they are the same."""
+    base = case_of(tmp_path, law, scheme, **{"upper.profile": CROWN})
+    cases = [
+        base.replace(
+            {
+                "load.pressure": 30.0 + 25.0 * i,
+                "contact.friction": 0.1 + 0.03 * i,
+                "lower.young": 1e4 * (1 + i % 2),
+            }
+        )
+        for i in range(3)
+    ]
+    pair, numbers = assemble(base, ALONE), numbers_of(base)
+    keys = list(numbers)
+    together = columns_of(cases, pair, keys)
+    assert all(map(same, together, columns_of(cases, pair, keys, batch=2)))
+    assert all(
+        same(columns_of([c], pair, keys)[0], r) for c, r in zip(cases, together, strict=True)
+    )
+    for one, other in zip(columns_of(cases, pair), together, strict=True):
+        assert same(one, other, derivatives=False)
+    ends = [r.histories["time"][1:].tolist() for r in together]
+    frozen = columns_of(cases, pair, keys, times=ends)
+    for case, result, given, times in zip(cases, together, frozen, ends, strict=True):
+        alone = history(case, pair, keys, times)
+        assert same(history(case, pair, (), times), alone, derivatives=False)
+        size = sizes(case, alone, keys)
+        for name, slopes in alone.derivatives.items():
+            rows = len(keys)
+            scale = np.maximum(size[name], np.abs(slopes).reshape(rows, -1).max(axis=1))[:, None]
+            for those in (result, given):
+                off = np.abs(slopes - those.derivatives[name]).reshape(rows, -1)
+                assert (off <= 1e-9 * scale).all(), name
+
+
+def test_steps_that_are_given(tmp_path):
+    case = case_of(tmp_path)
+    pair = assemble(case, ALONE)
+    whole = history(case, pair, ["wear.lower.k"])
+    ends = whole.histories["time"][1:].tolist()
+    assert same(whole, history(case, pair, ["wear.lower.k"], ends))
+    twice = sorted([*ends, *(0.5 * (a + b) for a, b in zip([0.0, *ends], ends, strict=False))])
+    assert history(case, pair, (), twice).histories["time"][1:].tolist() == twice
+    for wrong in (ends[:-1], [], [*ends[::-1]], [*ends, ends[-1]]):
+        with pytest.raises(ValueError, match="step_times: must increase from 0 to 30 s"):
+            history(case, pair, (), wrong)
+        with pytest.raises(ValueError, match="step_times"):
+            columns_of([case], pair, (), [wrong])
+    fixed = case_of(tmp_path, scheme="implicit")
+    uneven = [1.0, 2.5, 32.0]
+    with pytest.raises(ValueError, match="must be 8 of them"):
+        history(fixed, pair, (), uneven)
+
+
+# -- what users see --------------------------------------------------------------------------------
+
+
+def test_results_hold_derivatives(tmp_path, comm):
+    case = case_of(comm.bcast(tmp_path), **{"output.fields": ["wear_lower"]})
+    keys = ["wear.lower.p0", "load.pressure"]
+    result = rw.simulate(case, comm, derivatives=keys)
+    one = rw.simulate(case, ALONE, derivatives=keys)
+    for name, slopes in one.derivatives.items():
+        there = result.derivatives[name]
+        np.testing.assert_allclose(there, slopes, rtol=0, atol=1e-9 * np.abs(slopes).max())
+    n, rows = case.line.n, len(result.step)
+    assert result.derivatives["d_wear_lower"].shape == (2, rows, n)
+    assert result.derivatives["d_approach"].shape == (2, rows)
+    assert "d_pressure" not in result.derivatives
+    assert not result.derivatives["d_penetration"][:, 0].any()
+    volumes = result.derivatives["d_wear_lower"] @ case.line.area
+    np.testing.assert_allclose(volumes, result.derivatives["d_worn_volume_lower"], rtol=1e-12)
+    many = rw.simulate_all([case, case.replace({"wear.lower.k": 2e-7})], comm, derivatives=keys)
+    for name, slopes in result.derivatives.items():
+        size = max(np.abs(slopes).max(), 1e-3)
+        np.testing.assert_allclose(many[0].derivatives[name], slopes, atol=1e-9 * size)
+
+
+@pytest.mark.serial
+def test_files_hold_derivatives(tmp_path):
+    xarray = pytest.importorskip("xarray")
+    case = case_of(tmp_path, scheme="implicit", **{"output.profiles": "last"})
+    result = rw.simulate(case, ALONE, derivatives=["contact.friction", "wear.lower.k"])
+    result.save(tmp_path / "run.h5")
+    again = rw.open_result(tmp_path / "run.h5")
+    assert same(result, again)
+    assert again.parameters == {"contact.friction": "1", "wear.lower.k": "1/MPa"}
+    with xarray.open_dataset(tmp_path / "run.h5", engine="h5netcdf") as data:
+        made = result.to_xarray()
+        xarray.testing.assert_equal(data, made)
+        slope = data["d_wear_lower"].sel(parameter="wear.lower.k")
+        assert slope.dims == ("element",)
+        assert data["d_torque"].dims == ("parameter", "step")
+        assert data["d_torque"].attrs["units"] == "N mm/parameter_unit"
+        assert data["parameter_unit"].sel(parameter="wear.lower.k").item() == "1/MPa"
+    plain = rw.simulate(case, ALONE)
+    assert not plain.derivatives
+    assert same(plain, result, derivatives=False)
+
+
+@pytest.mark.parametrize(
+    ("keys", "message"),
+    [
+        (["wear.lower.kk"], "wear.lower.kk: .* must be one of wear.lower.k, wear.lower.p0, "),
+        (["wear.upper.k"], "wear.upper.k: is no plain number"),
+        (["load.displacement"], "load.displacement: is no plain number"),
+        (["load.omega"], "load.omega: is no plain number"),
+        (["mesh.grading"], "mesh.grading: is no plain number"),
+        (["wear.lower.k", "wear.lower.k"], "wear.lower.k: must be named once"),
+        ("wear.lower.k", "must be a list of keys"),
+        ([1.0], "must be a list of keys"),
+    ],
+)
+def test_derivatives_that_there_are_not(tmp_path, keys, message):
+    case = case_of(tmp_path, **{"load.omega": VARYING})
+    with pytest.raises(rw.InputError, match=message):
+        rw.simulate(case, ALONE, derivatives=keys)
+    (failed,) = rw.simulate_all([case], ALONE, derivatives=keys)
+    with pytest.raises(rw.InputError, match=message):
+        raise failed.error
+
+
+def test_no_derivatives_where_elements_follow_the_wear(tmp_path):
+    case = case_of(tmp_path, **{"mesh.geometry": "updated"})
+    with pytest.raises(rw.InputError, match=r"mesh\.geometry"):
+        rw.simulate(case, ALONE, derivatives=["wear.lower.k"])

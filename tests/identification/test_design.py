@@ -1,0 +1,189 @@
+"""Test designs: information that adds, its best division, and what is said of it."""
+
+import copy
+import itertools
+import json
+import tomllib
+
+import numpy as np
+import pytest
+from laboratory import END, TRUTH, fit_tables, write_tests
+from mpi4py import MPI
+
+import ringwear_par as rw
+from ringwear_par.identification.candidates import candidates
+from ringwear_par.identification.design import run_design
+from ringwear_par.identification.fit import fit, predicted
+from ringwear_par.identification.fit_file import read_fit
+
+VARY = {"load.pressure": [40.0, 96.0]}
+
+
+@pytest.fixture(scope="module")
+def laboratory(tmp_path_factory):
+    """Two tests without noise, and their folder."""
+    folder = tmp_path_factory.mktemp("design")
+    return folder, write_tests(folder, seed=None)
+
+
+@pytest.fixture
+def tables(laboratory):
+    """A function that makes a fit file at the truth, with a design."""
+
+    def made(vary=VARY, budget=None, criterion="D", **settings):
+        folder, written = laboratory
+        found = fit_tables(folder, copy.deepcopy(written), **settings)
+        found["fit"]["parameters"] = {
+            key: {**entry, "start": TRUTH[key]} for key, entry in found["fit"]["parameters"].items()
+        }
+        budget = {"experiments": 2} if budget is None else budget
+        return found | {"design": {"vary": vary, "budget": budget, "criterion": criterion}}
+
+    return made
+
+
+def spreads(found):
+    """Return the standard deviations that a fit's dry run tells."""
+    return np.array([p.sd for p in found.parameters])
+
+
+def test_information_is_that_of_a_fit(tables, comm):
+    """With all nuisances eliminated from each test by itself, as the fit has them together."""
+    source = tables()
+    found = rw.design(source, comm)
+    assert found.planned.sd == pytest.approx(spreads(predicted(read_fit(source), comm)), rel=1e-6)
+
+
+def test_what_the_best_tests_tell_is_what_a_fit_of_them_tells(tables, comm):
+    source = tables()
+    best = rw.design(source, comm)
+    tests = [best.candidates[i] for i in best.designs[0].tests]
+    for experiment, test in zip(source["experiment"], tests, strict=True):
+        experiment["set"] |= test.changes()
+    told = predicted(read_fit(source), comm)
+    assert best.designs[0].sd == pytest.approx(spreads(told), rel=1e-6)
+    volumes = np.linalg.det(told.covariance[:2, :2])
+    assert volumes < np.linalg.det(predicted(read_fit(tables()), comm).covariance[:2, :2])
+
+
+@pytest.mark.serial
+def test_exchange_finds_the_best_three(tables, comm):
+    """Of 15 loads all 680 triples are looked at."""
+    best = {
+        criterion: rw.design(tables(budget={"experiments": 3}, criterion=criterion), comm)
+        for criterion in ("D", "A")
+    }
+    widths = np.array([np.log(1e4), 200.0])
+    information = []
+    for test in best["D"].candidates:
+        source = tables()
+        source["experiment"] = source["experiment"][:1]
+        source["experiment"][0]["set"] |= test.changes()
+        covariance = predicted(read_fit(source), comm).covariance[:2, :2]
+        information.append(np.linalg.inv(covariance / np.outer(widths, widths)))
+    threes = itertools.combinations_with_replacement(information, 3)
+    wholes = np.array([sum(three) for three in threes])
+    assert len(wholes) == 680
+    scores = {
+        "D": 0.5 * np.linalg.slogdet(wholes)[1],
+        "A": -np.trace(np.linalg.inv(wholes), axis1=1, axis2=2),
+    }
+    for criterion, found in best.items():
+        assert found.designs[0].score == pytest.approx(scores[criterion].max(), rel=1e-5)
+
+
+def test_an_earlier_fit_counts(tables, comm, tmp_path):
+    """Information of the fit and of the tests add up; draws are around its estimates."""
+    source = tables()
+    earlier = fit(source, comm, compare=False)
+    folder = MPI.COMM_WORLD.bcast(str(tmp_path)) if comm.size > 1 else str(tmp_path)
+    earlier.save(folder)
+    found = rw.design(source, comm, after=folder)
+    assert found.after == folder
+    assert found.nominal == pytest.approx([p.estimate for p in earlier.parameters])
+    # the same tests again halve the variances
+    assert found.planned.sd == pytest.approx(spreads(earlier) / np.sqrt(2.0), rel=1e-3)
+    assert found.draws == 8
+    low, high = found.designs[0].range
+    assert (low <= found.designs[0].sd).all()
+    assert (found.designs[0].sd <= high).all()
+    assert (low < high).all()
+    gain = rw.design(source, comm, after=folder, criterion="eig").designs[0]
+    alone = rw.design(source, comm, after=folder).designs[0]
+    assert gain.tests == alone.tests  # they differ by what was known before
+    assert 0.0 < gain.score < 5.0
+
+
+def test_results_do_not_depend_on_ranks(tables, comm):
+    one, other = (rw.design(tables(), each).to_dict() for each in (comm, MPI.COMM_SELF))
+    assert one["designs"] == other["designs"]
+
+
+def test_candidates_keep_to_their_ranges(tables):
+    vary = {
+        "load.pressure": [40.0, 80.0], "time.end": [20.0, 100.0], "load.steps": [1, 2],
+        "profiles": [1, 2], "load.omega": [1.0, 3.0],
+    }  # fmt: skip
+    problem = read_fit(tables(vary, {"time.end": 90.0}))
+    every = candidates(problem.design, problem.experiments[0])
+    assert len({json.dumps([test.told(), test.seconds]) for test in every}) == len(every)
+    for test in every:
+        assert all(40.0 <= load <= 80.0 for load in test.loads)
+        assert list(test.loads) == sorted(test.loads)
+        assert 20.0 <= test.seconds <= 90.0
+        series = test.experiment.series
+        assert sum(one.profile for one in series) == test.profiles
+        assert max(one.at for one in series if one.profile) == pytest.approx(test.seconds)
+        (record,) = (one for one in series if one.quantity == "penetration")
+        assert record.x[-1] == pytest.approx(test.seconds)
+        assert record.n == pytest.approx(50 * test.seconds / END, abs=1)
+    assert {len(test.loads) for test in every} == {1, 2}
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        ({"vary": {"load.pressure": [100.0, 40.0]}}, "design.vary: load.pressure = .*lowest"),
+        ({"vary": {"load.pressure": "all"}}, "load.pressure = .*two numbers"),
+        ({"vary": {"load.steps": [1, 2]}}, "load.steps = .*needs load.pressure"),
+        ({"vary": {**VARY, "load.steps": [1, 2.5]}}, "load.steps = .*whole"),
+        ({"vary": {**VARY, "load.force": [1.0, 2.0]}}, "only one of them"),
+        ({"vary": {"load.presure": [1.0, 2.0]}}, "load.presure: unknown key .*load.pressure"),
+        ({"budget": {"experiments": 0}}, "experiments = 0: must be a whole number from 1"),
+        ({"budget": {"experiments": 2, "time.end": -1}}, "time.end = -1: must be a number above"),
+        ({"vary": {**VARY, "time.end": [60.0, 100.0]},
+          "budget": {"experiments": 2, "time.end": 100.0}}, "at least 120"),
+        ({"budget": {"experiments": 2, "time.end": 100.0}}, "at least 200, 2 of the shortest"),
+        ({"criterion": "E"}, "criterion = .*one of D, A, eig"),
+        ({"criterion": "eig"}, "known before"),
+        ({"vary": {}}, "vary: is missing or empty"),
+    ],
+)  # fmt: skip
+def test_what_cannot_be_is_refused(tables, change, told, comm):
+    with pytest.raises(rw.InputError, match=told):
+        rw.design(tables(**change), comm)
+
+
+@pytest.mark.serial
+def test_the_folder_holds_what_to_do_next(tables, laboratory, tmp_path, comm, capsys):
+    folder, _ = laboratory
+    from ringwear_par.cases.text import toml_value
+
+    source = folder / "fit.toml"
+    lines = [f"{key} = {toml_value(value)}" for key, value in tables().items()]
+    source.write_text("\n".join(lines) + "\n")
+    run_design(source, tmp_path / "next", comm)
+    told = json.loads((tmp_path / "next/design.json").read_text())
+    assert set(told["designs"][0]["sd"]) == set(TRUTH)
+    tests = tomllib.loads((tmp_path / "next/next.toml").read_text())["experiment"]
+    assert [t["set"]["load.pressure"] for t in tests] == [
+        t["load.pressure"] for t in told["designs"][0]["experiments"]
+    ]
+    assert (tmp_path / "next/design.png").stat().st_size > 10_000
+    assert "2 of 15 tests" in capsys.readouterr().out
+    with pytest.raises(rw.InputError, match=r"fit.json: cannot be read"):
+        run_design(source, tmp_path / "later", comm, after=tmp_path / "next")
+    (tmp_path / "next/fit.json").write_text("{}")
+    with pytest.raises(rw.InputError, match="no outcome of ringwear fit"):
+        run_design(source, tmp_path / "later", comm, after=tmp_path / "next")
+    assert not (tmp_path / "later").exists()

@@ -1,0 +1,337 @@
+"""Fits: the truth is found, and what the readings do not tell is said."""
+
+import copy
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+from laboratory import (
+    CASE,
+    END,
+    FITTED,
+    SD_PROFILE,
+    TRUTH,
+    fit_tables,
+    history,
+    penetration,
+    profile,
+    write_table,
+    write_tests,
+)
+
+import ringwear_par as rw
+from ringwear_par.cases.text import toml_value
+from ringwear_par.errors import ComputationError
+from ringwear_par.identification import starts as starts_room
+from ringwear_par.identification.fit import fit, fitted, predicted, run_fit
+from ringwear_par.identification.fit_file import read_fit
+
+SCRIPTS = Path(__file__).parents[2] / "scripts"
+
+
+@pytest.fixture(scope="module")
+def experiments(tmp_path_factory):
+    """Two tests of the laboratory, with noise, and their folder."""
+    folder = tmp_path_factory.mktemp("laboratory")
+    return folder, write_tests(folder)
+
+
+@pytest.fixture(scope="module")
+def tables(experiments):
+    """A function that makes a fit file of the two tests."""
+
+    def made(**settings):
+        folder, written = experiments
+        return fit_tables(folder, copy.deepcopy(written), **settings)
+
+    return made
+
+
+def near(found, truth=TRUTH, most=3.0):
+    """Tell whether estimates are within some standard deviations of the truth."""
+    return all(abs(p.estimate - truth[p.key]) < most * p.sd for p in found.parameters)
+
+
+@pytest.mark.serial
+def test_a_laboratory_found_the_law(comm):
+    """Files of an independent model with noise, in the repository as a worked example."""
+    problem = read_fit(SCRIPTS / "fit/fit.toml")
+    quick = replace(problem.settings, starts=1, intervals=("linear",))
+    found = fitted(replace(problem, settings=quick), comm, compare=False)
+    assert near(found)
+    assert not found.flagged
+    assert [p.verdict for p in found.parameters] == ["identified"] * 2
+    assert found.histories <= 2 * 20
+
+
+@pytest.mark.serial
+def test_likelihood_profiles_are_parabolas_where_much_is_known(tables, comm):
+    found = fit(tables(starts=1, intervals=["profile"], level=0.9), comm)
+    assert set(found.profiles) == set(TRUTH)
+    for one in found.parameters:
+        low, high = one.interval
+        assert (high - low) / (2 * 1.645 * one.sd) == pytest.approx(1.0, abs=0.05)
+        value, growth = found.profiles[one.key]
+        assert (np.diff(value) > 0).all()
+        assert np.interp(low, value, growth) == pytest.approx(1.645**2, rel=0.05)
+        assert np.interp(high, value, growth) == pytest.approx(1.645**2, rel=0.05)
+
+
+@pytest.mark.serial
+def test_both_methods_find_the_same(tables, comm):
+    one, other = (fit(tables(method=method), comm) for method in ("brgn", "lm"))
+    assert near(one)
+    assert all(start.converged for start in one.starts)
+    assert one.starts[0].histories <= 2 * 20
+    for a, b in zip(one.parameters, other.parameters, strict=True):
+        assert abs(a.estimate - b.estimate) < 1e-3 * a.sd
+    assert one.chi2 == pytest.approx(other.chi2, rel=1e-6)
+
+
+def test_any_number_of_ranks_finds_the_same(tables, comm):
+    from mpi4py import MPI
+
+    found = fit(tables(starts=3), comm)
+    alone = fit(tables(starts=3), MPI.COMM_SELF)
+    for a, b in zip(found.parameters, alone.parameters, strict=True):
+        assert (a.estimate, a.sd) == pytest.approx((b.estimate, b.sd), rel=1e-12)
+    assert found.starts == alone.starts
+
+
+@pytest.mark.serial
+def test_noise_is_fitted(tables, comm):
+    given = tables(starts=1)
+    for experiment in given["experiment"]:
+        experiment["data"][1]["sd"] = "fit"
+    found = fit(given, comm)
+    assert near(found)
+    assert found.p_value is None
+    for series in found.experiments.values():
+        noise = series[f"profile.lower at {END:g} s"]
+        assert 1e-3 * noise["sd"] == pytest.approx(SD_PROFILE, rel=0.25)
+        assert noise["chi2"] == pytest.approx(noise["n"], rel=0.1)
+
+
+@pytest.mark.serial
+def test_outliers_do_not_count(tables, comm, tmp_path):
+    given = tables(starts=1)
+    for number, experiment in enumerate(given["experiment"]):
+        data = experiment["data"][0]
+        t, z = np.genfromtxt(data["file"], delimiter=",", skip_header=1).T
+        z[3::9] += 4.0
+        data["file"] = str(tmp_path / f"{number}.csv")
+        write_table(tmp_path / f"{number}.csv", ("t_s", "z_um"), t, z)
+        data["nuisance"] = {"offset": {}}
+    plain = fit(given, comm)
+    given["fit"]["loss"] = "student"
+    robust = fit(given, comm)
+    assert plain.flagged
+
+    def offset(found):
+        return found.nuisances["test 1"]["penetration"]["offset"]["estimate"]
+
+    assert abs(offset(plain) - 1.15) > 0.3  # offset, and half of the drift
+    assert abs(offset(robust) - 1.15) < 0.15
+    assert near(robust)
+
+
+@pytest.mark.serial
+def test_friction_and_coefficient_are_one_number_without_torque(tables, comm):
+    given = tables(starts=1)
+    given["fit"]["parameters"] = {
+        **FITTED, "contact.friction": {"start": 0.2, "bounds": [0.01, 1.0], "scale": "log"},
+    }  # fmt: skip
+    found = fit(given, comm)
+    by_key = {p.key: p for p in found.parameters}
+    for key in ("contact.friction", "wear.lower.k"):
+        assert by_key[key].verdict == "not identified"
+        assert by_key[key].interval == (None, None)
+        assert by_key[key].direction == "only contact.friction x wear.lower.k"
+    assert by_key["wear.lower.p0"].verdict == "identified"
+    product = by_key["contact.friction"].estimate * by_key["wear.lower.k"].estimate
+    assert product == pytest.approx(0.1 * TRUTH["wear.lower.k"], rel=0.02)
+    assert any("only contact.friction x wear.lower.k" in s for s in found.warnings)
+
+
+@pytest.mark.serial
+def test_torque_tells_friction(tables, comm, tmp_path):
+    given = tables(starts=1)
+    given["fit"]["parameters"] = {
+        **FITTED, "contact.friction": {"start": 0.2, "bounds": [0.01, 1.0], "scale": "log"},
+    }  # fmt: skip
+    result = history(40.0)
+    torque = result.histories["torque"][-1]
+    given["experiment"][0]["data"].append(
+        {"quantity": "torque", "value": torque / 1e3, "unit": "N m", "sd": 0.01 * torque / 1e3}
+    )
+    found = fit(given, comm)
+    assert near(found, {**TRUTH, "contact.friction": 0.1})
+    assert {p.verdict for p in found.parameters} == {"identified"}
+
+
+@pytest.mark.serial
+def test_a_threshold_hides_behind_the_drift(tables, comm):
+    given = tables(starts=1)
+    (one, _), given["experiment"] = given["experiment"], given["experiment"][:1]
+    del one["data"][1]
+    one["data"][0]["nuisance"]["drift"] = {}
+    found = fit(given, comm)
+    by_key = {p.key: p for p in found.parameters}
+    assert by_key["wear.lower.p0"].verdict == "not identified"
+    assert "drift of penetration (test 1)" in by_key["wear.lower.p0"].direction
+
+
+@pytest.mark.serial
+def test_a_threshold_at_its_bound_has_an_upper_limit(comm, tmp_path):
+    truth = {"wear.lower.k": 1.3e-7, "wear.lower.p0": 0.0}
+    for seed in range(1, 9):
+        written = write_tests(tmp_path, seed=seed, truth=truth)
+        found = fit(fit_tables(tmp_path, written, intervals=["profile"], starts=1), comm)
+        threshold = found.parameters[1]
+        if threshold.verdict == "at bound":
+            break
+    assert threshold.verdict == "at bound"
+    assert threshold.estimate == 0.0
+    assert threshold.interval[0] is None
+    assert 0.0 < threshold.interval[1] < 1.0
+    assert abs(found.parameters[0].estimate - 1.3e-7) < 3 * found.parameters[0].sd
+
+
+@pytest.mark.serial
+def test_both_bodies_wear_with_gaps_in_the_record(comm, tmp_path):
+    truth = {"wear.lower.k": 1.3e-7, "wear.upper.k": 4e-8}
+    law = {"wear.lower.law": "archard", "wear.upper.law": "archard"}
+    result = history(60.0, truth={**law, **truth})
+    rng = np.random.default_rng(4)
+    t, z = penetration(result, rng)
+    keep = (t < 30) | (t > 60)
+    write_table(tmp_path / "z.csv", ("t_s", "z_um"), t[keep], 1e3 * z[keep])
+    data = [
+        {"quantity": "penetration", "file": str(tmp_path / "z.csv"), "sd": 0.2,
+         "columns": {"time": "t_s", "value": "z_um"}, "nuisance": {"offset": {}}},
+    ]  # fmt: skip
+    for body in ("lower", "upper"):
+        r, d = profile(result, rng, body=body)
+        keep = (r > 28.5) & (r < 31.5) if body == "upper" else r > 0
+        write_table(tmp_path / f"{body}.csv", ("r_mm", "d_um"), r[keep], 1e3 * d[keep])
+        data.append(
+            {"quantity": f"profile.{body}", "file": str(tmp_path / f"{body}.csv"), "sd": 0.08,
+             "columns": {"r": "r_mm", "value": "d_um"}, "nuisance": {"level": {}, "tilt": {}}}
+        )  # fmt: skip
+    (tmp_path / "case.toml").write_text(CASE)
+    settings = {"load.pressure": 60.0, "load.omega": 3.5, "time.end": END, **law}
+    sought = {"start": 1e-7, "bounds": [1e-9, 1e-5], "scale": "log"}
+    given = {
+        "case": str(tmp_path / "case.toml"),
+        "fit": {"parameters": dict.fromkeys(truth, sought), "starts": 2},
+        "experiment": [{"name": "both", "set": settings, "data": data}],
+    }
+    found = fit(given, comm)
+    assert near(found, truth)
+    assert not found.flagged
+
+
+@pytest.mark.serial
+def test_other_laws_are_told_not_to_fit(tables, comm):
+    given = tables(starts=1)
+    given["compare"] = {
+        "archard": {
+            "set": {"wear.lower.law": "archard"},
+            "parameters": {"wear.lower.k": FITTED["wear.lower.k"]},
+        }
+    }
+    found = fit(given, comm)
+    other = found.alternatives["archard"]
+    assert other.flagged
+    assert other.aic > found.aic + 10
+    assert other.bic > found.bic + 10
+    told = found.to_dict()["alternatives"]["archard"]
+    assert told["flagged"] is True
+    assert list(told["parameters"]) == ["wear.lower.k"]
+
+
+@pytest.mark.serial
+def test_a_prediction_before_any_fit_is_the_later_interval(tables, comm):
+    given = tables(starts=1)
+    for key, value in TRUTH.items():
+        given["fit"]["parameters"][key] = {**FITTED[key], "start": value}
+    expected, found = predicted(read_fit(given), comm), fit(given, comm)
+    for before, after in zip(expected.parameters, found.parameters, strict=True):
+        assert before.sd == pytest.approx(after.sd, rel=0.1)
+
+
+@pytest.fixture
+def written(tables, tmp_path):
+    """A fit file of two starts, and the folder of its results."""
+    given = tables()
+    path = tmp_path / "fit.toml"
+    path.write_text("".join(f"{key} = {toml_value(value)}\n" for key, value in given.items()))
+    return path, tmp_path / "out"
+
+
+@pytest.mark.serial
+def test_what_is_written(written, comm, capsys):
+    path, folder = written
+    run_fit(path, folder, comm)
+    said = capsys.readouterr().out
+    assert "wear.lower.p0" in said
+    assert "chi2" in said
+    assert sorted(p.name for p in folder.iterdir()) == ["fit.json", "fit.png", "results.h5"]
+    told = json.loads((folder / "fit.json").read_text())
+    names = "parameters covariance chi2 n_data aic bic experiments nuisance histories alternatives "
+    assert set(f"{names}starts versions data".split()) <= told.keys()
+    low, high = told["parameters"]["wear.lower.k"]["interval"]
+    assert low < TRUTH["wear.lower.k"] < high
+    with h5py.File(folder / "results.h5") as file:
+        groups = [group for group in file.values() if "experiment" in group.attrs]
+        assert len(groups) == 4
+        chi2 = sum((group["residual"][:] ** 2).sum() for group in groups)
+        assert chi2 == pytest.approx(told["chi2"])
+        sensitivity = groups[0]["sensitivity"]
+        assert sensitivity.shape == (len(groups[0]["time"]), 2)
+
+
+@pytest.mark.serial
+def test_a_dry_run_writes_nothing(written, comm, capsys):
+    path, folder = written
+    run_fit(path, folder, comm, dry_run=True)
+    assert "to be expected" in capsys.readouterr().out
+    assert not folder.exists()
+
+
+@pytest.mark.serial
+def test_a_fit_goes_on_with_the_starts_that_are_kept(written, comm, monkeypatch):
+    path, folder = written
+    whole = fitted(read_fit(path), comm)
+    calls = []
+
+    def stopping(*args):
+        calls.append(args)
+        if len(calls) == 2:
+            raise ComputationError("the power failed")
+        return solved(*args)
+
+    solved = starts_room._solved
+    with monkeypatch.context() as patch:
+        patch.setattr(starts_room, "_solved", stopping)
+        with pytest.raises(ComputationError, match="the power failed"):
+            run_fit(path, folder, comm)
+    assert len(list((folder / "progress").iterdir())) == 1
+    run_fit(path, folder, comm, restart=True)
+    told = json.loads((folder / "fit.json").read_text())
+    assert not (folder / "progress").exists()
+    assert told["parameters"]["wear.lower.k"]["estimate"] == whole.parameters[0].estimate
+    assert told["starts"] == whole.to_dict()["starts"]
+    assert told["histories"] < whole.histories
+
+
+@pytest.mark.serial
+def test_the_front_door(tables):
+    found = rw.fit(tables(starts=1))
+    assert isinstance(found, rw.FitResult)
+    assert "wear.lower.k" in repr(found)
+    assert found.plot().axes
+    assert "identified" in found.summary()

@@ -1,0 +1,90 @@
+"""``ringwear fit`` as users type it: what is refused, on all ranks together, writes nothing."""
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from laboratory import fit_tables, write_tests
+from petsc4py import PETSc
+
+from ringwear_par.cases.text import toml_value
+from ringwear_par.cli import main
+
+
+@pytest.fixture
+def ringwear(shared_path, comm, monkeypatch, capfd):
+    """Function that runs the command: its status here, and what all ranks say."""
+    monkeypatch.chdir(shared_path)
+
+    def ringwear(*words):
+        with monkeypatch.context() as patch:
+            patch.setattr(sys, "stdout", sys.stdout)
+            status = main(["fit", *words])
+            if comm.rank > 0:
+                sys.stdout.close()
+        said = comm.allgather("".join(capfd.readouterr()))
+        return status, "".join(said)
+
+    return ringwear
+
+
+@pytest.fixture
+def write(shared_path, comm):
+    """Function that writes a fit file of one test, changed by another function."""
+    experiments = comm.bcast(write_tests(shared_path, (60.0,)) if comm.rank == 0 else None)
+
+    def written(change):
+        tables = fit_tables(shared_path, experiments, starts=1)
+        change(tables)
+        if comm.rank == 0:
+            lines = (f"{key} = {toml_value(value)}\n" for key, value in tables.items())
+            Path("fit.toml").write_text("".join(lines))
+        comm.Barrier()
+
+    return written
+
+
+def test_a_fit_on_all_ranks(write, ringwear, comm):
+    write(lambda tables: None)
+    status, said = ringwear("fit.toml", "-o", "out")
+    assert status == 0, said
+    assert said.count("chi2 =") == 1
+    assert Path("out/fit.json").is_file()
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (lambda t: t["fit"].update(method="newton"), "fit.toml: fit: method"),
+        (lambda t: t["fit"]["parameters"].update(x={"start": -1}), "cannot be fitted"),
+        (lambda t: t["experiment"][0]["data"][0].update(sd=-1), "sd = -1: must be a finite number"),
+        (lambda t: t["experiment"][0]["data"].append(
+            {"quantity": "mass.upper", "value": 0, "unit": "g", "density": 1, "sd": 1}),
+         "does not respond to any parameter"),
+        (lambda t: t["experiment"][0]["set"].update({"load.pressure": [[0, -1]]}),
+         "load.pressure"),
+    ],
+)  # fmt: skip
+def test_what_is_refused_writes_nothing(change, said, write, ringwear):
+    write(change)
+    before = np.array(sorted(p.name for p in Path().iterdir()))
+    status, told = ringwear("fit.toml", "-o", "out")
+    assert status == 2, told
+    assert said in told
+    assert told.count(said) == 1
+    assert (np.array(sorted(p.name for p in Path().iterdir())) == before).all()
+
+
+@pytest.mark.serial
+def test_options_that_nobody_reads_are_refused(write, ringwear):
+    write(lambda tables: None)
+    options = PETSc.Options()
+    options["identify_nonsense"] = "1"
+    try:
+        status, told = ringwear("fit.toml", "-o", "out")
+    finally:
+        options.delValue("identify_nonsense")
+    assert status == 2
+    assert "-identify_nonsense: no solver" in told
+    assert not Path("out/fit.json").exists()

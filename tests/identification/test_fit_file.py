@@ -1,0 +1,268 @@
+"""Fit files: what they may say, and every fault of theirs, told together before any work."""
+
+import copy
+import math
+import tomllib
+
+import numpy as np
+import pytest
+from laboratory import CASE, FITTED, fit_tables, write_table, write_tests
+
+from ringwear_par.errors import InputError
+from ringwear_par.identification.fit import fit
+from ringwear_par.identification.fit_file import read_fit
+from ringwear_par.identification.inline_tables import on_one_line
+
+#: every key that a fit file may have
+FULL = """
+case = "case.toml"
+[fit]
+parameters."wear.lower.k"  = { start = 1e-7, bounds = [1e-9, 1e-5], scale = "log" }
+parameters."wear.lower.p0" = { start = 0.0,  bounds = [0.0, 200.0] }
+parameters."contact.friction" = { start = 0.1, bounds = [0.01, 1.0], scale = "log",
+                                  prior = { normal = [0.1, 0.05] } }
+starts = 8
+method = "brgn"
+intervals = ["linear", "profile"]
+level = 0.9
+loss = "student"
+[[experiment]]
+name = "low"
+set = { "load.pressure" = 50.0, "load.omega" = 3.54, "time.end" = 100.0 }
+  [[experiment.data]]
+  quantity = "penetration"
+  file = "low_lvdt.csv"
+  columns = { time = "t_min", value = "z" }
+  units   = { time = "min", value = "um" }
+  sd = 0.2
+  correlation_time = 2.0
+  nuisance = { offset = {}, drift = { prior = { normal = [0.0, 0.5] } },
+               compliance = { bounds = [0, 1] } }
+  [[experiment.data]]
+  quantity = "profile.lower"
+  at = 100.0
+  file = "low_profile.csv"
+  columns = { r = "r_mm", value = "depth_um" }
+  sd = "noise_um"
+  nuisance = { level = {}, tilt = {} }
+  exclude = [[28.4, 28.55], [31.45, 31.6]]
+[[experiment]]
+name = "high"
+set = { "load.pressure" = 100.0, "load.omega" = 3.54, "time.end" = 100.0 }
+  [[experiment.data]]
+  quantity = "torque"
+  file = "high_torque.csv"
+  columns = { time = "t_s", value = "M_Nm" }
+  units = { value = "N m" }
+  sd = { relative = 0.01 }
+[compare]
+archard = { set = { "wear.lower.law" = "archard" }, parameters = {
+  # one only
+  "wear.lower.k" = { start = 1e-8, bounds = [1e-11, 1e-5], scale = "log" }
+} }
+[design]
+criterion = "D"
+vary = { "load.pressure" = [30, 100], "time.end" = [20, 200] }
+budget = { "time.end" = 200.0, experiments = 2 }
+"""
+
+
+def test_every_key(tmp_path):
+    (tmp_path / "case.toml").write_text(CASE)
+    (tmp_path / "fit.toml").write_text(FULL)
+    (tmp_path / "low_lvdt.csv").write_text(
+        "# a rig\nt_min;z;note\n0,1;0,5;\n0,2;;gap\n"
+        + "".join(f"{i / 10:g};1;\n" for i in range(3, 17))
+    )
+    (tmp_path / "low_profile.csv").write_text(
+        "r_mm,depth_um,noise_um\n28.0,0,0.1\n28.5,9,0.1\n30,2,0.2\n31,3,0.1\n"
+    )
+    (tmp_path / "high_torque.csv").write_text("t_s,M_Nm\n1,21\n2,20\n3,\n4,22\n")
+    problem = read_fit(tmp_path / "fit.toml")
+    low, high = problem.experiments
+    lvdt, profile = low.series
+    assert lvdt.x[:2] == pytest.approx([6.0, 18.0])
+    assert lvdt.value[:2] == pytest.approx([5e-4, 1e-3])
+    assert lvdt.lines[:2].tolist() == [3, 5]
+    assert (lvdt.sd[0], lvdt.unit, lvdt.correlation_time) == (pytest.approx(2e-4), "um", 2.0)
+    assert [n.kind for n in lvdt.nuisances] == ["offset", "drift", "compliance"]
+    assert (lvdt.nuisances[1].prior.sd, lvdt.nuisances[2].bounds) == (0.5, (0.0, 1.0))
+    assert profile.x.tolist() == [28.0, 30.0, 31.0]
+    assert profile.sd == pytest.approx([1e-4, 2e-4, 1e-4])
+    (torque,) = high.series
+    assert torque.value == pytest.approx([21e3, 20e3, 22e3])
+    assert torque.sd == pytest.approx([210.0, 210.0, 220.0])  # of their running median
+    assert low.case.time.end == high.case.time.end == 100.0
+    assert low.case.time.adaptive
+    assert low.case.wear_lower.p0 == 0.0
+    assert problem.settings.level == 0.9
+    assert problem.alternatives["archard"].keys == ("wear.lower.k",)
+    assert len(problem.hashes) == 3
+
+
+@pytest.fixture(scope="module")
+def good(tmp_path_factory):
+    """A folder of measurements, and the fit file as a dict."""
+    folder = tmp_path_factory.mktemp("laboratory")
+    return fit_tables(folder, write_tests(folder), starts=1)
+
+
+def changed(good, path, value):
+    """Return the fit file with one entry changed; None takes it away."""
+    tables = copy.deepcopy(good)
+    *inner, last = path
+    place = tables
+    for key in inner:
+        place = place[key]
+    if value is None:
+        del place[last]
+    else:
+        place[last] = value
+    return tables
+
+
+PEN, PROF = ("experiment", 0, "data", 0), ("experiment", 0, "data", 1)
+K = ("fit", "parameters", "wear.lower.k")
+
+
+@pytest.mark.parametrize(
+    ("path", "value", "said"),
+    [
+        (("cases",), 1, "cases: unknown key; must be one of case, fit"),
+        (("case",), None, "case is missing"),
+        (("case",), "nowhere.toml", "nowhere.toml: cannot be read"),
+        (("experiment",), [], "must be tables, [[experiment]]"),
+        (("experiment",), {"name": "a"}, "must be tables, [[experiment]]"),
+        (("experiment", 1, "name"), "test 1", "is there twice"),
+        (("experiment", 1, "name"), None, "experiment 2: name is missing"),
+        (("experiment", 0, "data"), None, "data is missing: must be tables"),
+        (("experiment", 0, "sett"), {}, "sett: unknown key (did you mean set?)"),
+        (("experiment", 0, "set", "load.presure"), 1, "did you mean load.pressure?"),
+        (("experiment", 0, "set", "wear.lower.k"), 1e-7, "is set, and wear.lower.k is fitted"),
+        (("experiment", 0, "set", "mesh.geometry"), "updated", 'must be "fixed" in a fit'),
+        (("fit", "parameters"), {}, "must name one case key at least"),
+        (("fit", "parameters", "wear.lower.K"), {"start": 1}, "did you mean wear.lower.k?"),
+        (("fit", "parameters", "upper.r"), {"start": 1}, "cannot be fitted"),
+        (("fit", "parameters", "time.end"), {"start": 1}, "cannot be fitted"),
+        (("fit", "parameters", "wear.upper.k"), FITTED["wear.lower.k"], "wear.upper.law is missi"),
+        ((*K, "start"), 1e-4, "start = 0.0001: must be within its bounds, 1e-09 to 1e-05"),
+        ((*K, "start"), None, "start is missing"),
+        ((*K, "start"), "much", 'start = "much": must be a finite number'),
+        ((*K, "bounds"), [1e-5, 1e-9], "bounds = [1e-05, 1e-09]: must be two increasing numbers"),
+        ((*K, "bounds"), [0.0, 1e-5], 'must be two increasing numbers > 0 where scale = "log"'),
+        ((*K, "bounds"), [-1.0, 1.0], "must be values that wear.lower.k may have"),
+        ((*K, "scale"), "ln", 'scale = "ln": must be one of linear, log'),
+        ((*K, "prior"), {"normal": [1e-7, 0]}, "must be { normal = [mean, sd] }"),
+        ((*K, "guess"), 1, "guess: unknown key"),
+        (("fit", "starts"), 0, "starts = 0: must be a whole number from 1"),
+        (("fit", "method"), "newton", "method = \"newton\": must be one of brgn, lm"),
+        (("fit", "intervals"), ["posterior"], '"posterior" is not built'),
+        (("fit", "level"), 95, "level = 95: must be a number > 0.5 and < 1"),
+        (("fit", "loss"), "l1", "must be one of gaussian, student"),
+        ((*PEN, "quantity"), "depth", 'quantity = "depth": must be one of penetration'),
+        ((*PEN, "file"), "nowhere.csv", "nowhere.csv: cannot be read"),
+        ((*PEN, "columns", "value"), "w_um", "no column w_um for value; must be one of t_s, z_um"),
+        ((*PEN, "units"), {"value": "parsecs per"}, "must be a unit that pint knows, such as mm"),
+        ((*PEN, "units"), {"value": "s"}, 'units.value = "s": must be a unit that pint knows'),
+        ((*PEN, "at"), 10.0, "must be absent beside file"),
+        ((*PEN, "value"), 10.0, "value = 10.0: must be absent beside file"),
+        ((*PEN, "sd"), None, "sd is missing"),
+        ((*PEN, "sd"), 0.0, "sd = 0.0: must be a finite number > 0"),
+        ((*PEN, "sd"), -1.0, "sd = -1.0: must be a finite number > 0"),
+        ((*PEN, "sd"), "noise", 'sd = "noise": must be a number, "fit", { relative = x } or a'),
+        ((*PROF, "sd"), {"relative": 0.01}, "must be in the data's unit where readings are near"),
+        ((*PEN, "sd"), {"relative": -1}, "must be { relative = x }, a number > 0"),
+        ((*PEN, "nuisance"), {"level": {}}, "nuisance.level: must be one of offset, drift"),
+        ((*PEN, "nuisance"), {"drift": {"prior": 1}}, "prior = 1: must be { normal"),
+        ((*PEN, "nuisance"), {"drift": {"bounds": [1, 0]}}, "must be two increasing numbers"),
+        ((*PEN, "exclude"), [[2, 1]], "must be a list of increasing pairs"),
+        ((*PEN, "exclude"), [[0, 1000]], "has no readings"),
+        ((*PEN, "densty"), 1.0, "densty: unknown key"),
+        ((*PROF, "at"), 100.1, "at = 100.1: must be within the test, which ends at 100 s"),
+        ((*PROF, "correlation_time"), 1.0, "must be absent for a profile"),
+        ((*PROF, "units"), {"r": "m", "value": "um"}, "r = 28000 mm: must be on the lower body"),
+        ((*PROF, "units"), {"r": "m", "value": "um"}, "a thousand times too large"),
+        (("experiment", 1, "data", 0, "file"), 0, "must be the name of a table"),
+        (("compare",), {"a": {"set": {}, "parameters": {}}}, "compare.a.parameters: is missing"),
+        (
+            ("compare",),
+            {"a": {"set": {"wear.lower.law": "x"}, "parameters": FITTED}},
+            'wear.lower.law = "x"',
+        ),
+        (("design",), {"criterion": "C"}, 'criterion = "C": must be one of D, A, eig'),
+    ],
+)  # fmt: skip
+def test_faults(path, value, said, good):
+    with pytest.raises(InputError) as caught:
+        read_fit(changed(good, path, value))
+    assert said in str(caught.value)
+    assert str(caught.value).startswith("fit: ") or "nowhere.toml" in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("rows", "said"),
+    [
+        ([(1, 1), (2, 1), (2, 1)], "line 4: time 2 s after 2 s: times must increase"),
+        ([(1, 1), (3, 1), (2, 1)], "line 4: time 2 s after 3 s: times must increase"),
+        ([(1, 1), (99, 1), (101, 1)], "line 4: time 101 s: must be within the test, from 0 to 100"),
+        ([(-1, 1), (99, 1)], "line 2: time -1 s: must be within the test"),
+        ([(1, 1), (2, 3e7)], "line 3: 30000 mm: must be less than the height of a body"),
+        ([(1, 1), (2, math.nan)], "1 readings: must be at least as many as are sought"),
+    ],
+)
+def test_faulty_times(rows, said, good, tmp_path):
+    write_table(tmp_path / "z.csv", ("t_s", "z_um"), *np.array(rows).T)
+    tables = changed(good, (*PEN, "file"), str(tmp_path / "z.csv"))
+    tables["experiment"] = tables["experiment"][:1]
+    del tables["experiment"][0]["data"][1]
+    with pytest.raises(InputError) as caught:
+        read_fit(tables)
+    assert said in str(caught.value)
+
+
+def test_all_faults_are_told_together(good):
+    tables = changed(good, (*PEN, "sd"), 0)
+    tables["fit"]["starts"] = -1
+    tables["experiment"][1]["data"][1]["at"] = 1e9
+    with pytest.raises(InputError) as caught:
+        read_fit(tables)
+    assert len(caught.value.faults) == 3
+
+
+def test_the_same_readings_twice(good):
+    path = good["experiment"][0]["data"][0]["file"]
+    with pytest.raises(InputError, match="has the readings of experiment"):
+        read_fit(changed(good, ("experiment", 1, "data", 0, "file"), path))
+
+
+@pytest.mark.parametrize("entry", [PEN, PROF])
+def test_wrong_signs(entry, good, tmp_path, comm):
+    data = good["experiment"][0]["data"][entry[-1]]
+    names = tuple(data["columns"].values())
+    x, y = np.genfromtxt(data["file"], delimiter=",", skip_header=1).T
+    write_table(tmp_path / "a.csv", names, x, -y)
+    with pytest.raises(InputError, match="has the wrong sign"):
+        fit(changed(good, (*entry, "file"), str(tmp_path / "a.csv")), comm)
+
+
+def test_a_quantity_that_does_not_respond(good, comm):
+    tables = copy.deepcopy(good)
+    tables["experiment"][0]["data"].append(
+        {"quantity": "mass.upper", "value": 0.0, "unit": "mg", "density": 7.8e-3, "sd": 0.1}
+    )
+    with pytest.raises(InputError, match=r"mass.upper: does not respond to any parameter"):
+        fit(tables, comm)
+
+
+def test_other_files_are_told(tmp_path):
+    (tmp_path / "case.toml").write_text(CASE)
+    with pytest.raises(InputError, match="is a case, not a fit file"):
+        read_fit(tmp_path / "case.toml")
+
+
+def test_inline_tables_over_lines_keep_line_numbers():
+    text = "a = { b = \"{\", # }\n c = 1 } # {\n[d]\ne = '}'\nf = [{ g = 1,\n h = 2 }, 3]\n"
+    found = tomllib.loads(on_one_line(text))
+    assert found == {"a": {"b": "{", "c": 1}, "d": {"e": "}", "f": [{"g": 1, "h": 2}, 3]}}
+    with pytest.raises(tomllib.TOMLDecodeError, match="line 7"):
+        tomllib.loads(on_one_line(text + "=\n"))

@@ -1,0 +1,93 @@
+"""Tables of measurements as laboratories write them, and their units."""
+
+import numpy as np
+import pytest
+
+from ringwear_par.cases.values import RejectedError
+from ringwear_par.errors import InputError
+from ringwear_par.identification.measurements import read_measurements
+from ringwear_par.identification.units import factor, unit_of_column
+
+
+def numbers(path, *names):
+    table = read_measurements(path)
+    rows = table.filled(*names)
+    return [table.numbers(name, rows).tolist() for name in names]
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "t,z\n0.5,1\n1.5,-2e-1\n",
+        "# a rig\n\nt;z\n0,5;1\n# a remark\n1,5;-2e-1\n",
+        "t\tz\n0.5\t1\n1.5\t-.2\n",
+        '\ufefft,z\r\n"0,5",1\r\n1.5,-0.2,\r\n',
+        "t;z;more\n0.5;1;\n;3;\n0.7;;x\n0.8;nan;\n1.5;-0.20;text\n",
+    ],
+)
+def test_tables(text, tmp_path):
+    path = tmp_path / "a.csv"
+    path.write_bytes(text.encode())
+    assert numbers(path, "t", "z") == [[0.5, 1.5], [1.0, -0.2]]
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-16", "cp1252"])
+def test_encodings(encoding, tmp_path):
+    path = tmp_path / "a.csv"
+    path.write_bytes("t;z [µm]\n1;2\n".encode(encoding))
+    assert numbers(path, "z [µm]") == [[2.0]]
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("", "is empty"),
+        ("# nothing\n", "is empty"),
+        ("1,2\n3,4\n", "line 1: 1, 2: must be the names of the columns"),
+        ("t,t\n3,4\n", "names two columns"),
+        ("t,z\n0,5,1\n", "line 2: has 3 values; must have 2, as the first line; decimal commas"),
+        ("t;z\n1\n", "line 2: has 1 values; must have 2"),
+        ("t;z\n\n1;1,2,3\n", "line 3: z = 1,2,3: must be a number, or empty"),
+        ("t;z\n1;1_0\n", "line 2: z = 1_0: must be a number"),
+        ("t;z\n1;inf\n", "line 2: z = inf: must be a number"),
+        ("t;z\n1;1e999\n", "line 2: z = 1e999: must be a number"),
+        ("t;z\0\n", "is not a text file"),
+    ],
+)
+def test_what_is_no_table(text, said, tmp_path):
+    path = tmp_path / "a.csv"
+    path.write_bytes(text.encode())
+    with pytest.raises(InputError) as caught:
+        numbers(path, "t", "z")
+    assert said in str(caught.value)
+    assert "a.csv" in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("unit", "base", "value"),
+    [
+        ("um", "mm", 1e-3), ("µm", "mm", 1e-3), ("min", "s", 60.0), ("h", "s", 3600.0),
+        ("N m", "N mm", 1e3), ("Nm", "N mm", 1e3), ("Ncm", "N mm", 10.0), ("mg", "g", 1e-3),
+        ("mm3", "mm^3", 1.0), ("cm^3", "mm^3", 1e3), ("kg/m3", "g/mm^3", 1e-6),
+        ("inch", "mm", 25.4),
+    ],
+)  # fmt: skip
+def test_units(unit, base, value):
+    assert factor(unit, base) == pytest.approx(value, rel=1e-12)
+
+
+@pytest.mark.parametrize("unit", ["", "s", "parsec parsec", "mm +", "x" * 99, "degC", "2 mm"])
+def test_what_is_no_length(unit):
+    with pytest.raises(RejectedError):
+        factor(unit, "mm")
+
+
+def test_units_of_columns():
+    found = [
+        unit_of_column(name, "mm")
+        for name in ("z_um", "z [um]", "depth (µm)", "z", "wear_lower", "t_s", "z_mm")
+    ]
+    assert found == ["um", "um", "µm", None, None, None, "mm"]
+    assert unit_of_column("M_Nm", "N mm") == "Nm"
+    assert unit_of_column("M [N m]", "N mm") == "N m"
+    assert np.isclose(factor("Nm", "N mm"), 1e3)

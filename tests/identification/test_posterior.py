@@ -1,0 +1,148 @@
+"""Samples of the posterior: exact where the model is linear, within bounds, alike on all ranks."""
+
+from dataclasses import replace
+
+import h5py
+import numpy as np
+import pytest
+from laboratory import FITTED, fit_tables, write_tests
+from scipy.stats import truncnorm
+
+from ringwear_par.identification.fit import fit, predicted
+from ringwear_par.identification.fit_file import read_fit
+from ringwear_par.identification.intervals import estimates
+from ringwear_par.identification.least_squares import LeastSquares
+from ringwear_par.identification.posterior import sample_posterior
+
+
+@pytest.fixture(scope="module")
+def laboratory(tmp_path_factory):
+    """Two tests with noise, and their folder."""
+    folder = tmp_path_factory.mktemp("posterior")
+    return folder, write_tests(folder)
+
+
+class LinearHistories:
+    """What takes the place of histories: readings that are linear in the unknowns."""
+
+    count = 0
+
+    def __init__(self, problem, response):
+        self._problem, self._response = problem, response
+        self._start = np.array([p.start for p in problem.parameters])
+
+    def responses(self, points, derivatives=True):
+        """Return readings at points, with derivatives."""
+        parameters = self._problem.parameters
+        slopes = np.array([p.slope(v) for p, v in zip(parameters, self._start, strict=True)])
+        by_unknowns = self._response[:, 1:] * slopes
+        found = []
+        for point in points:
+            ends = zip(parameters, point, self._start, strict=True)
+            shift = [p.unknown(v) - p.unknown(s) for p, v, s in ends]
+            readings = self._response[:, :1] + (by_unknowns @ shift)[:, None]
+            at = [p.slope(v) for p, v in zip(parameters, point, strict=True)]
+            found.append(np.concatenate([readings, by_unknowns / at], axis=1)
+                         if derivatives else readings)  # fmt: skip
+        return found
+
+
+@pytest.fixture(scope="module")
+def linear(laboratory):
+    """A function that makes a linear problem, its optimum, covariance and samples."""
+    known = {}
+
+    def made(comm, samples=4000, **changes):
+        folder, written = laboratory
+        tables = fit_tables(folder, written, intervals=["posterior"], samples=samples)
+        problem = read_fit(tables)
+        if not known:
+            start = {"wear.lower.k": 1.3e-7, "wear.lower.p0": 25.0}
+            at = replace(problem, parameters=tuple(
+                replace(p, start=start[p.key]) for p in problem.parameters))  # fmt: skip
+            found = predicted(at, comm)
+            bare = found.squares.bare(found.x)[:, None]
+            known["problem"] = at
+            known["response"] = np.concatenate([bare, found.evaluation.sensitivity], axis=1)
+        settings = replace(problem.settings, **changes.pop("settings", {}))
+        parameters = tuple(
+            replace(p, **changes.get(p.key, {})) for p in known["problem"].parameters
+        )
+        problem = replace(problem, settings=settings, parameters=parameters)
+        histories = LinearHistories(known["problem"], known["response"])
+        squares = LeastSquares(problem, histories)
+        x = squares.started([p.start for p in parameters])
+        for _ in range(3):  # all unknowns at once, until nothing changes
+            found = squares.evaluate(x)
+            step = np.linalg.lstsq(found.jacobian, -found.residuals, rcond=None)[0]
+            x = np.clip(x + step, squares.lower, squares.upper)
+        found = squares.evaluate(x)
+        _, covariance = estimates(squares, x, found)
+        drawn = sample_posterior(squares, histories, x, covariance, comm, lambda: False)
+        unknowns = np.array(
+            [[p.unknown(v) for p, v in zip(parameters, row, strict=True)] for row in drawn.samples]
+        )
+        return x, covariance, unknowns, drawn
+
+    return made
+
+
+def test_samples_of_a_linear_model_are_normal(linear, comm):
+    """Mean, standard deviations and correlation within what so many samples tell."""
+    x, covariance, unknowns, drawn = linear(comm)
+    assert drawn.effective > 500
+    error = 4.0 / np.sqrt(drawn.effective)
+    sd = np.sqrt(np.diag(covariance))[:2]
+    assert unknowns.std(axis=0) == pytest.approx(sd, rel=error)
+    assert np.abs(unknowns.mean(axis=0) - x[:2]).max() < error * sd.max()
+    assert np.all(np.abs(unknowns.mean(axis=0) - x[:2]) < error * sd)
+    correlation = covariance[0, 1] / sd.prod()
+    assert np.corrcoef(unknowns.T)[0, 1] == pytest.approx(correlation, abs=error)
+    assert comm.bcast(unknowns.tobytes()) == unknowns.tobytes()
+
+
+def test_samples_keep_to_a_bound(linear, comm):
+    """A normal distribution of p0 that is cut off at its mean."""
+    x, covariance, _, _ = linear(comm)
+    low, sd = float(x[1]), float(np.sqrt(covariance[1, 1]))
+    _, _, unknowns, drawn = linear(
+        comm, **{"wear.lower.p0": {"bounds": (low, 200.0), "start": low + sd}}
+    )
+    error = 4.0 / np.sqrt(drawn.effective)
+    assert unknowns[:, 1].min() >= low
+    expected = truncnorm(0.0, np.inf, loc=low, scale=sd)
+    assert unknowns[:, 1].mean() == pytest.approx(expected.mean(), abs=error * sd)
+
+
+def test_priors_count(linear, comm):
+    """A prior as wide as what the readings tell halves the variance."""
+    _, covariance, _, _ = linear(comm)
+    from ringwear_par.identification.problem import Prior
+
+    sd = float(np.sqrt(covariance[1, 1]))
+    _, _, unknowns, drawn = linear(comm, **{"wear.lower.p0": {"prior": Prior(25.0, sd)}})
+    error = 4.0 / np.sqrt(drawn.effective)
+    assert unknowns[:, 1].std() == pytest.approx(sd / np.sqrt(2.0), rel=error)
+
+
+def test_outliers_widen_the_student_loss_only(linear, comm):
+    """Without outliers a Student distribution tells 7/5 of the variance."""
+    _, covariance, unknowns, drawn = linear(comm, samples=1000, settings={"loss": "student"})
+    error = 4.0 / np.sqrt(drawn.effective)
+    sd = np.sqrt(np.diag(covariance))[:2]
+    assert unknowns.std(axis=0) == pytest.approx(sd, rel=error + 0.15)
+
+
+@pytest.mark.serial
+def test_samples_are_kept(laboratory, comm, tmp_path):
+    folder, written = laboratory
+    found = fit(fit_tables(folder, written, intervals=["posterior"], samples=64, starts=1), comm)
+    assert len(found.posterior.samples) >= 64
+    assert any("samples are worth" in sentence for sentence in found.warnings)
+    found.save(tmp_path / "out")
+    with h5py.File(tmp_path / "out/results.h5") as file:
+        assert file["posterior/wear.lower.p0"][:].tolist() == found.posterior.samples[:, 1].tolist()
+    told = found.to_dict()["parameters"]["wear.lower.p0"]["posterior"]
+    low, high = told["interval"]
+    assert FITTED["wear.lower.p0"]["bounds"][0] <= low < told["median"] < high
+    assert "posterior:" in found.summary()

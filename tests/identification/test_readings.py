@@ -1,0 +1,117 @@
+"""What instruments read of a history: between steps, along the radius, with noise in time."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from laboratory import fit_tables, write_tests
+
+import ringwear_par as rw
+from ringwear_par.identification.fit_file import read_fit
+from ringwear_par.identification.histories import Histories
+from ringwear_par.identification.problem import Nuisance, Series
+from ringwear_par.identification.readings import in_steps, nuisance_columns, whitened
+from ringwear_par.identification.steps import step_times
+
+SERIES = Series("a", "penetration", np.arange(1.0, 6.0), np.zeros(5), np.ones(5), factor=1e-3)
+
+
+def test_readings_between_steps_do_not_round_a_kink():
+    breaks = (0.0, 40.0, 40.001, 100.0)
+    early = np.geomspace(1e-2, 40.0, 40)
+    late = 40.001 + np.geomspace(1e-2, 59.999, 40)
+    time = np.concatenate([[0.0], early, [40.0005, 40.001], late])
+
+    def exact(t):
+        return np.where(t <= 40.0, 1 - np.exp(-t / 5), 3 - np.exp(-8.0) - np.exp(-(t - 40) / 5))
+
+    at = np.setdiff1d(np.linspace(0.1, 100.0, 400), [40.0005])
+    read = in_steps(time, exact(time)[:, None], at, breaks)[:, 0]
+    assert np.abs(read - exact(at)).max() < 1e-4
+
+
+def test_noise_in_time_becomes_white():
+    rng = np.random.default_rng(3)
+    x = np.cumsum(rng.uniform(0.5, 2.0, 4000))
+    series = replace(SERIES, x=x, correlation_time=3.0)
+    noise = np.empty(len(x))
+    noise[0] = rng.standard_normal()
+    for i in range(1, len(x)):
+        share = np.exp(-(x[i] - x[i - 1]) / 3.0)
+        noise[i] = share * noise[i - 1] + np.sqrt(1 - share**2) * rng.standard_normal()
+    white = whitened(series, noise)
+    assert np.corrcoef(noise[1:], noise[:-1])[0, 1] > 0.5
+    assert abs(np.corrcoef(white[1:], white[:-1])[0, 1]) < 4 / np.sqrt(len(x))
+    assert np.std(white) == pytest.approx(1.0, abs=0.05)
+
+
+def test_nuisances():
+    load = [[0, 40], [2, 40], [4, 80]]
+    case = rw.read_case("scripts/cases/paper.toml", {"load.force": load, "time.steps": 10})
+    kinds = tuple(Nuisance(kind) for kind in ("offset", "drift", "compliance"))
+    columns = nuisance_columns(replace(SERIES, nuisances=kinds), case)
+    expected = [np.ones(5), SERIES.x / 10.0, 1e-3 * np.array([0, 0, 20, 40, 40])]
+    assert pytest.approx(1e-3 * np.array(expected)) == columns.T
+    tilted = replace(SERIES, quantity="profile.lower", nuisances=(Nuisance("tilt"),))
+    assert nuisance_columns(tilted, case)[:, 0] == pytest.approx(1e-3 * (SERIES.x - 30.0))
+
+
+@pytest.fixture(scope="module")
+def problem(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("laboratory")
+    experiments = write_tests(folder, (60.0,), seed=None)
+    for data in experiments[0]["data"]:
+        del data["nuisance"]
+    experiments[0]["data"] += [
+        {"quantity": "mass.lower", "value": 1.0, "unit": "mg", "density": 7.8e-3, "sd": 0.1},
+        {"quantity": "volume.lower", "value": 1.0, "unit": "mm3", "at": 50.0, "sd": 0.1},
+        {"quantity": "torque", "value": 1.0, "unit": "N m", "at": 50.0, "sd": 0.1},
+        {"quantity": "approach", "value": 1.0, "unit": "um", "at": 50.0, "sd": 0.1},
+    ]
+    return read_fit(fit_tables(folder, experiments))
+
+
+def test_readings_are_those_of_the_history(problem, comm):
+    """Against a history with its own small steps, in units of what instruments resolve."""
+    experiment = problem.experiments[0]
+    (found,) = Histories(problem, comm).responses(np.array([[1.3e-7, 25.0]]))
+    fine = {"time.tolerance": 1e-7, "output.fields": ["wear_lower"], "output.times": [50.0]}
+    truth = {"wear.lower.k": 1.3e-7, "wear.lower.p0": 25.0}
+    result = rw.simulate(experiment.case.replace({**truth, **fine}))
+    middle, last = 1, 2
+    pen, prof, mass, volume, torque, approach = np.split(
+        found[:, 0], np.cumsum([s.n for s in experiment.series])[:-1]
+    )
+    assert result.histories["time"][middle] == 50.0
+    assert pen[-1] == pytest.approx(result.histories["penetration"][last], abs=2e-5)
+    flank = (experiment.series[1].x < 28.5) | (experiment.series[1].x > 31.5)
+    assert (prof[flank] == 0).all()
+    assert (prof[~flank] > 1e-3).all()
+    at_mid_points = np.interp(result.line.r, experiment.series[1].x, prof)[3:-3]
+    assert at_mid_points == pytest.approx(result.profiles["wear_lower"][last][3:-3], rel=0.02)
+    assert mass[0] == pytest.approx(7.8e-3 * result.histories["worn_volume_lower"][last], rel=2e-3)
+    assert volume[0] == pytest.approx(result.histories["worn_volume_lower"][middle], rel=4e-3)
+    assert torque[0] == pytest.approx(result.histories["torque"][middle], rel=1e-4)
+    assert approach[0] == pytest.approx(result.histories["approach"][middle], abs=2e-5)
+
+
+def test_readings_have_their_derivatives(problem, comm):
+    """Central differences over the same steps."""
+    histories, point = Histories(problem, comm), np.array([1.3e-7, 25.0])
+    (found,) = histories.responses(point[None])
+    for j in range(2):
+        step = 1e-4 * point[j] * np.eye(2)[j]
+        up, down = histories.responses(np.array([point + step, point - step]))
+        slope = (up[:, 0] - down[:, 0]) / (2 * step[j])
+        assert np.abs(slope - found[:, 1 + j]).max() < 1e-5 * np.abs(slope).max()
+
+
+def test_steps_end_where_schedules_bend_and_profiles_are_read(problem):
+    experiment = problem.experiments[0]
+    load = {"load.pressure": [[0, 40], [30, 40], [30.1, 80], [100, 80]]}
+    series = (replace(experiment.series[1], at=70.0),)
+    bent = replace(experiment, case=experiment.case.replace(load), series=series)
+    times = step_times(bent)
+    assert {30.0, 30.1, 70.0, 100.0} <= set(times.tolist())
+    assert (np.diff(times) > 0).all()
+    assert 30 < len(times) < 80

@@ -1,0 +1,101 @@
+"""A laboratory for tests: rings of few elements, what instruments read of them, and fit files."""
+
+from pathlib import Path
+
+import numpy as np
+from mpi4py import MPI
+
+import ringwear_par as rw
+
+CASE = (Path(__file__).parents[1] / "scripts/cases/paper.toml").read_text() + (
+    "\n[mesh]\ncontact_elements = 12\n"
+)
+TRUTH = {"wear.lower.k": 1.3e-7, "wear.lower.p0": 25.0}
+FITTED = {
+    "wear.lower.k": {"start": 1e-7, "bounds": [1e-9, 1e-5], "scale": "log"},
+    "wear.lower.p0": {"start": 0.0, "bounds": [0.0, 200.0]},
+}
+END = 100.0
+#: mm
+SD_PENETRATION, SD_PROFILE = 2e-4, 8e-5
+
+
+def history(pressure, truth=TRUTH, end=END, **changes):
+    """Return the history of a test with many steps."""
+    steps = {"time.scheme": "adaptive", "time.end": end, "time.tolerance": 1e-7}
+    with_rings = {"load.pressure": pressure, "load.omega": 3.5, **truth, **changes}
+    path = Path(__file__).parents[1] / "scripts/cases/paper.toml"
+    case = rw.read_case(path, {"mesh.contact_elements": 12, **steps, **with_rings})
+    return rw.simulate(case, MPI.COMM_SELF)
+
+
+def penetration(result, rng=None, times=None, offset=1e-3, drift=3e-4):
+    """Return times (s) and penetrations (mm) with noise, offset and drift."""
+    end = result.histories["time"][-1]
+    times = np.linspace(end / 50, end, 50) if times is None else times
+    there = result.histories["time"]
+    values = np.interp(times, there, result.histories["penetration"]) + offset
+    noise = 0.0 if rng is None else SD_PENETRATION * rng.standard_normal(len(times))
+    return times, values + drift * times / end + noise
+
+
+def profile(result, rng=None, level=2e-4, tilt=5e-5, body="lower"):
+    """Return radii (mm) and depths (mm) with noise, flanks, level and tilt."""
+    r = np.concatenate([np.linspace(28.0, 28.4, 15), np.linspace(28.6, 31.4, 60),
+                        np.linspace(31.6, 32.0, 15)])  # fmt: skip
+    inside = (r > 28.5) & (r < 31.5)
+    depth = np.where(inside, np.interp(r, result.line.r, result.profiles[f"wear_{body}"][-1]), 0.0)
+    noise = 0.0 if rng is None else SD_PROFILE * rng.standard_normal(len(r))
+    return r, depth + level + tilt * (r - 30.0) + noise
+
+
+def write_table(path, names, *columns):
+    """Write a table with commas."""
+    rows = [",".join(f"{v:.9g}" for v in row) for row in zip(*columns, strict=True)]
+    path.write_text("\n".join([",".join(names), *rows]) + "\n")
+
+
+def write_tests(folder, pressures=(40.0, 85.0), seed=1, **changes):
+    """Write the tables of some tests and return the experiments of a fit file as dicts."""
+    rng = None if seed is None else np.random.default_rng(seed)
+    experiments = []
+    for number, pressure in enumerate(pressures, start=1):
+        result = history(pressure, **changes)
+        t, z = penetration(result, rng)
+        r, d = profile(result, rng)
+        write_table(folder / f"z{number}.csv", ("t_s", "z_um"), t, 1e3 * z)
+        write_table(folder / f"d{number}.csv", ("r_mm", "d_um"), r, 1e3 * d)
+        experiments.append(
+            {
+                "name": f"test {number}",
+                "set": {"load.pressure": pressure, "load.omega": 3.5, "time.end": END},
+                "data": [
+                    {
+                        "quantity": "penetration",
+                        "file": str(folder / f"z{number}.csv"),
+                        "columns": {"time": "t_s", "value": "z_um"},
+                        "sd": 0.2,
+                        "nuisance": {"offset": {}, "drift": {"prior": {"normal": [0.0, 0.5]}}},
+                    },
+                    {
+                        "quantity": "profile.lower",
+                        "at": END,
+                        "file": str(folder / f"d{number}.csv"),
+                        "columns": {"r": "r_mm", "value": "d_um"},
+                        "sd": 0.08,
+                        "nuisance": {"level": {}, "tilt": {}},
+                    },
+                ],
+            }
+        )
+    (folder / "case.toml").write_text(CASE)
+    return experiments
+
+
+def fit_tables(folder, experiments, **fit):
+    """Return a fit file as a dict."""
+    return {
+        "case": str(folder / "case.toml"),
+        "fit": {"parameters": dict(FITTED), "starts": 2, **fit},
+        "experiment": experiments,
+    }
