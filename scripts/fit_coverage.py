@@ -1,15 +1,16 @@
 """How often intervals of a fit hold the truth: synthetic repeats of two tests, seeds fixed.
 
-python scripts/fit_coverage.py [--repeats 200]
+python scripts/fit_coverage.py [--repeats 200] [--tests LOAD SECONDS ...]
 
-The paper's rings at 50 and 100 MPa, 100 s each: penetrations (0.2 um, offset, drift of 0.5 um) and
-profiles of the lower ring at the end (0.1 um, not levelled). Readings come from histories of ten
-times as many steps. All repeats advance side by side.
+The paper's rings, at 50 and 100 MPa for 100 s each unless other tests are named: penetrations every
+second (0.2 um, offset, drift of 0.5 um) and profiles of the lower ring at the end (0.1 um, not
+levelled). Readings come from histories of ten times as many steps; repeats advance side by side.
 """
 
 import argparse
+import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -33,18 +34,20 @@ DRIFT = 0.5
 CASE = str(Path(__file__).parent / "cases/paper.toml")
 
 
-def problem(folder: Path) -> Problem:
-    """Return the problem, with readings that are to be replaced."""
-    t, r = np.linspace(1.0, 100.0, 100), np.linspace(28.0, 32.0, 81)
-    times, profile = folder / "t.csv", folder / "r.csv"
-    times.write_text("t_s,z_um\n" + "".join(f"{v:g},{i:g}\n" for i, v in enumerate(t)))
+def problem(folder: Path, tests: Sequence[tuple[float, float]]) -> Problem:
+    """Return the problem, with readings that are to be replaced, of tests of MPa and s."""
+    r = np.linspace(28.0, 32.0, 81)
+    profile = folder / "r.csv"
     profile.write_text("r_mm,d_um\n" + "".join(f"{v:g},{i:g}\n" for i, v in enumerate(r)))
 
-    def experiment(pressure: float) -> dict[str, Any]:
+    def experiment(number: int, pressure: float, seconds: float) -> dict[str, Any]:
         drift = {"prior": {"normal": [0.0, DRIFT]}}
+        times = folder / f"t{number}.csv"
+        read = np.arange(1.0, seconds + 0.5)
+        times.write_text("t_s,z_um\n" + "".join(f"{v:g},{i:g}\n" for i, v in enumerate(read)))
         return {
-            "name": f"{pressure:g} MPa",
-            "set": {"load.pressure": pressure, "load.omega": 85 / 24, "time.end": 100.0},
+            "name": f"test {number}: {pressure:g} MPa",
+            "set": {"load.pressure": pressure, "load.omega": 85 / 24, "time.end": seconds},
             "data": [
                 {"quantity": "penetration", "file": str(times), "sd": 0.2,
                  "columns": {"time": "t_s", "value": "z_um"},
@@ -62,7 +65,10 @@ def problem(folder: Path) -> Problem:
     }
     tables = {"case": CASE, "fit": {"parameters": sought}}
     # the files hold the same numbers, which two tests may not
-    read = [read_fit({**tables, "experiment": [experiment(p)]}) for p in (50.0, 100.0)]
+    read = [
+        read_fit({**tables, "experiment": [experiment(number, *test)]})
+        for number, test in enumerate(tests, start=1)
+    ]
     return replace(read[0], experiments=tuple(one.experiments[0] for one in read))
 
 
@@ -78,16 +84,22 @@ def repeated(asked: Problem, truth: FloatArray, rng: np.random.Generator) -> Pro
                 shift = 3e-4 * rng.standard_normal() + 1e-4 * rng.standard_normal() * (one.x - 30)
             else:
                 shift = 1e-3 * rng.standard_normal()
-                shift = shift + 1e-3 * DRIFT * rng.standard_normal() * one.x / 100.0
+                drift = 1e-3 * DRIFT * rng.standard_normal()
+                shift = shift + drift * one.x / experiment.case.time.end
             noise = one.sd * rng.standard_normal(one.n)
             series.append(replace(one, value=bare + shift + noise))
         experiments.append(replace(experiment, series=tuple(series)))
     return replace(asked, experiments=tuple(experiments))
 
 
-def coverage(repeats: int, folder: Path) -> tuple[FloatArray, int, float]:
-    """Return errors over their sd (repeats, parameters), chi2 over freedom, histories and CPU s."""
-    asked = problem(folder)
+def coverage(asked: Problem, repeats: int) -> tuple[FloatArray, FloatArray, FloatArray, int, float]:
+    """Return what came of all repeats.
+
+    Returns
+    -------
+    Estimates and their sd, (repeats, 2, parameters); chi2 over its freedom and whether converged,
+    (repeats, 2); predicted sd (parameters,); histories computed; CPU s.
+    """
     histories = Histories(asked, MPI.COMM_SELF)
     point = np.array(list(TRUTH.values()))
     truth = histories.responses(point[None], 10 * STEPS)[0][:, 0]
@@ -100,8 +112,8 @@ def coverage(repeats: int, folder: Path) -> tuple[FloatArray, int, float]:
         squares.known = known  # the histories do not depend on the noise
     begun, before = time.process_time(), histories.count
 
-    def job(squares: LeastSquares) -> Callable[[Meet], list[float]]:
-        def run(meet: Meet) -> list[float]:
+    def job(squares: LeastSquares) -> Callable[[Meet], tuple[Any, Any]]:
+        def run(meet: Meet) -> tuple[Any, Any]:
             def evaluate(x: FloatArray) -> Evaluation:
                 if not squares.knows(x):
                     meet(x)
@@ -111,9 +123,9 @@ def coverage(repeats: int, folder: Path) -> tuple[FloatArray, int, float]:
             bounds = squares.lower, squares.upper
             found = minimise(evaluate, start, bounds, "brgn", squares.idle, squares.linear)
             told, _ = estimates(squares, found.x, found.evaluation)
-            errors = [(p.estimate - t) / p.sd for p, t in zip(told, point, strict=True)]
-            chi2 = 2 * found.evaluation.objective
-            return [*errors, chi2 / (squares.n + 2 - len(squares.names)), found.converged]
+            values = [[p.estimate for p in told], [p.sd for p in told]]
+            freedom = squares.n + len(squares.priors) - len(squares.names)
+            return values, [2 * found.evaluation.objective / freedom, found.converged]
 
         return run
 
@@ -122,27 +134,40 @@ def coverage(repeats: int, folder: Path) -> tuple[FloatArray, int, float]:
     if failed:
         raise failed[0]
     seconds = time.process_time() - begun
-    return np.array(rows, dtype=float), histories.count - before, seconds
+    spent = histories.count - before
+    values, quality = (np.array(part, dtype=float) for part in zip(*rows, strict=True))
+    x = posed[0].started(point.tolist())
+    told, _ = estimates(posed[0], x, posed[0].evaluate(x))
+    return values, quality, np.array([p.sd for p in told]), spent, seconds
 
 
 def main() -> None:
-    """Print how often the truth is within two standard deviations."""
-    import tempfile
-
+    """Print how often the truth is within two standard deviations, and how estimates scatter."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--repeats", type=int, default=200)
-    repeats = parser.parse_args().repeats
+    parser.add_argument(
+        "--tests", type=float, nargs="+", default=[50.0, 100.0, 100.0, 100.0],
+        help="load (MPa) and duration (s) of each test",
+    )  # fmt: skip
+    args = parser.parse_args()
+    tests = list(zip(args.tests[::2], args.tests[1::2], strict=True))
     start_petsc([])
     with tempfile.TemporaryDirectory() as folder:
-        rows, histories, seconds = coverage(repeats, Path(folder))
-    for key, errors in zip(TRUTH, rows.T, strict=False):
-        inside = np.mean(np.abs(errors) < 2.0)
-        print(f"{key}: within 2 sd {100 * inside:.1f} %, errors {errors.mean():+.2f} +- "
-              f"{errors.std():.2f} sd")  # fmt: skip
+        asked = problem(Path(folder), tests)
+    values, quality, predicted, histories, seconds = coverage(asked, args.repeats)
+    for j, (key, true) in enumerate(TRUTH.items()):
+        found, sds = values[:, 0, j], values[:, 1, j]
+        errors = (found - true) / sds
+        scatter = found.std(ddof=1)
+        print(
+            f"{key}: within 2 sd {100 * np.mean(np.abs(errors) < 2.0):.1f} %, errors "
+            f"{errors.mean():+.2f} +- {errors.std():.2f} sd; scatter {scatter:.4g}, "
+            f"{scatter / predicted[j]:.3f} of the predicted sd"
+        )
     print(
-        f"chi2 / freedom {rows[:, 2].mean():.3f}; converged {int(rows[:, 3].sum())} of {repeats}; "
-        f"{histories / repeats / 2:.1f} histories an experiment; {seconds / repeats:.2f} s of CPU "
-        "a fit, side by side"
+        f"chi2 / freedom {quality[:, 0].mean():.3f}; converged {int(quality[:, 1].sum())} of "
+        f"{args.repeats}; {histories / args.repeats / len(tests):.1f} histories an experiment; "
+        f"{seconds / args.repeats:.2f} s of CPU a fit, side by side"
     )
 
 
