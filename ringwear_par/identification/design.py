@@ -50,6 +50,7 @@ class DesignResult:
     designs : the best ones, the best first.
     planned : what the experiments of the fit file tell by themselves.
     nominal : (m,) values of the keys, as they seem to be.
+    information : (m, m) of the unknowns, known before.
     draws : how many values of the keys were looked at.
     after : the earlier fit whose information counts, "" for none.
     pairs, pair_scores : of two tests: (c, c, m) predicted standard deviations, and (c, c) scores;
@@ -67,6 +68,7 @@ class DesignResult:
     designs: tuple[Design, ...]
     planned: Design
     nominal: FloatArray
+    information: FloatArray
     draws: int
     after: str
     pairs: FloatArray
@@ -197,7 +199,8 @@ def design(
     left = [number for number in range(len(tests)) if number not in failures]
     shortest = min((tests[number].seconds for number in left), default=np.inf)
     space = problem.design
-    if shortest * space.experiments > (np.inf if space.seconds is None else space.seconds):
+    limit = np.inf if space.seconds is None else space.seconds * (1.0 + 1e-9)
+    if not left or shortest * space.experiments > limit:
         why = next(iter(failures.values()), "")
         raise ComputationError(
             f"{problem.name}: design: {len(failures)} of {len(tests)} tests cannot be computed, "
@@ -206,11 +209,11 @@ def design(
     search = Search(problem, told, information[:, left], [tests[number] for number in left])
     best = search.best(space.experiments)
     pairs, scores = search.pairs() if space.experiments == 2 else (np.zeros((0, 0, 0)),) * 2
+    failed = {tests[number]: why for number, why in failures.items()}
     return DesignResult(
         problem, space.criterion, tuple(tests[number] for number in left), search.singles(),
-        tuple(best), search.planned(planned), told.nominal, len(told.draws), told.after, pairs,
-        scores, {tests[number]: why for number, why in failures.items()}, histories + more,
-        versions(), comm,
+        tuple(best), search.planned(planned), told.nominal, told.information, len(told.draws),
+        told.after, pairs, scores, failed, histories + more, versions(), comm,
     )  # fmt: skip
 
 

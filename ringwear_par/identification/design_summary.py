@@ -11,6 +11,7 @@ from ringwear_par.cases.keys import flatten
 from ringwear_par.cases.text import toml_value
 from ringwear_par.errors import ComputationError
 from ringwear_par.identification.candidates import LOADS, Candidate
+from ringwear_par.identification.inline_tables import on_one_line
 from ringwear_par.identification.storing import check
 from ringwear_par.identification.summary import unit_of
 from ringwear_par.textfiles import parse_toml
@@ -100,7 +101,9 @@ def _spreads(found: "DesignResult", one: "Design") -> str:
 
 def set_of(found: "DesignResult", test: Candidate) -> dict[str, Any]:
     """Return all case keys that an experiment of a fit file sets for a test."""
-    table = parse_toml(found.problem.text, found.problem.name)["experiment"][0].get("set", {})
+    table = parse_toml(on_one_line(found.problem.text), found.problem.name)["experiment"][0].get(
+        "set", {}
+    )
     own, changes = flatten(table, "set"), test.changes()
     loads = {*LOADS, "load.displacement"} if set(LOADS) & changes.keys() else set()
     return {key: value for key, value in own.items() if key not in loads} | changes

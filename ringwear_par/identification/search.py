@@ -11,8 +11,8 @@ from ringwear_par.identification.belief import Belief, widths
 from ringwear_par.identification.candidates import Candidate
 from ringwear_par.identification.problem import Problem
 
-#: information, over the widths of bounds, that is no more than round-off
-_NOTHING = 1e-9
+#: information, over the widths of bounds, that is none; and beside the largest
+_NOTHING, _ROUND_OFF = 1e-9, 1e-13
 #: pairs of candidates that are looked at together
 _AT_ONCE = 20_000
 #: designs that are told, and rounds of exchange in their search
@@ -118,7 +118,7 @@ class Search:
         """Return the mean over draws of the criterion of information (d, rows, m, m)."""
         after = information + self._before + self._floor
         if self._space.criterion == "A":
-            scores = -np.trace(np.linalg.inv(after), axis1=-2, axis2=-1)
+            scores = -np.trace(_inverse(after), axis1=-2, axis2=-1)
         else:
             scores = 0.5 * np.linalg.slogdet(after)[1]
             if self._space.criterion == "eig":
@@ -149,7 +149,7 @@ class Search:
         return self._predicted((), whole, float(self._score(whole[:, None])[0]))
 
     def _predicted(self, tests: tuple[int, ...], whole: FloatArray, score: float) -> Design:
-        covariance = np.linalg.inv(whole + self._before + self._floor)
+        covariance = _inverse(whole + self._before + self._floor)
         spread = self._natural(covariance)
         nominal = covariance[0]
         root = np.sqrt(np.diag(nominal))
@@ -167,7 +167,7 @@ class Search:
 
     def singles(self) -> FloatArray:
         """Return predicted standard deviations after each candidate alone, (c, m)."""
-        return self._natural(np.linalg.inv(self._information[0] + self._before + self._floor))
+        return self._natural(_inverse(self._information[0] + self._before + self._floor))
 
     def pairs(self) -> tuple[FloatArray, FloatArray]:
         """Return those after two candidates, (c, c, m), and their scores (c, c).
@@ -176,7 +176,7 @@ class Search:
         """
         information, c = self._information[0], len(self._seconds)
         rows = [
-            self._natural(np.linalg.inv(information + one + self._before + self._floor))
+            self._natural(_inverse(information + one + self._before + self._floor))
             for one in information
         ]
         upper = np.stack(np.triu_indices(c), axis=1)
@@ -185,3 +185,11 @@ class Search:
         upper = upper[self._seconds[upper].sum(axis=1) <= limit]
         scores[upper[:, 0], upper[:, 1]] = scores[upper[:, 1], upper[:, 0]] = self._scores(upper)
         return np.array(rows), scores
+
+
+def _inverse(information: FloatArray) -> FloatArray:
+    """Return the inverse (..., m, m), lost directions as large as round-off has it."""
+    values, vectors = np.linalg.eigh(information)
+    values = np.maximum(values, np.maximum(_NOTHING, _ROUND_OFF * values[..., -1:]))
+    inverse: FloatArray = (vectors / values[..., None, :]) @ np.swapaxes(vectors, -1, -2)
+    return inverse
