@@ -19,7 +19,7 @@ LOADS = ("load.pressure", "load.force")
 _STEPS, _PROFILES = "load.steps", "profiles"
 _VARY = (*LOADS, "load.omega", "time.end", _STEPS, _PROFILES)
 _COUNTS = {_STEPS: 4, _PROFILES: 4}
-MOST_EXPERIMENTS = 6
+MOST_EXPERIMENTS, MOST_CANDIDATES = 6, 2000
 
 #: values of a range that are tried; of loads where a test has several; of durations
 _LEVELS, _STEP_LEVELS, _DURATIONS, _SPEEDS = 15, 6, 10, 3
@@ -100,11 +100,6 @@ def read_space(said: str, table: Any, faults: list[str]) -> Space:
     ):
         limits.wrong("experiments", f"must be a whole number from 1 to {MOST_EXPERIMENTS}")
         count = 1
-    shortest = ranges.get("time.end", (0.0,))[0]
-    if seconds is not None and shortest * count > seconds * (1.0 + 1e-9):
-        limits.wrong(
-            "time.end", f"must be at least {shortest * count:g}, {count} of the shortest tests"
-        )
     return Space(criterion, ranges, seconds, count)  # type: ignore[arg-type]
 
 
@@ -124,6 +119,16 @@ def _range(reader: TableReader, key: str) -> tuple[float, float] | None:
         reader.wrong(key, f"must be [lowest, highest], two numbers, {allowed}")
         return None
     return float(value[0]), float(value[1])
+
+
+def count_of(space: Space) -> int:
+    """Return how many tests a space has."""
+    load = next((key for key in LOADS if key in space.ranges), None)
+    found = len(_sequences(space, load, _counts(space, _STEPS, 1)))
+    found *= len(_counts(space, _PROFILES, 1))
+    for key, count in (("time.end", _DURATIONS), ("load.omega", _SPEEDS)):
+        found *= max(len(_levels(space, key, count)), 1)
+    return found
 
 
 def candidates(space: Space, template: Experiment) -> list[Candidate]:
@@ -198,17 +203,23 @@ def _changes(keys: Mapping[str, Any], end: float) -> dict[str, Any]:
 def _measured(template: Experiment, case: Case, profiles: int) -> tuple[Series, ...]:
     """Return what would be read of a case: records at their rate, all else at its part of the test.
 
-    Noise is that of the template, of records its median.
+    Noise is that of the template, of records its median. Of profiles of one body at several times
+    the last one serves.
     """
     longer = case.time.end / template.case.time.end
+    last: dict[str, Series] = {}
+    for series in template.series:
+        known = last.get(series.quantity)
+        if series.profile and (known is None or _at(series) > _at(known)):
+            last[series.quantity] = series
     found: list[Series] = []
     for series in template.series:
         if series.profile:
-            assert series.at is not None
-            found += [
-                replace(series, name=f"{series.quantity} at {at:.6g} s", at=at)
-                for at in (case.time.end * i / profiles for i in range(1, profiles + 1))
-            ]
+            if series is last[series.quantity]:
+                found += [
+                    replace(series, name=f"{series.quantity} at {at:.6g} s", at=at)
+                    for at in (case.time.end * i / profiles for i in range(1, profiles + 1))
+                ]
         elif series.n < _RECORD:
             found.append(replace(series, x=series.x * longer))
         else:
@@ -217,5 +228,8 @@ def _measured(template: Experiment, case: Case, profiles: int) -> tuple[Series, 
             x = longer * (series.x[0] + span * np.linspace(0.0, 1.0, count))
             sd: FloatArray = np.full(count, np.median(series.sd))
             found.append(replace(series, x=x, value=np.zeros(count), sd=sd, lines=None))
-    # a template with profiles at several times measures each once
-    return tuple({(series.quantity, series.at, series.x[0]): series for series in found}.values())
+    return tuple(found)
+
+
+def _at(series: Series) -> float:
+    return 0.0 if series.at is None else series.at

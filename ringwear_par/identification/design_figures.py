@@ -20,6 +20,8 @@ _MAP = "viridis_r"
 def figure(found: "DesignResult") -> Figure:
     """Return a map for each key: of two tests over their loads, of one over load and duration.
 
+    Of two tests a cell has the durations of the best score within the budget.
+
     Where neither varies, bars of the best designs. Of several tests the map is that of one.
     """
     parameters = found.problem.parameters
@@ -34,7 +36,7 @@ def figure(found: "DesignResult") -> Figure:
         unit = "%" if parameter.log else unit_of(parameter.key).strip()
         label = f"predicted sd of {parameter.key} ({unit})"
         if len(plain) and len(found.pairs):
-            _map_of_pairs(axes, found, plain, scale * found.pairs[..., j], label)
+            _map_of_pairs(axes, found, plain, scale * found.pairs[..., j], label, first=j == 0)
         elif len({found.candidates[i].seconds for i in plain}) > 1:
             _map_of_tests(axes, found, plain, scale * found.single[:, j], label)
         else:
@@ -54,23 +56,32 @@ def _axis_of(found: "DesignResult", plain: IntArray) -> tuple[str, list[float]]:
 
 
 def _map_of_pairs(
-    axes: Any, found: "DesignResult", plain: IntArray, values: FloatArray, label: str
+    axes: Any,
+    found: "DesignResult",
+    plain: IntArray,
+    values: FloatArray,
+    label: str,
+    first: bool,
 ) -> None:
-    """Draw the smallest sd that two tests of these loads give, of whatever durations."""
+    """Draw the sd that two tests of these loads give, their durations being the best by score."""
     name, loads = _axis_of(found, plain)
     place = {load: k for k, load in enumerate(loads)}
     own = np.array([place[found.candidates[i].loads[0]] for i in plain])
-    table = np.full((len(loads), len(loads)), np.inf)
-    part = values[np.ix_(plain, plain)]
-    rows, columns = np.nonzero(np.isfinite(part))
-    np.minimum.at(table, (own[rows], own[columns]), part[rows, columns])
+    best = np.full((len(loads), len(loads)), -np.inf)
+    table = np.full_like(best, np.nan)
+    part = np.ix_(plain, plain)
+    for row, column in np.argwhere(np.isfinite(found.pair_scores[part])).tolist():
+        cell = own[row], own[column]
+        score = found.pair_scores[plain[row], plain[column]]
+        if score > best[cell]:
+            best[cell], table[cell] = score, values[plain[row], plain[column]]
     _draw(axes, loads, loads, np.where(np.isfinite(table), table, np.nan), label)
     axes.set_xlabel(f"{name} of one test")
     axes.set_ylabel(f"{name} of the other")
     tests = [found.candidates[i] for i in found.designs[0].tests]
     if all(map(_is_plain, tests)):
         (x,), (y,) = (test.loads for test in tests)
-        _mark(axes, [x, y], [y, x], " + ".join(map(name_of, tests)))
+        _mark(axes, [x, y], [y, x], " + ".join(map(name_of, tests)) if first else "")
 
 
 def _map_of_tests(
@@ -106,7 +117,8 @@ def _draw(axes: Any, x: list[float], y: list[float], table: FloatArray, label: s
 
 def _mark(axes: Any, x: list[float], y: list[float], told: str) -> None:
     axes.plot(x, y, "o", mfc="none", mec="C3", mew=2, ms=10, label=f"best: {told}")
-    axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), fontsize=8, frameon=False)
+    if told:
+        axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), fontsize=8, frameon=False)
 
 
 def _bars(axes: Any, found: "DesignResult", j: int, scale: float, label: str) -> None:

@@ -2,19 +2,23 @@
 
 import json
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from ringwear_par.atomic import atomic_write, unwritable
+from ringwear_par.cases.keys import flatten
 from ringwear_par.cases.text import toml_value
 from ringwear_par.errors import ComputationError
-from ringwear_par.identification.candidates import Candidate
+from ringwear_par.identification.candidates import LOADS, Candidate
+from ringwear_par.identification.inline_tables import on_one_line
 from ringwear_par.identification.storing import check
 from ringwear_par.identification.summary import unit_of
+from ringwear_par.textfiles import parse_toml
 
 if TYPE_CHECKING:
-    from ringwear_par.identification.design import Design, DesignResult
+    from ringwear_par.identification.design import DesignResult
+    from ringwear_par.identification.search import Design
 
 OUTCOME, NEXT, FIGURE = "design.json", "next.toml", "design.png"
 FILES = (OUTCOME, NEXT, FIGURE)
@@ -49,8 +53,14 @@ def summary(found: "DesignResult") -> str:
     width = max(map(len, names))
     for name, one in zip(names, found.designs, strict=False):
         lines.append(f"  {name.ljust(width)}  {_spreads(found, one)}")
-    planned = "with the fit's tests again" if found.after else "the tests of the fit file"
+    seconds = sum(experiment.case.time.end for experiment in problem.experiments)
+    planned = f"the fit file's{' again' if found.after else ''}, {seconds:g} s"
     lines.append(f"  {planned.ljust(width)}  {_spreads(found, found.planned)}")
+    if found.failed:
+        test, why = next(iter(found.failed.items()))
+        lines.append(
+            f"{len(found.failed)} tests cannot be computed and are left out: {name_of(test)}: {why}"
+        )
     return "\n".join(lines)
 
 
@@ -89,6 +99,16 @@ def _spreads(found: "DesignResult", one: "Design") -> str:
     return "; ".join(told)
 
 
+def set_of(found: "DesignResult", test: Candidate) -> dict[str, Any]:
+    """Return all case keys that an experiment of a fit file sets for a test."""
+    table = parse_toml(on_one_line(found.problem.text), found.problem.name)["experiment"][0].get(
+        "set", {}
+    )
+    own, changes = flatten(table, "set"), test.changes()
+    loads = {*LOADS, "load.displacement"} if set(LOADS) & changes.keys() else set()
+    return {key: value for key, value in own.items() if key not in loads} | changes
+
+
 def next_tests(found: "DesignResult") -> str:
     """Return the best design as tables of a fit file."""
     problem, best = found.problem, found.designs[0]
@@ -98,7 +118,9 @@ def next_tests(found: "DesignResult") -> str:
     ]
     for number, place in enumerate(best.tests, start=1):
         test = found.candidates[place]
-        changes = ", ".join(f"{toml_value(k)} = {toml_value(v)}" for k, v in test.changes().items())
+        changes = ", ".join(
+            f"{toml_value(k)} = {toml_value(v)}" for k, v in set_of(found, test).items()
+        )
         lines += ["", "[[experiment]]", f'name = "next {number}"', f"set = {{ {changes} }}"]
         lines += [f"# {series.name}: {series.n} readings" for series in test.experiment.series]
     return "\n".join(lines) + "\n"
@@ -113,7 +135,7 @@ def save(found: "DesignResult", folder: Path) -> None:
     """
     check(folder, FILES)
     try:
-        folder.mkdir(exist_ok=True)
+        folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise unwritable(folder, error) from error
     try:

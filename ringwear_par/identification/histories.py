@@ -70,22 +70,24 @@ class Histories:
         For each point (n, 1 + m), the readings of all experiments, one after another, and their
         derivatives with respect to the values, or (n, 1) without; or why there are none.
         """
-        grids = [step_times(experiment, steps).tolist() for experiment in self._experiments]
-        wanted = [(i, e) for i in range(len(points)) for e in range(len(grids))]
-        made = [self._cases(e, points) for e in range(len(grids))]
-        cases = [made[e][i] for i, e in wanted]
-        results = self._computed(cases, wanted, grids, derivatives)
-        found: list[list[FloatArray]] = [[] for _ in points]
-        failures: dict[int, Exception] = {}
-        for (i, e), result in zip(wanted, results, strict=True):
-            if isinstance(result, Exception):
-                failures.setdefault(i, result)
-            else:
-                found[i].append(self._readers[e].read(_trajectory(result)))
-        return [
-            ComputationError(reason_of(failures[i])) if i in failures else np.concatenate(parts)
-            for i, parts in enumerate(found)
-        ]
+        every = range(len(self._experiments))
+        made = [self._cases(e, points) for e in every]
+        wanted = [(made[e][i], e) for i in range(len(points)) for e in every]
+        read = iter(self._read(wanted, steps, derivatives))
+        found: list[FloatArray | ComputationError] = []
+        for _ in points:
+            parts = [next(read) for _ in every]
+            failed = [part for part in parts if isinstance(part, ComputationError)]
+            arrays = [part for part in parts if not isinstance(part, ComputationError)]
+            found.append(failed[0] if failed else np.concatenate(arrays))
+        return found
+
+    def of(
+        self, experiments: Sequence[int], values: FloatArray
+    ) -> list[FloatArray | ComputationError]:
+        """Return the same of some experiments, each by itself, at values (m,). Not collective."""
+        wanted = [(self._cases(e, values[None])[0], e) for e in experiments]
+        return self._read(wanted, STEPS, True)
 
     def _cases(self, experiment: int, points: FloatArray) -> list[Case]:
         """Return the cases of an experiment at some values (p, m)."""
@@ -102,29 +104,31 @@ class Histories:
             cases[i] = case.replace(dict(zip(self._keys, points[i].tolist(), strict=True)))
         return cases
 
-    def _computed(
-        self,
-        cases: Sequence[Case],
-        wanted: Sequence[tuple[int, int]],
-        grids: Sequence[Sequence[float]],
-        derivatives: bool,
-    ) -> list[Result | Exception]:
-        """Return the results of cases, of a point and an experiment each, or their failures."""
+    def _read(
+        self, wanted: Sequence[tuple[Case, int]], steps: int, derivatives: bool
+    ) -> list[FloatArray | ComputationError]:
+        """Return the readings of cases, of an experiment each, or why there are none."""
+        grids = {e: step_times(self._experiments[e], steps).tolist() for _, e in wanted}
         groups: dict[Hashable, list[int]] = defaultdict(list)
         for number, (_, experiment) in enumerate(wanted):
             groups[self._owners[experiment]].append(number)
-        found: dict[int, Result | Exception] = {}
+        found: dict[int, FloatArray | ComputationError] = {}
         for key, numbers in groups.items():
             parts = computed(
-                [cases[number] for number in numbers], self._pairs[key], keep_ends=True,
+                [wanted[number][0] for number in numbers], self._pairs[key], keep_ends=True,
                 derivatives=[derivative_key(key) for key in self._keys if derivatives],
                 step_times=[grids[wanted[number][1]] for number in numbers],
             )  # fmt: skip
             for part in parts:
                 for place, result in zip(part.numbers, part.results(), strict=True):
-                    found[numbers[place]] = result
-        self.count += len(cases)
-        return [found[number] for number in range(len(cases))]
+                    number = numbers[place]
+                    if isinstance(result, Exception):
+                        found[number] = ComputationError(reason_of(result))
+                    else:
+                        reader = self._readers[wanted[number][1]]
+                        found[number] = reader.read(_trajectory(result))
+        self.count += len(wanted)
+        return [found[number] for number in range(len(wanted))]
 
 
 def _trajectory(result: Result) -> Trajectory:

@@ -10,6 +10,7 @@ from scipy.stats import chi2, norm
 
 from ringwear_par.arrays import FloatArray
 from ringwear_par.identification.least_squares import NU, Evaluation, LeastSquares
+from ringwear_par.identification.problem import Loss
 
 Verdict = Literal["identified", "at bound", "not identified"]
 
@@ -43,6 +44,11 @@ class ParameterEstimate:
     direction: str = ""
 
 
+def share_of_loss(loss: Loss) -> float:
+    """Return what readings tell under a loss, of what they would with Gaussian noise."""
+    return (NU + 1.0) / (NU + 3.0) if loss == "student" else 1.0
+
+
 def information(squares: LeastSquares, found: Evaluation, priors: bool = True) -> FloatArray:
     """Return the Fisher information (u, u) of the unknowns.
 
@@ -50,8 +56,7 @@ def information(squares: LeastSquares, found: Evaluation, priors: bool = True) -
     ----------
     priors : whether those of the fitted keys count; those of nuisances always do.
     """
-    student = squares.problem.settings.loss == "student"
-    share = (NU + 1.0) / (NU + 3.0) if student else 1.0
+    share = share_of_loss(squares.problem.settings.loss)
     matrix: FloatArray = share * found.noise_jacobian.T @ found.noise_jacobian
     m = len(squares.problem.parameters)
     for row, (j, _) in enumerate(squares.priors, start=squares.n):

@@ -9,7 +9,8 @@ import numpy as np
 from scipy.stats import chi2
 
 from ringwear_par.arrays import FloatArray
-from ringwear_par.identification.intervals import ParameterEstimate, told
+from ringwear_par.identification.information import without_nuisances
+from ringwear_par.identification.intervals import ParameterEstimate, information, told
 from ringwear_par.identification.least_squares import Evaluation, LeastSquares
 from ringwear_par.identification.posterior import Posterior
 from ringwear_par.identification.starts import Started
@@ -124,6 +125,11 @@ class FitResult:
         return self.covariance[:m, :m] * np.outer(slopes, slopes)
 
     @property
+    def information(self) -> FloatArray:
+        """(m, m) Fisher information of the fitted keys' unknowns, nuisances eliminated."""
+        return without_nuisances(information(self.squares, self.evaluation), len(self.parameters))
+
+    @property
     def band(self) -> FloatArray:
         """(n,) sd of the model's readings, with nuisances; nothing of what nobody knows."""
         rows = self.squares.columns(self.x)
@@ -156,6 +162,8 @@ class FitResult:
             "parameters": self._parameters(),
             "keys": [p.key for p in self.parameters],
             "covariance": _finite(self.natural_covariance),
+            "information": self.information.tolist(),
+            "log": [p.log for p in problem.parameters],
             "level": problem.settings.level,
             "chi2": self.chi2,
             "n_data": self.n,

@@ -119,6 +119,65 @@ def test_results_do_not_depend_on_ranks(tables, comm):
     assert one["designs"] == other["designs"]
 
 
+def test_experiments_may_have_operators_of_their_own(tables, comm):
+    """Ranks share the tests, and assemble all operators in the same order."""
+    source = tables()
+    source["experiment"][1]["set"]["mesh.contact_elements"] = 16
+    found = rw.design(source, comm)
+    assert found.planned.sd == pytest.approx(spreads(predicted(read_fit(source), comm)), rel=1e-6)
+
+
+def test_tests_that_cannot_be_computed_are_left_out(tables, comm):
+    """Half of the ring would be worn off by the longest ones."""
+    found = rw.design(tables({"time.end": [100.0, 500000.0]}, {"experiments": 1}), comm)
+    assert found.failed
+    assert len(found.failed) + len(found.candidates) == 10
+    assert all("worn off lower" in why for why in found.failed.values())
+    assert "cannot be computed and are left out" in found.summary()
+    with pytest.raises(rw.ComputationError, match=r"which leaves too few: .*worn off"):
+        rw.design(tables({"time.end": [500000.0, 600000.0]}, {"experiments": 1}), comm)
+
+
+def test_what_a_fit_knows_of_a_product_counts(tables, comm, tmp_path):
+    """Without a torque k and friction are one number, which an earlier fit knows well."""
+    source = tables()
+    source["fit"]["parameters"]["contact.friction"] = {
+        "start": 0.1, "bounds": [0.01, 1.0], "scale": "log",
+    }  # fmt: skip
+    folder = comm.bcast(str(tmp_path))
+    fit(source, comm, compare=False).save(folder)
+    found = rw.design(source, comm, after=folder)
+    values = np.linalg.eigvalsh(found.information)
+    assert values[-1] > 1e4  # of the product
+    assert values[0] < 1e-3 * values[-1]
+
+
+def test_a_fitted_key_cannot_vary(tables, comm):
+    source = tables({"load.omega": [1.0, 4.0]})
+    source["fit"]["parameters"]["load.omega"] = {"start": 3.5, "bounds": [1.0, 10.0]}
+    for experiment in source["experiment"]:
+        del experiment["set"]["load.omega"]
+    with pytest.raises(rw.InputError, match=r"load.omega: is fitted as well"):
+        rw.design(source, comm)
+
+
+def test_all_sensors_of_the_template_are_read(tables, tmp_path):
+    """Two records, and a profile at two times with radii of its own: the last one serves."""
+    source = tables()
+    first, second = source["experiment"][0]["data"]
+    early = {**second, "at": 0.5 * END, "exclude": [[28.0, 28.3]]}
+    shifted = [f"{i},{0.05 * i}" for i in range(1, 51)]
+    (tmp_path / "z.csv").write_text("\n".join(["t_s,z_um", *shifted]) + "\n")
+    again = {**first, "file": str(tmp_path / "z.csv")}
+    source["experiment"][0]["data"] = [first, early, second, again]
+    problem = read_fit(source)
+    test = candidates(problem.design, problem.experiments[0])[0]
+    assert [s.name for s in test.experiment.series] == [
+        "penetration", f"profile.lower at {END:g} s", "penetration (2)",
+    ]  # fmt: skip
+    assert test.experiment.series[1].n == problem.experiments[0].series[2].n
+
+
 def test_candidates_keep_to_their_ranges(tables):
     vary = {
         "load.pressure": [40.0, 80.0], "time.end": [20.0, 100.0], "load.steps": [1, 2],
@@ -157,6 +216,9 @@ def test_candidates_keep_to_their_ranges(tables):
         ({"criterion": "E"}, "criterion = .*one of D, A, eig"),
         ({"criterion": "eig"}, "known before"),
         ({"vary": {}}, "vary: is missing or empty"),
+        ({"vary": {"wear.lower.k": [1.0, 2.0]}}, "wear.lower.k: unknown key"),
+        ({"vary": {**VARY, "load.steps": [1, 4], "profiles": [1, 4], "time.end": [10.0, 100.0],
+                   "load.omega": [1.0, 2.0]}}, "makes 7800 tests; must be at most 2000"),
     ],
 )  # fmt: skip
 def test_what_cannot_be_is_refused(tables, change, told, comm):
