@@ -21,6 +21,7 @@ from ringwear_par.errors import InputError
 from ringwear_par.identification.histories import Histories
 from ringwear_par.identification.least_squares import NU, LeastSquares
 from ringwear_par.identification.readings import whitened
+from ringwear_par.parallel import together
 from ringwear_par.results.progress import PROGRESS_SECONDS
 
 log = logging.getLogger(__name__)
@@ -87,6 +88,10 @@ def sample_posterior(
     Parameters
     ----------
     x, covariance : (u,) and (u, u) of the unknowns at the optimum.
+
+    Raises
+    ------
+    RingwearError : what went wrong on any of the ranks, on all.
     """
     import emcee
 
@@ -96,15 +101,16 @@ def sample_posterior(
 
     def log_probability(points: FloatArray) -> FloatArray:
         """Return (w,) of unknowns (w, m)."""
-        inside = np.flatnonzero(((points >= low) & (points <= high)).all(axis=1))
-        own = inside[comm.rank :: comm.size]
-        values = np.array([squares.values(points[i]) for i in own]).reshape(len(own), m)
         found = {}
-        for i, value, readings in zip(
-            own, values, histories.responses(values, derivatives=False), strict=True
-        ):
-            if not isinstance(readings, Exception):
-                found[int(i)] = marginal(value, readings[:, 0])
+        with together(comm):  # before the others wait for what this rank has found
+            inside = np.flatnonzero(((points >= low) & (points <= high)).all(axis=1))
+            own = inside[comm.rank :: comm.size]
+            values = np.array([squares.values(points[i]) for i in own]).reshape(len(own), m)
+            for i, value, readings in zip(
+                own, values, histories.responses(values, derivatives=False), strict=True
+            ):
+                if not isinstance(readings, Exception):
+                    found[int(i)] = marginal(value, readings[:, 0])
         scores = np.full(len(points), -np.inf)
         for part in comm.allgather(found):
             scores[list(part)] = list(part.values())
@@ -123,6 +129,7 @@ def sample_posterior(
     start = np.where(start > high, 2.0 * high - start, start)
     moves = [(emcee.moves.DEMove(), 0.8), (emcee.moves.DESnookerMove(), 0.2)]
     sampler = emcee.EnsembleSampler(walkers, m, log_probability, moves=moves, vectorize=True)
+    sampler.log_prob_fn = log_probability  # what emcee wraps it in prints all of its errors
     sampler.random_state = np.random.RandomState(_SEED).get_state()
     steps = _BURN + -(-settings.samples // walkers)
     told = time.perf_counter()

@@ -8,8 +8,10 @@ import pytest
 from laboratory import FITTED, fit_tables, write_tests
 from scipy.stats import truncnorm
 
+from ringwear_par.errors import RingwearError
 from ringwear_par.identification.fit import fit, predicted
 from ringwear_par.identification.fit_file import read_fit
+from ringwear_par.identification.histories import Histories
 from ringwear_par.identification.intervals import estimates
 from ringwear_par.identification.least_squares import LeastSquares
 from ringwear_par.identification.posterior import sample_posterior
@@ -131,6 +133,22 @@ def test_outliers_widen_the_student_loss_only(linear, comm):
     error = 4.0 / np.sqrt(drawn.effective)
     sd = np.sqrt(np.diag(covariance))[:2]
     assert unknowns.std(axis=0) == pytest.approx(sd, rel=error + 0.15)
+
+
+def test_an_error_on_one_rank_ends_all(laboratory, comm, monkeypatch, capfd):
+    """Those that wait for its samples too, and nothing but the error is told."""
+    responses = Histories.responses
+
+    def failing(self, points, *args, derivatives=True):
+        if not derivatives and comm.rank == comm.size - 1:
+            raise MemoryError("no room")
+        return responses(self, points, *args, derivatives=derivatives)
+
+    monkeypatch.setattr(Histories, "responses", failing)
+    tables = fit_tables(*laboratory, intervals=["posterior"], samples=64, starts=1)
+    with pytest.raises(MemoryError if comm.size == 1 else RingwearError, match="no room"):
+        fit(tables, comm)
+    assert "Traceback" not in "".join(capfd.readouterr())
 
 
 @pytest.mark.serial
