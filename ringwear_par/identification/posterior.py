@@ -1,10 +1,12 @@
 """What the fitted keys may be, given all readings: samples of their posterior distribution.
 
 Drawn by an ensemble of walkers (emcee: Foreman-Mackey et al., Publ. Astron. Soc. Pac. 125 (2013)
-306-312; moves of differential evolution), whose histories step side by side. Before any reading the
-unknowns - values, or logarithms where the scale is logarithmic - are uniform within their bounds,
-times the priors. Nuisances are those that fit each sample best: as they are linear, that is the
-same as integrating over them where noise is Gaussian and they have no bounds.
+306-312; moves of differential evolution), whose histories step side by side. Before any reading a
+key has the distribution of its prior within its bounds; one without a prior is uniform there, or
+its logarithm where the scale is logarithmic. Nuisances are those that fit each sample best: as they
+are linear, that is the same as integrating over them where noise is Gaussian and they have no
+bounds. Noise that is fitted stays what it is at the optimum: that it is not known better adds
+nothing to the spread of the samples.
 """
 
 import logging
@@ -196,7 +198,9 @@ class _Marginal:
             square = (NU + 1.0) * np.log1p(noise * noise / NU).sum()
         square += rest @ rest
         square += sum(((values[j] - prior.mean) / prior.sd) ** 2 for j, prior in self._priors)
-        return -0.5 * float(square)
+        # priors are densities of values, those sought here of unknowns
+        slopes = self._squares.slopes(values)
+        return float(sum(np.log(slopes[j]) for j, _ in self._priors) - 0.5 * square)
 
     def _nuisances(self, bare: FloatArray, roots: FloatArray) -> FloatArray:
         columns = np.concatenate([roots[:, None] * self._columns, self._prior_rows])
