@@ -170,6 +170,9 @@ class _Marginal:
             self._prior_values[row] = prior.mean / prior.sd
         self._priors = [(j, prior) for j, prior in squares.priors if j < m]
         self._columns = self._white(squares.nuisance_columns)
+        # without weights that change it is the same for all samples
+        ones = np.ones(squares.n)
+        self._inverse = None if self._student or not self._free else self._inverted(ones)
 
     def _white(self, rows: FloatArray) -> FloatArray:
         squares, sd = self._squares, self._squares.sd
@@ -203,13 +206,24 @@ class _Marginal:
         return float(sum(np.log(slopes[j]) for j, _ in self._priors) - 0.5 * square)
 
     def _nuisances(self, bare: FloatArray, roots: FloatArray) -> FloatArray:
-        columns = np.concatenate([roots[:, None] * self._columns, self._prior_rows])
         right = np.concatenate([-roots * bare, self._prior_values])
+        if self._free:
+            inverse = self._inverted(roots) if self._inverse is None else self._inverse
+            return inverse @ right
+        columns, size = self._scaled(roots)
+        limits = (self._low * size, self._high * size)
+        nuisances: FloatArray = lsq_linear(columns, right, limits).x / size
+        return nuisances
+
+    def _inverted(self, roots: FloatArray) -> FloatArray:
+        """Return what gives the best nuisances, none of those that do nothing."""
+        columns, size = self._scaled(roots)
+        inverse: FloatArray = np.linalg.pinv(columns, rcond=1e-12) / size[:, None]
+        return inverse
+
+    def _scaled(self, roots: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the columns of nuisances and priors with norm 1, and their norms."""
+        columns = np.concatenate([roots[:, None] * self._columns, self._prior_rows])
         size = np.linalg.norm(columns, axis=0)
         size[size == 0.0] = 1.0
-        if self._free:
-            found = np.linalg.lstsq(columns / size, right, rcond=1e-12)[0]
-        else:
-            found = lsq_linear(columns / size, right, (self._low * size, self._high * size)).x
-        nuisances: FloatArray = found / size
-        return nuisances
+        return columns / size, size

@@ -132,11 +132,13 @@ def test_priors_count(linear, comm):
 def test_a_prior_is_that_of_the_value_on_a_logarithmic_scale(linear, comm):
     """Where the readings tell nothing, samples of k are those of its prior."""
     mean, sd = 1.3e-7, 0.5e-7
-    _, _, _, drawn = linear(comm, deaf=True, **{"wear.lower.k": {"prior": Prior(mean, sd)}})
+    _, _, _, drawn = linear(
+        comm, samples=16000, deaf=True, **{"wear.lower.k": {"prior": Prior(mean, sd)}}
+    )
     low, high = FITTED["wear.lower.k"]["bounds"]
     expected = truncnorm((low - mean) / sd, (high - mean) / sd, loc=mean, scale=sd)
     error = 4.0 / np.sqrt(drawn.effective)
-    assert error < 0.2
+    assert error < 0.15
     assert drawn.samples[:, 0].mean() == pytest.approx(expected.mean(), abs=error * sd)
     assert drawn.samples[:, 0].std() == pytest.approx(expected.std(), rel=error)
 
