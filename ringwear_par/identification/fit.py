@@ -146,11 +146,10 @@ class _Posed:
         posterior = None
         if "posterior" in self._problem.settings.intervals:
             after = histories.count
-            with together(comm):
-                posterior = sample_posterior(
-                    squares, histories, optimum.x, covariance, comm,
-                    lambda: bool(self._signals.received),
-                )  # fmt: skip
+            posterior = sample_posterior(
+                squares, histories, optimum.x, covariance, comm,
+                lambda: bool(self._signals.received),
+            )  # fmt: skip
             spent += comm.allreduce(histories.count - after)
             self._refuse_stop(comm)
         return FitResult(

@@ -1,5 +1,6 @@
 """The figure of the fitted keys: a panel each, and one for each pair of them."""
 
+import math
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -38,25 +39,34 @@ def figure(found: "FitResult") -> Figure:
             if row != column and (limits := _limits(found, row)) is not None:
                 axes.set_ylim(limits)
             axes.tick_params(labelsize=7)
-            for axis in (axes.xaxis, axes.yaxis):
-                axis.get_offset_text().set_fontsize(7)
             axes.locator_params(nbins=4)
+            told = _told_axis(axes.xaxis, found.parameters[column])
             if row == m - 1:
-                axes.set_xlabel(_label(found.parameters[column]), fontsize=8)
+                axes.set_xlabel(told, fontsize=8)
             else:
                 axes.tick_params(labelbottom=False)
-            if row != column and column == 0:
-                axes.set_ylabel(_label(found.parameters[row]), fontsize=8)
+            if row != column:
+                told = _told_axis(axes.yaxis, found.parameters[row])
+                if column == 0:
+                    axes.set_ylabel(told, fontsize=8)
+                else:
+                    axes.tick_params(labelleft=False)
     handles: dict[str, Any] = {}
     for axes in panels.ravel():
         handles |= {label: h for h, label in zip(*axes.get_legend_handles_labels(), strict=True)}
-    chart.legend(handles.values(), handles.keys(), loc="outside upper center", ncols=2, fontsize=7,
-                 frameon=False)  # fmt: skip
+    chart.legend(handles.values(), handles.keys(), loc="outside upper center",
+                 ncols=2 if m == 1 else 4, fontsize=7, frameon=False)  # fmt: skip
     return chart
 
 
-def _label(one: ParameterEstimate) -> str:
-    unit = unit_of(one.key).strip()
+def _told_axis(axis: Any, one: ParameterEstimate) -> str:
+    """Return what an axis of a key is called, with the power of ten that its ticks leave out."""
+    power = math.floor(math.log10(max(np.abs(axis.get_view_interval()))))
+    if -3 <= power < 4:
+        power = 0
+    axis.set_major_formatter(lambda value, _: f"{value / 10.0**power:.6g}")
+    parts = [f"$10^{{{power}}}$" if power else "", unit_of(one.key).strip()]
+    unit = " ".join(part for part in parts if part)
     return f"{one.key} ({unit})" if unit else one.key
 
 
@@ -67,46 +77,62 @@ def _sd(found: "FitResult", j: int) -> float:
 
 def _limits(found: "FitResult", j: int) -> tuple[float, float] | None:
     """Return what of an axis is shown: four sd, or the whole of the samples."""
-    parameter = found.squares.problem.parameters[j]
-    ends = []
-    if np.isfinite(sd := _sd(found, j)):
+    parameter, one = found.squares.problem.parameters[j], found.parameters[j]
+    ends = [one.estimate]
+    if one.verdict != "not identified" and np.isfinite(sd := _sd(found, j)):
         ends += [parameter.value(found.x[j] - 4.0 * sd), parameter.value(found.x[j] + 4.0 * sd)]
     if found.posterior is not None:
         ends += np.quantile(found.posterior.samples[:, j], [0.001, 0.999]).tolist()
-    if not ends:
-        return None
-    return min(ends), max(ends)
+    low, high = min(ends), max(ends)
+    return (low, high) if low < high else None
 
 
 def _draw_one(axes: Any, found: "FitResult", j: int) -> None:
     """Draw likelihoods over a key, relative to the best fit's."""
     parameter, one = found.squares.problem.parameters[j], found.parameters[j]
-    if np.isfinite(sd := _sd(found, j)):
+    level = found.squares.problem.settings.level
+    if one.verdict == "not identified":
+        axes.text(
+            0.5, 0.9, one.verdict, transform=axes.transAxes, ha="center", fontsize=8,
+            bbox={"color": "white", "alpha": 0.8},
+        )  # fmt: skip
+    elif np.isfinite(sd := _sd(found, j)):
         shift = np.linspace(-4.0, 4.0, 161)
         values = [parameter.value(found.x[j] + sd * s) for s in shift.tolist()]
         axes.plot(values, np.exp(-0.5 * shift**2), color=_LINEAR, label="linear")
     if found.posterior is not None:
         samples = found.posterior.samples[:, j]
-        heights, edges = np.histogram(samples, bins=30, density=True)
+        # more bins than so many independent samples fill show but their scatter
+        bins = max(math.ceil(2.0 * found.posterior.effective ** (1.0 / 3.0)), 5)
+        heights, edges = np.histogram(samples, bins=bins, density=True)
         # of a normal distribution the largest density is 1 / (sd sqrt(2 pi))
         heights *= np.sqrt(2.0 * np.pi) * samples.std()
         axes.stairs(heights, edges, fill=True, color=_SAMPLES, alpha=0.5,
                     label="posterior")  # fmt: skip
     if one.key in found.profiles:
-        values, growth = found.profiles[one.key]
-        axes.plot(
-            values, np.exp(-0.5 * growth), "o", color=_PROFILE, ms=3, label="likelihood profile"
-        )
-    if found.squares.problem.settings.loss == "gaussian":
-        level = found.squares.problem.settings.level
-        half = float(norm.ppf(0.5 + 0.5 * level))
-        axes.axhline(np.exp(-0.5 * half * half), color="0.8", lw=0.8, zorder=0)
+        _draw_profile(axes, found.profiles[one.key], one.estimate)
+    if found.squares.problem.settings.loss == "gaussian" and one.verdict != "not identified":
+        half = float(norm.ppf(level if one.verdict == "at bound" else 0.5 + 0.5 * level))
+        axes.axhline(
+            np.exp(-0.5 * half * half), color="0.5", lw=0.8, ls=":", zorder=0,
+            label=f"likelihood at {100 * level:g} % limits",
+        )  # fmt: skip
     for end in one.interval:
         if end is not None:
-            axes.axvline(end, color="0.5", lw=0.8, ls="--")
+            axes.axvline(end, color="0.5", lw=0.8, ls="--", label=f"{100 * level:g} % interval")
     axes.axvline(one.estimate, color=_BEST, lw=1, label="best fit")
     axes.set_ylim(0.0, None)
     axes.set_ylabel("relative likelihood", fontsize=8)
+
+
+def _draw_profile(axes: Any, profile: FloatArray, estimate: float) -> None:
+    """Draw a likelihood profile; the root of its growth is nearly linear between its points."""
+    values, growth = profile
+    axes.plot(values, np.exp(-0.5 * growth), "o", color=_PROFILE, ms=3)
+    between = np.linspace(values[0], values[-1], 161)
+    roots = np.interp(between, values, np.sign(values - estimate) * np.sqrt(growth))
+    axes.plot(between, np.exp(-0.5 * roots**2), color=_PROFILE, lw=0.8)
+    axes.plot([], [], "o-", color=_PROFILE, ms=3, lw=0.8, label="likelihood profile")
 
 
 def _draw_pair(axes: Any, found: "FitResult", i: int, j: int) -> None:
@@ -114,8 +140,13 @@ def _draw_pair(axes: Any, found: "FitResult", i: int, j: int) -> None:
     if found.posterior is not None:
         samples = found.posterior.samples[:, [i, j]].T
         axes.plot(*samples, ".", color=_SAMPLES, ms=1.5, alpha=0.5, rasterized=True)
-    covariance = found.covariance[np.ix_([i, j], [i, j])]
-    if np.isfinite(covariance).all():
+    unknown = [one for one in (found.parameters[i], found.parameters[j])
+               if one.verdict != "identified"]  # fmt: skip
+    if unknown:
+        told = "\n".join(f"{one.key}: {one.verdict}" for one in unknown)
+        axes.text(0.5, 0.95, told, transform=axes.transAxes, ha="center", va="top", fontsize=7)
+    else:
+        covariance = found.covariance[np.ix_([i, j], [i, j])]
         for level, style in zip(_LEVELS, ("-", "--"), strict=True):
             shown = _ellipse(found, i, j, covariance, level)
             axes.plot(*shown, style, color=_LINEAR, label=f"{100 * level:g} % ellipse")

@@ -1,10 +1,12 @@
 """What the fitted keys may be, given all readings: samples of their posterior distribution.
 
 Drawn by an ensemble of walkers (emcee: Foreman-Mackey et al., Publ. Astron. Soc. Pac. 125 (2013)
-306-312; moves of differential evolution), whose histories step side by side. Before any reading the
-unknowns - values, or logarithms where the scale is logarithmic - are uniform within their bounds,
-times the priors. Nuisances are those that fit each sample best: as they are linear, that is the
-same as integrating over them where noise is Gaussian and they have no bounds.
+306-312; moves of differential evolution), whose histories step side by side. Before any reading a
+key has the distribution of its prior within its bounds; one without a prior is uniform there, or
+its logarithm where the scale is logarithmic. Nuisances are those that fit each sample best: as they
+are linear, that is the same as integrating over them where noise is Gaussian and they have no
+bounds. Noise that is fitted stays what it is at the optimum: that it is not known better adds
+nothing to the spread of the samples.
 """
 
 import logging
@@ -21,6 +23,7 @@ from ringwear_par.errors import InputError
 from ringwear_par.identification.histories import Histories
 from ringwear_par.identification.least_squares import NU, LeastSquares
 from ringwear_par.identification.readings import whitened
+from ringwear_par.parallel import together
 from ringwear_par.results.progress import PROGRESS_SECONDS
 
 log = logging.getLogger(__name__)
@@ -87,6 +90,10 @@ def sample_posterior(
     Parameters
     ----------
     x, covariance : (u,) and (u, u) of the unknowns at the optimum.
+
+    Raises
+    ------
+    RingwearError : what went wrong on any of the ranks, on all.
     """
     import emcee
 
@@ -96,15 +103,16 @@ def sample_posterior(
 
     def log_probability(points: FloatArray) -> FloatArray:
         """Return (w,) of unknowns (w, m)."""
-        inside = np.flatnonzero(((points >= low) & (points <= high)).all(axis=1))
-        own = inside[comm.rank :: comm.size]
-        values = np.array([squares.values(points[i]) for i in own]).reshape(len(own), m)
         found = {}
-        for i, value, readings in zip(
-            own, values, histories.responses(values, derivatives=False), strict=True
-        ):
-            if not isinstance(readings, Exception):
-                found[int(i)] = marginal(value, readings[:, 0])
+        with together(comm):  # before the others wait for what this rank has found
+            inside = np.flatnonzero(((points >= low) & (points <= high)).all(axis=1))
+            own = inside[comm.rank :: comm.size]
+            values = np.array([squares.values(points[i]) for i in own]).reshape(len(own), m)
+            for i, value, readings in zip(
+                own, values, histories.responses(values, derivatives=False), strict=True
+            ):
+                if not isinstance(readings, Exception):
+                    found[int(i)] = marginal(value, readings[:, 0])
         scores = np.full(len(points), -np.inf)
         for part in comm.allgather(found):
             scores[list(part)] = list(part.values())
@@ -123,6 +131,7 @@ def sample_posterior(
     start = np.where(start > high, 2.0 * high - start, start)
     moves = [(emcee.moves.DEMove(), 0.8), (emcee.moves.DESnookerMove(), 0.2)]
     sampler = emcee.EnsembleSampler(walkers, m, log_probability, moves=moves, vectorize=True)
+    sampler.log_prob_fn = log_probability  # what emcee wraps it in prints all of its errors
     sampler.random_state = np.random.RandomState(_SEED).get_state()
     steps = _BURN + -(-settings.samples // walkers)
     told = time.perf_counter()
@@ -161,6 +170,9 @@ class _Marginal:
             self._prior_values[row] = prior.mean / prior.sd
         self._priors = [(j, prior) for j, prior in squares.priors if j < m]
         self._columns = self._white(squares.nuisance_columns)
+        # without weights that change it is the same for all samples
+        ones = np.ones(squares.n)
+        self._inverse = None if self._student or not self._free else self._inverted(ones)
 
     def _white(self, rows: FloatArray) -> FloatArray:
         squares, sd = self._squares, self._squares.sd
@@ -189,16 +201,29 @@ class _Marginal:
             square = (NU + 1.0) * np.log1p(noise * noise / NU).sum()
         square += rest @ rest
         square += sum(((values[j] - prior.mean) / prior.sd) ** 2 for j, prior in self._priors)
-        return -0.5 * float(square)
+        # priors are densities of values, those sought here of unknowns
+        slopes = self._squares.slopes(values)
+        return float(sum(np.log(slopes[j]) for j, _ in self._priors) - 0.5 * square)
 
     def _nuisances(self, bare: FloatArray, roots: FloatArray) -> FloatArray:
-        columns = np.concatenate([roots[:, None] * self._columns, self._prior_rows])
         right = np.concatenate([-roots * bare, self._prior_values])
+        if self._free:
+            inverse = self._inverted(roots) if self._inverse is None else self._inverse
+            return inverse @ right
+        columns, size = self._scaled(roots)
+        limits = (self._low * size, self._high * size)
+        nuisances: FloatArray = lsq_linear(columns, right, limits).x / size
+        return nuisances
+
+    def _inverted(self, roots: FloatArray) -> FloatArray:
+        """Return what gives the best nuisances, none of those that do nothing."""
+        columns, size = self._scaled(roots)
+        inverse: FloatArray = np.linalg.pinv(columns, rcond=1e-12) / size[:, None]
+        return inverse
+
+    def _scaled(self, roots: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the columns of nuisances and priors with norm 1, and their norms."""
+        columns = np.concatenate([roots[:, None] * self._columns, self._prior_rows])
         size = np.linalg.norm(columns, axis=0)
         size[size == 0.0] = 1.0
-        if self._free:
-            found = np.linalg.lstsq(columns / size, right, rcond=1e-12)[0]
-        else:
-            found = lsq_linear(columns / size, right, (self._low * size, self._high * size)).x
-        nuisances: FloatArray = found / size
-        return nuisances
+        return columns / size, size

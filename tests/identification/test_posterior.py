@@ -8,11 +8,14 @@ import pytest
 from laboratory import FITTED, fit_tables, write_tests
 from scipy.stats import truncnorm
 
+from ringwear_par.errors import RingwearError
 from ringwear_par.identification.fit import fit, predicted
 from ringwear_par.identification.fit_file import read_fit
+from ringwear_par.identification.histories import Histories
 from ringwear_par.identification.intervals import estimates
 from ringwear_par.identification.least_squares import LeastSquares
 from ringwear_par.identification.posterior import sample_posterior
+from ringwear_par.identification.problem import Prior
 
 
 @pytest.fixture(scope="module")
@@ -52,7 +55,7 @@ def linear(laboratory):
     """A function that makes a linear problem, its optimum, covariance and samples."""
     known = {}
 
-    def made(comm, samples=4000, **changes):
+    def made(comm, samples=4000, deaf=False, **changes):
         folder, written = laboratory
         tables = fit_tables(folder, written, intervals=["posterior"], samples=samples)
         problem = read_fit(tables)
@@ -64,12 +67,15 @@ def linear(laboratory):
             bare = found.squares.bare(found.x)[:, None]
             known["problem"] = at
             known["response"] = np.concatenate([bare, found.evaluation.sensitivity], axis=1)
+        response = known["response"].copy()
+        if deaf:  # readings do not tell k
+            response[:, 1] = 0.0
         settings = replace(problem.settings, **changes.pop("settings", {}))
         parameters = tuple(
             replace(p, **changes.get(p.key, {})) for p in known["problem"].parameters
         )
         problem = replace(problem, settings=settings, parameters=parameters)
-        histories = LinearHistories(known["problem"], known["response"])
+        histories = LinearHistories(known["problem"], response)
         squares = LeastSquares(problem, histories)
         x = squares.started([p.start for p in parameters])
         for _ in range(3):  # all unknowns at once, until nothing changes
@@ -117,12 +123,24 @@ def test_samples_keep_to_a_bound(linear, comm):
 def test_priors_count(linear, comm):
     """A prior as wide as what the readings tell halves the variance."""
     _, covariance, _, _ = linear(comm)
-    from ringwear_par.identification.problem import Prior
-
     sd = float(np.sqrt(covariance[1, 1]))
     _, _, unknowns, drawn = linear(comm, **{"wear.lower.p0": {"prior": Prior(25.0, sd)}})
     error = 4.0 / np.sqrt(drawn.effective)
     assert unknowns[:, 1].std() == pytest.approx(sd / np.sqrt(2.0), rel=error)
+
+
+def test_a_prior_is_that_of_the_value_on_a_logarithmic_scale(linear, comm):
+    """Where the readings tell nothing, samples of k are those of its prior."""
+    mean, sd = 1.3e-7, 0.5e-7
+    _, _, _, drawn = linear(
+        comm, samples=16000, deaf=True, **{"wear.lower.k": {"prior": Prior(mean, sd)}}
+    )
+    low, high = FITTED["wear.lower.k"]["bounds"]
+    expected = truncnorm((low - mean) / sd, (high - mean) / sd, loc=mean, scale=sd)
+    error = 4.0 / np.sqrt(drawn.effective)
+    assert error < 0.15
+    assert drawn.samples[:, 0].mean() == pytest.approx(expected.mean(), abs=error * sd)
+    assert drawn.samples[:, 0].std() == pytest.approx(expected.std(), rel=error)
 
 
 def test_outliers_widen_the_student_loss_only(linear, comm):
@@ -131,6 +149,22 @@ def test_outliers_widen_the_student_loss_only(linear, comm):
     error = 4.0 / np.sqrt(drawn.effective)
     sd = np.sqrt(np.diag(covariance))[:2]
     assert unknowns.std(axis=0) == pytest.approx(sd, rel=error + 0.15)
+
+
+def test_an_error_on_one_rank_ends_all(laboratory, comm, monkeypatch, capfd):
+    """Those that wait for its samples too, and nothing but the error is told."""
+    responses = Histories.responses
+
+    def failing(self, points, *args, derivatives=True):
+        if not derivatives and comm.rank == comm.size - 1:
+            raise MemoryError("no room")
+        return responses(self, points, *args, derivatives=derivatives)
+
+    monkeypatch.setattr(Histories, "responses", failing)
+    tables = fit_tables(*laboratory, intervals=["posterior"], samples=64, starts=1)
+    with pytest.raises(MemoryError if comm.size == 1 else RingwearError, match="no room"):
+        fit(tables, comm)
+    assert "Traceback" not in "".join(capfd.readouterr())
 
 
 @pytest.mark.serial

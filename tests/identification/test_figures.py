@@ -1,0 +1,95 @@
+"""Figures of fits show what they say: signs, gaps, words, and no curves of what is not known."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from laboratory import FITTED, fit_tables, write_tests
+
+from ringwear_par.identification.figures import label, pieces
+from ringwear_par.identification.fit import predicted
+from ringwear_par.identification.fit_file import read_fit
+from ringwear_par.identification.problem import Series
+
+pytestmark = pytest.mark.serial
+
+
+@pytest.fixture(scope="module")
+def found(tmp_path_factory):
+    """What is known before a fit of one test with a penetration, a profile and a mass."""
+    from mpi4py import MPI
+
+    folder = tmp_path_factory.mktemp("figures")
+    experiments = write_tests(folder, (60.0,))
+    mass = {"quantity": "mass.lower", "value": 5.0, "unit": "mg", "sd": 0.1, "density": 0.0019}
+    experiments[0]["data"].append(mass)
+    sought = {**FITTED, "wear.lower.p0": {"start": 25.0, "bounds": [0.0, 200.0]}}
+    tables = fit_tables(folder, experiments, parameters=sought)
+    return predicted(read_fit(tables), MPI.COMM_WORLD)
+
+
+def profile_at(radii):
+    x = np.array(radii)
+    return Series("profile", "profile.lower", x, 0.0 * x, 0.0 * x + 1.0)
+
+
+def test_a_profile_is_broken_at_edges_and_gaps():
+    radii = [28.3, 28.4, 28.5, 28.6, 28.7, 28.8, 29.4, 29.5]
+    parts = [part.tolist() for part in pieces(profile_at(radii), (28.5, 31.5))]
+    assert parts == [[0, 1], [2, 3, 4, 5], [6, 7]]
+    backwards = [part.tolist() for part in pieces(profile_at(radii[::-1]), (28.5, 31.5))]
+    assert backwards == [[7, 6], [5, 4, 3, 2], [1, 0]]
+
+
+def test_readings_in_time_are_joined():
+    series = replace(profile_at([1.0, 2.0, 28.0, 29.0]), quantity="penetration")
+    assert [part.tolist() for part in pieces(series, (1.5, 31.5))] == [[0, 1, 2, 3]]
+
+
+@pytest.mark.parametrize(
+    ("quantity", "unit", "said"),
+    [
+        ("profile.lower", "\N{MICRO SIGN}m", "depth of lower (um)"),
+        ("penetration", "\N{GREEK SMALL LETTER MU}m", "penetration (um)"),
+        ("mass.upper", "mg", "mass loss of upper (mg)"),
+    ],
+)
+def test_axes_are_in_words(quantity, unit, said):
+    assert label(replace(profile_at([1.0]), quantity=quantity, unit=unit)) == said
+
+
+def test_residuals_are_data_less_model(found):
+    chart = found.plot()
+    panels = [axes for axes in chart.axes if axes.get_ylabel() == "(data - model) / sd"]
+    assert len(panels) == 2
+    for axes, (_, series), part in zip(
+        panels, found.squares.series, found.squares.parts, strict=False
+    ):
+        expected = (series.value - found.evaluation.model[part]) / series.sd
+        (drawn,) = (line.get_ydata() for line in axes.lines)
+        assert drawn == pytest.approx(expected)
+
+
+def test_a_single_reading_has_no_axis_of_time(found):
+    axes = found.plot().axes[-1]
+    assert [tick.get_text() for tick in axes.get_xticklabels()] == ["data", "model"]
+    assert "time" not in axes.get_xlabel()
+
+
+def test_what_is_not_identified_has_neither_curve_nor_ellipse(found):
+    def labels(chart):
+        chart.draw_without_rendering()
+        panels = [axes for axes in chart.axes if axes.axison]
+        return [axes.get_legend_handles_labels()[1] for axes in panels]
+
+    first, pair, second = labels(found.plot_parameters())
+    assert "linear" in first
+    assert "linear" in second
+    assert pair == ["68 % ellipse", "95 % ellipse"]
+    lost = replace(found.parameters[1], verdict="not identified", sd=None, interval=(None, None))
+    chart = replace(found, parameters=(found.parameters[0], lost)).plot_parameters()
+    first, pair, second = labels(chart)
+    assert "linear" in first
+    assert pair == []
+    assert second == ["best fit"]
+    assert "not identified" in [text.get_text() for axes in chart.axes for text in axes.texts]
