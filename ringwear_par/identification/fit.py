@@ -1,8 +1,6 @@
 """``rw.fit`` and ``ringwear fit``: the values of case keys that measurements tell."""
 
-import hashlib
 import itertools
-import json
 import logging
 from collections.abc import Mapping
 from pathlib import Path
@@ -11,7 +9,6 @@ from typing import Any
 import numpy as np
 from mpi4py import MPI
 
-from ringwear_par import __version__
 from ringwear_par.arrays import FloatArray
 from ringwear_par.errors import ComputationError
 from ringwear_par.identification.fit_file import read_fit
@@ -67,12 +64,13 @@ def fitted(
     ----------
     folder : where optima of starts are kept until the fit is done; None: nowhere.
     """
-    progress = Progress(folder, key_of(problem))
     with StopSignals() as signals:
-        posed = _Posed(problem, "", progress, signals, comm)
+        posed = _Posed(problem, "", Progress(folder, problem.key), signals, comm)
         others = {
-            name: _Posed(other, name, progress, signals, comm)
-            for name, other in (problem.alternatives if compare else {}).items()
+            name: _Posed(other, name, Progress(folder, f"{other.key} {name}", i), signals, comm)
+            for i, (name, other) in enumerate(
+                (problem.alternatives if compare else {}).items(), start=1
+            )
         }
         alternatives = {name: other.solved(comm, {}) for name, other in others.items()}
         return posed.solved(comm, alternatives)
@@ -90,12 +88,6 @@ def predicted(problem: Problem, comm: MPI.Intracomm) -> FitResult:
     """Return what a fit would find if the parameters were those of the start. Collective."""
     with StopSignals() as signals:
         return _Posed(problem, "", Progress(None, ""), signals, comm).predicted(comm)
-
-
-def key_of(problem: Problem) -> str:
-    """Return what tells a problem, its data and this version from others."""
-    told = json.dumps([problem.text, sorted(problem.hashes.items()), __version__])
-    return hashlib.sha256(told.encode()).hexdigest()
 
 
 class _Posed:

@@ -2,6 +2,7 @@
 
 import copy
 import json
+import tomllib
 from dataclasses import replace
 from pathlib import Path
 
@@ -326,6 +327,31 @@ def test_a_fit_goes_on_with_the_starts_that_are_kept(written, comm, monkeypatch)
     assert told["parameters"]["wear.lower.k"]["estimate"] == whole.parameters[0].estimate
     assert told["starts"] == whole.to_dict()["starts"]
     assert told["histories"] < whole.histories
+
+
+@pytest.mark.serial
+def test_names_of_laws_are_no_names_of_files(tables, comm, tmp_path):
+    given = tables(starts=1)
+    law = {"set": {}, "parameters": {"wear.lower.k": FITTED["wear.lower.k"]}}
+    given["compare"] = {"fit": law, "../../evil": law}
+    folder = tmp_path / "deep" / "out"
+    found = fitted(read_fit(given), comm, folder=folder)
+    assert [len(other.parameters) for other in found.alternatives.values()] == [1, 1]
+    kept = sorted(str(p.relative_to(tmp_path)) for p in tmp_path.rglob("*.json"))
+    assert kept == [f"deep/out/progress/{law}-0.json" for law in range(3)]
+
+
+def test_another_case_is_another_problem(written):
+    path, _ = written
+    case = Path(tomllib.loads(path.read_text())["case"])
+    before = read_fit(path).key
+    text = case.read_text()
+    try:
+        case.write_text(text.replace("contact_elements = 12", "contact_elements = 10"))
+        assert read_fit(path).key != before
+    finally:
+        case.write_text(text)
+    assert read_fit(path).key == before
 
 
 @pytest.mark.serial
