@@ -37,7 +37,7 @@ def _values(squares: LeastSquares) -> str:
 
 
 def refuse_reversed(squares: LeastSquares, start: FloatArray) -> None:
-    """Refuse readings that go against the model, but for their nuisances. Not collective.
+    """Refuse depths and masses that go against the model, but for their nuisances. Not collective.
 
     Raises
     ------
@@ -46,9 +46,14 @@ def refuse_reversed(squares: LeastSquares, start: FloatArray) -> None:
     model, sd = squares.bare(start), squares.sd
     faults = []
     for (experiment, series), part in zip(squares.series, squares.parts, strict=True):
-        shifts = [n.prior is None or n.kind in ("offset", "level") for n in series.nuisances]
-        columns = nuisance_columns(series, experiment.case)[:, shifts] / sd[part][:, None]
+        if series.quantity == "torque":  # it may fall where the model's rises
+            continue
+        priors = [(i, n.prior) for i, n in enumerate(series.nuisances) if n.prior is not None]
+        columns = nuisance_columns(series, experiment.case) / sd[part][:, None]
         both = np.stack([series.value, model[part]], axis=1) / sd[part][:, None]
+        for i, prior in priors:  # as one reading more, of the nuisance itself
+            columns = np.vstack([columns, np.eye(columns.shape[1])[i] / prior.sd])
+            both = np.vstack([both, [prior.mean / prior.sd, 0.0]])
         both = both - columns @ np.linalg.lstsq(columns, both, rcond=None)[0]
         (data, wear), sizes = both.T, np.linalg.norm(both, axis=0)
         if data @ wear < _OPPOSITE * sizes.prod() and -data @ wear > _SURE * sizes[1]:

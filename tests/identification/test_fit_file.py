@@ -11,7 +11,10 @@ from laboratory import CASE, FITTED, fit_tables, write_table, write_tests
 from ringwear_par.errors import InputError
 from ringwear_par.identification.fit import fit
 from ringwear_par.identification.fit_file import read_fit
+from ringwear_par.identification.histories import Histories
 from ringwear_par.identification.inline_tables import on_one_line
+from ringwear_par.identification.least_squares import LeastSquares
+from ringwear_par.identification.plausible import refuse_reversed
 
 #: every key that a fit file may have
 FULL = """
@@ -243,6 +246,37 @@ def test_wrong_signs(entry, good, tmp_path, comm):
     write_table(tmp_path / "a.csv", names, x, -y)
     with pytest.raises(InputError, match="has the wrong sign"):
         fit(changed(good, (*entry, "file"), str(tmp_path / "a.csv")), comm)
+
+
+def test_a_drift_that_outweighs_the_wear_is_no_wrong_sign(good, tmp_path, comm):
+    data = good["experiment"][0]["data"][0]
+    t, z = np.genfromtxt(data["file"], delimiter=",", skip_header=1).T
+    write_table(tmp_path / "z.csv", tuple(data["columns"].values()), t, z - 4.0 * z.max() * t / 100)
+    tables = changed(good, (*PEN, "file"), str(tmp_path / "z.csv"))
+    prior = {"prior": {"normal": [-4.0 * z.max(), z.max()]}}
+    tables["experiment"][0]["data"][0]["nuisance"]["drift"] = prior
+    for known in (prior, {}):
+        tables["experiment"][0]["data"][0]["nuisance"]["drift"] = known
+        problem = read_fit(tables)
+        squares = LeastSquares(problem, Histories(problem, comm))
+        refuse_reversed(squares, squares.started(list(problem.start.values())))
+
+
+def test_a_torque_that_falls_is_no_wrong_sign(good, tmp_path, comm):
+    t = np.linspace(1.0, 100.0, 50)
+    write_table(tmp_path / "m.csv", ("time", "value"), t, -10.0 - np.sin(t))
+    tables = copy.deepcopy(good)
+    tables["experiment"][0]["data"].append(
+        {
+            "quantity": "torque",
+            "file": str(tmp_path / "m.csv"),
+            "units": {"value": "N m"},
+            "sd": 0.1,
+        }
+    )
+    problem = read_fit(tables)
+    squares = LeastSquares(problem, Histories(problem, comm))
+    refuse_reversed(squares, squares.started(list(problem.start.values())))
 
 
 def test_a_quantity_that_does_not_respond(good, comm):
