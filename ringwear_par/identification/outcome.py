@@ -72,6 +72,11 @@ class FitResult:
         return float(self.evaluation.noise @ self.evaluation.noise)
 
     @property
+    def noise_fitted(self) -> bool:
+        """Whether the noise of some series was fitted."""
+        return any(series.sd_fitted for _, series in self.squares.series)
+
+    @property
     def sought(self) -> int:
         """Number of what was fitted: keys, nuisances that do something, and noises."""
         fitted_noise = sum(series.sd_fitted for _, series in self.squares.series)
@@ -85,13 +90,27 @@ class FitResult:
     @property
     def total(self) -> float:
         """``chi2`` and the squares of the priors' residuals."""
+        return self.chi2 + self._priors
+
+    @property
+    def _priors(self) -> float:
+        """Sum of the squares of the priors' residuals."""
         rest = self.evaluation.residuals[self.n :]
-        return self.chi2 + float(rest @ rest)
+        return float(rest @ rest)
+
+    @property
+    def _deviance(self) -> float:
+        """-2 log L of the readings, and the squares of the priors' residuals."""
+        return self._priors - 2.0 * self.squares.log_likelihood(self.evaluation)
 
     @property
     def p_value(self) -> float | None:
-        """How probable so large a ``total`` is by chance; None where noise was fitted."""
-        if any(series.sd_fitted for _, series in self.squares.series) or self.freedom < 1:
+        """How probable so large a ``total`` is by chance.
+
+        None where noise was fitted, and under the loss "student", whose noise has long tails.
+        """
+        student = self.squares.problem.settings.loss == "student"
+        if student or self.noise_fitted or self.freedom < 1:
             return None
         return float(chi2.sf(self.total, self.freedom))
 
@@ -102,15 +121,16 @@ class FitResult:
 
     @property
     def aic(self) -> float:
-        """Akaike's information criterion."""
-        return 2.0 * self.sought - 2.0 * self.squares.log_likelihood(self.evaluation)
+        """Akaike's information criterion, where priors count as readings.
+
+        -2 log L and the squares of the priors' residuals, and 2 for each that was ``sought``.
+        """
+        return 2.0 * self.sought + self._deviance
 
     @property
     def bic(self) -> float:
-        """The Bayesian one."""
-        return float(
-            np.log(self.n) * self.sought - 2.0 * self.squares.log_likelihood(self.evaluation)
-        )
+        """The Bayesian one: log ``n`` for each that was ``sought``."""
+        return float(np.log(self.n)) * self.sought + self._deviance
 
     @property
     def standard_deviations(self) -> FloatArray:

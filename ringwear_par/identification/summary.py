@@ -150,7 +150,13 @@ def _posterior_lines(found: "FitResult", posterior: "Posterior") -> list[str]:
 
 
 def _fit_line(found: "FitResult") -> str:
-    probable = "noise was fitted" if found.p_value is None else f"p = {found.p_value:.2g}"
+    probable = "no p-value"
+    if found.p_value is not None:
+        probable = f"p = {found.p_value:.2g}"
+    elif found.noise_fitted:
+        probable = "noise was fitted"
+    elif found.squares.problem.settings.loss == "student":
+        probable = 'loss "student"'
     return (
         f"chi2 = {found.chi2:.5g} of {found.n} readings, {found.freedom} degrees of freedom "
         f"({probable}); AIC {found.aic:.5g}, BIC {found.bic:.5g}"

@@ -103,6 +103,21 @@ def test_any_number_of_ranks_finds_the_same(tables, comm):
 
 
 @pytest.mark.serial
+def test_criteria_count_what_priors_object(tables, comm):
+    """A prior that is far off costs what it costs the objective."""
+    given = tables(starts=1)
+    known = predicted(read_fit(given), comm)
+    key = known.parameters[0].key
+    prior = {"normal": [known.parameters[0].estimate * 3, known.parameters[0].estimate]}
+    given["fit"]["parameters"][key] = {**FITTED[key], "prior": prior}
+    doubted = predicted(read_fit(given), comm)
+    assert doubted.aic - known.aic == pytest.approx(4.0, rel=1e-6)
+    assert doubted.bic - known.bic == pytest.approx(4.0, rel=1e-6)
+    growth = doubted.evaluation.objective - known.evaluation.objective
+    assert growth == pytest.approx(2.0, rel=1e-6)
+
+
+@pytest.mark.serial
 def test_noise_is_fitted(tables, comm):
     given = tables(starts=1)
     for experiment in given["experiment"]:
@@ -137,6 +152,8 @@ def test_outliers_do_not_count(tables, comm, tmp_path):
     assert abs(offset(plain) - 1.15) > 0.3  # offset, and half of the drift
     assert abs(offset(robust) - 1.15) < 0.15
     assert near(robust)
+    assert robust.p_value is None
+    assert not robust.flagged
 
 
 @pytest.mark.serial
