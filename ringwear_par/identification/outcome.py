@@ -1,7 +1,7 @@
 """What a fit found: estimates with intervals, how well the model fits, and what was left open."""
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -42,6 +42,7 @@ class FitResult:
     versions : of the software.
     comm : of the ranks that have fitted.
     posterior : samples of the fitted keys, where they were asked for.
+    failed : why there is no outcome under some other laws, by name.
     """
 
     squares: LeastSquares
@@ -56,6 +57,7 @@ class FitResult:
     versions: Mapping[str, str]
     comm: Any
     posterior: Posterior | None = None
+    failed: Mapping[str, str] = field(default_factory=dict)
 
     def __repr__(self) -> str:
         found = ", ".join(f"{p.key} = {p.estimate:.4g} ({p.verdict})" for p in self.parameters)
@@ -203,7 +205,8 @@ class FitResult:
                     k: v for k, v in other.to_dict().items() if k not in ("alternatives", "data")
                 }
                 for name, other in self.alternatives.items()
-            },
+            }
+            | {name: {"error": reason} for name, reason in self.failed.items()},
             "method": problem.settings.method,
             "loss": problem.settings.loss,
             "versions": dict(self.versions),

@@ -67,6 +67,11 @@ class Progress:
     def __init__(self, folder: Path | None, key: str, law: int = 0) -> None:
         self._folder, self._key, self._law = folder, key, law
 
+    @property
+    def kept(self) -> bool:
+        """Whether anything is kept."""
+        return self._folder is not None
+
     def _path(self, number: int) -> Path | None:
         if self._folder is None:
             return None

@@ -79,7 +79,7 @@ def summary(found: "FitResult") -> str:
     lines += _correlation_lines(found)
     if found.starts:
         lines.append(f"{found.at_best} of {len(found.starts)} starts end at this optimum")
-    if found.alternatives:
+    if found.alternatives or found.failed:
         lines += _alternative_lines(found)
     return "\n".join(lines)
 
@@ -207,6 +207,7 @@ def _alternative_lines(found: "FitResult") -> list[str]:
         lines.append(
             f"  {name}: {other.aic - best:+.1f}, {other.bic:.5g}, {other.chi2:.5g}; {values}{flag}"
         )
+    lines += [f"  {name}: failed: {reason}" for name, reason in found.failed.items()]
     if all(other.flagged for other in laws.values()):
         lines.append("  none of them fits")
     return lines

@@ -2,6 +2,7 @@
 
 import copy
 import json
+import signal
 import tomllib
 from dataclasses import replace
 from pathlib import Path
@@ -26,9 +27,12 @@ from laboratory import (
 import ringwear_par as rw
 from ringwear_par.cases.text import toml_value
 from ringwear_par.errors import ComputationError
+from ringwear_par.identification import fit as fit_room
 from ringwear_par.identification import starts as starts_room
 from ringwear_par.identification.fit import fit, fitted, predicted, run_fit
 from ringwear_par.identification.fit_file import read_fit
+from ringwear_par.identification.starts import Started
+from ringwear_par.stopping import StopSignals
 
 SCRIPTS = Path(__file__).parents[2] / "scripts"
 
@@ -269,6 +273,46 @@ def test_other_laws_are_told_not_to_fit(tables, comm):
     told = found.to_dict()["alternatives"]["archard"]
     assert told["flagged"] is True
     assert list(told["parameters"]) == ["wear.lower.k"]
+
+
+@pytest.mark.serial
+def test_a_law_that_fails_leaves_the_fit(tables, comm, monkeypatch):
+    given = tables(starts=1, intervals=["profile"])
+    sought = {"wear.lower.k": FITTED["wear.lower.k"]}
+    given["compare"] = {
+        "bad": {"set": {}, "parameters": sought},
+        "good": {"set": {}, "parameters": sought},
+    }
+
+    def failing(squares, number, start, meet):
+        if squares.problem.name.endswith("compare.bad"):
+            return Started(number, (), (), (), float("inf"), False, 0, 0, "it broke")
+        return solved(squares, number, start, meet)
+
+    solved = starts_room._solved
+    monkeypatch.setattr(starts_room, "_solved", failing)
+    found = fit(given, comm)
+    assert set(found.profiles) == set(TRUTH)
+    told = found.to_dict()["alternatives"]
+    assert "it broke" in told["bad"]["error"]
+    assert told["good"]["aic"] > found.aic
+    assert not told["good"]["profiles"]
+    assert "  bad: failed: " in found.summary()
+
+
+@pytest.mark.serial
+def test_only_a_fit_that_keeps_its_starts_can_go_on(tables, written, comm, monkeypatch):
+    class Signals(StopSignals):
+        def __enter__(self):
+            self.received = signal.SIGTERM
+            return self
+
+    monkeypatch.setattr(fit_room, "StopSignals", Signals)
+    with pytest.raises(ComputationError, match="stopped by SIGTERM") as caught:
+        fit(tables(), comm)
+    assert "--restart" not in str(caught.value)
+    with pytest.raises(ComputationError, match="with --restart goes on"):
+        run_fit(*written, comm)
 
 
 @pytest.mark.serial
