@@ -207,6 +207,40 @@ def test_a_threshold_hides_behind_the_drift(tables, comm):
 
 
 @pytest.mark.serial
+def test_bounds_that_are_narrow_cut_intervals_only(tables, comm):
+    given = tables(starts=1)
+    given["fit"]["parameters"] = {
+        **FITTED,
+        "wear.lower.p0": {"start": 24.8, "bounds": [24.4, 25.2]},
+    }
+    threshold = fit(given, comm).parameters[1]
+    assert threshold.sd == pytest.approx(fit(tables(starts=1), comm).parameters[1].sd, rel=0.1)
+    assert threshold.verdict == "identified"
+    low, high = threshold.interval
+    assert (low is None) == (threshold.estimate - 1.96 * threshold.sd < 24.4)
+    assert (high is None) == (threshold.estimate + 1.96 * threshold.sd > 25.2)
+
+
+@pytest.mark.serial
+def test_what_is_one_with_an_unknown_is_unknown(tables, comm):
+    """A coefficient and a threshold at one load: bounds of the one alone do not tell the other."""
+    given = tables(starts=1)
+    (_, one), given["experiment"] = given["experiment"], given["experiment"][1:]
+    del one["data"][1], one["data"][0]["nuisance"]
+    one["data"][0]["sd"] = 0.4
+    given["fit"]["parameters"] = {
+        "wear.lower.k": {"start": 1.3e-7, "bounds": [1.1e-7, 1.5e-7]},
+        "wear.lower.p0": {"start": 25.0, "bounds": [0.0, 200.0]},
+    }
+    found = predicted(read_fit(given), comm)
+    (_, _, correlation), *_ = found.correlations()
+    assert abs(correlation) > 0.999
+    assert 4 * found.parameters[1].sd < 200.0
+    assert [p.verdict for p in found.parameters] == ["not identified"] * 2
+    assert "wear.lower.k" in found.parameters[1].direction
+
+
+@pytest.mark.serial
 def test_a_threshold_at_its_bound_has_an_upper_limit(comm, tmp_path):
     truth = {"wear.lower.k": 1.3e-7, "wear.lower.p0": 0.0}
     for seed in range(1, 9):
@@ -341,7 +375,9 @@ def test_what_is_written(written, comm, capsys):
     said = capsys.readouterr().out
     assert "wear.lower.p0" in said
     assert "chi2" in said
-    assert sorted(p.name for p in folder.iterdir()) == ["fit.json", "fit.png", "results.h5"]
+    assert sorted(p.name for p in folder.iterdir()) == [
+        "fit.json", "fit.png", "parameters.png", "results.h5",
+    ]  # fmt: skip
     told = json.loads((folder / "fit.json").read_text())
     names = "parameters covariance chi2 n_data aic bic experiments nuisance histories alternatives "
     assert set(f"{names}starts versions data".split()) <= told.keys()
