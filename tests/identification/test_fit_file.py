@@ -9,7 +9,7 @@ import pytest
 from laboratory import CASE, FITTED, fit_tables, write_table, write_tests
 
 from ringwear_par.errors import InputError
-from ringwear_par.identification.fit import fit
+from ringwear_par.identification.fit import fit, predicted
 from ringwear_par.identification.fit_file import read_fit
 from ringwear_par.identification.histories import Histories
 from ringwear_par.identification.inline_tables import on_one_line
@@ -246,6 +246,21 @@ def test_wrong_signs(entry, good, tmp_path, comm):
     write_table(tmp_path / "a.csv", names, x, -y)
     with pytest.raises(InputError, match="has the wrong sign"):
         fit(changed(good, (*entry, "file"), str(tmp_path / "a.csv")), comm)
+
+
+def test_a_key_to_which_nothing_responds(good, comm):
+    """But for the pressure at the edges, which exceeds every threshold a little."""
+    tables = copy.deepcopy(good)
+    tables["experiment"] = tables["experiment"][:1]
+    tables["experiment"][0]["set"]["wear.lower.p0"] = 300.0
+    del tables["fit"]["parameters"]["wear.lower.p0"]
+    with pytest.raises(InputError, match=r"nothing that was read responds to wear.lower.k"):
+        fit(tables, comm)
+    tables["experiment"][0]["set"]["wear.lower.p0"] = 25.0
+    start = {"start": 1e-11, "bounds": [1e-12, 1e-5], "scale": "log"}
+    tables["fit"]["parameters"]["wear.lower.k"] = start
+    found = predicted(read_fit(tables), comm)  # hardly at the start, but elsewhere
+    assert found.parameters[0].sd > 0
 
 
 def test_a_drift_that_outweighs_the_wear_is_no_wrong_sign(good, tmp_path, comm):
