@@ -53,7 +53,10 @@ class FittedParameter:
     def value(self, unknown: float) -> float:
         """Return the value of an unknown, within the bounds to the last bit."""
         low, high = self.bounds
-        return min(max(float(np.exp(unknown)) if self.log else float(unknown), low), high)
+        if self.log:  # minimisers may try what no exponential can hold
+            at = min(max(unknown, self.unknown(low) - 1.0), self.unknown(high) + 1.0)
+            unknown = float(np.exp(at))
+        return min(max(float(unknown), low), high)
 
     def slope(self, value: float) -> float:
         """Return the derivative of the value with respect to the unknown."""
