@@ -234,6 +234,10 @@ def run_fit(
             print(prediction(found))
         return
     on_first_rank(comm, lambda: storing.check(folder))
+    if restart and on_first_rank(comm, lambda: storing.complete(folder, problem, compare=compare)):
+        if comm.rank == 0:
+            log.info("%s: the fit is complete; nothing is left to be done", folder)
+        return
     if comm.rank == 0:
         warn_of_threads(comm.size)
     if not restart:

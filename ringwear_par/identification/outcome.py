@@ -202,7 +202,9 @@ class FitResult:
             "profiles": {key: _finite(table) for key, table in self.profiles.items()},
             "alternatives": {
                 name: {
-                    k: v for k, v in other.to_dict().items() if k not in ("alternatives", "data")
+                    k: v
+                    for k, v in other.to_dict().items()
+                    if k not in ("alternatives", "data", "key")
                 }
                 for name, other in self.alternatives.items()
             }
@@ -211,6 +213,7 @@ class FitResult:
             "loss": problem.settings.loss,
             "versions": dict(self.versions),
             "data": dict(problem.hashes),
+            "key": problem.key,
         }
 
     def _parameters(self) -> dict[str, Any]:

@@ -393,6 +393,32 @@ def test_what_is_written(written, comm, capsys):
 
 
 @pytest.mark.serial
+def test_a_complete_fit_is_left_as_it_is(written, comm, monkeypatch):
+    path, folder = written
+    text = path.read_text()
+    path.write_text(
+        text.replace("starts = 2", "starts = 1")
+        + 'compare.fixed.set = {}\ncompare.fixed.parameters."wear.lower.k" = '
+        + toml_value(FITTED["wear.lower.k"])
+    )
+    folder = folder.parent / "not" / "there"
+    run_fit(path, folder, comm)
+    run_fit(path, folder, comm, restart=True, compare=True)
+    whole = (folder / "fit.json").read_text()
+    assert list(json.loads(whole)["alternatives"]) == ["fixed"]
+
+    def never(*args, **kwargs):
+        raise AssertionError("fitted again")
+
+    monkeypatch.setattr(fit_room, "fitted", never)
+    run_fit(path, folder, comm, restart=True)
+    assert (folder / "fit.json").read_text() == whole
+    path.write_text(path.read_text() + "\n# another\n")
+    with pytest.raises(AssertionError, match="fitted again"):
+        run_fit(path, folder, comm, restart=True)
+
+
+@pytest.mark.serial
 def test_a_dry_run_writes_nothing(written, comm, capsys):
     path, folder = written
     run_fit(path, folder, comm, dry_run=True)
