@@ -1,23 +1,22 @@
 """``rw.fit`` and ``ringwear fit``: the values of case keys that measurements tell."""
 
-import hashlib
 import itertools
-import json
 import logging
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from mpi4py import MPI
 
-from ringwear_par import __version__
 from ringwear_par.arrays import FloatArray
-from ringwear_par.errors import ComputationError
+from ringwear_par.errors import ComputationError, InputError, reason_of
 from ringwear_par.identification.fit_file import read_fit
 from ringwear_par.identification.histories import Histories
 from ringwear_par.identification.intervals import estimates
 from ringwear_par.identification.least_squares import LeastSquares
+from ringwear_par.identification.lockstep import StoppedError
 from ringwear_par.identification.minimise import Optimum, minimise
 from ringwear_par.identification.outcome import FitResult
 from ringwear_par.identification.plausible import refuse_idle, refuse_reversed
@@ -63,19 +62,27 @@ def fitted(
 ) -> FitResult:
     """Do as ``fit`` with a problem that was read. Collective on comm.
 
+    Other laws follow the first one, with linear intervals; one that fails does not end the fit.
+
     Parameters
     ----------
     folder : where optima of starts are kept until the fit is done; None: nowhere.
     """
-    progress = Progress(folder, key_of(problem))
     with StopSignals() as signals:
-        posed = _Posed(problem, "", progress, signals, comm)
-        others = {
-            name: _Posed(other, name, progress, signals, comm)
-            for name, other in (problem.alternatives if compare else {}).items()
-        }
-        alternatives = {name: other.solved(comm, {}) for name, other in others.items()}
-        return posed.solved(comm, alternatives)
+        found = _Posed(problem, "", Progress(folder, problem.key), signals, comm).solved(comm)
+        others: dict[str, FitResult] = {}
+        failed: dict[str, str] = {}
+        linear = replace(problem.settings, intervals=("linear",))
+        for law, (name, other) in enumerate(problem.alternatives.items() if compare else (), 1):
+            progress = Progress(folder, f"{other.key} {name}", law)
+            try:
+                posed = _Posed(replace(other, settings=linear), name, progress, signals, comm)
+                others[name] = posed.solved(comm)
+            except StoppedError:
+                raise
+            except (ComputationError, InputError) as error:
+                failed[name] = reason_of(error)
+        return replace(found, alternatives=others, failed=failed)
 
 
 def _readable(source: Source) -> Problem:
@@ -90,12 +97,6 @@ def predicted(problem: Problem, comm: MPI.Intracomm) -> FitResult:
     """Return what a fit would find if the parameters were those of the start. Collective."""
     with StopSignals() as signals:
         return _Posed(problem, "", Progress(None, ""), signals, comm).predicted(comm)
-
-
-def key_of(problem: Problem) -> str:
-    """Return what tells a problem, its data and this version from others."""
-    told = json.dumps([problem.text, sorted(problem.hashes.items()), __version__])
-    return hashlib.sha256(told.encode()).hexdigest()
 
 
 class _Posed:
@@ -119,7 +120,7 @@ class _Posed:
             refuse_idle(self._squares, start)
             refuse_reversed(self._squares, start)
 
-    def solved(self, comm: MPI.Intracomm, alternatives: Mapping[str, FitResult]) -> FitResult:
+    def solved(self, comm: MPI.Intracomm) -> FitResult:
         """Return the best of all starts. Collective on comm."""
         squares, histories = self._squares, self._histories
         unknowns = points(self._problem)
@@ -153,8 +154,8 @@ class _Posed:
             spent += comm.allreduce(histories.count - after)
             self._refuse_stop(comm)
         return FitResult(
-            squares, optimum.x, optimum.evaluation, told, covariance, tuple(starts), spent,
-            alternatives, profiles, versions(), comm, posterior,
+            squares, optimum.x, optimum.evaluation, told, covariance, tuple(starts), spent, {},
+            profiles, versions(), comm, posterior,
         )  # fmt: skip
 
     def predicted(self, comm: MPI.Intracomm) -> FitResult:
@@ -209,10 +210,8 @@ class _Posed:
     def _refuse_stop(self, comm: MPI.Intracomm) -> None:
         received = max(comm.allgather(self._signals.received))
         if received:
-            raise ComputationError(
-                f"stopped by {name_of(received)}; the same command with --restart goes on"
-                f"{remark(received)}"
-            )
+            hint = "; the same command with --restart goes on" if self._progress.kept else ""
+            raise StoppedError(f"stopped by {name_of(received)}{hint}{remark(received)}")
 
 
 def run_fit(
@@ -235,6 +234,10 @@ def run_fit(
             print(prediction(found))
         return
     on_first_rank(comm, lambda: storing.check(folder))
+    if restart and on_first_rank(comm, lambda: storing.complete(folder, problem, compare=compare)):
+        if comm.rank == 0:
+            log.info("%s: the fit is complete; nothing is left to be done", folder)
+        return
     if comm.rank == 0:
         warn_of_threads(comm.size)
     if not restart:

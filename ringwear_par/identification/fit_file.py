@@ -201,8 +201,13 @@ class _Experiments:
         series: list[Series] = []
         for number_, entry in enumerate(data, start=1):
             found = read_series(f"{said}: data {number_}", entry, case, self._files, faults)
-            if found is not None:
-                series.append(found)
+            if found is None:
+                continue
+            if any(_same_readings(found, other) for other in series):
+                reader.fault(
+                    f"data {number_} ({found.quantity}): {found.file} is there twice; must be once"
+                )
+            series.append(found)
         return None if case is None else Experiment(name, case, _named(series))
 
     def _changes(self, reader: TableReader, faults: list[str]) -> dict[str, Any]:
@@ -246,13 +251,11 @@ class _Experiments:
             faults.append(f"{said}: is there twice; names must differ")
             return
         for series in one.series:
-            for twin in other.series:
-                same = series.file and series.quantity == twin.quantity
-                if same and series.file == twin.file and np.array_equal(series.value, twin.value):
-                    faults.append(
-                        f"{said}: {series.quantity}: {series.file} has the readings of experiment "
-                        f'"{legible(other.name)}"; every experiment must have its own'
-                    )
+            if any(_same_readings(series, twin) for twin in other.series):
+                faults.append(
+                    f"{said}: {series.quantity}: {series.file} has the readings of experiment "
+                    f'"{legible(other.name)}"; every experiment must have its own'
+                )
 
     def changed(
         self,
@@ -274,6 +277,15 @@ class _Experiments:
                 break  # the others have the same fault
             found.append(Experiment(experiment.name, case, experiment.series))
         return tuple(found)
+
+
+def _same_readings(one: Series, other: Series) -> bool:
+    """Tell whether two series share lines of a file, with the same readings."""
+    if one.lines is None or other.lines is None or one.file != other.file:
+        return False
+    _, here, there = np.intersect1d(one.lines, other.lines, return_indices=True)
+    same = len(here) and one.quantity == other.quantity
+    return bool(same and np.array_equal(one.value[here], other.value[there]))
 
 
 def _named(series: list[Series]) -> tuple[Series, ...]:

@@ -18,8 +18,10 @@ Verdict = Literal["identified", "at bound", "not identified"]
 _NOTHING = 1e-10
 #: components of a direction that are told
 _TOLD = 0.15
-#: largest half interval of a logarithm, and of any unknown over the width of its bounds
-_WIDEST_LOG, _WIDEST = 1.5, 0.25
+#: largest half interval of a logarithm
+_WIDEST_LOG = 1.5
+#: correlation at which what is not known of one key is not known of the other
+_ONE = 0.999
 #: of a prior's sd: more is but the prior
 _MERE_PRIOR = 0.95
 
@@ -114,9 +116,13 @@ def estimates(
     finite = np.where(np.isfinite(covariance), covariance, 0.0)
     free = x - finite @ found.jacobian.T @ found.residuals  # where no bound is in the way
     values = squares.values(x)
+    sds = np.sqrt(np.diag(covariance))
+    judged = [_judged(squares, j, x[j], free[j], float(sds[j])) for j in range(len(values))]
+    vague = [j for j in range(len(values)) if _vague(squares, j, float(sds[j]))]
     told = []
-    for j in range(len(values)):
-        verdict, limits, sd = _judged(squares, j, x[j], free[j], math.sqrt(covariance[j, j]))
+    for j, (verdict, limits, sd) in enumerate(judged):
+        if any(abs(finite[i, j]) > _ONE * sds[i] * sds[j] for i in vague):
+            verdict, limits = "not identified", (None, None)
         parameter = squares.problem.parameters[j]
         natural = None if sd is None else sd * parameter.slope(values[j])
         low, high = (
@@ -133,6 +139,16 @@ def estimates(
     return tuple(told), covariance
 
 
+def _vague(squares: LeastSquares, j: int, sd: float) -> bool:
+    """Tell whether the interval of an unknown is wider than its bounds, or than one may be."""
+    level = squares.problem.settings.level
+    half = float(norm.ppf(0.5 + 0.5 * level)) * sd
+    widest = 0.5 * (squares.upper[j] - squares.lower[j])
+    if squares.problem.parameters[j].log:
+        widest = min(widest, _WIDEST_LOG)
+    return not half <= widest
+
+
 def _judged(
     squares: LeastSquares, j: int, x: float, free: float, sd: float
 ) -> tuple[Verdict, tuple[float | None, float | None], float | None]:
@@ -140,12 +156,9 @@ def _judged(
     parameter, level = squares.problem.parameters[j], squares.problem.settings.level
     low, high = squares.lower[j], squares.upper[j]
     half = float(norm.ppf(0.5 + 0.5 * level)) * sd
-    widest = _WIDEST * (high - low)
-    if parameter.log:
-        widest = min(widest, _WIDEST_LOG)
     prior = parameter.prior
     mere = prior is not None and sd * parameter.slope(parameter.value(x)) > _MERE_PRIOR * prior.sd
-    if not half <= widest or mere:
+    if _vague(squares, j, sd) or mere:
         return "not identified", (None, None), sd if math.isfinite(sd) else None
     near = 1e-3 * sd
     if x - low <= near or high - x <= near:

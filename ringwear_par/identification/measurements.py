@@ -15,7 +15,7 @@ from ringwear_par.errors import InputError, legible
 _FAULTS_TOLD = 5
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
 #: cells that say that there is nothing
-_EMPTY = frozenset({"", "nan", "na", "n/a", "-"})
+_EMPTY = frozenset({"", "nan"})
 
 
 @dataclass(frozen=True)

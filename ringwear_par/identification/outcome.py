@@ -1,7 +1,7 @@
 """What a fit found: estimates with intervals, how well the model fits, and what was left open."""
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -42,6 +42,7 @@ class FitResult:
     versions : of the software.
     comm : of the ranks that have fitted.
     posterior : samples of the fitted keys, where they were asked for.
+    failed : why there is no outcome under some other laws, by name.
     """
 
     squares: LeastSquares
@@ -56,6 +57,7 @@ class FitResult:
     versions: Mapping[str, str]
     comm: Any
     posterior: Posterior | None = None
+    failed: Mapping[str, str] = field(default_factory=dict)
 
     def __repr__(self) -> str:
         found = ", ".join(f"{p.key} = {p.estimate:.4g} ({p.verdict})" for p in self.parameters)
@@ -72,6 +74,11 @@ class FitResult:
         return float(self.evaluation.noise @ self.evaluation.noise)
 
     @property
+    def noise_fitted(self) -> bool:
+        """Whether the noise of some series was fitted."""
+        return any(series.sd_fitted for _, series in self.squares.series)
+
+    @property
     def sought(self) -> int:
         """Number of what was fitted: keys, nuisances that do something, and noises."""
         fitted_noise = sum(series.sd_fitted for _, series in self.squares.series)
@@ -85,13 +92,27 @@ class FitResult:
     @property
     def total(self) -> float:
         """``chi2`` and the squares of the priors' residuals."""
+        return self.chi2 + self._priors
+
+    @property
+    def _priors(self) -> float:
+        """Sum of the squares of the priors' residuals."""
         rest = self.evaluation.residuals[self.n :]
-        return self.chi2 + float(rest @ rest)
+        return float(rest @ rest)
+
+    @property
+    def _deviance(self) -> float:
+        """-2 log L of the readings, and the squares of the priors' residuals."""
+        return self._priors - 2.0 * self.squares.log_likelihood(self.evaluation)
 
     @property
     def p_value(self) -> float | None:
-        """How probable so large a ``total`` is by chance; None where noise was fitted."""
-        if any(series.sd_fitted for _, series in self.squares.series) or self.freedom < 1:
+        """How probable so large a ``total`` is by chance.
+
+        None where noise was fitted, and under the loss "student", whose noise has long tails.
+        """
+        student = self.squares.problem.settings.loss == "student"
+        if student or self.noise_fitted or self.freedom < 1:
             return None
         return float(chi2.sf(self.total, self.freedom))
 
@@ -102,15 +123,16 @@ class FitResult:
 
     @property
     def aic(self) -> float:
-        """Akaike's information criterion."""
-        return 2.0 * self.sought - 2.0 * self.squares.log_likelihood(self.evaluation)
+        """Akaike's information criterion, where priors count as readings.
+
+        -2 log L and the squares of the priors' residuals, and 2 for each that was ``sought``.
+        """
+        return 2.0 * self.sought + self._deviance
 
     @property
     def bic(self) -> float:
-        """The Bayesian one."""
-        return float(
-            np.log(self.n) * self.sought - 2.0 * self.squares.log_likelihood(self.evaluation)
-        )
+        """The Bayesian one: log ``n`` for each that was ``sought``."""
+        return float(np.log(self.n)) * self.sought + self._deviance
 
     @property
     def standard_deviations(self) -> FloatArray:
@@ -180,14 +202,18 @@ class FitResult:
             "profiles": {key: _finite(table) for key, table in self.profiles.items()},
             "alternatives": {
                 name: {
-                    k: v for k, v in other.to_dict().items() if k not in ("alternatives", "data")
+                    k: v
+                    for k, v in other.to_dict().items()
+                    if k not in ("alternatives", "data", "key")
                 }
                 for name, other in self.alternatives.items()
-            },
+            }
+            | {name: {"error": reason} for name, reason in self.failed.items()},
             "method": problem.settings.method,
             "loss": problem.settings.loss,
             "versions": dict(self.versions),
             "data": dict(problem.hashes),
+            "key": problem.key,
         }
 
     def _parameters(self) -> dict[str, Any]:

@@ -1,11 +1,14 @@
 """What is to be found from which measurements, complete and consistent, as frozen dataclasses."""
 
+import hashlib
+import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Literal, NamedTuple
 
 import numpy as np
 
+from ringwear_par import __version__
 from ringwear_par.arrays import FloatArray, IntArray
 from ringwear_par.cases.case import Case
 
@@ -50,7 +53,10 @@ class FittedParameter:
     def value(self, unknown: float) -> float:
         """Return the value of an unknown, within the bounds to the last bit."""
         low, high = self.bounds
-        return min(max(float(np.exp(unknown)) if self.log else float(unknown), low), high)
+        if self.log:  # minimisers may try what no exponential can hold
+            at = min(max(unknown, self.unknown(low) - 1.0), self.unknown(high) + 1.0)
+            unknown = float(np.exp(at))
+        return min(max(float(unknown), low), high)
 
     def slope(self, value: float) -> float:
         """Return the derivative of the value with respect to the unknown."""
@@ -207,6 +213,17 @@ class Problem:
     def keys(self) -> tuple[str, ...]:
         """The fitted keys."""
         return tuple(parameter.key for parameter in self.parameters)
+
+    @property
+    def key(self) -> str:
+        """What tells it, its cases with users' laws, its data and this version from others."""
+        cases = [experiment.case for experiment in self.experiments]
+        laws = [law for case in cases for law in (case.wear_lower, case.wear_upper)]
+        told = [
+            self.text, [case.text for case in cases], [getattr(law, "source", "") for law in laws],
+            sorted(self.hashes.items()), __version__,
+        ]  # fmt: skip
+        return hashlib.sha256(json.dumps(told).encode()).hexdigest()
 
     @property
     def start(self) -> dict[str, float]:

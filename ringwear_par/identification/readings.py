@@ -134,9 +134,8 @@ def whitened(series: Series, rows: FloatArray) -> FloatArray:
     """
     if not series.correlation_time or series.n < 2:
         return rows
-    share = np.exp(-np.diff(series.x) / series.correlation_time)
-    share = share.reshape(-1, *(1,) * (rows.ndim - 1))
-    rest = (rows[1:] - share * rows[:-1]) / np.sqrt(1.0 - share * share)
+    steps = (np.diff(series.x) / series.correlation_time).reshape(-1, *(1,) * (rows.ndim - 1))
+    rest = (rows[1:] - np.exp(-steps) * rows[:-1]) / np.sqrt(-np.expm1(-2.0 * steps))
     return np.concatenate([rows[:1], rest])
 
 
@@ -144,5 +143,5 @@ def log_volume(series: Series) -> float:
     """Return the logarithm of what ``whitened`` divides volumes by."""
     if not series.correlation_time or series.n < 2:
         return 0.0
-    share = np.exp(-np.diff(series.x) / series.correlation_time)
-    return float(0.5 * np.log1p(-share * share).sum())
+    steps = np.diff(series.x) / series.correlation_time
+    return float(0.5 * np.log(-np.expm1(-2.0 * steps)).sum())

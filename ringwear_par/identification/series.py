@@ -33,6 +33,8 @@ _NUISANCES = {
 _SMOOTH = 9
 #: of the largest reading: below it a relative error means nothing
 _NEAR_ZERO = 0.05
+#: of the test: noise that is correlated for longer is an offset
+_LONGEST_CORRELATION = 100.0
 #: of the test: times that are rounded, in minutes, say, may be so much later than its end
 _ROUNDED = 2e-4
 _FAULTS_TOLD = 5
@@ -111,7 +113,9 @@ def read_series(
         data, rows, names, units, factors = found
         x, value = (factors[role] * _column(reader, data, names[role], rows) for role in names)
         lines, where, unit, scale = data.lines[rows], data.name, units["value"], factors["value"]
-        told = reader.raw("units", {}).get("value") is not None or unit != BASE[kind]
+        told = bool(
+            reader.raw("units", {}).get("value") or unit_of_column(names["value"], BASE[kind])
+        )
         column = _sd_column(reader, data)
     else:
         single = reader.read("value", number(-math.inf), ...)
@@ -132,6 +136,12 @@ def read_series(
     correlation = reader.read("correlation_time", number(0.0, ends=True), 0.0)
     if correlation > 0 and kind == "profile":
         reader.wrong("correlation_time", "must be absent for a profile, it is for noise in time")
+    if correlation > _LONGEST_CORRELATION * end:
+        reader.wrong(
+            "correlation_time",
+            f"must be at most {_LONGEST_CORRELATION:g} times the test, which ends at {end:g} s; "
+            "noise that never changes is an offset",
+        )
     reader.finish()
     if len(faults) > before:
         return None

@@ -61,19 +61,25 @@ class Progress:
     ----------
     folder : of the results; None: nothing is kept.
     key : of the problem; what another problem has left is not used.
+    law : number of the law among those that are compared, 0 the first.
     """
 
-    def __init__(self, folder: Path | None, key: str) -> None:
-        self._folder, self._key = folder, key
+    def __init__(self, folder: Path | None, key: str, law: int = 0) -> None:
+        self._folder, self._key, self._law = folder, key, law
 
-    def _path(self, name: str, number: int) -> Path | None:
+    @property
+    def kept(self) -> bool:
+        """Whether anything is kept."""
+        return self._folder is not None
+
+    def _path(self, number: int) -> Path | None:
         if self._folder is None:
             return None
-        return self._folder / "progress" / f"{name or 'fit'}-{number}.json"
+        return self._folder / "progress" / f"{self._law}-{number}.json"
 
-    def read(self, name: str, number: int) -> Started | None:
+    def read(self, number: int) -> Started | None:
         """Return what is kept of a start; None if nothing is. Not collective."""
-        path = self._path(name, number)
+        path = self._path(number)
         try:
             kept = json.loads(path.read_text()) if path is not None else None
             if not isinstance(kept, dict) or kept.pop("key") != self._key:
@@ -83,9 +89,9 @@ class Progress:
         except (OSError, ValueError, TypeError, KeyError):
             return None
 
-    def write(self, name: str, found: Started) -> None:
+    def write(self, found: Started) -> None:
         """Keep what came of a start; a full disk only costs the restart. Not collective."""
-        path = self._path(name, found.number)
+        path = self._path(found.number)
         if path is None:
             return
         try:
@@ -178,9 +184,9 @@ def solve_starts(
     Parameters
     ----------
     unknowns : (s, m) of all starts.
-    name : of the problem among those that ``progress`` keeps.
+    name : of the law, as progress is told; "" of the first.
     """
-    kept = {number: progress.read(name, number) for number in numbers}
+    kept = {number: progress.read(number) for number in numbers}
     found = [one for one in kept.values() if one is not None]
     left = [number for number in numbers if kept[number] is None]
     telling = _Telling(name, len(numbers), found)
@@ -190,7 +196,7 @@ def solve_starts(
 
         def solved(number: int, start: FloatArray, meet: Meet) -> None:
             found.append(_solved(squares, number, start, meet))
-            progress.write(name, found[-1])
+            progress.write(found[-1])
 
         def compute(points: list[FloatArray]) -> None:
             squares.look_up(points)

@@ -11,6 +11,7 @@ import numpy as np
 
 from ringwear_par.atomic import atomic_write, check_writable
 from ringwear_par.errors import ComputationError, InputError
+from ringwear_par.identification.problem import Problem
 from ringwear_par.identification.summary import unit_of
 from ringwear_par.results.hdf5 import atomic_hdf5, write_variable
 from ringwear_par.results.variables import SOFTWARE, Variable
@@ -34,8 +35,20 @@ def check(folder: Path, files: Sequence[str] = FILES) -> None:
     if folder.is_dir():
         for name in files:
             check_writable(folder / name)
-    else:
-        check_writable(folder)
+    else:  # made with its parents; the first of them that is missing tells
+        missing = [folder, *folder.parents]
+        there = next((i for i, path in enumerate(missing) if path.exists()), len(missing))
+        check_writable(missing[max(there - 1, 0)])
+
+
+def complete(folder: Path, problem: Problem, *, compare: bool) -> bool:
+    """Tell whether a folder holds the outcome of a problem, of its other laws too where asked."""
+    try:
+        told = json.loads((folder / OUTCOME).read_text())
+        others = problem.alternatives.keys() if compare else set()
+        return bool(told["key"] == problem.key and others <= told["alternatives"].keys())
+    except (OSError, ValueError, TypeError, KeyError, AttributeError):
+        return False
 
 
 def save(found: "FitResult", folder: Path) -> None:
@@ -47,7 +60,7 @@ def save(found: "FitResult", folder: Path) -> None:
     """
     check(folder)
     try:
-        folder.mkdir(exist_ok=True)
+        folder.mkdir(parents=True, exist_ok=True)
         with atomic_hdf5(folder / RESULTS) as (file, _):
             _write(file, found)
         with atomic_write(folder / FIGURE) as path:

@@ -79,7 +79,7 @@ def summary(found: "FitResult") -> str:
     lines += _correlation_lines(found)
     if found.starts:
         lines.append(f"{found.at_best} of {len(found.starts)} starts end at this optimum")
-    if found.alternatives:
+    if found.alternatives or found.failed:
         lines += _alternative_lines(found)
     return "\n".join(lines)
 
@@ -150,7 +150,13 @@ def _posterior_lines(found: "FitResult", posterior: "Posterior") -> list[str]:
 
 
 def _fit_line(found: "FitResult") -> str:
-    probable = "noise was fitted" if found.p_value is None else f"p = {found.p_value:.2g}"
+    probable = "no p-value"
+    if found.p_value is not None:
+        probable = f"p = {found.p_value:.2g}"
+    elif found.noise_fitted:
+        probable = "noise was fitted"
+    elif found.squares.problem.settings.loss == "student":
+        probable = 'loss "student"'
     return (
         f"chi2 = {found.chi2:.5g} of {found.n} readings, {found.freedom} degrees of freedom "
         f"({probable}); AIC {found.aic:.5g}, BIC {found.bic:.5g}"
@@ -201,6 +207,7 @@ def _alternative_lines(found: "FitResult") -> list[str]:
         lines.append(
             f"  {name}: {other.aic - best:+.1f}, {other.bic:.5g}, {other.chi2:.5g}; {values}{flag}"
         )
+    lines += [f"  {name}: failed: {reason}" for name, reason in found.failed.items()]
     if all(other.flagged for other in laws.values()):
         lines.append("  none of them fits")
     return lines

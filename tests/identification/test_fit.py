@@ -2,6 +2,8 @@
 
 import copy
 import json
+import signal
+import tomllib
 from dataclasses import replace
 from pathlib import Path
 
@@ -25,9 +27,12 @@ from laboratory import (
 import ringwear_par as rw
 from ringwear_par.cases.text import toml_value
 from ringwear_par.errors import ComputationError
+from ringwear_par.identification import fit as fit_room
 from ringwear_par.identification import starts as starts_room
 from ringwear_par.identification.fit import fit, fitted, predicted, run_fit
 from ringwear_par.identification.fit_file import read_fit
+from ringwear_par.identification.starts import Started
+from ringwear_par.stopping import StopSignals
 
 SCRIPTS = Path(__file__).parents[2] / "scripts"
 
@@ -102,6 +107,21 @@ def test_any_number_of_ranks_finds_the_same(tables, comm):
 
 
 @pytest.mark.serial
+def test_criteria_count_what_priors_object(tables, comm):
+    """A prior that is far off costs what it costs the objective."""
+    given = tables(starts=1)
+    known = predicted(read_fit(given), comm)
+    key = known.parameters[0].key
+    prior = {"normal": [known.parameters[0].estimate * 3, known.parameters[0].estimate]}
+    given["fit"]["parameters"][key] = {**FITTED[key], "prior": prior}
+    doubted = predicted(read_fit(given), comm)
+    assert doubted.aic - known.aic == pytest.approx(4.0, rel=1e-6)
+    assert doubted.bic - known.bic == pytest.approx(4.0, rel=1e-6)
+    growth = doubted.evaluation.objective - known.evaluation.objective
+    assert growth == pytest.approx(2.0, rel=1e-6)
+
+
+@pytest.mark.serial
 def test_noise_is_fitted(tables, comm):
     given = tables(starts=1)
     for experiment in given["experiment"]:
@@ -136,6 +156,8 @@ def test_outliers_do_not_count(tables, comm, tmp_path):
     assert abs(offset(plain) - 1.15) > 0.3  # offset, and half of the drift
     assert abs(offset(robust) - 1.15) < 0.15
     assert near(robust)
+    assert robust.p_value is None
+    assert not robust.flagged
 
 
 @pytest.mark.serial
@@ -182,6 +204,40 @@ def test_a_threshold_hides_behind_the_drift(tables, comm):
     by_key = {p.key: p for p in found.parameters}
     assert by_key["wear.lower.p0"].verdict == "not identified"
     assert "drift of penetration (test 1)" in by_key["wear.lower.p0"].direction
+
+
+@pytest.mark.serial
+def test_bounds_that_are_narrow_cut_intervals_only(tables, comm):
+    given = tables(starts=1)
+    given["fit"]["parameters"] = {
+        **FITTED,
+        "wear.lower.p0": {"start": 24.8, "bounds": [24.4, 25.2]},
+    }
+    threshold = fit(given, comm).parameters[1]
+    assert threshold.sd == pytest.approx(fit(tables(starts=1), comm).parameters[1].sd, rel=0.1)
+    assert threshold.verdict == "identified"
+    low, high = threshold.interval
+    assert (low is None) == (threshold.estimate - 1.96 * threshold.sd < 24.4)
+    assert (high is None) == (threshold.estimate + 1.96 * threshold.sd > 25.2)
+
+
+@pytest.mark.serial
+def test_what_is_one_with_an_unknown_is_unknown(tables, comm):
+    """A coefficient and a threshold at one load: bounds of the one alone do not tell the other."""
+    given = tables(starts=1)
+    (_, one), given["experiment"] = given["experiment"], given["experiment"][1:]
+    del one["data"][1], one["data"][0]["nuisance"]
+    one["data"][0]["sd"] = 0.4
+    given["fit"]["parameters"] = {
+        "wear.lower.k": {"start": 1.3e-7, "bounds": [1.1e-7, 1.5e-7]},
+        "wear.lower.p0": {"start": 25.0, "bounds": [0.0, 200.0]},
+    }
+    found = predicted(read_fit(given), comm)
+    (_, _, correlation), *_ = found.correlations()
+    assert abs(correlation) > 0.999
+    assert 4 * found.parameters[1].sd < 200.0
+    assert [p.verdict for p in found.parameters] == ["not identified"] * 2
+    assert "wear.lower.k" in found.parameters[1].direction
 
 
 @pytest.mark.serial
@@ -254,6 +310,46 @@ def test_other_laws_are_told_not_to_fit(tables, comm):
 
 
 @pytest.mark.serial
+def test_a_law_that_fails_leaves_the_fit(tables, comm, monkeypatch):
+    given = tables(starts=1, intervals=["profile"])
+    sought = {"wear.lower.k": FITTED["wear.lower.k"]}
+    given["compare"] = {
+        "bad": {"set": {}, "parameters": sought},
+        "good": {"set": {}, "parameters": sought},
+    }
+
+    def failing(squares, number, start, meet):
+        if squares.problem.name.endswith("compare.bad"):
+            return Started(number, (), (), (), float("inf"), False, 0, 0, "it broke")
+        return solved(squares, number, start, meet)
+
+    solved = starts_room._solved
+    monkeypatch.setattr(starts_room, "_solved", failing)
+    found = fit(given, comm)
+    assert set(found.profiles) == set(TRUTH)
+    told = found.to_dict()["alternatives"]
+    assert "it broke" in told["bad"]["error"]
+    assert told["good"]["aic"] > found.aic
+    assert not told["good"]["profiles"]
+    assert "  bad: failed: " in found.summary()
+
+
+@pytest.mark.serial
+def test_only_a_fit_that_keeps_its_starts_can_go_on(tables, written, comm, monkeypatch):
+    class Signals(StopSignals):
+        def __enter__(self):
+            self.received = signal.SIGTERM
+            return self
+
+    monkeypatch.setattr(fit_room, "StopSignals", Signals)
+    with pytest.raises(ComputationError, match="stopped by SIGTERM") as caught:
+        fit(tables(), comm)
+    assert "--restart" not in str(caught.value)
+    with pytest.raises(ComputationError, match="with --restart goes on"):
+        run_fit(*written, comm)
+
+
+@pytest.mark.serial
 def test_a_prediction_before_any_fit_is_the_later_interval(tables, comm):
     given = tables(starts=1)
     for key, value in TRUTH.items():
@@ -279,7 +375,9 @@ def test_what_is_written(written, comm, capsys):
     said = capsys.readouterr().out
     assert "wear.lower.p0" in said
     assert "chi2" in said
-    assert sorted(p.name for p in folder.iterdir()) == ["fit.json", "fit.png", "results.h5"]
+    assert sorted(p.name for p in folder.iterdir()) == [
+        "fit.json", "fit.png", "parameters.png", "results.h5",
+    ]  # fmt: skip
     told = json.loads((folder / "fit.json").read_text())
     names = "parameters covariance chi2 n_data aic bic experiments nuisance histories alternatives "
     assert set(f"{names}starts versions data".split()) <= told.keys()
@@ -292,6 +390,32 @@ def test_what_is_written(written, comm, capsys):
         assert chi2 == pytest.approx(told["chi2"])
         sensitivity = groups[0]["sensitivity"]
         assert sensitivity.shape == (len(groups[0]["time"]), 2)
+
+
+@pytest.mark.serial
+def test_a_complete_fit_is_left_as_it_is(written, comm, monkeypatch):
+    path, folder = written
+    text = path.read_text()
+    path.write_text(
+        text.replace("starts = 2", "starts = 1")
+        + 'compare.fixed.set = {}\ncompare.fixed.parameters."wear.lower.k" = '
+        + toml_value(FITTED["wear.lower.k"])
+    )
+    folder = folder.parent / "not" / "there"
+    run_fit(path, folder, comm)
+    run_fit(path, folder, comm, restart=True, compare=True)
+    whole = (folder / "fit.json").read_text()
+    assert list(json.loads(whole)["alternatives"]) == ["fixed"]
+
+    def never(*args, **kwargs):
+        raise AssertionError("fitted again")
+
+    monkeypatch.setattr(fit_room, "fitted", never)
+    run_fit(path, folder, comm, restart=True)
+    assert (folder / "fit.json").read_text() == whole
+    path.write_text(path.read_text() + "\n# another\n")
+    with pytest.raises(AssertionError, match="fitted again"):
+        run_fit(path, folder, comm, restart=True)
 
 
 @pytest.mark.serial
@@ -326,6 +450,31 @@ def test_a_fit_goes_on_with_the_starts_that_are_kept(written, comm, monkeypatch)
     assert told["parameters"]["wear.lower.k"]["estimate"] == whole.parameters[0].estimate
     assert told["starts"] == whole.to_dict()["starts"]
     assert told["histories"] < whole.histories
+
+
+@pytest.mark.serial
+def test_names_of_laws_are_no_names_of_files(tables, comm, tmp_path):
+    given = tables(starts=1)
+    law = {"set": {}, "parameters": {"wear.lower.k": FITTED["wear.lower.k"]}}
+    given["compare"] = {"fit": law, "../../evil": law}
+    folder = tmp_path / "deep" / "out"
+    found = fitted(read_fit(given), comm, folder=folder)
+    assert [len(other.parameters) for other in found.alternatives.values()] == [1, 1]
+    kept = sorted(str(p.relative_to(tmp_path)) for p in tmp_path.rglob("*.json"))
+    assert kept == [f"deep/out/progress/{law}-0.json" for law in range(3)]
+
+
+def test_another_case_is_another_problem(written):
+    path, _ = written
+    case = Path(tomllib.loads(path.read_text())["case"])
+    before = read_fit(path).key
+    text = case.read_text()
+    try:
+        case.write_text(text.replace("contact_elements = 12", "contact_elements = 10"))
+        assert read_fit(path).key != before
+    finally:
+        case.write_text(text)
+    assert read_fit(path).key == before
 
 
 @pytest.mark.serial

@@ -9,9 +9,13 @@ import pytest
 from laboratory import CASE, FITTED, fit_tables, write_table, write_tests
 
 from ringwear_par.errors import InputError
-from ringwear_par.identification.fit import fit
+from ringwear_par.identification.fit import fit, predicted
 from ringwear_par.identification.fit_file import read_fit
+from ringwear_par.identification.histories import Histories
 from ringwear_par.identification.inline_tables import on_one_line
+from ringwear_par.identification.least_squares import LeastSquares
+from ringwear_par.identification.plausible import refuse_reversed
+from ringwear_par.identification.problem import FittedParameter
 
 #: every key that a fit file may have
 FULL = """
@@ -156,7 +160,7 @@ K = ("fit", "parameters", "wear.lower.k")
         ((*K, "guess"), 1, "guess: unknown key"),
         (("fit", "starts"), 0, "starts = 0: must be a whole number from 1"),
         (("fit", "method"), "newton", "method = \"newton\": must be one of brgn, lm"),
-        (("fit", "intervals"), ["posterior"], '"posterior" is not built'),
+        (("fit", "intervals"), ["posteriors"], 'intervals = ["posteriors"]: must be'),
         (("fit", "level"), 95, "level = 95: must be a number > 0.5 and < 1"),
         (("fit", "loss"), "l1", "must be one of gaussian, student"),
         ((*PEN, "quantity"), "depth", 'quantity = "depth": must be one of penetration'),
@@ -179,6 +183,7 @@ K = ("fit", "parameters", "wear.lower.k")
         ((*PEN, "exclude"), [[0, 1000]], "has no readings"),
         ((*PEN, "densty"), 1.0, "densty: unknown key"),
         ((*PROF, "at"), 100.1, "at = 100.1: must be within the test, which ends at 100 s"),
+        ((*PEN, "correlation_time"), 1e5, "must be at most 100 times the test"),
         ((*PROF, "correlation_time"), 1.0, "must be absent for a profile"),
         ((*PROF, "units"), {"r": "m", "value": "um"}, "r = 28000 mm: must be on the lower body"),
         ((*PROF, "units"), {"r": "m", "value": "um"}, "a thousand times too large"),
@@ -235,6 +240,33 @@ def test_the_same_readings_twice(good):
         read_fit(changed(good, ("experiment", 1, "data", 0, "file"), path))
 
 
+def test_the_same_readings_twice_in_one_experiment(good):
+    tables = copy.deepcopy(good)
+    data = tables["experiment"][0]["data"]
+    data.append({**data[0], "sd": 0.3, "exclude": [[0, 50]]})
+    with pytest.raises(InputError, match=r'"test 1": data 3 \(penetration\): .* is there twice'):
+        read_fit(tables)
+    data[0]["exclude"] = [[50, 100]]
+    assert len(read_fit(tables).experiments[0].series) == 3  # parts of one record
+
+
+def test_units_are_named_by_columns_too(good, tmp_path):
+    data = good["experiment"][0]["data"][0]
+    x, y = np.genfromtxt(data["file"], delimiter=",", skip_header=1).T
+    for name, told in (("z_mm", True), ("z", False)):
+        write_table(tmp_path / "z.csv", ("t_s", name), x, 1e-3 * y)
+        tables = changed(good, (*PEN, "file"), str(tmp_path / "z.csv"))
+        tables["experiment"][0]["data"][0]["columns"] = {"time": "t_s", "value": name}
+        assert read_fit(tables).experiments[0].series[0].unit_told is told
+
+
+def test_values_stay_within_bounds_without_overflow():
+    parameter = FittedParameter("wear.lower.k", 1e-7, (1e-9, 1e-5), log=True)
+    with np.errstate(all="raise"):
+        assert [parameter.value(u) for u in (-1e6, 1e6)] == [1e-9, 1e-5]
+    assert parameter.value(parameter.unknown(3e-7)) == pytest.approx(3e-7, rel=1e-12)
+
+
 @pytest.mark.parametrize("entry", [PEN, PROF])
 def test_wrong_signs(entry, good, tmp_path, comm):
     data = good["experiment"][0]["data"][entry[-1]]
@@ -243,6 +275,52 @@ def test_wrong_signs(entry, good, tmp_path, comm):
     write_table(tmp_path / "a.csv", names, x, -y)
     with pytest.raises(InputError, match="has the wrong sign"):
         fit(changed(good, (*entry, "file"), str(tmp_path / "a.csv")), comm)
+
+
+def test_a_key_to_which_nothing_responds(good, comm):
+    """But for the pressure at the edges, which exceeds every threshold a little."""
+    tables = copy.deepcopy(good)
+    tables["experiment"] = tables["experiment"][:1]
+    tables["experiment"][0]["set"]["wear.lower.p0"] = 300.0
+    del tables["fit"]["parameters"]["wear.lower.p0"]
+    with pytest.raises(InputError, match=r"nothing that was read responds to wear.lower.k"):
+        fit(tables, comm)
+    tables["experiment"][0]["set"]["wear.lower.p0"] = 25.0
+    start = {"start": 1e-11, "bounds": [1e-12, 1e-5], "scale": "log"}
+    tables["fit"]["parameters"]["wear.lower.k"] = start
+    found = predicted(read_fit(tables), comm)  # hardly at the start, but elsewhere
+    assert found.parameters[0].sd > 0
+
+
+def test_a_drift_that_outweighs_the_wear_is_no_wrong_sign(good, tmp_path, comm):
+    data = good["experiment"][0]["data"][0]
+    t, z = np.genfromtxt(data["file"], delimiter=",", skip_header=1).T
+    write_table(tmp_path / "z.csv", tuple(data["columns"].values()), t, z - 4.0 * z.max() * t / 100)
+    tables = changed(good, (*PEN, "file"), str(tmp_path / "z.csv"))
+    prior = {"prior": {"normal": [-4.0 * z.max(), z.max()]}}
+    tables["experiment"][0]["data"][0]["nuisance"]["drift"] = prior
+    for known in (prior, {}):
+        tables["experiment"][0]["data"][0]["nuisance"]["drift"] = known
+        problem = read_fit(tables)
+        squares = LeastSquares(problem, Histories(problem, comm))
+        refuse_reversed(squares, squares.started(list(problem.start.values())))
+
+
+def test_a_torque_that_falls_is_no_wrong_sign(good, tmp_path, comm):
+    t = np.linspace(1.0, 100.0, 50)
+    write_table(tmp_path / "m.csv", ("time", "value"), t, -10.0 - np.sin(t))
+    tables = copy.deepcopy(good)
+    tables["experiment"][0]["data"].append(
+        {
+            "quantity": "torque",
+            "file": str(tmp_path / "m.csv"),
+            "units": {"value": "N m"},
+            "sd": 0.1,
+        }
+    )
+    problem = read_fit(tables)
+    squares = LeastSquares(problem, Histories(problem, comm))
+    refuse_reversed(squares, squares.started(list(problem.start.values())))
 
 
 def test_a_quantity_that_does_not_respond(good, comm):

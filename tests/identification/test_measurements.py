@@ -48,6 +48,8 @@ def test_encodings(encoding, tmp_path):
         ("t,z\n0,5,1\n", "line 2: has 3 values; must have 2, as the first line; decimal commas"),
         ("t;z\n1\n", "line 2: has 1 values; must have 2"),
         ("t;z\n\n1;1,2,3\n", "line 3: z = 1,2,3: must be a number, or empty"),
+        ("t;z\n1;2\n2;n/a\n", "line 3: z = n/a: must be a number, or empty"),
+        ("t;z\n1;2\n-;3\n", "line 3: t = -: must be a number, or empty"),
         ("t;z\n1;1_0\n", "line 2: z = 1_0: must be a number"),
         ("t;z\n1;inf\n", "line 2: z = inf: must be a number"),
         ("t;z\n1;1e999\n", "line 2: z = 1e999: must be a number"),

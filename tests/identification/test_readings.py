@@ -10,7 +10,7 @@ import ringwear_par as rw
 from ringwear_par.identification.fit_file import read_fit
 from ringwear_par.identification.histories import Histories
 from ringwear_par.identification.problem import Nuisance, Series
-from ringwear_par.identification.readings import in_steps, nuisance_columns, whitened
+from ringwear_par.identification.readings import in_steps, log_volume, nuisance_columns, whitened
 from ringwear_par.identification.steps import step_times
 
 SERIES = Series("a", "penetration", np.arange(1.0, 6.0), np.zeros(5), np.ones(5), factor=1e-3)
@@ -43,6 +43,16 @@ def test_noise_in_time_becomes_white():
     assert np.corrcoef(noise[1:], noise[:-1])[0, 1] > 0.5
     assert abs(np.corrcoef(white[1:], white[:-1])[0, 1]) < 4 / np.sqrt(len(x))
     assert np.std(white) == pytest.approx(1.0, abs=0.05)
+
+
+def test_noise_that_hardly_changes_is_no_division_by_zero():
+    series = replace(SERIES, correlation_time=1e17)
+    with np.errstate(all="raise"):
+        white = whitened(series, np.arange(5.0))
+        volume = log_volume(series)
+    step = np.sqrt(2e-17)
+    assert white == pytest.approx([0.0, *[1.0 / step] * 4], rel=1e-12)
+    assert volume == pytest.approx(4 * np.log(step), rel=1e-12)
 
 
 def test_nuisances():
