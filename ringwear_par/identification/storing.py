@@ -116,7 +116,7 @@ def _write(file: h5py.File, found: "FitResult") -> None:
         put("sd", sd[part], base, "noise of the data")
         put("model", found.evaluation.model[part], base, "the model's reading, with nuisances")
         put("band", band[part], base, "sd of the model's reading")
-        put("residual", found.evaluation.noise[part], "1", "model less data over its noise, white")
+        put("residual", -found.evaluation.noise[part], "1", "data less model over its noise, white")
         put(
             "sensitivity", found.evaluation.sensitivity[part], f"{base} per unit of the key",
             "derivative of the model's reading with respect to each fitted key", "parameter",
