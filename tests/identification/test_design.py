@@ -165,7 +165,9 @@ def test_all_sensors_of_the_template_are_read(tables, tmp_path):
     """Two records, and a profile at two times with radii of its own: the last one serves."""
     source = tables()
     first, second = source["experiment"][0]["data"]
-    early = {**second, "at": 0.5 * END, "exclude": [[28.0, 28.3]]}
+    shallow = [f"{28.0 + 0.1 * i:.1f},{0.01 * i:g}" for i in range(41)]
+    (tmp_path / "d.csv").write_text("\n".join(["r_mm,d_um", *shallow]) + "\n")
+    early = {**second, "at": 0.5 * END, "file": str(tmp_path / "d.csv")}
     shifted = [f"{i},{0.05 * i}" for i in range(1, 51)]
     (tmp_path / "z.csv").write_text("\n".join(["t_s,z_um", *shifted]) + "\n")
     again = {**first, "file": str(tmp_path / "z.csv")}
