@@ -10,7 +10,7 @@ from scipy.stats import norm, qmc
 from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.text import shortened
 from ringwear_par.errors import InputError
-from ringwear_par.identification.problem import FittedParameter, Problem
+from ringwear_par.identification.problem import FittedParameter, Problem, reflected
 from ringwear_par.textfiles import read_text
 
 #: draws of the keys, and their seed
@@ -72,8 +72,7 @@ def belief(problem: Problem, after: str | Path | None) -> Belief:
         shifts = wide * ((normal * spread) @ vectors[:, told].T)
         drawn = np.concatenate([drawn, unknowns + shifts])
     low, high = np.array([[p.unknown(b) for b in p.bounds] for p in parameters]).T
-    drawn = low + np.abs(np.mod(drawn - low, 2.0 * (high - low)))  # reflected into the bounds
-    drawn = np.where(drawn > high, 2.0 * high - drawn, drawn)
+    drawn = reflected(drawn, low, high)
     values_of = [[p.value(float(u)) for p, u in zip(parameters, row, strict=True)] for row in drawn]
     values_of[0] = nominal.tolist()
     return Belief(

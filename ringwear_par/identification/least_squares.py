@@ -168,7 +168,7 @@ class LeastSquares:
         model = response[:, 0] + self.nuisance_columns @ x[self._m :]
         jacobian = self.columns(x)
         rows = np.concatenate([(model - self.data)[:, None], jacobian], axis=1)
-        rows = self._whitened(rows / self.sd[:, None])
+        rows = self.whitened(rows)
         noise, noise_jacobian = rows[:, 0], rows[:, 1:]
         loss, slope = self._loss(noise)
         residuals = np.append(loss, np.zeros(len(self.priors)))
@@ -180,7 +180,9 @@ class LeastSquares:
             residuals[row], whole[row, j] = (at - prior.mean) / prior.sd, by / prior.sd
         return Evaluation(model, noise, noise_jacobian, residuals, whole, response[:, 1:])
 
-    def _whitened(self, rows: FloatArray) -> FloatArray:
+    def whitened(self, rows: FloatArray) -> FloatArray:
+        """Return rows (n, ...) of all readings in units of their noise, uncorrelated."""
+        rows = rows / self.sd.reshape(-1, *(1,) * (rows.ndim - 1))
         parts = zip(self.series, self.parts, strict=True)
         return np.concatenate([whitened(series, rows[part]) for (_, series), part in parts])
 

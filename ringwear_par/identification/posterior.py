@@ -22,7 +22,7 @@ from ringwear_par.arrays import FloatArray
 from ringwear_par.errors import InputError
 from ringwear_par.identification.histories import Histories
 from ringwear_par.identification.least_squares import NU, LeastSquares
-from ringwear_par.identification.readings import whitened
+from ringwear_par.identification.problem import reflected
 from ringwear_par.parallel import together
 from ringwear_par.results.progress import PROGRESS_SECONDS
 
@@ -126,9 +126,7 @@ def sample_posterior(
     drawn = random.standard_normal((walkers, m))
     moved = drawn * spread if root is None else drawn @ root.T
     wide = np.abs(moved) > high - low
-    start = x[:m] + np.where(wide, drawn * spread, moved)
-    start = low + np.abs(np.mod(start - low, 2.0 * (high - low)))  # reflected into the bounds
-    start = np.where(start > high, 2.0 * high - start, start)
+    start = reflected(x[:m] + np.where(wide, drawn * spread, moved), low, high)
     moves = [(emcee.moves.DEMove(), 0.8), (emcee.moves.DESnookerMove(), 0.2)]
     sampler = emcee.EnsembleSampler(walkers, m, log_probability, moves=moves, vectorize=True)
     sampler.log_prob_fn = log_probability  # what emcee wraps it in prints all of its errors
@@ -169,22 +167,14 @@ class _Marginal:
             self._prior_rows[row, j] = 1.0 / prior.sd
             self._prior_values[row] = prior.mean / prior.sd
         self._priors = [(j, prior) for j, prior in squares.priors if j < m]
-        self._columns = self._white(squares.nuisance_columns)
+        self._columns = squares.whitened(squares.nuisance_columns)
         # without weights that change it is the same for all samples
         ones = np.ones(squares.n)
         self._inverse = None if self._student or not self._free else self._inverted(ones)
 
-    def _white(self, rows: FloatArray) -> FloatArray:
-        squares, sd = self._squares, self._squares.sd
-        parts = zip(squares.series, squares.parts, strict=True)
-        shape = (-1, *(1,) * (rows.ndim - 1))
-        return np.concatenate(
-            [whitened(series, rows[part] / sd[part].reshape(shape)) for (_, series), part in parts]
-        )
-
     def __call__(self, values: FloatArray, readings: FloatArray) -> float:
         """Return it for values (m,) of the keys and the model's readings (n,)."""
-        bare = self._white(readings - self._squares.data)
+        bare = self._squares.whitened(readings - self._squares.data)
         weights = np.ones(len(bare))
         noise, rest = bare, -self._prior_values
         for _ in range(_REWEIGHTED if self._student else 1):

@@ -63,6 +63,12 @@ class FittedParameter:
         return value if self.log else 1.0
 
 
+def reflected(points: FloatArray, low: FloatArray, high: FloatArray) -> FloatArray:
+    """Return points (..., m) that bounds (m,) have thrown back inside."""
+    beyond = low + np.mod(points - low, 2.0 * (high - low))
+    return np.where(beyond > high, 2.0 * high - beyond, beyond)
+
+
 @dataclass(frozen=True)
 class Nuisance:
     """Something linear that a measurement has besides what is measured.
