@@ -10,6 +10,9 @@ import numpy as np
 from ringwear_par.cases.faults import LOADS, unread_keys
 from ringwear_par.cases.laws import law_keys
 from ringwear_par.cases.schema import BY_PATH, TABLES
+from ringwear_par.cases.traces import read_trace
+from ringwear_par.cases.units import without_units
+from ringwear_par.cases.values import RejectedError
 from ringwear_par.errors import InputError, legible
 from ringwear_par.textfiles import parse_toml, parse_value, refuse_depth
 
@@ -20,6 +23,7 @@ _ALTERNATIVES = (
     frozenset({"output.every", "output.times"}),
 )
 _FILES = frozenset({"wear.lower.file", "wear.upper.file"})
+_PROFILES = frozenset({"lower.profile", "upper.profile"})
 _FIXED_STEPS = frozenset({"time.step", "time.steps"})
 
 
@@ -121,19 +125,38 @@ def named_files(keys: Mapping[str, Any]) -> dict[str, Any]:
     return {path: value for path, value in keys.items() if path in _FILES}
 
 
-def find_files(keys: Mapping[str, Any], folder: Path) -> dict[str, Any]:
-    """Return dotted keys with the files that they name in full, relative ones from a folder."""
+def in_full(keys: Mapping[str, Any], folder: Path) -> dict[str, Any]:
+    """Return dotted keys with numbers in the units of a case, and files with their whole names.
 
-    def in_full(name: str) -> str:
+    A trace of a profile is in the place of its file.
+
+    Parameters
+    ----------
+    keys : in which numbers may have units of their own; wrong ones stay, for who reads them.
+    folder : from which the names of files count.
+
+    Raises
+    ------
+    InputError : a trace of a profile cannot be read.
+    """
+    return {path: _in_full(path, value, folder) for path, value in keys.items()}
+
+
+def _in_full(path: str, value: Any, folder: Path) -> Any:
+    if path in _FILES and isinstance(value, str):
         try:
-            return str((folder / name).resolve())
+            return str((folder / value).resolve())
         except (OSError, RuntimeError, ValueError):  # who reads it will be told
-            return name
-
-    return {
-        path: in_full(value) if path in _FILES and isinstance(value, str) else value
-        for path, value in keys.items()
-    }
+            return value
+    if path in _PROFILES and isinstance(value, dict) and isinstance(value.get("file"), str):
+        trace = read_trace(folder / value["file"])
+        value = {name: v for name, v in value.items() if name != "file"} | {"trace": trace}
+    if isinstance(value, str | list | dict) and path in BY_PATH:
+        try:
+            return without_units(BY_PATH[path], value)
+        except RejectedError:
+            return value
+    return value
 
 
 def override(keys: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
