@@ -149,7 +149,10 @@ def _in_full(path: str, value: Any, folder: Path) -> Any:
         except (OSError, RuntimeError, ValueError):  # who reads it will be told
             return value
     if path in _PROFILES and isinstance(value, dict) and isinstance(value.get("file"), str):
-        trace = read_trace(folder / value["file"])
+        try:
+            trace = read_trace(folder / value["file"])
+        except InputError as error:
+            raise InputError(*(f"{path}: {fault}" for fault in error.faults)) from error
         value = {name: v for name, v in value.items() if name != "file"} | {"trace": trace}
     if isinstance(value, str | list | dict) and path in BY_PATH:
         try:
@@ -164,7 +167,8 @@ def override(keys: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, A
 
     A new load takes the place of the old one, as do other keys that exclude each other; keys that
     had a meaning and have none any more (of another law, scheme or geometry) go. None takes a key
-    away, or all keys of a table. ``wear.lower.parameters.NAME`` is one entry of that table.
+    away, or all keys of a table. ``wear.lower.parameters.NAME`` is one entry of that table, as is
+    ``upper.profile.crown``.
     """
     changes = _with_parameters(keys, changes)
     gone = {path for path, value in changes.items() if value is None}
@@ -192,12 +196,15 @@ def _tables_of(path: str) -> Iterator[str]:
 
 
 def _with_parameters(keys: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
-    """Return changes of which those of single parameters are one of their whole table."""
+    """Return changes of which those of single parameters are one of their whole table.
+
+    So is the size of a face's shape, ``upper.profile.crown``; it takes the place of another shape.
+    """
     changes = dict(changes)
-    for table in ("wear.lower.parameters", "wear.upper.parameters"):
+    for table in ("wear.lower.parameters", "wear.upper.parameters", *_PROFILES):
         named = {path: v for path, v in changes.items() if path.startswith(f"{table}.")}
         if named:
-            before = changes.get(table, keys.get(table))
+            before = None if table in _PROFILES else changes.get(table, keys.get(table))
             entries = dict(before) if isinstance(before, dict) else {}
             for path, value in named.items():
                 entries[path.removeprefix(f"{table}.")] = value

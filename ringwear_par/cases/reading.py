@@ -148,7 +148,7 @@ def _build(
 ) -> Case:
     def ring(which: str, grip: Grip) -> Ring:
         r, z, young, poisson = (values[f"{which}.{k}"] for k in ("r", "z", "young", "poisson"))
-        return Ring(r, z, young, poisson, grip, faces[which])
+        return Ring(r, z, young, poisson, grip, faces[which], values[f"{which}.density"])
 
     case = Case(
         lower=ring("lower", "clamped"),

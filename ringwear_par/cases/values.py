@@ -239,11 +239,13 @@ def _shape(value: dict[str, Any]) -> Shape:
         if len(x) < 2:
             raise RejectedError("a trace needs 2 points at least")
         return Shape(name, tuple(itertools.chain(*zip(x, z, strict=True))))
-    if name == "fillet":
-        return Shape(name, tuple(size for size in chamfer().read(given) if size is not None))
-    if name == "cone":
-        return Shape(name, (number(-45.0, 45.0).read(given),))
-    return Shape(name, (number(0.0).read(given),))
+    values = {"fillet": chamfer(), "cone": number(-45.0, 45.0)}.get(name, number(0.0))
+    try:
+        found = values.read(given)
+    except RejectedError as error:
+        raise RejectedError(f"{name} must be {values.allowed}") from error
+    sizes = found if isinstance(found, tuple) else (found,)
+    return Shape(name, tuple(size for size in sizes if size is not None))
 
 
 def profile() -> Values:
@@ -259,11 +261,7 @@ def profile() -> Values:
                 raise RejectedError
         return tuple((float(r), float(z)) for r, z in value)
 
-    told = (
-        "at least 2 points [r, z] of finite numbers, or one of { crown = radius }, { sphere = "
-        "radius }, { cone = angle } (degrees, > 0: recedes outwards), { fillet = radius or [inner, "
-        "outer] }, { trace = [[r, height], ...] }, { file = name } of a table of radii and heights"
-    )
+    told = "at least 2 points [r, z] of finite numbers or { crown, sphere, cone, fillet or file }"
     return Values("points", read, told)
 
 

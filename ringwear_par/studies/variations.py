@@ -156,7 +156,9 @@ def split_key(name: str) -> tuple[str, int | str | None]:
     match = re.fullmatch(r"(.+)\[([01])\]", name)
     if match:
         return match[1], int(match[2])
-    match = re.fullmatch(r"(wear\.(?:lower|upper)\.parameters)\.(.+)", name)
+    match = re.fullmatch(
+        r"(wear\.(?:lower|upper)\.parameters|(?:lower|upper)\.profile)\.(.+)", name
+    )
     return (match[1], match[2]) if match else (name, None)
 
 
