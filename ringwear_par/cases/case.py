@@ -27,7 +27,7 @@ CHANGED = "# changed in Python after it was read: not all of this is as run"
 
 @dataclass(frozen=True)
 class Ring:
-    """A ring or disc: radii and heights in mm, Young's modulus in MPa.
+    """A ring or disc: radii and heights in mm, Young's modulus in MPa, density in g/mm^3.
 
     ``face`` is the contact face in the body's own frame (see geometry), none the flat one.
     """
@@ -38,6 +38,7 @@ class Ring:
     poisson: float
     grip: Grip
     face: Polyline = ()
+    density: float | None = None
 
 
 @dataclass(frozen=True)

@@ -11,10 +11,13 @@ from ringwear_par.cases.text import shortened
 from ringwear_par.elasticity.mesh import contact_pieces
 from ringwear_par.elasticity.profiles import (
     CLOSE,
+    Shape,
     chamfer_face,
     chamfer_faults,
     profile_face,
     profile_faults,
+    shape_face,
+    shape_faults,
 )
 from ringwear_par.elasticity.sections import Polyline
 from ringwear_par.errors import InputError
@@ -206,7 +209,11 @@ def contact_faces(name: str, values: Mapping[str, Any], faults: list[str]) -> di
             found = chamfer_faults((inner, outer), r, z)
             if not found:
                 faces[ring] = chamfer_face((inner, outer), r)
-        if profile is not None:
+        if isinstance(profile, Shape):
+            found = shape_faults(profile, r, z)
+            if not found:
+                faces[ring] = shape_face(profile, r)
+        elif profile is not None:
             found = profile_faults(ring, profile, r, z)
             if not found:
                 faces[ring] = profile_face(ring, profile, r, z)

@@ -10,6 +10,9 @@ import numpy as np
 from ringwear_par.cases.faults import LOADS, unread_keys
 from ringwear_par.cases.laws import law_keys
 from ringwear_par.cases.schema import BY_PATH, TABLES
+from ringwear_par.cases.traces import read_trace
+from ringwear_par.cases.units import without_units
+from ringwear_par.cases.values import RejectedError
 from ringwear_par.errors import InputError, legible
 from ringwear_par.textfiles import parse_toml, parse_value, refuse_depth
 
@@ -20,6 +23,7 @@ _ALTERNATIVES = (
     frozenset({"output.every", "output.times"}),
 )
 _FILES = frozenset({"wear.lower.file", "wear.upper.file"})
+_PROFILES = frozenset({"lower.profile", "upper.profile"})
 _FIXED_STEPS = frozenset({"time.step", "time.steps"})
 
 
@@ -121,19 +125,41 @@ def named_files(keys: Mapping[str, Any]) -> dict[str, Any]:
     return {path: value for path, value in keys.items() if path in _FILES}
 
 
-def find_files(keys: Mapping[str, Any], folder: Path) -> dict[str, Any]:
-    """Return dotted keys with the files that they name in full, relative ones from a folder."""
+def in_full(keys: Mapping[str, Any], folder: Path) -> dict[str, Any]:
+    """Return dotted keys with numbers in the units of a case, and files with their whole names.
 
-    def in_full(name: str) -> str:
+    A trace of a profile is in the place of its file.
+
+    Parameters
+    ----------
+    keys : in which numbers may have units of their own; wrong ones stay, for who reads them.
+    folder : from which the names of files count.
+
+    Raises
+    ------
+    InputError : a trace of a profile cannot be read.
+    """
+    return {path: _in_full(path, value, folder) for path, value in keys.items()}
+
+
+def _in_full(path: str, value: Any, folder: Path) -> Any:
+    if path in _FILES and isinstance(value, str):
         try:
-            return str((folder / name).resolve())
+            return str((folder / value).resolve())
         except (OSError, RuntimeError, ValueError):  # who reads it will be told
-            return name
-
-    return {
-        path: in_full(value) if path in _FILES and isinstance(value, str) else value
-        for path, value in keys.items()
-    }
+            return value
+    if path in _PROFILES and isinstance(value, dict) and isinstance(value.get("file"), str):
+        try:
+            trace = read_trace(folder / value["file"])
+        except InputError as error:
+            raise InputError(*(f"{path}: {fault}" for fault in error.faults)) from error
+        value = {name: v for name, v in value.items() if name != "file"} | {"trace": trace}
+    if isinstance(value, str | list | dict) and path in BY_PATH:
+        try:
+            return without_units(BY_PATH[path], value)
+        except RejectedError:
+            return value
+    return value
 
 
 def override(keys: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
@@ -141,7 +167,8 @@ def override(keys: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, A
 
     A new load takes the place of the old one, as do other keys that exclude each other; keys that
     had a meaning and have none any more (of another law, scheme or geometry) go. None takes a key
-    away, or all keys of a table. ``wear.lower.parameters.NAME`` is one entry of that table.
+    away, or all keys of a table. ``wear.lower.parameters.NAME`` is one entry of that table, as is
+    ``upper.profile.crown``.
     """
     changes = _with_parameters(keys, changes)
     gone = {path for path, value in changes.items() if value is None}
@@ -169,12 +196,15 @@ def _tables_of(path: str) -> Iterator[str]:
 
 
 def _with_parameters(keys: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
-    """Return changes of which those of single parameters are one of their whole table."""
+    """Return changes of which those of single parameters are one of their whole table.
+
+    So is the size of a face's shape, ``upper.profile.crown``; it takes the place of another shape.
+    """
     changes = dict(changes)
-    for table in ("wear.lower.parameters", "wear.upper.parameters"):
+    for table in ("wear.lower.parameters", "wear.upper.parameters", *_PROFILES):
         named = {path: v for path, v in changes.items() if path.startswith(f"{table}.")}
         if named:
-            before = changes.get(table, keys.get(table))
+            before = None if table in _PROFILES else changes.get(table, keys.get(table))
             entries = dict(before) if isinstance(before, dict) else {}
             for path, value in named.items():
                 entries[path.removeprefix(f"{table}.")] = value

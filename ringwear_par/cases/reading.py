@@ -13,8 +13,8 @@ from ringwear_par.cases.faults import (
     joint_faults,
 )
 from ringwear_par.cases.keys import (
-    find_files,
     flatten,
+    in_full,
     override,
     parse_overrides,
     read_keys,
@@ -24,6 +24,7 @@ from ringwear_par.cases.laws import read_law
 from ringwear_par.cases.schema import BY_PATH, KEYS, TABLES
 from ringwear_par.cases.suggestions import nearest_key
 from ringwear_par.cases.text import shortened, toml_text
+from ringwear_par.cases.units import without_units
 from ringwear_par.cases.values import RejectedError
 from ringwear_par.elasticity.mesh import Mesh
 from ringwear_par.elasticity.sections import Grip, Polyline
@@ -54,7 +55,7 @@ def read_case(source: str | Path | Mapping[str, Any], overrides: Overrides = ())
         path = Path(source)
         return parse_case(read_text(path), str(path), overrides, path.parent)
     refuse_study(source, "case")
-    keys = override({}, find_files(flatten(source, "case"), Path()))
+    keys = override({}, in_full(flatten(source, "case"), Path()))
     return _changed(keys, "case", overrides, None)
 
 
@@ -68,7 +69,7 @@ def parse_case(text: str, name: str, overrides: Overrides = (), folder: Path | N
     InputError : all faults, one sentence each.
     """
     keys = read_keys(text, name)
-    found = find_files(keys, folder) if folder is not None else keys
+    found = in_full(keys, folder) if folder is not None else keys
     return _changed(found, name, overrides, text if found == keys else None)
 
 
@@ -79,7 +80,7 @@ def _changed(keys: Mapping[str, Any], name: str, overrides: Overrides, text: str
         setting, changes = "--set", flatten(parse_overrides(overrides), "--set")
     if not changes:
         return make_case(keys, name, text)
-    merged = override(keys, find_files(changes, Path()))
+    merged = override(keys, in_full(changes, Path()))
     return make_case(merged, Origin(name, frozenset(changes), setting))
 
 
@@ -121,7 +122,7 @@ def _read_values(keys: Mapping[str, Any], origin: Origin) -> tuple[dict[str, Any
         key = BY_PATH.get(path)
         if key is not None:
             try:
-                values[path] = key.read(value)
+                values[path] = key.read(without_units(key, value))
             except RejectedError as reason:
                 why = f"{key.rule} ({reason})" if str(reason) else key.rule
                 faults.append(f"{origin.of(path)}{path} = {shortened(value)}: {why}")
@@ -147,7 +148,7 @@ def _build(
 ) -> Case:
     def ring(which: str, grip: Grip) -> Ring:
         r, z, young, poisson = (values[f"{which}.{k}"] for k in ("r", "z", "young", "poisson"))
-        return Ring(r, z, young, poisson, grip, faces[which])
+        return Ring(r, z, young, poisson, grip, faces[which], values[f"{which}.density"])
 
     case = Case(
         lower=ring("lower", "clamped"),

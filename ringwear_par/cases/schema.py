@@ -70,8 +70,13 @@ def _ring_keys(ring: str, name: str) -> list[Key]:
         Key(f"{ring}.poisson", *number(-1.0, 0.5), "1", "Poisson's ratio"),
         Key(
             f"{ring}.profile", *profile(), "mm",
-            f"contact face of the {ring} body as a polyline over increasing r", None,
+            f"contact face of the {ring} body as a polyline over increasing r, or {{ crown = R }} "
+            "(round over its width), { sphere = R } (centre on the axis), { cone = angle } "
+            "(degrees, > 0: recedes outwards), { fillet = R or [inner, outer] }, { file = name } "
+            "of a table of radii and heights",
+            None,
         ),
+        Key(f"{ring}.density", *number(0.0), "g/mm^3", "for the lost mass of summaries", None),
     ]  # fmt: skip
 
 

@@ -8,6 +8,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 
 from ringwear_par.arrays import BoolArray, FloatArray
+from ringwear_par.elasticity.profiles import SHAPES, Shape
 from ringwear_par.schedules import Quantity, Table
 
 #: a schedule is a number or a table in time, a quantity these or a profile along the radius
@@ -228,10 +229,31 @@ def chamfer() -> Values:
     return Values("chamfer", read, "a number >= 0, or two of them: [inner, outer]")
 
 
-def profile() -> Values:
-    """Return polylines."""
+def _shape(value: dict[str, Any]) -> Shape:
+    """Return the shape of a contact face that a table names."""
+    if len(value) != 1 or not value.keys() <= set(SHAPES):
+        raise RejectedError
+    ((name, given),) = value.items()
+    if name == "trace":
+        x, z = _points(given, number(-math.inf).read)
+        if len(x) < 2:
+            raise RejectedError("a trace needs 2 points at least")
+        return Shape(name, tuple(itertools.chain(*zip(x, z, strict=True))))
+    values = {"fillet": chamfer(), "cone": number(-45.0, 45.0)}.get(name, number(0.0))
+    try:
+        found = values.read(given)
+    except RejectedError as error:
+        raise RejectedError(f"{name} must be {values.allowed}") from error
+    sizes = found if isinstance(found, tuple) else (found,)
+    return Shape(name, tuple(size for size in sizes if size is not None))
 
-    def read(value: Any) -> tuple[tuple[float, float], ...]:
+
+def profile() -> Values:
+    """Return polylines and shapes with names."""
+
+    def read(value: Any) -> tuple[tuple[float, float], ...] | Shape:
+        if isinstance(value, dict):
+            return _shape(value)
         if not isinstance(value, list) or len(value) < 2:
             raise RejectedError
         for point in value:
@@ -239,7 +261,8 @@ def profile() -> Values:
                 raise RejectedError
         return tuple((float(r), float(z)) for r, z in value)
 
-    return Values("points", read, "at least 2 points [r, z] of finite numbers")
+    told = "at least 2 points [r, z] of finite numbers or { crown, sphere, cone, fillet or file }"
+    return Values("points", read, told)
 
 
 def choice(*names: str) -> Values:

@@ -1,6 +1,8 @@
 """Contact faces as case files give them, chamfers and profiles, and what is wrong with them."""
 
 import itertools
+import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -10,6 +12,10 @@ from ringwear_par.elasticity.sections import Polyline
 Pair = tuple[float, float]
 #: what counts as equal, relative to the size of a body
 CLOSE = 1e-9
+#: the shapes that have names
+SHAPES = ("crown", "sphere", "cone", "fillet", "trace")
+#: points of a crown or sphere, and of a fillet's quarter of a circle
+_SAMPLES, _ARC = 101, 31
 
 
 def chamfer_faults(chamfer: Pair, r: Pair, z: Pair) -> list[str]:
@@ -35,6 +41,96 @@ def chamfer_face(chamfer: Pair, r: Pair) -> Polyline:
         return ()
     points = [(a, -inner), (a + inner, 0.0), (b - outer, 0.0), (b, -outer)]
     return tuple(p for p, keep in zip(points, (inner, True, True, outer), strict=True) if keep)
+
+
+class Shape(NamedTuple):
+    """A contact face by the name of its shape.
+
+    Parameters
+    ----------
+    name : one of ``SHAPES``.
+    numbers : what it has: radii in mm (of a fillet one or two), an angle in degrees, radii and
+        heights in mm in turns.
+    """
+
+    name: str
+    numbers: tuple[float, ...]
+
+
+def shape_faults(shape: Shape, r: Pair, z: Pair) -> list[str]:
+    """Return what is wrong with the shape of a body's face, "key = value: sentence"."""
+    (a, b), height = r, z[1] - z[0]
+    first, faults = shape.numbers[0], []
+    said = f"profile = {{ {shape.name} = {first:g} }}"
+    if shape.name == "crown" and first <= 0.5 * (b - a):
+        faults.append(f"{said}: must be > {0.5 * (b - a):g}, half the width of the face (mm)")
+    elif shape.name == "sphere" and first <= b:
+        faults.append(f"{said}: must be > {b:g}, the outer radius (mm)")
+    elif shape.name == "fillet":
+        inner, outer = _fillets(shape.numbers, r)
+        said = f"profile = {{ fillet = [{inner:g}, {outer:g}] }}"
+        if a == 0 and inner > 0:
+            faults.append(f"{said}: a solid disc has no inner corner; the first must be 0 (mm)")
+        if inner + outer >= b - a:
+            faults.append(f"{said}: both together must be < {b - a:g}, the width of the face (mm)")
+    elif shape.name == "trace":
+        ends = shape.numbers[0], shape.numbers[-2]
+        if ends[0] > a + CLOSE * b or ends[1] < b - CLOSE * b:
+            faults.append(
+                f"profile: a trace from r = {ends[0]:g} to {ends[1]:g} mm; must cover the face, "
+                f"from {a:g} to {b:g} mm"
+            )
+    if not faults:
+        deepest = -min((depth for _, depth in shape_face(shape, r)), default=0.0)
+        if deepest >= height:
+            faults.append(
+                f"profile = {{ {shape.name} }}: recedes by {deepest:g}; must be < {height:g}, the "
+                "height of the body (mm)"
+            )
+    return faults
+
+
+def shape_face(shape: Shape, r: Pair) -> Polyline:
+    """Return a face of a sound shape in the body's own frame, its highest point at z = 0.
+
+    Curves are sampled so densely that they are taken for smooth.
+    """
+    (a, b), numbers = r, shape.numbers
+    if shape.name == "fillet":
+        return _filleted(*_fillets(numbers, r), r)
+    if shape.name == "trace":
+        radii, heights = np.array(numbers[::2]), np.array(numbers[1::2])
+        x = np.unique([a, *radii[(radii > a) & (radii < b)], b])
+        z = np.interp(x, radii, heights)
+    else:
+        x, size = np.linspace(a, b, _SAMPLES), numbers[0]
+        if shape.name == "cone":
+            x = np.array([a, b])
+            z = -math.tan(math.radians(size)) * x
+        else:
+            centre = 0.5 * (a + b) if shape.name == "crown" else 0.0
+            z = -((x - centre) ** 2) / (size + np.sqrt(size**2 - (x - centre) ** 2))
+    z = z - z.max()
+    return tuple(zip(x.tolist(), z.tolist(), strict=True)) if z.any() else ()
+
+
+def _fillets(numbers: tuple[float, ...], r: Pair) -> Pair:
+    """Return the radii at the inner and outer edge; one number is for the edges that there are."""
+    inner = 0.0 if len(numbers) == 1 and r[0] == 0 else numbers[0]
+    return inner, numbers[-1]
+
+
+def _filleted(inner: float, outer: float, r: Pair) -> Polyline:
+    """Return the flat face with edges rounded by quarters of circles."""
+    angles = np.radians(np.linspace(90.0, 0.0, _ARC))
+    arc = np.stack([np.sin(angles), np.cos(angles) - 1.0], axis=1)
+    a, b = r
+    points = [(a, 0.0), (b, 0.0)]
+    if inner > 0:
+        points[:1] = [(a + inner * (1.0 - x), inner * z) for x, z in arc]
+    if outer > 0:
+        points[-1:] = [(b - outer * (1.0 - x), outer * z) for x, z in arc[::-1]]
+    return tuple((float(x), float(z)) for x, z in points) if inner or outer else ()
 
 
 def _crosses(points: Polyline) -> bool:

@@ -76,6 +76,19 @@ class Section:
             z = np.where(inside, spline(r), z)
         return z
 
+    @property
+    def told(self) -> str:
+        """What the contact face is taken for, in words."""
+        if not self.face:
+            return "flat"
+        points, dense = len(self.face), sum(len(spline.x) for spline in _splines(self.face))
+        shape = f"straight lines between {points} points"
+        if dense == points:
+            shape = f"spline through {points} points"
+        elif dense:
+            shape = f"spline through {dense} of {points} points, straight lines between the others"
+        return f"{shape}, {-1e3 * min(z for _, z in self.face):.4g} um deep"
+
 
 @lru_cache(maxsize=64)
 def _splines(face: Polyline) -> tuple["CubicSpline", ...]:

@@ -10,7 +10,7 @@ import numpy as np
 
 from ringwear_par.cases.case import Case
 from ringwear_par.cases.faults import Origin
-from ringwear_par.cases.keys import find_files, flatten, kinds, override, read_keys
+from ringwear_par.cases.keys import flatten, in_full, kinds, override, read_keys
 from ringwear_par.cases.reading import make_case
 from ringwear_par.cases.text import shortened, toml_value
 from ringwear_par.cases.values import number, some_of, text, whole
@@ -112,10 +112,10 @@ def _read_base(
     base = tables.get("case")
     try:
         if in_python and isinstance(base, Mapping):
-            return override({}, find_files(flatten(base, f"{name}: case"), folder))
+            return override({}, in_full(flatten(base, f"{name}: case"), folder))
         if isinstance(base, str):
             path = folder / base
-            return find_files(read_keys(read_text(path), str(path)), path.parent)
+            return in_full(read_keys(read_text(path), str(path)), path.parent)
     except InputError as error:
         faults += error.faults
         return None
@@ -216,7 +216,7 @@ class _Experiments:
             reader.wrong("set", "must be a table of case keys")
             return {}
         try:
-            return find_files(flatten(given, f"{reader.said}: set"), self._folder)
+            return in_full(flatten(given, f"{reader.said}: set"), self._folder)
         except InputError as error:
             faults += error.faults
             return {}
@@ -270,7 +270,7 @@ class _Experiments:
         for experiment in experiments:
             said = f'{self._name}: compare.{legible(name)}: experiment "{legible(experiment.name)}"'
             refuse_both(said, parameters, changes, faults)
-            own = find_files(changes, self._folder)
+            own = in_full(changes, self._folder)
             keys = override(self._keys[experiment.name], own)
             case = self._case(said, keys, changes, parameters, faults)
             if case is None:

@@ -16,6 +16,11 @@ Quantity = Literal[
     "penetration", "approach", "torque", "profile.lower", "profile.upper", "mass.lower",
     "mass.upper", "volume.lower", "volume.upper",
 ]  # fmt: skip
+#: what readings are in here; forces of a compliance are in kN
+BASE = {
+    "time": "s", "r": "mm", "penetration": "mm", "approach": "mm", "torque": "N mm",
+    "profile": "mm", "mass": "g", "volume": "mm^3", "density": "g/mm^3",
+}  # fmt: skip
 Method = Literal["brgn", "lm"]
 Loss = Literal["gaussian", "student"]
 Criterion = Literal["D", "A", "eig"]

@@ -11,13 +11,13 @@ from scipy.ndimage import median_filter
 from ringwear_par.arrays import BoolArray, FloatArray
 from ringwear_par.cases.case import Case
 from ringwear_par.cases.text import shortened
+from ringwear_par.cases.units import factor, unit_of_column
 from ringwear_par.cases.values import RejectedError, number, text
 from ringwear_par.errors import InputError, legible
-from ringwear_par.identification.measurements import Measurements, read_measurements
-from ringwear_par.identification.problem import Nuisance, Quantity, Series
+from ringwear_par.identification.problem import BASE, Nuisance, Quantity, Series
 from ringwear_par.identification.ranges import check_profile, check_times
 from ringwear_par.identification.tables import TableReader
-from ringwear_par.identification.units import BASE, factor, unit_of_column
+from ringwear_par.measurements import Measurements, read_measurements
 
 QUANTITIES = get_args(Quantity)
 #: which nuisances a quantity may have

@@ -124,6 +124,6 @@ def _write(file: h5py.File, found: "FitResult") -> None:
 
 
 def _unit(quantity: str) -> str:
-    from ringwear_par.identification.units import BASE
+    from ringwear_par.identification.problem import BASE
 
     return BASE[quantity.partition(".")[0]]

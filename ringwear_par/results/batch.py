@@ -322,6 +322,7 @@ class BatchRecorder:
                 case,
                 ranks=1,
                 begun_by=__version__,
+                time=float(state.time),
                 finished=True,
                 seconds={
                     "seconds_assembly": 0.0, "seconds_factorisation": 0.0,

@@ -12,6 +12,7 @@ from ringwear_par.history.balances import Balances
 from ringwear_par.history.model import WearModel
 from ringwear_par.history.stability import stable_step, stable_steps
 from ringwear_par.history.state import State
+from ringwear_par.schedules import largest
 
 #: fewer elements in contact than this do not resolve it
 _FEW_ELEMENTS = 10
@@ -23,6 +24,10 @@ _MOST_DEFECT = 0.01
 _MOST_ANGLE, _LOAD_ASIDE = 15.0, 0.05
 #: largest error of a pressure that comes of making the compliance symmetric
 _MOST_ASYMMETRY = 0.05
+#: moduli (MPa) that are those of materials in Pa; smaller ones may be meant, of rigid bodies
+_PASCALS = (1e9, 2e12)
+#: mm, and share of a Young's modulus, from which on numbers are likely in another unit
+_LARGEST, _MOST_PRESSED = 5000.0, 0.1
 
 
 @dataclass(frozen=True)
@@ -37,6 +42,33 @@ class Doubt:
 
     flag: str
     text: str
+
+
+def implausible(case: Case) -> tuple[Doubt, ...]:
+    """Return numbers of a case that are more likely in another unit than meant so. Not collective.
+
+    Its mean pressures are those of the nominal annulus.
+    """
+    found = []
+    for name, ring in zip(("lower", "upper"), case.rings, strict=True):
+        if _PASCALS[0] < ring.young <= _PASCALS[1]:
+            found.append(
+                f"{name}.young = {ring.young:g} MPa is stiffer than any material; were it in Pa, "
+                f'"{ring.young:g} Pa" would be read too'
+            )
+        if max(ring.r[1], ring.z[1] - ring.z[0]) > _LARGEST:
+            found.append(
+                f"{name} measures {max(ring.r[1], ring.z[1] - ring.z[0]):g} mm: in um? lengths "
+                "are in mm"
+            )
+    if case.load.force is not None:
+        pressure, young = largest(case.load.force) / case.area, min(r.young for r in case.rings)
+        if pressure > _MOST_PRESSED * young:
+            found.append(
+                f"the mean pressure of {pressure:.3g} MPa is more than a tenth of a Young's "
+                f"modulus, {young:g} MPa: no linear elasticity; are load and moduli in N and MPa?"
+            )
+    return tuple(Doubt("implausible_numbers", text) for text in found)
 
 
 def doubts(model: WearModel, state: State, balances: Balances) -> tuple[Doubt, ...]:
@@ -65,7 +97,7 @@ def doubts_at(
     balances : the worst of its history.
     asymmetry : see ``WearModel.asymmetry``.
     """
-    found = []
+    found = list(implausible(case))
     height = min(ring.z[1] - ring.z[0] for ring in case.rings)
     moved = max(state.contact.approach, float(state.wear.max()))
     if moved > _MOST_MOVED * height:

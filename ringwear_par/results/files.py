@@ -43,10 +43,11 @@ _BALANCES = ("force", "torque", "reaction", "volume", "energy", "residual")
 _ALWAYS = {"case", "title", "status", "version"}
 _TEXTS = _ALWAYS | {
     "begun_by", "scheme", "user_laws", "law_lower", "law_upper", "doubts", "error",
+    "face_lower", "face_upper",
 }  # fmt: skip
 _NUMBERS = {
     "ranks", "time_step", "time_steps", "time_end", "symmetry_defect", "energy_identity",
-    "step_error_time",
+    "step_error_time", "friction", "omega", "angle", "density_lower", "density_upper",
 }  # fmt: skip
 _NUMBERED = ("balance_", "seconds_")
 

@@ -27,6 +27,7 @@ from ringwear_par.results.checkpoints import restored, take
 from ringwear_par.results.doubts import Doubt, doubts, instability
 from ringwear_par.results.result import Result, balance_attributes
 from ringwear_par.results.variables import D_HISTORIES, D_PROFILES, HISTORIES
+from ringwear_par.schedules import in_time, integral
 
 
 def row(model: WearModel, state: State) -> dict[str, Any]:
@@ -64,6 +65,7 @@ def attributes(
     *,
     ranks: int,
     begun_by: str,
+    time: float,
     finished: bool,
     seconds: Mapping[str, float],
     symmetry_defect: float,
@@ -77,6 +79,7 @@ def attributes(
     Parameters
     ----------
     begun_by : version that began the history.
+    time : s, of its last state.
     seconds : by attribute.
     error : why it cannot go on, "" where it can.
     balances, step_error_time : see ``WorstBalances``.
@@ -95,6 +98,12 @@ def attributes(
         "time_end": case.time.end,
         **seconds,
         "symmetry_defect": symmetry_defect,
+        **_sliding(case, time),
+        **{
+            f"face_{body}": section.told
+            for body, section in zip(("lower", "upper"), case.sections, strict=True)
+            if section.face
+        },
         "user_laws": json.dumps(law_sources(case)),
         **{
             f"law_{body}": "" if law is None else law.describe()
@@ -105,6 +114,17 @@ def attributes(
         "energy_identity": int(any(law.per_energy(case.friction) for law in laws)),
         **balance_attributes(asdict(balances)),
         "step_error_time": step_error_time,
+    }
+
+
+def _sliding(case: Case, time: float) -> dict[str, Any]:
+    """Return what the summary tells of sliding, and densities where they are known."""
+    density = {"density_lower": case.lower.density, "density_upper": case.upper.density}
+    return {
+        "friction": case.friction,
+        "omega": in_time(case.load.omega, time),  # rad/s
+        "angle": integral(case.load.omega, 0.0, time),  # rad
+        **{name: there for name, there in density.items() if there is not None},
     }
 
 
@@ -297,6 +317,7 @@ class Recorder:
                 case,
                 ranks=self._comm.size,
                 begun_by=self._begun_by,
+                time=float(state.time),
                 finished=self._last.finished,
                 seconds=self.seconds(),
                 symmetry_defect=model.compliance.symmetry_defect,

@@ -23,6 +23,7 @@ from ringwear_par.history.snapshots import Observer, Snapshot
 from ringwear_par.options import reject_unused_options
 from ringwear_par.parallel import on_first_rank, warn_of_threads
 from ringwear_par.results.checkpoints import restored
+from ringwear_par.results.doubts import implausible
 from ringwear_par.results.files import open_result, read_error, read_status
 from ringwear_par.results.progress import Progress
 from ringwear_par.results.recorder import Recorder
@@ -70,6 +71,8 @@ def run_case(
         return _draw(output, figure, comm)
     if comm.rank == 0:
         warn_of_threads(comm.size)
+        for doubt in implausible(case):  # before the work, and in the summary after it
+            log.warning("%s: %s", path, doubt.text)
     recorder = Recorder(case, comm, before)
     if recorder.start is not None and comm.rank == 0:
         reached = recorder.start

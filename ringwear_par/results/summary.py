@@ -25,10 +25,9 @@ def summary(result: "Result") -> str:
     if result.checkpoint is None:
         raise InputError(f"{result.name}: holds no last state; must be one of a run")
     about, reached = result.attributes, result.checkpoint.numbers
-    state, title = result.checkpoint.arrays, str(result.attributes.get("title", ""))
+    title = str(result.attributes.get("title", ""))
     last = {name: values[-1] for name, values in result.histories.items()}
-    lower, upper = 1e3 * state["wear"].max(axis=1)
-    p, steps = state["pressure"], int(reached["step"])
+    steps = int(reached["step"])
     made = (
         f"{_made(about, reached)}, {result.line.n} contact elements, "
         f"{reached['iterations'] / max(steps, 1):.1f} TAO iterations a step"
@@ -37,15 +36,12 @@ def summary(result: "Result") -> str:
     lines = [
         *([title, *warnings, made] if title else [made, *warnings]),
         *_wearing(about),
+        *(f"face of {b}: {about[f'face_{b}']}" for b in ("lower", "upper") if f"face_{b}" in about),
         *_trust(result),
-        f"approach {reached['approach']:.7g} mm, penetration {1e3 * last['penetration']:.6g} um, "
-        f"force {reached['force']:.6g} N, torque {last['torque']:.6g} N mm",
-        f"deepest wear lower {lower:.6g}, upper {upper:.6g} um; "
-        f"worn volume lower {last['worn_volume_lower']:.6g}, "
-        f"upper {last['worn_volume_upper']:.6g} mm3; "
-        f"energy dissipated {last['dissipated_energy']:.6g} N mm",
-        f"pressure {p.min():.4g} to {p.max():.4g} MPa, "
-        f"{np.count_nonzero(p > 0.0)} of {len(p)} elements in contact",
+        f"approach {reached['approach']:.7g} mm, force {reached['force']:.6g} N, "
+        f"torque {last['torque']:.6g} N mm, energy dissipated {last['dissipated_energy']:.6g} N mm",
+        *_pressed(result),
+        *_worn(result),
     ]
     if reached["assemblies"]:
         lines.append(f"elements followed the wear {reached['assemblies']} times")
@@ -101,6 +97,58 @@ def _trust(result: "Result") -> list[str]:
             when = f", in the step to t = {about['step_error_time']:g} s"
         most = f"{_plain(1e3 * off['step_error'])} um at most{_tolerance(result)}{when}"
         lines.append(f"estimated error of wear of a time step: {most}")
+    return lines
+
+
+def _pressed(result: "Result") -> list[str]:
+    """Return what presses at the end and how far it has slid, in a tribologist's words."""
+    assert result.checkpoint is not None
+    p, force = result.checkpoint.arrays["pressure"], result.checkpoint.numbers["force"]
+    line, about = result.line, result.attributes
+    mean, touching = force / float(line.area.sum()), int(np.count_nonzero(p > 0.0))
+    lines = [
+        f"mean pressure {mean:.4g} MPa, largest {p.max():.4g} MPa at r = {line.r[p.argmax()]:.6g} "
+        f"mm (of an element), smallest {p.min():.4g} MPa; {touching} of {len(p)} elements in "
+        "contact"
+    ]
+    if "omega" in about:
+        radius = 0.5 * float(line.edges[0] + line.edges[-1])
+        speed, distance = about["omega"] * radius, about["angle"] * radius
+        lines.append(
+            f"at the mean radius: sliding speed {speed:.4g} mm/s, p V {mean * speed:.4g} MPa mm/s, "
+            f"sliding distance {1e-3 * distance:.4g} m"
+        )
+    return lines
+
+
+def _worn(result: "Result") -> list[str]:
+    """Return what has been worn off, how fast, and what of it the penetration is."""
+    assert result.checkpoint is not None
+    state, about = result.checkpoint.arrays, result.attributes
+    last = {name: float(values[-1]) for name, values in result.histories.items()}
+    area, hours = float(result.line.area.sum()), last["time"] / 3600.0
+    bodies = ("lower", "upper")
+    volumes = {body: last[f"worn_volume_{body}"] for body in bodies}
+    worn = sum(volumes.values()) / area
+    lines = [
+        f"penetration {1e3 * last['penetration']:.6g} um: {1e3 * worn:.6g} um worn off in the "
+        f"mean, {1e3 * (last['penetration'] - worn):.3g} um elastic"
+    ]
+    for number, (body, volume) in enumerate(volumes.items()):
+        if not about.get(f"law_{body}", volume):
+            continue
+        told = f"{body}: deepest wear {1e3 * state['wear'][number].max():.6g} um"
+        told += f", worn volume {volume:.6g} mm3"
+        if f"density_{body}" in about:
+            told += f", mass lost {1e3 * about[f'density_{body}'] * volume:.6g} mg"
+        if hours > 0:
+            now = 3.6e6 * float(state["rates"][number] @ result.line.area) / area
+            told += f"; mean depth {1e3 * volume / area / hours:.4g} um/h, {now:.4g} um/h now"
+        if about.get("friction") and last["dissipated_energy"] > 0:
+            # load times sliding distance of every place, which is energy over friction
+            specific = 1e3 * volume * about["friction"] / last["dissipated_energy"]
+            told += f"; specific wear rate {specific:.4g} mm3/(N m)"
+        lines.append(told)
     return lines
 
 

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from ringwear_par.cases.case import Case
-from ringwear_par.cases.keys import find_files, flatten, kinds, override, read_keys
+from ringwear_par.cases.keys import flatten, in_full, kinds, override, read_keys
 from ringwear_par.cases.schema import BY_PATH
 from ringwear_par.cases.suggestions import nearest_key
 from ringwear_par.cases.text import shortened, toml_value
@@ -118,14 +118,14 @@ def read_draft(source: Path | str | Mapping[str, Any]) -> Draft:
             "boundaries are stored by ringwear run only"
         )
     found = tuple(  # files are relative to the study
-        column.mapped(partial(_found, key, folder)) if key.endswith(".file") else column
+        column.mapped(partial(_found, path_of(key), folder)) if column.numbers is None else column
         for key, column in zip(names, columns, strict=True)
     )
     return Draft(name, text, base, names, method, found)
 
 
 def _found(key: str, folder: Path, value: Any) -> Any:
-    return find_files({key: value}, folder)[key]
+    return in_full({key: value}, folder)[key]
 
 
 def _plain(tables: Mapping[str, Any]) -> dict[str, Any]:
@@ -147,7 +147,7 @@ def _read_base(
     base = tables.get("case")
     try:
         if in_python and isinstance(base, dict):
-            return override({}, find_files(flatten(base, f"{name}: case"), folder))
+            return override({}, in_full(flatten(base, f"{name}: case"), folder))
         if isinstance(base, str):
             path = folder / base
             try:
@@ -155,7 +155,7 @@ def _read_base(
             except InputError as error:
                 faults.append(f"{name}: case = {shortened(base)}: {error}")
                 return {}
-            return find_files(read_keys(text, str(path)), path.parent)
+            return in_full(read_keys(text, str(path)), path.parent)
     except InputError as error:
         faults += error.faults
         return {}

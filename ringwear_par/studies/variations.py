@@ -13,6 +13,7 @@ from ringwear_par.cases.keys import override
 from ringwear_par.cases.schema import BY_PATH
 from ringwear_par.cases.suggestions import nearest_key
 from ringwear_par.cases.text import shortened
+from ringwear_par.cases.units import without_units
 from ringwear_par.cases.values import RejectedError, is_number
 from ringwear_par.errors import legible
 
@@ -155,7 +156,9 @@ def split_key(name: str) -> tuple[str, int | str | None]:
     match = re.fullmatch(r"(.+)\[([01])\]", name)
     if match:
         return match[1], int(match[2])
-    match = re.fullmatch(r"(wear\.(?:lower|upper)\.parameters)\.(.+)", name)
+    match = re.fullmatch(
+        r"(wear\.(?:lower|upper)\.parameters|(?:lower|upper)\.profile)\.(.+)", name
+    )
     return (match[1], match[2]) if match else (name, None)
 
 
@@ -273,6 +276,12 @@ def _variation(said: str, key: str, entry: Any, method: str, faults: list[str]) 
             faults.append(f"{said}: count {told}: must be absent beside values")
         return Variation(key, path, index, "values", tuple(values))
     shown = f"{said}: {spacing} = {shortened(values)}"
+    try:
+        if isinstance(values, list):
+            values = [without_units(BY_PATH[path], value) for value in values]
+    except RejectedError as reason:
+        faults.append(f"{shown}: must be two increasing numbers ({reason})")
+        return None
     numbers = isinstance(values, list) and len(values) == 2 and all(
         isinstance(v, int | float) and not isinstance(v, bool) and abs(v) < 1e300 for v in values
     )  # fmt: skip

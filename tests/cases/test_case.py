@@ -139,7 +139,7 @@ PUSHED = ["load.control=displacement", "load.displacement=0.5"]
          ["upper.chamfer, upper.profile: both are given"]),
         (["lower.chamfer=0.1"], ["lower.chamfer: unknown key"]),
         (["lower.profile=[[20, 20]]"], ["lower.profile", "at least 2 points [r, z]"]),
-        (["lower.profile=[[20, 20], [40, nan]]"], ["lower.profile", "finite numbers (mm)"]),
+        (["lower.profile=[[20, 20], [40, nan]]"], ["lower.profile", "finite numbers or"]),
         (["lower.profile=[[20, 20], [39, 20]]"],
          ["lower.profile[1] = [39, 20]", "outer end must have r = 40 (mm)"]),
         (["lower.profile=[[21, 20], [40, 20]]"], ["lower.profile[0]", "inner end", "r = 20"]),

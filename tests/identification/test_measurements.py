@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
+from ringwear_par.cases.units import factor, unit_of_column
 from ringwear_par.cases.values import RejectedError
 from ringwear_par.errors import InputError
-from ringwear_par.identification.measurements import read_measurements
-from ringwear_par.identification.units import factor, unit_of_column
+from ringwear_par.measurements import read_measurements
 
 
 def numbers(path, *names):

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 import xarray
 from conftest import SHELL_ENVIRONMENT
+from mpi4py import MPI
 from stored import contents
 
 import ringwear_par as rw
@@ -295,3 +296,25 @@ def test_summary_tells_the_run_and_not_the_text(comm):
         case.mesh, case.output,
     )  # fmt: skip
     assert "2 of 2 implicit steps" in rw.simulate(constructed, comm).summary()
+
+
+def test_the_summary_tells_wear_in_a_tribologists_words():
+    """Archard's law: specific wear rate k, rates k p V, hours and grams as they are defined."""
+    changes = {
+        "wear.lower": None, "wear.lower.law": "archard", "wear.lower.k": "1e-5 mm3/(N m)",
+        "lower.density": "7.85 g/cm3", "load.pressure": 20.0, "load.omega": "60 rpm",
+        "upper.profile": {"crown": 2000.0}, "mesh.contact_elements": 16, "time.steps": 20,
+    }  # fmt: skip
+    result = rw.simulate(rw.read_case(CASES / "paper.toml", changes), MPI.COMM_SELF)
+    told = result.summary()
+    speed = 2.0 * np.pi * 30.0
+    for words in (
+        "face of upper: spline through 101 points",
+        f"mean pressure 20 MPa, largest {result.checkpoint.arrays['pressure'].max():.4g} MPa",
+        f"sliding speed {speed:.4g} mm/s, p V {20.0 * speed:.4g} MPa mm/s, "
+        f"sliding distance {20e-3 * speed:.4g} m",
+        "specific wear rate 1e-05 mm3/(N m)",
+    ):
+        assert words in told
+    volume = result.histories["worn_volume_lower"][-1]
+    assert f"mass lost {7.85 * volume:.6g} mg" in told

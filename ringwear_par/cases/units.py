@@ -1,0 +1,128 @@
+"""Numbers with units, such as "60 rpm", as numbers in the units of a case: mm, N, MPa, s, rad."""
+
+import re
+from collections.abc import Mapping
+from functools import cache
+from typing import TYPE_CHECKING, Any
+
+from ringwear_par.cases.values import RejectedError
+from ringwear_par.errors import legible
+
+if TYPE_CHECKING:
+    from ringwear_par.cases.schema import Key
+
+#: more is no unit, and slow to look at
+_LONGEST = 40
+_WITH_UNIT = re.compile(
+    r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*((?:[^\W\d_]|[%°µμ(]|1\s*/).*)", re.ASCII
+)
+
+
+@cache
+def _registry() -> Any:
+    from pint import UnitRegistry  # slow to import, and only where units are read
+
+    return UnitRegistry()
+
+
+@cache
+def factor(unit: str, base: str) -> float:
+    """Return how much a unit is in another.
+
+    Raises
+    ------
+    RejectedError : pint does not know it, or it is one of something else; turns and angles are no
+        plain numbers here, so that Hz is no unit of an angular speed.
+    """
+    text = re.sub(r"([A-Za-zµμ])(-?\d)", r"\1^\2", unit.strip())  # mm3
+    text = re.sub(r"\b([km]?)N\s*(m|mm|cm)\b", r"(\1N \2)", text)  # Nm, which pint reads as 1/m
+    if not text or len(text) > _LONGEST:
+        raise RejectedError
+    registry = _registry()
+    try:
+        one, other = (registry.Quantity(1.0, registry.Unit(name)) for name in (text, base))
+        if one.to_root_units().units != other.to_root_units().units:
+            raise RejectedError
+        return float(one.to(other.units).magnitude)
+    except Exception as error:  # a syntax, a name, a dimension: pint has an exception for each
+        raise RejectedError from error
+
+
+def unit_of_column(name: str, base: str) -> str | None:
+    """Return the unit that a column's name ends with, as ``z_um`` or ``depth [um]``; or None."""
+    match = re.search(r"(?:_|\s*[\[(])\s*([^\s_\[\]()]+(?:\s[^\s_\[\]()]+)?)\s*[\])]?$", name)
+    if match is None:
+        return None
+    try:
+        factor(match[1], base)
+    except RejectedError:
+        return None
+    return match[1]
+
+
+def has_unit(value: Any) -> bool:
+    """Tell whether a raw value is a text that begins with a number and goes on with a unit."""
+    return isinstance(value, str) and _WITH_UNIT.fullmatch(value) is not None
+
+
+def number_in(value: str, base: str) -> float:
+    """Return a number with its unit in another one.
+
+    Raises
+    ------
+    RejectedError : it has no unit, or that of something else.
+    """
+    match = _WITH_UNIT.fullmatch(value)
+    if match is None:
+        raise RejectedError
+    try:
+        return float(f"{float(match[1]) * factor(match[2], base):.15g}")  # "0.1 mm" is 0.1
+    except RejectedError as error:
+        hint = "; turns are rpm or turn/s" if base == "rad/s" else ""
+        raise RejectedError(f"{legible(match[2])} is no unit of {base}{hint}") from error
+
+
+def without_units(key: "Key", value: Any) -> Any:
+    """Return a key's raw value with numbers in the key's unit where they had one of their own.
+
+    Raises
+    ------
+    RejectedError : a unit is that of something else.
+    """
+    if key.kind in ("number", "pair", "chamfer"):
+        return _plain(value, key.unit)
+    if key.kind == "times":
+        return _plain(value, "s") if isinstance(value, list) else value
+    if key.kind in ("schedule", "quantity"):
+        if isinstance(value, Mapping):
+            return {axis: _pairs(entry, "mm", key.unit) for axis, entry in value.items()}
+        return _pairs(value, "s", key.unit) if isinstance(value, list) else _plain(value, key.unit)
+    if key.kind == "points":
+        if isinstance(value, Mapping):  # a shape with a name
+            return {name: _shape(name, entry) for name, entry in value.items()}
+        first, _, second = key.unit.partition(" and ")
+        return _pairs(value, first, second or first)
+    return value
+
+
+def _shape(name: str, value: Any) -> Any:
+    if name == "trace":
+        return _pairs(value, "mm", "mm")
+    return _plain(value, "deg" if name == "cone" else "mm")
+
+
+def _plain(value: Any, unit: str) -> Any:
+    if isinstance(value, list):
+        return [_plain(entry, unit) for entry in value]
+    return number_in(value, unit) if has_unit(value) and unit not in ("-", "1") else value
+
+
+def _pairs(value: Any, first: str, second: str) -> Any:
+    if not isinstance(value, list):
+        return value
+    return [
+        [_plain(entry[0], first), _plain(entry[1], second)]
+        if isinstance(entry, list) and len(entry) == 2
+        else entry
+        for entry in value
+    ]

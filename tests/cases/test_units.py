@@ -1,0 +1,157 @@
+"""Numbers with units in cases, overrides and studies, and faces by name."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import ringwear_par as rw
+from ringwear_par.cases.units import number_in
+from ringwear_par.cases.values import RejectedError
+
+CASES = Path(__file__).parents[2] / "scripts/cases"
+PAPER, CROWN = CASES / "paper.toml", CASES / "crown.toml"
+RADII = np.linspace(10.0, 15.0, 301)
+
+
+@pytest.mark.parametrize(
+    ("text", "unit", "value"),
+    [
+        ("60 rpm", "rad/s", 2.0 * np.pi),
+        ("2 turn/s", "rad/s", 4.0 * np.pi),
+        ("90 deg/s", "rad/s", 0.5 * np.pi),
+        ("10 h", "s", 36000.0),
+        ("28.5mm", "mm", 28.5),
+        ("0.1 um", "mm", 1e-4),
+        ("-25 \u00b5m", "mm", -0.025),
+        ("1.2e-2 m", "mm", 12.0),
+        ("210 GPa", "MPa", 210e3),
+        ("5 kN", "N", 5000.0),
+        ("1e-5 mm3/(N m)", "1/MPa", 1e-8),
+        ("1e-5 mm^3/Nm", "1/MPa", 1e-8),
+        ("1e-13 m2/N", "1/MPa", 1e-7),
+        ("7850 kg/m3", "g/mm^3", 0.00785),
+    ],
+)
+def test_a_number_with_its_unit_is_one_in_the_unit_of_its_key(text, unit, value):
+    assert number_in(text, unit) == pytest.approx(value, rel=1e-14)
+
+
+@pytest.mark.parametrize(
+    ("text", "unit"),
+    [("1 Hz", "rad/s"), ("1 1/s", "rad/s"), ("5 mm", "s"), ("5 r.p.m", "rad/s"), ("5 N/mm", "MPa")],
+)
+def test_units_of_something_else_are_refused(text, unit):
+    with pytest.raises(RejectedError, match="is no unit of"):
+        number_in(text, unit)
+
+
+def test_units_serve_wherever_a_case_has_numbers():
+    changes = {
+        "lower.r": ["2 cm", "40 mm"],
+        "upper.chamfer": "100 um",
+        "wear.lower.p0": [["0 min", "20 MPa"], ["1 min", "300 bar"]],
+        "wear.lower.k": {"r": [["2.85 cm", "1e-4 mm3/(N m)"], ["31.5 mm", 2e-7]]},
+        "load.pressure": [[0, "50 MPa"], ["1 min", 80]],
+        "output.times": ["0.5 min", 60],
+    }
+    plain = {
+        "lower.r": [20.0, 40.0],
+        "upper.chamfer": 0.1,
+        "wear.lower.p0": [[0.0, 20.0], [60.0, 30.0]],
+        "wear.lower.k": {"r": [[28.5, 1e-7], [31.5, 2e-7]]},
+        "load.pressure": [[0.0, 50.0], [60.0, 80.0]],
+        "output.times": [30.0, 60.0],
+    }
+    case = rw.read_case(PAPER, changes)
+    assert case == rw.read_case(PAPER, plain)
+    assert case == case.replace({}) == rw.read_case(PAPER, changes).replace({})  # by its text
+    assert case.replace({"load.omega": "60 rpm"}).load.omega == pytest.approx(2.0 * np.pi)
+    assert rw.read_case(PAPER, ["load.omega=60 rpm"]).load.omega == pytest.approx(2.0 * np.pi)
+
+
+@pytest.mark.parametrize(
+    ("override", "words"),
+    [
+        ("load.omega=1 Hz", ["load.omega", "(rad/s)", "Hz is no unit of rad/s", "rpm"]),
+        ("load.pressure=0,5 MPa", ["load.pressure", "finite number", "(MPa)"]),
+        ('load.pressure=[["0 mm", "3 MPa"]]', ["mm is no unit of s"]),
+        ("load.omega=-60 rpm", ["load.omega = -6.28", ">= 0"]),
+        ("contact.friction=15 %", ["contact.friction", "finite number >= 0"]),
+        ("upper.profile={ crown = 1 }", ["crown = 1", "must be > 1.5, half the width"]),
+        ("upper.profile={ cone = 60 }", ["cone must be a number > -45 and < 45"]),
+        ("upper.profile={ sphere = 20 }", ["sphere = 20", "must be > 31.5, the outer radius"]),
+        ("upper.profile={ fillet = [1, 2] }", ["both together must be < 3, the width"]),
+        ("upper.profile={ ball = 3 }", ["{ crown, sphere, cone, fillet or file }"]),
+        ("upper.profile={ crown = 2, cone = 3 }", ["{ crown, sphere, cone, fillet or file }"]),
+        ('upper.profile={ file = "none.csv" }', ["upper.profile", "none.csv", "cannot be read"]),
+        (
+            "upper.profile={ trace = [[29, 0], [31, 0]] }",
+            ["must cover the face, from 28.5 to 31.5"],
+        ),
+        ("upper.profile={ trace = [[28, 0], [32, 90]] }", ["recedes by", "height of the body"]),
+    ],
+)
+def test_wrong_units_and_shapes_have_their_sentence(override, words):
+    with pytest.raises(rw.InputError) as error:
+        rw.read_case(PAPER, [override])
+    for word in words:
+        assert word in str(error.value)
+
+
+def test_units_serve_in_studies(tmp_path):
+    table = tmp_path / "cases.csv"
+    table.write_text("load.omega,time.end\n60 rpm,2 min\n3.0,1 h\n")
+    adaptive = tmp_path / "case.toml"
+    rings = PAPER.read_text().partition("[time]")[0]
+    adaptive.write_text(f'{rings}\n[time]\nscheme = "adaptive"\nend = 60.0\n')
+    listed = rw.read_study(
+        {"case": str(adaptive), "design": {"method": "list", "file": str(table)}}
+    )
+    assert [listed.case(n).load.omega for n in (0, 1)] == pytest.approx([2.0 * np.pi, 3.0])
+    assert [listed.case(n).time.end for n in (0, 1)] == [120.0, 3600.0]
+    drawn = rw.read_study(
+        {"case": str(adaptive), "vary": {"time.end": {"linear": ["1 min", "0.1 h"], "count": 3}}}
+    )
+    assert [drawn.case(n).time.end for n in (0, 1, 2)] == [60.0, 210.0, 360.0]
+
+
+def test_named_faces_are_what_they_are_called():
+    r = RADII
+
+    def face(**shape):
+        return rw.read_case(CROWN, {"upper.profile": shape}).sections[1].depth(r)
+
+    crown = np.sqrt(500.0**2 - (r - 12.5) ** 2) - 500.0
+    assert face(crown=500.0) == pytest.approx(crown, abs=1e-9)
+    assert face(crown="0.5 m") == pytest.approx(crown, abs=1e-9)
+    sphere = np.sqrt(40.0**2 - r**2) - np.sqrt(40.0**2 - 100.0)
+    assert face(sphere=40.0) == pytest.approx(sphere, abs=1e-6)
+    assert face(cone=2.0) == pytest.approx(-np.tan(np.radians(2.0)) * (r - 10.0), abs=1e-12)
+    assert face(cone=-2.0) == pytest.approx(-np.tan(np.radians(2.0)) * (15.0 - r), abs=1e-12)
+    fillet, into = face(fillet=[0.0, 0.5]), np.maximum(r - 14.5, 0.0)
+    circle = np.sqrt(0.25 - into**2) - 0.5
+    steep = into > 0.5 * np.sin(np.radians(60.0))  # where no contact is
+    assert fillet[~steep] == pytest.approx(circle[~steep], abs=2e-4)
+    assert face(fillet=0.5)[[0, -1]] == pytest.approx([-0.5, -0.5])
+
+
+def test_a_trace_of_a_profilometer_is_a_face(tmp_path):
+    r = np.linspace(9.9, 15.1, 105)
+    rows = [f"{x:.3f};{1e3 * (0.2 - (x - 12.5) ** 2 / 1000.0):.4f}".replace(".", ",") for x in r]
+    (tmp_path / "trace.csv").write_text("# heights\nr [mm];height_um\n" + "\n".join(rows) + "\n")
+    text = CROWN.read_text().replace("{ crown = 500.0 }", '{ file = "trace.csv" }')
+    (tmp_path / "case.toml").write_text(text)
+    case = rw.read_case(tmp_path / "case.toml")
+    parabola = -((RADII - 12.5) ** 2) / 1000.0
+    assert case.sections[1].depth(RADII) == pytest.approx(parabola, abs=1e-6)
+    (tmp_path / "trace.csv").unlink()
+    assert case.replace({}) == case  # the text has the points
+
+
+def test_studies_vary_the_size_of_a_shape():
+    study = rw.read_study(
+        {"case": str(CROWN), "vary": {"upper.profile.crown": {"linear": [300, 500], "count": 2}}}
+    )
+    depths = [study.case(n).sections[1].depth(np.array([10.0]))[0] for n in (0, 1)]
+    assert depths == pytest.approx([np.sqrt(R**2 - 2.5**2) - R for R in (300.0, 500.0)])
