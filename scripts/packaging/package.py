@@ -1,0 +1,30 @@
+"""A Spack package: copy it to ``packages/py_ringwear_par/package.py`` of a repository of yours."""
+
+from spack.package import *
+
+
+class PyRingwearPar(PythonPackage):
+    """Wear histories of ring-on-ring and ring-on-disc tests by boundary elements, MPI and PETSc."""
+
+    license("BSD-3-Clause")
+    # until there is a release: spack dev-build, or spack develop -p /path/to/clone
+    version("0.2.0")
+
+    variant("fit", default=True, description="posteriors of fits")
+    variant("xarray", default=True, description="results as xarray datasets")
+
+    depends_on("python@3.11:", type=("build", "run"))
+    depends_on("py-setuptools@77:", type="build")
+    depends_on("py-numpy@1.24:", type=("build", "run"))
+    depends_on("py-scipy@1.10:", type=("build", "run"))
+    depends_on("py-h5py@3.7:", type=("build", "run"))
+    depends_on("py-numba@0.58:", type=("build", "run"))
+    depends_on("py-mpi4py@3.1:", type=("build", "run"))
+    depends_on("py-petsc4py@3.18:", type=("build", "run"))
+    depends_on("petsc~complex+scalapack", type=("build", "run"))
+    depends_on("py-tqdm@4.60:", type=("build", "run"))
+    depends_on("py-matplotlib@3.6:", type=("build", "run"))
+    depends_on("py-pint@0.22:", type=("build", "run"))
+    depends_on("py-emcee@3.1:", type=("build", "run"), when="+fit")
+    depends_on("py-xarray@2024.1:", type=("build", "run"), when="+xarray")
+    depends_on("py-h5netcdf@1.3:", type=("build", "run"), when="+xarray")
