@@ -148,14 +148,18 @@ def _parser() -> argparse.ArgumentParser:
     export.add_argument("result", type=_path, metavar="RUN.h5")
     export.add_argument(
         "-o", "--output", type=_path, required=True, metavar="OUT",
-        help=".vtp: contours of both bodies; .vtu: their surfaces, revolved; .csv: histories",
+        help=".vtkhdf: contours of both bodies at all stored times; .vtp: at one; .vtu: their "
+        "surfaces, revolved; .csv: histories",
     )  # fmt: skip
     export.add_argument(
         "--time", type=float, metavar="T",
         help="take the stored state nearest to this time, s (default: the last)",
     )  # fmt: skip
     export.add_argument(
-        "--revolve", type=int, metavar="N", help="segments of the revolved surfaces (default: 72)"
+        "--revolve",
+        type=int,
+        metavar="N",
+        help="segments of the revolved surfaces (.vtu, default 72; .vtkhdf, default: contours)",
     )
     export.add_argument(
         "--scale", type=float, metavar="S",

@@ -1,42 +1,25 @@
-"""``ringwear export``: stored results for ParaView (.vtp, .vtu) and for spreadsheets (.csv)."""
+"""``ringwear export``: stored results for ParaView and for spreadsheets (.csv)."""
 
 import csv
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import closing
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from ringwear_par.arrays import FloatArray, IntArray
 from ringwear_par.atomic import atomic_write, check_writable
 from ringwear_par.cases.text import shortened
-from ringwear_par.elasticity.boundary_fields import BoundaryFields, BoundaryState
+from ringwear_par.elasticity.boundary_fields import BoundaryState
 from ringwear_par.errors import InputError
+from ringwear_par.results.cells import Cells, contours, surfaces
 from ringwear_par.results.files import result_of
 from ringwear_par.results.result import Result
 from ringwear_par.results.variables import HISTORIES, PROFILES, Variable
+from ringwear_par.results.vtkhdf import write_vtkhdf
 
 SEGMENTS, _MOST_SEGMENTS = 72, 3600
-_ENDINGS = (".vtp", ".vtu", ".csv")
-
-
-@dataclass(frozen=True)
-class Cells:
-    """What a VTK file holds: points, cells of the same number of points, fields on both.
-
-    Parameters
-    ----------
-    points : (m, 3) float, mm.
-    cells : (c, q) int, points of each cell.
-    point_data, cell_data : by name, (m,), (c,) or with three columns.
-    """
-
-    points: FloatArray
-    cells: IntArray
-    point_data: dict[str, Any]
-    cell_data: dict[str, Any]
+_ENDINGS = (".vtkhdf", ".vtp", ".vtu", ".csv")
 
 
 def export(
@@ -52,9 +35,9 @@ def export(
     Parameters
     ----------
     output : its ending chooses: .vtp the contours of both bodies, .vtu their revolved surfaces,
-        .csv a table.
-    time : s, the stored boundary state nearest to it is taken; None: the last. Not for tables.
-    segments : of the revolved surface.
+        .vtkhdf either at all stored times, .csv a table.
+    time : s, the stored boundary state nearest to it is taken; None: the last. Of .vtp and .vtu.
+    segments : of the revolved surface; None: 72 for .vtu, contours for .vtkhdf.
     scale : factor of the displacements that are added to the points; None: 0.
     fields : whether the table is that of the contact line rather than of the histories.
 
@@ -68,12 +51,18 @@ def export(
         header, rows = _contact_table(result) if fields else _history_table(result)
         _write_csv(output, header, rows)
         return f"{output}: {'contact line' if fields else 'histories'}"
-    state = choose_state(result, time)
     warp = scale or 0.0
-    if output.suffix == ".vtp":
-        content = _both([_contour(body, warp) for body in state.bodies])
-    else:
-        content = _both([_revolved(body, warp, segments or SEGMENTS) for body in state.bodies])
+    if output.suffix == ".vtkhdf":
+        states = _states(result)
+        write_vtkhdf(
+            output,
+            [state.time for state in states],
+            [surfaces(s, warp, segments) if segments else contours(s, warp) for s in states],
+        )
+        return f"{output}: {len(states)} states from {states[0].time:g} to {states[-1].time:g} s"
+    state = choose_state(result, time)
+    lines = output.suffix == ".vtp"
+    content = contours(state, warp) if lines else surfaces(state, warp, segments or SEGMENTS)
     _write_vtk(output, content)
     return (
         f"{output}: {state.time:g} s (step {state.step}), {len(content.points)} points, "
@@ -96,21 +85,32 @@ def check_export(
     check_writable(output)
     if fields and ending != ".csv":
         raise InputError(f"--fields: {output} is no table; must be absent but for .csv")
-    if segments is not None and (ending != ".vtu" or not 3 <= segments <= _MOST_SEGMENTS):
+    surface = ending in (".vtu", ".vtkhdf")
+    if segments is not None and not (surface and 3 <= segments <= _MOST_SEGMENTS):
         raise InputError(
             f"--revolve {shortened(segments)}: must be from 3 to {_MOST_SEGMENTS}, and for .vtu "
-            "only"
+            "and .vtkhdf only"
         )
-    for name, value in (("--time", time), ("--scale", scale)):
-        if value is not None and (ending == ".csv" or not np.isfinite(value)):
-            raise InputError(f"{name} {value:g}: must be a number, and for .vtp and .vtu only")
-    if ending != ".csv":
+    if time is not None and not (ending in (".vtp", ".vtu") and np.isfinite(time)):
+        raise InputError(f"--time {time:g}: must be a number, and for .vtp and .vtu only")
+    if scale is not None and (ending == ".csv" or not np.isfinite(scale)):
+        raise InputError(f"--scale {scale:g}: must be a number, and for ParaView's files only")
+    if ending in (".vtp", ".vtu"):
         try:
             import pyevtk  # noqa: F401
         except ImportError as error:
             raise InputError(
                 f"{output}: needs the Python package pyevtk; pip install 'ringwear-par[export]'"
             ) from error
+
+
+def _states(result: Result) -> Sequence[BoundaryState]:
+    if not result.boundary:
+        raise InputError(
+            f"{result.name}: holds no fields on the bodies' boundaries; must be computed with "
+            'output.boundary = "last" or "all", or with times'
+        )
+    return result.boundary
 
 
 def choose_state(result: Result, time: float | None) -> BoundaryState:
@@ -120,92 +120,13 @@ def choose_state(result: Result, time: float | None) -> BoundaryState:
     ------
     InputError : there is none, or the run does not get there.
     """
-    states = result.boundary
-    if not states:
-        raise InputError(
-            f"{result.name}: holds no fields on the bodies' boundaries; must be computed with "
-            'output.boundary = "last" or "all", or with times'
-        )
+    states = _states(result)
     if time is None:
         return states[-1]
     end = float(result.histories["time"][-1])
     if not 0.0 <= time <= end * (1.0 + 1e-9):
         raise InputError(f"--time {time:g}: must be from 0 to {end:g} s, the end of {result.name}")
     return min(states, key=lambda state: abs(state.time - time))
-
-
-def _contour(body: BoundaryFields, warp: float) -> Cells:
-    """Return a contour in the plane y = 0: a line of three points for each element."""
-    displacement = body.displacement[:, [0, 2, 1]]  # theta points along y
-    r, z = body.nodes.T
-    points = np.stack([r, np.zeros_like(r), z], axis=1) + warp * displacement
-    return Cells(
-        points,
-        body.elements,
-        {"displacement": displacement},
-        {
-            "traction": body.traction[:, [0, 2, 1]],
-            "pressure": body.pressure,
-            "wear": body.wear,
-            "face": body.face,
-        },
-    )
-
-
-def _revolved(body: BoundaryFields, warp: float, segments: int) -> Cells:
-    """Return the surface of a body: a quadrangle for each element and segment, normals outwards."""
-    ends, elements = np.unique(body.elements[:, [0, 2]], return_inverse=True)
-    first, last = elements.reshape(-1, 2).T
-    m, k = len(ends), len(first)
-    at = 2.0 * np.pi * np.arange(segments) / segments
-    middle = at + np.pi / segments
-    r, z = body.nodes[ends].T
-    position = np.stack([r, z, np.zeros(m)], axis=1)
-    displacement = _cartesian(body.displacement[ends], at)
-    points = _cartesian(position, at) + warp * displacement
-    this = m * np.arange(segments)[:, None]
-    following = m * ((np.arange(segments)[:, None] + 1) % segments)
-    corners = (this + first, following + first, following + last, this + last)
-
-    def everywhere(values: FloatArray | IntArray) -> Any:
-        return np.tile(values, segments)
-
-    return Cells(
-        points,
-        np.stack(corners, axis=-1).reshape(segments * k, 4),
-        {"displacement": displacement},
-        {
-            "traction": _cartesian(body.traction, middle),
-            "pressure": everywhere(body.pressure),
-            "wear": everywhere(body.wear),
-            "face": everywhere(body.face),
-        },
-    )
-
-
-def _cartesian(vectors: FloatArray, angles: FloatArray) -> FloatArray:
-    """Return (segments * m, 3), vectors (m, 3) along r, z, theta turned to angles (segments,)."""
-    c, s = np.cos(angles)[:, None], np.sin(angles)[:, None]
-    r, z, theta = vectors.T
-    turned = (c * r - s * theta, s * r + c * theta, np.broadcast_to(z, (len(angles), len(z))))
-    return np.stack(turned, axis=-1).reshape(-1, 3)
-
-
-def _both(bodies: Sequence[Cells]) -> Cells:
-    """Return both bodies as one, with their numbers (0 lower, 1 upper) as a field."""
-    shift = np.cumsum([0, *(len(body.points) for body in bodies)])
-
-    def joined(name: str, datum: str) -> Any:
-        return np.concatenate([getattr(body, name)[datum] for body in bodies])
-
-    cell_data = {datum: joined("cell_data", datum) for datum in bodies[0].cell_data}
-    counts = [len(body.cells) for body in bodies]
-    return Cells(
-        np.concatenate([body.points for body in bodies]),
-        np.concatenate([body.cells + s for body, s in zip(bodies, shift[:-1], strict=True)]),
-        {datum: joined("point_data", datum) for datum in bodies[0].point_data},
-        {**cell_data, "body": np.repeat(np.arange(len(bodies)), counts)},
-    )
 
 
 def _columns(values: Any) -> Any:

@@ -5,6 +5,7 @@ with NaN; ``steps_stored`` and ``elements`` say how much is there. Both files ap
 """
 
 import csv
+import json
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -49,6 +50,7 @@ from ringwear_par.studies.results_file import (
     SAME_STEPS,
     SOFTWARE,
     TABLE,
+    TABLE_MEANINGS,
     cases_at_once,
     over_cases,
 )
@@ -81,7 +83,7 @@ class Listing:
 
 
 def write_ensemble(folder: Path, listing: Listing, attributes: Mapping[str, Any]) -> None:
-    """Write both files by rename. Call on one rank only.
+    """Write the files by rename, the units of the table beside it. Call on one rank only.
 
     Parameters
     ----------
@@ -94,7 +96,8 @@ def write_ensemble(folder: Path, listing: Listing, attributes: Mapping[str, Any]
     OSError : the disk or the folder.
     """
     with (
-        atomic_write(folder / TABLE) as listed,  # both are whole before one is replaced
+        atomic_write(folder / TABLE) as listed,  # all are whole before one is replaced
+        atomic_write(folder / TABLE_MEANINGS) as meanings,
         atomic_hdf5(folder / RESULTS) as (file, check_disk),
     ):
         writer = _Writer(file, listing, check_disk)
@@ -106,6 +109,27 @@ def write_ensemble(folder: Path, listing: Listing, attributes: Mapping[str, Any]
             table.writerow(("case", *listing.names, *_COLUMNS))
             for rows in writer.rows():
                 table.writerows(rows)
+        meanings.write_text(_meanings(listing.names), encoding="utf-8")
+
+
+def _meanings(names: Sequence[str]) -> str:
+    """Return units and meanings of the table's columns (W3C, Metadata for Tabular Data)."""
+    finals = {name: OF_CASES[f"final_{name}"] for name in FINAL}
+    columns = [{"titles": "case", "dc:description": "id of the case, of its content"}]
+    for name in names:
+        key = BY_PATH[path_of(name)]
+        unit = {} if key.unit in ("-", "1") else {"schema:unitText": key.unit}
+        columns.append({"titles": name, "dc:description": key.meaning, **unit})
+    for name in _COLUMNS:
+        variable = finals.get(name) or OF_CASES[name]
+        unit = {} if variable.unit == "1" else {"schema:unitText": variable.unit}
+        columns.append({"titles": name, "dc:description": variable.meaning, **unit})
+    table = {
+        "@context": ["http://www.w3.org/ns/csvw", {"@language": "en"}],
+        "url": TABLE,
+        "tableSchema": {"columns": columns},
+    }
+    return json.dumps(table, indent=1) + "\n"
 
 
 class _Writer:

@@ -24,6 +24,8 @@ SOFTWARE = "ringwear-par sweep"
 #: what messages call the file
 WHAT = "a results file of ringwear sweep"
 RESULTS, TABLE = "results.h5", "cases.csv"
+#: what the columns of the table mean, named as CSV on the Web has it
+TABLE_MEANINGS = "cases.csv-metadata.json"
 #: the last values that cases.csv shows
 FINAL = ("penetration", "worn_volume_lower", "worn_volume_upper")
 #: of what is read or written at once

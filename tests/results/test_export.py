@@ -1,11 +1,13 @@
 """Exported files, read back: ParaView's by hand, tables by csv."""
 
 import csv
+import itertools
 import shutil
 import sys
 import xml.etree.ElementTree as ET
 from pathlib import Path
 
+import h5py
 import numpy as np
 import pytest
 from test_cli import ringwear, sentences
@@ -179,14 +181,15 @@ def test_without_pyevtk(runs, tmp_path, monkeypatch):
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (["run.h5", "-o", "{}/a.vtk"], "its ending must be one of .vtp, .vtu, .csv"),
+        (["run.h5", "-o", "{}/a.vtk"], "its ending must be one of .vtkhdf, .vtp, .vtu"),
         (["no.h5", "-o", "{}/a.vtp"], "no.h5: does not exist"),
         (["run.h5", "-o", "{}/no/a.vtp"], "its folder"),
         (["run.h5", "-o", "{}/a.vtp", "--time", "201"], "--time 201: must be from 0 to 200 s"),
         (["run.h5", "-o", "{}/a.vtp", "--time", "nan"], "--time nan: must be a number"),
         (["run.h5", "-o", "{}/a.csv", "--time", "10"], "--time 10: must be"),
         (["run.h5", "-o", "{}/a.csv", "--scale", "10"], "--scale 10: must be"),
-        (["run.h5", "-o", "{}/a.vtp", "--revolve", "10"], "for .vtu only"),
+        (["run.h5", "-o", "{}/a.vtp", "--revolve", "10"], "for .vtu and .vtkhdf only"),
+        (["run.h5", "-o", "{}/a.vtkhdf", "--time", "5"], "for .vtp and .vtu only"),
         (["run.h5", "-o", "{}/a.vtu", "--revolve", "2"], "must be from 3 to 3600"),
         (["run.h5", "-o", "{}/a.vtu", "--fields"], "--fields"),
         (["plain.h5", "-o", "{}/a.vtu"], "output.boundary"),
@@ -210,3 +213,52 @@ def test_the_command_on_any_number_of_ranks(runs, tmp_path, ranks):
         assert bad.returncode == 2
         assert len(sentences(bad)) == 1
     assert [p.name for p in tmp_path.iterdir()] == ["a.vtu"]
+
+
+def vtkhdf_step(file, number):
+    """Points, cells, types and fields at a step of a VTKHDF file, by the rules of its format."""
+    root = file["VTKHDF"]
+    steps = root["Steps"]
+    part = steps["PartOffsets"][number]
+    assert steps["NumberOfParts"][number] == 1
+    m, k, ids = (
+        int(root[f"NumberOf{name}"][part]) for name in ("Points", "Cells", "ConnectivityIds")
+    )
+    at, cell = steps["PointOffsets"][number], steps["CellOffsets"][number, 0]
+    first = steps["ConnectivityIdOffsets"][number, 0]
+    offsets = root["Offsets"][cell + part : cell + part + k + 1]
+    connectivity = root["Connectivity"][first : first + ids]
+    fields = {}
+    for data, size in (("PointData", m), ("CellData", k)):
+        for name, values in root[data].items():
+            begin = steps[f"{data}Offsets"][name][number]
+            fields[name] = values[begin : begin + size]
+    cells = [connectivity[a:b] for a, b in itertools.pairwise(offsets)]
+    return root["Points"][at : at + m], np.array(cells), root["Types"][cell : cell + k], fields
+
+
+@pytest.mark.parametrize("segments", [None, 5])
+def test_a_history_is_in_one_file(runs, tmp_path, segments):
+    """Every step of it is what the files of single times hold."""
+    states = open_result(runs / "run.h5").boundary
+    told = export(runs / "run.h5", tmp_path / "a.vtkhdf", segments=segments, scale=20.0)
+    assert told.endswith(f"{len(states)} states from 0 to 200 s")
+    assert [p.name for p in tmp_path.iterdir()] == ["a.vtkhdf"]
+    single = tmp_path / ("a.vtu" if segments else "a.vtp")
+    with h5py.File(tmp_path / "a.vtkhdf") as file:
+        root = file["VTKHDF"]
+        assert root.attrs["Type"] == b"UnstructuredGrid"
+        assert list(root.attrs["Version"]) == [2, 0]
+        assert root["Steps"].attrs["NSteps"] == len(states)
+        assert np.array_equal(root["Steps/Values"], [state.time for state in states])
+        for number, state in enumerate(states):
+            points, cells, types, fields = vtkhdf_step(file, number)
+            export(runs / "run.h5", single, state.time, segments=segments, scale=20.0)
+            data, _ = read_vtk(single, "UnstructuredGrid" if segments else "PolyData")
+            assert np.array_equal(points, data.pop("points"))
+            assert np.array_equal(cells.ravel(), data.pop("connectivity"))
+            assert set(types) == {9 if segments else 4}
+            assert np.array_equal(cells.shape[1] * np.arange(1, len(cells) + 1), data["offsets"])
+            assert fields.keys() == data.keys() - {"offsets", "types"}
+            for name, values in fields.items():
+                assert np.array_equal(values, data[name])

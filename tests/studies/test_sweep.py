@@ -1,5 +1,6 @@
 """Sweeps: the numbers of single runs, one assembly for many cases, extension and resumption."""
 
+import json
 import re
 import shutil
 import tomllib
@@ -81,6 +82,20 @@ def test_opens_lazily_in_xarray_with_coordinates(write, shared_path, comm):
         assert data.sel(case=str(first.case.values)).penetration[-1] == first.penetration[-1]
         assert data.pressure.attrs["units"] == "MPa"
         assert list(data.step.values) == list(range(21))
+
+
+def test_units_of_the_table_stand_beside_it(write, shared_path, comm):
+    swept(write(STUDY), shared_path / "out", comm)
+    rows = table(shared_path / "out")
+    told = json.loads((shared_path / "out/cases.csv-metadata.json").read_text())
+    columns = {column["titles"]: column for column in told["tableSchema"]["columns"]}
+    assert told["url"] == "cases.csv"
+    assert list(columns) == list(rows[0])
+    units = {name: column.get("schema:unitText") for name, column in columns.items()}
+    assert units["wear.lower.k"] == "1/MPa"
+    assert units["penetration"] == "mm"
+    assert units["worn_volume_lower"] == "mm3"
+    assert units["status"] is None
 
 
 def test_fifty_geometries_cost_fifty_assemblies(write, shared_path, comm, monkeypatch):

@@ -1,0 +1,111 @@
+"""Bodies as points and cells, as VTK has them."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ringwear_par.arrays import FloatArray, IntArray
+from ringwear_par.elasticity.boundary_fields import BoundaryFields, BoundaryState
+
+
+@dataclass(frozen=True)
+class Cells:
+    """What a VTK file holds: points, cells of the same number of points, fields on both.
+
+    Parameters
+    ----------
+    points : (m, 3) float, mm.
+    cells : (c, q) int, points of each cell.
+    point_data, cell_data : by name, (m,), (c,) or with three columns.
+    """
+
+    points: FloatArray
+    cells: IntArray
+    point_data: dict[str, Any]
+    cell_data: dict[str, Any]
+
+
+def contours(state: BoundaryState, warp: float) -> Cells:
+    """Return the contours of both bodies, displaced by ``warp`` times their displacements."""
+    return _both([_contour(body, warp) for body in state.bodies])
+
+
+def surfaces(state: BoundaryState, warp: float, segments: int) -> Cells:
+    """Return the surfaces of both bodies, revolved in so many segments."""
+    return _both([_revolved(body, warp, segments) for body in state.bodies])
+
+
+def _contour(body: BoundaryFields, warp: float) -> Cells:
+    """Return a contour in the plane y = 0: a line of three points for each element."""
+    displacement = body.displacement[:, [0, 2, 1]]  # theta points along y
+    r, z = body.nodes.T
+    points = np.stack([r, np.zeros_like(r), z], axis=1) + warp * displacement
+    return Cells(
+        points,
+        body.elements,
+        {"displacement": displacement},
+        {
+            "traction": body.traction[:, [0, 2, 1]],
+            "pressure": body.pressure,
+            "wear": body.wear,
+            "face": body.face,
+        },
+    )
+
+
+def _revolved(body: BoundaryFields, warp: float, segments: int) -> Cells:
+    """Return the surface of a body: a quadrangle for each element and segment, normals outwards."""
+    ends, elements = np.unique(body.elements[:, [0, 2]], return_inverse=True)
+    first, last = elements.reshape(-1, 2).T
+    m, k = len(ends), len(first)
+    at = 2.0 * np.pi * np.arange(segments) / segments
+    middle = at + np.pi / segments
+    r, z = body.nodes[ends].T
+    position = np.stack([r, z, np.zeros(m)], axis=1)
+    displacement = _cartesian(body.displacement[ends], at)
+    points = _cartesian(position, at) + warp * displacement
+    this = m * np.arange(segments)[:, None]
+    following = m * ((np.arange(segments)[:, None] + 1) % segments)
+    corners = (this + first, following + first, following + last, this + last)
+
+    def everywhere(values: FloatArray | IntArray) -> Any:
+        return np.tile(values, segments)
+
+    return Cells(
+        points,
+        np.stack(corners, axis=-1).reshape(segments * k, 4),
+        {"displacement": displacement},
+        {
+            "traction": _cartesian(body.traction, middle),
+            "pressure": everywhere(body.pressure),
+            "wear": everywhere(body.wear),
+            "face": everywhere(body.face),
+        },
+    )
+
+
+def _cartesian(vectors: FloatArray, angles: FloatArray) -> FloatArray:
+    """Return (segments * m, 3), vectors (m, 3) along r, z, theta turned to angles (segments,)."""
+    c, s = np.cos(angles)[:, None], np.sin(angles)[:, None]
+    r, z, theta = vectors.T
+    turned = (c * r - s * theta, s * r + c * theta, np.broadcast_to(z, (len(angles), len(z))))
+    return np.stack(turned, axis=-1).reshape(-1, 3)
+
+
+def _both(bodies: Sequence[Cells]) -> Cells:
+    """Return both bodies as one, with their numbers (0 lower, 1 upper) as a field."""
+    shift = np.cumsum([0, *(len(body.points) for body in bodies)])
+
+    def joined(name: str, datum: str) -> Any:
+        return np.concatenate([getattr(body, name)[datum] for body in bodies])
+
+    cell_data = {datum: joined("cell_data", datum) for datum in bodies[0].cell_data}
+    counts = [len(body.cells) for body in bodies]
+    return Cells(
+        np.concatenate([body.points for body in bodies]),
+        np.concatenate([body.cells + s for body, s in zip(bodies, shift[:-1], strict=True)]),
+        {datum: joined("point_data", datum) for datum in bodies[0].point_data},
+        {**cell_data, "body": np.repeat(np.arange(len(bodies)), counts)},
+    )
