@@ -9,7 +9,7 @@ if [ -z "${BASH_VERSION:-}" ]; then
 fi
 
 ringwear_setup() {
-    local top python packages missing package made wanted
+    local top python packages missing package made wanted said
     local mark="# ringwear-par: mpirun as root, more ranks than cores, one thread a rank"
     top="$(cd "$(dirname "${BASH_SOURCE[0]}")/.." && pwd)"
     python=/usr/bin/python3
@@ -34,7 +34,7 @@ ringwear_setup() {
             }
             sudo="sudo -n"
         fi
-        echo "ringwear setup: installing$missing" >&2
+        echo "ringwear setup: 1 of 3: Debian's packages$missing" >&2
         # first what an installation that was interrupted has left
         $sudo dpkg --configure -a >/dev/null 2>&1
         { $sudo apt-get update -qq && $sudo env DEBIAN_FRONTEND=noninteractive $install >/dev/null; } ||
@@ -50,6 +50,7 @@ ringwear_setup() {
             return 1
         fi
         rm -f "$made"
+        echo "ringwear setup: 2 of 3: a virtual environment, $top/.venv" >&2
         "$python" -m venv --clear --system-site-packages "$top/.venv" ||
             { echo "ringwear setup: '$python -m venv $top/.venv' failed" >&2; return 1; }
         # Debian keeps petsc4py beside its PETSc, out of Python's sight
@@ -60,8 +61,13 @@ ringwear_setup() {
         # petsc4py and scipy of Debian 12 are built for numpy 1
         local numpy="numpy"
         case "$("$python" -c 'import numpy; print(numpy.__version__)')" in 1.*) numpy="numpy<2" ;; esac
-        "$top/.venv/bin/pip" install -q --disable-pip-version-check -e "$top[test]" "$numpy" ||
-            { echo "ringwear setup: pip could not install the Python packages" >&2; return 1; }
+        echo "ringwear setup: 3 of 3: Python packages, a minute or two" >&2
+        # what pip says is of interest only where it fails
+        said="$("$top/.venv/bin/pip" install -q --disable-pip-version-check -e "$top[test]" "$numpy" 2>&1)" ||
+            { echo "$said" >&2; echo "ringwear setup: pip could not install the Python packages" >&2; return 1; }
+        # conda's mpirun, for one, cannot start what is built with Debian's
+        printf '#!/bin/sh\nexec /usr/bin/mpirun "$@"\n' > "$top/.venv/bin/mpirun"
+        chmod +x "$top/.venv/bin/mpirun"
         cat >> "$top/.venv/bin/activate" <<ACTIVATE
 
 $mark
