@@ -132,13 +132,17 @@ def _parser() -> argparse.ArgumentParser:
     plot.add_argument("-o", "--output", type=_path, required=True, metavar="FIG.png")
     plot.add_argument(
         "--panels", metavar="LIST",
-        help=f"any of wear, penetration, pressure, section, in this order (default: {PANELS})",
+        help="any of wear, pressure, section, penetration, approach, force, torque, energy, "
+        f"volume, rate, pv, in this order (default: {PANELS})",
     )  # fmt: skip
     plot.add_argument(
         "--steps", metavar="LIST",
         help="steps whose profiles are drawn, such as 1,50,100 (default: first and quarters)",
     )  # fmt: skip
-
+    plot.add_argument(
+        "--times", metavar="LIST",
+        help='or times, nearest to which states are stored, in s or such as "0.5 h, 2 h"',
+    )  # fmt: skip
     plot.add_argument(
         "--profiles-of", type=_path, nargs="+", metavar="RUN.h5",
         help="draw the profiles of these files only (default: of all)",
@@ -254,17 +258,14 @@ def _plot(args: argparse.Namespace, comm: Any) -> None:
     if not folders:
         from ringwear_par.results.figures import plot_files
 
-        panels, steps = args.panels or PANELS, args.steps or ""
-        on_first_rank(
-            comm,
-            lambda: plot_files(args.results, args.output, panels, steps, args.profiles_of or ()),
-        )
+        chosen = args.panels or PANELS, args.steps or "", args.profiles_of or (), args.times or ""
+        on_first_rank(comm, lambda: plot_files(args.results, args.output, *chosen))
         return
     from ringwear_par.studies.figures import plot_sweep
 
     if len(args.results) > 1:
         raise InputError(f"{folders[0]}: is a folder; must be the only thing to be drawn")
-    for name in ("panels", "steps", "profiles_of"):
+    for name in ("panels", "steps", "profiles_of", "times"):
         if getattr(args, name) is not None:
             raise InputError(
                 f"--{name.replace('_', '-')}: must be absent where {folders[0]}, a folder, is "

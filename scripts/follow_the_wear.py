@@ -23,6 +23,7 @@ from ringwear_par.elasticity.mesh import Mesh
 from ringwear_par.history.simulate import simulate
 from ringwear_par.history.snapshots import Snapshot
 from ringwear_par.history.trace import Trace
+from ringwear_par.results.drawing import COLOURS, DASHES
 from ringwear_par.verification.paper import paper_case
 
 TOLERANCES = (0.005, 0.002, 0.001)  # mm
@@ -119,11 +120,12 @@ def main() -> None:
         return
     figure = Figure(figsize=(7.4, 3.1), layout="constrained")
     left, right = figure.subplots(1, 2)
-    for (tolerance, other), dash in zip(updated.items(), ("-", "--", ":"), strict=True):
+    for number, (tolerance, other) in enumerate(updated.items()):
+        style = {"color": COLOURS[number], "linestyle": DASHES[number]}
         label = f"tolerance {1e3 * tolerance:g} \N{MICRO SIGN}m, {other.assemblies} assemblies"
-        left.plot(other.time, 1e3 * (other.approach - fixed.approach), dash, label=label)
+        left.plot(other.time, 1e3 * (other.approach - fixed.approach), label=label, **style)
         pressure = np.abs(other.pressure / fixed.pressure - 1.0)[:, inside].max(axis=1)
-        right.plot(other.time, 1e2 * pressure, dash, label=label)
+        right.plot(other.time, 1e2 * pressure, label=label, **style)
     left.set_ylabel("approach, updated \N{MINUS SIGN} fixed (\N{MICRO SIGN}m)")
     right.set_ylabel("change of interior pressure (%)")
     for axes in (left, right):

@@ -9,7 +9,7 @@ from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
 from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.schema import UNITS
-from ringwear_par.results.figures import plain
+from ringwear_par.results.drawing import plain
 
 #: of the values in results.h5, what is drawn of them: factor and label
 OUTPUTS = {
@@ -37,15 +37,6 @@ def labelled(name: str) -> str:
 def number_text(value: float, digits: int) -> str:
     """Return a number in so many digits, its exponent short."""
     return re.sub(r"e([+-])0*", lambda e: "e" + e[1].strip("+"), f"{value:.{digits}g}")
-
-
-def set_legend(axes: Any, columns: int, title: str) -> None:
-    """Set a legend above the panel, where it covers nothing."""
-    legend = axes.legend(
-        frameon=False, loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=columns, title=title,
-        title_fontsize=8.0, columnspacing=1.0, handlelength=1.8, borderaxespad=0.2,
-    )  # fmt: skip
-    legend.get_title().set_multialignment("center")
 
 
 def set_decades(axis: Any, values: FloatArray) -> None:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from ringwear_par.arrays import FloatArray, IntArray
-from ringwear_par.results.figures import COLOURS, plain
+from ringwear_par.results.drawing import COLOURS, in_words, plain, set_legend
 from ringwear_par.studies.axes import (
     GREY,
     LOG_VALUE,
@@ -16,11 +16,11 @@ from ringwear_par.studies.axes import (
     labelled,
     number_text,
     set_decades,
-    set_legend,
     spans,
 )
 from ringwear_par.studies.designs import SAMPLED
 from ringwear_par.studies.sensitivity import SEED
+from ringwear_par.textfiles import parse_value
 
 _MARKERS = ("o", "s", "^", "v", "D", "P", "X", "*")
 DASHES: tuple[Any, ...] = ("-", "--", ":")
@@ -104,7 +104,21 @@ def key_of(name: str, column: Any) -> Key:
     words = list(dict.fromkeys(column))
     codes = {word: float(i) for i, word in enumerate(words)}
     values = np.array([codes[word] for word in column])
-    return Key(name, values, tuple(plain(word or "none") for word in words))
+    told = [in_words(parse_value(word)) if word else "none" for word in words]
+    told = [
+        f"{t} ({told[:i].count(t) + 1})" if told.count(t) > 1 else t for i, t in enumerate(told)
+    ]
+    return Key(name, values, tuple(map(plain, told)))
+
+
+def _categories(words: Sequence[str]) -> list[str]:
+    """Return raw values in few words, numbered where these are the same."""
+    told = [in_words(parse_value(word)) if word else "none" for word in words]
+    numbers = [told[: i + 1].count(text) for i, text in enumerate(told)]
+    return [
+        f"{text} ({number})" if told.count(text) > 1 else text
+        for text, number in zip(told, numbers, strict=True)
+    ]
 
 
 def values_told(key: Key) -> list[str]:

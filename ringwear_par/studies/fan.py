@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 
 from ringwear_par.arrays import FloatArray, IntArray
-from ringwear_par.results.figures import COLOURS
-from ringwear_par.studies.axes import GREY, LOG_VALUE, OUTPUTS, set_legend, spans
+from ringwear_par.results.drawing import COLOURS, set_legend, time_unit
+from ringwear_par.studies.axes import GREY, LOG_VALUE, OUTPUTS, spans
 from ringwear_par.studies.effects import DASHES, Key, values_told
 from ringwear_par.studies.ensemble import Ensemble
 from ringwear_par.studies.sensitivity import chosen_cases
@@ -24,14 +24,15 @@ def draw_histories(axes: Any, ensemble: Ensemble, drawn: IntArray, keys: Sequenc
     if len(differ) > 3:
         labels, title = [ensemble.ids[case] for case in drawn], "case"
     time, depth = (ensemble.histories(name, drawn) for name in ("time", "penetration"))
+    unit, seconds = time_unit(float(np.nanmax(time)))
     for number, count in enumerate(ensemble.steps_stored[drawn]):
         axes.plot(
-            time[number, :count], 1e3 * depth[number, :count],
+            time[number, :count] / seconds, 1e3 * depth[number, :count],
             color=COLOURS[number % len(COLOURS)],
             linestyle=DASHES[number // len(COLOURS)],
             label=labels[number] if labels else None,
         )  # fmt: skip
-    _finish_fan(axes)
+    _finish_fan(axes, unit)
     if labels:
         axes.legend(
             frameon=False, loc="center left", bbox_to_anchor=(1.0, 0.5), title=title,
@@ -43,6 +44,8 @@ def draw_fan(axes: Any, ensemble: Ensemble, drawn: IntArray, columns: int) -> No
     """Draw quantile bands, the median and a few cases."""
     cases = chosen_cases(drawn, _MOST_HISTORIES)
     grid, table, even = _fan_table(ensemble, cases)
+    unit, seconds = time_unit(float(grid[-1]))
+    grid = grid / seconds
     low, lower, median, upper, high = np.nanquantile(table, [0.05, 0.25, 0.5, 0.75, 0.95], axis=0)
     few = np.isfinite(table).sum(axis=0) < 0.5 * len(table)  # their quantiles would jump about
     for quantile in (low, lower, median, upper, high):
@@ -66,7 +69,7 @@ def draw_fan(axes: Any, ensemble: Ensemble, drawn: IntArray, columns: int) -> No
         titles.append(f"{len(cases)} of {len(drawn)} cases, chosen at random")
     if not even:
         titles.append("quantiles of cases that last so long,\nas long as half of them do")
-    _finish_fan(axes)
+    _finish_fan(axes, unit)
     ends = 1e3 * ensemble.final["penetration"][cases]
     if spans(ends, LOG_VALUE):
         axes.set_yscale("log")
@@ -74,10 +77,10 @@ def draw_fan(axes: Any, ensemble: Ensemble, drawn: IntArray, columns: int) -> No
     set_legend(axes, columns, ",\n".join(titles))
 
 
-def _finish_fan(axes: Any) -> None:
+def _finish_fan(axes: Any, unit: str) -> None:
     axes.set_xlim(0.0, axes.dataLim.x1)
     axes.set_ylim(bottom=min(0.0, axes.dataLim.y0))
-    axes.set_xlabel("time (s)")
+    axes.set_xlabel(f"time ({unit})")
     axes.set_ylabel(OUTPUTS["penetration"][1])
 
 

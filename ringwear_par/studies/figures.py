@@ -17,7 +17,7 @@ from matplotlib.figure import Figure
 
 from ringwear_par.arrays import IntArray
 from ringwear_par.errors import InputError
-from ringwear_par.results.figures import STYLE, check_figure, save_figure
+from ringwear_par.results.drawing import STYLE, check_format, save_figure
 from ringwear_par.studies.effects import Key, Plan, draw_effects, key_of, plan_of
 from ringwear_par.studies.ensemble import Ensemble, read_ensemble
 from ringwear_par.studies.fan import draw_fan, draw_histories
@@ -50,7 +50,7 @@ def plot_sweep(folder: Path, output: Path) -> None:
     ------
     InputError : the folder holds no results or no case that is done, or an unknown format.
     """
-    check_figure(output)
+    check_format(output)
     figure = draw_sweep_and_surrogate(read_ensemble(folder))
     save_figure(figure, output)
 

@@ -7,8 +7,7 @@ from typing import Any
 import numpy as np
 
 from ringwear_par.arrays import FloatArray
-from ringwear_par.results.figures import COLOURS, plain
-from ringwear_par.studies.axes import set_legend
+from ringwear_par.results.drawing import COLOURS, plain, set_legend
 from ringwear_par.studies.ensemble import Ensemble
 from ringwear_par.studies.predictions import COARSE, Surrogate, told_share
 from ringwear_par.studies.sensitivity import SENSITIVE, sensitivity, sobol_indices
@@ -28,6 +27,7 @@ class IndexBars:
     names, values : of both indices, (keys,) each; the second one tells more of how much a key
         matters.
     widths : half-widths of their 95 % confidence intervals, None where errors are not of sampling.
+    noise : what the second index comes to, by sampling, for a key that does not matter.
     """
 
     output: str
@@ -36,6 +36,7 @@ class IndexBars:
     names: tuple[str, str]
     values: tuple[FloatArray, FloatArray]
     widths: tuple[FloatArray | None, FloatArray | None] = (None, None)
+    noise: float = 0.0
 
     def draw(self, axes: Any, keys: Sequence[str]) -> None:
         """Draw the indices of some of the keys."""
@@ -48,6 +49,11 @@ class IndexBars:
                 places + (-0.17, 0.17)[number], values[chosen], 0.3, label=name,
                 xerr=None if widths is None else widths[chosen], color=COLOURS[number], alpha=0.75,
                 error_kw={"ecolor": "0.1", "elinewidth": 0.9, "capsize": 2.0},
+            )  # fmt: skip
+        if self.noise:
+            axes.axvline(
+                self.noise, color="0.1", linewidth=0.9, linestyle=":",
+                label="\N{GREEK SMALL LETTER DELTA} of a key without influence",
             )  # fmt: skip
         axes.set_yticks(places, [plain(self.keys[i]) for i in chosen])
         axes.set_ylim(len(places) - 0.5, -0.5)
@@ -82,7 +88,7 @@ def index_bars(ensemble: Ensemble, regressions: Surrogate | None) -> tuple[Index
         found[own.output] = IndexBars(
             own.output, own.keys, f"sample of {part_of} cases,\n95 % confidence",
             (_FIRST, "\N{GREEK SMALL LETTER DELTA}, of the whole distribution"),
-            (own.s1, own.delta), (own.s1_conf, own.delta_conf),
+            (own.s1, own.delta), (own.s1_conf, own.delta_conf), own.delta_noise,
         )  # fmt: skip
     return tuple(found[name] for name in SENSITIVE if name in found)
 

@@ -15,19 +15,23 @@ def plot(
     panels: str | Sequence[str] | None = None,
     steps: str = "",
     profiles_of: Sequence[figures.Source] = (),
+    times: str = "",
 ) -> Figure:
     """Return the panels of one or more results side by side, or the figure of a sweep.
 
     Not collective. Profiles (``wear``, ``pressure``) and deformed sections (``section``, the last
     one stored) are drawn of every result, one panel each; the histories of all of them share a
-    panel (``penetration``).
+    panel (``penetration``, ``approach``, ``force``, ``torque``, ``energy``, ``volume``, ``rate``,
+    ``pv``).
 
     Parameters
     ----------
     results : a result or a result file, or several; or the folder of a sweep.
     panels : names, in a list or separated by commas; None for wear and penetration.
-    steps : comma-separated step numbers of the profiles; "" for the first step and four quarters.
+    steps : comma-separated step numbers of the profiles.
     profiles_of : those of the results whose profiles and sections are drawn; () for all.
+    times : comma-separated times of the profiles, s or with a unit ("1 h"), instead of steps; the
+        stored states nearest to them are drawn. Without either: the first step and four quarters.
 
     Raises
     ------
@@ -37,14 +41,14 @@ def plot(
     several = [results] if isinstance(results, Result | str | Path) else results
     if isinstance(several, Sequence):
         folders = [s for s in several if isinstance(s, str | Path) and Path(s).is_dir()]
-        if folders and (len(several) > 1 or panels is not None or steps or profiles_of):
+        if folders and (len(several) > 1 or panels is not None or steps or times or profiles_of):
             raise InputError(
                 f"{folders[0]}: is a folder; must be the only thing to be drawn, without panels, "
-                "steps and profiles_of"
+                "steps, times and profiles_of"
             )
         if folders:
             from ringwear_par.studies.ensemble import read_ensemble
             from ringwear_par.studies.figures import draw_sweep_and_surrogate
 
             return draw_sweep_and_surrogate(read_ensemble(Path(folders[0])))
-    return figures.plot(results, panels or "wear,penetration", steps, profiles_of)
+    return figures.plot(results, panels or figures.DEFAULT, steps, profiles_of, times)

@@ -52,6 +52,7 @@ class Sensitivity:
     used, cases : number of cases that the indices follow from, of so many that are done.
     delta, delta_conf : moment-independent index, (keys,).
     s1, s1_conf : first-order index, (keys,).
+    delta_noise : what delta comes to for a key that does not matter, its confidence included.
     """
 
     output: str
@@ -62,6 +63,7 @@ class Sensitivity:
     delta_conf: FloatArray
     s1: FloatArray
     s1_conf: FloatArray
+    delta_noise: float
 
 
 def sensitivity(
@@ -106,11 +108,19 @@ def sensitivity(
             continue
         chosen = chosen_cases(cases, _MOST)
         try:
-            indices = _delta(x[chosen], y[chosen])
+            # one key more, which has nothing to do with the output
+            nothing = np.random.default_rng(SEED).random(len(chosen))
+            indices = _delta(np.column_stack([x[chosen], nothing]), y[chosen])
         except ImportError:
             log.warning(_NO_SALIB)
             return ()
-        found.append(Sensitivity(output, tuple(names), len(chosen), len(cases), *indices))
+        noise = float(indices[0][-1] + indices[1][-1])
+        delta, delta_conf, s1, s1_conf = (index[:-1] for index in indices)
+        found.append(
+            Sensitivity(
+                output, tuple(names), len(chosen), len(cases), delta, delta_conf, s1, s1_conf, noise
+            )
+        )
     return tuple(found)
 
 

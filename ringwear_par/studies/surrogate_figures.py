@@ -9,14 +9,13 @@ from scipy.stats import qmc
 
 from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.text import shortened
-from ringwear_par.results.figures import COLOURS, plain
+from ringwear_par.results.drawing import COLOURS, plain, set_legend
 from ringwear_par.studies.axes import (
     GREY,
     LOG_VALUE,
     OUTPUTS,
     labelled,
     set_decades,
-    set_legend,
     spans,
 )
 from ringwear_par.studies.predictions import Surrogate, told_share

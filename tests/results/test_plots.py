@@ -1,5 +1,7 @@
 """Figures: drawn from files alone, with axes that say what they show."""
 
+import itertools
+import re
 from pathlib import Path
 
 import numpy as np
@@ -71,7 +73,10 @@ def test_few_points_of_a_curve_are_marked(runs):
     [
         (("wear", "3,99"), "'99' is not a stored step"),
         (("wear", "x"), "'x' is not a stored step"),
-        (("temperature", ""), "must be one of wear, penetration, pressure"),
+        (("temperature", ""), "must be one of wear, pressure, section, penetration, approach"),
+        (("wear", "1", (), "5"), "--times: must be absent beside --steps"),
+        (("wear", "", (), "30"), "'30' is no time of .* from 0 to 20 .s., or with a unit"),
+        (("wear", "", (), "2 mm"), "'2 mm' is no time of"),
     ],
 )
 def test_wrong_requests(runs, tmp_path, arguments, match):
@@ -130,7 +135,7 @@ def test_deformed_sections(tmp_path, comm, case):
 
 
 def test_magnification_is_round():
-    from ringwear_par.results.figures import magnification
+    from ringwear_par.results.section_panel import magnification
 
     assert magnification(0.0, 40.0) == 1.0
     assert magnification(0.04, 40.0) == 100.0
@@ -148,7 +153,8 @@ def test_sections_need_boundary_fields(runs, tmp_path):
 
 
 def test_results_and_files_are_drawn_alike(runs, tmp_path):
-    from ringwear_par.results.figures import plot, save_figure
+    from ringwear_par.results.drawing import save_figure
+    from ringwear_par.results.figures import plot
     from ringwear_par.results.files import open_result
 
     first, second = map(open_result, runs[:2])
@@ -183,3 +189,112 @@ def test_results_without_a_file_have_a_name(runs):
     assert labels == ["result 1", "result 2", "result 3"]
     with pytest.raises(InputError, match="result in memory: does not hold pressure"):
         plot(several[2], "pressure")
+
+
+def test_every_history_has_its_panel(runs):
+    """What is drawn follows from what is stored: rates and p V are means between states."""
+    from ringwear_par.results.figures import plot
+    from ringwear_par.results.files import open_result
+    from ringwear_par.results.history_panels import HISTORY_PANELS
+
+    result = open_result(runs[0])  # both bodies wear
+    time, area = result.histories["time"], result.line.area.sum()
+    drawn = dict(zip(HISTORY_PANELS, plot(runs[0], list(HISTORY_PANELS)).axes, strict=True))
+    for axes in drawn.values():
+        assert axes.get_xlabel() == "time (s)"
+        assert re.search(r"\(.+\)$", axes.get_ylabel())  # a unit
+    force, torque = (drawn[name].lines[0].get_ydata() for name in ("force", "torque"))
+    assert force == pytest.approx(result.histories["force"])
+    assert torque == pytest.approx(1e-3 * result.histories["torque"])
+    volumes = [line.get_ydata() for line in drawn["volume"].lines]
+    for body, values in zip(("lower", "upper"), volumes, strict=True):
+        assert values == pytest.approx(result.histories[f"worn_volume_{body}"])
+    assert [t.get_text() for t in drawn["volume"].get_legend().texts] == ["lower", "upper"]
+    rate = drawn["rate"].lines[0]
+    depth = np.sum(rate.get_ydata()[1:] * np.diff(time)) / 3600.0
+    assert depth == pytest.approx(1e3 * volumes[0][-1] / area)
+    pressure, omega = 80.0, 3.541666666666667
+    mean_radius = 30.0  # where all pressures are the same, p V is that at about the mean radius
+    assert drawn["pv"].lines[0].get_ydata()[-1] == pytest.approx(
+        1e-3 * pressure * omega * mean_radius, rel=0.01
+    )
+
+
+def test_profiles_at_times_are_those_of_the_nearest_states(runs):
+    from ringwear_par.results.figures import plot
+    from ringwear_par.results.files import open_result
+
+    result = open_result(runs[1])
+    (axes,) = plot(runs[1], "pressure", times="0, 5.4, 0.25 min").axes
+    for line, row in zip(axes.lines, (0, 5, 15), strict=True):
+        assert line.get_ydata() == pytest.approx(result.profiles["pressure"][row])
+    assert [t.get_text() for t in axes.get_legend().texts] == ["0 s", "5 s", "15 s"]
+
+
+def test_long_histories_are_drawn_in_hours(tmp_path, comm):
+    from ringwear_par.results.drawing import time_unit
+    from ringwear_par.results.figures import plot
+
+    run_case(
+        PAPER, tmp_path / "a.h5",
+        ["mesh.contact_elements=16", "time.steps=4", "time.step=1 h", "load.omega=0.01"],
+        comm=comm,
+    )  # fmt: skip
+    wear, penetration = plot(tmp_path / "a.h5").axes
+    assert penetration.get_xlabel() == "time (h)"
+    assert penetration.lines[0].get_xdata() == pytest.approx(np.arange(5.0))
+    assert wear.get_legend().texts[-1].get_text() == "4 h"
+    assert [time_unit(end)[0] for end in (7200.0, 7201.0, 8 * 86400.0)] == ["s", "h", "days"]
+
+
+def test_panels_of_several_results_have_one_scale(runs):
+    from ringwear_par.results.figures import plot
+
+    figure = plot(runs[:2], "wear,pressure")
+    for pair in (figure.axes[:2], figure.axes[2:]):
+        assert len({axes.get_ylim() for axes in pair}) == 1
+        for axes in pair:
+            values = np.concatenate([line.get_ydata() for line in axes.lines])
+            assert axes.get_ylim()[0] <= values.min()
+
+
+@pytest.mark.parametrize("panels", ["wear,pressure", "penetration,volume", "rate,pv"])
+def test_legends_cover_nothing(runs, panels):
+    """They stand above their panel, within the picture, and no two letters overlap."""
+    from ringwear_par.results.figures import plot
+
+    figure = plot(runs[:2], panels)
+    figure.canvas.draw()
+    boxes = []
+    for axes in figure.axes:
+        legend = axes.get_legend().get_window_extent()
+        assert legend.y0 >= axes.get_window_extent().y1
+        assert figure.bbox.x0 <= legend.x0
+        assert legend.x1 <= figure.bbox.x1
+        boxes.append(legend)
+    assert not any(a.overlaps(b) for a, b in itertools.combinations(boxes, 2))
+
+
+def test_values_are_told_in_a_few_words():
+    from ringwear_par.results.drawing import in_words
+
+    assert in_words(80.0) == "80"
+    assert in_words([[0.0, 50.0], [5.0, 60.0], [9.0, 80.0]]) == "50 to 80 in 3 points"
+    assert in_words({"crown": 500.0}) == "crown 500"
+    assert in_words({"r": [[10, 1e-7], [20, 2e-7]]}) == "profile of 2 radii"
+    assert in_words("archard") == "archard"
+
+
+def test_stages_in_time_stay_apart_in_grey():
+    """Lightness falls from the first to the last, whatever colours are to somebody's eyes."""
+    from matplotlib.colors import to_rgb
+
+    from ringwear_par.results.drawing import COLOURS, stage_colour
+
+    def lightness(colour):
+        return float(np.dot((0.2126, 0.7152, 0.0722), np.square(to_rgb(colour))))
+
+    stages = [lightness(stage_colour(number, 5)) for number in range(5)]
+    assert all(before > 1.5 * after for before, after in itertools.pairwise(stages))
+    assert stages[0] < 0.75  # on white paper
+    assert len({round(lightness(colour), 3) for colour in COLOURS}) == len(COLOURS)

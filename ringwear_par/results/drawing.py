@@ -1,0 +1,104 @@
+"""What all figures share: one style, colours that stay apart, units of time, words for values."""
+
+import io
+from pathlib import Path
+from typing import Any
+
+import matplotlib
+import numpy as np
+from matplotlib.figure import Figure
+
+from ringwear_par.atomic import atomic_write, check_writable
+from ringwear_par.cases.text import shortened
+from ringwear_par.cases.values import is_number
+from ringwear_par.errors import InputError, legible
+
+STYLE: dict[Any, Any] = {
+    "font.size": 9.0,
+    "axes.titlesize": 9.0,
+    "legend.fontsize": 8.0,
+    "lines.linewidth": 1.3,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "savefig.dpi": 200,
+}
+#: of Okabe and Ito, which the colour-blind tell apart; dashes do in print without colour
+COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#222222")
+#: line styles that stay apart in print without colour
+DASHES: tuple[Any, ...] = ("-", "--", "-.", ":", (0, (5, 1, 1, 1, 1, 1)))
+#: of a map whose lightness grows evenly, the dark part that can be seen on white
+_EARLY, _LATE = 0.82, 0.0
+#: s, up to which times are told in a unit, and its seconds
+_UNITS_OF_TIME = ((7200.0, "s", 1.0), (7 * 86400.0, "h", 3600.0), (np.inf, "days", 86400.0))
+
+
+def stage_colour(number: int, count: int) -> Any:
+    """Return the colour of a stage in time, the later the darker; it stays so in grey."""
+    share = 1.0 if count == 1 else number / (count - 1)
+    return matplotlib.colormaps["viridis"](_EARLY + (_LATE - _EARLY) * share)
+
+
+def time_unit(end: float) -> tuple[str, float]:
+    """Return the unit in which times up to an end, s, are told, and its seconds."""
+    return next((name, seconds) for most, name, seconds in _UNITS_OF_TIME if end <= most)
+
+
+def plain(text: str) -> str:
+    """Return a text of a user as matplotlib draws it, letter by letter, on one line."""
+    return legible(text, 200).replace("$", r"\$")
+
+
+def in_words(value: Any) -> str:
+    """Return a raw value of a case key as a legend has room for it."""
+    if is_number(value):
+        return f"{value:g}"
+    if isinstance(value, dict) and set(value) == {"r"}:
+        return f"profile of {len(value['r'])} radii"
+    if isinstance(value, dict) and len(value) == 1:
+        ((name, size),) = value.items()
+        return f"{name} of {len(size)} points" if name == "trace" else f"{name} {in_words(size)}"
+    if isinstance(value, list) and value and isinstance(value[0], list):
+        ends = value[0][1], value[-1][1]
+        if all(len(pair) == 2 and all(map(is_number, pair)) for pair in value):
+            return f"{ends[0]:g} to {ends[1]:g} in {len(value)} points"
+    return value if isinstance(value, str) else shortened(value)
+
+
+def set_legend(axes: Any, columns: int, title: str = "") -> None:
+    """Set a legend above the panel, where it covers nothing."""
+    legend = axes.legend(
+        frameon=False, loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=columns, title=title,
+        title_fontsize=8.0, columnspacing=1.0, handlelength=1.8, borderaxespad=0.2,
+    )  # fmt: skip
+    legend.get_title().set_multialignment("center")
+
+
+def check_format(output: Path) -> None:
+    """Refuse a picture that cannot be written. Not collective.
+
+    Raises
+    ------
+    InputError : the reason.
+    """
+    check_writable(output)
+    formats = Figure().canvas.get_supported_filetypes()
+    if output.suffix[1:].lower() not in formats:
+        raise InputError(f"{output}: its ending must be one of {', '.join(sorted(formats))}")
+
+
+def save_figure(figure: Figure, output: Path) -> None:
+    """Write a picture by rename, in the format of its ending. On one rank.
+
+    Raises
+    ------
+    InputError : what is drawn is too large for matplotlib's axes.
+    OSError : the disk or the folder.
+    """
+    picture = io.BytesIO()  # backends leave files open where the disk fails
+    with matplotlib.rc_context(STYLE):
+        try:
+            figure.savefig(picture, format=output.suffix[1:].lower())
+        except ArithmeticError as error:
+            raise InputError(f"{output}: cannot be drawn: {error}; values are too large") from error
+    with atomic_write(output) as temporary:
+        temporary.write_bytes(picture.getbuffer())

@@ -1,0 +1,86 @@
+"""Panels along the radius: worn profiles and contact pressures of a result at some times."""
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+
+from ringwear_par.errors import InputError
+from ringwear_par.results.drawing import DASHES, set_legend, stage_colour, time_unit
+from ringwear_par.results.result import Result
+
+#: columns of the legend
+_COLUMNS = 3
+
+
+def _field(result: Result, name: str) -> Any:
+    if name not in result.profiles:
+        raise InputError(
+            f"{result.name}: does not hold {name}; output.fields of its case left it out"
+        )
+    if result.profiles[name].ndim == 1:
+        raise InputError(
+            f"{result.name}: holds {name} of the last step only; must be computed with "
+            'output.profiles = "all"'
+        )
+    return result.profiles[name]
+
+
+def _profiles(
+    axes: Any, result: Result, rows: Sequence[int], *curves: Callable[[int], Any]
+) -> None:
+    """Draw curves at some of the stored states, all of them in the style of the state."""
+    time = result.histories["time"]
+    unit, seconds = time_unit(float(time[-1]))
+    for number, row in enumerate(rows):
+        for place, curve in enumerate(curves):
+            axes.plot(
+                result.line.r, curve(row), color=stage_colour(number, len(rows)),
+                linestyle=DASHES[number % len(DASHES)],
+                label=None if place else f"{time[row] / seconds:.3g} {unit}",
+            )  # fmt: skip
+    axes.set_xlabel("distance to axis (mm)")
+
+
+def draw_wear(axes: Any, result: Result, label: str, rows: Sequence[int]) -> None:
+    """Draw worn profiles: the face of lower falls below 0, that of upper rises above it."""
+    inner, outer = result.line.edges[[0, -1]]
+    margin = 0.15 * (outer - inner)
+    lower, upper = _field(result, "wear_lower"), _field(result, "wear_upper")
+    ends = max(inner - margin, 0.0), outer + margin
+    if lower.any() and upper.any():
+        _profiles(axes, result, rows, lambda row: -1e3 * lower[row], lambda row: 1e3 * upper[row])
+        axes.set_ylabel("worn faces (\N{MICRO SIGN}m)")
+        for name, place, where in (("upper", 0.98, "top"), ("lower", 0.02, "bottom")):
+            axes.text(
+                0.5, place, f"face of {name}", ha="center", va=where, transform=axes.transAxes
+            )
+        low, high = axes.get_ylim()
+        room = 0.1 * (high - low)
+        axes.set_ylim(low - room, high + room)
+    elif upper.any():
+        _profiles(axes, result, rows, lambda row: 1e3 * upper[row])
+        axes.set_ylabel("wear depth, upwards (\N{MICRO SIGN}m)")
+    else:
+        _profiles(axes, result, rows, lambda row: -1e3 * lower[row])
+        axes.set_ylabel("wear depth (\N{MICRO SIGN}m)")
+    for start, end in ((ends[0], inner), (outer, ends[1])):
+        axes.plot([start, end], [0, 0], color="0.4", linewidth=0.8)
+    axes.set_xlim(*ends)
+    set_legend(axes, _COLUMNS, label)
+
+
+def draw_pressure(axes: Any, result: Result, label: str, rows: Sequence[int]) -> None:
+    """Draw contact pressures; the singular edges of the first instant are cut."""
+    pressure = _field(result, "pressure")
+    highest = float(pressure[list(rows)].max())
+    touched = (pressure[list(rows)] > 0.0) @ result.line.area  # mm^2
+    mean = result.histories["force"][list(rows)] / np.where(touched > 0.0, touched, np.inf)
+    top = 3.0 * float(mean.max())
+    if highest > top:
+        label = f"{label}\npeak of {highest:.0f} MPa cut"
+    _profiles(axes, result, rows, lambda row: pressure[row])
+    if highest > 0.0:
+        axes.set_ylim(0.0, min(top, 1.1 * highest))
+    axes.set_ylabel("contact pressure (MPa)")
+    set_legend(axes, _COLUMNS, label)
