@@ -45,7 +45,7 @@ def figure(found: "DesignResult") -> Figure:
 
 
 def _is_plain(test: Candidate) -> bool:
-    return len(test.loads) == 1 and test.profiles <= 1 and "load.omega" not in test.keys
+    return len(test.loads) == 1 and len(test.profiles) <= 1 and "load.omega" not in test.keys
 
 
 def _axis_of(found: "DesignResult", plain: IntArray) -> tuple[str, list[float]]:
@@ -87,11 +87,11 @@ def _map_of_pairs(
 def _map_of_tests(
     axes: Any, found: "DesignResult", plain: IntArray, values: FloatArray, label: str
 ) -> None:
-    """Draw the sd of one test over its load and duration."""
+    """Draw the sd of one test over its load and duration, a profile being at its best instant."""
     name, loads = _axis_of(found, plain)
     seconds = sorted({found.candidates[i].seconds for i in plain})
     table = np.full((len(seconds), len(loads)), np.nan)
-    for i in plain:
+    for i in plain[np.argsort(found.single_scores[plain], kind="stable")]:  # the best one the last
         test = found.candidates[i]
         table[seconds.index(test.seconds), loads.index(test.loads[0])] = values[i]
     _draw(axes, loads, seconds, np.where(np.isfinite(table), table, np.nan), label)

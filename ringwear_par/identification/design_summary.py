@@ -77,8 +77,9 @@ def name_of(test: Candidate) -> str:
     if "load.omega" in test.keys:
         words.append(f"{test.keys['load.omega']:.4g} rad/s")
     words.append(f"{test.seconds:.4g} s")
-    if test.profiles > 1:
-        words.append(f"{test.profiles} profiles")
+    if test.profiles and test.profiles != (test.seconds,):
+        at = ", ".join(f"{at:.4g}" for at in test.profiles)
+        words.append(f"profile{'s' if test.profiles[1:] else ''} at {at} s")
     return ", ".join(words)
 
 

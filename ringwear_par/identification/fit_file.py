@@ -41,10 +41,14 @@ _INTERVALS = ("linear", "profile", "posterior")
 MOST_STARTS, MOST_SAMPLES = 10_000, 10_000_000
 
 
-def read_fit(source: Path | str | Mapping[str, Any]) -> Problem:
+def read_fit(source: Path | str | Mapping[str, Any], *, plans: bool = False) -> Problem:
     """Read a fit file with its case and all its measurements, or the same as a dict.
 
     Not collective.
+
+    Parameters
+    ----------
+    plans : whether readings may be planned ones.
 
     Raises
     ------
@@ -67,7 +71,7 @@ def read_fit(source: Path | str | Mapping[str, Any]) -> Problem:
     base = _read_base(name, folder, tables, isinstance(source, Mapping), faults)
     settings, parameters = _read_settings(f"{name}: fit", tables.get("fit", {}), faults)
     files = FileStore(folder)
-    read = _Experiments(name, folder, base, files)
+    read = _Experiments(name, folder, base, files, plans)
     experiments = read.all(tables.get("experiment"), parameters, faults)
     design = read_space(f"{name}: design", tables.get("design", {}), faults)
     others = _read_alternatives(f"{name}: compare", tables.get("compare", {}), faults)
@@ -152,12 +156,19 @@ class _Experiments:
     name : what messages call the fit file.
     folder : from which names of files count.
     base : dotted keys of the base case; None where it has faults.
+    plans : whether readings may be planned ones.
     """
 
     def __init__(
-        self, name: str, folder: Path, base: dict[str, Any] | None, files: FileStore
+        self,
+        name: str,
+        folder: Path,
+        base: dict[str, Any] | None,
+        files: FileStore,
+        plans: bool,
     ) -> None:
         self._name, self._folder, self._base, self._files = name, folder, base, files
+        self._plans = plans
         self._keys: dict[str, dict[str, Any]] = {}
 
     def all(
@@ -200,7 +211,9 @@ class _Experiments:
             return None
         series: list[Series] = []
         for number_, entry in enumerate(data, start=1):
-            found = read_series(f"{said}: data {number_}", entry, case, self._files, faults)
+            found = read_series(
+                f"{said}: data {number_}", entry, case, self._files, faults, plans=self._plans
+            )
             if found is None:
                 continue
             if any(_same_readings(found, other) for other in series):

@@ -108,6 +108,7 @@ class Series:
     correlation_time : s, of the noise; 0: it is white.
     file, lines : where the readings stand; "" and none of a single value.
     unit_told : whether the unit was named, by ``units`` or by the column's own name.
+    planned : whether nothing has been read yet; values are 0 then.
     """
 
     name: str
@@ -125,6 +126,7 @@ class Series:
     file: str = ""
     lines: IntArray | None = None
     unit_told: bool = True
+    planned: bool = False
 
     @property
     def n(self) -> int:

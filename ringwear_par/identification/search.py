@@ -59,7 +59,7 @@ class Search:
         self._parameters, self._space = problem.parameters, problem.design
         self._nominal = told.nominal
         self._seconds = np.array([test.seconds for test in tests])
-        self._loads = [test.loads for test in tests]
+        self._kinds = [test.kind for test in tests]
         self._widths = widths(self._parameters)
         scale = np.outer(self._widths, self._widths)
         # over the widths of bounds, and never singular
@@ -130,8 +130,8 @@ class Search:
         scores = self._scores(tests)
         found: dict[Hashable, Design] = {}
         for i in np.argsort(-scores, kind="stable").tolist():
-            # of the same loads and other durations the best one is told
-            kind = tuple(sorted(self._loads[test] for test in tests[i]))
+            # of the same loads the best durations and instants are told
+            kind = tuple(sorted(self._kinds[test] for test in tests[i]))
             if kind not in found:
                 found[kind] = self._design(tests[i], float(scores[i]))
             if len(found) == _TOLD:
@@ -165,9 +165,10 @@ class Search:
         spread: FloatArray = np.where(share < 1.0, share * self._widths * slopes, np.inf)
         return spread
 
-    def singles(self) -> FloatArray:
-        """Return predicted standard deviations after each candidate alone, (c, m)."""
-        return self._natural(_inverse(self._information[0] + self._before + self._floor))
+    def singles(self) -> tuple[FloatArray, FloatArray]:
+        """Return predicted standard deviations after each candidate alone, (c, m), and scores."""
+        alone = _inverse(self._information[0] + self._before + self._floor)
+        return self._natural(alone), self._score(self._information)
 
     def pairs(self) -> tuple[FloatArray, FloatArray]:
         """Return those after two candidates, (c, c, m), and their scores (c, c).

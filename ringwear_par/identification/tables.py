@@ -2,7 +2,7 @@
 
 import difflib
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Set
 from typing import Any
 
 from ringwear_par.cases.text import shortened
@@ -30,6 +30,10 @@ class TableReader:
 
     def __contains__(self, key: str) -> bool:
         return key in self._table
+
+    def keys(self) -> Set[str]:
+        """Return the keys that are there."""
+        return self._table.keys()
 
     def fault(self, told: str) -> None:
         """Add a sentence about the table."""

@@ -225,6 +225,94 @@ def test_faulty_times(rows, said, good, tmp_path):
     assert said in str(caught.value)
 
 
+@pytest.fixture(scope="module")
+def plan(good):
+    """The fit file before any readings are there."""
+    tables = copy.deepcopy(good)
+    for experiment in tables["experiment"]:
+        record, profile = experiment["data"]
+        for series in (record, profile):
+            del series["file"], series["columns"]
+            series["unit"] = "um"
+        record["times"] = {"from": 2.0, "to": 100.0, "count": 50}
+        r = np.concatenate([np.linspace(28.0, 28.4, 15), np.linspace(28.6, 31.4, 60),
+                            np.linspace(31.6, 32.0, 15)])  # fmt: skip
+        profile["r"] = r.tolist()
+    return tables
+
+
+def test_readings_may_be_planned(plan, good, comm):
+    """A dry run tells the same as with readings, whatever these are."""
+    found = read_fit(plan, plans=True)
+    record, profile = found.experiments[1].series
+    assert record.x == pytest.approx(np.linspace(2.0, 100.0, 50))
+    assert (profile.n, profile.at, profile.unit) == (90, 100.0, "um")
+    assert profile.sd == pytest.approx(8e-5)
+    assert record.planned
+    assert profile.planned
+    for start in (0.0, 25.0):  # at a bound and within
+        spreads = []
+        for tables in (plan, good):
+            own = changed(tables, ("fit", "parameters", "wear.lower.p0", "start"), start)
+            told = predicted(read_fit(own, plans=True), comm)
+            spreads.append([p.sd for p in told.parameters])
+        assert spreads[0] == pytest.approx(spreads[1], rel=1e-5)
+    assert predicted(found, comm).chi2 < 1e-12
+
+
+def test_a_weighing_may_be_planned(plan):
+    tables = copy.deepcopy(plan)
+    tables["experiment"][0]["data"] += [
+        {"quantity": "mass.lower", "unit": "mg", "density": 0.0019, "sd": 0.1, **when}
+        for when in ({}, {"at": 50.0}, {"times": [10.0, 20.0]})
+    ]
+    series = read_fit(tables, plans=True).experiments[0].series[2:]
+    assert [one.x.tolist() for one in series] == [[100.0], [50.0], [10.0, 20.0]]
+
+
+def test_a_fit_needs_readings(plan):
+    with pytest.raises(InputError) as caught:
+        read_fit(plan)
+    assert len(caught.value.faults) == 4
+    assert caught.value.faults[0] == (
+        'fit: experiment "test 1": data 1 (penetration): file is missing: must be the name of a '
+        "table; planned readings are for --dry-run and ringwear design only"
+    )
+
+
+@pytest.mark.parametrize(
+    ("path", "value", "said"),
+    [
+        ((*PEN, "times"), [1.0, 1.0], "times = [1.0, 1.0]: must be { from = a, to = b, count"),
+        ((*PEN, "times"), {"from": 1.0, "to": 9.0}, "must be { from = a, to = b, count = n }"),
+        ((*PEN, "times"), {"from": 9.0, "to": 1.0, "count": 5}, "with a < b"),
+        ((*PEN, "times"), {"from": 1.0, "to": 9.0, "count": 1e9}, "n from 2 to 100000"),
+        ((*PEN, "times"), [1.0, 101.0], "time 101 s: must be within the test, from 0 to 100 s"),
+        ((*PEN, "times"), None, "file is missing: must be the name of a table; times plans"),
+        ((*PEN, "r"), [29.0], "r: unknown key"),
+        ((*PEN, "value"), 1.0, "must be absent beside value; it is for readings that are planned"),
+        ((*PEN, "at"), 9.0, "at = 9.0: must be absent beside times"),
+        ((*PEN, "columns"), {"time": "t"}, "file is missing: must be the name of a table"),
+        ((*PEN, "sd"), "fit", 'sd = "fit": must be a number > 0, in unit, of readings that are'),
+        ((*PEN, "sd"), "z_sd", "must be a number > 0, in unit, of readings that are planned"),
+        ((*PEN, "sd"), {"relative": 0.1}, "must be a number > 0, in unit, of readings that are"),
+        ((*PEN, "sd"), None, "sd is missing"),
+        ((*PEN, "unit"), None, "unit is missing: must be a unit"),
+        ((*PEN, "unit"), "s", 'unit = "s": must be'),
+        ((*PROF, "r"), [10.0, 30.0], "r = 10 mm: must be on the lower body, from 20 to 40 mm"),
+        ((*PROF, "r"), [21.0, 22.0], "has no reading within the contact, 28.5 to 31.5 mm"),
+        ((*PROF, "r"), [28000.0, 30000.0], "r = 28000 mm: must be on the lower body"),
+        ((*PROF, "r"), None, "file is missing: must be the name of a table of depths over radii"),
+        ((*PROF, "at"), 100.1, "at = 100.1: must be within the test, which ends at 100 s"),
+        ((*PROF, "exclude"), [[20, 40]], "has no readings"),
+    ],
+)  # fmt: skip
+def test_faults_of_plans(path, value, said, plan):
+    with pytest.raises(InputError) as caught:
+        read_fit(changed(plan, path, value), plans=True)
+    assert said in str(caught.value)
+
+
 def test_all_faults_are_told_together(good):
     tables = changed(good, (*PEN, "sd"), 0)
     tables["fit"]["starts"] = -1
