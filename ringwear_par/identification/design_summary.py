@@ -40,7 +40,7 @@ def summary(found: "DesignResult") -> str:
         f"measured as in {problem.experiments[0].name}; {found.histories} histories"
     ]
     about = ", ".join(
-        f"{p.key} = {v:.4g}{unit_of(p.key)}"
+        f"{p.key} = {v:.4g}{unit_of(problem, p.key)}"
         for p, v in zip(problem.parameters, found.nominal.tolist(), strict=True)
     )
     where = f"after {found.after}" if found.after else "at the start"
@@ -93,7 +93,7 @@ def _spreads(found: "DesignResult", one: "Design") -> str:
         elif parameter.log:
             told.append(f"{parameter.key} +- {100.0 * sd / value:.2g} %")
         else:
-            told.append(f"{parameter.key} +- {sd:.2g}{unit_of(parameter.key)}")
+            told.append(f"{parameter.key} +- {sd:.2g}{unit_of(found.problem, parameter.key)}")
         if np.isfinite(sd) and high > 1.5 * low:
             worst = f"{high / sd:.2g} times" if np.isfinite(high) else "not told"
             told[-1] += f" (at worst {worst})"

@@ -252,8 +252,6 @@ def run_fit(
     on_first_rank(comm, Progress(folder, "").forget)
     if comm.rank == 0:
         print(found.summary())
-        for sentence in found.warnings:
-            log.warning("%s", sentence)
         if problem.alternatives and not compare:
             log.info(
                 "[compare] was not looked at: --compare fits %s", ", ".join(problem.alternatives)

@@ -1,6 +1,6 @@
 """Fit files: a base case, the keys sought, and experiments with their measurements."""
 
-import math
+import difflib
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -67,7 +67,11 @@ def read_fit(source: Path | str | Mapping[str, Any], *, plans: bool = False) -> 
         raise InputError(f"{name}: is {told}, not a fit file; [[experiment]] is missing")
     faults: list[str] = []
     for key in tables.keys() - set(_TABLES):
-        faults.append(f"{name}: {legible(key)}: unknown key; must be one of {', '.join(_TABLES)}")
+        near = difflib.get_close_matches(key.lower(), _TABLES, n=1)
+        hint = f" (did you mean {near[0]}?)" if near else ""
+        faults.append(
+            f"{name}: {legible(key)}: unknown key{hint}; must be one of {', '.join(_TABLES)}"
+        )
     base = _read_base(name, folder, tables, isinstance(source, Mapping), faults)
     settings, parameters = _read_settings(f"{name}: fit", tables.get("fit", {}), faults)
     files = FileStore(folder)
@@ -170,6 +174,8 @@ class _Experiments:
         self._name, self._folder, self._base, self._files = name, folder, base, files
         self._plans = plans
         self._keys: dict[str, dict[str, Any]] = {}
+        #: what was wrong with cases; of fitted keys the same need not be said of every experiment
+        self._told: set[str] = set()
 
     def all(
         self, tables: Any, parameters: tuple[FittedParameter, ...], faults: list[str]
@@ -249,7 +255,12 @@ class _Experiments:
             case = make_case(override(keys, starts), Origin(said, changed, f"{said}: set"))
             check_case(case, 1, said)
         except InputError as error:
-            faults += error.faults
+            tables = {parameter.key.rpartition(".")[0] for parameter in parameters}
+            for fault in error.faults:
+                what = fault.replace(said, "")
+                if what not in self._told or not any(table in what for table in tables):
+                    faults.append(fault)
+                self._told.add(what)
             return None
         if case.mesh.geometry == "updated":
             faults.append(f'{said}: mesh.geometry = "updated": must be "fixed" in a fit')
@@ -345,7 +356,7 @@ def _check_counts(
     readings = sum(experiment.n for experiment in experiments)
     series = [one for experiment in experiments for one in experiment.series]
     free = sum(p.prior is None for p in parameters) + sum(
-        n.prior is None and math.inf in map(abs, n.bounds) for one in series for n in one.nuisances
+        n.free for one in series for n in one.nuisances
     )
     if readings < free:
         faults.append(

@@ -12,7 +12,7 @@ from ringwear_par.cases.suggestions import nearest_key
 from ringwear_par.cases.values import number
 from ringwear_par.errors import legible
 from ringwear_par.history.sensitivity import differentiable
-from ringwear_par.identification.problem import FittedParameter
+from ringwear_par.identification.problem import FittedParameter, Problem
 from ringwear_par.identification.tables import TableReader
 from ringwear_par.studies.variations import split_key
 
@@ -79,6 +79,12 @@ def _parameter(said: str, key: str, table: Any, faults: list[str]) -> FittedPara
 def derivative_key(key: str) -> str:
     """Return what histories call a fitted key among those that they have derivatives of."""
     return key.replace(".parameters.", ".")
+
+
+def units_of(problem: Problem) -> dict[str, str]:
+    """Return the units of the fitted keys, "1" for none."""
+    known = differentiable(problem.experiments[0].case)
+    return {key: known[derivative_key(key)] for key in problem.keys}
 
 
 def refuse_fixed(

@@ -89,6 +89,11 @@ class Nuisance:
     prior: Prior | None = None
     bounds: tuple[float, float] = (-np.inf, np.inf)
 
+    @property
+    def free(self) -> bool:
+        """Whether nothing but readings says what it is."""
+        return self.prior is None and np.inf in map(abs, self.bounds)
+
 
 @dataclass(frozen=True, eq=False)
 class Series:

@@ -31,6 +31,12 @@ _NUISANCES = {
     "mass": ("offset",),
     "volume": ("offset",),
 }
+#: what messages say of units
+_UNITS = {
+    "s": "a time, such as s, min or h", "mm": "a length, such as um, mm or inch",
+    "N mm": "a torque, such as N mm or N m", "g": "a mass, such as mg or g",
+    "mm^3": "a volume, such as mm^3 or um^3",
+}  # fmt: skip
 #: readings of which data are smoothed by their median
 _SMOOTH = 9
 #: of the largest reading: below it a relative error means nothing
@@ -40,6 +46,9 @@ _LONGEST_CORRELATION = 100.0
 #: of the test: times that are rounded, in minutes, say, may be so much later than its end
 _ROUNDED = 2e-4
 _FAULTS_TOLD = 5
+#: g/mm3: foams have more, osmium has less; other units of densities, in g/mm3
+_DENSITIES = (1e-5, 0.03)
+_OTHERS = {"g/cm3": 1e-3, "kg/m3": 1e-6, "kg/mm3": 1e3, "t/mm3": 1e6}
 
 #: reads a table of measurements, once
 Files = Callable[[str], Measurements]
@@ -106,7 +115,7 @@ def read_series(
     reader.said = f"{said} ({quantity})"
     end = math.inf if case is None else case.time.end
     at = reader.read("at", number(0.0), None)
-    density = reader.read("density", number(0.0), ...) if kind == "mass" else 1.0
+    density = _density(reader) if kind == "mass" else 1.0
     if at is not None and at > end:
         reader.wrong("at", f"must be within the test, which ends at {end:g} s")
     timed = next((key for key in ("file", "times") if key in reader), "")
@@ -148,14 +157,21 @@ def read_series(
         return None
     series = Series(
         quantity, cast(Quantity, quantity), x[keep], value[keep], sd[keep], fitted, unit, scale,
-        (end if at is None else at) if kind == "profile" else None, density, nuisances,
+        (end if at is None else at) if kind == "profile" else None, density or 1.0, nuisances,
         correlation, found.where, None if lines is None else lines[keep], found.told,
         found.planned,
     )  # fmt: skip
+    own = [nuisance.kind for nuisance in nuisances if nuisance.free]
     if not series.n:
         reader.fault("has no readings; must have one at least that is neither empty nor excluded")
-    elif case is not None:
+        return None
+    if case is not None:
         (check_profile if series.profile else check_times)(reader, series, case)
+    if series.n <= len(own):
+        reader.fault(
+            f"has {series.n} reading{'s' if series.n > 1 else ''}; must have more than nuisances "
+            f"without prior or bounds, {', '.join(own)}, which take all that they tell"
+        )
     return series if len(faults) == before else None
 
 
@@ -185,6 +201,20 @@ class _Readings:
     planned: bool = False
 
 
+def _density(reader: TableReader) -> float | None:
+    """Return a density, g/mm3; refuse one that nothing has, as that in another unit."""
+    density: float | None = reader.read("density", number(0.0), ...)
+    low, high = _DENSITIES
+    if density is None or low <= density <= high:
+        return density
+    hint = next(
+        (f"; {density:g} {unit} would be {density * share:.6g}" for unit, share in _OTHERS.items()
+         if low <= density * share <= high), "",
+    )  # fmt: skip
+    reader.wrong("density", f"must be from {low:g} to {high:g} g/mm3, as of foams and metals{hint}")
+    return None
+
+
 def _single(reader: TableReader, kind: str, at: float) -> _Readings | None:
     single = reader.read("value", number(-math.inf), ...)
     unit, scale = _unit(reader, kind)
@@ -201,23 +231,24 @@ def _planned(
     given = {"columns", "units"} & reader.keys()
     once = kind in ("mass", "volume") or (at is not None and kind != "profile")
     usual = "value" if once else "file"
-    allowed = {
+    must = {
         "mass": "must be a finite number", "volume": "must be a finite number",
         "profile": "must be the name of a table of depths over radii",
     }.get(kind, "must be the name of a table")  # fmt: skip
     if given or not (once or where in reader):
         for key in given:
             reader.raw(key)
-        reader.wrong("file" if given else usual, f"{allowed}; {where} plans readings (--dry-run)")
+        reader.wrong(
+            "file" if given else usual,
+            f"{must}; or {where} of planned readings, for --dry-run and design",
+        )
         return None
     x = np.array([end if at is None else at])
     if where in reader:
         x = reader.read(where, instants(), ...)
     unit, scale = _unit(reader, kind)
     if not plans:
-        reader.wrong(
-            usual, f"{allowed}; planned readings are for --dry-run and ringwear design only"
-        )
+        reader.wrong(usual, f"{must}; planned readings are for --dry-run and ringwear design only")
     if x is None or scale is None:
         return None
     return _Readings(x, np.zeros(len(x)), unit, scale, planned=True)
@@ -287,7 +318,7 @@ def _factor(reader: TableReader, key: str, unit: str, base: str) -> float | None
         return factor(unit, base)
     except RejectedError:
         told = f"= {shortened(unit)}" if unit else "is missing"
-        reader.fault(f"{key} {told}: must be a unit that pint knows, such as {base}")
+        reader.fault(f"{key} {told}: must be the unit of {_UNITS[base]}")
         return None
 
 

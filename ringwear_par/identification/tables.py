@@ -97,7 +97,7 @@ class TableReader:
         """Add a sentence for each key that nobody asked for."""
         for key in self._table:
             if key not in self._asked:
-                near = difflib.get_close_matches(key, self._asked, n=1)
+                near = difflib.get_close_matches(key.lower(), self._asked, n=1)
                 hint = f" (did you mean {near[0]}?)" if near else ""
                 self.fault(
                     f"{legible(key)}: unknown key{hint}; must be one of "
