@@ -19,7 +19,7 @@ LOADS = ("load.pressure", "load.force")
 _STEPS, _PROFILES, _AT = "load.steps", "profiles", "profile.at"
 INSTANTS = (_PROFILES, _AT)
 VARY = (*LOADS, "load.omega", "time.end", _STEPS, _PROFILES, _AT)
-_COUNTS = {_STEPS: 4, _PROFILES: 4}
+COUNTS = {_STEPS: 4, _PROFILES: 4}
 MOST_EXPERIMENTS, MOST_CANDIDATES = 6, 2000
 
 #: values of a range that are tried; of loads where a test has several; of durations
@@ -117,7 +117,7 @@ def read_space(said: str, table: Any, faults: list[str]) -> Space:
 
 def _range(reader: TableReader, key: str) -> tuple[float, float] | None:
     value = reader.raw(key)
-    most = _COUNTS.get(key)
+    most = COUNTS.get(key)
     fine = (
         isinstance(value, list | tuple)
         and len(value) == 2

@@ -37,7 +37,7 @@ _OUTPUT = {
     "output.boundary": "none",
 }  # fmt: skip
 _TABLES = ("case", "fit", "experiment", "compare", "design")
-_INTERVALS = ("linear", "profile", "posterior")
+INTERVALS = ("linear", "profile", "posterior")
 MOST_STARTS, MOST_SAMPLES = 10_000, 10_000_000
 
 
@@ -140,7 +140,7 @@ def _read_settings(
     usual = Settings()
     starts = reader.read("starts", whole(1, MOST_STARTS), usual.starts)
     method = reader.choice("method", ("brgn", "lm"), usual.method)
-    intervals = reader.read("intervals", some_of(*_INTERVALS), usual.intervals)
+    intervals = reader.read("intervals", some_of(*INTERVALS), usual.intervals)
     level = reader.read("level", number(0.5, 1.0), usual.level)
     loss = reader.choice("loss", ("gaussian", "student"), usual.loss)
     samples = reader.read("samples", whole(1, MOST_SAMPLES), usual.samples)

@@ -16,7 +16,7 @@ from ringwear_par.identification.problem import FittedParameter, Problem
 from ringwear_par.identification.tables import TableReader
 from ringwear_par.studies.variations import split_key
 
-_SCALES = ("linear", "log")
+SCALES = ("linear", "log")
 _ENTRIES = frozenset({"start", "bounds", "scale", "prior"})
 
 
@@ -58,7 +58,7 @@ def _parameter(said: str, key: str, table: Any, faults: list[str]) -> FittedPara
     reader = TableReader(said, table, faults)
     start = reader.read("start", number(-math.inf))
     bounds = reader.bounds()
-    log = reader.choice("scale", _SCALES, "linear") == "log"
+    log = reader.choice("scale", SCALES, "linear") == "log"
     prior = reader.prior()
     reader.finish()
     if bounds is not None:

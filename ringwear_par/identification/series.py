@@ -23,7 +23,7 @@ from ringwear_par.measurements import Measurements, read_measurements
 
 QUANTITIES = get_args(Quantity)
 #: which nuisances a quantity may have
-_NUISANCES = {
+NUISANCES = {
     "penetration": ("offset", "drift", "compliance"),
     "approach": ("offset", "drift", "compliance"),
     "torque": ("offset", "drift"),
@@ -47,7 +47,7 @@ _LONGEST_CORRELATION = 100.0
 _ROUNDED = 2e-4
 _FAULTS_TOLD = 5
 #: g/mm3: foams have more, osmium has less; other units of densities, in g/mm3
-_DENSITIES = (1e-5, 0.03)
+DENSITIES = (1e-5, 0.03)
 _OTHERS = {"g/cm3": 1e-3, "kg/m3": 1e-6, "kg/mm3": 1e3, "t/mm3": 1e6}
 
 #: reads a table of measurements, once
@@ -204,7 +204,7 @@ class _Readings:
 def _density(reader: TableReader) -> float | None:
     """Return a density, g/mm3; refuse one that nothing has, as that in another unit."""
     density: float | None = reader.read("density", number(0.0), ...)
-    low, high = _DENSITIES
+    low, high = DENSITIES
     if density is None or low <= density <= high:
         return density
     hint = next(
@@ -410,12 +410,12 @@ def _scatter(value: FloatArray) -> float:
 def _nuisances(reader: TableReader, kind: str, case: Case | None) -> tuple[Nuisance, ...]:
     table = reader.raw("nuisance", {})
     if not isinstance(table, Mapping):
-        reader.wrong("nuisance", f"must be a table of {', '.join(_NUISANCES[kind])}")
+        reader.wrong("nuisance", f"must be a table of {', '.join(NUISANCES[kind])}")
         return ()
     found = []
     for name, entry in table.items():
-        if name not in _NUISANCES[kind]:
-            reader.fault(f"nuisance.{legible(name)}: must be one of {', '.join(_NUISANCES[kind])}")
+        if name not in NUISANCES[kind]:
+            reader.fault(f"nuisance.{legible(name)}: must be one of {', '.join(NUISANCES[kind])}")
             continue
         own = TableReader(f"{reader.said}: nuisance.{name}", entry, reader.faults)
         bounds = own.bounds((-math.inf, math.inf))
