@@ -12,7 +12,7 @@ from scipy.ndimage import median_filter
 from ringwear_par.arrays import BoolArray, FloatArray, IntArray
 from ringwear_par.cases.case import Case
 from ringwear_par.cases.text import shortened
-from ringwear_par.cases.units import factor, unit_of_column
+from ringwear_par.cases.units import factor, has_unit, unit_of_column
 from ringwear_par.cases.values import RejectedError, number, text
 from ringwear_par.errors import InputError, legible
 from ringwear_par.identification.planned import instants
@@ -114,7 +114,7 @@ def read_series(
     kind = quantity.partition(".")[0]
     reader.said = f"{said} ({quantity})"
     end = math.inf if case is None else case.time.end
-    at = reader.read("at", number(0.0), None)
+    at = reader.read("at", number(0.0), None, "s")
     density = _density(reader) if kind == "mass" else 1.0
     if at is not None and at > end:
         reader.wrong("at", f"must be within the test, which ends at {end:g} s")
@@ -143,7 +143,7 @@ def read_series(
         keep &= (x < low) | (x > high)
     sd, fitted = _sd(reader, found)
     nuisances = _nuisances(reader, kind, case)
-    correlation = reader.read("correlation_time", number(0.0, ends=True), 0.0)
+    correlation = reader.read("correlation_time", number(0.0, ends=True), 0.0, "s")
     if correlation > 0 and kind == "profile":
         reader.wrong("correlation_time", "must be absent for a profile, it is for noise in time")
     if correlation > _LONGEST_CORRELATION * end:
@@ -203,7 +203,7 @@ class _Readings:
 
 def _density(reader: TableReader) -> float | None:
     """Return a density, g/mm3; refuse one that nothing has, as that in another unit."""
-    density: float | None = reader.read("density", number(0.0), ...)
+    density: float | None = reader.read("density", number(0.0), ..., BASE["density"])
     low, high = DENSITIES
     if density is None or low <= density <= high:
         return density
@@ -342,10 +342,11 @@ def _sd(reader: TableReader, found: _Readings) -> tuple[FloatArray, bool]:
     """Return the standard deviation of each reading, and whether it is to be fitted."""
     given, value, data = reader.raw("sd"), found.value, found.data
     unknown = np.full(len(value), np.nan)
-    if found.planned and (isinstance(given, str | Mapping)):
+    named = isinstance(given, str) and not has_unit(given)
+    if found.planned and (named or isinstance(given, Mapping)):
         reader.wrong("sd", "must be a number > 0, in unit, of readings that are planned")
         return unknown, False
-    if isinstance(given, str) and given != "fit":
+    if named and given != "fit":
         if data is None:
             reader.wrong("sd", "must be a number > 0 or { relative = x }")
             return unknown, False
@@ -371,7 +372,7 @@ def _sd(reader: TableReader, found: _Readings) -> tuple[FloatArray, bool]:
             )
             return unknown, False
         return relative * smooth, False
-    single = reader.read("sd", number(0.0), ...)
+    single = reader.read("sd", number(0.0), ..., found.unit)
     return np.full(len(value), math.nan if single is None else found.factor * single), False
 
 

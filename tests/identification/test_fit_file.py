@@ -254,6 +254,23 @@ def test_densities_that_nothing_has(density, said, plan):
     assert said in fault
 
 
+def test_numbers_with_units(plan):
+    """As in case files."""
+    tables = copy.deepcopy(plan)
+    weighing = {"quantity": "mass.lower", "value": 3.0, "unit": "mg", "sd": "100 ug"}
+    tables["experiment"][0]["data"].append({**weighing, "density": "1.9 g/cm^3", "at": "1.5 min"})
+    tables["experiment"][0]["data"][0] |= {"sd": "0.0002 mm", "correlation_time": "0.1 min"}
+    record, _, mass = read_fit(tables, plans=True).experiments[0].series
+    assert mass.density == pytest.approx(0.0019)
+    assert mass.x == pytest.approx([90.0])
+    assert mass.sd == pytest.approx([1e-4])
+    assert record.sd == pytest.approx(2e-4)
+    assert record.correlation_time == pytest.approx(6.0)
+    tables["experiment"][0]["data"][0]["sd"] = "2 s"
+    with pytest.raises(InputError, match=r'sd = "2 s": must be .*s is no unit of um'):
+        read_fit(tables, plans=True)
+
+
 @pytest.mark.parametrize(
     ("line", "said"),
     [

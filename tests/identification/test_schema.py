@@ -1,6 +1,7 @@
 """The table of a fit file's keys is that of what is read, and the files there are have no other."""
 
 import copy
+import json
 import re
 import tomllib
 from pathlib import Path
@@ -17,7 +18,7 @@ FIT = Path(__file__).parents[2] / "scripts/fit"
 PARAMETER = {"start": 1e-7, "bounds": [1e-9, 1e-5]}
 SERIES = {"quantity": "penetration", "unit": "um", "sd": 0.1, "times": [1.0, 2.0]}
 PROFILE = {"quantity": "profile.lower", "unit": "um", "sd": 0.1, "r": [29.0, 30.0, 31.0]}
-SOUGHT = {"wear.lower.k": dict(PARAMETER)}
+SOUGHT = {"wear.lower.k": PARAMETER}
 MASS = {"quantity": "mass.lower", "unit": "g", "sd": 0.1, "density": 0.001}
 FILE = {"quantity": "penetration", "sd": 0.1, "file": str(FIT / "test1_penetration.csv"),
         "columns": {"time": "time_s", "value": "penetration_um"}}  # fmt: skip
@@ -35,7 +36,7 @@ TABLES = {
 
 def keys_of(path, tables):
     """Return the keys that a table may have, as the fault of an unknown one tells them."""
-    tables = copy.deepcopy(tables)
+    tables = json.loads(json.dumps(tables))  # no table in two places
     place = tables
     for key in path:
         place = place[key]
