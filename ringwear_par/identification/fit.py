@@ -151,7 +151,7 @@ class _Posed:
             after = histories.count
             posterior = sample_posterior(
                 squares, histories, optimum.x, covariance, comm,
-                lambda: bool(self._signals.received),
+                lambda: bool(self._signals.received), self._progress.walk,
             )  # fmt: skip
             spent += comm.allreduce(histories.count - after)
             self._refuse_stop(comm)
