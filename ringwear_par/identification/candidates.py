@@ -42,11 +42,13 @@ class Candidate:
     profiles : s, when profiles are measured, if they are.
     experiment : its case, and readings without data. Tests that differ in the instants of profiles
         share their cases, and the series that both have.
+    instants_vary : whether tests differ in when profiles are measured.
     """
 
     keys: Mapping[str, float | tuple[float, ...]]
     profiles: tuple[float, ...]
     experiment: Experiment
+    instants_vary: bool = False
 
     @property
     def seconds(self) -> float:
@@ -157,6 +159,7 @@ def candidates(space: Space, template: Experiment) -> list[Candidate]:
     instants: list[tuple[float, ...]] = [()]
     if any(series.profile for series in template.series):
         instants = _instants(space)
+    instants_vary = len(instants) > 1
     ends = _levels(space, "time.end", _DURATIONS) or [template.case.time.end]
     found: list[Candidate] = []
     for omega in _levels(space, "load.omega", _SPEEDS) or [None]:
@@ -176,7 +179,7 @@ def candidates(space: Space, template: Experiment) -> list[Candidate]:
                 for parts in instants:
                     at = tuple(end * part for part in parts)
                     experiment = Experiment(f"candidate {len(found) + 1}", case, series.at(at))
-                    found.append(Candidate(keys, at, experiment))
+                    found.append(Candidate(keys, at, experiment, instants_vary))
     return found
 
 

@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator, NullLocator
 
 from ringwear_par.arrays import FloatArray, IntArray
 from ringwear_par.identification.candidates import Candidate
@@ -26,7 +27,8 @@ def figure(found: "DesignResult") -> Figure:
     """
     parameters = found.problem.parameters
     m = len(parameters)
-    chart = Figure(figsize=(4.6 * m, 4.2), layout="constrained")
+    lines = sum(len(one.tests) for one in found.designs)
+    chart = Figure(figsize=(4.6 * m, max(4.2, 0.2 * lines)), layout="constrained")
     panels = chart.subplots(1, m, squeeze=False)[0]
     plain = np.array(
         [i for i, test in enumerate(found.candidates) if _is_plain(test)], dtype=np.int64
@@ -112,6 +114,10 @@ def _draw(axes: Any, x: list[float], y: list[float], table: FloatArray, label: s
         x, y, table, cmap=_MAP, shading="nearest", norm=LogNorm() if wide else None
     )
     bar = axes.figure.colorbar(drawn, ax=axes)
+    if wide:
+        bar.ax.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+        bar.ax.yaxis.set_minor_locator(NullLocator())
+    bar.ax.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
     bar.set_label(label)
 
 
@@ -122,9 +128,9 @@ def _mark(axes: Any, x: list[float], y: list[float], told: str) -> None:
 
 
 def _bars(axes: Any, found: "DesignResult", j: int, scale: float, label: str) -> None:
-    names = [" + ".join(name_of(found.candidates[i]) for i in one.tests) for one in found.designs]
+    names = ["\n+ ".join(name_of(found.candidates[i]) for i in one.tests) for one in found.designs]
     values = [scale * one.sd[j] for one in found.designs]
     axes.barh(range(len(values)), np.where(np.isfinite(values), values, 0.0), color="C0")
-    axes.set_yticks(range(len(values)), names, fontsize=7)
+    axes.set_yticks(range(len(values)), names if j == 0 else [], fontsize=7)
     axes.invert_yaxis()
     axes.set_xlabel(label)

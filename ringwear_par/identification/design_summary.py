@@ -77,7 +77,7 @@ def name_of(test: Candidate) -> str:
     if "load.omega" in test.keys:
         words.append(f"{test.keys['load.omega']:.4g} rad/s")
     words.append(f"{test.seconds:.4g} s")
-    if test.profiles and test.profiles != (test.seconds,):
+    if test.instants_vary:
         at = ", ".join(f"{at:.4g}" for at in test.profiles)
         words.append(f"profile{'s' if test.profiles[1:] else ''} at {at} s")
     return ", ".join(words)
