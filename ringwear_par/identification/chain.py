@@ -15,7 +15,7 @@ from ringwear_par.atomic import atomic_write
 log = logging.getLogger(__name__)
 
 #: between two times that a walk is kept
-KEEP_SECONDS = 20.0
+KEEP_SECONDS = 10.0
 
 
 @dataclass(frozen=True, eq=False)
