@@ -13,7 +13,6 @@ import logging
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from mpi4py import MPI
@@ -143,34 +142,34 @@ def sample_posterior(
         )
     else:
         walk = Walk(np.zeros((0, walkers, m)), np.zeros(walkers), 0, ())
-    before, accepted = len(walk.steps), walk.accepted
 
-    def walked(state: Any) -> Walk:
-        """Return the whole walk up to a state."""
+    def walked() -> Walk:
+        """Return the whole walk."""
         parts = np.concatenate([walk.steps, sampler.get_chain()])
-        so_far = accepted + int(sampler.backend.accepted.sum())
-        return Walk(parts, state.log_prob, so_far, state.random_state)
+        last, so_far = sampler.get_last_sample(), int(sampler.backend.accepted.sum())
+        return Walk(parts, last.log_prob, walk.accepted + so_far, last.random_state)
 
-    told = time.perf_counter()
-    state = start
-    for step, state in enumerate(
+    before, told = len(walk.steps), time.perf_counter()
+    for step, _ in enumerate(
         sampler.sample(start, iterations=steps - before, skip_initial_state_check=True), before
     ):
         stopped = comm.allreduce(int(stop()), op=MPI.MAX)
         if comm.rank == 0 and (stopped or keeper.due):
-            keeper.write(walked(state))
+            keeper.write(walked())
         if stopped:
             return None
         if comm.rank == 0 and time.perf_counter() - told > PROGRESS_SECONDS:
             told = time.perf_counter()
             log.info("posterior: %d of %d steps of %d walkers", step + 1, steps, walkers)
-    walk = walked(state) if before < steps else walk
-    chain = walk.steps[_BURN:]
+    whole_walk = walked() if before < steps else walk
+    chain = whole_walk.steps[_BURN:]
     # means over walkers scatter by the correlation time of their steps
     scatter, whole = chain.mean(axis=0).var(axis=0, ddof=1), chain.reshape(-1, m).var(axis=0)
     times = np.maximum(len(chain) * scatter / np.where(whole > 0.0, whole, 1.0), 1.0)
     values = np.array([squares.values(row) for row in chain.reshape(-1, m)])
-    return Posterior(values, walk.accepted / (steps * walkers), float(len(values) / np.max(times)))
+    return Posterior(
+        values, whole_walk.accepted / (steps * walkers), float(len(values) / np.max(times))
+    )
 
 
 class _Marginal:
