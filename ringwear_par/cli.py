@@ -179,7 +179,10 @@ def _parser() -> argparse.ArgumentParser:
 
     command("verify", "run the reference solutions; print error and observed order of each")
     info = command("info", "print versions, MPI and PETSc builds, ranks and threads")
-    info.add_argument("--schema", action="store_true", help="print every key of the case file")
+    info.add_argument(
+        "--schema", nargs="?", choices=("case", "fit"), const="case",
+        help="print every key of the case file, or of the fit file",
+    )  # fmt: skip
     return parser
 
 
@@ -299,6 +302,11 @@ def _verify(args: argparse.Namespace, comm: Any) -> None:
 
 
 def _info(args: argparse.Namespace, comm: Any) -> None:
+    if args.schema == "fit":
+        from ringwear_par.identification.schema import schema as fit_schema
+
+        print(fit_schema())
+        return
     if args.schema:
         from ringwear_par.cases.schema import schema
 

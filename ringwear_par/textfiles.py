@@ -1,5 +1,6 @@
 """Users' text files: cases, studies, tables, laws; one reader for all."""
 
+import re
 import tomllib
 from pathlib import Path
 from typing import Any
@@ -39,11 +40,25 @@ def parse_toml(text: str, name: str) -> dict[str, Any]:
     try:
         tables = tomllib.loads(text)
     except ValueError as error:  # of TOML, or a whole number too long for Python
-        raise InputError(f"{name}: is not valid TOML: {legible(str(error))}") from error
+        raise InputError(f"{name}: is not valid TOML: {_reason(str(error), text)}") from error
     except RecursionError as error:
         raise InputError(f"{name}: {_TOO_DEEP}") from error
     refuse_depth(tables, name)
     return tables
+
+
+def _reason(told: str, text: str) -> str:
+    """Return why a text is no TOML, with the line that is wrong and what is usual there."""
+    match = re.search(r"at line ([0-9]+)", told)
+    lines = text.splitlines()
+    if match is None or not 0 < int(match[1]) <= len(lines):
+        return legible(told)
+    line, hint = lines[int(match[1]) - 1].strip(), ""
+    if comma := re.search(r"[=\[]\s*([-+]?[0-9]+),([0-9]+)", line):
+        hint = f"; decimals have a point, as {comma[1]}.{comma[2]}"
+    elif line.startswith("[") and ("overwrite" in told or "declare" in told):
+        hint = f"; a table that is there several times is [[{line.strip('[]')}]] every time"
+    return f"{legible(told, 200)}: {legible(line)}{hint}"
 
 
 def parse_value(text: str) -> Any:

@@ -45,6 +45,7 @@ def read_law(
     known = law_keys(table, law)
     found += [
         f'{path}: has no meaning where {table}.law = "{law}"; must be among {", ".join(declared)}'
+        f"{_owners(path)}"
         for path in keys
         if path in BY_PATH and path.startswith(f"{table}.") and path not in known
     ]
@@ -58,3 +59,10 @@ def read_law(
             found += [f"{table}.{fault}" for fault in error.faults]
     faults += [f"{name}: {fault}" for fault in found]
     return made
+
+
+def _owners(path: str) -> str:
+    """Return the laws that have a parameter, in words."""
+    name = path.rpartition(".")[2]
+    laws = [f'"{law}"' for law in LAWS if name in parameters_of(LAWS[law])]
+    return f" ({name} is of law = {' or '.join(laws)})" if laws else ""

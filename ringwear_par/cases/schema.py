@@ -3,7 +3,7 @@
 import itertools
 import math
 import textwrap
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -218,18 +218,27 @@ TABLES = {key.path[:cut] for key in KEYS for cut, c in enumerate(key.path) if c 
 
 def schema() -> str:
     """Return every key with its unit, default and meaning, and what is allowed below each."""
+    return keys_told((key.path, key.unit, key.default, key.meaning, key.allowed) for key in KEYS)
+
+
+def keys_told(keys: Iterable[tuple[str, str, Any, str, str]]) -> str:
+    """Return a table of keys: path, unit, default, meaning and what is allowed of each.
+
+    Parameters
+    ----------
+    keys : with a default of ... where the key must be given, of None where there is none.
+    """
     rows = [("key", "unit", "default", "meaning, and what is allowed")]
-    for key in KEYS:
-        default = "required" if key.default is ... else "-"
-        if key.default is not ... and key.default is not None:
-            default = toml_value(key.default)
-        lines = textwrap.wrap(key.meaning, 90) + textwrap.wrap(key.allowed, 86)
-        first = len(textwrap.wrap(key.meaning, 90))
-        lines[first:] = [f"    {line}" for line in lines[first:]]
+    for path, unit, usual, meaning, allowed in keys:
+        default = "required" if usual is ... else "-"
+        if usual is not ... and usual is not None:
+            default = toml_value(usual)
+        first = textwrap.wrap(meaning, 90)
+        lines = first + [f"    {line}" for line in textwrap.wrap(allowed, 86)]
         if len(default) > 20:  # a row of its own
             lines.insert(1, f"    default: {default}")
             default = "below"
-        rows.append((key.path, key.unit, default, lines[0]))
+        rows.append((path, unit, default, lines[0]))
         rows += [("", "", "", line) for line in lines[1:]]
     widths = [max(len(row[i]) for row in rows) for i in range(3)]
     return "\n".join(

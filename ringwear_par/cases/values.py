@@ -75,7 +75,9 @@ def number(low: float, high: float = math.inf, *, ends: bool = False) -> Values:
             raise RejectedError
         return float(value)
 
-    if high == math.inf:
+    if (low, high) == (-math.inf, math.inf):
+        allowed = "a finite number"
+    elif high == math.inf:
         allowed = f"a finite number {'>=' if ends else '>'} {low:g}"
     elif ends:
         allowed = f"a number from {low:g} to {high:g}"

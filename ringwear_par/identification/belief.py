@@ -1,7 +1,8 @@
 """What is known of the fitted keys before tests are made: priors, or an earlier fit."""
 
 import json
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +11,13 @@ from scipy.stats import norm, qmc
 from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.text import shortened
 from ringwear_par.errors import InputError
-from ringwear_par.identification.problem import FittedParameter, Problem, reflected
+from ringwear_par.identification.problem import (
+    Experiment,
+    FittedParameter,
+    Problem,
+    Series,
+    reflected,
+)
 from ringwear_par.textfiles import read_text
 
 #: draws of the keys, and their seed
@@ -18,6 +25,7 @@ _DRAWS, _SEED = 8, 0
 #: information over the widths of bounds: below the one nothing is known of a direction, below the
 #: other it is not drawn along; most standard deviations that are, over these widths
 _NOTHING, _HARDLY, _WIDEST = 1e-6, 1.0, 0.25
+_ALLOWED = "must be the folder of a fit of the same keys that is done (ringwear fit -o)"
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,6 +39,8 @@ class Belief:
     draws : (d, m) values, the nominal ones first.
     after : the earlier fit, "" for none.
     whole : whether something is known in every direction.
+    noise : sd that an earlier fit has found, in the data's unit, and that unit: by experiment and
+        series.
     """
 
     nominal: FloatArray
@@ -38,6 +48,7 @@ class Belief:
     draws: FloatArray
     after: str
     whole: bool
+    noise: Mapping[tuple[str, str], tuple[float, str]]
 
 
 def widths(parameters: tuple[FittedParameter, ...]) -> FloatArray:
@@ -53,13 +64,14 @@ def belief(problem: Problem, after: str | Path | None) -> Belief:
     InputError : the earlier fit is none of these keys.
     """
     parameters = problem.parameters
+    noise: dict[tuple[str, str], tuple[float, str]] = {}
     if after is None:
         nominal = np.array([_expected(p) for p in parameters])
         pairs = zip(parameters, nominal.tolist(), strict=True)
         by = [0.0 if p.prior is None else p.slope(v) / p.prior.sd for p, v in pairs]
         information = np.diag(np.square(by))
     else:
-        nominal, information = _earlier(problem, Path(after))
+        nominal, information, noise = _earlier(problem, Path(after))
     wide = widths(parameters)
     values, vectors = np.linalg.eigh(information * np.outer(wide, wide))
     told = values > _HARDLY
@@ -76,8 +88,30 @@ def belief(problem: Problem, after: str | Path | None) -> Belief:
     values_of = [[p.value(float(u)) for p, u in zip(parameters, row, strict=True)] for row in drawn]
     values_of[0] = nominal.tolist()
     return Belief(
-        nominal, information, np.array(values_of), str(after or ""), bool((values > _NOTHING).all())
+        nominal, information, np.array(values_of), str(after or ""),
+        bool((values > _NOTHING).all()), noise,
+    )  # fmt: skip
+
+
+def with_noise(problem: Problem, told: Belief) -> Problem:
+    """Return a problem with the noise that an earlier fit has found, where it is to be fitted.
+
+    It is that of the same series of the same experiment; else of the same one of the first
+    experiment that had it.
+    """
+
+    def found(experiment: Experiment, series: Series) -> Series:
+        same = [own for (_, name), own in told.noise.items() if name == series.name]
+        own = told.noise.get((experiment.name, series.name), same[0] if same else None)
+        if not series.sd_fitted or own is None or own[1] != series.unit:
+            return series
+        return replace(series, sd=np.full(series.n, own[0] * series.factor))
+
+    experiments = tuple(
+        replace(one, series=tuple(found(one, series) for series in one.series))
+        for one in problem.experiments
     )
+    return replace(problem, experiments=experiments)
 
 
 def _expected(parameter: FittedParameter) -> float:
@@ -88,17 +122,28 @@ def _expected(parameter: FittedParameter) -> float:
     return min(max(parameter.prior.mean, low), high)
 
 
-def _earlier(problem: Problem, folder: Path) -> tuple[FloatArray, FloatArray]:
-    """Return estimates and their information (of the unknowns) from an earlier fit."""
+def _earlier(
+    problem: Problem, folder: Path
+) -> tuple[FloatArray, FloatArray, dict[tuple[str, str], tuple[float, str]]]:
+    """Return estimates, their information (of the unknowns) and fitted noise of an earlier fit."""
     path, keys = folder / "fit.json", list(problem.keys)
-    text = read_text(path)
+    try:
+        text = read_text(path)
+    except InputError as error:
+        raise InputError(f"--after {error}; {_ALLOWED}") from error
     try:
         told = json.loads(text)
         there, own, logs = told["keys"], told["parameters"], told["log"]
         nominal = np.array([own[key]["estimate"] for key in there], dtype=float)
         information = np.array(told["information"], dtype=float).reshape(len(there), len(there))
-    except (ValueError, KeyError, TypeError) as error:
-        raise InputError(f"{path}: is no outcome of ringwear fit") from error
+        noise = {
+            (experiment, name): (float(entry["sd"]), str(entry["unit"]))
+            for experiment, series in told["experiments"].items()
+            for name, entry in series.items()
+            if "sd" in entry
+        }
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
+        raise InputError(f"--after {path}: is no outcome of ringwear fit; {_ALLOWED}") from error
     if sorted(there) != sorted(keys):
         raise InputError(
             f"{path}: keys = {shortened(there)}: must be those of {problem.name}, {', '.join(keys)}"
@@ -117,4 +162,4 @@ def _earlier(problem: Problem, folder: Path) -> tuple[FloatArray, FloatArray]:
                 f"{problem.name}, {low:g} to {high:g}"
             )
         changes.append(parameter.slope(value) / (value if log else 1.0))
-    return nominal, information * np.outer(changes, changes)
+    return nominal, information * np.outer(changes, changes), noise

@@ -16,13 +16,16 @@ from ringwear_par.identification.tables import TableReader
 CRITERIA = get_args(Criterion)
 #: keys of the load, of which one may vary, and of all that may
 LOADS = ("load.pressure", "load.force")
-_STEPS, _PROFILES = "load.steps", "profiles"
-_VARY = (*LOADS, "load.omega", "time.end", _STEPS, _PROFILES)
-_COUNTS = {_STEPS: 4, _PROFILES: 4}
+_STEPS, _PROFILES, _AT = "load.steps", "profiles", "profile.at"
+INSTANTS = (_PROFILES, _AT)
+VARY = (*LOADS, "load.omega", "time.end", _STEPS, _PROFILES, _AT)
+COUNTS = {_STEPS: 4, _PROFILES: 4}
 MOST_EXPERIMENTS, MOST_CANDIDATES = 6, 2000
 
 #: values of a range that are tried; of loads where a test has several; of durations
 _LEVELS, _STEP_LEVELS, _DURATIONS, _SPEEDS = 15, 6, 10, 3
+#: instants of a profile; of several
+_INSTANTS, _FEW_INSTANTS = 10, 5
 #: how long a load takes to change, of the test
 _RAMP = 1e-3
 #: readings over time that are a record, which goes on at its rate in a longer test
@@ -36,13 +39,16 @@ class Candidate:
     Parameters
     ----------
     keys : of the case, with plain numbers; of several loads one after another a tuple.
-    profiles : how many times profiles are measured, at equal intervals, the last one at the end.
-    experiment : its case, and readings without data.
+    profiles : s, when profiles are measured, if they are.
+    experiment : its case, and readings without data. Tests that differ in the instants of profiles
+        share their cases, and the series that both have.
+    instants_vary : whether tests differ in when profiles are measured.
     """
 
     keys: Mapping[str, float | tuple[float, ...]]
-    profiles: int
+    profiles: tuple[float, ...]
     experiment: Experiment
+    instants_vary: bool = False
 
     @property
     def seconds(self) -> float:
@@ -58,13 +64,21 @@ class Candidate:
                 return value if isinstance(value, tuple) else (value,)
         return ()
 
+    @property
+    def kind(self) -> tuple[float, ...]:
+        """What differs first: loads, or speed, duration and instants where they do not vary."""
+        speed = self.keys.get("load.omega", 0.0)
+        return self.loads or (float(speed), self.seconds, *self.profiles)  # type: ignore[arg-type]
+
     def told(self) -> dict[str, Any]:
         """Return what design.json says of it."""
         entry: dict[str, Any] = {
             key: list(value) if isinstance(value, tuple) else value
             for key, value in self.keys.items()
         }
-        return entry | ({_PROFILES: self.profiles} if self.profiles else {})
+        if self.profiles:
+            entry |= {_PROFILES: len(self.profiles), _AT: list(self.profiles)}
+        return entry
 
     def changes(self) -> dict[str, Any]:
         """Return the case keys as a case file has them."""
@@ -79,10 +93,10 @@ def read_space(said: str, table: Any, faults: list[str]) -> Space:
     reader.finish()
     ranges: dict[str, tuple[float, float]] = {}
     vary = TableReader(f"{said}.vary", vary, faults)
-    for key in _VARY:
+    for key in VARY:
         if key in vary and (found := _range(vary, key)) is not None:
             ranges[key] = found
-    for key in _VARY:
+    for key in VARY:
         vary.raw(key)
     vary.finish()
     if all(key in ranges for key in LOADS):
@@ -105,7 +119,7 @@ def read_space(said: str, table: Any, faults: list[str]) -> Space:
 
 def _range(reader: TableReader, key: str) -> tuple[float, float] | None:
     value = reader.raw(key)
-    most = _COUNTS.get(key)
+    most = COUNTS.get(key)
     fine = (
         isinstance(value, list | tuple)
         and len(value) == 2
@@ -114,8 +128,10 @@ def _range(reader: TableReader, key: str) -> tuple[float, float] | None:
     )
     if fine and most is not None:
         fine = all(float(v).is_integer() and v <= most for v in value)
-    if not fine:
+    if not fine or (key == _AT and value[1] > 1.0):
         allowed = "above 0" if most is None else f"whole, from 1 to {most}"
+        if key == _AT:
+            allowed = "above 0 and at most 1, parts of the test"
         reader.wrong(key, f"must be [lowest, highest], two numbers, {allowed}")
         return None
     return float(value[0]), float(value[1])
@@ -125,7 +141,7 @@ def count_of(space: Space) -> int:
     """Return how many tests a space has."""
     load = next((key for key in LOADS if key in space.ranges), None)
     found = len(_sequences(space, load, _counts(space, _STEPS, 1)))
-    found *= len(_counts(space, _PROFILES, 1))
+    found *= len(_instants(space))
     for key, count in (("time.end", _DURATIONS), ("load.omega", _SPEEDS)):
         found *= max(len(_levels(space, key, count)), 1)
     return found
@@ -140,14 +156,15 @@ def candidates(space: Space, template: Experiment) -> list[Candidate]:
     """
     load = next((key for key in LOADS if key in space.ranges), None)
     steps = _counts(space, _STEPS, 1)
-    profiles = [0]
+    instants: list[tuple[float, ...]] = [()]
     if any(series.profile for series in template.series):
-        profiles = _counts(space, _PROFILES, 1)
+        instants = _instants(space)
+    instants_vary = len(instants) > 1
     ends = _levels(space, "time.end", _DURATIONS) or [template.case.time.end]
     found: list[Candidate] = []
     for omega in _levels(space, "load.omega", _SPEEDS) or [None]:
         for sequence in _sequences(space, load, steps):
-            for end, count in itertools.product(ends, profiles):
+            for end in ends:
                 if space.seconds is not None and end > space.seconds * (1.0 + 1e-9):
                     continue
                 keys: dict[str, Any] = {}
@@ -158,9 +175,26 @@ def candidates(space: Space, template: Experiment) -> list[Candidate]:
                 if "time.end" in space.ranges:
                     keys["time.end"] = end
                 case = template.case.replace(_changes(keys, end))
-                series = _measured(template, case, count)
-                experiment = Experiment(f"candidate {len(found) + 1}", case, series)
-                found.append(Candidate(keys, count, experiment))
+                series = _Measured(template, case)
+                for parts in instants:
+                    at = tuple(end * part for part in parts)
+                    experiment = Experiment(f"candidate {len(found) + 1}", case, series.at(at))
+                    found.append(Candidate(keys, at, experiment, instants_vary))
+    return found
+
+
+def _instants(space: Space) -> list[tuple[float, ...]]:
+    """Return when profiles are measured, parts of the test.
+
+    Unless that may vary, at equal intervals, the last one at the end.
+    """
+    counts = _counts(space, _PROFILES, 1)
+    if _AT not in space.ranges:
+        return [tuple(i / count for i in range(1, count + 1)) for count in counts]
+    found: list[tuple[float, ...]] = []
+    for count in counts:
+        levels = _levels(space, _AT, _INSTANTS if count == 1 else _FEW_INSTANTS)
+        found += itertools.combinations(levels, count)
     return found
 
 
@@ -200,35 +234,52 @@ def _changes(keys: Mapping[str, Any], end: float) -> dict[str, Any]:
     return changes
 
 
-def _measured(template: Experiment, case: Case, profiles: int) -> tuple[Series, ...]:
-    """Return what would be read of a case: records at their rate, all else at its part of the test.
+class _Measured:
+    """What would be read of a case: records at their rate, all else at its part of the test.
 
     Noise is that of the template, of records its median. Of profiles of one body at several times
     the last one serves.
     """
-    longer = case.time.end / template.case.time.end
-    last: dict[str, Series] = {}
-    for series in template.series:
-        known = last.get(series.quantity)
-        if series.profile and (known is None or _at(series) > _at(known)):
-            last[series.quantity] = series
-    found: list[Series] = []
-    for series in template.series:
-        if series.profile:
-            if series is last[series.quantity]:
-                found += [
-                    replace(series, name=f"{series.quantity} at {at:.6g} s", at=at)
-                    for at in (case.time.end * i / profiles for i in range(1, profiles + 1))
-                ]
-        elif series.n < _RECORD:
-            found.append(replace(series, x=series.x * longer))
-        else:
-            span = series.x[-1] - series.x[0]
-            count = max(round(series.n * longer), 2)
-            x = longer * (series.x[0] + span * np.linspace(0.0, 1.0, count))
-            sd: FloatArray = np.full(count, np.median(series.sd))
-            found.append(replace(series, x=x, value=np.zeros(count), sd=sd, lines=None))
-    return tuple(found)
+
+    def __init__(self, template: Experiment, case: Case) -> None:
+        longer = case.time.end / template.case.time.end
+        self._last: dict[str, Series] = {}
+        for series in template.series:
+            known = self._last.get(series.quantity)
+            if series.profile and (known is None or _at(series) > _at(known)):
+                self._last[series.quantity] = series
+        self._series = [
+            series if series.profile else _scaled(series, longer) for series in template.series
+        ]
+        self._profiles: dict[tuple[str, float], Series] = {}
+
+    def at(self, instants: Sequence[float]) -> tuple[Series, ...]:
+        """Return it with profiles at some instants, s."""
+        found: list[Series] = []
+        for series in self._series:
+            if not series.profile:
+                found.append(series)
+            elif series is self._last[series.quantity]:
+                found += [self._profile(series, at) for at in instants]
+        return tuple(found)
+
+    def _profile(self, series: Series, at: float) -> Series:
+        name = f"{series.quantity} at {at:.6g} s"
+        key = (series.quantity, at)
+        if key not in self._profiles:
+            self._profiles[key] = replace(series, name=name, at=at)
+        return self._profiles[key]
+
+
+def _scaled(series: Series, longer: float) -> Series:
+    """Return what is read over time in a longer test."""
+    if series.n < _RECORD:
+        return replace(series, x=series.x * longer)
+    span = series.x[-1] - series.x[0]
+    count = max(round(series.n * longer), 2)
+    x = longer * (series.x[0] + span * np.linspace(0.0, 1.0, count))
+    sd: FloatArray = np.full(count, np.median(series.sd))
+    return replace(series, x=x, value=np.zeros(count), sd=sd, lines=None)
 
 
 def _at(series: Series) -> float:

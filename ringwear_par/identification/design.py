@@ -16,8 +16,9 @@ from mpi4py import MPI
 
 from ringwear_par.arrays import FloatArray
 from ringwear_par.errors import ComputationError, InputError
-from ringwear_par.identification.belief import Belief, belief
+from ringwear_par.identification.belief import Belief, belief, with_noise
 from ringwear_par.identification.candidates import (
+    INSTANTS,
     LOADS,
     MOST_CANDIDATES,
     Candidate,
@@ -47,6 +48,7 @@ class DesignResult:
     criterion : what was compared.
     candidates : all tests.
     single : (c, m) predicted standard deviations after each candidate alone.
+    single_scores : (c,) of each alone.
     designs : the best ones, the best first.
     planned : what the experiments of the fit file tell by themselves.
     nominal : (m,) values of the keys, as they seem to be.
@@ -65,6 +67,7 @@ class DesignResult:
     criterion: Criterion
     candidates: tuple[Candidate, ...]
     single: FloatArray
+    single_scores: FloatArray
     designs: tuple[Design, ...]
     planned: Design
     nominal: FloatArray
@@ -180,10 +183,11 @@ def design(
     comm = MPI.COMM_WORLD if comm is None else comm
 
     def read() -> tuple[Problem, Belief, tuple[Candidate, ...]]:
-        problem = read_fit(source)
+        problem = read_fit(source, plans=True)
         if criterion is not None:
             problem = replace(problem, design=replace(problem.design, criterion=criterion))
         told = belief(problem, after)
+        problem = with_noise(problem, told)
         _check(problem, told)
         return problem, told, tuple(candidates(problem.design, problem.experiments[0]))
 
@@ -209,9 +213,10 @@ def design(
     search = Search(problem, told, information[:, left], [tests[number] for number in left])
     best = search.best(space.experiments)
     pairs, scores = search.pairs() if space.experiments == 2 else (np.zeros((0, 0, 0)),) * 2
+    single, single_scores = search.singles()
     failed = {tests[number]: why for number, why in failures.items()}
     return DesignResult(
-        problem, space.criterion, tuple(tests[number] for number in left), search.singles(),
+        problem, space.criterion, tuple(tests[number] for number in left), single, single_scores,
         tuple(best), search.planned(planned), told.nominal, told.information, len(told.draws),
         told.after, pairs, scores, failed, histories + more, versions(), comm,
     )  # fmt: skip
@@ -233,7 +238,14 @@ def _check(problem: Problem, told: Belief) -> None:
     for key in space.ranges:
         if key in problem.keys or (key in LOADS and set(LOADS) & set(problem.keys)):
             raise InputError(f"{name}.vary: {key}: is fitted as well; must be one or the other")
-    end = problem.experiments[0].case.time.end
+    first = problem.experiments[0]
+    for key in INSTANTS:
+        if key in space.ranges and not any(series.profile for series in first.series):
+            raise InputError(
+                f'{name}.vary: {key}: needs a profile in experiment "{first.name}", as which tests '
+                "are measured"
+            )
+    end = first.case.time.end
     shortest = space.experiments * space.ranges.get("time.end", (end, end))[0]
     if space.seconds is not None and shortest > space.seconds * (1.0 + 1e-9):
         raise InputError(

@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator, NullLocator
 
 from ringwear_par.arrays import FloatArray, IntArray
 from ringwear_par.identification.candidates import Candidate
@@ -26,14 +27,15 @@ def figure(found: "DesignResult") -> Figure:
     """
     parameters = found.problem.parameters
     m = len(parameters)
-    chart = Figure(figsize=(4.6 * m, 4.2), layout="constrained")
+    lines = sum(len(one.tests) for one in found.designs)
+    chart = Figure(figsize=(4.6 * m, max(4.2, 0.2 * lines)), layout="constrained")
     panels = chart.subplots(1, m, squeeze=False)[0]
     plain = np.array(
         [i for i, test in enumerate(found.candidates) if _is_plain(test)], dtype=np.int64
     )
     for j, (axes, parameter) in enumerate(zip(panels, parameters, strict=True)):
         scale = 100.0 / found.nominal[j] if parameter.log else 1.0
-        unit = "%" if parameter.log else unit_of(parameter.key).strip()
+        unit = "%" if parameter.log else unit_of(found.problem, parameter.key).strip()
         label = f"predicted sd of {parameter.key} ({unit})"
         if len(plain) and len(found.pairs):
             _map_of_pairs(axes, found, plain, scale * found.pairs[..., j], label, first=j == 0)
@@ -45,7 +47,7 @@ def figure(found: "DesignResult") -> Figure:
 
 
 def _is_plain(test: Candidate) -> bool:
-    return len(test.loads) == 1 and test.profiles <= 1 and "load.omega" not in test.keys
+    return len(test.loads) == 1 and len(test.profiles) <= 1 and "load.omega" not in test.keys
 
 
 def _axis_of(found: "DesignResult", plain: IntArray) -> tuple[str, list[float]]:
@@ -87,11 +89,11 @@ def _map_of_pairs(
 def _map_of_tests(
     axes: Any, found: "DesignResult", plain: IntArray, values: FloatArray, label: str
 ) -> None:
-    """Draw the sd of one test over its load and duration."""
+    """Draw the sd of one test over its load and duration, a profile being at its best instant."""
     name, loads = _axis_of(found, plain)
     seconds = sorted({found.candidates[i].seconds for i in plain})
     table = np.full((len(seconds), len(loads)), np.nan)
-    for i in plain:
+    for i in plain[np.argsort(found.single_scores[plain], kind="stable")]:  # the best one the last
         test = found.candidates[i]
         table[seconds.index(test.seconds), loads.index(test.loads[0])] = values[i]
     _draw(axes, loads, seconds, np.where(np.isfinite(table), table, np.nan), label)
@@ -112,6 +114,10 @@ def _draw(axes: Any, x: list[float], y: list[float], table: FloatArray, label: s
         x, y, table, cmap=_MAP, shading="nearest", norm=LogNorm() if wide else None
     )
     bar = axes.figure.colorbar(drawn, ax=axes)
+    if wide:
+        bar.ax.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+        bar.ax.yaxis.set_minor_locator(NullLocator())
+    bar.ax.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
     bar.set_label(label)
 
 
@@ -122,9 +128,9 @@ def _mark(axes: Any, x: list[float], y: list[float], told: str) -> None:
 
 
 def _bars(axes: Any, found: "DesignResult", j: int, scale: float, label: str) -> None:
-    names = [" + ".join(name_of(found.candidates[i]) for i in one.tests) for one in found.designs]
+    names = ["\n+ ".join(name_of(found.candidates[i]) for i in one.tests) for one in found.designs]
     values = [scale * one.sd[j] for one in found.designs]
     axes.barh(range(len(values)), np.where(np.isfinite(values), values, 0.0), color="C0")
-    axes.set_yticks(range(len(values)), names, fontsize=7)
+    axes.set_yticks(range(len(values)), names if j == 0 else [], fontsize=7)
     axes.invert_yaxis()
     axes.set_xlabel(label)

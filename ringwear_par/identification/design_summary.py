@@ -40,7 +40,7 @@ def summary(found: "DesignResult") -> str:
         f"measured as in {problem.experiments[0].name}; {found.histories} histories"
     ]
     about = ", ".join(
-        f"{p.key} = {v:.4g}{unit_of(p.key)}"
+        f"{p.key} = {v:.4g}{unit_of(problem, p.key)}"
         for p, v in zip(problem.parameters, found.nominal.tolist(), strict=True)
     )
     where = f"after {found.after}" if found.after else "at the start"
@@ -77,8 +77,9 @@ def name_of(test: Candidate) -> str:
     if "load.omega" in test.keys:
         words.append(f"{test.keys['load.omega']:.4g} rad/s")
     words.append(f"{test.seconds:.4g} s")
-    if test.profiles > 1:
-        words.append(f"{test.profiles} profiles")
+    if test.instants_vary:
+        at = ", ".join(f"{at:.4g}" for at in test.profiles)
+        words.append(f"profile{'s' if test.profiles[1:] else ''} at {at} s")
     return ", ".join(words)
 
 
@@ -92,7 +93,7 @@ def _spreads(found: "DesignResult", one: "Design") -> str:
         elif parameter.log:
             told.append(f"{parameter.key} +- {100.0 * sd / value:.2g} %")
         else:
-            told.append(f"{parameter.key} +- {sd:.2g}{unit_of(parameter.key)}")
+            told.append(f"{parameter.key} +- {sd:.2g}{unit_of(found.problem, parameter.key)}")
         if np.isfinite(sd) and high > 1.5 * low:
             worst = f"{high / sd:.2g} times" if np.isfinite(high) else "not told"
             told[-1] += f" (at worst {worst})"

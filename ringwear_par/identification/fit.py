@@ -19,6 +19,7 @@ from ringwear_par.identification.least_squares import LeastSquares
 from ringwear_par.identification.lockstep import StoppedError
 from ringwear_par.identification.minimise import Optimum, minimise
 from ringwear_par.identification.outcome import FitResult
+from ringwear_par.identification.planned import fill
 from ringwear_par.identification.plausible import refuse_idle, refuse_reversed
 from ringwear_par.identification.posterior import require_emcee, sample_posterior
 from ringwear_par.identification.problem import Problem
@@ -37,7 +38,7 @@ Source = Path | str | Mapping[str, Any]
 _SAME_NOISE, _MOST_ROUNDS = 1e-4, 20
 
 
-def fit(source: Source, comm: MPI.Intracomm | None = None, *, compare: bool = True) -> FitResult:
+def fit(source: Source, comm: MPI.Intracomm | None = None, *, compare: bool = False) -> FitResult:
     """Return the values of case keys that measurements tell, with intervals.
 
     Collective on comm, the world's where none is given; the same on all ranks.
@@ -58,7 +59,7 @@ def fit(source: Source, comm: MPI.Intracomm | None = None, *, compare: bool = Tr
 
 
 def fitted(
-    problem: Problem, comm: MPI.Intracomm, *, compare: bool = True, folder: Path | None = None
+    problem: Problem, comm: MPI.Intracomm, *, compare: bool = False, folder: Path | None = None
 ) -> FitResult:
     """Do as ``fit`` with a problem that was read. Collective on comm.
 
@@ -85,9 +86,9 @@ def fitted(
         return replace(found, alternatives=others, failed=failed)
 
 
-def _readable(source: Source) -> Problem:
+def _readable(source: Source, *, plans: bool = False) -> Problem:
     """Return the problem of a fit file, if there is what its intervals need. On one rank."""
-    problem = read_fit(source)
+    problem = read_fit(source, plans=plans)
     if "posterior" in problem.settings.intervals:
         require_emcee()
     return problem
@@ -116,6 +117,7 @@ class _Posed:
             self._histories = Histories(problem, comm)
         self._squares = LeastSquares(problem, self._histories)
         with together(comm):
+            fill(self._squares)
             start = self._squares.started(list(problem.start.values()))
             refuse_idle(self._squares, start)
             refuse_reversed(self._squares, start)
@@ -149,7 +151,7 @@ class _Posed:
             after = histories.count
             posterior = sample_posterior(
                 squares, histories, optimum.x, covariance, comm,
-                lambda: bool(self._signals.received),
+                lambda: bool(self._signals.received), self._progress.walk,
             )  # fmt: skip
             spent += comm.allreduce(histories.count - after)
             self._refuse_stop(comm)
@@ -227,7 +229,7 @@ def run_fit(
     from ringwear_par.identification import storing
     from ringwear_par.identification.summary import prediction
 
-    problem = on_first_rank(comm, lambda: _readable(source))
+    problem = on_first_rank(comm, lambda: _readable(source, plans=dry_run))
     if dry_run:
         found = predicted(problem, comm)
         if comm.rank == 0:
@@ -250,8 +252,6 @@ def run_fit(
     on_first_rank(comm, Progress(folder, "").forget)
     if comm.rank == 0:
         print(found.summary())
-        for sentence in found.warnings:
-            log.warning("%s", sentence)
         if problem.alternatives and not compare:
             log.info(
                 "[compare] was not looked at: --compare fits %s", ", ".join(problem.alternatives)

@@ -1,6 +1,6 @@
 """Fit files: a base case, the keys sought, and experiments with their measurements."""
 
-import math
+import difflib
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -37,14 +37,18 @@ _OUTPUT = {
     "output.boundary": "none",
 }  # fmt: skip
 _TABLES = ("case", "fit", "experiment", "compare", "design")
-_INTERVALS = ("linear", "profile", "posterior")
+INTERVALS = ("linear", "profile", "posterior")
 MOST_STARTS, MOST_SAMPLES = 10_000, 10_000_000
 
 
-def read_fit(source: Path | str | Mapping[str, Any]) -> Problem:
+def read_fit(source: Path | str | Mapping[str, Any], *, plans: bool = False) -> Problem:
     """Read a fit file with its case and all its measurements, or the same as a dict.
 
     Not collective.
+
+    Parameters
+    ----------
+    plans : whether readings may be planned ones.
 
     Raises
     ------
@@ -63,11 +67,15 @@ def read_fit(source: Path | str | Mapping[str, Any]) -> Problem:
         raise InputError(f"{name}: is {told}, not a fit file; [[experiment]] is missing")
     faults: list[str] = []
     for key in tables.keys() - set(_TABLES):
-        faults.append(f"{name}: {legible(key)}: unknown key; must be one of {', '.join(_TABLES)}")
+        near = difflib.get_close_matches(key.lower(), _TABLES, n=1)
+        hint = f" (did you mean {near[0]}?)" if near else ""
+        faults.append(
+            f"{name}: {legible(key)}: unknown key{hint}; must be one of {', '.join(_TABLES)}"
+        )
     base = _read_base(name, folder, tables, isinstance(source, Mapping), faults)
     settings, parameters = _read_settings(f"{name}: fit", tables.get("fit", {}), faults)
     files = FileStore(folder)
-    read = _Experiments(name, folder, base, files)
+    read = _Experiments(name, folder, base, files, plans)
     experiments = read.all(tables.get("experiment"), parameters, faults)
     design = read_space(f"{name}: design", tables.get("design", {}), faults)
     others = _read_alternatives(f"{name}: compare", tables.get("compare", {}), faults)
@@ -132,7 +140,7 @@ def _read_settings(
     usual = Settings()
     starts = reader.read("starts", whole(1, MOST_STARTS), usual.starts)
     method = reader.choice("method", ("brgn", "lm"), usual.method)
-    intervals = reader.read("intervals", some_of(*_INTERVALS), usual.intervals)
+    intervals = reader.read("intervals", some_of(*INTERVALS), usual.intervals)
     level = reader.read("level", number(0.5, 1.0), usual.level)
     loss = reader.choice("loss", ("gaussian", "student"), usual.loss)
     samples = reader.read("samples", whole(1, MOST_SAMPLES), usual.samples)
@@ -152,13 +160,22 @@ class _Experiments:
     name : what messages call the fit file.
     folder : from which names of files count.
     base : dotted keys of the base case; None where it has faults.
+    plans : whether readings may be planned ones.
     """
 
     def __init__(
-        self, name: str, folder: Path, base: dict[str, Any] | None, files: FileStore
+        self,
+        name: str,
+        folder: Path,
+        base: dict[str, Any] | None,
+        files: FileStore,
+        plans: bool,
     ) -> None:
         self._name, self._folder, self._base, self._files = name, folder, base, files
+        self._plans = plans
         self._keys: dict[str, dict[str, Any]] = {}
+        #: what was wrong with cases; of fitted keys the same need not be said of every experiment
+        self._told: set[str] = set()
 
     def all(
         self, tables: Any, parameters: tuple[FittedParameter, ...], faults: list[str]
@@ -200,7 +217,9 @@ class _Experiments:
             return None
         series: list[Series] = []
         for number_, entry in enumerate(data, start=1):
-            found = read_series(f"{said}: data {number_}", entry, case, self._files, faults)
+            found = read_series(
+                f"{said}: data {number_}", entry, case, self._files, faults, plans=self._plans
+            )
             if found is None:
                 continue
             if any(_same_readings(found, other) for other in series):
@@ -236,7 +255,12 @@ class _Experiments:
             case = make_case(override(keys, starts), Origin(said, changed, f"{said}: set"))
             check_case(case, 1, said)
         except InputError as error:
-            faults += error.faults
+            tables = {parameter.key.rpartition(".")[0] for parameter in parameters}
+            for fault in error.faults:
+                what = fault.replace(said, "")
+                if what not in self._told or not any(table in what for table in tables):
+                    faults.append(fault)
+                self._told.add(what)
             return None
         if case.mesh.geometry == "updated":
             faults.append(f'{said}: mesh.geometry = "updated": must be "fixed" in a fit')
@@ -332,7 +356,7 @@ def _check_counts(
     readings = sum(experiment.n for experiment in experiments)
     series = [one for experiment in experiments for one in experiment.series]
     free = sum(p.prior is None for p in parameters) + sum(
-        n.prior is None and math.inf in map(abs, n.bounds) for one in series for n in one.nuisances
+        n.free for one in series for n in one.nuisances
     )
     if readings < free:
         faults.append(

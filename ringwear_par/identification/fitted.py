@@ -12,11 +12,11 @@ from ringwear_par.cases.suggestions import nearest_key
 from ringwear_par.cases.values import number
 from ringwear_par.errors import legible
 from ringwear_par.history.sensitivity import differentiable
-from ringwear_par.identification.problem import FittedParameter
+from ringwear_par.identification.problem import FittedParameter, Problem
 from ringwear_par.identification.tables import TableReader
 from ringwear_par.studies.variations import split_key
 
-_SCALES = ("linear", "log")
+SCALES = ("linear", "log")
 _ENTRIES = frozenset({"start", "bounds", "scale", "prior"})
 
 
@@ -58,7 +58,7 @@ def _parameter(said: str, key: str, table: Any, faults: list[str]) -> FittedPara
     reader = TableReader(said, table, faults)
     start = reader.read("start", number(-math.inf))
     bounds = reader.bounds()
-    log = reader.choice("scale", _SCALES, "linear") == "log"
+    log = reader.choice("scale", SCALES, "linear") == "log"
     prior = reader.prior()
     reader.finish()
     if bounds is not None:
@@ -79,6 +79,12 @@ def _parameter(said: str, key: str, table: Any, faults: list[str]) -> FittedPara
 def derivative_key(key: str) -> str:
     """Return what histories call a fitted key among those that they have derivatives of."""
     return key.replace(".parameters.", ".")
+
+
+def units_of(problem: Problem) -> dict[str, str]:
+    """Return the units of the fitted keys, "1" for none."""
+    known = differentiable(problem.experiments[0].case)
+    return {key: known[derivative_key(key)] for key in problem.keys}
 
 
 def refuse_fixed(

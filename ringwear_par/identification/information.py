@@ -7,9 +7,10 @@ import numpy as np
 from mpi4py import MPI
 
 from ringwear_par.arrays import FloatArray
+from ringwear_par.cases.case import Case
 from ringwear_par.identification.histories import Histories
 from ringwear_par.identification.intervals import share_of_loss
-from ringwear_par.identification.problem import Experiment, Problem
+from ringwear_par.identification.problem import Experiment, Problem, Series
 from ringwear_par.identification.readings import nuisance_columns, whitened
 from ringwear_par.parallel import together
 
@@ -22,6 +23,8 @@ def informations(
 ) -> tuple[FloatArray, dict[int, str], int]:
     """Return what each test tells. Collective on comm, whose ranks share the tests.
 
+    Tests of one case, the same object, share its histories; series that they share are read once.
+
     Parameters
     ----------
     draws : (d, m) values of the keys.
@@ -31,8 +34,13 @@ def informations(
     (d, tests, m, m) of the unknowns, NaN of tests whose histories fail; why these fail, by number;
     and the histories computed.
     """
-    own = list(range(len(tests)))[comm.rank :: comm.size]
-    histories = Histories(replace(problem, experiments=tuple(tests), alternatives={}), comm)
+    groups: dict[int, list[int]] = {}
+    for number, test in enumerate(tests):
+        groups.setdefault(id(test.case), []).append(number)
+    numbers = list(groups.values())
+    whole = [_together([tests[number] for number in group]) for group in numbers]
+    own = list(range(len(whole)))[comm.rank :: comm.size]
+    histories = Histories(replace(problem, experiments=tuple(whole), alternatives={}), comm)
     m = len(problem.parameters)
     found: dict[int, FloatArray] = {}
     failures: dict[int, str] = {}
@@ -40,39 +48,53 @@ def informations(
         for d, values in enumerate(draws):
             pairs = zip(problem.parameters, values.tolist(), strict=True)
             slopes = np.array([parameter.slope(value) for parameter, value in pairs])
-            for number, response in zip(own, histories.of(own, values), strict=True):
-                told = found.setdefault(number, np.full((len(draws), m, m), np.nan))
+            for place, response in zip(own, histories.of(own, values), strict=True):
+                for number in numbers[place]:
+                    found.setdefault(number, np.full((len(draws), m, m), np.nan))
                 if isinstance(response, Exception):
-                    failures.setdefault(number, str(response))
-                else:
-                    told[d] = information(problem, tests[number], response[:, 1:] * slopes)
+                    failures |= {n: str(response) for n in numbers[place] if n not in failures}
+                    continue
+                each = _each(problem, whole[place], response[:, 1:] * slopes)
+                for number in numbers[place]:
+                    found[number][d] = sum(each[id(series)] for series in tests[number].series)
     every: dict[int, FloatArray] = {}
     for part, failed in comm.allgather((found, failures)):
         every |= part
         failures |= failed
-    whole = np.stack([every[number] for number in range(len(tests))], axis=1)
-    return whole, failures, comm.allreduce(histories.count)
+    stacked = np.stack([every[number] for number in range(len(tests))], axis=1)
+    return stacked, failures, comm.allreduce(histories.count)
 
 
-def information(problem: Problem, test: Experiment, columns: FloatArray) -> FloatArray:
-    """Return what a test tells of the unknowns (m, m), its nuisances eliminated.
+def _together(tests: Sequence[Experiment]) -> Experiment:
+    """Return the test that has all series of some tests of one case."""
+    series = {id(one): one for test in tests for one in test.series}
+    return replace(tests[0], series=tuple(series.values()))
+
+
+def _each(problem: Problem, test: Experiment, columns: FloatArray) -> dict[int, FloatArray]:
+    """Return what each series of a test tells (m, m)."""
+    ends = np.cumsum([series.n for series in test.series])
+    return {
+        id(series): information(problem, test.case, series, columns[end - series.n : end])
+        for series, end in zip(test.series, ends.tolist(), strict=True)
+    }
+
+
+def information(problem: Problem, case: Case, series: Series, columns: FloatArray) -> FloatArray:
+    """Return what a series tells of the unknowns (m, m), its nuisances eliminated.
+
+    As nuisances are of one series, what several tell adds.
 
     Parameters
     ----------
     columns : (n, m) derivatives of its readings.
     """
-    m, begin, rows, priors = columns.shape[1], 0, [], []
-    counts = [len(series.nuisances) for series in test.series]
-    for i, series in enumerate(test.series):
-        part = slice(begin, begin + series.n)
-        begin = part.stop
-        own = np.zeros((series.n, m + sum(counts)))
-        own[:, :m] = columns[part]
-        first = m + sum(counts[:i])
-        own[:, first : first + counts[i]] = nuisance_columns(series, test.case)
-        rows.append(whitened(series, own / series.sd[:, None]))
-        priors += [0.0 if n.prior is None else 1.0 / n.prior.sd for n in series.nuisances]
-    told = np.sqrt(share_of_loss(problem.settings.loss)) * np.concatenate(rows)
+    m = columns.shape[1]
+    own = np.concatenate([columns, nuisance_columns(series, case)], axis=1)
+    told = np.sqrt(share_of_loss(problem.settings.loss)) * whitened(
+        series, own / series.sd[:, None]
+    )
+    priors = [0.0 if n.prior is None else 1.0 / n.prior.sd for n in series.nuisances]
     stacked = np.concatenate([told, np.diag([*[0.0] * m, *priors])])
     size = np.linalg.norm(stacked, axis=0)
     stacked[:, m:] /= np.where(size > 0.0, size, 1.0)[m:]

@@ -9,6 +9,7 @@ import numpy as np
 from scipy.stats import chi2
 
 from ringwear_par.arrays import FloatArray
+from ringwear_par.identification.fitted import units_of
 from ringwear_par.identification.information import without_nuisances
 from ringwear_par.identification.intervals import ParameterEstimate, information, told
 from ringwear_par.identification.least_squares import Evaluation, LeastSquares
@@ -217,7 +218,8 @@ class FitResult:
         }
 
     def _parameters(self) -> dict[str, Any]:
-        told = {p.key: _parameter(p) for p in self.parameters}
+        units = units_of(self.squares.problem)
+        told = {p.key: {**_parameter(p), "unit": units[p.key]} for p in self.parameters}
         if self.posterior is not None:
             samples = self.posterior.samples
             ends = self.posterior.interval(self.squares.problem.settings.level)

@@ -9,6 +9,7 @@ from scipy.stats import chi2, norm
 
 from ringwear_par.arrays import FloatArray
 from ringwear_par.identification.intervals import ParameterEstimate
+from ringwear_par.identification.problem import Problem
 from ringwear_par.identification.summary import unit_of
 
 if TYPE_CHECKING:
@@ -40,13 +41,13 @@ def figure(found: "FitResult") -> Figure:
                 axes.set_ylim(limits)
             axes.tick_params(labelsize=7)
             axes.locator_params(nbins=4)
-            told = _told_axis(axes.xaxis, found.parameters[column])
+            told = _told_axis(axes.xaxis, found.parameters[column], found.squares.problem)
             if row == m - 1:
                 axes.set_xlabel(told, fontsize=8)
             else:
                 axes.tick_params(labelbottom=False)
             if row != column:
-                told = _told_axis(axes.yaxis, found.parameters[row])
+                told = _told_axis(axes.yaxis, found.parameters[row], found.squares.problem)
                 if column == 0:
                     axes.set_ylabel(told, fontsize=8)
                 else:
@@ -59,13 +60,13 @@ def figure(found: "FitResult") -> Figure:
     return chart
 
 
-def _told_axis(axis: Any, one: ParameterEstimate) -> str:
+def _told_axis(axis: Any, one: ParameterEstimate, problem: Problem) -> str:
     """Return what an axis of a key is called, with the power of ten that its ticks leave out."""
     power = math.floor(math.log10(max(np.abs(axis.get_view_interval()))))
     if -3 <= power < 4:
         power = 0
     axis.set_major_formatter(lambda value, _: f"{value / 10.0**power:.6g}")
-    parts = [f"$10^{{{power}}}$" if power else "", unit_of(one.key).strip()]
+    parts = [f"$10^{{{power}}}$" if power else "", unit_of(problem, one.key).strip()]
     unit = " ".join(part for part in parts if part)
     return f"{one.key} ({unit})" if unit else one.key
 

@@ -20,6 +20,7 @@ from scipy.optimize import lsq_linear
 
 from ringwear_par.arrays import FloatArray
 from ringwear_par.errors import InputError
+from ringwear_par.identification.chain import Keeper, Walk
 from ringwear_par.identification.histories import Histories
 from ringwear_par.identification.least_squares import NU, LeastSquares
 from ringwear_par.identification.problem import reflected
@@ -84,12 +85,14 @@ def sample_posterior(
     covariance: FloatArray,
     comm: MPI.Intracomm,
     stop: Callable[[], bool],
+    keeper: Keeper,
 ) -> Posterior | None:
     """Return samples of the fitted keys; None if ``stop`` says so. Collective, the same on all.
 
     Parameters
     ----------
     x, covariance : (u,) and (u, u) of the unknowns at the optimum.
+    keeper : of the walk, which goes on where it was stopped; that of the first rank counts.
 
     Raises
     ------
@@ -132,22 +135,40 @@ def sample_posterior(
     sampler.log_prob_fn = log_probability  # what emcee wraps it in prints all of its errors
     sampler.random_state = np.random.RandomState(_SEED).get_state()
     steps = _BURN + -(-settings.samples // walkers)
-    told = time.perf_counter()
+    walk = comm.bcast(keeper.read() if comm.rank == 0 else None)
+    if walk is not None and walk.steps.shape[1:] == start.shape and len(walk.steps) <= steps:
+        start = emcee.State(
+            walk.steps[-1], log_prob=walk.log_prob, random_state=walk.random_state, copy=True
+        )
+    else:
+        walk = Walk(np.zeros((0, walkers, m)), np.zeros(walkers), 0, ())
+
+    def walked() -> Walk:
+        """Return the whole walk."""
+        parts = np.concatenate([walk.steps, sampler.get_chain()])
+        last, so_far = sampler.get_last_sample(), int(sampler.backend.accepted.sum())
+        return Walk(parts, last.log_prob, walk.accepted + so_far, last.random_state)
+
+    before, told = len(walk.steps), time.perf_counter()
     for step, _ in enumerate(
-        sampler.sample(start, iterations=steps, skip_initial_state_check=True)
+        sampler.sample(start, iterations=steps - before, skip_initial_state_check=True), before
     ):
-        if comm.allreduce(int(stop()), op=MPI.MAX):
+        stopped = comm.allreduce(int(stop()), op=MPI.MAX)
+        if comm.rank == 0 and (stopped or keeper.due):
+            keeper.write(walked())
+        if stopped:
             return None
         if comm.rank == 0 and time.perf_counter() - told > PROGRESS_SECONDS:
             told = time.perf_counter()
             log.info("posterior: %d of %d steps of %d walkers", step + 1, steps, walkers)
-    chain = sampler.get_chain(discard=_BURN)
+    whole_walk = walked() if before < steps else walk
+    chain = whole_walk.steps[_BURN:]
     # means over walkers scatter by the correlation time of their steps
     scatter, whole = chain.mean(axis=0).var(axis=0, ddof=1), chain.reshape(-1, m).var(axis=0)
     times = np.maximum(len(chain) * scatter / np.where(whole > 0.0, whole, 1.0), 1.0)
     values = np.array([squares.values(row) for row in chain.reshape(-1, m)])
     return Posterior(
-        values, float(np.mean(sampler.acceptance_fraction)), float(len(values) / np.max(times))
+        values, whole_walk.accepted / (steps * walkers), float(len(values) / np.max(times))
     )
 
 

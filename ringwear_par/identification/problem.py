@@ -89,6 +89,11 @@ class Nuisance:
     prior: Prior | None = None
     bounds: tuple[float, float] = (-np.inf, np.inf)
 
+    @property
+    def free(self) -> bool:
+        """Whether nothing but readings says what it is."""
+        return self.prior is None and np.inf in map(abs, self.bounds)
+
 
 @dataclass(frozen=True, eq=False)
 class Series:
@@ -108,6 +113,7 @@ class Series:
     correlation_time : s, of the noise; 0: it is white.
     file, lines : where the readings stand; "" and none of a single value.
     unit_told : whether the unit was named, by ``units`` or by the column's own name.
+    planned : whether nothing has been read yet; values are 0 then.
     """
 
     name: str
@@ -125,6 +131,7 @@ class Series:
     file: str = ""
     lines: IntArray | None = None
     unit_told: bool = True
+    planned: bool = False
 
     @property
     def n(self) -> int:

@@ -13,15 +13,14 @@ def check_times(reader: TableReader, series: Series, case: Case) -> None:
     """Refuse times that do not increase, or that are outside the test."""
     x, end = series.x, case.time.end
     faults = []
-
-    def line(i: int) -> str:
-        return "" if series.lines is None else f"{series.file}: line {series.lines[i]}: "
-
     for i in np.flatnonzero(np.diff(x) <= 0).tolist():
-        faults.append(f"{line(i + 1)}time {x[i + 1]:g} s after {x[i]:g} s: times must increase")
+        faults.append(
+            f"{_line(series, i + 1)}time {x[i + 1]:g} s after {x[i]:g} s: times must increase"
+        )
     for i in np.flatnonzero((x < 0) | (x > end)).tolist():
         faults.append(
-            f"{line(i)}time {x[i]:g} s: must be within the test, from 0 to {end:g} s (time.end)"
+            f"{_line(series, i)}time {x[i]:g} s: must be within the test, from 0 to {end:g} "
+            "s (time.end)"
         )
     for fault in faults[:_FAULTS_TOLD]:
         reader.fault(fault)
@@ -34,19 +33,18 @@ def check_profile(reader: TableReader, series: Series, case: Case) -> None:
     ring = getattr(case, series.body)
     outside = np.flatnonzero((series.x < ring.r[0]) | (series.x > ring.r[1]))
     for i in outside[:_FAULTS_TOLD].tolist():
-        assert series.lines is not None
         hint = ""
         if ring.r[0] <= series.x[i] / 1e3 <= ring.r[1]:
             hint = "; it is a thousand times too large: look at units.r"
         reader.fault(
-            f"{series.file}: line {series.lines[i]}: r = {series.x[i]:g} mm: must be on the "
+            f"{_line(series, i)}r = {series.x[i]:g} mm: must be on the "
             f"{series.body} body, from {ring.r[0]:g} to {ring.r[1]:g} mm{hint}"
         )
     a, b = case.contact
     if not ((series.x >= a) & (series.x <= b)).any():
         reader.fault(
-            f"{series.file}: has no reading within the contact, {a:g} to {b:g} mm; must have one "
-            "at least"
+            f"{series.file or 'r'}: has no reading within the contact, {a:g} to {b:g} mm; must "
+            "have one at least"
         )
     _check_depths(reader, series, case)
 
@@ -58,8 +56,12 @@ def _check_depths(reader: TableReader, series: Series, case: Case) -> None:
     highest = min(ring.z[1] - ring.z[0] for ring in case.rings)
     i = int(np.argmax(np.abs(series.value)))
     if abs(series.value[i]) > highest:
-        line = "" if series.lines is None else f"{series.file}: line {series.lines[i]}: "
         reader.fault(
-            f"{line}{series.value[i]:g} mm: must be less than the height of a body, {highest:g} "
-            "mm; look at the unit"
+            f"{_line(series, i)}{series.value[i]:g} mm: must be less than the height of a body, "
+            f"{highest:g} mm; look at the unit"
         )
+
+
+def _line(series: Series, i: int) -> str:
+    """Return where a reading stands; "" of one that stands in no file."""
+    return "" if series.lines is None else f"{series.file}: line {series.lines[i]}: "

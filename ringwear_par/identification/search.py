@@ -17,6 +17,8 @@ _NOTHING, _ROUND_OFF = 1e-9, 1e-13
 _AT_ONCE = 20_000
 #: designs that are told, and rounds of exchange in their search
 _TOLD, _ROUNDS = 10, 20
+#: best exchanges of two tests that are looked at as designs of their own
+_NEAR = 200
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,7 +61,7 @@ class Search:
         self._parameters, self._space = problem.parameters, problem.design
         self._nominal = told.nominal
         self._seconds = np.array([test.seconds for test in tests])
-        self._loads = [test.loads for test in tests]
+        self._kinds = [test.kind for test in tests]
         self._widths = widths(self._parameters)
         scale = np.outer(self._widths, self._widths)
         # over the widths of bounds, and never singular
@@ -81,29 +83,29 @@ class Search:
         left = limit - shortest * (count - 2)
         if count == 2:
             return self._told(pairs[spent <= limit])
-        # from the best pair with the shortest others on, two are exchanged at a time
-        start = self._best_of(pairs[spent <= left], nothing)
+        # from the best pair with the shortest others on, two are exchanged at a time; what the last
+        # exchanges could have been is told as well
+        there = pairs[spent <= left]
+        start = there[int(self._scores(there, nothing).argmax())]
         tests = np.append(start, [int(self._seconds.argmin())] * (count - 2))
         score = self._score(self._information[:, tests].sum(axis=1)[:, None])[0]
         for _ in range(_ROUNDS):
-            before = score
+            before, near = score, []
             for i, j in itertools.combinations(range(count), 2):
                 others = np.delete(tests, [i, j])
                 rest = self._information[:, others].sum(axis=1)
                 room = limit - self._seconds[others].sum()
-                pair = self._best_of(pairs[spent <= room], rest)
-                changed = np.append(others, pair)
+                there = pairs[spent <= room]
+                scores = self._scores(there, rest)
+                first = there[np.argsort(-scores, kind="stable")[:_NEAR]]
+                near.append(np.column_stack([np.tile(others, (len(first), 1)), first]))
+                changed = np.append(others, first[0])
                 new = self._score(self._information[:, changed].sum(axis=1)[:, None])[0]
                 if new > score:
                     tests, score = changed, new
             if score <= before:
                 break
-        return self._told(np.sort(tests)[None])
-
-    def _best_of(self, pairs: IntArray, rest: FloatArray) -> IntArray:
-        scores = self._scores(pairs, rest)
-        best: IntArray = pairs[int(scores.argmax())]
-        return best
+        return self._told(np.unique(np.sort([tests, *np.concatenate(near)], axis=1), axis=0))
 
     def _scores(self, tests: IntArray, rest: FloatArray | None = None) -> FloatArray:
         """Return the score of each row of tests, (rows, count)."""
@@ -130,8 +132,8 @@ class Search:
         scores = self._scores(tests)
         found: dict[Hashable, Design] = {}
         for i in np.argsort(-scores, kind="stable").tolist():
-            # of the same loads and other durations the best one is told
-            kind = tuple(sorted(self._loads[test] for test in tests[i]))
+            # of the same loads the best durations and instants are told
+            kind = tuple(sorted(self._kinds[test] for test in tests[i]))
             if kind not in found:
                 found[kind] = self._design(tests[i], float(scores[i]))
             if len(found) == _TOLD:
@@ -165,9 +167,10 @@ class Search:
         spread: FloatArray = np.where(share < 1.0, share * self._widths * slopes, np.inf)
         return spread
 
-    def singles(self) -> FloatArray:
-        """Return predicted standard deviations after each candidate alone, (c, m)."""
-        return self._natural(_inverse(self._information[0] + self._before + self._floor))
+    def singles(self) -> tuple[FloatArray, FloatArray]:
+        """Return predicted standard deviations after each candidate alone, (c, m), and scores."""
+        alone = _inverse(self._information[0] + self._before + self._floor)
+        return self._natural(alone), self._score(self._information)
 
     def pairs(self) -> tuple[FloatArray, FloatArray]:
         """Return those after two candidates, (c, c, m), and their scores (c, c).

@@ -2,18 +2,20 @@
 
 import math
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, cast, get_args
 
 import numpy as np
 from scipy.ndimage import median_filter
 
-from ringwear_par.arrays import BoolArray, FloatArray
+from ringwear_par.arrays import BoolArray, FloatArray, IntArray
 from ringwear_par.cases.case import Case
 from ringwear_par.cases.text import shortened
-from ringwear_par.cases.units import factor, unit_of_column
+from ringwear_par.cases.units import factor, has_unit, unit_of_column
 from ringwear_par.cases.values import RejectedError, number, text
 from ringwear_par.errors import InputError, legible
+from ringwear_par.identification.planned import instants
 from ringwear_par.identification.problem import BASE, Nuisance, Quantity, Series
 from ringwear_par.identification.ranges import check_profile, check_times
 from ringwear_par.identification.tables import TableReader
@@ -21,7 +23,7 @@ from ringwear_par.measurements import Measurements, read_measurements
 
 QUANTITIES = get_args(Quantity)
 #: which nuisances a quantity may have
-_NUISANCES = {
+NUISANCES = {
     "penetration": ("offset", "drift", "compliance"),
     "approach": ("offset", "drift", "compliance"),
     "torque": ("offset", "drift"),
@@ -29,6 +31,12 @@ _NUISANCES = {
     "mass": ("offset",),
     "volume": ("offset",),
 }
+#: what messages say of units
+_UNITS = {
+    "s": "a time, such as s, min or h", "mm": "a length, such as um, mm or inch",
+    "N mm": "a torque, such as N mm or N m", "g": "a mass, such as mg or g",
+    "mm^3": "a volume, such as mm^3 or um^3",
+}  # fmt: skip
 #: readings of which data are smoothed by their median
 _SMOOTH = 9
 #: of the largest reading: below it a relative error means nothing
@@ -38,6 +46,9 @@ _LONGEST_CORRELATION = 100.0
 #: of the test: times that are rounded, in minutes, say, may be so much later than its end
 _ROUNDED = 2e-4
 _FAULTS_TOLD = 5
+#: g/mm3: foams have more, osmium has less; other units of densities, in g/mm3
+DENSITIES = (1e-5, 0.03)
+_OTHERS = {"g/cm3": 1e-3, "kg/m3": 1e-6, "kg/mm3": 1e3, "t/mm3": 1e6}
 
 #: reads a table of measurements, once
 Files = Callable[[str], Measurements]
@@ -79,7 +90,13 @@ class FileStore:
 
 
 def read_series(
-    said: str, table: Any, case: Case | None, files: Files, faults: list[str]
+    said: str,
+    table: Any,
+    case: Case | None,
+    files: Files,
+    faults: list[str],
+    *,
+    plans: bool = False,
 ) -> Series | None:
     """Return the readings of one table, and add what is wrong with it to the faults.
 
@@ -87,6 +104,7 @@ def read_series(
     ----------
     said : how sentences about it begin.
     case : of the experiment; None where that has faults itself.
+    plans : whether readings may be planned ones.
     """
     before = len(faults)
     reader = TableReader(said, table, faults)
@@ -96,44 +114,36 @@ def read_series(
     kind = quantity.partition(".")[0]
     reader.said = f"{said} ({quantity})"
     end = math.inf if case is None else case.time.end
-    at = reader.read("at", number(0.0), None)
-    density = reader.read("density", number(0.0), ...) if kind == "mass" else 1.0
+    at = reader.read("at", number(0.0), None, "s")
+    density = _density(reader) if kind == "mass" else 1.0
     if at is not None and at > end:
         reader.wrong("at", f"must be within the test, which ends at {end:g} s")
-    if kind == "profile" and "file" not in reader:
-        reader.wrong("file", "must be the name of a table of depths over radii")
-        return None
-    column: str | None = None
+    timed = next((key for key in ("file", "times") if key in reader), "")
+    if at is not None and timed and kind != "profile":
+        reader.wrong("at", f"must be absent beside {timed}, whose readings have their times")
+    where, once = ("r", ()) if kind == "profile" else ("times", ("value",))
+    there = next((key for key in ("file", *once) if key in reader), "")
+    if there and where in reader:
+        reader.raw(where)
+        reader.wrong(where, f"must be absent beside {there}; it is for readings that are planned")
     if "file" in reader:
-        if at is not None and kind != "profile":
-            reader.wrong("at", "must be absent beside file, whose readings have their times")
         found = _from_file(reader, kind, files)
-        if found is None:
-            return None
-        data, rows, names, units, factors = found
-        x, value = (factors[role] * _column(reader, data, names[role], rows) for role in names)
-        lines, where, unit, scale = data.lines[rows], data.name, units["value"], factors["value"]
-        told = bool(
-            reader.raw("units", {}).get("value") or unit_of_column(names["value"], BASE[kind])
-        )
-        column = _sd_column(reader, data)
+    elif "value" in reader and kind != "profile":
+        found = _single(reader, kind, end if at is None else at)
     else:
-        single = reader.read("value", number(-math.inf), ...)
-        unit = str(reader.raw("unit") or "")
-        single_scale, told = _factor(reader, "unit", unit, BASE[kind]), True
-        if single is None or single_scale is None:
-            return None
-        scale = single_scale
-        x, value = np.array([end if at is None else at]), np.array([scale * single])
-        lines, where, data, rows = None, "", None, np.ones(1, dtype=bool)
+        found = _planned(reader, kind, at, end, plans)
+    if found is None:
+        return None
+    x, value, unit, scale = found.x, found.value, found.unit, found.factor
+    lines = found.lines
     if kind != "profile":
         x = np.where(x > end * (1.0 + _ROUNDED), x, np.minimum(x, end))
     keep = np.ones(len(x), dtype=bool)
     for low, high in _intervals(reader):
         keep &= (x < low) | (x > high)
-    sd, fitted = _sd(reader, data, rows, column, value, scale, where, lines)
+    sd, fitted = _sd(reader, found)
     nuisances = _nuisances(reader, kind, case)
-    correlation = reader.read("correlation_time", number(0.0, ends=True), 0.0)
+    correlation = reader.read("correlation_time", number(0.0, ends=True), 0.0, "s")
     if correlation > 0 and kind == "profile":
         reader.wrong("correlation_time", "must be absent for a profile, it is for noise in time")
     if correlation > _LONGEST_CORRELATION * end:
@@ -147,20 +157,109 @@ def read_series(
         return None
     series = Series(
         quantity, cast(Quantity, quantity), x[keep], value[keep], sd[keep], fitted, unit, scale,
-        (end if at is None else at) if kind == "profile" else None, density, nuisances,
-        correlation, where, None if lines is None else lines[keep], told,
+        (end if at is None else at) if kind == "profile" else None, density or 1.0, nuisances,
+        correlation, found.where, None if lines is None else lines[keep], found.told,
+        found.planned,
     )  # fmt: skip
+    own = [nuisance.kind for nuisance in nuisances if nuisance.free]
     if not series.n:
         reader.fault("has no readings; must have one at least that is neither empty nor excluded")
-    elif case is not None:
+        return None
+    if case is not None:
         (check_profile if series.profile else check_times)(reader, series, case)
+    if series.n <= len(own):
+        reader.fault(
+            f"has {series.n} reading{'s' if series.n > 1 else ''}; must have more than nuisances "
+            f"without prior or bounds, {', '.join(own)}, which take all that they tell"
+        )
     return series if len(faults) == before else None
 
 
-def _from_file(
-    reader: TableReader, kind: str, files: Files
-) -> tuple[Measurements, BoolArray, dict[str, str], dict[str, str], dict[str, float]] | None:
-    """Return a table, its rows with readings, and the names, units and factors of its columns."""
+@dataclass(frozen=True, eq=False)
+class _Readings:
+    """Readings and where they are from.
+
+    Parameters
+    ----------
+    x, value : (n,) as a series has them.
+    unit, factor : of the data, and how much it is in the units of a case.
+    told : whether the unit was named.
+    data, rows : the table and which of its rows have readings; None of others.
+    lines, where : of the readings; None and "" without a table.
+    planned : whether nothing has been read yet.
+    """
+
+    x: FloatArray
+    value: FloatArray
+    unit: str
+    factor: float
+    told: bool = True
+    data: Measurements | None = None
+    rows: BoolArray | None = None
+    lines: IntArray | None = None
+    where: str = ""
+    planned: bool = False
+
+
+def _density(reader: TableReader) -> float | None:
+    """Return a density, g/mm3; refuse one that nothing has, as that in another unit."""
+    density: float | None = reader.read("density", number(0.0), ..., BASE["density"])
+    low, high = DENSITIES
+    if density is None or low <= density <= high:
+        return density
+    hint = next(
+        (f"; {density:g} {unit} would be {density * share:.6g}" for unit, share in _OTHERS.items()
+         if low <= density * share <= high), "",
+    )  # fmt: skip
+    reader.wrong("density", f"must be from {low:g} to {high:g} g/mm3, as of foams and metals{hint}")
+    return None
+
+
+def _single(reader: TableReader, kind: str, at: float) -> _Readings | None:
+    single = reader.read("value", number(-math.inf), ...)
+    unit, scale = _unit(reader, kind)
+    if single is None or scale is None:
+        return None
+    return _Readings(np.array([at]), np.array([scale * single]), unit, scale)
+
+
+def _planned(
+    reader: TableReader, kind: str, at: float | None, end: float, plans: bool
+) -> _Readings | None:
+    """Return readings that are to be taken, or why there are none in words."""
+    where = "r" if kind == "profile" else "times"
+    given = {"columns", "units"} & reader.keys()
+    once = kind in ("mass", "volume") or (at is not None and kind != "profile")
+    usual = "value" if once else "file"
+    must = {
+        "mass": "must be a finite number", "volume": "must be a finite number",
+        "profile": "must be the name of a table of depths over radii",
+    }.get(kind, "must be the name of a table")  # fmt: skip
+    if given or not (once or where in reader):
+        for key in given:
+            reader.raw(key)
+        reader.wrong(
+            "file" if given else usual,
+            f"{must}; or {where} of planned readings, for --dry-run and design",
+        )
+        return None
+    x = np.array([end if at is None else at])
+    if where in reader:
+        x = reader.read(where, instants(), ...)
+    unit, scale = _unit(reader, kind)
+    if not plans:
+        reader.wrong(usual, f"{must}; planned readings are for --dry-run and ringwear design only")
+    if x is None or scale is None:
+        return None
+    return _Readings(x, np.zeros(len(x)), unit, scale, planned=True)
+
+
+def _unit(reader: TableReader, kind: str) -> tuple[str, float | None]:
+    unit = str(reader.raw("unit") or "")
+    return unit, _factor(reader, "unit", unit, BASE[kind])
+
+
+def _from_file(reader: TableReader, kind: str, files: Files) -> _Readings | None:
     name = reader.read("file", text("the name of a table"))
     for key in ("value", "unit"):
         if key in reader:
@@ -197,7 +296,12 @@ def _from_file(
             names[role], found[role], factors[role] = column, unit, scale
     if len(names) < len(roles):
         return None
-    return data, data.filled(*names.values()), names, found, factors
+    rows = data.filled(*names.values())
+    x, value = (factors[role] * _column(reader, data, names[role], rows) for role in roles)
+    told = bool(units.get("value") or unit_of_column(names["value"], BASE[kind]))
+    return _Readings(
+        x, value, found["value"], factors["value"], told, data, rows, data.lines[rows], data.name
+    )
 
 
 def _column(reader: TableReader, data: Measurements, name: str, rows: BoolArray) -> FloatArray:
@@ -214,7 +318,7 @@ def _factor(reader: TableReader, key: str, unit: str, base: str) -> float | None
         return factor(unit, base)
     except RejectedError:
         told = f"= {shortened(unit)}" if unit else "is missing"
-        reader.fault(f"{key} {told}: must be a unit that pint knows, such as {base}")
+        reader.fault(f"{key} {told}: must be the unit of {_UNITS[base]}")
         return None
 
 
@@ -234,41 +338,19 @@ def _intervals(reader: TableReader) -> list[tuple[float, float]]:
     return [(float(low), float(high)) for low, high in value]
 
 
-def _sd_column(reader: TableReader, data: Measurements) -> str | None:
-    value = reader.raw("sd")
-    if not isinstance(value, str) or value == "fit":
-        return None
-    if value not in data.columns:
-        reader.wrong(
-            "sd", f'must be a number, "fit", {{ relative = x }} or a column of {data.name}'
-        )
-        return None
-    return value
-
-
-def _sd(
-    reader: TableReader,
-    data: Measurements | None,
-    rows: BoolArray,
-    column: str | None,
-    value: FloatArray,
-    scale: float,
-    where: str,
-    lines: Any,
-) -> tuple[FloatArray, bool]:
+def _sd(reader: TableReader, found: _Readings) -> tuple[FloatArray, bool]:
     """Return the standard deviation of each reading, and whether it is to be fitted."""
-    given = reader.raw("sd")
+    given, value, data = reader.raw("sd"), found.value, found.data
     unknown = np.full(len(value), np.nan)
-    if column is not None and data is not None:
-        if not data.filled(column)[rows].all():
-            line = data.lines[rows][~data.filled(column)[rows]][0]
-            reader.fault(f"{where}: line {line}: {column} is empty; must be a number > 0")
+    named = isinstance(given, str) and not has_unit(given)
+    if found.planned and (named or isinstance(given, Mapping)):
+        reader.wrong("sd", "must be a number > 0, in unit, of readings that are planned")
+        return unknown, False
+    if named and given != "fit":
+        if data is None:
+            reader.wrong("sd", "must be a number > 0 or { relative = x }")
             return unknown, False
-        found = scale * _column(reader, data, column, rows)
-        for i in np.flatnonzero(found <= 0)[:_FAULTS_TOLD].tolist():
-            told = f"{column} = {found[i] / scale:g}"
-            reader.fault(f"{where}: line {lines[i]}: {told}: must be a number > 0")
-        return found, False
+        return _sd_column(reader, given, found), False
     if given == "fit":
         if len(value) < _SMOOTH:
             reader.wrong("sd", f'must be a number: "fit" needs {_SMOOTH} readings at least')
@@ -282,18 +364,41 @@ def _sd(
         smooth = np.abs(median_filter(value, min(_SMOOTH, len(value)), mode="nearest"))
         small = smooth <= _NEAR_ZERO * smooth.max(initial=0.0)
         if small.any():
-            line = "" if lines is None else f"{where}: line {lines[np.flatnonzero(small)[0]]}: "
+            line = ""
+            if found.lines is not None:
+                line = f"{found.where}: line {found.lines[np.flatnonzero(small)[0]]}: "
             reader.wrong(
                 "sd", f"{line}must be in the data's unit where readings are near zero, as here"
             )
             return unknown, False
         return relative * smooth, False
-    if isinstance(given, str):  # a column, of which has been told
-        if data is None:
-            reader.wrong("sd", "must be a number > 0 or { relative = x }")
-        return unknown, False
-    single = reader.read("sd", number(0.0), ...)
-    return np.full(len(value), math.nan if single is None else scale * single), False
+    single = reader.read("sd", number(0.0), ..., found.unit)
+    return np.full(len(value), math.nan if single is None else found.factor * single), False
+
+
+def _sd_column(reader: TableReader, column: str, found: _Readings) -> FloatArray:
+    """Return the standard deviations in a column of a table."""
+    data, rows, lines = found.data, found.rows, found.lines
+    assert data is not None
+    assert rows is not None
+    assert lines is not None
+    unknown = np.full(len(found.value), np.nan)
+    if column not in data.columns:
+        reader.wrong(
+            "sd", f'must be a number, "fit", {{ relative = x }} or a column of {data.name}'
+        )
+        return unknown
+    filled = data.filled(column)[rows]
+    if not filled.all():
+        reader.fault(
+            f"{found.where}: line {lines[~filled][0]}: {column} is empty; must be a number > 0"
+        )
+        return unknown
+    sd = found.factor * _column(reader, data, column, rows)
+    for i in np.flatnonzero(sd <= 0)[:_FAULTS_TOLD].tolist():
+        told = f"{column} = {sd[i] / found.factor:g}"
+        reader.fault(f"{found.where}: line {lines[i]}: {told}: must be a number > 0")
+    return sd
 
 
 def _scatter(value: FloatArray) -> float:
@@ -306,12 +411,12 @@ def _scatter(value: FloatArray) -> float:
 def _nuisances(reader: TableReader, kind: str, case: Case | None) -> tuple[Nuisance, ...]:
     table = reader.raw("nuisance", {})
     if not isinstance(table, Mapping):
-        reader.wrong("nuisance", f"must be a table of {', '.join(_NUISANCES[kind])}")
+        reader.wrong("nuisance", f"must be a table of {', '.join(NUISANCES[kind])}")
         return ()
     found = []
     for name, entry in table.items():
-        if name not in _NUISANCES[kind]:
-            reader.fault(f"nuisance.{legible(name)}: must be one of {', '.join(_NUISANCES[kind])}")
+        if name not in NUISANCES[kind]:
+            reader.fault(f"nuisance.{legible(name)}: must be one of {', '.join(NUISANCES[kind])}")
             continue
         own = TableReader(f"{reader.said}: nuisance.{name}", entry, reader.faults)
         bounds = own.bounds((-math.inf, math.inf))

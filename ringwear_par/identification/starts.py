@@ -13,6 +13,7 @@ import numpy as np
 from ringwear_par.arrays import BoolArray, FloatArray
 from ringwear_par.atomic import atomic_write
 from ringwear_par.errors import ComputationError, RingwearError, reason_of
+from ringwear_par.identification.chain import Keeper
 from ringwear_par.identification.least_squares import Evaluation, LeastSquares
 from ringwear_par.identification.lockstep import Meet, StoppedError, side_by_side
 from ringwear_par.identification.minimise import minimise
@@ -71,6 +72,12 @@ class Progress:
     def kept(self) -> bool:
         """Whether anything is kept."""
         return self._folder is not None
+
+    @property
+    def walk(self) -> Keeper:
+        """Where the walk of a posterior is kept."""
+        path = None if self._folder is None else self._folder / "progress" / "posterior.npz"
+        return Keeper(path, self._key)
 
     def _path(self, number: int) -> Path | None:
         if self._folder is None:

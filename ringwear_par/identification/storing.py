@@ -11,10 +11,10 @@ import numpy as np
 
 from ringwear_par.atomic import atomic_write, check_writable
 from ringwear_par.errors import ComputationError, InputError
+from ringwear_par.identification.fitted import units_of
 from ringwear_par.identification.problem import Problem
-from ringwear_par.identification.summary import unit_of
 from ringwear_par.results.hdf5 import atomic_hdf5, write_variable
-from ringwear_par.results.variables import SOFTWARE, Variable
+from ringwear_par.results.variables import PARAMETER, PARAMETER_UNIT, SOFTWARE, Variable
 
 if TYPE_CHECKING:
     from ringwear_par.identification.outcome import FitResult
@@ -77,7 +77,7 @@ def save(found: "FitResult", folder: Path) -> None:
 def _write(file: h5py.File, found: "FitResult") -> None:
     squares = found.squares
     keys = [p.key for p in found.parameters]
-    sd, band = squares.sd, found.band
+    sd, band, units = squares.sd, found.band, units_of(squares.problem)
     file.attrs.update(
         {"software": SOFTWARE, "fit": squares.problem.text, "keys": keys, **found.versions}
     )
@@ -87,7 +87,7 @@ def _write(file: h5py.File, found: "FitResult") -> None:
         axis = Variable("sample", ("sample",), "1", "number of the sample", integer=True)
         write_variable(group, axis, np.arange(len(samples)))
         for j, one in enumerate(found.parameters):
-            unit = unit_of(one.key).strip() or "1"
+            unit = units[one.key]
             variable = Variable(one.key, ("sample",), unit, "sample of the posterior")
             write_variable(group, variable, samples[:, j])
     for number, ((experiment, series), part) in enumerate(
@@ -105,9 +105,9 @@ def _write(file: h5py.File, found: "FitResult") -> None:
             write_variable(group, variable, values)  # noqa: B023
 
         readings = Variable("reading", ("reading",), "1", "number of the reading", integer=True)
-        parameters = Variable("parameter", ("parameter",), "1", "fitted key", integer=True)
         write_variable(group, readings, np.arange(series.n))
-        write_variable(group, parameters, np.arange(len(keys)))
+        write_variable(group, PARAMETER, keys)
+        write_variable(group, PARAMETER_UNIT, list(units.values()))
         if series.profile:
             put("r", series.x, "mm", "radius")
         else:
@@ -118,7 +118,7 @@ def _write(file: h5py.File, found: "FitResult") -> None:
         put("band", band[part], base, "sd of the model's reading")
         put("residual", -found.evaluation.noise[part], "1", "data less model over its noise, white")
         put(
-            "sensitivity", found.evaluation.sensitivity[part], f"{base} per unit of the key",
+            "sensitivity", found.evaluation.sensitivity[part], f"{base}/{PARAMETER_UNIT.name}",
             "derivative of the model's reading with respect to each fitted key", "parameter",
         )  # fmt: skip
 

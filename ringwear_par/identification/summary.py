@@ -4,10 +4,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ringwear_par.cases.schema import BY_PATH
+from ringwear_par.identification.fitted import units_of
 from ringwear_par.identification.intervals import ParameterEstimate
 from ringwear_par.identification.posterior import FEW
-from ringwear_par.studies.variations import path_of
+from ringwear_par.identification.problem import Problem
 
 if TYPE_CHECKING:
     from ringwear_par.identification.outcome import FitResult
@@ -107,20 +107,20 @@ def prediction(found: "FitResult") -> str:
     return "\n".join(lines)
 
 
-def unit_of(key: str) -> str:
+def unit_of(problem: Problem, key: str) -> str:
     """Return the unit of a fitted key, with a blank before it; "" for none."""
-    unit = BY_PATH[path_of(key)].unit
+    unit = units_of(problem)[key]
     return "" if unit in ("1", "-") else f" {unit}"
 
 
 def _parameter_lines(found: "FitResult") -> list[str]:
     width = max(len(one.key) for one in found.parameters)
-    level = found.squares.problem.settings.level
-    return [f"  {one.key.ljust(width)}  {_told(one, level)}" for one in found.parameters]
+    problem = found.squares.problem
+    return [f"  {one.key.ljust(width)}  {_told(one, problem)}" for one in found.parameters]
 
 
-def _told(one: ParameterEstimate, level: float) -> str:
-    unit, (low, high) = unit_of(one.key), one.interval
+def _told(one: ParameterEstimate, problem: Problem) -> str:
+    unit, level, (low, high) = unit_of(problem, one.key), problem.settings.level, one.interval
     value = f"{one.estimate:.5g}"
     if one.verdict == "not identified":
         return f"{value}{unit}  not identified"
@@ -135,15 +135,17 @@ def _told(one: ParameterEstimate, level: float) -> str:
 
 
 def _posterior_lines(found: "FitResult", posterior: "Posterior") -> list[str]:
-    level, width = found.squares.problem.settings.level, max(len(p.key) for p in found.parameters)
+    problem = found.squares.problem
+    level, width = problem.settings.level, max(len(p.key) for p in found.parameters)
     lines = [
         f"posterior: {len(posterior.samples)} samples worth {posterior.effective:.0f}, "
         f"{100.0 * posterior.acceptance:.0f} % of the moves accepted"
+        + ("; fitted noise stays what it is at the best fit" if found.noise_fitted else "")
     ]
     for j, (low, high) in enumerate(posterior.interval(level).T.tolist()):
         one, middle = found.parameters[j], float(np.median(posterior.samples[:, j]))
         lines.append(
-            f"  {one.key.ljust(width)}  {middle:.5g}{unit_of(one.key)}  from {low:.5g} to "
+            f"  {one.key.ljust(width)}  {middle:.5g}{unit_of(problem, one.key)}  from {low:.5g} to "
             f"{high:.5g} ({100 * level:g} %)"
         )
     return lines

@@ -2,10 +2,11 @@
 
 import difflib
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Set
 from typing import Any
 
 from ringwear_par.cases.text import shortened
+from ringwear_par.cases.units import has_unit, number_in
 from ringwear_par.cases.values import RejectedError, Values, is_number, pair
 from ringwear_par.errors import legible
 from ringwear_par.identification.problem import Prior
@@ -31,6 +32,10 @@ class TableReader:
     def __contains__(self, key: str) -> bool:
         return key in self._table
 
+    def keys(self) -> Set[str]:
+        """Return the keys that are there."""
+        return self._table.keys()
+
     def fault(self, told: str) -> None:
         """Add a sentence about the table."""
         self.faults.append(f"{self.said}: {told}")
@@ -45,8 +50,13 @@ class TableReader:
         self._asked.append(key)
         return self._table.get(key, default)
 
-    def read(self, key: str, values: Values, default: Any = ...) -> Any:
-        """Return what a key holds; its default, or None for none, where it is absent or wrong."""
+    def read(self, key: str, values: Values, default: Any = ..., unit: str = "") -> Any:
+        """Return what a key holds; its default, or None for none, where it is absent or wrong.
+
+        Parameters
+        ----------
+        unit : in which a number that has a unit of its own is returned; "": it may have none.
+        """
         value = self.raw(key, ...)
         fallback = None if default is ... else default
         if value is ...:
@@ -54,6 +64,8 @@ class TableReader:
                 self.wrong(key, f"must be {values.allowed}")
             return fallback
         try:
+            if unit and has_unit(value):
+                value = number_in(value, unit)
             return values.read(list(value) if isinstance(value, tuple) else value)
         except RejectedError as reason:
             why = f" ({reason})" if str(reason) else ""
@@ -93,7 +105,7 @@ class TableReader:
         """Add a sentence for each key that nobody asked for."""
         for key in self._table:
             if key not in self._asked:
-                near = difflib.get_close_matches(key, self._asked, n=1)
+                near = difflib.get_close_matches(key.lower(), self._asked, n=1)
                 hint = f" (did you mean {near[0]}?)" if near else ""
                 self.fault(
                     f"{legible(key)}: unknown key{hint}; must be one of "

@@ -272,6 +272,11 @@ def _difference(before: Result, case: Case) -> str:
             "was computed with another wear law in a Python file than there is now; --restart "
             "needs the same"
         )
+    if before.derivatives:
+        return (
+            "holds derivatives, which a run does not go on with; must be a result without, or "
+            "another name"
+        )
     growing = "time.end" if case.time.adaptive else "time.steps"
     other = f"holds another case; --restart needs the same case, only {growing} may grow"
     # to read a case is to run the laws that it names: of a stored one only what this one runs too

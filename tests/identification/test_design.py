@@ -180,6 +180,72 @@ def test_all_sensors_of_the_template_are_read(tables, tmp_path):
     assert test.experiment.series[1].n == problem.experiments[0].series[2].n
 
 
+def test_instants_of_profiles_vary(tables, comm):
+    """All instants are read of one history of each load; their information is that of a fit."""
+    vary = {**VARY, "profiles": [1, 2], "profile.at": [0.2, 1.0]}
+    found = rw.design(tables(vary), comm)
+    assert len(found.candidates) == 15 * (10 + 10)
+    assert found.histories == 15 + 2
+    parts = [np.array(test.profiles) / test.seconds for test in found.candidates]
+    assert all((at >= 0.2).all() and (at <= 1.0).all() and (np.diff(at) > 0).all() for at in parts)
+    source = tables(vary)
+    best = found.designs[0]
+    for experiment, number in zip(source["experiment"], best.tests, strict=True):
+        test = found.candidates[number]
+        experiment["set"] |= test.changes()
+        record, profile = experiment["data"]
+        experiment["data"] = [record, *({**profile, "at": at} for at in test.profiles)]
+        radii = {"r": np.genfromtxt(profile["file"], delimiter=",", skip_header=1)[:, 0]}
+        for one in experiment["data"][1:]:  # the same table twice would be a fault
+            for key in ("file", "columns"):
+                del one[key]
+            one |= {**radii, "unit": "um"}
+    told = predicted(read_fit(source, plans=True), comm)
+    # steps of the one history end at all instants
+    assert best.sd == pytest.approx(spreads(told), rel=1e-3)
+    assert "profiles at " in found.summary()
+    source["experiment"] = [
+        {**one, "data": [series for series in one["data"] if series["quantity"] == "penetration"]}
+        for one in source["experiment"]
+    ]
+    with pytest.raises(rw.InputError, match=r"profiles: needs a profile in experiment .test 1"):
+        rw.design(source, comm)
+
+
+def test_only_instants_may_vary(tables, comm):
+    found = rw.design(tables({"profile.at": [0.1, 1.0]}, {"experiments": 1}), comm)
+    assert (len(found.candidates), found.histories, len(found.designs)) == (10, 1 + 2, 10)
+    scores = [design.score for design in found.designs]
+    assert scores == sorted(scores, reverse=True)
+    assert scores[0] > scores[-1]
+
+
+def test_noise_that_a_fit_has_found_counts(tables, comm, tmp_path):
+    """The file's is but a guess, of second differences."""
+    source = tables()
+    for experiment in source["experiment"]:
+        experiment["data"][0]["sd"] = "fit"
+    before = rw.design(source, comm)
+    folder = comm.bcast(str(tmp_path))
+    earlier = fit(source, comm)
+    earlier.save(folder)
+    found = rw.design(source, comm, after=folder)
+    for experiment, own in earlier.experiments.items():
+        (series,) = (one.series[0] for one in found.problem.experiments if one.name == experiment)
+        assert series.sd / series.factor == pytest.approx(own["penetration"]["sd"])
+    assert before.problem.experiments[0].series[0].sd != pytest.approx(
+        found.problem.experiments[0].series[0].sd
+    )
+
+
+def test_three_tests_are_told(tables, comm):
+    found = rw.design(tables(budget={"experiments": 3}), comm)
+    assert len(found.designs[0].tests) == len(found.to_dict()["designs"][0]["experiments"]) == 3
+    best = found.designs[0].tests
+    assert found.summary().splitlines()[2].count(" MPa, ") == 3 == len(best)
+    assert found.single_scores.shape == (15,)
+
+
 def test_candidates_keep_to_their_ranges(tables):
     vary = {
         "load.pressure": [40.0, 80.0], "time.end": [20.0, 100.0], "load.steps": [1, 2],
@@ -193,7 +259,7 @@ def test_candidates_keep_to_their_ranges(tables):
         assert list(test.loads) == sorted(test.loads)
         assert 20.0 <= test.seconds <= 90.0
         series = test.experiment.series
-        assert sum(one.profile for one in series) == test.profiles
+        assert tuple(one.at for one in series if one.profile) == test.profiles
         assert max(one.at for one in series if one.profile) == pytest.approx(test.seconds)
         (record,) = (one for one in series if one.quantity == "penetration")
         assert record.x[-1] == pytest.approx(test.seconds)
@@ -218,6 +284,7 @@ def test_candidates_keep_to_their_ranges(tables):
         ({"criterion": "E"}, "criterion = .*one of D, A, eig"),
         ({"criterion": "eig"}, "known before"),
         ({"vary": {}}, "vary: is missing or empty"),
+        ({"vary": {**VARY, "profile.at": [0.5, 50.0]}}, "above 0 and at most 1, parts of the test"),
         ({"vary": {"wear.lower.k": [1.0, 2.0]}}, "wear.lower.k: unknown key"),
         ({"vary": {**VARY, "load.steps": [1, 4], "profiles": [1, 4], "time.end": [10.0, 100.0],
                    "load.omega": [1.0, 2.0]}}, "makes 7800 tests; must be at most 2000"),
@@ -245,7 +312,9 @@ def test_the_folder_holds_what_to_do_next(tables, laboratory, tmp_path, comm, ca
     ]
     assert (tmp_path / "next/design.png").stat().st_size > 10_000
     assert "2 of 15 tests" in capsys.readouterr().out
-    with pytest.raises(rw.InputError, match=r"fit.json: cannot be read"):
+    with pytest.raises(
+        rw.InputError, match=r"fit.json: cannot be read.*; must be the folder of a fit"
+    ):
         run_design(source, tmp_path / "later", comm, after=tmp_path / "next")
     (tmp_path / "next/fit.json").write_text("{}")
     with pytest.raises(rw.InputError, match="no outcome of ringwear fit"):

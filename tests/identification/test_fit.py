@@ -10,6 +10,7 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
+import xarray
 from laboratory import (
     CASE,
     END,
@@ -299,7 +300,8 @@ def test_other_laws_are_told_not_to_fit(tables, comm):
             "parameters": {"wear.lower.k": FITTED["wear.lower.k"]},
         }
     }
-    found = fit(given, comm)
+    assert fit(given, comm).alternatives == {}
+    found = fit(given, comm, compare=True)
     other = found.alternatives["archard"]
     assert other.flagged
     assert other.aic > found.aic + 10
@@ -325,7 +327,7 @@ def test_a_law_that_fails_leaves_the_fit(tables, comm, monkeypatch):
 
     solved = starts_room._solved
     monkeypatch.setattr(starts_room, "_solved", failing)
-    found = fit(given, comm)
+    found = fit(given, comm, compare=True)
     assert set(found.profiles) == set(TRUTH)
     told = found.to_dict()["alternatives"]
     assert "it broke" in told["bad"]["error"]
@@ -390,6 +392,30 @@ def test_what_is_written(written, comm, capsys):
         assert chi2 == pytest.approx(told["chi2"])
         sensitivity = groups[0]["sensitivity"]
         assert sensitivity.shape == (len(groups[0]["time"]), 2)
+        names = list(file)
+    units = {"wear.lower.k": "1/MPa", "wear.lower.p0": "MPa"}
+    assert {key: one["unit"] for key, one in told["parameters"].items()} == units
+    for name in names:
+        opened = xarray.open_dataset(folder / "results.h5", group=name, engine="h5netcdf")
+        with opened as stored:
+            assert stored["parameter"].values.tolist() == list(units)
+            assert stored["parameter_unit"].values.tolist() == list(units.values())
+            to_k = stored["sensitivity"].sel(parameter="wear.lower.k")
+            assert to_k.dims == ("reading",)
+            assert stored["data"].attrs["units"] == "mm"
+
+
+@pytest.mark.serial
+def test_doubts_are_said_once(tables, tmp_path, comm, capfd):
+    given = tables(starts=1)
+    for series in given["experiment"][0]["data"]:
+        series["sd"] *= 0.1
+    path = tmp_path / "fit.toml"
+    path.write_text("".join(f"{key} = {toml_value(value)}\n" for key, value in given.items()))
+    run_fit(path, tmp_path / "out", comm)
+    out, err = capfd.readouterr()
+    assert out.count("warning: the model does not fit") == 1
+    assert "does not fit" not in err
 
 
 @pytest.mark.serial
@@ -458,7 +484,7 @@ def test_names_of_laws_are_no_names_of_files(tables, comm, tmp_path):
     law = {"set": {}, "parameters": {"wear.lower.k": FITTED["wear.lower.k"]}}
     given["compare"] = {"fit": law, "../../evil": law}
     folder = tmp_path / "deep" / "out"
-    found = fitted(read_fit(given), comm, folder=folder)
+    found = fitted(read_fit(given), comm, compare=True, folder=folder)
     assert [len(other.parameters) for other in found.alternatives.values()] == [1, 1]
     kept = sorted(str(p.relative_to(tmp_path)) for p in tmp_path.rglob("*.json"))
     assert kept == [f"deep/out/progress/{law}-0.json" for law in range(3)]

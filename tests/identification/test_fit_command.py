@@ -60,7 +60,7 @@ def test_a_fit_on_all_ranks(write, ringwear, comm):
         (lambda t: t["fit"]["parameters"].update(x={"start": -1}), "cannot be fitted"),
         (lambda t: t["experiment"][0]["data"][0].update(sd=-1), "sd = -1: must be a finite number"),
         (lambda t: t["experiment"][0]["data"].append(
-            {"quantity": "mass.upper", "value": 0, "unit": "g", "density": 1, "sd": 1}),
+            {"quantity": "mass.upper", "value": 0, "unit": "g", "density": 0.0078, "sd": 1}),
          "does not respond to any parameter"),
         (lambda t: t["experiment"][0]["set"].update({"load.pressure": [[0, -1]]}),
          "load.pressure"),

@@ -1,5 +1,6 @@
 """Samples of the posterior: exact where the model is linear, within bounds, alike on all ranks."""
 
+import copy
 from dataclasses import replace
 
 import h5py
@@ -8,14 +9,18 @@ import pytest
 from laboratory import FITTED, fit_tables, write_tests
 from scipy.stats import truncnorm
 
-from ringwear_par.errors import RingwearError
-from ringwear_par.identification.fit import fit, predicted
+from ringwear_par.errors import ComputationError, RingwearError
+from ringwear_par.identification import chain
+from ringwear_par.identification.chain import Keeper
+from ringwear_par.identification.fit import fit, fitted, predicted
 from ringwear_par.identification.fit_file import read_fit
 from ringwear_par.identification.histories import Histories
 from ringwear_par.identification.intervals import estimates
 from ringwear_par.identification.least_squares import LeastSquares
 from ringwear_par.identification.posterior import sample_posterior
 from ringwear_par.identification.problem import Prior
+
+NOWHERE = Keeper(None, "")
 
 
 @pytest.fixture(scope="module")
@@ -55,7 +60,7 @@ def linear(laboratory):
     """A function that makes a linear problem, its optimum, covariance and samples."""
     known = {}
 
-    def made(comm, samples=4000, deaf=False, **changes):
+    def made(comm, samples=4000, deaf=False, keeper=NOWHERE, **changes):
         folder, written = laboratory
         tables = fit_tables(folder, written, intervals=["posterior"], samples=samples)
         problem = read_fit(tables)
@@ -84,7 +89,7 @@ def linear(laboratory):
             x = np.clip(x + step, squares.lower, squares.upper)
         found = squares.evaluate(x)
         _, covariance = estimates(squares, x, found)
-        drawn = sample_posterior(squares, histories, x, covariance, comm, lambda: False)
+        drawn = sample_posterior(squares, histories, x, covariance, comm, lambda: False, keeper)
         unknowns = np.array(
             [[p.unknown(v) for p, v in zip(parameters, row, strict=True)] for row in drawn.samples]
         )
@@ -180,3 +185,83 @@ def test_samples_are_kept(laboratory, comm, tmp_path):
     low, high = told["interval"]
     assert FITTED["wear.lower.p0"]["bounds"][0] <= low < told["median"] < high
     assert "posterior:" in found.summary()
+    assert "fitted noise" not in found.summary()
+
+
+class DyingKeeper(Keeper):
+    """Keeps the walk after every step, and fails after some."""
+
+    def __init__(self, path, after=1000):
+        super().__init__(path, "problem")
+        self.after, self.lengths = after, []
+
+    def write(self, walk):  # noqa: D102
+        super().write(walk)
+        self.lengths.append(len(walk.steps))
+        if len(self.lengths) == self.after:
+            raise ComputationError("the power failed")
+
+
+@pytest.mark.serial
+def test_a_stopped_walk_goes_on_to_the_same_samples(linear, tmp_path, comm, monkeypatch):
+    """In the steps that are thrown away, after them, and at the end; to the last bit."""
+    monkeypatch.setattr(chain, "KEEP_SECONDS", 0.0)
+    *_, whole = linear(comm, samples=64)
+    steps = 12 + len(whole.samples) // 16
+    for after in (1, 9, steps - 1, steps):
+        path = tmp_path / f"{after}.npz"
+        with pytest.raises(ComputationError, match="the power failed"):
+            linear(comm, samples=64, keeper=DyingKeeper(path, after))
+        keeper = DyingKeeper(path)
+        *_, again = linear(comm, samples=64, keeper=keeper)
+        assert keeper.lengths == list(range(after + 1, steps + 1))
+        assert again.samples.tobytes() == whole.samples.tobytes()
+        assert (again.acceptance, again.effective) == (whole.acceptance, whole.effective)
+
+
+@pytest.mark.serial
+def test_a_stopped_posterior_goes_on(laboratory, tmp_path, comm, monkeypatch):
+    tables = fit_tables(*laboratory, intervals=["posterior"], samples=64, starts=1)
+    monkeypatch.setattr(chain, "KEEP_SECONDS", 0.0)
+    write, lengths = Keeper.write, []
+
+    def dying(self, walk):
+        write(self, walk)
+        lengths.append(len(walk.steps))
+        if lengths == [1, 2]:
+            raise ComputationError("the power failed")
+
+    monkeypatch.setattr(Keeper, "write", dying)
+    with pytest.raises(ComputationError, match="the power failed"):
+        fitted(read_fit(tables), comm, folder=tmp_path)
+    assert (tmp_path / "progress/posterior.npz").is_file()
+    found = fitted(read_fit(tables), comm, folder=tmp_path)
+    assert lengths[:3] == [1, 2, 3]
+    assert len(found.posterior.samples) == 64
+
+
+def test_a_walk_of_another_problem_is_not_gone_on_with(tmp_path):
+    walk = chain.Walk(np.zeros((3, 16, 2)), np.zeros(16), 7, np.random.RandomState(1).get_state())
+    Keeper(tmp_path / "a/walk.npz", "one").write(walk)
+    found = Keeper(tmp_path / "a/walk.npz", "one").read()
+    assert found.steps.shape == (3, 16, 2)
+    drawn = []
+    for state in (walk.random_state, found.random_state):
+        random = np.random.RandomState()
+        random.set_state(state)
+        drawn.append(random.standard_normal(5).tolist())
+    assert drawn[0] == drawn[1]
+    assert Keeper(tmp_path / "a/walk.npz", "two").read() is None
+    whole = (tmp_path / "a/walk.npz").read_bytes()
+    (tmp_path / "a/walk.npz").write_bytes(whole[: len(whole) // 2])
+    assert Keeper(tmp_path / "a/walk.npz", "one").read() is None
+    assert Keeper(tmp_path / "none.npz", "one").read() is None
+
+
+@pytest.mark.serial
+def test_that_fitted_noise_stays_is_said(laboratory, comm):
+    folder, written = laboratory
+    tables = fit_tables(folder, written, intervals=["posterior"], samples=64, starts=1)
+    tables["experiment"] = copy.deepcopy(written)
+    tables["experiment"][0]["data"][0]["sd"] = "fit"
+    assert "; fitted noise stays what it is at the best fit" in fit(tables, comm).summary()

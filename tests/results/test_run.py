@@ -7,6 +7,7 @@ from pathlib import Path
 import h5py
 import pytest
 
+import ringwear_par as rw
 from ringwear_par import read_case, simulate
 from ringwear_par.errors import ComputationError, InputError
 from ringwear_par.results.files import open_result, read_status
@@ -185,3 +186,15 @@ def test_a_run_of_another_version_says_so(shared_path, comm, monkeypatch, caplog
     assert (found["begun_by"], found["version"]) == ("0.0.9", __version__)
     if comm.rank == 0:
         assert "computed so far by version 0.0.9" in caplog.text
+
+
+def test_a_result_with_derivatives_does_not_go_on_without_them(shared_path, comm):
+    path = shared_path / "derived.h5"
+    keys = dict(key.split("=") for key in SMALL)
+    case = rw.read_case(PAPER, {key: float(value) for key, value in keys.items()})
+    rw.simulate(case, comm, derivatives=["wear.lower.k"]).save(path)
+    longer = [*SMALL, "time.steps=25"]
+    with pytest.raises(InputError, match="holds derivatives, which a run does not go on with"):
+        run_case(PAPER, path, longer, comm=comm, restart=True)
+    assert read_status(path) == ("complete", 20)
+    assert open_result(path).derivatives

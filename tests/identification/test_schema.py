@@ -1,0 +1,127 @@
+"""The table of a fit file's keys is that of what is read, and the files there are have no other."""
+
+import copy
+import json
+import re
+import tomllib
+from pathlib import Path
+
+import pytest
+
+from ringwear_par.cli import main
+from ringwear_par.errors import InputError
+from ringwear_par.identification.fit_file import read_fit
+from ringwear_par.identification.inline_tables import on_one_line
+from ringwear_par.identification.schema import KEYS, schema
+
+FIT = Path(__file__).parents[2] / "scripts/fit"
+PARAMETER = {"start": 1e-7, "bounds": [1e-9, 1e-5]}
+SERIES = {"quantity": "penetration", "unit": "um", "sd": 0.1, "times": [1.0, 2.0]}
+PROFILE = {"quantity": "profile.lower", "unit": "um", "sd": 0.1, "r": [29.0, 30.0, 31.0]}
+SOUGHT = {"wear.lower.k": PARAMETER}
+MASS = {"quantity": "mass.lower", "unit": "g", "sd": 0.1, "density": 0.001}
+FILE = {"quantity": "penetration", "sd": 0.1, "file": str(FIT / "test1_penetration.csv"),
+        "columns": {"time": "time_s", "value": "penetration_um"}}  # fmt: skip
+VALUE = {"quantity": "approach", "sd": 0.1, "value": 1.0, "unit": "um"}
+TABLES = {
+    "case": str(FIT.parent / "cases/paper.toml"),
+    "fit": {"parameters": SOUGHT},
+    "experiment": [
+        {"name": "one", "set": {}, "data": [SERIES, PROFILE, MASS, FILE, VALUE]},
+    ],
+    "compare": {"a": {"set": {"wear.lower.p0": 1.0}, "parameters": SOUGHT}},
+    "design": {"vary": {"load.pressure": [1.0, 2.0]}, "budget": {}},
+}
+
+
+def keys_of(path, tables):
+    """Return the keys that a table may have, as the fault of an unknown one tells them."""
+    tables = json.loads(json.dumps(tables))  # no table in two places
+    place = tables
+    for key in path:
+        place = place[key]
+    place["unheard of"] = {}
+    with pytest.raises(InputError) as caught:
+        read_fit(tables, plans=True)
+    (fault,) = (f for f in caught.value.faults if "unheard of: unknown key" in f)
+    return set(fault.rpartition("must be one of ")[2].split(", "))
+
+
+def in_schema(table):
+    """Return the keys of a table that the schema has."""
+    paths = [key.path.removeprefix(table) for key in KEYS if key.path.startswith(table)]
+    return {re.sub(r"^(parameters|data|vary|budget|nuisance)\..*", r"\1", path) for path in paths}
+
+
+@pytest.mark.parametrize(
+    ("path", "table"),
+    [
+        (("fit",), "fit."),
+        (("fit", "parameters", "wear.lower.k"), "fit.parameters.KEY."),
+        (("experiment", 0), "experiment."),
+        (("compare", "a"), "compare.NAME."),
+        (("design",), "design."),
+        (("design", "vary"), "design.vary."),
+        (("design", "budget"), "design.budget."),
+    ],
+)
+def test_every_key_is_told(path, table):
+    assert keys_of(path, TABLES) == in_schema(table)
+
+
+def test_every_key_of_readings_is_told():
+    data = range(len(TABLES["experiment"][0]["data"]))
+    found = [keys_of(("experiment", 0, "data", i), TABLES) for i in data]
+    assert set.union(*found) == in_schema("experiment.data.")
+    errors = set()
+    for i in (0, 1):
+        tables = copy.deepcopy(TABLES)
+        tables["experiment"][0]["data"][i]["nuisance"] = {"unheard of": {}}
+        with pytest.raises(InputError) as caught:
+            read_fit(tables, plans=True)
+        (fault,) = (f for f in caught.value.faults if "unheard of" in f)
+        errors |= set(fault.rpartition("must be one of ")[2].split(", "))
+    table = "experiment.data.nuisance."
+    told = {key.path.removeprefix(table) for key in KEYS if key.path.startswith(table)}
+    assert told == errors | {"KIND.prior", "KIND.bounds"}
+
+
+def test_top_tables_are_told():
+    with pytest.raises(InputError, match="Case: unknown key") as caught:
+        read_fit(TABLES | {"Case": 1}, plans=True)
+    told = set(caught.value.faults[0].rpartition("must be one of ")[2].split(", "))
+    assert told == {key.path.partition(".")[0] for key in KEYS}
+
+
+def test_defaults_are_those_of_what_is_read():
+    """A file that says every default is read as one that says none."""
+    tables = copy.deepcopy(TABLES)
+    for key in KEYS:
+        table, _, name = key.path.rpartition(".")
+        if table in ("fit", "design") and key.default is not None:
+            tables[table][name] = key.default
+    tables["fit"]["parameters"]["wear.lower.k"]["scale"] = "linear"
+    plain, said = (read_fit(each, plans=True) for each in (TABLES, tables))
+    assert said.settings == plain.settings
+    assert said.design == plain.design
+    assert said.parameters == plain.parameters
+
+
+@pytest.mark.parametrize("name", ["fit.toml", "plan.toml"])
+def test_files_that_there_are_keep_to_it(name):
+    tables = tomllib.loads(on_one_line((FIT / name).read_text()))
+    known = in_schema("experiment.data.")
+    for experiment in tables["experiment"]:
+        assert set().union(*experiment["data"]) <= known
+    assert tables.keys() <= {key.path.partition(".")[0] for key in KEYS}
+    read_fit(FIT / name, plans=True)
+
+
+@pytest.mark.serial
+def test_the_table_is_printed(capsys):
+    assert main(["info", "--schema", "fit"]) == 0
+    said = capsys.readouterr().out
+    assert said.strip() == schema().strip()
+    assert re.search(r"^experiment.data.density +g/mm3 ", said, re.MULTILINE)
+    assert main(["info", "--schema"]) == 0
+    assert "wear.lower.k" in capsys.readouterr().out
