@@ -11,6 +11,7 @@ from ringwear_par.arrays import FloatArray, IntArray
 from ringwear_par.identification.candidates import Candidate
 from ringwear_par.identification.design_summary import name_of
 from ringwear_par.identification.summary import unit_of
+from ringwear_par.results.drawing import COLOURS
 
 if TYPE_CHECKING:
     from ringwear_par.identification.design import DesignResult
@@ -122,7 +123,7 @@ def _draw(axes: Any, x: list[float], y: list[float], table: FloatArray, label: s
 
 
 def _mark(axes: Any, x: list[float], y: list[float], told: str) -> None:
-    axes.plot(x, y, "o", mfc="none", mec="C3", mew=2, ms=10, label=f"best: {told}")
+    axes.plot(x, y, "o", mfc="none", mec=COLOURS[1], mew=2, ms=10, label=f"best: {told}")
     if told:
         axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), fontsize=8, frameon=False)
 
@@ -130,7 +131,7 @@ def _mark(axes: Any, x: list[float], y: list[float], told: str) -> None:
 def _bars(axes: Any, found: "DesignResult", j: int, scale: float, label: str) -> None:
     names = ["\n+ ".join(name_of(found.candidates[i]) for i in one.tests) for one in found.designs]
     values = [scale * one.sd[j] for one in found.designs]
-    axes.barh(range(len(values)), np.where(np.isfinite(values), values, 0.0), color="C0")
+    axes.barh(range(len(values)), np.where(np.isfinite(values), values, 0.0), color=COLOURS[0])
     axes.set_yticks(range(len(values)), names if j == 0 else [], fontsize=7)
     axes.invert_yaxis()
     axes.set_xlabel(label)

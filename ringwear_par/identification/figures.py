@@ -12,13 +12,14 @@ from scipy.stats import norm
 
 from ringwear_par.arrays import IntArray
 from ringwear_par.identification.problem import Experiment, Series
+from ringwear_par.results.drawing import COLOURS
 
 if TYPE_CHECKING:
     from ringwear_par.identification.outcome import FitResult
 
 _COLUMNS = 3
 _WIDTH, _NARROW, _HEIGHT = 4.3, 0.5, 3.9
-_DATA, _MODEL, _BAND = "0.55", "C3", "C0"
+_DATA, _MODEL, _BAND = "0.55", COLOURS[1], COLOURS[0]
 _RESIDUAL = "(data - model) / sd"
 #: what readings are called, by the first part of their quantity, if not by that
 _WORDS = {"profile": "depth", "mass": "mass loss", "volume": "volume loss"}

@@ -11,11 +11,12 @@ from ringwear_par.arrays import FloatArray
 from ringwear_par.identification.intervals import ParameterEstimate
 from ringwear_par.identification.problem import Problem
 from ringwear_par.identification.summary import unit_of
+from ringwear_par.results.drawing import COLOURS
 
 if TYPE_CHECKING:
     from ringwear_par.identification.outcome import FitResult
 
-_LINEAR, _PROFILE, _SAMPLES, _BEST = "C0", "C1", "0.6", "C3"
+_LINEAR, _PROFILE, _SAMPLES, _BEST = COLOURS[0], COLOURS[2], "0.6", COLOURS[1]
 _LEVELS = (0.68, 0.95)
 
 
