@@ -2,9 +2,9 @@
 
 The paper's rings, 200 s, with respect to four numbers. The same histories are computed plain and
 with derivatives, in turns, checks and results included; times are of this process alone, so that
-others on the machine matter less, and their ratios, of which the median counts, are those of
-neighbours. "Alone" is ``rw.simulate`` of the paper's case, "together" are as many cases as are given
-by ``rw.simulate_all``, drawn as for ``--ensembles``.
+others on the machine matter less, and the ratio, of which the median counts, is that of neighbours.
+"Alone" is ``rw.simulate`` of the paper's case, "together" are as many cases as are given by
+``rw.simulate_all``, drawn as for ``--ensembles``.
 """
 
 import time

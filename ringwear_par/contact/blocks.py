@@ -140,9 +140,9 @@ class HessianBlocks:
         return out
 
     def solve_more(self, histories: IntArray, right: FloatArray) -> FloatArray:
-        """Return the same for several right sides, (k, h, n)."""
-        out = np.zeros_like(right)
+        """Return the same for several right sides, (k, h, n), to round-off."""
         if isinstance(self._factors, list):
+            out = np.zeros_like(right)
             for place, history in enumerate(histories):
                 free, factor = self._free[history], self._factors[history]
                 if factor is None:
@@ -150,6 +150,7 @@ class HessianBlocks:
                 elif free.any():
                     out[:, place, free] = dpotrs(factor, right[:, place, free].T, lower=1)[0].T
         else:
+            out = np.empty_like(right)
             interleaved.solve_more(histories, self._free, self._factors, right, out)
         return out
 

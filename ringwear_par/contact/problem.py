@@ -177,7 +177,7 @@ class ContactProblem:
         return 1.0 + self._slope
 
     def left_out(self, x: FloatArray, slope: FloatArray | None) -> FloatArray | None:
-        """Return what the wear's slopes at a solution make of x, (n, k), more than the Hessian's.
+        """Return what the wear's slopes at a solution make of x, (k, n), more than the Hessian's.
 
         The Hessian is that of the iterate before; None where it is the same.
 
@@ -189,9 +189,9 @@ class ContactProblem:
             return None
         if slope.ndim > 1:
             scaled = self.weights[:, None] * slope / self.scale
-            return (scaled - self._coupling) @ x
+            return x @ (scaled - self._coupling).T
         change = slope * self._slope_weight - self._slope
-        return change[:, None] * x if change.any() else None
+        return change * x if change.any() else None
 
     def add_coupling(self, q: FloatArray, hessian: FloatArray) -> None:
         """Add to the own rows of the Hessian what non-local wear does."""
