@@ -33,6 +33,7 @@ class ActiveSetNewton(Method):
     def __init__(self) -> None:
         super().__init__()
         self._factor: FloatArray | None = None
+        self._kept: tuple[FloatArray, FloatArray] | None = None
         self._free: BoolArray = np.empty(0, dtype=bool)
         self._diagonal: FloatArray | float = 1.0
         self._state = -1
@@ -45,7 +46,7 @@ class ActiveSetNewton(Method):
 
     def destroy(self, tao: PETSc.TAO) -> None:
         """Forget the factor, and what is the TAO's."""
-        self._factor, self._state = None, -1
+        self._factor, self._kept, self._state = None, None, -1
         super().destroy(tao)
 
     def solve(self, tao: PETSc.TAO) -> None:
@@ -140,6 +141,16 @@ class ActiveSetNewton(Method):
         x = np.zeros_like(right)
         x[self._free], _ = dpotrs(self._factor, right[self._free], lower=1)
         return x
+
+    def kept_response(self, right: FloatArray) -> FloatArray | None:
+        """Return the same for the right side (n,) that it always is, once for each factor."""
+        if self._factor is None:
+            return None
+        if self._kept is None or self._kept[0] is not self._factor:
+            response = self.response(right)
+            assert response is not None
+            self._kept = self._factor, response
+        return self._kept[1]
 
     def responses(self, right: FloatArray) -> FloatArray | None:
         """Return the same, to round-off, for right sides (k, n), in half the time."""

@@ -497,7 +497,7 @@ class WearModel:
         return field @ self.area if len(self.shape) == 1 else inner(self.area, field)
 
     def _sums(self, weights: FloatArray, values: FloatArray) -> Numbers:
-        """Return sums over elements of values (..., n): of one history by BLAS, which is quicker."""
+        """Return sums over the elements, (...): of one history by BLAS, which is quicker."""
         if len(self.shape) == 1 and values.ndim > 1:
             return values @ weights
         return inner(weights, values)

@@ -25,6 +25,7 @@ from ringwear_par.results.recorder import Recorder, attributes, derivative_names
 from ringwear_par.results.result import Result
 from ringwear_par.results.variables import D_PROFILES, HISTORIES
 
+_BALANCES = [each.name for each in fields(Balances)]
 #: what is told since the start, and of what
 _SINCE_START = {"penetration": "approach", "d_penetration": "d_approach"}
 
@@ -102,7 +103,7 @@ class BatchRecorder:
         self._rows: dict[str, list[Any]] = {name: [] for name in stored if name not in last}
         self._last = {name: np.full(self._shape(name, count), np.nan) for name in last}
         self._pending = np.zeros(count, dtype=np.int64)
-        self._worst = {each.name: np.zeros(count) for each in fields(Balances)}
+        self._worst = np.zeros((len(_BALANCES), count))
         self._step_error_time = np.zeros(count)
         self._doubts: list[tuple[Doubt, ...]] = [()] * count
         self._ends: list[_End] = []
@@ -135,15 +136,14 @@ class BatchRecorder:
         now, numbers = balances(snapshot.model, snapshot.state), snapshot.numbers[shown]
         if snapshot.step is not None:
             now["step_error"] = snapshot.step.wear_error
+        every = np.zeros((len(_BALANCES), len(snapshot.numbers)))
         for name, value in now.items():
-            worst = self._worst[name]
-            if isinstance(value, float):
-                value = np.full(len(snapshot.numbers), value)
-            value, before = value[shown], worst[numbers]
-            worse = ~(value <= before)  # NaN too
-            worst[numbers] = np.where(worse, value, before)
-            if name == "step_error":
-                self._step_error_time[numbers[worse]] = snapshot.state.time[shown][worse]
+            every[_BALANCES.index(name)] = value
+        value, before = every[:, shown], self._worst[:, numbers]
+        worse = ~(value <= before)  # NaN too
+        self._worst[:, numbers] = np.where(worse, value, before)
+        step = worse[_BALANCES.index("step_error")]
+        self._step_error_time[numbers[step]] = snapshot.state.time[shown][step]
 
     def _store(self, snapshot: BatchSnapshot, stored: IntArray) -> None:
         values, numbers = row(snapshot.model, snapshot.state), snapshot.numbers[stored]
@@ -185,7 +185,7 @@ class BatchRecorder:
 
     def balances(self, number: int) -> Balances:
         """Return the worst of all balances of a history so far."""
-        return Balances(**{name: float(values[number]) for name, values in self._worst.items()})
+        return Balances(*self._worst[:, number].tolist())
 
     def columns(self, alone: Mapping[int, Alone]) -> HistoryColumns:
         """Return all histories as they are stored.
@@ -198,7 +198,7 @@ class BatchRecorder:
         numbers, steps, rows = self._sorted(alone)
         found = rows | self._last_ones(alone)
         offsets = np.searchsorted(numbers, np.arange(count + 1))
-        imbalance = np.max([self._worst[name] for name in TO_ROUND_OFF], axis=0)
+        imbalance = self._worst[[_BALANCES.index(name) for name in TO_ROUND_OFF]].max(axis=0)
         flags = [tuple(doubt.flag for doubt in found) for found in self._doubts]
         seconds = np.full(count, self._seconds / count)
         for number, one in alone.items():
