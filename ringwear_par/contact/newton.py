@@ -157,15 +157,10 @@ class ActiveSetNewton(Method):
         factor, free = self._factor, self._free
         if factor is None:
             return None
-        whole = free.all()
-        rows = np.asfortranarray(right if whole else right[:, free])
-        # from the right, where BLAS has less to pack
-        rows = dtrsm(1.0, factor, rows, side=1, lower=1, trans_a=1, overwrite_b=1)
-        rows = dtrsm(1.0, factor, rows, side=1, lower=1, overwrite_b=1)
-        if whole:
-            return np.ascontiguousarray(rows)
+        if free.all():
+            return solve_rows(factor, right)
         x = np.zeros_like(right)
-        x[:, free] = rows
+        x[:, free] = solve_rows(factor, right[:, free])
         return x
 
     def _search(
@@ -189,6 +184,16 @@ class ActiveSetNewton(Method):
             if slope <= -1e-8 * before or length < 1e-10:
                 return trial, after
             length *= max(0.1, before / (before - slope))  # where a straight line would vanish
+
+
+def solve_rows(factor: FloatArray, right: FloatArray) -> FloatArray:
+    """Return what a lower Cholesky factor (n, n) makes of right sides (k, n), in their shape.
+
+    From the right, where BLAS has less to pack: half the time of LAPACK's solution.
+    """
+    rows = np.asfortranarray(right)
+    rows = dtrsm(1.0, factor, rows, side=1, lower=1, trans_a=1, overwrite_b=rows is not right)
+    return np.ascontiguousarray(dtrsm(1.0, factor, rows, side=1, lower=1, overwrite_b=1))
 
 
 def stop_if_told(tao: PETSc.TAO) -> None:
