@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
@@ -164,7 +164,7 @@ class BatchRecorder:
     def _end(self, snapshot: BatchSnapshot, ended: IntArray) -> None:
         """Take the last states of histories."""
         numbers, model = snapshot.numbers[ended], snapshot.model
-        state = snapshot.state.take(ended)
+        state = replace(snapshot.state, tangent=None).take(ended)  # derivatives are stored by now
         errors, elements = (values[ended] for values in model.asymmetry)
         for place, number in enumerate(numbers.tolist()):
             case = self._cases[number]
