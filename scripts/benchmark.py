@@ -2,6 +2,7 @@
 
 Usage: [mpirun -n N] python scripts/benchmark.py [--sizes 32 64 128 256] [--repeats 5] [--csv F]
    or: python scripts/benchmark.py --ensembles 2048 [--sizes 64] [--repeats 5]
+   or: python scripts/benchmark.py --derivatives 128 [--sizes 64] [--repeats 5]
 
 The paper's rings, 80 MPa and p0 = 40 MPa. Every time is the median over the repeats (after one that
 is not counted) of the slowest rank's wall time; memory is the largest rank's peak so far, which
@@ -13,7 +14,8 @@ door, with their checks, balances and results. On one rank, "run" is ``ringwear 
 start, once of a shape that is assembled and once of one that is known. Counts: kernel evaluations
 (both bodies, all directions), flops of the factorisations 2/3 n^3.
 
-Of ensembles, so many cases of each kind, see ``benchmark_ensembles``.
+Of ensembles, so many cases of each kind, see ``benchmark_ensembles``; of derivatives
+``benchmark_derivatives``.
 """
 
 import argparse
@@ -29,6 +31,7 @@ from pathlib import Path
 from statistics import median
 from tempfile import TemporaryDirectory
 
+import benchmark_derivatives
 import benchmark_ensembles
 import numpy as np
 from mpi4py import MPI
@@ -173,7 +176,12 @@ def main() -> None:
     parser.add_argument("--repeats", type=int, default=5)
     parser.add_argument("--csv", type=Path)
     parser.add_argument("--ensembles", type=int, metavar="CASES")
+    parser.add_argument("--derivatives", type=int, metavar="CASES")
     args = parser.parse_args()
+    if args.derivatives is not None:
+        for elements in args.sizes:
+            benchmark_derivatives.print_table(args.derivatives, elements, args.repeats)
+        return
     if args.ensembles is not None:
         for elements in args.sizes:
             benchmark_ensembles.print_table(args.ensembles, elements, args.repeats)

@@ -136,7 +136,7 @@ def natural(
         largest[place] = top
 
 
-@compiled
+@compiled(fastmath={"contract", "reassoc"})
 def follow(
     weights: FloatArray,
     scale: FloatArray,

@@ -14,7 +14,7 @@ from mpi4py import MPI
 from ringwear_par.arrays import FloatArray, IntArray, inner
 from ringwear_par.contact.active_sets import follow, natural
 from ringwear_par.contact.blocks import HessianBlocks
-from ringwear_par.contact.interleaved import multiply
+from ringwear_par.contact.interleaved import multiply, multiply_more
 from ringwear_par.contact.lockstep import LockStepNewton
 from ringwear_par.contact.problem import KKT_TOLERANCE, ContactState
 from ringwear_par.contact.tao import OPEN, Guard
@@ -380,15 +380,18 @@ class BatchSolver:
         self._newton.approaches[:] = start[1]
 
     def products(self, matrices: FloatArray, which: IntArray, p: FloatArray) -> FloatArray:
-        """Return the products of transposed matrices (m, n, n), one a history, and p (B, n)."""
+        """Return the products of transposed matrices (m, n, n), one a history, and p (B, n).
+
+        Or of several p, (P, B, n).
+        """
         found = np.empty(p.shape)
-        multiply(self._every, matrices, which, np.ascontiguousarray(p), found)
+        product = multiply if p.ndim == 2 else multiply_more
+        product(self._every, matrices, which, np.ascontiguousarray(p), found)
         return found
 
     def deflections(self, d_p: FloatArray) -> FloatArray:
         """Return what (P, B, n) MPa make of the gaps, mm."""
-        every = (self.products(self._scaled, self._which, self._scale * p) for p in d_p)
-        return np.array(list(every)) / self._weights
+        return self.products(self._scaled, self._which, self._scale * d_p) / self._weights
 
     def take(self, histories: IntArray) -> "BatchSolver":
         """Return a solver of some of the histories, which starts where this one would."""
@@ -423,6 +426,7 @@ def load_batch_kernels(comm: MPI.Comm) -> None:
             solver.response(np.zeros((1, 2)), True)
             one = np.ones((1, 1))
             solver.tangents(state, np.ones((1, 1, 2)), one, None, None, np.arange(1))
+            solver.deflections(np.ones((1, 1, 2)))
         finally:
             solver.destroy()
 

@@ -7,6 +7,7 @@ from scipy.linalg.lapack import dpotrf, dpotrs
 
 from ringwear_par.arrays import BoolArray, FloatArray, IntArray
 from ringwear_par.contact import interleaved
+from ringwear_par.contact.newton import solve_rows
 from ringwear_par.petsc import PETSc
 
 #: largest blocks that are factored eight at a time: a factor and 3.5 solutions, as many as steps
@@ -140,16 +141,17 @@ class HessianBlocks:
         return out
 
     def solve_more(self, histories: IntArray, right: FloatArray) -> FloatArray:
-        """Return the same for several right sides, (k, h, n)."""
-        out = np.zeros_like(right)
+        """Return the same for several right sides, (k, h, n), to round-off."""
         if isinstance(self._factors, list):
+            out = np.zeros_like(right)
             for place, history in enumerate(histories):
                 free, factor = self._free[history], self._factors[history]
                 if factor is None:
                     out[:, place, free] = np.nan
                 elif free.any():
-                    out[:, place, free] = dpotrs(factor, right[:, place, free].T, lower=1)[0].T
+                    out[:, place, free] = solve_rows(factor, right[:, place, free])
         else:
+            out = np.empty_like(right)
             interleaved.solve_more(histories, self._free, self._factors, right, out)
         return out
 

@@ -265,8 +265,7 @@ class CorrectedBatch:
 
     def take_shift(self, d_gap: FloatArray, d_p: FloatArray) -> None:
         """Take what the excesses make of derivatives of pressures, (P, B, n), from gaps'."""
-        for gap, p in zip(d_gap, d_p, strict=True):
-            gap -= self.solver.products(self._transposed, self._which, p)
+        d_gap -= self.solver.products(self._transposed, self._which, d_p)
 
     def products(self, matrices: FloatArray, which: IntArray, p: FloatArray) -> FloatArray:
         """Return the products of transposed matrices (m, n, n), one a history, and p (B, n)."""

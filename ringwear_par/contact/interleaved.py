@@ -21,8 +21,11 @@ from ringwear_par.elasticity.compiling import compiled
 GROUP = 8
 #: rows that are eliminated at once; systems are padded to a multiple of it
 PANEL = 8
+#: right sides that are solved for at once, where there are several
+COLUMNS = 4
 
 _NUMBERS = ir.VectorType(ir.DoubleType(), GROUP)
+_HALF = ir.VectorType(ir.DoubleType(), GROUP // 2)
 _ADDRESS = ir.IntType(64)
 _BYTES = 8 * GROUP  # of one entry of all eight
 
@@ -41,10 +44,10 @@ def _store(builder: Any, value: Any, address: Any, entries: int = 0) -> None:
     builder.store(value, _at(builder, address, entries), align=8)
 
 
-def _function(builder: Any, name: str, arguments: int) -> Any:
+def _function(builder: Any, name: str, arguments: int, numbers: Any = _NUMBERS) -> Any:
     """Return one of LLVM's own functions of vectors."""
     known = builder.module.globals
-    kind = ir.FunctionType(_NUMBERS, [_NUMBERS] * arguments)
+    kind = ir.FunctionType(numbers, [numbers] * arguments)
     return known.get(name) or ir.Function(builder.module, kind, name)
 
 
@@ -180,6 +183,81 @@ def _backward_rows(context: Any, to: Any, known: Any, row: Any, length: Any) -> 
     return types.void(to, known, row, length), generate
 
 
+def _half(builder: Any, half: int, address: Any, entries: int) -> Any:
+    """Return where half of the histories' numbers of an entry are."""
+    offset = ir.Constant(_ADDRESS, _BYTES * entries + _BYTES // 2 * half)
+    return builder.inttoptr(builder.add(address, offset), _HALF.as_pointer())
+
+
+def _take_known(builder: Any, to: list[Any], known: list[Any], row: Any) -> None:
+    """Take from two entries of COLUMNS right sides what four known ones of each make of them.
+
+    One half of the histories after the other, so that all sums stay in registers.
+
+    Parameters
+    ----------
+    to, known : addresses of the entries of the first right side; the others' are next to it.
+    row : of e and i, address of a row, and by which of its entries the e-th takes the i-th.
+    """
+    fused = _function(builder, "llvm.fma.v4f64", 3, _HALF)
+    for half in range(2):
+        places = [[_half(builder, half, entry, c) for c in range(COLUMNS)] for entry in to]
+        sums = [[builder.load(place, align=8) for place in entry] for entry in places]
+        for i in range(4):
+            by = [
+                builder.fneg(builder.load(_half(builder, half, *row(e, i)), align=8))
+                for e in range(2)
+            ]
+            for c in range(COLUMNS):
+                x = builder.load(_half(builder, half, known[i], c), align=8)
+                for e in range(2):
+                    sums[e][c] = builder.call(fused, [by[e], x, sums[e][c]])
+        for entry, values in zip(places, sums, strict=True):
+            for place, value in zip(entry, values, strict=True):
+                builder.store(value, place, align=8)
+
+
+def _following(builder: Any, first: Any, length: Any, count: int) -> list[Any]:
+    """Return so many addresses, each so many bytes beyond the one before."""
+    found = [first]
+    for _ in range(count - 1):
+        found.append(builder.add(found[-1], length))
+    return found
+
+
+def _entries(builder: Any, first: Any, count: int) -> list[Any]:
+    """Return addresses of entries of COLUMNS right sides, one after another."""
+    return _following(builder, first, ir.Constant(_ADDRESS, _BYTES * COLUMNS), count)
+
+
+@intrinsic
+def _forward_columns(context: Any, to: Any, known: Any, row: Any, length: Any) -> Any:
+    """Take from two entries of COLUMNS right sides what four known ones, of a row each, make."""
+
+    def generate(target: Any, builder: Any, signature: Any, a: Any) -> Any:
+        to, known, row, length = a
+        rows = _following(builder, row, length, 4)
+        entries = _entries(builder, to, 2), _entries(builder, known, 4)
+        _take_known(builder, *entries, lambda e, i: (rows[i], e))
+        return target.get_dummy_value()
+
+    return types.void(to, known, row, length), generate
+
+
+@intrinsic
+def _backward_columns(context: Any, to: Any, known: Any, row: Any, length: Any) -> Any:
+    """Take from two entries, of a row each, of COLUMNS right sides what four known ones make."""
+
+    def generate(target: Any, builder: Any, signature: Any, a: Any) -> Any:
+        to, known, row, length = a
+        rows = _following(builder, row, length, 2)
+        entries = _entries(builder, to, 2), _entries(builder, known, 4)
+        _take_known(builder, *entries, lambda e, i: (rows[e], i))
+        return target.get_dummy_value()
+
+    return types.void(to, known, row, length), generate
+
+
 @compiled
 def _range(free: BoolArray, group: int) -> tuple[int, int]:
     """Return between which rows elements of a group are free, by panels: others are unit rows."""
@@ -271,6 +349,36 @@ def _substitute_rows(u: FloatArray, x: FloatArray, first: int, last: int) -> Non
             for j in range(a + 1, k + 4):
                 _subtract(unknown, at + _BYTES * j, here + _BYTES * j)
             _multiply(unknown, here + _BYTES * a)
+
+
+@compiled
+def _substitute_columns(u: FloatArray, x: FloatArray, first: int, last: int) -> None:
+    """Do as ``_substitute_rows`` for COLUMNS right sides at once, (n, COLUMNS, 8)."""
+    n = u.shape[0]
+    base, row, at, size = u.ctypes.data, _BYTES * n, x.ctypes.data, _BYTES * COLUMNS
+    for k in range(first, last, 4):
+        for a in range(k, k + 4):
+            here = base + a * row
+            for c in range(COLUMNS):
+                column = at + _BYTES * c
+                known = column + size * a
+                _multiply(known, here + _BYTES * a)
+                for j in range(a + 1, k + 4):
+                    _subtract(column + size * j, known, here + _BYTES * j)
+        for j in range(k + 4, last, 2):
+            _forward_columns(at + size * j, at + size * k, base + k * row + _BYTES * j, row)
+    for k in range(last - 4, first - 1, -4):
+        for j in range(k + 4, last, 4):
+            for a in range(k, k + 4, 2):
+                _backward_columns(at + size * a, at + size * j, base + a * row + _BYTES * j, row)
+        for a in range(k + 3, k - 1, -1):
+            here = base + a * row
+            for c in range(COLUMNS):
+                column = at + _BYTES * c
+                unknown = column + size * a
+                for j in range(a + 1, k + 4):
+                    _subtract(unknown, column + size * j, here + _BYTES * j)
+                _multiply(unknown, here + _BYTES * a)
 
 
 @compiled
@@ -388,27 +496,35 @@ def solve_more(
     right: FloatArray,
     out: FloatArray,
 ) -> None:
-    """Solve as ``solve`` does for (k, h, n) right sides: factors are fetched once for all."""
-    n, padded, count = free.shape[1], factors.shape[1], len(histories)
-    x = np.zeros((padded, GROUP))
+    """Solve as ``solve`` does for (k, h, n) right sides: to round-off, some at once."""
+    n, padded, count, sides = free.shape[1], factors.shape[1], len(histories), right.shape[0]
+    x, alone = np.zeros((padded, COLUMNS, GROUP)), np.zeros((padded, GROUP))
     first = 0
     while first < count:
         group, last = histories[first] // GROUP, first
         while last < count and histories[last] // GROUP == group:
             last += 1
         start, stop = _range(free, group)
-        for k in range(right.shape[0]):
+        for k in range(0, sides, COLUMNS):
+            columns = min(COLUMNS, sides - k)
             x[:] = 0.0
-            for place in range(first, last):
-                history = histories[place]
-                for i in range(n):
-                    if free[history, i]:
-                        x[i, history % GROUP] = right[k, place, i]
-            _substitute_rows(factors[group], x, start, stop)
-            for place in range(first, last):
-                history = histories[place]
-                for i in range(n):
-                    out[k, place, i] = x[i, history % GROUP] if free[history, i] else 0.0
+            for c in range(columns):
+                for place in range(first, last):
+                    history = histories[place]
+                    for i in range(n):
+                        if free[history, i]:
+                            x[i, c, history % GROUP] = right[k + c, place, i]
+            if columns > 1:
+                _substitute_columns(factors[group], x, start, stop)
+            else:
+                alone[:] = x[:, 0]
+                _substitute_rows(factors[group], alone, start, stop)
+                x[:, 0] = alone
+            for c in range(columns):
+                for place in range(first, last):
+                    history = histories[place]
+                    for i in range(n):
+                        out[k + c, place, i] = x[i, c, history % GROUP] if free[history, i] else 0.0
         first = last
 
 
@@ -442,3 +558,34 @@ def multiply(
             a = by[j]
             for i in range(n):
                 to[i] += matrix[j, i] * a
+
+
+@compiled(fastmath={"contract"})
+def multiply_more(
+    histories: IntArray, matrices: FloatArray, which: IntArray, x: FloatArray, out: FloatArray
+) -> None:
+    """Multiply as ``multiply`` does for (k, B, n): two at once, as matrices take long to fetch."""
+    sides, n = x.shape[0], x.shape[2]
+    whole = n - n % 4
+    to, to_too = np.empty(n), np.empty(n)
+    for history in histories:
+        matrix = matrices[which[history]]
+        for k in range(0, sides - 1, 2):
+            by, by_too = x[k, history], x[k + 1, history]
+            to[:] = 0.0
+            to_too[:] = 0.0
+            for j in range(0, whole, 4):
+                a, b, c, d = by[j], by[j + 1], by[j + 2], by[j + 3]
+                e, f, g, h = by_too[j], by_too[j + 1], by_too[j + 2], by_too[j + 3]
+                for i in range(n):
+                    p, q, r, s = matrix[j, i], matrix[j + 1, i], matrix[j + 2, i], matrix[j + 3, i]
+                    to[i] += p * a + q * b + r * c + s * d
+                    to_too[i] += p * e + q * f + r * g + s * h
+            for j in range(whole, n):
+                for i in range(n):
+                    to[i] += matrix[j, i] * by[j]
+                    to_too[i] += matrix[j, i] * by_too[j]
+            out[k, history] = to
+            out[k + 1, history] = to_too
+    if sides % 2 != 0:
+        multiply(histories, matrices, which, x[sides - 1], out[sides - 1])

@@ -11,6 +11,7 @@ The unknowns are scaled so that K has a unit diagonal: ``q = s p``, ``A = K / (s
 """
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -176,10 +177,10 @@ class ContactProblem:
         """Diagonal of the Hessian."""
         return 1.0 + self._slope
 
-    def left_out(self, x: FloatArray, slope: FloatArray | None) -> FloatArray | None:
-        """Return what the wear's slopes at a solution make of x, (n, k), more than the Hessian's.
+    def left_out(self, slope: FloatArray | None) -> Callable[[FloatArray], FloatArray] | None:
+        """Return what makes of x (..., n) what the wear's slopes at a solution have more.
 
-        The Hessian is that of the iterate before; None where it is the same.
+        More than the Hessian, which is that of the iterate before; None where it is the same.
 
         Parameters
         ----------
@@ -188,10 +189,10 @@ class ContactProblem:
         if slope is None:
             return None
         if slope.ndim > 1:
-            scaled = self.weights[:, None] * slope / self.scale
-            return (scaled - self._coupling) @ x
+            more = (self.weights[:, None] * slope / self.scale - self._coupling).T
+            return lambda x: x @ more
         change = slope * self._slope_weight - self._slope
-        return change[:, None] * x if change.any() else None
+        return (lambda x: change * x) if change.any() else None
 
     def add_coupling(self, q: FloatArray, hessian: FloatArray) -> None:
         """Add to the own rows of the Hessian what non-local wear does."""

@@ -342,12 +342,26 @@ class ContactSolver:
     def _solved(self, right: FloatArray) -> FloatArray:
         """Return H^-1 right, (n, k), on the active set of the last solution, else 0."""
         x = self._newton.response(right) if self._newton is not None else None
-        if x is None:
-            free = self._gathered(self._x.getArray(readonly=True)) > 0.0
-            hessian = self._gathered(self._h.getDenseArray(readonly=True))
-            x = np.zeros_like(right)
-            x[free] = np.linalg.solve(hessian[np.ix_(free, free)], right[free])
+        return self._solved_anew(right) if x is None else x
+
+    def _solved_anew(self, right: FloatArray) -> FloatArray:
+        """Return the same where no factor is kept."""
+        free = self._gathered(self._x.getArray(readonly=True)) > 0.0
+        hessian = self._gathered(self._h.getDenseArray(readonly=True))
+        x = np.zeros_like(right)
+        x[free] = np.linalg.solve(hessian[np.ix_(free, free)], right[free])
         return x
+
+    def _border(self) -> FloatArray:
+        """Return H^-1 weights, (n,), which does not change as long as the factor does not."""
+        weights = self._problem.weights
+        x = self._newton.kept_response(weights) if self._newton is not None else None
+        return self._solved_anew(weights) if x is None else x
+
+    def _solved_rows(self, right: FloatArray) -> FloatArray:
+        """Return the same for right sides (k, n), to round-off."""
+        x = self._newton.responses(right) if self._newton is not None else None
+        return np.ascontiguousarray(self._solved_anew(right.T).T) if x is None else x
 
     def tangents(
         self,
@@ -373,18 +387,15 @@ class ContactSolver:
         if problem.apart:
             nearest = d_gap[:, found.gap.argmin()] if d_approach is None else d_approach
             return np.zeros_like(d_gap), nearest
-        right = np.empty((len(d_gap) + 1, len(problem.weights)))
-        np.multiply(d_gap, problem.weights, out=right[:-1])
-        right[-1] = problem.weights
-        x = self._solved(right.T)
-        left = problem.left_out(x, slope)
+        weights = problem.weights
+        by_gap, by_approach = self._solved_rows(weights * d_gap), self._border()
+        left = problem.left_out(slope)
         if left is not None:
-            x -= self._solved(left)
-        x = x.T / problem.scale
-        by_gap, by_approach = x[:-1], x[-1]
+            by_gap -= self._solved_rows(left(by_gap))
+            by_approach = by_approach - self._solved(left(by_approach))
         if d_approach is None:
-            d_approach = (d_force + by_gap @ self._area) / (self._area @ by_approach)
-        return by_approach * d_approach[:, None] - by_gap, d_approach
+            d_approach = (d_force + by_gap @ weights) / (weights @ by_approach)
+        return (by_approach * d_approach[:, None] - by_gap) / problem.scale, d_approach
 
     def cold_start(self) -> None:
         """Start the next solve as a new solver would. Not collective."""

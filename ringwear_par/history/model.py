@@ -264,7 +264,7 @@ class WearModel:
         )
         self._moment = true_area * self._arm  # torque per unit shear
         # what balances take from the pressure: friction torque / mu, reactions of both bodies
-        self._sums = np.vstack(
+        self._carried = np.vstack(
             [self._moment, self.compliance.force_reaction, self.compliance.torque_reaction]
         )
 
@@ -494,15 +494,25 @@ class WearModel:
 
     def integrals(self, field: FloatArray) -> FloatArray:
         """Return area integrals of a field of both bodies, (2, ..., n) to (2, ...)."""
-        return field @ self.area if field.ndim == 2 else inner(self.area, field)
+        return field @ self.area if len(self.shape) == 1 else inner(self.area, field)
+
+    def _sums(self, weights: FloatArray, values: FloatArray) -> Numbers:
+        """Return sums over the elements, (...): of one history by BLAS, which is quicker."""
+        if len(self.shape) == 1 and values.ndim > 1:
+            return values @ weights
+        return inner(weights, values)
+
+    def moment(self, p: FloatArray) -> Numbers:
+        """Return the friction torque over mu in full slip, N mm, float or (B,), at (..., n)."""
+        return self._sums(self._moment, p)
 
     def torque(self, p: FloatArray) -> Numbers:
         """Return the friction torque in full slip, N mm, float or (B,), at pressure (..., n)."""
-        return self.friction * inner(self._moment, p)
+        return self.friction * self.moment(p)
 
     def twist(self, p: FloatArray) -> Numbers:
         """Return the area mean of the circumferential displacement jump, mm, at pressure."""
-        return self.friction * inner(self.twist_weights, p)
+        return self.friction * self._sums(self.twist_weights, p)
 
     def reactions(self, p: FloatArray) -> FloatArray:
         """Return friction torque / mu, axial force and torque / mu on both fixed faces, (5, ...).
@@ -510,8 +520,8 @@ class WearModel:
         At pressure (..., n); N mm and N.
         """
         if p.ndim == 1:
-            return self._sums @ p
-        return np.array([inner(weights, p) for weights in self._sums])
+            return self._carried @ p
+        return np.array([inner(weights, p) for weights in self._carried])
 
     # -- what a state must not be ------------------------------------------------------------------
 

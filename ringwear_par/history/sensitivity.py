@@ -208,7 +208,7 @@ class Sensitivity:
         """Return derivatives of the friction torque, (P, ...) N mm."""
         out = np.asarray(model.torque(d_p))
         if self.friction is not None:
-            out[self.friction] += model.reactions(p)[0]
+            out[self.friction] += model.moment(p)
         return out
 
     def twist(self, model: "WearModel", p: FloatArray, d_p: FloatArray) -> FloatArray:

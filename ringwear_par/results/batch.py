@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
@@ -25,6 +25,7 @@ from ringwear_par.results.recorder import Recorder, attributes, derivative_names
 from ringwear_par.results.result import Result
 from ringwear_par.results.variables import D_PROFILES, HISTORIES
 
+_BALANCES = [each.name for each in fields(Balances)]
 #: what is told since the start, and of what
 _SINCE_START = {"penetration": "approach", "d_penetration": "d_approach"}
 
@@ -63,12 +64,9 @@ class _End:
     gap: FloatArray
 
 
-def _by_row(arrays: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the arrays of a recorder, those of derivatives by row, then by parameter."""
-    return {
-        name: np.moveaxis(values, 0, 1) if name.startswith("d_") else values
-        for name, values in arrays.items()
-    }
+def _at(name: str, rows: Any) -> Any:
+    """Return where some rows of a variable are, or some histories: P parameters come first."""
+    return (slice(None), rows) if name.startswith("d_") else rows
 
 
 class BatchRecorder:
@@ -99,27 +97,24 @@ class BatchRecorder:
         self._steps: list[IntArray] = []
         self._parameters = tuple(derivatives)
         names = derivative_names(cases[0], derivatives)
-        #: what is stored, and the shape of a row of it
-        self._shapes: dict[str, tuple[int, ...]] = {
-            **dict.fromkeys(HISTORIES, ()),
-            **dict.fromkeys(self._fields, (pair.line.n,)),
-            **{
-                name: (len(derivatives), *((pair.line.n,) if name in D_PROFILES else ()))
-                for name in names
-            },
-        }
-        last = (
-            () if self._deep else (*self._fields, *(name for name in names if name in D_PROFILES))
-        )
-        self._rows: dict[str, list[Any]] = {name: [] for name in self._shapes if name not in last}
-        self._last = {name: np.full((count, *self._shapes[name]), np.nan) for name in last}
+        stored = (*HISTORIES, *self._fields, *names)
+        fields_of_pair = {*self._fields, *D_PROFILES}
+        last = () if self._deep else tuple(name for name in stored if name in fields_of_pair)
+        self._rows: dict[str, list[Any]] = {name: [] for name in stored if name not in last}
+        self._last = {name: np.full(self._shape(name, count), np.nan) for name in last}
         self._pending = np.zeros(count, dtype=np.int64)
-        self._worst = {each.name: np.zeros(count) for each in fields(Balances)}
+        self._worst = np.zeros((len(_BALANCES), count))
         self._step_error_time = np.zeros(count)
         self._doubts: list[tuple[Doubt, ...]] = [()] * count
         self._ends: list[_End] = []
         self._begun = time.perf_counter()
         self._seconds = 0.0
+
+    def _shape(self, name: str, rows: int) -> tuple[int, ...]:
+        """Return the shape of so many rows of a variable, or of so many histories' last ones."""
+        parameters = (len(self._parameters),) if name.startswith("d_") else ()
+        along = (self._pair.line.n,) if name in self._fields or name in D_PROFILES else ()
+        return (*parameters, rows, *along)
 
     def __call__(self, snapshot: BatchSnapshot) -> None:
         """Take the new states of histories."""
@@ -141,35 +136,35 @@ class BatchRecorder:
         now, numbers = balances(snapshot.model, snapshot.state), snapshot.numbers[shown]
         if snapshot.step is not None:
             now["step_error"] = snapshot.step.wear_error
+        every = np.zeros((len(_BALANCES), len(snapshot.numbers)))
         for name, value in now.items():
-            worst = self._worst[name]
-            if isinstance(value, float):
-                value = np.full(len(snapshot.numbers), value)
-            value, before = value[shown], worst[numbers]
-            worse = ~(value <= before)  # NaN too
-            worst[numbers] = np.where(worse, value, before)
-            if name == "step_error":
-                self._step_error_time[numbers[worse]] = snapshot.state.time[shown][worse]
+            every[_BALANCES.index(name)] = value
+        value, before = every[:, shown], self._worst[:, numbers]
+        worse = ~(value <= before)  # NaN too
+        self._worst[:, numbers] = np.where(worse, value, before)
+        step = worse[_BALANCES.index("step_error")]
+        self._step_error_time[numbers[step]] = snapshot.state.time[shown][step]
 
     def _store(self, snapshot: BatchSnapshot, stored: IntArray) -> None:
         values, numbers = row(snapshot.model, snapshot.state), snapshot.numbers[stored]
         values["contact_iterations"] = self._pending[snapshot.numbers]
-        slopes = derivatives_of(snapshot.model, snapshot.state)
-        values |= {name: np.moveaxis(slope, 0, 1) for name, slope in slopes.items()}
+        values |= derivatives_of(snapshot.model, snapshot.state)
         self._numbers.append(numbers)
         self._steps.append(snapshot.progress.steps[stored])
+        # states do not change: those of all histories are stored as they are
+        kept = slice(None) if len(stored) == len(snapshot.numbers) else stored
         for name, rows in self._rows.items():
             if name not in _SINCE_START:
-                rows.append(values[name][stored])
+                rows.append(values[name][_at(name, kept)])
         ended = np.flatnonzero(snapshot.finished)
         for name, last in self._last.items() if len(ended) else ():
-            last[snapshot.numbers[ended]] = values[name][ended]
+            last[_at(name, snapshot.numbers[ended])] = values[name][_at(name, ended)]
         self._pending[numbers] = 0
 
     def _end(self, snapshot: BatchSnapshot, ended: IntArray) -> None:
         """Take the last states of histories."""
         numbers, model = snapshot.numbers[ended], snapshot.model
-        state = snapshot.state.take(ended)
+        state = replace(snapshot.state, tangent=None).take(ended)  # derivatives are stored by now
         errors, elements = (values[ended] for values in model.asymmetry)
         for place, number in enumerate(numbers.tolist()):
             case = self._cases[number]
@@ -190,7 +185,7 @@ class BatchRecorder:
 
     def balances(self, number: int) -> Balances:
         """Return the worst of all balances of a history so far."""
-        return Balances(**{name: float(values[number]) for name, values in self._worst.items()})
+        return Balances(*self._worst[:, number].tolist())
 
     def columns(self, alone: Mapping[int, Alone]) -> HistoryColumns:
         """Return all histories as they are stored.
@@ -203,7 +198,7 @@ class BatchRecorder:
         numbers, steps, rows = self._sorted(alone)
         found = rows | self._last_ones(alone)
         offsets = np.searchsorted(numbers, np.arange(count + 1))
-        imbalance = np.max([self._worst[name] for name in TO_ROUND_OFF], axis=0)
+        imbalance = self._worst[[_BALANCES.index(name) for name in TO_ROUND_OFF]].max(axis=0)
         flags = [tuple(doubt.flag for doubt in found) for found in self._doubts]
         seconds = np.full(count, self._seconds / count)
         for number, one in alone.items():
@@ -232,41 +227,51 @@ class BatchRecorder:
         chunks = list(self._numbers)
         steps = list(self._steps)
         rows = {name: list(parts) for name, parts in self._rows.items()}
-        together = np.concatenate([np.empty(0, dtype=np.int64), *chunks])
-        kept = ~np.isin(together, list(alone))
+        kept = [~np.isin(chunk, list(alone)) for chunk in chunks]
         for number, one in alone.items():
             if one.recorder is None:
                 continue
-            arrays = _by_row(one.recorder.arrays())
-            made = one.recorder.steps
+            arrays, made = one.recorder.arrays(), one.recorder.steps
             chunks.append(np.full(len(made), number))
+            kept.append(np.ones(len(made), dtype=bool))
             steps.append(made)
             for name, parts in rows.items():
-                parts.append(arrays.get(name, np.empty((0, *self._shapes[name]))))
-        everything = np.concatenate([np.empty(0, dtype=np.int64), *chunks])
-        kept = np.append(kept, np.ones(len(everything) - len(kept), dtype=bool))
-        order = np.argsort(everything[kept], kind="stable")
+                parts.append(arrays.get(name, np.empty(self._shape(name, 0))))
+        nothing = np.empty(0, dtype=np.int64)
+        everything = np.concatenate([nothing, *chunks])
+        which = np.flatnonzero(np.concatenate([np.empty(0, dtype=bool), *kept]))
+        which = which[np.argsort(everything[which], kind="stable")]
+        places = np.full(len(everything), -1)
+        places[which] = np.arange(len(which))
 
-        def by_history(parts: Sequence[Any], nothing: Any) -> Any:
-            return np.concatenate([nothing, *parts])[kept][order]
+        def by_history(name: str, parts: Sequence[Any]) -> Any:
+            """Return rows in order: fields, which are large, are copied once only."""
+            shape, wide = self._shape(name, 0), name in self._fields or name in D_PROFILES
+            if not wide:
+                dtype = HISTORIES[name].dtype if name in HISTORIES else np.float64
+                together = np.concatenate([np.empty(shape, dtype), *parts], axis=-1)
+                return together[..., which]
+            found, first = np.empty(self._shape(name, len(which))), 0
+            for part, own in zip(parts, kept, strict=True):
+                to = places[first : first + len(own)]
+                first += len(own)
+                if own.all():
+                    found[_at(name, to)] = part
+                else:
+                    found[_at(name, to[own])] = part[_at(name, own)]
+            return found
 
         found = {
-            name: by_history(
-                parts,
-                np.empty(
-                    (0, *self._shapes[name]),
-                    HISTORIES[name].dtype if name in HISTORIES else np.float64,
-                ),
-            )
+            name: by_history(name, parts)
             for name, parts in rows.items()
             if name not in _SINCE_START
         }
-        numbers = everything[kept][order]
+        numbers = everything[which]
         first = np.searchsorted(numbers, numbers)
         for name, whole in _SINCE_START.items():
             if name in rows:
-                found[name] = found[whole] - found[whole][first]
-        return numbers, by_history(steps, np.empty(0, dtype=np.int64)), found
+                found[name] = found[whole] - found[whole][..., first]
+        return numbers, np.concatenate([nothing, *steps])[which], found
 
     def _last_ones(self, alone: Mapping[int, Alone]) -> dict[str, FloatArray]:
         """Return the profiles of the last stored states, (B, n)."""
@@ -275,7 +280,7 @@ class BatchRecorder:
             found[name] = last.copy()
             for number, one in alone.items():
                 arrays = {} if one.recorder is None else one.recorder.arrays()
-                found[name][number] = arrays.get(name, np.nan)
+                found[name][_at(name, number)] = arrays.get(name, np.nan)
         return found
 
     def results(self, alone: Mapping[int, Alone]) -> dict[int, Result]:
@@ -285,19 +290,26 @@ class BatchRecorder:
         ----------
         alone : those that were computed alone, and have results of their own.
         """
-        columns = self.columns(alone)
+        columns, units = self.columns(alone), units_of(self._cases[0], self._parameters)
         ends = {
             int(number): (end, place)
             for end in self._ends
             for place, number in enumerate(end.numbers)
         }
         return {
-            number: self._result(number, *where, columns)
+            number: self._result(number, *where, columns, units)
             for number, where in ends.items()
             if number not in alone
         }
 
-    def _result(self, number: int, end: _End, place: int, columns: HistoryColumns) -> Result:
+    def _result(
+        self,
+        number: int,
+        end: _End,
+        place: int,
+        columns: HistoryColumns,
+        units: Mapping[str, str],
+    ) -> Result:
         case, line, rows = self._cases[number], self._pair.line, columns.rows(number)
         steps = columns.steps[rows]
         state = end.state.history(place)
@@ -335,11 +347,9 @@ class BatchRecorder:
                 step_error_time=float(self._step_error_time[number]),
             ),
             take(state, progress, warm, 0, 0),
-            parameters=units_of(case, self._parameters),
+            parameters=dict(units),
             derivatives={
-                name: np.moveaxis(values[rows], 0, 1)
-                if name in self._rows
-                else values[number]
+                name: values[:, rows] if name in self._rows else values[:, number]
                 for name, values in columns.derivatives.items()
             },
         )  # fmt: skip

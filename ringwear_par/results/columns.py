@@ -26,7 +26,7 @@ class HistoryColumns:
     seconds : (B,) float, s, that each took: of those that are stepped together, its share.
     status : "done" or "failed".
     reason : why it failed, one line; "" for one that has not.
-    derivatives : (rows, P) each, of fields (rows, P, n) or (B, P, n), by name, see
+    derivatives : (P, rows) each, of fields (P, rows, n) or (P, B, n), by name, see
         ``variables.D_HISTORIES`` and ``D_PROFILES``.
     """
 

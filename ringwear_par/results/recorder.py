@@ -3,7 +3,6 @@
 import json
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict
 from typing import Any
 
 import numpy as np
@@ -112,7 +111,7 @@ def attributes(
         "doubts": json.dumps([doubt.text for doubt in doubts]),
         "error": error,
         "energy_identity": int(any(law.per_energy(case.friction) for law in laws)),
-        **balance_attributes(asdict(balances)),
+        **balance_attributes(vars(balances)),
         "step_error_time": step_error_time,
     }
 

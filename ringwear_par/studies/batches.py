@@ -25,7 +25,8 @@ from ringwear_par.studies.lending import SolverLender
 _NUMBERS, _MOST = 2**21, 512
 #: batches of a block: as histories end others take their places, until none are left in it
 _BATCHES = 4
-#: of what is stored of a block, which waits in memory until all of it has ended
+#: of what is stored of a block, which waits in memory until all of it has ended; derivatives come
+#: on top, as many times as much as there are: smaller blocks would be slower than these are large
 _BLOCK_BYTES = 64e6
 
 
@@ -38,12 +39,11 @@ def default_batch(case: Case) -> int:
     return min(max(_NUMBERS // case.mesh.contact_elements**2, 16), _MOST)
 
 
-def _block(case: Case, most: int, parameters: int = 0) -> int:
+def _block(case: Case, most: int) -> int:
     """Return how many histories to store together, of which ``most`` step at a time."""
     profiles = case.stored_rows if case.output.profiles == "all" else 1.0
     each = 8.0 * profiles * case.mesh.contact_elements * len(case.output.fields)
     each += 8.0 * case.stored_rows * (len(HISTORIES) + 2)  # with their numbers and steps
-    each *= 1 + parameters
     return max(min(_BATCHES * most, int(_BLOCK_BYTES / each)), 1)
 
 
@@ -121,7 +121,7 @@ def computed(
             numbers.sort(key=lambda n: young(cases[n]))  # those of the same moduli share a matrix
             most = batch or default_batch(cases[numbers[0]])
             longest = max((cases[n] for n in numbers), key=lambda case: case.stored_rows)
-            size = _block(longest, most, len(derivatives))
+            size = _block(longest, most)
             for first in range(0, len(numbers), size):
                 part = numbers[first : first + size]
                 own = [cases[number] for number in part]

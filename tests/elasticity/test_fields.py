@@ -196,7 +196,7 @@ def test_which_states_are_stored(overrides, times, shared_path, comm):
         ["output.boundary=[40, 110]"],
         ["output.times=[10, 50, 100]"],
         ["output.boundary=[1, 10, 20, 30, 40, 50]", "output.every=3"],
-        ["output.boundary=all", *MOVING],
+        ["output.boundary=all", *MOVING, "mesh.geometry_tolerance=0.004"],
     ],
 )
 def test_restart_equals_an_uninterrupted_run(shared_path, comm, restarted, overrides, stop):

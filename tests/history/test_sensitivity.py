@@ -12,6 +12,7 @@ from ringwear_par.history.pairs import assemble
 from ringwear_par.history.sensitivity import differentiable
 from ringwear_par.history.simulate import simulate
 from ringwear_par.results.recorder import Recorder
+from ringwear_par.results.variables import D_HISTORIES, D_PROFILES
 from ringwear_par.studies.batches import computed
 
 CASES = Path(__file__).parents[2] / "scripts" / "cases"
@@ -80,11 +81,10 @@ def numbers_of(case):
 
 
 def values(result):
-    """All that a result has derivatives of, by name."""
-    return {
-        name: (result.histories | result.profiles)[name.removeprefix("d_")]
-        for name in result.derivatives
-    }
+    """All that results may have derivatives of, by the names of these."""
+    stored = result.histories | result.profiles
+    names = [name for name in (*D_HISTORIES, *D_PROFILES) if name.removeprefix("d_") in stored]
+    return {name: stored[name.removeprefix("d_")] for name in names}
 
 
 def ends_of(case, pair):
@@ -113,7 +113,7 @@ def off_differences(case, pair, keys, times=None, step=1e-6):
     for row, key in enumerate(keys):
         h = step * value_of(case, key)
         up, down = (
-            history(case.replace({key: value_of(case, key) + by}), pair, keys, times)
+            history(case.replace({key: value_of(case, key) + by}), pair, times=times)
             for by in (h, -h)
         )
         for name, slopes in there.derivatives.items():
@@ -142,7 +142,7 @@ def test_remainders_are_of_second_order(tmp_path, law, scheme):
         for h in 0.02 * 0.5 ** np.arange(4):
             by = h * way * np.array(list(numbers.values()))
             moved = case.replace(dict(zip(numbers, list(numbers.values()) + by, strict=True)))
-            after = values(history(moved, pair, list(numbers), times))
+            after = values(history(moved, pair, times=times))
             parts = [
                 (after[name] - v - np.tensordot(by, there.derivatives[name], 1)) / size[name]
                 for name, v in values(there).items()

@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import benchmark
+import benchmark_derivatives
 import benchmark_ensembles
 import board_at_scale
 import follow_the_wear
@@ -33,6 +34,13 @@ def test_ensembles_are_measured_beside_a_bare_loop_that_finds_the_same(kind):
     result = rw.simulate(case, MPI.COMM_SELF, pair=pair)
     penetration = benchmark_ensembles.bare_loop(pair, case)
     assert penetration == pytest.approx(result.histories["penetration"][-1], rel=0.05)
+
+
+def test_derivatives_are_measured_beside_plain_histories():
+    plain, more, together, more_together = benchmark_derivatives.measure("adaptive", 2, 8, 1)
+    assert plain > 0.0
+    assert together > 0.0
+    assert np.isfinite([more, more_together]).all()
 
 
 def test_sweeps_are_measured_from_the_command_to_their_files():
