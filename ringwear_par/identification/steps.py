@@ -12,8 +12,8 @@ from ringwear_par.identification.problem import Experiment
 STEPS = 40
 #: of them, fewest of a piece between two bends of schedules; fewest of any piece
 _SHARE, _FEWEST = 0.3, 3
-#: first step of a piece, and a piece that is short, of the test
-_FIRST, _SHORT = 4e-4, 1e-2
+#: first step of a test without bends, half of one after a bend; a piece that is short
+_FIRST, _SHORT = 2e-4, 1e-2
 #: times closer than this share of the test are one
 _CLOSE = 1e-7
 
@@ -39,7 +39,7 @@ def step_times(experiment: Experiment, steps: int = STEPS) -> FloatArray:
         if length > _SHORT * end:
             own = round(steps * (0.4 / math.sqrt(long) + 0.6 * length / end))
             count = max(_FEWEST, round(_SHARE * steps), own)
-            first = min(_FIRST * end, length / count)
+            first = min((_FIRST if long == 1 else 2.0 * _FIRST) * end, length / count)
             pieces.append(low + np.geomspace(first, length, count))
         else:
             count = max(_FEWEST, steps // 10)
