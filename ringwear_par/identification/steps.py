@@ -12,7 +12,7 @@ from ringwear_par.identification.problem import Experiment
 STEPS = 40
 #: of them, fewest of a piece between two bends of schedules; fewest of any piece
 _SHARE, _FEWEST = 0.3, 3
-#: first step of a test without bends, half of one after a bend; a piece that is short
+#: shares of the test: its first step, half of one after a bend; a piece that is short
 _FIRST, _SHORT = 2e-4, 1e-2
 #: times closer than this share of the test are one
 _CLOSE = 1e-7
