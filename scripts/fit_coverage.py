@@ -10,8 +10,9 @@ levelled). Readings come from histories of ten times as many steps; repeats adva
 import argparse
 import tempfile
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +23,7 @@ from ringwear_par.arrays import FloatArray
 from ringwear_par.identification.fit_file import read_fit
 from ringwear_par.identification.histories import Histories
 from ringwear_par.identification.intervals import estimates
-from ringwear_par.identification.least_squares import Evaluation, LeastSquares
+from ringwear_par.identification.least_squares import LeastSquares
 from ringwear_par.identification.lockstep import Meet, side_by_side
 from ringwear_par.identification.minimise import minimise
 from ringwear_par.identification.problem import Problem
@@ -112,27 +113,14 @@ def coverage(asked: Problem, repeats: int) -> tuple[FloatArray, FloatArray, Floa
         squares.known = known  # the histories do not depend on the noise
     begun, before = time.process_time(), histories.count
 
-    def job(squares: LeastSquares) -> Callable[[Meet], tuple[Any, Any]]:
-        def run(meet: Meet) -> tuple[Any, Any]:
-            def evaluate(x: FloatArray) -> Evaluation:
-                if not squares.knows(x):
-                    meet(x)
-                return squares.evaluate(x)
+    def fitted(squares: LeastSquares, meet: Meet) -> tuple[Any, Any]:
+        found = minimise(squares, squares.started(list(asked.start.values())), meet)
+        told, _ = estimates(squares, found.x, found.evaluation)
+        values = [[p.estimate for p in told], [p.sd for p in told]]
+        freedom = squares.n + len(squares.priors) - len(squares.names)
+        return values, [2 * found.evaluation.objective / freedom, found.converged]
 
-            start = squares.started(list(asked.start.values()))
-            bounds = squares.lower, squares.upper
-            found = minimise(evaluate, start, bounds, "brgn", squares.idle, squares.linear)
-            told, _ = estimates(squares, found.x, found.evaluation)
-            values = [[p.estimate for p in told], [p.sd for p in told]]
-            freedom = squares.n + len(squares.priors) - len(squares.names)
-            return values, [2 * found.evaluation.objective / freedom, found.converged]
-
-        return run
-
-    rows = side_by_side([job(squares) for squares in posed], posed[0].look_up, lambda: False)
-    failed = [row for row in rows if isinstance(row, BaseException)]
-    if failed:
-        raise failed[0]
+    rows = side_by_side([partial(fitted, squares) for squares in posed], posed[0].look_up)
     seconds = time.process_time() - begun
     spent = histories.count - before
     values, quality = (np.array(part, dtype=float) for part in zip(*rows, strict=True))

@@ -1,8 +1,7 @@
 """``rw.fit`` and ``ringwear fit``: the values of case keys that measurements tell."""
 
-import itertools
 import logging
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -13,7 +12,6 @@ from mpi4py import MPI
 from ringwear_par.arrays import FloatArray
 from ringwear_par.errors import ComputationError, InputError, reason_of
 from ringwear_par.identification.fit_file import read_fit
-from ringwear_par.identification.histories import Histories
 from ringwear_par.identification.intervals import estimates
 from ringwear_par.identification.least_squares import LeastSquares
 from ringwear_par.identification.lockstep import StoppedError
@@ -24,11 +22,12 @@ from ringwear_par.identification.plausible import refuse_idle, refuse_reversed
 from ringwear_par.identification.posterior import require_emcee, sample_posterior
 from ringwear_par.identification.problem import Problem
 from ringwear_par.identification.profile import likelihood_profiles
-from ringwear_par.identification.starts import Progress, Started, points, solve_starts
+from ringwear_par.identification.rounds import Rounds
+from ringwear_par.identification.starts import Progress, Started, solve_from, solve_starts
 from ringwear_par.info import versions
 from ringwear_par.options import reject_unused_options
 from ringwear_par.parallel import on_first_rank, together, warn_of_threads
-from ringwear_par.stopping import StopSignals, name_of, remark
+from ringwear_par.stopping import StopSignals
 
 log = logging.getLogger(__name__)
 
@@ -70,7 +69,7 @@ def fitted(
     folder : where optima of starts are kept until the fit is done; None: nowhere.
     """
     with StopSignals() as signals:
-        found = _Posed(problem, "", Progress(folder, problem.key), signals, comm).solved(comm)
+        found = _Posed(problem, "", Progress(folder, problem.key), signals, comm).solved()
         others: dict[str, FitResult] = {}
         failed: dict[str, str] = {}
         linear = replace(problem.settings, intervals=("linear",))
@@ -78,7 +77,7 @@ def fitted(
             progress = Progress(folder, f"{other.key} {name}", law)
             try:
                 posed = _Posed(replace(other, settings=linear), name, progress, signals, comm)
-                others[name] = posed.solved(comm)
+                others[name] = posed.solved()
             except StoppedError:
                 raise
             except (ComputationError, InputError) as error:
@@ -97,7 +96,7 @@ def _readable(source: Source, *, plans: bool = False) -> Problem:
 def predicted(problem: Problem, comm: MPI.Intracomm) -> FitResult:
     """Return what a fit would find if the parameters were those of the start. Collective."""
     with StopSignals() as signals:
-        return _Posed(problem, "", Progress(None, ""), signals, comm).predicted(comm)
+        return _Posed(problem, "", Progress(None, ""), signals, comm).predicted()
 
 
 class _Posed:
@@ -111,64 +110,90 @@ class _Posed:
         signals: StopSignals,
         comm: MPI.Intracomm,
     ) -> None:
-        self._problem, self._name, self._progress = problem, name, progress
-        self._signals = signals
-        with together(comm):
-            self._histories = Histories(problem, comm)
-        self._squares = LeastSquares(problem, self._histories)
-        with together(comm):
-            fill(self._squares)
-            start = self._squares.started(list(problem.start.values()))
-            refuse_idle(self._squares, start)
-            refuse_reversed(self._squares, start)
+        self._problem, self._name, self._progress, self._comm = problem, name, progress, comm
+        hint = "; the same command with --restart goes on" if progress.kept else ""
+        self._rounds = Rounds(problem, comm, signals, hint)
+        self._squares = LeastSquares(problem, self._rounds)
 
-    def solved(self, comm: MPI.Intracomm) -> FitResult:
-        """Return the best of all starts. Collective on comm."""
-        squares, histories = self._squares, self._histories
-        unknowns = points(self._problem)
-        before = histories.count
-        with together(comm):
-            own = solve_starts(
-                squares, unknowns, range(len(unknowns))[comm.rank :: comm.size],
-                self._name, self._progress, lambda: bool(self._signals.received),
-            )  # fmt: skip
-        self._refuse_stop(comm)
-        every = itertools.chain.from_iterable(comm.allgather(own))
-        starts = sorted(every, key=lambda one: one.number)
-        after = histories.count
-        spent = before + comm.allreduce(after - before)
-        best = self._best(starts)
-        with together(comm):
-            optimum = self._with_noise(np.array(best.unknowns))
+    def solved(self) -> FitResult:
+        """Return the best of all starts. Collective."""
+        return self._told(self._solve)
+
+    def predicted(self) -> FitResult:
+        """Return what would be found at the start. Collective."""
+        return self._told(self._predict)
+
+    def _told(self, job: Callable[[], dict[str, Any]]) -> FitResult:
+        """Return what a job of the first rank finds, on all of them. Collective."""
+        squares = self._squares
+
+        def told() -> tuple[Any, ...]:
+            found = job()
+            squares.keep(found["x"])
+            return found, squares.data, squares.noise_scale, squares.known
+
+        found, squares.data, squares.noise_scale, squares.known = self._rounds.lead(told)
+        return FitResult(squares, **found, alternatives={}, versions=versions(), comm=self._comm)
+
+    def _begin(self) -> FloatArray:
+        """Return the unknowns at the start, where readings are what they are called."""
+        fill(self._squares)
+        start = self._squares.started(list(self._problem.start.values()))
+        refuse_idle(self._squares, start)
+        refuse_reversed(self._squares, start)
+        return start
+
+    def _solve(self) -> dict[str, Any]:
+        squares, histories = self._squares, self._rounds
+        self._begin()
+        starts = solve_starts(squares, histories, self._name, self._progress)
+        x = np.array(self._best(starts).unknowns)
+        of_profiles = 0
+        while True:
+            optimum = self._with_noise(x)
             told, covariance = estimates(squares, optimum.x, optimum.evaluation)
-            told, profiles = likelihood_profiles(
-                squares, optimum, told, covariance, lambda: bool(self._signals.received)
-            )
-        spent += histories.count - after
-        self._refuse_stop(comm)
+            before = histories.count
+            profiles = likelihood_profiles(squares, optimum, told, covariance)
+            of_profiles += histories.count - before
+            if profiles.better is None:
+                break
+            log.info("a likelihood profile has found a better optimum; the fit goes on from there")
+            starts.append(solve_from(squares, len(starts), profiles.better))
+            if starts[-1].objective >= optimum.evaluation.objective:
+                break
+            x = np.array(starts[-1].unknowns)
         posterior = None
         if "posterior" in self._problem.settings.intervals:
-            after = histories.count
             posterior = sample_posterior(
-                squares, histories, optimum.x, covariance, comm,
-                lambda: bool(self._signals.received), self._progress.walk,
-            )  # fmt: skip
-            spent += comm.allreduce(histories.count - after)
-            self._refuse_stop(comm)
-        return FitResult(
-            squares, optimum.x, optimum.evaluation, told, covariance, tuple(starts), spent, {},
-            profiles, versions(), comm, posterior,
-        )  # fmt: skip
+                squares, histories, optimum.x, covariance, self._progress.walk
+            )
+        return {
+            "x": optimum.x,
+            "evaluation": optimum.evaluation,
+            "parameters": profiles.estimates,
+            "covariance": covariance,
+            "starts": tuple(starts),
+            "histories": histories.count,
+            "profiles": profiles.tables,
+            "posterior": posterior,
+            "histories_of_profiles": of_profiles,
+            "unsure": profiles.unsure,
+        }
 
-    def predicted(self, comm: MPI.Intracomm) -> FitResult:
-        """Return what would be found at the start. Not collective."""
+    def _predict(self) -> dict[str, Any]:
         squares = self._squares
-        x = squares.started(list(self._problem.start.values()))
+        x = self._begin()
         found = squares.evaluate(x)
         told, covariance = estimates(squares, x, found)
-        return FitResult(
-            squares, x, found, told, covariance, (), self._histories.count, {}, {}, versions(), comm
-        )
+        return {
+            "x": x,
+            "evaluation": found,
+            "parameters": told,
+            "covariance": covariance,
+            "starts": (),
+            "histories": self._rounds.count,
+            "profiles": {},
+        }
 
     def _best(self, starts: list[Started]) -> Started:
         """Return the start with the smallest sum of squares; of equal ones the first."""
@@ -184,10 +209,9 @@ class _Posed:
     def _with_noise(self, x: FloatArray) -> Optimum:
         """Return the optimum, with the noise that is to be fitted. Not collective."""
         squares = self._squares
-        bounds, method = (squares.lower, squares.upper), self._problem.settings.method
         fitted_noise = np.array([series.sd_fitted for _, series in squares.series])
         for _ in range(_MOST_ROUNDS):
-            optimum = minimise(squares.evaluate, x, bounds, method, squares.idle, squares.linear)
+            optimum = minimise(squares, x)
             if not fitted_noise.any():
                 return optimum
             growth = self._growth(optimum)
@@ -208,12 +232,6 @@ class _Posed:
                 for part in squares.parts
             ]
         )
-
-    def _refuse_stop(self, comm: MPI.Intracomm) -> None:
-        received = max(comm.allgather(self._signals.received))
-        if received:
-            hint = "; the same command with --restart goes on" if self._progress.kept else ""
-            raise StoppedError(f"stopped by {name_of(received)}{hint}{remark(received)}")
 
 
 def run_fit(

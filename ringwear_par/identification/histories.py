@@ -23,6 +23,9 @@ from ringwear_par.results.result import Result
 from ringwear_par.studies.batches import computed
 from ringwear_par.studies.variations import split_key
 
+#: a point, and an experiment
+Pair = tuple[int, int]
+
 
 class Histories:
     """What the experiments of a problem would read, at any values of the fitted keys.
@@ -71,14 +74,13 @@ class Histories:
         derivatives with respect to the values, or (n, 1) without; or why there are none.
         """
         every = range(len(self._experiments))
-        made = [self._cases(e, points) for e in every]
-        wanted = [(made[e][i], e) for i in range(len(points)) for e in every]
-        read = iter(self._read(wanted, steps, derivatives))
+        pairs = [(i, e) for i in range(len(points)) for e in every]
+        parts = dict(zip(pairs, self._read(points, pairs, steps, derivatives), strict=True))
         found: list[FloatArray | ComputationError] = []
-        for _ in points:
-            parts = [next(read) for _ in every]
-            failed = [part for part in parts if isinstance(part, ComputationError)]
-            arrays = [part for part in parts if not isinstance(part, ComputationError)]
+        for i in range(len(points)):
+            own = [parts[i, e] for e in every]
+            failed = [part for part in own if isinstance(part, ComputationError)]
+            arrays = [part for part in own if not isinstance(part, ComputationError)]
             found.append(failed[0] if failed else np.concatenate(arrays))
         return found
 
@@ -86,8 +88,7 @@ class Histories:
         self, experiments: Sequence[int], values: FloatArray
     ) -> list[FloatArray | ComputationError]:
         """Return the same of some experiments, each by itself, at values (m,). Not collective."""
-        wanted = [(self._cases(e, values[None])[0], e) for e in experiments]
-        return self._read(wanted, STEPS, True)
+        return self._read(values[None], [(0, e) for e in experiments], STEPS, True)
 
     def _cases(self, experiment: int, points: FloatArray) -> list[Case]:
         """Return the cases of an experiment at some values (p, m)."""
@@ -105,19 +106,24 @@ class Histories:
         return cases
 
     def _read(
-        self, wanted: Sequence[tuple[Case, int]], steps: int, derivatives: bool
+        self, points: FloatArray, pairs: Sequence[Pair], steps: int, derivatives: bool
     ) -> list[FloatArray | ComputationError]:
-        """Return the readings of cases, of an experiment each, or why there are none."""
-        grids = {e: step_times(self._experiments[e], steps).tolist() for _, e in wanted}
+        """Return the readings at some of the points, of an experiment each, or why not."""
+        grids = {e: step_times(self._experiments[e], steps).tolist() for _, e in pairs}
         groups: dict[Hashable, list[int]] = defaultdict(list)
-        for number, (_, experiment) in enumerate(wanted):
+        for number, (_, experiment) in enumerate(pairs):
             groups[self._owners[experiment]].append(number)
+        wanted: dict[int, Case] = {}
+        for experiment in grids:
+            own = [number for number, (_, e) in enumerate(pairs) if e == experiment]
+            cases = self._cases(experiment, points[[pairs[number][0] for number in own]])
+            wanted |= dict(zip(own, cases, strict=True))
         found: dict[int, FloatArray | ComputationError] = {}
         for key, numbers in groups.items():
             parts = computed(
-                [wanted[number][0] for number in numbers], self._pairs[key], keep_ends=True,
+                [wanted[number] for number in numbers], self._pairs[key], keep_ends=True,
                 derivatives=[derivative_key(key) for key in self._keys if derivatives],
-                step_times=[grids[wanted[number][1]] for number in numbers],
+                step_times=[grids[pairs[number][1]] for number in numbers],
             )  # fmt: skip
             for part in parts:
                 for place, result in zip(part.numbers, part.results(), strict=True):
@@ -125,10 +131,10 @@ class Histories:
                     if isinstance(result, Exception):
                         found[number] = ComputationError(reason_of(result))
                     else:
-                        reader = self._readers[wanted[number][1]]
+                        reader = self._readers[pairs[number][1]]
                         found[number] = reader.read(_trajectory(result))
-        self.count += len(wanted)
-        return [found[number] for number in range(len(wanted))]
+        self.count += len(pairs)
+        return [found[number] for number in range(len(pairs))]
 
 
 def _trajectory(result: Result) -> Trajectory:

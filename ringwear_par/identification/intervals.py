@@ -16,11 +16,13 @@ Verdict = Literal["identified", "at bound", "not identified"]
 
 #: of the information matrix with a unit diagonal: below it nothing is known of a direction
 _NOTHING = 1e-10
+#: of such a direction: others up to it are as weak
+_AS_WEAK = 10.0
 #: components of a direction that are told
 _TOLD = 0.15
 #: largest half interval of a logarithm
 _WIDEST_LOG = 1.5
-#: correlation at which what is not known of one key is not known of the other
+#: correlation with keys of which nothing is known at which nothing is known of another
 _ONE = 0.999
 #: of a prior's sd: more is but the prior
 _MERE_PRIOR = 0.95
@@ -100,10 +102,12 @@ class Spectrum:
         return covariance
 
     def weakest(self, unknown: int) -> FloatArray:
-        """Return the weakest direction (u,) that an unknown takes part in, components at most 1."""
+        """Return the projector (u, u) on directions as weak as an unknown's weakest."""
         share = self.vectors[unknown] ** 2 / np.maximum(self.values, _NOTHING)
-        vector = self.vectors[:, int(np.argmax(share))]
-        return vector / np.abs(vector).max()
+        value = max(float(self.values[int(np.argmax(share))]), _NOTHING)
+        part = self.vectors[:, self.values <= _AS_WEAK * value]
+        projector: FloatArray = part @ part.T
+        return projector
 
 
 def estimates(
@@ -118,10 +122,12 @@ def estimates(
     values = squares.values(x)
     sds = np.sqrt(np.diag(covariance))
     judged = [_judged(squares, j, x[j], free[j], float(sds[j])) for j in range(len(values))]
-    vague = [j for j in range(len(values)) if _vague(squares, j, float(sds[j]))]
+    vague = [
+        j for j, sd in enumerate(sds[: len(values)]) if np.isfinite(sd) and _vague(squares, j, sd)
+    ]
     told = []
     for j, (verdict, limits, sd) in enumerate(judged):
-        if any(abs(finite[i, j]) > _ONE * sds[i] * sds[j] for i in vague):
+        if vague and _follows(finite, j, vague):
             verdict, limits = "not identified", (None, None)
         parameter = squares.problem.parameters[j]
         natural = None if sd is None else sd * parameter.slope(values[j])
@@ -137,6 +143,15 @@ def estimates(
             )
         )  # fmt: skip
     return tuple(told), covariance
+
+
+def _follows(covariance: FloatArray, j: int, others: Sequence[int]) -> bool:
+    """Tell whether an unknown would be known if all of some others were."""
+    part = covariance[np.ix_([j, *others], [j, *others])]
+    sds = np.sqrt(np.diag(part))
+    part = part / np.outer(*[np.where(sds > 0.0, sds, 1.0)] * 2)
+    told = part[0, 1:] @ np.linalg.pinv(part[1:, 1:], rcond=_NOTHING, hermitian=True) @ part[1:, 0]
+    return bool(told > _ONE**2)
 
 
 def _vague(squares: LeastSquares, j: int, sd: float) -> bool:
@@ -181,28 +196,30 @@ def direction(squares: LeastSquares, spectrum: Spectrum, j: int) -> str:
     """
     names, parameters = squares.names, squares.problem.parameters
     weak = spectrum.weakest(j)
-    taking = [i for i in range(len(names)) if abs(weak[i]) > _TOLD]
+    taking = np.flatnonzero(np.abs(weak[j]) > _TOLD * np.abs(weak[j]).max()).tolist()
     keys = [i for i in taking if i < len(parameters)]
-    others = [i for i in taking if i >= len(parameters)]
     if taking == [j]:
         return f"the readings hardly respond to {names[j]}"
-    if not others and all(parameters[i].log for i in keys):
-        return f"only {_product(squares, keys, weak / spectrum.size)}"
+    if taking == keys and all(parameters[i].log for i in keys):
+        values, vectors = np.linalg.eigh(weak[np.ix_(keys, keys)])
+        strong = vectors[:, values < 0.5]
+        if strong.shape[1] == 1:
+            return f"only {_product(squares, keys, strong[:, 0] * spectrum.size[keys])}"
+        return f"only products of {', '.join(sorted(str(names[i]) for i in keys))}"
     mine = str(names[j])
     rest = [told(names[i]) for i in taking if i != j]
     return f"{mine} against {' and '.join([', '.join(rest[:-1]), rest[-1]] if rest[1:] else rest)}"
 
 
-def _product(squares: LeastSquares, keys: Sequence[int], shift: FloatArray) -> str:
-    """Return the product of powers of keys that does not change along a shift of logarithms."""
-    names = sorted(keys, key=lambda i: str(squares.names[i]))
-    if len(names) > 2:
-        return f"products of {', '.join(str(squares.names[i]) for i in names)}"
-    a, b = names
-    power = -shift[a] / shift[b]  # a * b^power does not change
-    sign, power = ("x", power) if power > 0 else ("/", -power)
-    exponent = "" if abs(power - 1.0) < 0.05 else f"^{power:.2g}"
-    return f"{squares.names[a]} {sign} {squares.names[b]}{exponent}"
+def _product(squares: LeastSquares, keys: Sequence[int], powers: FloatArray) -> str:
+    """Return the product of powers of keys, that of the first by name being 1."""
+    named = sorted((str(squares.names[i]), float(p)) for i, p in zip(keys, powers, strict=True))
+    words = [named[0][0]]
+    for name, power in named[1:]:
+        power /= named[0][1]
+        exponent = "" if abs(abs(power) - 1.0) < 0.05 else f"^{abs(power):.2g}"
+        words.append(f"{'x' if power > 0 else '/'} {name}{exponent}")
+    return " ".join(words)
 
 
 def told(name: str | tuple[str, str, str]) -> str:

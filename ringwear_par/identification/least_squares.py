@@ -123,6 +123,18 @@ class LeastSquares:
         """Tell whether the histories at unknowns are there."""
         return self.values(x).tobytes() in self.known
 
+    def forget(self, points: Sequence[FloatArray], but: FloatArray) -> None:
+        """Forget the histories at unknowns, but for those at some."""
+        kept = self.values(but).tobytes()
+        for key in {self.values(x).tobytes() for x in points} - {kept}:
+            self.known.pop(key, None)
+
+    def keep(self, x: FloatArray) -> None:
+        """Forget all histories but those at unknowns. Not collective."""
+        self.look_up([x])
+        key = self.values(x).tobytes()
+        self.known = {key: self.known[key]}
+
     def look_up(self, points: Sequence[FloatArray]) -> None:
         """Have the histories at unknowns computed together, and keep them. Not collective."""
         values = [self.values(x) for x in points]

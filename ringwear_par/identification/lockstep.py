@@ -21,28 +21,32 @@ class StoppedError(ComputationError):
 
 
 def side_by_side(
-    jobs: Sequence[Callable[[Meet], T]],
-    compute: Callable[[list[FloatArray]], Any],
-    stop: Callable[[], bool],
-) -> list[T | BaseException]:
-    """Return what jobs return, or raise. Not collective.
+    jobs: Sequence[Callable[[Meet], T]], compute: Callable[[list[FloatArray]], Any]
+) -> list[T]:
+    """Return what jobs return. Not collective.
 
     Parameters
     ----------
     jobs : each is given a function to be called before it needs the histories at a point.
     compute : computes those at several points; must keep them.
-    stop : asked before; jobs are then ended.
+
+    Raises
+    ------
+    Exception : of ``compute``, which ends all jobs; or of a job, once the others have ended.
     """
     workers = [_Worker(job) for job in jobs]
     for worker in workers:
         worker.go()
     while waiting := [worker for worker in workers if worker.asked is not None]:
-        stopped = stop()
-        if not stopped:
+        try:
             compute([worker.asked for worker in waiting if worker.asked is not None])
+        except BaseException:
+            for worker in waiting:
+                worker.go(stopped=True)
+            raise
         for worker in waiting:
-            worker.go(stopped)
-    return [worker.outcome for worker in workers]
+            worker.go()
+    return [worker.result() for worker in workers]
 
 
 class _Worker(Generic[T]):
@@ -54,7 +58,7 @@ class _Worker(Generic[T]):
         self._stopped = False
         #: the point that it waits for; None: it does not, or has ended
         self.asked: FloatArray | None = None
-        self.outcome: T | BaseException = StoppedError("not begun")
+        self._outcome: T | BaseException = StoppedError("not begun")
         self._thread = threading.Thread(target=self._run, daemon=True)
         self._thread.start()
 
@@ -66,12 +70,18 @@ class _Worker(Generic[T]):
         if self.asked is None:
             self._thread.join()
 
+    def result(self) -> T:
+        """Return what it has returned, or raise what it has raised."""
+        if isinstance(self._outcome, BaseException):
+            raise self._outcome
+        return self._outcome
+
     def _run(self) -> None:
         self._mine.acquire()
         try:
-            self.outcome = self._job(self._meet)
+            self._outcome = self._job(self._meet)
         except BaseException as error:
-            self.outcome = error
+            self._outcome = error
         finally:
             self._theirs.release()
 

@@ -8,9 +8,8 @@ import numpy as np
 from ringwear_par.arrays import BoolArray, FloatArray
 from ringwear_par.contact.tao import Guard
 from ringwear_par.errors import ComputationError, LawError
-from ringwear_par.identification.least_squares import Evaluation
-from ringwear_par.identification.lockstep import StoppedError
-from ringwear_par.identification.problem import Method
+from ringwear_par.identification.least_squares import Evaluation, LeastSquares
+from ringwear_par.identification.lockstep import Meet, StoppedError
 from ringwear_par.options import FIT_PREFIX, set_from_options
 from ringwear_par.petsc import PETSc
 
@@ -42,39 +41,49 @@ class Optimum:
     evaluation : residuals there.
     converged : whether the gradient within the bounds vanishes.
     iterations : of the minimiser.
+    points : at which it has had histories computed.
     """
 
     x: FloatArray
     evaluation: Evaluation
     converged: bool
     iterations: int
+    points: int
 
 
 def minimise(
-    evaluate: Residuals,
-    start: FloatArray,
-    bounds: tuple[FloatArray, FloatArray],
-    method: Method,
-    held: BoolArray,
-    linear: BoolArray,
+    squares: LeastSquares, start: FloatArray, meet: Meet | None = None, held: int | None = None
 ) -> Optimum:
     """Return the least squares near a start, within bounds. Not collective.
 
+    Unknowns without bounds on which residuals depend linearly are at every trial the best for the
+    others. Histories of trials are forgotten, but for those at the optimum.
+
     Parameters
     ----------
-    evaluate : residuals and Jacobian at unknowns (u,).
     start : (u,) within the bounds.
-    held : (u,) bool, unknowns that stay where they are.
-    linear : (u,) bool, unknowns without bounds on which residuals depend linearly: at every trial
-        they are the best for the others.
+    meet : has the histories at a point computed, and others' with them.
+    held : a fitted key that stays where it is.
 
     Raises
     ------
-    ComputationError : of ``evaluate``.
+    ComputationError : a history.
     """
-    sought, projected = ~held & ~linear, ~held & linear
+    asked: list[FloatArray] = []
+
+    def evaluate(x: FloatArray) -> Evaluation:
+        if not squares.knows(x):
+            asked.append(x)
+            if meet is not None:
+                meet(x)
+        return squares.evaluate(x)
+
+    bounds, free = (squares.lower, squares.upper), ~squares.idle
+    if held is not None:
+        free[held] = False
+    sought, projected = free & ~squares.linear, free & squares.linear
     x, iterations = start, 0
-    solve = _brgn if method == "brgn" else _scipy
+    solve = _brgn if squares.problem.settings.method == "brgn" else _scipy
     for _ in range(_SCALES):
         problem = _Reduced(evaluate, x, bounds, sought, projected)
         if not sought.any():
@@ -87,8 +96,9 @@ def minimise(
         if more < _ITERATIONS or not gain > _NO_GAIN:
             break
     found = evaluate(x)
-    good = _gradient(found, x, bounds, ~held) <= _GOOD_GRADIENT
-    return Optimum(x, found, good, iterations)
+    squares.forget(asked, x)
+    good = _gradient(found, x, bounds, free) <= _GOOD_GRADIENT
+    return Optimum(x, found, good, iterations, len(asked))
 
 
 def _gradient(

@@ -44,6 +44,8 @@ class FitResult:
     comm : of the ranks that have fitted.
     posterior : samples of the fitted keys, where they were asked for.
     failed : why there is no outcome under some other laws, by name.
+    histories_of_profiles : how many of them were for likelihood profiles.
+    unsure : keys of which a profile's limit is not known as closely as it should be.
     """
 
     squares: LeastSquares
@@ -59,6 +61,8 @@ class FitResult:
     comm: Any
     posterior: Posterior | None = None
     failed: Mapping[str, str] = field(default_factory=dict)
+    histories_of_profiles: int = 0
+    unsure: tuple[str, ...] = ()
 
     def __repr__(self) -> str:
         found = ", ".join(f"{p.key} = {p.estimate:.4g} ({p.verdict})" for p in self.parameters)
@@ -198,6 +202,7 @@ class FitResult:
             "experiments": self.experiments,
             "nuisance": self.nuisances,
             "histories": self.histories,
+            "histories_of_profiles": self.histories_of_profiles,
             "warnings": list(self.warnings),
             "starts": [_started(one, problem.keys) for one in self.starts],
             "profiles": {key: _finite(table) for key, table in self.profiles.items()},

@@ -1,7 +1,5 @@
 """Readings that cannot be what they are called, as the first histories tell."""
 
-from dataclasses import replace
-
 import numpy as np
 
 from ringwear_par.arrays import BoolArray, FloatArray
@@ -15,7 +13,7 @@ _NO_RESPONSE = 1e-6
 #: of the noise of all readings: a key by which they change less is not felt, over a factor of e
 #: where its logarithm is sought, else over ten times the whole of its bounds
 _NOT_FELT, _WIDTHS = 0.5, 10.0
-#: starts that are asked at least
+#: points that are asked at least
 _ASKED = 8
 #: correlation of readings with the model below which they have the wrong sign, and at how many sd
 _OPPOSITE, _SURE = -0.5, 5.0
@@ -72,12 +70,12 @@ def _felt(squares: LeastSquares, start: FloatArray) -> BoolArray:
     felt = at(start)
     if felt.all():
         return felt
-    settings = replace(problem.settings, starts=max(_ASKED, problem.settings.starts))
-    others = [
-        np.concatenate([row, start[m:]]) for row in points(replace(problem, settings=settings))
-    ]
+    most = max(_ASKED, problem.settings.starts)
+    others = [np.concatenate([row, start[m:]]) for row in points(problem, most)]
     squares.look_up(others)
-    return np.logical_or.reduce([felt, *map(at, others)])
+    felt = np.logical_or.reduce([felt, *map(at, others)])
+    squares.forget(others, start)
+    return felt
 
 
 def _values(squares: LeastSquares) -> str:

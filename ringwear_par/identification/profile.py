@@ -5,22 +5,52 @@ allows when all other unknowns make the best of it.
 """
 
 import math
-from collections.abc import Callable, Sequence
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 from scipy.stats import chi2
 
 from ringwear_par.arrays import FloatArray
 from ringwear_par.identification.intervals import ParameterEstimate
-from ringwear_par.identification.least_squares import Evaluation, LeastSquares
-from ringwear_par.identification.lockstep import Meet, StoppedError, side_by_side
+from ringwear_par.identification.least_squares import LeastSquares
+from ringwear_par.identification.lockstep import Meet, side_by_side
 from ringwear_par.identification.minimise import Optimum, minimise
 
 #: of the root of the growth of the sum of squares, at which a limit is found
 _CLOSE = 0.01
 _MOST_POINTS = 8
+#: decrease of the sum of squares that is a better optimum, and no rest of the minimiser's
+_BETTER = 1e-2
+
+
+@dataclass(frozen=True, eq=False)
+class Profiles:
+    """What likelihood profiles tell.
+
+    Parameters
+    ----------
+    estimates : with their limits.
+    tables : for each key (2, points): values of the parameter, increasing, and what twice the
+        objective grows by.
+    unsure : keys of which a limit is not known as closely as it should be.
+    better : (u,) unknowns on the way that are better than the optimum; None: there are none.
+    """
+
+    estimates: tuple[ParameterEstimate, ...]
+    tables: Mapping[str, FloatArray]
+    unsure: tuple[str, ...] = ()
+    better: FloatArray | None = None
+
+
+class _Limit(NamedTuple):
+    """The unknown at a limit, None for no limit; whether it is as close as it should be."""
+
+    at: float | None
+    close: bool = True
+    better: Optimum | None = None
 
 
 def likelihood_profiles(
@@ -28,26 +58,18 @@ def likelihood_profiles(
     optimum: Optimum,
     estimates: Sequence[ParameterEstimate],
     covariance: FloatArray,
-    stop: Callable[[], bool],
-) -> tuple[tuple[ParameterEstimate, ...], dict[str, FloatArray]]:
-    """Return estimates with limits of the profile, and the profiles by key.
+) -> Profiles:
+    """Return what profiles tell, or the estimates as they are where none are asked for.
 
-    Where they are not asked for all stays as it is. All limits are sought side by side. Not
-    collective.
+    All limits are sought side by side. Not collective.
 
     Parameters
     ----------
     estimates : with linear limits.
     covariance : (u, u) of the unknowns.
-    stop : tells that the search is to be given up.
-
-    Returns
-    -------
-    Estimates, and for each key (2, points): values of the parameter, increasing, and what twice the
-    objective grows by.
     """
     if "profile" not in squares.problem.settings.intervals:
-        return tuple(estimates), {}
+        return Profiles(tuple(estimates), {})
     level = squares.problem.settings.level
     tables: dict[int, dict[float, float]] = {}
     sought = []
@@ -66,14 +88,13 @@ def likelihood_profiles(
         partial(_limit, squares, optimum, covariance, j, (-1.0, 1.0)[side], root, tables[j])
         for j, side, root in sought
     ]
-    limits: dict[tuple[int, int], float | None] = {}
-    outcomes = side_by_side(searches, squares.look_up, stop)
-    for (j, side, _), outcome in zip(sought, outcomes, strict=True):
-        if isinstance(outcome, StoppedError):
-            return tuple(estimates), {}
-        if isinstance(outcome, BaseException):
-            raise outcome
-        limits[j, side] = outcome
+    outcomes = side_by_side(searches, squares.look_up)
+    better = [one.better for one in outcomes if one.better is not None]
+    if better:
+        best = min(better, key=lambda one: one.evaluation.objective)
+        return Profiles(tuple(estimates), {}, better=best.x)
+    limits = {(j, side): one.at for (j, side, _), one in zip(sought, outcomes, strict=True)}
+    unsure = {j for (j, _, _), one in zip(sought, outcomes, strict=True) if not one.close}
     found, profiles = list(estimates), {}
     for j, points in tables.items():
         parameter = squares.problem.parameters[j]
@@ -83,7 +104,8 @@ def likelihood_profiles(
         table = np.array(sorted(points.items())).T
         table[0] = [parameter.value(u) for u in table[0]]
         profiles[parameter.key] = table
-    return tuple(found), profiles
+    keys = squares.problem.keys
+    return Profiles(tuple(found), profiles, tuple(keys[j] for j in sorted(unsure)))
 
 
 def _limit(
@@ -95,8 +117,8 @@ def _limit(
     wanted: float,
     points: dict[float, float],
     meet: Meet,
-) -> float | None:
-    """Return the unknown at which the root of the growth is ``wanted``; None: at no bound either.
+) -> _Limit:
+    """Return the unknown at which the root of the growth is ``wanted``.
 
     The root grows nearly linearly, so that secants find it.
 
@@ -105,15 +127,7 @@ def _limit(
     side : -1 below the optimum, 1 above.
     points : of the profile, to which those on the way are added.
     """
-    bounds, method = (squares.lower, squares.upper), squares.problem.settings.method
-    held = squares.idle
-    held[j] = True
-
-    def evaluate(x: FloatArray) -> Evaluation:
-        if not squares.knows(x):
-            meet(x)
-        return squares.evaluate(x)
-
+    bounds = squares.lower, squares.upper
     sd = math.sqrt(covariance[j, j])
     centre, end = float(optimum.x[j]), float(bounds[0][j] if side < 0 else bounds[1][j])
     # how the others follow where the model is linear
@@ -127,15 +141,17 @@ def _limit(
         at = max(at, end) if side < 0 else min(at, end)
         start = x + follow * (at - before)
         start[j] = at
-        best = minimise(evaluate, np.clip(start, *bounds), bounds, method, held, squares.linear)
-        growth = max(2.0 * (best.evaluation.objective - least), 0.0)
-        points[at] = growth
+        best = minimise(squares, np.clip(start, *bounds), meet, held=j)
+        growth = 2.0 * (best.evaluation.objective - least)
+        if growth < -_BETTER:
+            return _Limit(None, better=best)
+        points[at] = growth = max(growth, 0.0)
         root, step, x, before = math.sqrt(growth), abs(at - centre), best.x, at
         if abs(root - wanted) <= _CLOSE * wanted:
-            return at
+            return _Limit(at)
         if root < wanted:
             if at == end:
-                return None
+                return _Limit(None)
             inner = step, root
         else:
             outer = step, root
@@ -144,4 +160,4 @@ def _limit(
         else:
             share = (wanted - inner[1]) / (outer[1] - inner[1])
             step = inner[0] + (outer[0] - inner[0]) * min(max(share, 0.05), 0.95)
-    return centre + side * step
+    return _Limit(centre + side * step, close=False)

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from ringwear_par.arrays import FloatArray
+from ringwear_par.arrays import FloatArray, IntArray
 from ringwear_par.cases.case import Case
 from ringwear_par.identification.problem import Experiment, Series
 from ringwear_par.identification.trajectory import Trajectory
@@ -18,8 +18,48 @@ from ringwear_par.schedules import in_time
 
 #: of a segment's length: within it steps are equal, beyond it their logarithms
 _EARLY = 5e-4
+#: grids of steps whose weights are kept
+_GRIDS = 4
 #: relative, for times that are one
 _CLOSE = 1e-9
+
+
+class InSteps:
+    """What values at other times are of those at the ends of steps.
+
+    Parameters
+    ----------
+    time : (s,) s, of the steps, the breaks among them.
+    at : (t,) s.
+    breaks : from the start to the end, s.
+    """
+
+    def __init__(self, time: FloatArray, at: FloatArray, breaks: Sequence[float]) -> None:
+        self._count = len(at)
+        self._parts: list[tuple[IntArray, IntArray, FloatArray]] = []
+        for low, high in itertools.pairwise(breaks):
+            close = _CLOSE * breaks[-1]
+            steps = np.flatnonzero((time >= low - close) & (time <= high + close))
+            wanted = np.flatnonzero((at >= low) & (at <= high + close))
+            if not len(wanted):
+                continue
+            own, there = (
+                np.log1p(np.clip(t - low, 0.0, high - low) / (_EARLY * (high - low)))
+                for t in (time[steps], at[wanted])
+            )
+            units = np.eye(len(steps))
+            if len(steps) > 3:
+                weights = CubicSpline(own, units)(there)
+            else:
+                weights = np.stack([np.interp(there, own, unit) for unit in units], axis=1)
+            self._parts.append((wanted, steps, weights))
+
+    def __call__(self, values: FloatArray) -> FloatArray:
+        """Return values (s, ...) at the other times, (t, ...)."""
+        result = np.empty((self._count, *values.shape[1:]))
+        for wanted, steps, weights in self._parts:
+            result[wanted] = np.tensordot(weights, values[steps], axes=1)
+        return result
 
 
 class Reader:
@@ -35,17 +75,25 @@ class Reader:
         self._series = experiment.series
         self._breaks = (0.0, *case.breakpoints, case.time.end)
         self._radial = {s.name: _radial(s, case) for s in self._series if s.profile}
+        # histories share their steps
+        self._steps: dict[bytes, dict[str, InSteps]] = {}
 
     def read(self, trajectory: Trajectory) -> FloatArray:
         """Return the readings of all series, one after another, (n, q), without nuisances."""
-        return np.concatenate([self._of(series, trajectory) for series in self._series])
+        time = trajectory.time
+        key = time.tobytes()
+        if key not in self._steps:
+            at = {s.name: np.array([s.at]) if s.profile else s.x for s in self._series}
+            if len(self._steps) == _GRIDS:
+                self._steps.clear()
+            self._steps[key] = {name: InSteps(time, t, self._breaks) for name, t in at.items()}
+        own = self._steps[key]
+        return np.concatenate([self._of(s, trajectory, own[s.name]) for s in self._series])
 
-    def _of(self, series: Series, found: Trajectory) -> FloatArray:
+    def _of(self, series: Series, found: Trajectory, in_steps: InSteps) -> FloatArray:
         body = ("lower", "upper").index(series.body)
         if series.profile:
-            at = np.array([series.at])
-            wear = in_steps(found.time, found.wear[body], at, self._breaks)[0]
-            profile: FloatArray = self._radial[series.name] @ wear
+            profile: FloatArray = self._radial[series.name] @ in_steps(found.wear[body])[0]
             return profile
         if series.quantity in ("penetration", "approach"):
             values = found.approach
@@ -55,7 +103,7 @@ class Reader:
             values = found.torque
         else:
             values = series.density * found.volume[body]
-        return in_steps(found.time, values, series.x, self._breaks)
+        return in_steps(values)
 
 
 def _radial(series: Series, case: Case) -> FloatArray:
@@ -72,36 +120,6 @@ def _radial(series: Series, case: Case) -> FloatArray:
     weights = np.zeros((series.n, len(mid_points)))
     weights[inside] = CubicSpline(mid_points, np.eye(len(mid_points)))(r)
     return weights
-
-
-def in_steps(
-    time: FloatArray, values: FloatArray, at: FloatArray, breaks: Sequence[float]
-) -> FloatArray:
-    """Return values (s, ...) over steps at other times, (t, ...).
-
-    Parameters
-    ----------
-    time : (s,) s, of the steps, the breaks among them.
-    at : (t,) s.
-    breaks : from the start to the end, s.
-    """
-    result = np.empty((len(at), *values.shape[1:]))
-    for low, high in itertools.pairwise(breaks):
-        close = _CLOSE * breaks[-1]
-        steps = np.flatnonzero((time >= low - close) & (time <= high + close))
-        wanted = np.flatnonzero((at >= low) & (at <= high + close))
-        if not len(wanted):
-            continue
-        own, there = (
-            np.log1p(np.clip(t - low, 0.0, high - low) / (_EARLY * (high - low)))
-            for t in (time[steps], at[wanted])
-        )
-        if len(steps) > 3:
-            result[wanted] = CubicSpline(own, values[steps])(there)
-        else:
-            parts = np.stack([np.interp(there, own, unit) for unit in np.eye(len(steps))], axis=1)
-            result[wanted] = np.tensordot(parts, values[steps], axes=1)
-    return result
 
 
 def nuisance_columns(series: Series, case: Case) -> FloatArray:

@@ -3,27 +3,28 @@
 import json
 import logging
 import time
-from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
 
 import numpy as np
 
-from ringwear_par.arrays import BoolArray, FloatArray
+from ringwear_par.arrays import FloatArray
 from ringwear_par.atomic import atomic_write
 from ringwear_par.errors import ComputationError, RingwearError, reason_of
 from ringwear_par.identification.chain import Keeper
-from ringwear_par.identification.least_squares import Evaluation, LeastSquares
+from ringwear_par.identification.histories import Histories
+from ringwear_par.identification.least_squares import LeastSquares
 from ringwear_par.identification.lockstep import Meet, StoppedError, side_by_side
+from ringwear_par.identification.marginal import Marginal
 from ringwear_par.identification.minimise import minimise
 from ringwear_par.identification.problem import Problem
 
 log = logging.getLogger(__name__)
 
 _SEED = 0
-#: how often a start is drawn nearer to the first one
-_MOST_DRAWS = 12
+#: points of which a start is the best, and steps of the histories that tell
+_LOT, _COARSE = 8, 10
 #: starts that advance side by side
 _MOST_TOGETHER = 64
 #: wall seconds between lines of progress
@@ -122,100 +123,79 @@ class Progress:
         (self._folder / "progress").rmdir()
 
 
-def points(problem: Problem) -> FloatArray:
-    """Return unknowns (starts, m): those of the parameters' own starts, then Sobol' points."""
-    parameters = problem.parameters
-    first = np.array([p.unknown(p.start) for p in parameters])
-    count = problem.settings.starts
-    if count == 1:
-        return first[None]
+def points(problem: Problem, count: int) -> FloatArray:
+    """Return Sobol' points (count, m) within the bounds of the fitted keys' unknowns."""
     from scipy.stats import qmc  # slow to import
 
-    low, high = np.array([[p.unknown(b) for b in p.bounds] for p in parameters]).T
-    sampler = qmc.Sobol(len(parameters), scramble=True, seed=_SEED)
-    drawn = sampler.random_base2(max(count - 2, 0).bit_length())[: count - 1]
-    return np.concatenate([first[None], low + (high - low) * drawn])
+    low, high = np.array([[p.unknown(b) for b in p.bounds] for p in problem.parameters]).T
+    sampler = qmc.Sobol(len(low), scramble=True, seed=_SEED)
+    drawn: FloatArray = sampler.random_base2(max(count - 1, 0).bit_length())[:count]
+    return low + (high - low) * drawn
 
 
-def responsive(squares: LeastSquares, unknowns: FloatArray) -> FloatArray:
-    """Return starts from which every parameter can be felt. Not collective.
+def screened(squares: LeastSquares, histories: Histories) -> FloatArray:
+    """Return unknowns (starts, m): the parameters' own starts, then the best points of some lots.
 
-    Where a threshold is above all pressures, nothing wears and no derivative says where to go: such
-    a start is drawn half way to the first one, which all must reach by itself, again and again.
-
-    Parameters
-    ----------
-    unknowns : (s, m), the first one first.
+    Each lot is spread over all bounds, so that starts stay apart. Where a threshold is above all
+    pressures, nothing wears and no derivative says where to go: a lot of such points is replaced by
+    the best one left of the others. Not collective.
     """
-    m = unknowns.shape[1]
-    nothing = np.zeros(len(squares.names) - m)
-    widths = (squares.upper - squares.lower)[:m]
-
-    def felt(rows: FloatArray) -> list[BoolArray]:
-        """Return which parameters move some reading by its noise, over their bounds."""
-        whole = [np.concatenate([row, nothing]) for row in rows]
-        squares.look_up(whole)
-        found = []
-        for x in whole:
-            try:
-                columns = squares.evaluate(x).noise_jacobian[:, :m]
-            except ComputationError:
-                columns = np.zeros((1, m))
-            found.append(np.linalg.norm(columns, axis=0) * widths > 1.0)
-        return found
-
-    moved = unknowns.copy()
-    waiting = np.arange(len(moved))
-    for _ in range(_MOST_DRAWS):
-        told = felt(np.concatenate([moved[:1], moved[waiting]]))
-        reference, others = told[0], told[1:]
-        waiting = waiting[[bool((reference & ~own).any()) for own in others]]
-        if not len(waiting):
-            break
-        moved[waiting] = 0.5 * (moved[waiting] + moved[0])
-    return moved
+    problem = squares.problem
+    first = np.array([[p.unknown(p.start) for p in problem.parameters]])
+    lots, m = problem.settings.starts - 1, first.shape[1]
+    if not lots:
+        return first
+    drawn = points(problem, _LOT * lots)
+    values = np.array([squares.values(x) for x in drawn])
+    widths, marginal = (squares.upper - squares.lower)[:m], Marginal(squares)
+    marks = []  # how many parameters move no reading by its noise, over their bounds; improbability
+    for value, found in zip(values, histories.responses(values, _COARSE), strict=True):
+        if isinstance(found, ComputationError):
+            marks.append((m, float("inf")))
+            continue
+        moves = np.linalg.norm(squares.whitened(found[:, 1:] * squares.slopes(value)), axis=0)
+        marks.append((int((moves * widths <= 1.0).sum()), -marginal(value, found[:, 0])))
+    order = sorted(range(len(drawn)), key=marks.__getitem__)
+    best = [next(i for i in order if i // _LOT == lot) for lot in range(lots)]
+    left = iter([i for i in order if i not in best])
+    fewest = marks[order[0]][0]
+    chosen = [i if marks[i][0] == fewest else next(left) for i in best]
+    return np.concatenate([first, drawn[chosen]])
 
 
 def solve_starts(
-    squares: LeastSquares,
-    unknowns: FloatArray,
-    numbers: Sequence[int],
-    name: str,
-    progress: Progress,
-    stop: Callable[[], bool],
+    squares: LeastSquares, histories: Histories, name: str, progress: Progress
 ) -> list[Started]:
-    """Return the optima of some starts, by number, until ``stop`` says so. Not collective.
-
-    They advance side by side.
+    """Return what comes of all starts, which advance side by side. Not collective.
 
     Parameters
     ----------
-    unknowns : (s, m) of all starts.
     name : of the law, as progress is told; "" of the first.
     """
-    kept = {number: progress.read(number) for number in numbers}
-    found = [one for one in kept.values() if one is not None]
+    numbers = range(squares.problem.settings.starts)
+    kept = [progress.read(number) for number in numbers]
+    found = [one for one in kept if one is not None]
     left = [number for number in numbers if kept[number] is None]
     telling = _Telling(name, len(numbers), found)
+    unknowns = screened(squares, histories) if left else np.zeros((0, 0))
+
+    def solved(number: int, meet: Meet) -> None:
+        found.append(_solved(squares, number, unknowns[number], meet))
+        progress.write(found[-1])
+
+    def compute(points: list[FloatArray]) -> None:
+        squares.look_up(points)
+        telling(squares.histories)
+
     for first in range(0, len(left), _MOST_TOGETHER):
         part = left[first : first + _MOST_TOGETHER]
-        ready = responsive(squares, unknowns[[0, *part]])[1:]
+        side_by_side([partial(solved, number) for number in part], compute)
+    return sorted(found, key=lambda one: one.number)
 
-        def solved(number: int, start: FloatArray, meet: Meet) -> None:
-            found.append(_solved(squares, number, start, meet))
-            progress.write(found[-1])
 
-        def compute(points: list[FloatArray]) -> None:
-            squares.look_up(points)
-            telling(squares.histories)
-
-        jobs = [partial(solved, number, start) for number, start in zip(part, ready, strict=True)]
-        for outcome in side_by_side(jobs, compute, stop):
-            if isinstance(outcome, StoppedError):
-                return found
-            if isinstance(outcome, BaseException):
-                raise outcome
-    return found
+def solve_from(squares: LeastSquares, number: int, x: FloatArray) -> Started:
+    """Return what comes of one more start, from unknowns (u,). Not collective."""
+    return _solved(squares, number, x[: len(squares.problem.parameters)], lambda _: None)
 
 
 class _Telling:
@@ -231,27 +211,26 @@ class _Telling:
         self._told = time.perf_counter()
         best = min((2.0 * one.objective for one in self._found), default=float("inf"))
         log.info(
-            "%s%d of %d starts have ended, %d histories, smallest sum of squares %.6g",
+            "%s%d of %d starts have ended, %d histories, smallest chi2 %.6g with priors",
             f"{self._name}: " if self._name else "", len(self._found), self._total, histories, best,
         )  # fmt: skip
 
 
 def _solved(squares: LeastSquares, number: int, unknowns: FloatArray, meet: Meet) -> Started:
-    bounds = squares.lower, squares.upper
     values = tuple(squares.values(unknowns).tolist())
+    first = np.concatenate([unknowns, np.zeros(len(squares.names) - len(unknowns))])
     asked = 0
 
-    def evaluate(x: FloatArray) -> Evaluation:
+    def counted(x: FloatArray) -> None:
         nonlocal asked
-        if not squares.knows(x):
-            asked += len(squares.problem.experiments)
-            meet(x)
-        return squares.evaluate(x)
+        asked += len(squares.problem.experiments)
+        meet(x)
 
     try:
-        start = squares.started(values)
-        method = squares.problem.settings.method
-        optimum = minimise(evaluate, start, bounds, method, squares.idle, squares.linear)
+        if not squares.knows(first):
+            counted(first)
+        optimum = minimise(squares, squares.started(values), counted)
+        squares.forget([first], optimum.x)
     except StoppedError:
         raise
     except RingwearError as error:

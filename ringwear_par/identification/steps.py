@@ -1,36 +1,49 @@
 """Steps of a fit's histories: frozen, so that readings depend smoothly on what is sought."""
 
 import itertools
+import math
 
 import numpy as np
 
 from ringwear_par.arrays import FloatArray
 from ringwear_par.identification.problem import Experiment
 
-#: of a test, and fewest of a piece between two bends of its schedules
-STEPS, _FEWEST, _FEWEST_SHORT = 40, 6, 3
-#: first step of a piece, of the test; a piece that is short, of the test
+#: of a test with constant conditions
+STEPS = 40
+#: of them, fewest of a piece between two bends of schedules; fewest of any piece
+_SHARE, _FEWEST = 0.3, 3
+#: shares of the test: its first step, half of one after a bend; a piece that is short
 _FIRST, _SHORT = 2e-4, 1e-2
 #: times closer than this share of the test are one
 _CLOSE = 1e-7
 
 
 def step_times(experiment: Experiment, steps: int = STEPS) -> FloatArray:
-    """Return the ends of about so many steps of a test, s.
+    """Return the ends of steps of a test, s.
 
     After the start, and after every bend of a schedule, they grow geometrically: pressures change
-    quickly there. Profiles are read at ends of steps.
+    quickly there. Profiles are read at ends of steps. Pieces between bends share the steps of a
+    test, but for a number that each needs.
+
+    Parameters
+    ----------
+    steps : of a test whose schedules have no bends.
     """
     case = experiment.case
     end = case.time.end
+    cuts = list(itertools.pairwise((0.0, *case.breakpoints, end)))
+    long = sum(high - low > _SHORT * end for low, high in cuts)
     pieces = []
-    for low, high in itertools.pairwise((0.0, *case.breakpoints, end)):
+    for low, high in cuts:
         length = high - low
         if length > _SHORT * end:
-            count = max(_FEWEST, round(steps * (0.4 + 0.6 * length / end)))
-            pieces.append(low + np.geomspace(_FIRST * length, length, count))
+            own = round(steps * (0.4 / math.sqrt(long) + 0.6 * length / end))
+            count = max(_FEWEST, round(_SHARE * steps), own)
+            first = min((_FIRST if long == 1 else 2.0 * _FIRST) * end, length / count)
+            pieces.append(low + np.geomspace(first, length, count))
         else:
-            pieces.append(np.linspace(low, high, 1 + max(_FEWEST_SHORT, steps // 10))[1:])
+            count = max(_FEWEST, steps // 10)
+            pieces.append(np.linspace(low, high, 1 + count)[1:])
     fixed = {*case.breakpoints, end, *(s.at for s in experiment.series if s.at is not None)}
     times: list[float] = []
     for time in sorted({*np.concatenate(pieces).tolist(), *fixed}):

@@ -51,6 +51,9 @@ def warnings(found: "FitResult") -> tuple[str, ...]:
             sentences.append(
                 f"{len(failed)} of {len(found.starts)} starts failed: {failed[0].error}"
             )
+    sentences += [
+        f"{key}: a limit of its likelihood profile is but near the level" for key in found.unsure
+    ]
     if found.posterior is not None and found.posterior.effective < FEW:
         sentences.append(
             f"the posterior's samples are worth {found.posterior.effective:.0f} only: more samples"
@@ -69,6 +72,7 @@ def summary(found: "FitResult") -> str:
     lines = [
         f"{problem.name}: {found.n} readings in {len(problem.experiments)} experiments, "
         f"{len(found.parameters)} parameters, {found.histories} histories"
+        + (f" ({found.histories_of_profiles} for profiles)" if found.profiles else "")
     ]
     lines += [f"warning: {sentence}" for sentence in found.warnings]
     lines += _parameter_lines(found)

@@ -180,6 +180,24 @@ def test_friction_and_coefficient_are_one_number_without_torque(tables, comm):
 
 
 @pytest.mark.serial
+def test_three_keys_are_one_number_without_torque(tables, comm):
+    """Two directions that nothing is known of, and no pair of keys that is one."""
+    given = tables(starts=1)
+    for experiment in given["experiment"]:
+        del experiment["set"]["load.omega"]
+    given["fit"]["parameters"] = {
+        **FITTED,
+        "contact.friction": {"start": 0.1, "bounds": [0.01, 1.0], "scale": "log"},
+        "load.omega": {"start": 3.5, "bounds": [0.1, 100.0], "scale": "log"},
+    }
+    by_key = {p.key: p for p in predicted(read_fit(given), comm).parameters}
+    for key in ("contact.friction", "wear.lower.k", "load.omega"):
+        assert by_key[key].verdict == "not identified"
+        assert by_key[key].direction == "only contact.friction x load.omega x wear.lower.k"
+    assert by_key["wear.lower.p0"].verdict == "at bound"
+
+
+@pytest.mark.serial
 def test_torque_tells_friction(tables, comm, tmp_path):
     given = tables(starts=1)
     given["fit"]["parameters"] = {

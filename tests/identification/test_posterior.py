@@ -9,12 +9,11 @@ import pytest
 from laboratory import FITTED, fit_tables, write_tests
 from scipy.stats import truncnorm
 
-from ringwear_par.errors import ComputationError, RingwearError
+from ringwear_par.errors import ComputationError
 from ringwear_par.identification import chain
 from ringwear_par.identification.chain import Keeper
 from ringwear_par.identification.fit import fit, fitted, predicted
 from ringwear_par.identification.fit_file import read_fit
-from ringwear_par.identification.histories import Histories
 from ringwear_par.identification.intervals import estimates
 from ringwear_par.identification.least_squares import LeastSquares
 from ringwear_par.identification.posterior import sample_posterior
@@ -89,7 +88,7 @@ def linear(laboratory):
             x = np.clip(x + step, squares.lower, squares.upper)
         found = squares.evaluate(x)
         _, covariance = estimates(squares, x, found)
-        drawn = sample_posterior(squares, histories, x, covariance, comm, lambda: False, keeper)
+        drawn = sample_posterior(squares, histories, x, covariance, keeper)
         unknowns = np.array(
             [[p.unknown(v) for p, v in zip(parameters, row, strict=True)] for row in drawn.samples]
         )
@@ -154,22 +153,6 @@ def test_outliers_widen_the_student_loss_only(linear, comm):
     error = 4.0 / np.sqrt(drawn.effective)
     sd = np.sqrt(np.diag(covariance))[:2]
     assert unknowns.std(axis=0) == pytest.approx(sd, rel=error + 0.15)
-
-
-def test_an_error_on_one_rank_ends_all(laboratory, comm, monkeypatch, capfd):
-    """Those that wait for its samples too, and nothing but the error is told."""
-    responses = Histories.responses
-
-    def failing(self, points, *args, derivatives=True):
-        if not derivatives and comm.rank == comm.size - 1:
-            raise MemoryError("no room")
-        return responses(self, points, *args, derivatives=derivatives)
-
-    monkeypatch.setattr(Histories, "responses", failing)
-    tables = fit_tables(*laboratory, intervals=["posterior"], samples=64, starts=1)
-    with pytest.raises(MemoryError if comm.size == 1 else RingwearError, match="no room"):
-        fit(tables, comm)
-    assert "Traceback" not in "".join(capfd.readouterr())
 
 
 @pytest.mark.serial

@@ -10,7 +10,7 @@ import ringwear_par as rw
 from ringwear_par.identification.fit_file import read_fit
 from ringwear_par.identification.histories import Histories
 from ringwear_par.identification.problem import Nuisance, Series
-from ringwear_par.identification.readings import in_steps, log_volume, nuisance_columns, whitened
+from ringwear_par.identification.readings import InSteps, log_volume, nuisance_columns, whitened
 from ringwear_par.identification.steps import step_times
 
 SERIES = Series("a", "penetration", np.arange(1.0, 6.0), np.zeros(5), np.ones(5), factor=1e-3)
@@ -26,7 +26,7 @@ def test_readings_between_steps_do_not_round_a_kink():
         return np.where(t <= 40.0, 1 - np.exp(-t / 5), 3 - np.exp(-8.0) - np.exp(-(t - 40) / 5))
 
     at = np.setdiff1d(np.linspace(0.1, 100.0, 400), [40.0005])
-    read = in_steps(time, exact(time)[:, None], at, breaks)[:, 0]
+    read = InSteps(time, at, breaks)(exact(time)[:, None])[:, 0]
     assert np.abs(read - exact(at)).max() < 1e-4
 
 

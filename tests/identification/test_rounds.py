@@ -1,0 +1,163 @@
+"""Rounds of histories, which the first rank asks and all compute: alike, and ended together."""
+
+import copy
+import signal
+import threading
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from laboratory import FITTED, TRUTH, fit_tables, write_tests
+
+from ringwear_par.errors import RingwearError
+from ringwear_par.identification import fit as fit_room
+from ringwear_par.identification import histories as histories_room
+from ringwear_par.identification import profile as profile_room
+from ringwear_par.identification.fit import fit, fitted
+from ringwear_par.identification.fit_file import read_fit
+from ringwear_par.identification.histories import Histories
+from ringwear_par.identification.lockstep import StoppedError, side_by_side
+from ringwear_par.identification.minimise import minimise
+from ringwear_par.identification.rounds import Rounds
+from ringwear_par.stopping import StopSignals
+
+
+@pytest.fixture(scope="module")
+def tables(tmp_path_factory):
+    """A function that makes a fit file of two tests."""
+    folder = tmp_path_factory.mktemp("rounds")
+    written = write_tests(folder)
+
+    def made(**settings):
+        return fit_tables(folder, copy.deepcopy(written), **settings)
+
+    return made
+
+
+def test_histories_of_all_ranks_are_those_of_one(tables, comm):
+    """To the last bit, also where there are fewer of them than ranks, in every order."""
+    given = tables()
+    changed = given["experiment"][1]["set"]
+    changed["lower.young"] = 12e3  # an operator of its own
+    problem = read_fit(given)
+    rounds = Rounds(problem, comm, StopSignals())
+    alone = Histories(problem, comm)
+    points = np.array([[1e-7, 0.0], [2e-7, 30.0], [1.3e-7, 25.0]])
+
+    def job():
+        few = rounds.responses(points[:1], derivatives=False)
+        return [*rounds.responses(points), *few, *rounds.responses(points[::-1], 10)]
+
+    found = rounds.lead(job)
+    expected = [
+        *alone.responses(points),
+        *alone.responses(points[:1], derivatives=False),
+        *alone.responses(points[::-1], 10),
+    ]
+    assert [one.tobytes() for one in found] == [one.tobytes() for one in expected]
+    assert comm.rank > 0 or rounds.count == alone.count
+
+
+def test_an_error_on_one_rank_ends_all(tables, comm, monkeypatch, capfd):
+    """The first rank, which waits for its histories, and those that serve; it is told once."""
+    computed = histories_room.computed
+    calls = []
+
+    def failing(*args, **kwargs):
+        calls.append(args)
+        if comm.rank == comm.size - 1 and len(calls) == 3:
+            raise MemoryError("no room")
+        return computed(*args, **kwargs)
+
+    monkeypatch.setattr(histories_room, "computed", failing)
+    with pytest.raises(MemoryError if comm.size == 1 else RingwearError, match="no room"):
+        fit(tables(starts=3), comm)
+    assert "Traceback" not in "".join(capfd.readouterr())
+
+
+def test_an_error_of_the_first_rank_ends_all(tables, comm, monkeypatch):
+    def failing(*_):
+        raise RingwearError("no starts")
+
+    monkeypatch.setattr(fit_room, "solve_starts", failing)
+    with pytest.raises(RingwearError, match="no starts"):
+        fit(tables(), comm)
+
+
+def test_a_signal_to_any_rank_stops_all(tables, comm):
+    with StopSignals() as signals:
+        rounds = Rounds(read_fit(tables()), comm, signals)
+        if comm.rank == comm.size - 1:
+            signal.raise_signal(signal.SIGUSR1)
+        with pytest.raises(StoppedError, match="stopped by SIGUSR1"):
+            rounds.lead(lambda: rounds.responses(np.array([[1e-7, 0.0]])))
+
+
+def test_profiles_and_samples_are_alike_on_all_ranks(tables, comm):
+    from mpi4py import MPI
+
+    given = tables(starts=1, intervals=["profile", "posterior"], samples=32)
+    found, alone = fit(given, comm), fit(given, MPI.COMM_SELF)
+    for key, table in alone.profiles.items():
+        assert found.profiles[key].tobytes() == table.tobytes()
+    assert found.posterior.samples.tobytes() == alone.posterior.samples.tobytes()
+    assert (found.histories, found.histories_of_profiles) == (
+        alone.histories, alone.histories_of_profiles,
+    )  # fmt: skip
+    assert found.band.tobytes() == alone.band.tobytes()
+    assert 0 < found.histories_of_profiles <= 50 * len(found.profiles)
+
+
+@pytest.mark.serial
+def test_what_fails_in_a_round_ends_all_jobs():
+    before = threading.active_count()
+
+    def compute(points):
+        raise RingwearError("no room")
+
+    with pytest.raises(RingwearError, match="no room"):
+        side_by_side([lambda meet: meet(np.zeros(1))] * 3, compute)
+    assert threading.active_count() == before
+
+
+@pytest.mark.serial
+def test_a_profile_that_finds_a_better_optimum_is_followed(tables, comm, monkeypatch):
+    """From where a minimiser has stuck, half a standard deviation away."""
+    expected = fit(tables(starts=1, intervals=["profile"]), comm)
+    calls = []
+
+    def stuck(squares, x, *args, **kwargs):
+        found = minimise(squares, x, *args, **kwargs)
+        calls.append(found)
+        if len(calls) > 1:
+            return found
+        away = found.x.copy()
+        away[1] += 0.5 * expected.parameters[1].sd
+        return replace(found, x=away, evaluation=squares.evaluate(away))
+
+    monkeypatch.setattr(fit_room, "minimise", stuck)
+    found = fit(tables(starts=1, intervals=["profile"]), comm)
+    assert len(calls) == 2
+    assert len(found.starts) == 2
+    assert found.chi2 == pytest.approx(expected.chi2, rel=1e-9)
+    for one, other in zip(found.parameters, expected.parameters, strict=True):
+        assert abs(one.estimate - other.estimate) < 1e-3 * one.sd
+        assert np.abs(np.subtract(one.interval, other.interval)).max() < 0.05 * one.sd
+
+
+@pytest.mark.serial
+def test_a_limit_that_is_not_found_is_told(tables, comm, monkeypatch):
+    monkeypatch.setattr(profile_room, "_CLOSE", -1.0)
+    found = fit(tables(starts=1, intervals=["profile"]), comm)
+    assert set(found.unsure) == set(TRUTH)
+    assert any("likelihood profile" in sentence for sentence in found.warnings)
+
+
+@pytest.mark.serial
+def test_starts_are_where_all_parameters_are_felt(tables, comm):
+    """Of thresholds that mostly are above all pressures, from which nothing leads away."""
+    given = tables(starts=8)
+    given["fit"]["parameters"] = {**FITTED, "wear.lower.p0": {"start": 0.0, "bounds": [0.0, 1000]}}
+    found = fitted(read_fit(given), comm)
+    assert found.at_best == 8
+    assert all(start.converged for start in found.starts)
