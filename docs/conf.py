@@ -58,6 +58,7 @@ def gallery_style(config: dict[str, Any], name: str) -> None:
     """Give all pictures of the gallery one style, to be read in grey print as well."""
     import matplotlib as mpl
     from cycler import cycler
+
     from ringwear_par.results.figures import COLOURS, STYLE
 
     dashes = ["-", "--", "-.", ":", (0, (5, 1, 1, 1, 1, 1))]

@@ -13,9 +13,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import ringwear_par as rw
 from matplotlib import rc_context
 from matplotlib.figure import Figure
+from sphinx.application import Sphinx
+
+import ringwear_par as rw
 from ringwear_par.cases.schema import BY_PATH
 from ringwear_par.cases.text import toml_value
 from ringwear_par.results.figures import COLOURS, STYLE
@@ -24,7 +26,6 @@ from ringwear_par.textfiles import parse_toml
 from ringwear_par.wear.catalogue import LAWS
 from ringwear_par.wear.law import Law, LocalState
 from ringwear_par.wear.parameters import parameters_of
-from sphinx.application import Sphinx
 
 CASES = Path(__file__).parents[2] / "scripts" / "cases"
 #: rooms whose ``KEYS`` are told, the directive of their entries and the title of their page
@@ -32,6 +33,8 @@ KEYS = (
     ("ringwear_par.cases.schema", "casekey", "Keys of a case file"),
     ("ringwear_par.identification.schema", "fitkey", "Keys of a fit file"),
 )
+#: steps in the picture of the first case
+FIRST_STEPS = "0,1,3,5"
 #: depths worn (mm) at which laws that remember them are drawn
 _WORN = (0.0, 0.003, 0.01)
 
@@ -127,8 +130,8 @@ def law_page(name: str) -> str:
     lines = [f"# {name}", "", f"$$\n{shown}\n$$" if shown else f"Rate: {law.formula}.", ""]
     if where:
         lines += [f"where `{where}`.", ""]
-    lines += [_meaning(law), "", "## Parameters", "", "| key | unit | default | meaning | allowed |"]
-    lines += ["|---|---|---|---|---|"]
+    lines += [_meaning(law), "", "## Parameters", ""]
+    lines += ["| key | unit | default | meaning | allowed |", "|---|---|---|---|---|"]
     for parameter in parameters_of(law).values():
         key = BY_PATH[f"wear.{body}.{parameter.name}"]
         usual = "required" if parameter.needed else _default(key.default)
@@ -139,7 +142,7 @@ def law_page(name: str) -> str:
     table = _table_of(path.read_text("utf-8"), f"wear.{body}")
     lines += ["", "## In a case file", "", f"From `scripts/cases/{path.name}`:", ""]
     lines += ["```toml", table, "```", "", f"![Rate of wear against pressure]({name}.svg)", ""]
-    lines += ["*The rate of this law with these numbers, at the mean radius and half of its speed.*"]
+    lines += ["*Its rate with these numbers, at the mean radius and at half the speed.*"]
     return "\n".join(lines) + "\n"
 
 
@@ -195,6 +198,18 @@ def _plain(text: str) -> str:
     return re.sub(r"([\[\]{}<>*_])", r"\\\1", text)
 
 
+def first_case(text: str) -> Figure:
+    """Return the picture of the page of the first case, as its last command draws it.
+
+    Parameters
+    ----------
+    text : of the page; its first TOML block is the case.
+    """
+    block = text.partition("```toml\n")[2].partition("```")[0]
+    result = rw.simulate(rw.read_case(parse_toml(block, "first_case.md")))
+    return rw.plot(result, "wear,penetration,pressure", FIRST_STEPS)
+
+
 def _write(path: Path, text: str) -> None:
     """Write a page that has changed; Sphinx would read the others again."""
     if not path.exists() or path.read_text("utf-8") != text:
@@ -207,6 +222,8 @@ def _made(app: Sphinx) -> None:
     for name in LAWS:
         _write(folder / "laws" / f"{name}.md", law_page(name))
         law_figure(name).savefig(folder / "laws" / f"{name}.svg", metadata={"Date": None})
+    page = (Path(app.srcdir) / "first_case.md").read_text("utf-8")
+    first_case(page).savefig(folder / "first_case.png", dpi=200)
     for name, text in key_pages():
         _write(folder / f"{name}.md", text)
 

@@ -6,11 +6,12 @@
 import re
 from typing import Any
 
-import ringwear_par as rw
 from docutils import nodes
 from sphinx.addnodes import pending_xref
 from sphinx.application import Sphinx
 from sphinx.environment import BuildEnvironment
+
+import ringwear_par as rw
 
 _ARRAY = re.compile(r"~?numpy\.ndarray\[~?typing\.Any, ~?numpy\.dtype\[~?numpy\.\w+\]\]")
 _ENTRY = re.compile(r"^([\w*]+(?:, [\w*]+)*) : (.*)$")
@@ -30,11 +31,13 @@ def _reread(app: Sphinx, what: str, name: str, thing: Any, options: Any, lines: 
 
 def _signed(
     app: Sphinx, what: str, name: str, thing: Any, options: Any, signature: str, returned: str
-) -> tuple[str, str]:
+) -> tuple[str, str] | None:
     """Leave out how classes are made, which users do not make, and what arrays are arrays of."""
     if what in ("class", "exception"):
         return "", ""
-    return _ARRAY.sub("~numpy.ndarray", signature or ""), _ARRAY.sub("~numpy.ndarray", returned or "")
+    if not signature:
+        return None
+    return _ARRAY.sub("~numpy.ndarray", signature), _ARRAY.sub("~numpy.ndarray", returned or "")
 
 
 def _public(

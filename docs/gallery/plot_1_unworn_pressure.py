@@ -8,6 +8,7 @@ what lies under it: here it grows without bound, the faster the softer the disc 
 """
 
 import matplotlib.pyplot as plt
+
 import ringwear_par as rw
 
 case = rw.read_case(

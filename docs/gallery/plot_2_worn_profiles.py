@@ -8,6 +8,7 @@ begins under the edges of the upper ring, where the pressure is highest, and sta
 
 import matplotlib.pyplot as plt
 import numpy as np
+
 import ringwear_par as rw
 
 case = rw.read_case(

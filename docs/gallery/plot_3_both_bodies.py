@@ -7,6 +7,7 @@ evens the pressure out; how it is shared between them differs along the radius.
 """
 
 import matplotlib.pyplot as plt
+
 import ringwear_par as rw
 
 case = rw.read_case(

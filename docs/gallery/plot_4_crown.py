@@ -7,6 +7,7 @@ A steel ring whose face is round (radius of the crown 500 mm) on a bronze disc. 
 """
 
 import matplotlib.pyplot as plt
+
 import ringwear_par as rw
 
 case = rw.read_case(

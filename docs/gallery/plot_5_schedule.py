@@ -2,12 +2,13 @@
 A schedule of load and speed
 ============================
 
-The drive starts, stops and starts again; then the load is taken off and put on again. Tables in time
-are straight between their points, and steps end where they bend.
+The drive starts, stops and starts again; then the load is taken off and put on again. Tables in
+time are straight between their points, and steps end where they bend.
 """
 
 import matplotlib.pyplot as plt
 import numpy as np
+
 import ringwear_par as rw
 
 pressure = [[0, 80], [120, 80], [122, 0], [140, 0], [142, 100]]  # s, MPa

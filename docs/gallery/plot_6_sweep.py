@@ -8,8 +8,9 @@ a factor of 2, p0 between 20 and 60 MPa. ``simulate_all`` steps them side by sid
 
 import matplotlib.pyplot as plt
 import numpy as np
-import ringwear_par as rw
 from scipy.stats import qmc
+
+import ringwear_par as rw
 
 base = rw.read_case(
     {

@@ -7,6 +7,7 @@ number: how much deeper the wear is for one per cent more. They come with the hi
 """
 
 import matplotlib.pyplot as plt
+
 import ringwear_par as rw
 
 numbers = {
@@ -28,7 +29,7 @@ case = rw.read_case(
 result = rw.simulate(case, derivatives=list(numbers))
 
 figure, axes = plt.subplots(figsize=(4.6, 3.2))
-for number, (key, (value, name)) in enumerate(numbers.items()):
+for number, (value, name) in enumerate(numbers.values()):
     slope = result.derivatives["d_wear_lower"][number, -1]
     axes.plot(result.line.r, 1e3 * 0.01 * value * slope, label=name)
 axes.axhline(0.0, color="0.4", linestyle="-", linewidth=0.8)

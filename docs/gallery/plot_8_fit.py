@@ -11,6 +11,7 @@ from pathlib import Path
 
 import matplotlib.pyplot as plt
 import numpy as np
+
 import ringwear_par as rw
 
 rig = {
@@ -63,7 +64,8 @@ figure, axes = plt.subplots(figsize=(4.6, 3.2))
 for number, (name, pressure) in enumerate(pressures.items()):
     model = rw.simulate(rw.read_case(rig, {"load.pressure": pressure, **times, **fitted})).histories
     axes.plot(*tests[name].T, ".", color=f"C{number}", markersize=3, label=f"{name}, read")
-    axes.plot(model["time"], 1e3 * model["penetration"], color=f"C{number}", label=f"{name}, fitted")
+    depth = 1e3 * model["penetration"]
+    axes.plot(model["time"], depth, color=f"C{number}", label=f"{name}, fitted")
 axes.set_xlim(0.0, 150.0)
 axes.set_ylim(bottom=0.0)
 axes.set_xlabel("time (s)")
