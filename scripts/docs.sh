@@ -9,4 +9,4 @@ python -c 'import furo, latex2mathml, myst_parser, numpydoc, sphinx_copybutton, 
     python -m pip install -q --disable-pip-version-check -e ".[docs]" "numpy==$(python -c 'import numpy; print(numpy.__version__)')"
 rm -rf docs/_build docs/generated
 python -m sphinx -q -n -W --keep-going -b html docs docs/_build/html
-python docs/check_links.py docs/_build/html
+python docs/extensions/check_links.py docs/_build/html

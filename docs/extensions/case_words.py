@@ -10,12 +10,11 @@ import inspect
 import re
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib import rc_context
 from matplotlib.figure import Figure
-from sphinx.application import Sphinx
 
 import ringwear_par as rw
 from ringwear_par.cases.schema import BY_PATH
@@ -26,6 +25,9 @@ from ringwear_par.textfiles import parse_toml
 from ringwear_par.wear.catalogue import LAWS
 from ringwear_par.wear.law import Law, LocalState
 from ringwear_par.wear.parameters import parameters_of
+
+if TYPE_CHECKING:
+    from sphinx.application import Sphinx
 
 CASES = Path(__file__).parents[2] / "scripts" / "cases"
 #: rooms whose ``KEYS`` are told, the directive of their entries and the title of their page
@@ -216,7 +218,7 @@ def _write(path: Path, text: str) -> None:
         path.write_text(text, "utf-8")
 
 
-def _made(app: Sphinx) -> None:
+def _made(app: "Sphinx") -> None:
     folder = Path(app.srcdir) / "generated"
     (folder / "laws").mkdir(parents=True, exist_ok=True)
     for name in LAWS:
@@ -228,7 +230,7 @@ def _made(app: Sphinx) -> None:
         _write(folder / f"{name}.md", text)
 
 
-def setup(app: Sphinx) -> dict[str, bool]:
+def setup(app: "Sphinx") -> dict[str, bool]:
     """Make the pages before Sphinx looks for any."""
     app.add_object_type("casekey", "key", objname="case key")
     app.add_object_type("fitkey", "fitkey", objname="fit key")
