@@ -59,11 +59,10 @@ def gallery_style(config: dict[str, Any], name: str) -> None:
     import matplotlib as mpl
     from cycler import cycler
 
-    from ringwear_par.results.figures import COLOURS, STYLE
+    from ringwear_par.results.drawing import COLOURS, DASHES, STYLE
 
-    dashes = ["-", "--", "-.", ":", (0, (5, 1, 1, 1, 1, 1))]
     mpl.rcParams.update(STYLE)
-    mpl.rcParams["axes.prop_cycle"] = cycler(color=COLOURS) + cycler(linestyle=dashes)
+    mpl.rcParams["axes.prop_cycle"] = cycler(color=COLOURS) + cycler(linestyle=DASHES)
     mpl.rcParams["legend.frameon"] = False
     mpl.rcParams["figure.constrained_layout.use"] = True
 

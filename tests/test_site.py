@@ -12,9 +12,11 @@ import check_links
 import pytest
 
 import ringwear_par as rw
+from ringwear_par.cases import schema
 from ringwear_par.cases.keys import flatten
-from ringwear_par.cases.schema import BY_PATH, KEYS, TABLES
+from ringwear_par.cases.schema import BY_PATH, TABLES
 from ringwear_par.cli import _parser
+from ringwear_par.identification import schema as fit_schema
 from ringwear_par.textfiles import parse_toml
 from ringwear_par.wear.catalogue import LAWS
 from ringwear_par.wear.parameters import parameters_of
@@ -127,13 +129,16 @@ def test_every_command_and_option_is_told():
                     assert re.search(rf"{option}\b", rows), f"{name} {option}"
 
 
-def test_every_key_has_its_entry():
-    pages = dict(case_words.key_pages())
-    found = re.findall(r"^```\{casekey\} (.*)$", pages["case_keys"], re.M)
-    assert found == [key.path for key in KEYS]
-    for key in KEYS:
-        entry = pages["case_keys"].split(f"{{casekey}} {key.path}\n")[1].partition("```")[0]
+@pytest.mark.parametrize(
+    ("name", "keys"), [("case_keys", schema.KEYS), ("fit_keys", fit_schema.KEYS)]
+)
+def test_every_key_has_its_entry(name, keys):
+    page = case_words.key_page(name)
+    entries = re.findall(r"^```\{(?:case|fit)key\} (\S+)\n(.*?)^```", page, re.M | re.S)
+    assert [path for path, _ in entries] == [key.path for key in keys]
+    for key, (_, entry) in zip(keys, entries, strict=True):
         assert case_words._plain(key.allowed) in entry
+        assert ("it must be given" in entry) == (key.default is ...)
 
 
 @pytest.mark.parametrize("name", LAWS)

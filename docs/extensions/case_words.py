@@ -4,11 +4,9 @@ They are written to ``docs/generated``. Roles ``key`` and ``fitkey`` link to a k
 without a case in ``scripts/cases`` is an error, for its page shows one.
 """
 
-import importlib
-import importlib.util
 import inspect
 import re
-from collections.abc import Iterator
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -18,8 +16,10 @@ from matplotlib.figure import Figure
 
 import ringwear_par as rw
 from ringwear_par.cases.schema import BY_PATH
+from ringwear_par.cases.schema import KEYS as CASE_KEYS
 from ringwear_par.cases.text import toml_value
-from ringwear_par.results.figures import COLOURS, STYLE
+from ringwear_par.identification.schema import KEYS as FIT_KEYS
+from ringwear_par.results.drawing import COLOURS, DASHES, STYLE
 from ringwear_par.schedules import value
 from ringwear_par.textfiles import parse_toml
 from ringwear_par.wear.catalogue import LAWS
@@ -30,11 +30,11 @@ if TYPE_CHECKING:
     from sphinx.application import Sphinx
 
 CASES = Path(__file__).parents[2] / "scripts" / "cases"
-#: rooms whose ``KEYS`` are told, the directive of their entries and the title of their page
-KEYS = (
-    ("ringwear_par.cases.schema", "casekey", "Keys of a case file"),
-    ("ringwear_par.identification.schema", "fitkey", "Keys of a fit file"),
-)
+#: what is told on the page of a kind of file: directive of its entries, title, keys
+KEYS: Mapping[str, tuple[str, str, Sequence[Any]]] = {
+    "case_keys": ("casekey", "Keys of a case file", CASE_KEYS),
+    "fit_keys": ("fitkey", "Keys of a fit file", FIT_KEYS),
+}
 #: steps in the picture of the first case
 FIRST_STEPS = "0,1,3,5"
 #: depths worn (mm) at which laws that remember them are drawn
@@ -90,7 +90,7 @@ def _curves(case: "rw.Case", law: Law) -> Figure:
     p = np.linspace(0.0, 160.0, 321)
     full = float(value(case.load.omega, 0.0, np.array([r]))) * r
     worn = _WORN if law.remembers else (0.0,)
-    styles = iter(zip(COLOURS, ("-", "--", "-.", ":"), strict=False))
+    styles = iter(zip(COLOURS, DASHES, strict=True))
     with rc_context(STYLE):
         figure = Figure(figsize=(4.6, 3.0), layout="constrained")
         axes = figure.add_subplot()
@@ -172,27 +172,25 @@ def _default(usual: Any) -> str:
     return "none" if usual is None else f"`{toml_value(usual)}`"
 
 
-def key_pages() -> Iterator[tuple[str, str]]:
-    """Return the pages of keys, in MyST, by name: those whose rooms are there."""
-    for room, directive, title in KEYS:
-        if importlib.util.find_spec(room) is None:
-            continue
-        lines = [f"# {title}", ""]
-        table = None
-        for key in importlib.import_module(room).KEYS:
-            head = key.path.split(".")[0] if "." in key.path else ""
-            if head != table:
-                table = head
-                lines += [f"## `[{head}]`" if head else "## At the top", ""]
-            meaning, _, condition = key.meaning.partition(" (law = ")
-            lines += [f"```{{{directive}}} {key.path}", _plain(meaning), ""]
-            if condition:
-                lines.append(f":laws: {condition.rstrip(')')}")
-            if key.unit not in ("-", "1"):
-                lines.append(f":unit: {_plain(key.unit)}")
-            usual = "none; it must be given" if key.default is ... else _default(key.default)
-            lines += [f":default: {usual}", f":allowed: {_plain(key.allowed)}", "```", ""]
-        yield {"casekey": "case_keys", "fitkey": "fit_keys"}[directive], "\n".join(lines)
+def key_page(name: str) -> str:
+    """Return a page of keys, in MyST."""
+    directive, title, keys = KEYS[name]
+    lines = [f"# {title}", ""]
+    table = None
+    for key in keys:
+        head = key.path.split(".")[0] if "." in key.path else ""
+        if head != table:
+            table = head
+            lines += [f"## `[{head}]`" if head else "## At the top", ""]
+        meaning, _, condition = key.meaning.partition(" (law = ")
+        lines += [f"```{{{directive}}} {key.path}", _plain(meaning), ""]
+        if condition:
+            lines.append(f":laws: {condition.rstrip(')')}")
+        if key.unit not in ("-", "1"):
+            lines.append(f":unit: {_plain(key.unit)}")
+        usual = "none; it must be given" if key.default is ... else _default(key.default)
+        lines += [f":default: {usual}", f":allowed: {_plain(key.allowed)}", "```", ""]
+    return "\n".join(lines)
 
 
 def _plain(text: str) -> str:
@@ -226,8 +224,8 @@ def _made(app: "Sphinx") -> None:
         law_figure(name).savefig(folder / "laws" / f"{name}.svg", metadata={"Date": None})
     page = (Path(app.srcdir) / "first_case.md").read_text("utf-8")
     first_case(page).savefig(folder / "first_case.png", dpi=200)
-    for name, text in key_pages():
-        _write(folder / f"{name}.md", text)
+    for name in KEYS:
+        _write(folder / f"{name}.md", key_page(name))
 
 
 def setup(app: "Sphinx") -> dict[str, bool]:
