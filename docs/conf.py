@@ -48,7 +48,7 @@ templates_path = ["templates"]
 
 html_theme = "furo"
 html_title = f"ringwear-par {version}"
-html_copy_source = html_show_sourcelink = False
+html_show_copyright = html_copy_source = html_show_sourcelink = False
 html_static_path = ["static"]
 html_css_files = ["site.css"]
 copybutton_exclude = ".linenos, .gp, .go"

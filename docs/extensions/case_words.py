@@ -8,6 +8,7 @@ import inspect
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -206,8 +207,10 @@ def first_case(text: str) -> Figure:
     text : of the page; its first TOML block is the case.
     """
     block = text.partition("```toml\n")[2].partition("```")[0]
-    result = rw.simulate(rw.read_case(parse_toml(block, "first_case.md")))
-    return rw.plot(result, "wear,penetration,pressure", FIRST_STEPS)
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / "rig.h5"
+        rw.simulate(rw.read_case(parse_toml(block, "first_case.md"))).save(path)
+        return rw.plot(path, "wear,pressure", FIRST_STEPS)
 
 
 def _write(path: Path, text: str) -> None:

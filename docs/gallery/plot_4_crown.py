@@ -21,7 +21,8 @@ case = rw.read_case(
         "wear.upper": {"law": "archard", "k": 1e-7},
         "load": {"force": "500 N", "omega": "6 rad/s"},
         "time": {"scheme": "adaptive", "end": "1200 s"},
-        "mesh": {"contact_elements": 256, "grading": 1.0},  # contact creeps over all of the face
+        # contact creeps over all of the face: equal elements
+        "mesh": {"contact_elements": 256, "grading": 1.0},
     }
 )  # fmt: skip
 result = rw.simulate(case)
