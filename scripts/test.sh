@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# Sets up what is missing, then checks style and types and runs all tests: serial, on 2 and 3 ranks.
+# Sets up what is missing, then checks style and types, builds the site and runs all tests: serial, on 2 and 3 ranks.
 set -euo pipefail
 cd "$(dirname "${BASH_SOURCE[0]}")/.."
 source scripts/setup.sh
@@ -22,6 +22,8 @@ COMPILE
 export OMPI_MCA_mpi_yield_when_idle=1
 # all of them are on this machine; Open MPI 5 complains of other interfaces that do not reach each other
 export OMPI_MCA_btl_tcp_if_include=lo
+# the site, with warnings as errors: every page, formula, link and script of the gallery
+bash scripts/docs.sh
 # limits are for hangs, not for load; files are shared out, as most tests wait for programs, and taken
 # in order, the slow ones first
 timeout -k 5 2400 python -m pytest -q -rs -n 4 --dist loadfile --no-loadscope-reorder

@@ -20,7 +20,7 @@ from ringwear_par.history.bodies import bodies, operator_key
 
 
 def assemble(case: Case, comm: MPI.Comm | None = None, *, use_kept: bool = True) -> ContactPair:
-    """Return the contact pair of a case, eq. (5); it serves all of the same ``operator_key``.
+    """Return the contact pair of a case (equation 5); it serves all of the same ``operator_key``.
 
     Collective on comm, the world's where none is given. The same on all ranks. Pairs are kept among
     the user's caches (see ``kept``) and read from there, with the same bits.

@@ -1,0 +1,239 @@
+"""Pages made of the code when the site is built: a page for each wear law, and those of keys.
+
+They are written to ``docs/generated``. Roles ``key`` and ``fitkey`` link to a key's entry. A law
+without a case in ``scripts/cases`` is an error, for its page shows one.
+"""
+
+import inspect
+import re
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from matplotlib import rc_context
+from matplotlib.figure import Figure
+
+import ringwear_par as rw
+from ringwear_par.cases.schema import BY_PATH
+from ringwear_par.cases.schema import KEYS as CASE_KEYS
+from ringwear_par.cases.text import toml_value
+from ringwear_par.identification.schema import KEYS as FIT_KEYS
+from ringwear_par.results.drawing import COLOURS, DASHES, STYLE
+from ringwear_par.schedules import value
+from ringwear_par.textfiles import parse_toml
+from ringwear_par.wear.catalogue import LAWS
+from ringwear_par.wear.law import Law, LocalState
+from ringwear_par.wear.parameters import parameters_of
+
+if TYPE_CHECKING:
+    from sphinx.application import Sphinx
+
+CASES = Path(__file__).parents[2] / "scripts" / "cases"
+#: what is told on the page of a kind of file: directive of its entries, title, keys
+KEYS: Mapping[str, tuple[str, str, Sequence[Any]]] = {
+    "case_keys": ("casekey", "Keys of a case file", CASE_KEYS),
+    "fit_keys": ("fitkey", "Keys of a fit file", FIT_KEYS),
+}
+#: steps in the picture of the first case
+FIRST_STEPS = "0,1,3,5"
+#: depths worn (mm) at which laws that remember them are drawn
+_WORN = (0.0, 0.003, 0.01)
+
+_SYMBOLS = {
+    "mu": r"\mu ",
+    "max": r"\max",
+    "exp": r"\exp",
+    "p0": "p_0",
+    "k_start": r"k_\mathrm{start}",
+    "wear": r"\mathrm{wear}",
+    "slid": r"\mathrm{slid}",
+    "depth": r"\mathrm{depth}",
+    "distance": r"\mathrm{distance}",
+    "or": r"\ \text{or}\ ",
+    "<": r"\langle ",
+    ">": r"\rangle ",
+}
+
+
+def latex(formula: str) -> str | None:
+    """Return a law's formula as LaTeX, None if it is in words."""
+    tokens = re.findall(r"\w+|\S", formula)
+    if any(len(word) > 1 and word not in _SYMBOLS and not word.isdigit() for word in tokens):
+        return None
+    return " ".join(_SYMBOLS.get(word, word) for word in tokens)
+
+
+def example(name: str) -> tuple[Path, str]:
+    """Return the case of ``scripts/cases`` that shows a law, and the body that wears by it.
+
+    Raises
+    ------
+    LookupError : there is none.
+    """
+    found = {}
+    for path in sorted(CASES.glob("*.toml")):
+        for body, table in parse_toml(path.read_text("utf-8"), path.name).get("wear", {}).items():
+            if table.get("law") == name:
+                found.setdefault(path.stem, (path, body))
+    if not found:
+        raise LookupError(f"wear law {name}: no case of {CASES} shows it")
+    own = name.replace("-", "_")
+    return next((found[stem] for stem in (own, f"{own}_law", "paper") if stem in found), None) or (
+        next(iter(found.values()))
+    )
+
+
+def _curves(case: "rw.Case", law: Law) -> Figure:
+    """Return the figure of a law's rate against pressure, as in a case."""
+    r = 0.5 * sum(case.contact)
+    p = np.linspace(0.0, 160.0, 321)
+    full = float(value(case.load.omega, 0.0, np.array([r]))) * r
+    worn = _WORN if law.remembers else (0.0,)
+    styles = iter(zip(COLOURS, DASHES, strict=True))
+    with rc_context(STYLE):
+        figure = Figure(figsize=(4.6, 3.0), layout="constrained")
+        axes = figure.add_subplot()
+        for speed, depth in [(full, d) for d in worn] + [(0.5 * full, 0.0)]:
+            ones = np.ones_like(p)
+            at = LocalState(0.0, r * ones, speed * ones, case.friction, depth * ones, 0.0 * ones)
+            label = f"V = {speed:.0f} mm/s"
+            if len(worn) > 1:
+                label += f", {1e3 * depth:g} \N{MICRO SIGN}m worn"
+            colour, dashes = next(styles)
+            axes.plot(p, 3.6e6 * law.rate(p, at), color=colour, linestyle=dashes, label=label)
+        axes.set_xlim(0.0, p[-1])
+        axes.set_ylim(bottom=0.0)
+        averaged = "averaged contact" if law.length else "contact"
+        axes.set_xlabel(f"{averaged} pressure (MPa)")
+        axes.set_ylabel("rate of wear (\N{MICRO SIGN}m/h)")
+        axes.legend(frameon=False)
+    return figure
+
+
+def _meaning(law: type[Law]) -> str:
+    """Return the docstring of a law up to its first section."""
+    return re.split(r"\n\s*\n\w+\n-{3,}", inspect.cleandoc(law.__doc__ or ""))[0]
+
+
+def law_page(name: str) -> str:
+    """Return the page of a law, in MyST; its picture is ``NAME.svg`` beside it.
+
+    Raises
+    ------
+    LookupError : no case shows the law.
+    """
+    law = LAWS[name]
+    path, body = example(name)
+    formula, where = law.formula, ""
+    if note := re.fullmatch(r"(.*\S) \(([^()]* [^()]*)\)", formula):
+        formula, where = note.groups()
+    shown = latex(formula)
+    lines = [f"# {name}", "", f"$$\n{shown}\n$$" if shown else f"Rate: {law.formula}.", ""]
+    if where:
+        lines += [f"where `{where}`.", ""]
+    lines += [_meaning(law), "", "## Parameters", ""]
+    lines += ["| key | unit | default | meaning | allowed |", "|---|---|---|---|---|"]
+    for parameter in parameters_of(law).values():
+        key = BY_PATH[f"wear.{body}.{parameter.name}"]
+        usual = "required" if parameter.needed else _default(key.default)
+        lines.append(
+            f"| {{key}}`{parameter.name} <{key.path}>` | {_unit(parameter.unit)} | {usual} | "
+            f"{_plain(parameter.meaning)} | {_plain(key.allowed)} |"
+        )
+    table = _table_of(path.read_text("utf-8"), f"wear.{body}")
+    lines += ["", "## In a case file", "", f"From `scripts/cases/{path.name}`:", ""]
+    lines += ["```toml", table, "```", "", f"![Rate of wear against pressure]({name}.svg)", ""]
+    lines += ["*Its rate with these numbers, at the mean radius and at half the speed.*"]
+    return "\n".join(lines) + "\n"
+
+
+def law_figure(name: str) -> Figure:
+    """Return the picture of a law as its case has it."""
+    path, body = example(name)
+    case = rw.read_case(path)
+    law = case.laws[("lower", "upper").index(body)]
+    assert law is not None
+    return _curves(case, law)
+
+
+def _table_of(text: str, table: str) -> str:
+    """Return a table of a TOML text with its comments."""
+    after = text.partition(f"[{table}]")[2]
+    rest = re.split(r"^\[", after, maxsplit=1, flags=re.MULTILINE)[0]
+    return f"[{table}]{rest}".rstrip()
+
+
+def _unit(unit: str) -> str:
+    return "" if unit == "-" else unit
+
+
+def _default(usual: Any) -> str:
+    return "none" if usual is None else f"`{toml_value(usual)}`"
+
+
+def key_page(name: str) -> str:
+    """Return a page of keys, in MyST."""
+    directive, title, keys = KEYS[name]
+    lines = [f"# {title}", ""]
+    table = None
+    for key in keys:
+        head = key.path.split(".")[0] if "." in key.path else ""
+        if head != table:
+            table = head
+            lines += [f"## `[{head}]`" if head else "## At the top", ""]
+        meaning, _, condition = key.meaning.partition(" (law = ")
+        lines += [f"```{{{directive}}} {key.path}", _plain(meaning), ""]
+        if condition:
+            lines.append(f":laws: {condition.rstrip(')')}")
+        if key.unit not in ("-", "1"):
+            lines.append(f":unit: {_plain(key.unit)}")
+        usual = "none; it must be given" if key.default is ... else _default(key.default)
+        lines += [f":default: {usual}", f":allowed: {_plain(key.allowed)}", "```", ""]
+    return "\n".join(lines)
+
+
+def _plain(text: str) -> str:
+    """Return plain text as MyST takes it."""
+    return re.sub(r"([\[\]{}<>*_])", r"\\\1", text)
+
+
+def first_case(text: str) -> Figure:
+    """Return the picture of the page of the first case, as its last command draws it.
+
+    Parameters
+    ----------
+    text : of the page; its first TOML block is the case.
+    """
+    block = text.partition("```toml\n")[2].partition("```")[0]
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / "rig.h5"
+        rw.simulate(rw.read_case(parse_toml(block, "first_case.md"))).save(path)
+        return rw.plot(path, "wear,pressure", FIRST_STEPS)
+
+
+def _write(path: Path, text: str) -> None:
+    """Write a page that has changed; Sphinx would read the others again."""
+    if not path.exists() or path.read_text("utf-8") != text:
+        path.write_text(text, "utf-8")
+
+
+def _made(app: "Sphinx") -> None:
+    folder = Path(app.srcdir) / "generated"
+    (folder / "laws").mkdir(parents=True, exist_ok=True)
+    for name in LAWS:
+        _write(folder / "laws" / f"{name}.md", law_page(name))
+        law_figure(name).savefig(folder / "laws" / f"{name}.svg", metadata={"Date": None})
+    page = (Path(app.srcdir) / "first_case.md").read_text("utf-8")
+    first_case(page).savefig(folder / "first_case.png", dpi=200)
+    for name in KEYS:
+        _write(folder / f"{name}.md", key_page(name))
+
+
+def setup(app: "Sphinx") -> dict[str, bool]:
+    """Make the pages before Sphinx looks for any."""
+    app.add_object_type("casekey", "key", objname="case key")
+    app.add_object_type("fitkey", "fitkey", objname="fit key")
+    app.connect("builder-inited", _made)
+    return {"parallel_read_safe": True, "parallel_write_safe": True}
