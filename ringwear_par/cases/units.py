@@ -35,7 +35,7 @@ def factor(unit: str, base: str) -> float:
         plain numbers here, so that Hz is no unit of an angular speed.
     """
     text = re.sub(r"([A-Za-zµμ])(-?\d)", r"\1^\2", unit.strip())  # mm3
-    text = re.sub(r"\b([km]?)N\s*(m|mm|cm)\b", r"(\1N \2)", text)  # Nm, which pint reads as 1/m
+    text = re.sub(r"\b([km]?)N\s*(m|mm|cm)\b(?![-^\d])", r"(\1N \2)", text)  # Nm, which pint reads as 1/m
     if not text or len(text) > _LONGEST:
         raise RejectedError
     registry = _registry()

@@ -88,9 +88,11 @@ def draw_history(
             told = ([label] if several else []) + ([name] if len(curves) > 1 else [])
             style: dict[str, Any] = {
                 "color": COLOURS[(number if several else place) % len(COLOURS)],
-                "linestyle": DASHES[(number + place) % len(DASHES)],
+                "linestyle": DASHES[(number + place + number // len(COLOURS)) % len(DASHES)],
                 "label": ", ".join(told),
             }
+            if not len(values):  # one state has nothing between
+                continue
             if between:  # means of the time between two states
                 axes.step(time, np.append(values[:1], values), where="pre", **style)
             else:
