@@ -10,6 +10,8 @@ from scipy.stats import norm, qmc
 
 from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.text import shortened
+from ringwear_par.cases.units import factor
+from ringwear_par.cases.values import RejectedError
 from ringwear_par.errors import InputError
 from ringwear_par.identification.problem import (
     Experiment,

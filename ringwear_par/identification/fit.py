@@ -161,7 +161,7 @@ class _Posed:
             starts.append(solve_from(squares, len(starts), profiles.better))
             if starts[-1].objective >= optimum.evaluation.objective:
                 keys = tuple(p.key for p in self._problem.parameters)
-                profiles = profiles._replace(unsure=keys)
+                profiles = replace(profiles, unsure=keys)
                 break
             x = np.array(starts[-1].unknowns)
         posterior = None

@@ -21,7 +21,7 @@ class Worn:
     deepest : um.
     volume : mm3.
     mass : mg.
-    rate, rate_now : um/h, mean depth over the whole time and at its end.
+    rate, rate_now : um/h, mean depth over the nominal area, over the whole time and at its end.
     specific : mm3/(N m), volume by load and sliding distance.
     """
 
@@ -40,11 +40,14 @@ class KeyNumbers:
 
     Parameters
     ----------
-    mean_pressure, largest_pressure, smallest_pressure : MPa, of elements.
+    mean_pressure : MPa, over the nominal annulus, as load.pressure.
+    largest_pressure, smallest_pressure : MPa, of elements.
     largest_at : mm, radius.
     touching : elements in contact.
     sliding : at the mean radius speed (mm/s), p V (MPa mm/s) and distance (m); None: not stored.
-    penetration, worn_off, elastic : um, the first is the sum of the mean depth and the rest.
+    penetration, worn_off, elastic : um. The first is the sum of the others: the depth worn off
+        both faces in the mean over what presses, and the change of the elastic part. None where
+        a face is not flat: the approach also closes gaps there.
     bodies : those that wear.
     """
 
@@ -55,8 +58,8 @@ class KeyNumbers:
     touching: int
     sliding: tuple[float, float, float] | None
     penetration: float
-    worn_off: float
-    elastic: float
+    worn_off: float | None
+    elastic: float | None
     bodies: tuple[Worn, ...]
 
 
@@ -71,17 +74,19 @@ def key_numbers(result: "Result") -> KeyNumbers:
         raise InputError(f"{result.name}: holds no last state; must be one of a run")
     state, about, line = result.checkpoint.arrays, result.attributes, result.line
     last = {name: float(values[-1]) for name, values in result.histories.items()}
-    p, area = state["pressure"], float(line.area.sum())
-    mean, sliding = result.checkpoint.numbers["force"] / area, None
+    p, load = state["pressure"], state["pressure"] * line.area
+    mean, sliding = result.checkpoint.numbers["force"] / nominal_area(result), None
     if "omega" in about:
-        radius = 0.5 * float(line.edges[0] + line.edges[-1])
-        speed = about["omega"] * radius
-        sliding = speed, mean * speed, 1e-3 * about["angle"] * radius
-    worn = (last["worn_volume_lower"] + last["worn_volume_upper"]) / area
+        speed = about["omega"] * about["mean_radius"]
+        sliding = speed, mean * speed, 1e-3 * about["angle"] * about["mean_radius"]
+    penetration, worn, elastic = 1e3 * last["penetration"], None, None
+    if not {"face_lower", "face_upper"} & about.keys() and load.sum() > 0:
+        worn = 1e3 * float(load @ state["wear"].sum(axis=0) / load.sum())
+        elastic = penetration - worn
     bodies = ("lower", "upper")
     return KeyNumbers(
         mean, p.max(), line.r[p.argmax()], p.min(), int(np.count_nonzero(p > 0.0)), sliding,
-        1e3 * last["penetration"], 1e3 * worn, 1e3 * (last["penetration"] - worn),
+        penetration, worn, elastic,
         tuple(
             _worn(result, number, body)
             for number, body in enumerate(bodies)
@@ -90,12 +95,17 @@ def key_numbers(result: "Result") -> KeyNumbers:
     )  # fmt: skip
 
 
+def nominal_area(result: "Result") -> float:
+    """Return the area (mm2) where the bodies face each other; of older files, of the elements."""
+    return float(result.attributes.get("nominal_area", result.line.area.sum()))
+
+
 def _worn(result: "Result", number: int, body: str) -> Worn:
     assert result.checkpoint is not None
     state, about, line = result.checkpoint.arrays, result.attributes, result.line
     volume = float(result.histories[f"worn_volume_{body}"][-1])
     hours = float(result.histories["time"][-1]) / 3600.0
-    energy, area = float(result.histories["dissipated_energy"][-1]), float(line.area.sum())
+    energy, area = float(result.histories["dissipated_energy"][-1]), nominal_area(result)
     mass = rate = now = specific = None
     if f"density_{body}" in about:
         mass = 1e3 * about[f"density_{body}"] * volume

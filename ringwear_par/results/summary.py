@@ -119,10 +119,10 @@ def _pressed(result: "Result", found: KeyNumbers) -> list[str]:
 
 def _worn(found: KeyNumbers) -> list[str]:
     """Return what has been worn off, how fast, and what of it the penetration is."""
-    lines = [
-        f"penetration {found.penetration:.6g} um: {found.worn_off:.6g} um worn off in the "
-        f"mean, {found.elastic:.3g} um elastic"
-    ]
+    split = ""
+    if found.worn_off is not None:
+        split = f": {found.worn_off:.6g} um worn off, {found.elastic:.3g} um elastic"
+    lines = [f"penetration {found.penetration:.6g} um{split}"]
     for one in found.bodies:
         told = f"{one.body}: deepest wear {one.deepest:.6g} um"
         told += f", worn volume {one.volume:.6g} mm3"
