@@ -19,10 +19,12 @@ from ringwear_par.elasticity.profiles import (
     shape_face,
     shape_faults,
 )
-from ringwear_par.elasticity.sections import Polyline
+from ringwear_par.elasticity.sections import Polyline, corners
 from ringwear_par.errors import InputError
 from ringwear_par.schedules import Quantity, largest, told
 
+#: of a face: more are of a trace that is not smooth
+_MANY_CORNERS = 20
 #: the loads: one of them must be given
 LOADS = frozenset({"load.force", "load.pressure", "load.displacement"})
 
@@ -232,7 +234,15 @@ def check_contact(name: str, case: Case, displacement: Quantity | None) -> None:
     try:
         contact_pieces(case.contact, case.mesh, *case.sections)
     except InputError as error:
-        faults += [f"{name}: {fault}" for fault in error.faults]
+        rough = [
+            which
+            for which, ring, section in zip(
+                ("lower", "upper"), case.rings, case.sections, strict=True
+            )
+            if len(ring.face) > _MANY_CORNERS and len(corners(section)) > _MANY_CORNERS
+        ]
+        hint = f"; {' and '.join(rough)}.profile is rough: smooth it, or give fewer points"
+        faults += [f"{name}: {fault}{hint if rough else ''}" for fault in error.faults]
     if displacement is not None and case.interpenetration > largest(displacement):
         faults.append(
             f"{name}: load.displacement = {told(displacement)}: the undeformed rings "

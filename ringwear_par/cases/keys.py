@@ -139,21 +139,40 @@ def in_full(keys: Mapping[str, Any], folder: Path) -> dict[str, Any]:
     ------
     InputError : a trace of a profile cannot be read.
     """
-    return {path: _in_full(path, value, folder) for path, value in keys.items()}
+    return dict(_in_full(path, value, folder) for path, value in keys.items())
 
 
-def _in_full(path: str, value: Any, folder: Path) -> Any:
+def _in_full(path: str, value: Any, folder: Path) -> tuple[str, Any]:
+    table, _, entry = path.rpartition(".")
+    if table in _PROFILES:  # an entry, the one of its table
+        shape = _face_in_full(table, {entry: value}, folder)
+        (name,) = shape
+        return f"{table}.{name}", shape[name]
+    return path, _value_in_full(path, value, folder)
+
+
+def _face_in_full(path: str, shape: dict[str, Any], folder: Path) -> dict[str, Any]:
+    """Return the shape of a face, with the points of a trace in the place of its file."""
+    file = shape.get("file")
+    if len(shape) == 1 and isinstance(file, str):
+        try:
+            return {"trace": read_trace(folder / file)}
+        except InputError as error:
+            raise InputError(*(f"{path}: {fault}" for fault in error.faults)) from error
+    try:
+        return {name: without_units(BY_PATH[path], value, name) for name, value in shape.items()}
+    except RejectedError:
+        return shape
+
+
+def _value_in_full(path: str, value: Any, folder: Path) -> Any:
     if path in _FILES and isinstance(value, str):
         try:
             return str((folder / value).resolve())
         except (OSError, RuntimeError, ValueError):  # who reads it will be told
             return value
-    if path in _PROFILES and isinstance(value, dict) and isinstance(value.get("file"), str):
-        try:
-            trace = read_trace(folder / value["file"])
-        except InputError as error:
-            raise InputError(*(f"{path}: {fault}" for fault in error.faults)) from error
-        value = {name: v for name, v in value.items() if name != "file"} | {"trace": trace}
+    if path in _PROFILES and isinstance(value, dict):
+        return _face_in_full(path, value, folder)
     if isinstance(value, str | list | dict) and path in BY_PATH:
         try:
             return without_units(BY_PATH[path], value)

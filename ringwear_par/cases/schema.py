@@ -216,6 +216,20 @@ BY_PATH = {key.path: key for key in KEYS}
 TABLES = {key.path[:cut] for key in KEYS for cut, c in enumerate(key.path) if c == "."}
 
 
+def unit_of(name: str) -> str:
+    """Return the unit of a key, or of an entry of one, as studies name them; "" for none."""
+    path = name.partition("[")[0]
+    key, entry = BY_PATH.get(path), ""
+    if key is None:
+        table, _, entry = path.rpartition(".")
+        key = BY_PATH.get(table)
+    if key is None or key.unit in ("-", "1"):
+        return ""
+    if key.path.endswith(".profile"):  # of which each shape has its own
+        return {"": "", "cone": "deg"}.get(entry, "mm")
+    return key.unit
+
+
 def schema() -> str:
     """Return every key with its unit, default and meaning, and what is allowed below each."""
     return keys_told((key.path, key.unit, key.default, key.meaning, key.allowed) for key in KEYS)

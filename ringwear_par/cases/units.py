@@ -35,7 +35,8 @@ def factor(unit: str, base: str) -> float:
         plain numbers here, so that Hz is no unit of an angular speed.
     """
     text = re.sub(r"([A-Za-zµμ])(-?\d)", r"\1^\2", unit.strip())  # mm3
-    text = re.sub(r"\b([km]?)N\s*(m|mm|cm)\b", r"(\1N \2)", text)  # Nm, which pint reads as 1/m
+    # Nm, which pint reads as 1/m
+    text = re.sub(r"\b([km]?)N\s*(m|mm|cm)\b(?![-^\d])", r"(\1N \2)", text)
     if not text or len(text) > _LONGEST:
         raise RejectedError
     registry = _registry()
@@ -82,13 +83,19 @@ def number_in(value: str, base: str) -> float:
         raise RejectedError(f"{legible(match[2])} is no unit of {base}{hint}") from error
 
 
-def without_units(key: "Key", value: Any) -> Any:
+def without_units(key: "Key", value: Any, entry: str | None = None) -> Any:
     """Return a key's raw value with numbers in the key's unit where they had one of their own.
+
+    Parameters
+    ----------
+    entry : of the key, whose value it is; None: it is the key's.
 
     Raises
     ------
     RejectedError : a unit is that of something else.
     """
+    if entry is not None:
+        return _shape(entry, value) if key.kind == "points" else value
     if key.kind in ("number", "pair", "chamfer"):
         return _plain(value, key.unit)
     if key.kind == "times":

@@ -10,6 +10,8 @@ from scipy.stats import norm, qmc
 
 from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.text import shortened
+from ringwear_par.cases.units import factor
+from ringwear_par.cases.values import RejectedError
 from ringwear_par.errors import InputError
 from ringwear_par.identification.problem import (
     Experiment,
@@ -103,9 +105,13 @@ def with_noise(problem: Problem, told: Belief) -> Problem:
     def found(experiment: Experiment, series: Series) -> Series:
         same = [own for (_, name), own in told.noise.items() if name == series.name]
         own = told.noise.get((experiment.name, series.name), same[0] if same else None)
-        if not series.sd_fitted or own is None or own[1] != series.unit:
+        if not series.sd_fitted or own is None:
             return series
-        return replace(series, sd=np.full(series.n, own[0] * series.factor))
+        try:
+            scale = factor(own[1], series.unit)
+        except RejectedError:
+            return series
+        return replace(series, sd=np.full(series.n, own[0] * scale * series.factor))
 
     experiments = tuple(
         replace(one, series=tuple(found(one, series) for series in one.series))

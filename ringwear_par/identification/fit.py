@@ -160,6 +160,8 @@ class _Posed:
             log.info("a likelihood profile has found a better optimum; the fit goes on from there")
             starts.append(solve_from(squares, len(starts), profiles.better))
             if starts[-1].objective >= optimum.evaluation.objective:
+                keys = tuple(p.key for p in self._problem.parameters)
+                profiles = replace(profiles, unsure=keys)
                 break
             x = np.array(starts[-1].unknowns)
         posterior = None

@@ -136,8 +136,9 @@ def read_series(
         return None
     x, value, unit, scale = found.x, found.value, found.unit, found.factor
     lines = found.lines
-    if kind != "profile":
-        x = np.where(x > end * (1.0 + _ROUNDED), x, np.minimum(x, end))
+    # the last time may be rounded, and the last one alone
+    if kind != "profile" and len(x) and end < x[-1] <= end * (1.0 + _ROUNDED):
+        x = np.append(x[:-1], end)
     keep = np.ones(len(x), dtype=bool)
     for low, high in _intervals(reader):
         keep &= (x < low) | (x > high)

@@ -123,6 +123,10 @@ class Progress:
         (self._folder / "progress").rmdir()
 
 
+#: of the largest derivative of any point: below it a parameter moves nothing
+_STILL = 1e-6
+
+
 def points(problem: Problem, count: int) -> FloatArray:
     """Return Sobol' points (count, m) within the bounds of the fitted keys' unknowns."""
     from scipy.stats import qmc  # slow to import
@@ -147,19 +151,22 @@ def screened(squares: LeastSquares, histories: Histories) -> FloatArray:
         return first
     drawn = points(problem, _LOT * lots)
     values = np.array([squares.values(x) for x in drawn])
-    widths, marginal = (squares.upper - squares.lower)[:m], Marginal(squares)
-    marks = []  # how many parameters move no reading by its noise, over their bounds; improbability
-    for value, found in zip(values, histories.responses(values, _COARSE), strict=True):
-        if isinstance(found, ComputationError):
-            marks.append((m, float("inf")))
-            continue
-        moves = np.linalg.norm(squares.whitened(found[:, 1:] * squares.slopes(value)), axis=0)
-        marks.append((int((moves * widths <= 1.0).sum()), -marginal(value, found[:, 0])))
+    marginal = Marginal(squares)
+    moves, improbable = np.zeros((len(drawn), m)), np.full(len(drawn), np.inf)
+    for i, found in enumerate(histories.responses(values, _COARSE)):
+        if not isinstance(found, ComputationError):
+            slopes = squares.whitened(found[:, 1:] * squares.slopes(values[i]))
+            moves[i] = np.linalg.norm(slopes, axis=0)
+            improbable[i] = -marginal(values[i], found[:, 0])
+    still = (moves <= _STILL * moves.max(axis=0)).sum(axis=1)  # parameters that move nothing there
+    marks = list(zip(still.tolist(), improbable.tolist(), strict=True))
     order = sorted(range(len(drawn)), key=marks.__getitem__)
     best = [next(i for i in order if i // _LOT == lot) for lot in range(lots)]
-    left = iter([i for i in order if i not in best])
-    fewest = marks[order[0]][0]
-    chosen = [i if marks[i][0] == fewest else next(left) for i in best]
+    left = [i for i in order if i not in best]
+    chosen = []
+    for i in best:
+        better = bool(left) and marks[left[0]][0] < marks[i][0]
+        chosen.append(left.pop(0) if better else i)
     return np.concatenate([first, drawn[chosen]])
 
 
@@ -195,7 +202,9 @@ def solve_starts(
 
 def solve_from(squares: LeastSquares, number: int, x: FloatArray) -> Started:
     """Return what comes of one more start, from unknowns (u,). Not collective."""
-    return _solved(squares, number, x[: len(squares.problem.parameters)], lambda _: None)
+    start = x[: len(squares.problem.parameters)]
+    (found,) = side_by_side([partial(_solved, squares, number, start)], squares.look_up)
+    return found
 
 
 class _Telling:

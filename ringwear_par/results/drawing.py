@@ -48,19 +48,22 @@ def plain(text: str) -> str:
     return legible(text, 200).replace("$", r"\$")
 
 
-def in_words(value: Any) -> str:
-    """Return a raw value of a case key as a legend has room for it."""
+def in_words(value: Any, unit: str = "") -> str:
+    """Return a raw value of a case key, which has a unit or none, as a legend has room for it."""
+    unit = f" {unit}" if unit else ""
     if is_number(value):
-        return f"{value:g}"
+        return f"{value:g}{unit}"
     if isinstance(value, dict) and set(value) == {"r"}:
         return f"profile of {len(value['r'])} radii"
     if isinstance(value, dict) and len(value) == 1:
         ((name, size),) = value.items()
-        return f"{name} of {len(size)} points" if name == "trace" else f"{name} {in_words(size)}"
+        if name == "trace":
+            return f"trace of {len(size)} points"
+        return f"{name} {in_words(size, 'deg' if name == 'cone' else 'mm')}"
     if isinstance(value, list) and value and isinstance(value[0], list):
         ends = value[0][1], value[-1][1]
         if all(len(pair) == 2 and all(map(is_number, pair)) for pair in value):
-            return f"{ends[0]:g} to {ends[1]:g} in {len(value)} points"
+            return f"{ends[0]:g} to {ends[1]:g}{unit} in {len(value)} points"
     return value if isinstance(value, str) else shortened(value)
 
 

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 
 from ringwear_par.cases.case import Output
 from ringwear_par.cases.keys import read_keys
-from ringwear_par.cases.schema import UNITS
+from ringwear_par.cases.schema import UNITS, unit_of
 from ringwear_par.cases.units import has_unit, number_in
 from ringwear_par.cases.values import RejectedError
 from ringwear_par.errors import InputError, legible
@@ -20,7 +20,7 @@ from ringwear_par.results.drawing import STYLE, check_format, in_words, plain, s
 from ringwear_par.results.export import choose_state
 from ringwear_par.results.files import result_of
 from ringwear_par.results.history_panels import HISTORY_PANELS, draw_history
-from ringwear_par.results.profile_panels import draw_pressure, draw_wear
+from ringwear_par.results.profile_panels import draw_pressure, draw_wear, tell_cut
 from ringwear_par.results.result import FailedResult, Result
 from ringwear_par.results.section_panel import draw_section
 
@@ -181,6 +181,7 @@ def _drawn_panels(
             low, high = zip(*(axes.get_ylim() for axes in alike), strict=True)
             for axes in alike:
                 axes.set_ylim(min(low), max(high))
+                tell_cut(axes)
     titles = {str(result.attributes["title"]) for result in results} - {""}
     if len(titles) == 1:
         figure.suptitle(plain(titles.pop()), fontsize=8.0)
@@ -235,11 +236,10 @@ def _labels(results: Sequence[Result]) -> list[str]:
             for number, result in enumerate(results, 1)
         ]
     names = [path.rpartition(".")[2] for path in paths]
-    units = [f" {UNITS[path]}" if UNITS[path] not in ("-", "1") else "" for path in paths]
     return [
         ", ".join(
-            plain(f"{name} = {in_words(case[path])}{unit}")
-            for name, path, unit in zip(names, paths, units, strict=True)
+            plain(f"{name} = {in_words(case[path], unit_of(path))}")
+            for name, path in zip(names, paths, strict=True)
         )
         for case in cases
     ]

@@ -47,7 +47,8 @@ _TEXTS = _ALWAYS | {
 }  # fmt: skip
 _NUMBERS = {
     "ranks", "time_step", "time_steps", "time_end", "symmetry_defect", "energy_identity",
-    "step_error_time", "friction", "omega", "angle", "density_lower", "density_upper",
+    "step_error_time", "friction", "omega", "angle", "nominal_area", "mean_radius",
+    "density_lower", "density_upper",
 }  # fmt: skip
 _NUMBERED = ("balance_", "seconds_")
 

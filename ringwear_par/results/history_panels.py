@@ -9,6 +9,7 @@ import numpy as np
 from ringwear_par.arrays import FloatArray
 from ringwear_par.errors import InputError
 from ringwear_par.results.drawing import COLOURS, DASHES, set_legend, time_unit
+from ringwear_par.results.key_numbers import nominal_area
 from ringwear_par.results.result import Result
 
 #: as many points of a curve, or fewer, are marked
@@ -45,12 +46,12 @@ def _volumes(result: Result) -> dict[str, FloatArray]:
 def _rates(result: Result) -> dict[str, FloatArray]:
     """Return the mean depths worn off between stored states by their time, um/h."""
     hours = np.diff(result.histories["time"]) / 3600.0
-    area = float(result.line.area.sum())
+    area = nominal_area(result)
     return {body: 1e3 * np.diff(v) / area / hours for body, v in _volumes(result).items()}
 
 
 def _p_v(result: Result) -> dict[str, FloatArray]:
-    """Return pressure times speed, meaned over the contact and between states, MPa m/s."""
+    """Return pressure times speed, meaned over the nominal area and between states, MPa m/s."""
     friction = result.attributes.get("friction")
     if not friction:
         why = "was stored without it" if friction is None else "is 0"
@@ -58,7 +59,7 @@ def _p_v(result: Result) -> dict[str, FloatArray]:
             f"{result.name}: pv needs the friction coefficient, which {why}; must be > 0"
         )
     power = np.diff(result.histories["dissipated_energy"]) / np.diff(result.histories["time"])
-    return {"": 1e-3 * power / friction / float(result.line.area.sum())}
+    return {"": 1e-3 * power / friction / nominal_area(result)}
 
 
 #: by name, as ``--panels`` has it
@@ -88,9 +89,11 @@ def draw_history(
             told = ([label] if several else []) + ([name] if len(curves) > 1 else [])
             style: dict[str, Any] = {
                 "color": COLOURS[(number if several else place) % len(COLOURS)],
-                "linestyle": DASHES[(number + place) % len(DASHES)],
+                "linestyle": DASHES[(number + place + number // len(COLOURS)) % len(DASHES)],
                 "label": ", ".join(told),
             }
+            if not len(values):  # one state has nothing between
+                continue
             if between:  # means of the time between two states
                 axes.step(time, np.append(values[:1], values), where="pre", **style)
             else:

@@ -77,10 +77,16 @@ def draw_pressure(axes: Any, result: Result, label: str, rows: Sequence[int]) ->
     touched = (pressure[list(rows)] > 0.0) @ result.line.area  # mm^2
     mean = result.histories["force"][list(rows)] / np.where(touched > 0.0, touched, np.inf)
     top = 3.0 * float(mean.max())
-    if highest > top:
-        label = f"{label}\npeak of {highest:.0f} MPa cut"
     _profiles(axes, result, rows, lambda row: pressure[row])
     if highest > 0.0:
         axes.set_ylim(0.0, min(top, 1.1 * highest))
     axes.set_ylabel("contact pressure (MPa)")
     set_legend(axes, _COLUMNS, label)
+
+
+def tell_cut(axes: Any) -> None:
+    """Say in the title of the legend what the panel's scale cuts off."""
+    highest = max(float(np.max(line.get_ydata())) for line in axes.lines)
+    if highest > axes.get_ylim()[1]:
+        title = axes.get_legend().get_title()
+        title.set_text(f"{title.get_text()}\npeak of {highest:.0f} MPa cut")

@@ -121,6 +121,8 @@ def _sliding(case: Case, time: float) -> dict[str, Any]:
     density = {"density_lower": case.lower.density, "density_upper": case.upper.density}
     return {
         "friction": case.friction,
+        "nominal_area": case.area,  # mm2
+        "mean_radius": 0.5 * sum(case.overlap),  # mm
         "omega": in_time(case.load.omega, time),  # rad/s
         "angle": integral(case.load.omega, 0.0, time),  # rad
         **{name: there for name, there in density.items() if there is not None},

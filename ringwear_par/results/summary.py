@@ -9,7 +9,8 @@ from ringwear_par.cases.case import CHANGED
 from ringwear_par.cases.keys import read_keys
 from ringwear_par.cases.schema import BY_PATH
 from ringwear_par.cases.values import is_number
-from ringwear_par.errors import LONGEST_SENTENCE, InputError, legible
+from ringwear_par.errors import LONGEST_SENTENCE, legible
+from ringwear_par.results.key_numbers import KeyNumbers, key_numbers
 
 if TYPE_CHECKING:
     from ringwear_par.results.result import Result
@@ -22,8 +23,8 @@ def summary(result: "Result") -> str:
     ------
     InputError : the result was stored without its last state.
     """
-    if result.checkpoint is None:
-        raise InputError(f"{result.name}: holds no last state; must be one of a run")
+    found = key_numbers(result)
+    assert result.checkpoint is not None
     about, reached = result.attributes, result.checkpoint.numbers
     title = str(result.attributes.get("title", ""))
     last = {name: values[-1] for name, values in result.histories.items()}
@@ -40,8 +41,8 @@ def summary(result: "Result") -> str:
         *_trust(result),
         f"approach {reached['approach']:.7g} mm, force {reached['force']:.6g} N, "
         f"torque {last['torque']:.6g} N mm, energy dissipated {last['dissipated_energy']:.6g} N mm",
-        *_pressed(result),
-        *_worn(result),
+        *_pressed(result, found),
+        *_worn(found),
     ]
     if reached["assemblies"]:
         lines.append(f"elements followed the wear {reached['assemblies']} times")
@@ -100,54 +101,37 @@ def _trust(result: "Result") -> list[str]:
     return lines
 
 
-def _pressed(result: "Result") -> list[str]:
+def _pressed(result: "Result", found: KeyNumbers) -> list[str]:
     """Return what presses at the end and how far it has slid, in a tribologist's words."""
-    assert result.checkpoint is not None
-    p, force = result.checkpoint.arrays["pressure"], result.checkpoint.numbers["force"]
-    line, about = result.line, result.attributes
-    mean, touching = force / float(line.area.sum()), int(np.count_nonzero(p > 0.0))
     lines = [
-        f"mean pressure {mean:.4g} MPa, largest {p.max():.4g} MPa at r = {line.r[p.argmax()]:.6g} "
-        f"mm (of an element), smallest {p.min():.4g} MPa; {touching} of {len(p)} elements in "
-        "contact"
+        f"mean pressure {found.mean_pressure:.4g} MPa, largest {found.largest_pressure:.4g} MPa at "
+        f"r = {found.largest_at:.6g} mm (of an element), smallest {found.smallest_pressure:.4g} "
+        f"MPa; {found.touching} of {result.line.n} elements in contact"
     ]
-    if "omega" in about:
-        radius = 0.5 * float(line.edges[0] + line.edges[-1])
-        speed, distance = about["omega"] * radius, about["angle"] * radius
+    if found.sliding is not None:
+        speed, p_v, distance = found.sliding
         lines.append(
-            f"at the mean radius: sliding speed {speed:.4g} mm/s, p V {mean * speed:.4g} MPa mm/s, "
-            f"sliding distance {1e-3 * distance:.4g} m"
+            f"at the mean radius: sliding speed {speed:.4g} mm/s, p V {p_v:.4g} MPa mm/s, "
+            f"sliding distance {distance:.4g} m"
         )
     return lines
 
 
-def _worn(result: "Result") -> list[str]:
+def _worn(found: KeyNumbers) -> list[str]:
     """Return what has been worn off, how fast, and what of it the penetration is."""
-    assert result.checkpoint is not None
-    state, about = result.checkpoint.arrays, result.attributes
-    last = {name: float(values[-1]) for name, values in result.histories.items()}
-    area, hours = float(result.line.area.sum()), last["time"] / 3600.0
-    bodies = ("lower", "upper")
-    volumes = {body: last[f"worn_volume_{body}"] for body in bodies}
-    worn = sum(volumes.values()) / area
-    lines = [
-        f"penetration {1e3 * last['penetration']:.6g} um: {1e3 * worn:.6g} um worn off in the "
-        f"mean, {1e3 * (last['penetration'] - worn):.3g} um elastic"
-    ]
-    for number, (body, volume) in enumerate(volumes.items()):
-        if not about.get(f"law_{body}", volume):
-            continue
-        told = f"{body}: deepest wear {1e3 * state['wear'][number].max():.6g} um"
-        told += f", worn volume {volume:.6g} mm3"
-        if f"density_{body}" in about:
-            told += f", mass lost {1e3 * about[f'density_{body}'] * volume:.6g} mg"
-        if hours > 0:
-            now = 3.6e6 * float(state["rates"][number] @ result.line.area) / area
-            told += f"; mean depth {1e3 * volume / area / hours:.4g} um/h, {now:.4g} um/h now"
-        if about.get("friction") and last["dissipated_energy"] > 0:
-            # load times sliding distance of every place, which is energy over friction
-            specific = 1e3 * volume * about["friction"] / last["dissipated_energy"]
-            told += f"; specific wear rate {specific:.4g} mm3/(N m)"
+    split = ""
+    if found.worn_off is not None:
+        split = f": {found.worn_off:.6g} um worn off, {found.elastic:.3g} um elastic"
+    lines = [f"penetration {found.penetration:.6g} um{split}"]
+    for one in found.bodies:
+        told = f"{one.body}: deepest wear {one.deepest:.6g} um"
+        told += f", worn volume {one.volume:.6g} mm3"
+        if one.mass is not None:
+            told += f", mass lost {one.mass:.6g} mg"
+        if one.rate is not None:
+            told += f"; mean depth {one.rate:.4g} um/h, {one.rate_now:.4g} um/h now"
+        if one.specific is not None:
+            told += f"; specific wear rate {one.specific:.4g} mm3/(N m)"
         lines.append(told)
     return lines
 

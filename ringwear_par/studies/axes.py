@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
 from ringwear_par.arrays import FloatArray
-from ringwear_par.cases.schema import UNITS
+from ringwear_par.cases.schema import unit_of
 from ringwear_par.results.drawing import plain
 
 #: of the values in results.h5, what is drawn of them: factor and label
@@ -30,8 +30,8 @@ def spans(values: FloatArray, ratio: float) -> bool:
 
 def labelled(name: str) -> str:
     """Return a key with its unit."""
-    unit = UNITS.get(name.partition("[")[0], "-")
-    return plain(name if unit in ("-", "1") else f"{name} ({unit})")
+    unit = unit_of(name)
+    return plain(f"{name} ({unit})" if unit else name)
 
 
 def number_text(value: float, digits: int) -> str:

@@ -19,7 +19,7 @@ import numpy as np
 from ringwear_par.arrays import BoolArray, FloatArray, IntArray
 from ringwear_par.atomic import atomic_write
 from ringwear_par.cases.keys import read_keys
-from ringwear_par.cases.schema import BY_PATH
+from ringwear_par.cases.schema import BY_PATH, unit_of
 from ringwear_par.cases.text import toml_value
 from ringwear_par.cases.values import is_number
 from ringwear_par.errors import InputError
@@ -118,7 +118,7 @@ def _meanings(names: Sequence[str]) -> str:
     columns = [{"titles": "case", "dc:description": "id of the case, of its content"}]
     for name in names:
         key = BY_PATH[path_of(name)]
-        unit = {} if key.unit in ("-", "1") else {"schema:unitText": key.unit}
+        unit = {"schema:unitText": unit_of(name)} if unit_of(name) else {}
         columns.append({"titles": name, "dc:description": key.meaning, **unit})
     for name in _COLUMNS:
         variable = finals.get(name) or OF_CASES[name]
@@ -314,7 +314,7 @@ class _Writer:
             column = listing.columns[i]
             there = more if column.numbers is not None else [*column.there, *more]
             numbers = all(v is None or is_number(v) for v in there)
-            variable = Variable(name, ("case",), "1" if key.unit == "-" else key.unit, key.meaning)
+            variable = Variable(name, ("case",), unit_of(name) or "1", key.meaning)
             if numbers:
                 known = column.each(_number) if column.numbers is None else column.numbers
                 values = np.concatenate([known, list(map(_number, more))])

@@ -27,6 +27,7 @@ from ringwear_par.studies.variations import (
     is_whole,
     path_of,
     read_variations,
+    split_key,
 )
 from ringwear_par.textfiles import parse_toml, parse_value, read_text, refuse_depth
 
@@ -118,14 +119,17 @@ def read_draft(source: Path | str | Mapping[str, Any]) -> Draft:
             "boundaries are stored by ringwear run only"
         )
     found = tuple(  # files are relative to the study
-        column.mapped(partial(_found, path_of(key), folder)) if column.numbers is None else column
+        column.mapped(partial(_found, key, folder)) if column.numbers is None else column
         for key, column in zip(names, columns, strict=True)
     )
     return Draft(name, text, base, names, method, found)
 
 
-def _found(key: str, folder: Path, value: Any) -> Any:
-    return in_full({key: value}, folder)[key]
+def _found(name: str, folder: Path, value: Any) -> Any:
+    path, entry = split_key(name)
+    whole = f"{path}.{entry}" if isinstance(entry, str) else path
+    (found,) = in_full({whole: value}, folder).values()
+    return found
 
 
 def _plain(tables: Mapping[str, Any]) -> dict[str, Any]:

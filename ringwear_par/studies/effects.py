@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from ringwear_par.arrays import FloatArray, IntArray
-from ringwear_par.results.drawing import COLOURS, in_words, plain, set_legend
+from ringwear_par.results.drawing import COLOURS, DASHES, in_words, plain, set_legend
 from ringwear_par.studies.axes import (
     GREY,
     LOG_VALUE,
@@ -23,7 +23,6 @@ from ringwear_par.studies.sensitivity import SEED
 from ringwear_par.textfiles import parse_value
 
 _MARKERS = ("o", "s", "^", "v", "D", "P", "X", "*")
-DASHES: tuple[Any, ...] = ("-", "--", ":")
 #: most curves with a legend
 _CURVES = 8
 #: keys beside each other span so much before their axis is logarithmic
@@ -104,11 +103,7 @@ def key_of(name: str, column: Any) -> Key:
     words = list(dict.fromkeys(column))
     codes = {word: float(i) for i, word in enumerate(words)}
     values = np.array([codes[word] for word in column])
-    told = [in_words(parse_value(word)) if word else "none" for word in words]
-    told = [
-        f"{t} ({told[:i].count(t) + 1})" if told.count(t) > 1 else t for i, t in enumerate(told)
-    ]
-    return Key(name, values, tuple(map(plain, told)))
+    return Key(name, values, tuple(map(plain, _categories(words))))
 
 
 def _categories(words: Sequence[str]) -> list[str]:

@@ -6,9 +6,9 @@ from typing import Any
 import numpy as np
 
 from ringwear_par.arrays import FloatArray, IntArray
-from ringwear_par.results.drawing import COLOURS, set_legend, time_unit
+from ringwear_par.results.drawing import COLOURS, DASHES, set_legend, time_unit
 from ringwear_par.studies.axes import GREY, LOG_VALUE, OUTPUTS, spans
-from ringwear_par.studies.effects import DASHES, Key, values_told
+from ringwear_par.studies.effects import Key, values_told
 from ringwear_par.studies.ensemble import Ensemble
 from ringwear_par.studies.sensitivity import chosen_cases
 
@@ -29,7 +29,7 @@ def draw_histories(axes: Any, ensemble: Ensemble, drawn: IntArray, keys: Sequenc
         axes.plot(
             time[number, :count] / seconds, 1e3 * depth[number, :count],
             color=COLOURS[number % len(COLOURS)],
-            linestyle=DASHES[number // len(COLOURS)],
+            linestyle=DASHES[number // len(COLOURS) % len(DASHES)],
             label=labels[number] if labels else None,
         )  # fmt: skip
     _finish_fan(axes, unit)

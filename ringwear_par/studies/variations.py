@@ -168,8 +168,10 @@ def path_of(name: str) -> str:
 
 
 def has_entry(name: str) -> bool:
-    """Tell whether a varied key that is named as an entry of a pair is one."""
+    """Tell whether a varied key that is named as an entry is one of a pair, or a shape's size."""
     path, index = split_key(name)
+    if index in ("file", "trace") and path.endswith(".profile"):
+        return False
     return not isinstance(index, int) or BY_PATH[path].kind == "pair"
 
 
@@ -278,7 +280,8 @@ def _variation(said: str, key: str, entry: Any, method: str, faults: list[str]) 
     shown = f"{said}: {spacing} = {shortened(values)}"
     try:
         if isinstance(values, list):
-            values = [without_units(BY_PATH[path], value) for value in values]
+            entry = index if isinstance(index, str) else None
+            values = [without_units(BY_PATH[path], value, entry) for value in values]
     except RejectedError as reason:
         faults.append(f"{shown}: must be two increasing numbers ({reason})")
         return None

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import ringwear_par as rw
+from ringwear_par.cases.schema import unit_of
 from ringwear_par.cases.units import number_in
 from ringwear_par.cases.values import RejectedError
 
@@ -30,6 +31,8 @@ RADII = np.linspace(10.0, 15.0, 301)
         ("1e-5 mm3/(N m)", "1/MPa", 1e-8),
         ("1e-5 mm^3/Nm", "1/MPa", 1e-8),
         ("1e-13 m2/N", "1/MPa", 1e-7),
+        ("80 N m^-2", "MPa", 8e-5),
+        ("5 N m", "N mm", 5000.0),
         ("7850 kg/m3", "g/mm^3", 0.00785),
     ],
 )
@@ -155,3 +158,42 @@ def test_studies_vary_the_size_of_a_shape():
     )
     depths = [study.case(n).sections[1].depth(np.array([10.0]))[0] for n in (0, 1)]
     assert depths == pytest.approx([np.sqrt(R**2 - 2.5**2) - R for R in (300.0, 500.0)])
+
+
+def test_sizes_of_shapes_have_units_in_studies(tmp_path):
+    (tmp_path / "cases.csv").write_text("upper.profile.crown\n0.5 m\n600\n")
+    designs = [
+        {"vary": {"upper.profile.crown": {"values": ["0.5 m", 600]}}},
+        {"vary": {"upper.profile.crown": {"linear": ["0.5 m", "60 cm"], "count": 2}}},
+        {"design": {"method": "list", "file": str(tmp_path / "cases.csv")}},
+    ]
+    for design in designs:
+        study = rw.read_study({"case": str(CROWN), **design})
+        depths = [study.case(n).sections[1].depth(np.array([10.0]))[0] for n in (0, 1)]
+        assert depths == pytest.approx([np.sqrt(R**2 - 2.5**2) - R for R in (500.0, 600.0)])
+    with pytest.raises(rw.InputError, match="must be the key itself"):
+        rw.read_study({"case": str(CROWN), "vary": {"upper.profile.file": {"values": ["a.csv"]}}})
+
+
+def test_a_trace_is_named_by_its_key_too(tmp_path, monkeypatch):
+    (tmp_path / "trace.csv").write_text("r_mm,h_um\n10,0\n12.5,5\n15,0\n")
+    monkeypatch.chdir(tmp_path)
+    by_table = rw.read_case(CROWN, {"upper.profile": {"file": "trace.csv"}})
+    assert rw.read_case(CROWN, ["upper.profile.file=trace.csv"]) == by_table
+    assert by_table.sections[1].depth(np.array([10.0]))[0] == pytest.approx(-0.005)
+
+
+def test_units_are_those_of_what_is_named():
+    told = {"load.pressure": "MPa", "upper.r[1]": "mm", "contact.friction": "", "title": ""}
+    told |= {"upper.profile": "", "upper.profile.crown": "mm", "lower.profile.cone": "deg"}
+    assert {name: unit_of(name) for name in told} == told
+
+
+def test_a_rough_trace_is_told_to_be_rough(tmp_path):
+    rng = np.random.default_rng(1)
+    rows = [
+        f"{r:.3f},{h:.5f}" for r, h in zip(np.linspace(10, 15, 500), rng.random(500), strict=True)
+    ]
+    (tmp_path / "trace.csv").write_text("r_mm,h_mm\n" + "\n".join(rows) + "\n")
+    with pytest.raises(rw.InputError, match=r"upper.profile is rough: smooth it"):
+        rw.read_case(CROWN, {"upper.profile": {"file": str(tmp_path / "trace.csv")}})

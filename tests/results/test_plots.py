@@ -280,7 +280,9 @@ def test_values_are_told_in_a_few_words():
 
     assert in_words(80.0) == "80"
     assert in_words([[0.0, 50.0], [5.0, 60.0], [9.0, 80.0]]) == "50 to 80 in 3 points"
-    assert in_words({"crown": 500.0}) == "crown 500"
+    assert in_words([[0.0, 5.0], [9.0, 8.0]], "MPa") == "5 to 8 MPa in 2 points"
+    assert in_words({"crown": 500.0}) == "crown 500 mm"
+    assert in_words({"cone": 1.0}) == "cone 1 deg"
     assert in_words({"r": [[10, 1e-7], [20, 2e-7]]}) == "profile of 2 radii"
     assert in_words("archard") == "archard"
 
@@ -298,3 +300,30 @@ def test_stages_in_time_stay_apart_in_grey():
     assert all(before > 1.5 * after for before, after in itertools.pairwise(stages))
     assert stages[0] < 0.75  # on white paper
     assert len({round(lightness(colour), 3) for colour in COLOURS}) == len(COLOURS)
+
+
+def test_a_history_of_one_state_has_no_rate(runs):
+    from dataclasses import replace
+
+    from ringwear_par.results.figures import plot
+    from ringwear_par.results.files import open_result
+
+    whole = open_result(runs[1])
+    first = {name: values[:1] for name, values in whole.histories.items()}
+    begun = replace(whole, histories=first, step=whole.step[:1], steps_made=whole.steps_made[:1])
+    figure = plot(begun, "rate,pv,volume")
+    assert [len(axes.lines) for axes in figure.axes] == [0, 0, 1]
+
+
+def test_what_the_common_scale_shows_is_not_cut(tmp_path, comm):
+    from ringwear_par.results.figures import plot
+
+    for name, pressure in (("low", 5), ("high", 80)):
+        words = ["mesh.contact_elements=32", "time.steps=1", f"load.pressure={pressure}"]
+        run_case(PAPER, tmp_path / f"{name}.h5", words, comm=comm)
+    low, high = plot([tmp_path / "low.h5", tmp_path / "high.h5"], "pressure", "0").axes
+    titles = [axes.get_legend().get_title().get_text() for axes in (low, high)]
+    for axes, title in zip((low, high), titles, strict=True):
+        cut = max(line.get_ydata().max() for line in axes.lines) > axes.get_ylim()[1]
+        assert ("cut" in title) == cut
+    assert "cut" in titles[1]

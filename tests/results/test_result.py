@@ -23,6 +23,7 @@ from ringwear_par.results import run as driver
 from ringwear_par.results.checkpoints import restored
 from ringwear_par.results.export import export
 from ringwear_par.results.files import open_result, read_status
+from ringwear_par.results.key_numbers import key_numbers
 from ringwear_par.results.run import run_case
 from ringwear_par.results.variables import (
     BOUNDARY_FIELDS,
@@ -318,3 +319,34 @@ def test_the_summary_tells_wear_in_a_tribologists_words():
         assert words in told
     volume = result.histories["worn_volume_lower"][-1]
     assert f"mass lost {7.85 * volume:.6g} mg" in told
+
+
+def test_key_numbers_do_not_depend_on_where_elements_are():
+    """Contact on 3 of the 5 mm of a crown: means are those of the nominal annulus all the same."""
+    changes = {"load.force": None, "load.pressure": 1.0, "mesh.contact_elements": 48,
+               "time.end": 20.0}  # fmt: skip
+    case = rw.read_case(CASES / "crown.toml", changes)
+    whole, cut = (
+        key_numbers(rw.simulate(one, MPI.COMM_SELF))
+        for one in (case, case.replace({"mesh.contact": [11.0, 14.0]}))
+    )
+    assert whole.mean_pressure == pytest.approx(1.0, rel=1e-9)
+    assert cut.mean_pressure == pytest.approx(1.0, rel=1e-9)
+    assert cut.sliding == pytest.approx(whole.sliding, rel=1e-9)
+    assert cut.bodies[0].rate == pytest.approx(whole.bodies[0].rate, rel=5e-3)
+    assert cut.worn_off is None  # the approach has closed gaps too
+
+
+def test_the_elastic_part_of_a_penetration_is_that_of_the_load():
+    """Twice the load at an instant presses as much deeper as the elastic part says."""
+    load = [[0.0, 20.0], [10.0, 20.0], [10.001, 40.0]]
+    changes = {"load.pressure": load, "mesh.contact_elements": 16, "time.steps": 10}
+    changes |= {"time.step": 1.0, "wear.lower.p0": 0.0}
+    before, after = (
+        rw.simulate(rw.read_case(CASES / "paper.toml", {**changes, **more}), MPI.COMM_SELF)
+        for more in ({}, {"time.step": 1.001})
+    )
+    pressed = (after.histories["approach"] - before.histories["approach"])[-1]
+    elastic = key_numbers(after).elastic - key_numbers(before).elastic
+    assert elastic == pytest.approx(1e3 * pressed, rel=0.02)
+    assert elastic > 1.0  # um

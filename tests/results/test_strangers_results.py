@@ -158,4 +158,4 @@ def test_results_that_differ_in_a_table_are_labelled(run, tmp_path):
     assert main(["run", PAPER, "-o", str(other), *with_table]) == 0
     (axes,) = rw.plot([run, other], "penetration").axes
     told = [text.get_text() for text in axes.get_legend().get_texts()]
-    assert told == ["k = 1e-07 1/MPa", 'k = { "r" = [[28, 1e-07], [32, 2e-07]] }']
+    assert told == ["k = 1e-07 1/MPa", "k = profile of 2 radii"]

@@ -1,0 +1,118 @@
+"""What a history comes to, in the numbers of a tribologist."""
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ringwear_par.errors import InputError
+
+if TYPE_CHECKING:
+    from ringwear_par.results.result import Result
+
+
+@dataclass(frozen=True)
+class Worn:
+    """What a body has lost; None is not known.
+
+    Parameters
+    ----------
+    body : "lower" or "upper".
+    deepest : um.
+    volume : mm3.
+    mass : mg.
+    rate, rate_now : um/h, mean depth over the nominal area, over the whole time and at its end.
+    specific : mm3/(N m), volume by load and sliding distance.
+    """
+
+    body: str
+    deepest: float
+    volume: float
+    mass: float | None
+    rate: float | None
+    rate_now: float | None
+    specific: float | None
+
+
+@dataclass(frozen=True)
+class KeyNumbers:
+    """What a history has come to at its last state.
+
+    Parameters
+    ----------
+    mean_pressure : MPa, over the nominal annulus, as load.pressure.
+    largest_pressure, smallest_pressure : MPa, of elements.
+    largest_at : mm, radius.
+    touching : elements in contact.
+    sliding : at the mean radius speed (mm/s), p V (MPa mm/s) and distance (m); None: not stored.
+    penetration, worn_off, elastic : um. The first is the sum of the others: the depth worn off
+        both faces in the mean over what presses, and the change of the elastic part. None where
+        a face is not flat: the approach also closes gaps there.
+    bodies : those that wear.
+    """
+
+    mean_pressure: float
+    largest_pressure: float
+    largest_at: float
+    smallest_pressure: float
+    touching: int
+    sliding: tuple[float, float, float] | None
+    penetration: float
+    worn_off: float | None
+    elastic: float | None
+    bodies: tuple[Worn, ...]
+
+
+def key_numbers(result: "Result") -> KeyNumbers:
+    """Return what a history has come to. Not collective.
+
+    Raises
+    ------
+    InputError : the result was stored without its last state.
+    """
+    if result.checkpoint is None:
+        raise InputError(f"{result.name}: holds no last state; must be one of a run")
+    state, about, line = result.checkpoint.arrays, result.attributes, result.line
+    last = {name: float(values[-1]) for name, values in result.histories.items()}
+    p, load = state["pressure"], state["pressure"] * line.area
+    mean, sliding = result.checkpoint.numbers["force"] / nominal_area(result), None
+    if "omega" in about:
+        speed = about["omega"] * about["mean_radius"]
+        sliding = speed, mean * speed, 1e-3 * about["angle"] * about["mean_radius"]
+    penetration, worn, elastic = 1e3 * last["penetration"], None, None
+    if not {"face_lower", "face_upper"} & about.keys() and load.sum() > 0:
+        worn = 1e3 * float(load @ state["wear"].sum(axis=0) / load.sum())
+        elastic = penetration - worn
+    bodies = ("lower", "upper")
+    return KeyNumbers(
+        mean, p.max(), line.r[p.argmax()], p.min(), int(np.count_nonzero(p > 0.0)), sliding,
+        penetration, worn, elastic,
+        tuple(
+            _worn(result, number, body)
+            for number, body in enumerate(bodies)
+            if about.get(f"law_{body}", last[f"worn_volume_{body}"])
+        ),
+    )  # fmt: skip
+
+
+def nominal_area(result: "Result") -> float:
+    """Return the area (mm2) where the bodies face each other; of older files, of the elements."""
+    return float(result.attributes.get("nominal_area", result.line.area.sum()))
+
+
+def _worn(result: "Result", number: int, body: str) -> Worn:
+    assert result.checkpoint is not None
+    state, about, line = result.checkpoint.arrays, result.attributes, result.line
+    volume = float(result.histories[f"worn_volume_{body}"][-1])
+    hours = float(result.histories["time"][-1]) / 3600.0
+    energy, area = float(result.histories["dissipated_energy"][-1]), nominal_area(result)
+    mass = rate = now = specific = None
+    if f"density_{body}" in about:
+        mass = 1e3 * about[f"density_{body}"] * volume
+    if hours > 0:
+        rate = 1e3 * volume / area / hours
+        now = 3.6e6 * float(state["rates"][number] @ line.area) / area
+    if about.get("friction") and energy > 0:
+        # load times sliding distance of every place, which is energy over friction
+        specific = 1e3 * volume * about["friction"] / energy
+    return Worn(body, 1e3 * state["wear"][number].max(), volume, mass, rate, now, specific)
