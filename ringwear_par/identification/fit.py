@@ -263,7 +263,7 @@ def run_fit(
     if comm.rank == 0:
         warn_of_threads(comm.size)
     if not restart:
-        on_first_rank(comm, Progress(folder, "").forget)
+        on_first_rank(comm, lambda: storing.refuse_interrupted(folder))
     found = fitted(problem, comm, compare=compare, folder=folder)
     with together(comm):
         reject_unused_options()

@@ -8,8 +8,10 @@ import numpy as np
 
 from ringwear_par.cases.case import Case
 from ringwear_par.cases.numbers import interval_of
+from ringwear_par.cases.schema import BY_PATH
 from ringwear_par.cases.suggestions import nearest_key
-from ringwear_par.cases.values import number
+from ringwear_par.cases.units import without_units
+from ringwear_par.cases.values import RejectedError, number
 from ringwear_par.errors import legible
 from ringwear_par.history.sensitivity import differentiable
 from ringwear_par.identification.problem import FittedParameter, Problem
@@ -49,12 +51,15 @@ def _parameter(said: str, key: str, table: Any, faults: list[str]) -> FittedPara
     path, entry = split_key(key)
     allowed = None if isinstance(entry, int) else interval_of((path, entry))
     if allowed is None or path.startswith("time."):
+        near = "" if path in BY_PATH else nearest_key(path)
         faults.append(
-            f"{said}: cannot be fitted{nearest_key(path)}; must be a number of a wear law, "
+            f"{said}: cannot be fitted{near}; must be a number of a wear law, "
             "contact.friction, a load, load.omega or a modulus"
         )
         return None
     before = len(faults)
+    if isinstance(table, Mapping):
+        table = {name: _plain(path, value) for name, value in table.items()}
     reader = TableReader(said, table, faults)
     start = reader.read("start", number(-math.inf))
     bounds = reader.bounds()
@@ -74,6 +79,18 @@ def _parameter(said: str, key: str, table: Any, faults: list[str]) -> FittedPara
     if len(faults) > before or start is None or bounds is None:
         return None
     return FittedParameter(key, start, bounds, log, prior)
+
+
+def _plain(path: str, value: Any) -> Any:
+    """Return a raw entry with numbers in the key's unit; wrong ones stay, for who reads them."""
+    if isinstance(value, Mapping):
+        return {name: _plain(path, inner) for name, inner in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(path, inner) for inner in value]
+    try:
+        return without_units(BY_PATH[path], value)
+    except RejectedError:
+        return value
 
 
 def derivative_key(key: str) -> str:

@@ -23,6 +23,8 @@ if TYPE_CHECKING:
 IMPROBABLE = 1e-3
 #: relative difference of sums of squares that are one optimum
 _SAME = 1e-3
+#: singular values below it, over unit columns, are of unknowns that depend on others
+_DEPENDENT = 1e-8
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,15 +113,33 @@ class FitResult:
         return self._priors - 2.0 * self.squares.log_likelihood(self.evaluation)
 
     @property
-    def p_value(self) -> float | None:
-        """How probable so large a ``total`` is by chance.
+    def given(self) -> tuple[float, float]:
+        """Sum of squares and degrees of freedom of readings whose noise is given, and of priors.
 
-        None where noise was fitted, and under the loss "student", whose noise has long tails.
+        What was fitted takes its share of both, by the leverage of each reading.
         """
-        student = self.squares.problem.settings.loss == "student"
-        if student or self.noise_fitted or self.freedom < 1:
+        squares = self.squares
+        if not self.noise_fitted:
+            return self.total, self.freedom
+        rows = np.ones(len(self.evaluation.residuals), dtype=bool)
+        for (_, series), part in zip(squares.series, squares.parts, strict=True):
+            rows[part] = not series.sd_fitted
+        size = np.linalg.norm(self.evaluation.jacobian, axis=0)
+        columns = self.evaluation.jacobian / np.where(size > 0.0, size, 1.0)
+        basis, values, _ = np.linalg.svd(columns, full_matrices=False)
+        free = 1.0 - (basis[:, values > _DEPENDENT] ** 2).sum(axis=1)
+        return float((self.evaluation.residuals[rows] ** 2).sum()), float(free[rows].sum())
+
+    @property
+    def p_value(self) -> float | None:
+        """How probable so large a sum of squares is by chance, where noise is ``given``.
+
+        None where all noise was fitted, and under the loss "student", whose noise has long tails.
+        """
+        squared, freedom = self.given
+        if self.squares.problem.settings.loss == "student" or freedom < 1.0:
             return None
-        return float(chi2.sf(self.total, self.freedom))
+        return float(chi2.sf(squared, freedom))
 
     @property
     def flagged(self) -> bool:
@@ -224,7 +244,14 @@ class FitResult:
 
     def _parameters(self) -> dict[str, Any]:
         units = units_of(self.squares.problem)
-        told = {p.key: {**_parameter(p), "unit": units[p.key]} for p in self.parameters}
+        told = {
+            p.key: {
+                **_parameter(p),
+                "interval_of": "likelihood profile" if p.key in self.profiles else "linear model",
+                "unit": units[p.key],
+            }
+            for p in self.parameters
+        }
         if self.posterior is not None:
             samples = self.posterior.samples
             ends = self.posterior.interval(self.squares.problem.settings.level)

@@ -22,6 +22,8 @@ from ringwear_par.identification.problem import Problem
 
 log = logging.getLogger(__name__)
 
+#: folder in that of the outcome, until this is whole
+PROGRESS = "progress"
 _SEED = 0
 #: points of which a start is the best, and steps of the histories that tell
 _LOT, _COARSE = 8, 10
@@ -77,13 +79,13 @@ class Progress:
     @property
     def walk(self) -> Keeper:
         """Where the walk of a posterior is kept."""
-        path = None if self._folder is None else self._folder / "progress" / "posterior.npz"
+        path = None if self._folder is None else self._folder / PROGRESS / "posterior.npz"
         return Keeper(path, self._key)
 
     def _path(self, number: int) -> Path | None:
         if self._folder is None:
             return None
-        return self._folder / "progress" / f"{self._law}-{number}.json"
+        return self._folder / PROGRESS / f"{self._law}-{number}.json"
 
     def read(self, number: int) -> Started | None:
         """Return what is kept of a start; None if nothing is. Not collective."""
@@ -116,11 +118,11 @@ class Progress:
         ------
         OSError : the folder.
         """
-        if self._folder is None or not (self._folder / "progress").is_dir():
+        if self._folder is None or not (self._folder / PROGRESS).is_dir():
             return
-        for path in (self._folder / "progress").iterdir():
+        for path in (self._folder / PROGRESS).iterdir():
             path.unlink(missing_ok=True)
-        (self._folder / "progress").rmdir()
+        (self._folder / PROGRESS).rmdir()
 
 
 #: of the largest derivative of any point: below it a parameter moves nothing
@@ -218,10 +220,11 @@ class _Telling:
         if time.perf_counter() - self._told < _PROGRESS_SECONDS:
             return
         self._told = time.perf_counter()
-        best = min((2.0 * one.objective for one in self._found), default=float("inf"))
+        best = min((2.0 * one.objective for one in self._found if not one.error), default=None)
         log.info(
-            "%s%d of %d starts have ended, %d histories, smallest chi2 %.6g with priors",
-            f"{self._name}: " if self._name else "", len(self._found), self._total, histories, best,
+            "%s%d of %d starts have ended, %d histories%s",
+            f"{self._name}: " if self._name else "", len(self._found), self._total, histories,
+            "" if best is None else f", smallest chi2 (with priors) {best:.6g}",
         )  # fmt: skip
 
 

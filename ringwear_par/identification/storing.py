@@ -1,6 +1,8 @@
 """The folder of a fit: its outcome, its readings and two figures, each there once it is whole."""
 
+import io
 import json
+import logging
 import re
 from collections.abc import Sequence
 from pathlib import Path
@@ -13,11 +15,14 @@ from ringwear_par.atomic import atomic_write, check_writable
 from ringwear_par.errors import ComputationError, InputError
 from ringwear_par.identification.fitted import units_of
 from ringwear_par.identification.problem import Problem
+from ringwear_par.identification.starts import PROGRESS
 from ringwear_par.results.hdf5 import atomic_hdf5, write_variable
 from ringwear_par.results.variables import PARAMETER, PARAMETER_UNIT, SOFTWARE, Variable
 
 if TYPE_CHECKING:
     from ringwear_par.identification.outcome import FitResult
+
+log = logging.getLogger(__name__)
 
 OUTCOME, RESULTS, FIGURE, ESTIMATES = "fit.json", "results.h5", "fit.png", "parameters.png"
 FILES = (OUTCOME, RESULTS, FIGURE, ESTIMATES)
@@ -41,6 +46,21 @@ def check(folder: Path, files: Sequence[str] = FILES) -> None:
         check_writable(missing[max(there - 1, 0)])
 
 
+def refuse_interrupted(folder: Path) -> None:
+    """Refuse a folder with what an interrupted fit has left.
+
+    Raises
+    ------
+    InputError : it has that.
+    """
+    left = folder / PROGRESS
+    if left.is_dir() and any(left.iterdir()):
+        raise InputError(
+            f"{folder}: holds a fit that was interrupted; --restart goes on with it, without "
+            f"{left} another one may begin"
+        )
+
+
 def complete(folder: Path, problem: Problem, *, compare: bool) -> bool:
     """Tell whether a folder holds the outcome of a problem, of its other laws too where asked."""
     try:
@@ -54,6 +74,8 @@ def complete(folder: Path, problem: Problem, *, compare: bool) -> bool:
 def save(found: "FitResult", folder: Path) -> None:
     """Write all files; fit.json, which says that it is whole, the last. On one rank.
 
+    A picture that cannot be drawn is left out, with a warning.
+
     Raises
     ------
     InputError, ComputationError : the folder or the disk.
@@ -63,10 +85,15 @@ def save(found: "FitResult", folder: Path) -> None:
         folder.mkdir(parents=True, exist_ok=True)
         with atomic_hdf5(folder / RESULTS) as (file, _):
             _write(file, found)
-        with atomic_write(folder / FIGURE) as path:
-            found.plot().savefig(path, format="png", dpi=130)
-        with atomic_write(folder / ESTIMATES) as path:
-            found.plot_parameters().savefig(path, format="png", dpi=130)
+        for figure, draw in ((FIGURE, found.plot), (ESTIMATES, found.plot_parameters)):
+            picture = io.BytesIO()
+            try:
+                draw().savefig(picture, format="png", dpi=130)
+            except (ArithmeticError, TypeError, ValueError) as error:  # of axes, for huge numbers
+                log.warning("%s: cannot be drawn: %s", folder / figure, error)
+                continue
+            with atomic_write(folder / figure) as path:
+                path.write_bytes(picture.getbuffer())
         with atomic_write(folder / OUTCOME) as path:
             path.write_text(json.dumps(found.to_dict(), indent=1, allow_nan=False) + "\n")
     except OSError as error:

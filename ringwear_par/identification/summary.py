@@ -8,6 +8,7 @@ from ringwear_par.identification.fitted import units_of
 from ringwear_par.identification.intervals import ParameterEstimate
 from ringwear_par.identification.posterior import FEW
 from ringwear_par.identification.problem import Problem
+from ringwear_par.identification.starts import Started
 
 if TYPE_CHECKING:
     from ringwear_par.identification.outcome import FitResult
@@ -17,6 +18,8 @@ if TYPE_CHECKING:
 _STRONG = 0.9
 #: of chi2 over its readings, of a series that stands out
 _HIGH = 2.0
+#: sd, from which on readings do not belong to the others; what share of these they may be
+_FAR, _SHARE, _SHOWN = 6.0, 0.1, 4
 
 
 def warnings(found: "FitResult") -> tuple[str, ...]:
@@ -31,8 +34,8 @@ def warnings(found: "FitResult") -> tuple[str, ...]:
             )
     if found.flagged:
         sentences.append(
-            f"the model does not fit: chi2 = {found.total:.4g} of {found.freedom} degrees of "
-            f"freedom (p = {found.p_value:.1g}); noise larger than told, or another law"
+            f"the model does not fit: chi2 = {found.given[0]:.4g} of {found.given[1]:.4g} degrees "
+            f"of freedom (p = {found.p_value:.1g}); noise larger than told, or another law"
         )
         if found.alternatives and all(other.flagged for other in found.alternatives.values()):
             sentences.append("none of the laws compared fits either")
@@ -42,8 +45,9 @@ def warnings(found: "FitResult") -> tuple[str, ...]:
                 sentences.append(
                     f"{name} ({experiment}): chi2 = {entry['chi2']:.4g} of {entry['n']} readings"
                 )
+    sentences += _outliers(found)
     if found.starts:
-        best = min(found.starts, key=lambda one: one.objective)
+        best = min(found.starts, key=_objective)
         if not best.converged:
             sentences.append("the best start has not converged; its numbers are the best there are")
         failed = [one for one in found.starts if one.error]
@@ -66,12 +70,49 @@ def warnings(found: "FitResult") -> tuple[str, ...]:
     return tuple(sentences)
 
 
+def _outliers(found: "FitResult") -> list[str]:
+    """Return which few readings do not fit at all, a sentence a series."""
+    sentences = []
+    squares = found.squares
+    for (experiment, series), part in zip(squares.series, squares.parts, strict=True):
+        far = np.abs(found.evaluation.noise[part])
+        few = np.argsort(-far)[: max(1, int(_SHARE * series.n))]
+        worst = few[far[few] > _FAR]
+        if series.sd_fitted or not len(worst):
+            continue
+        name, share = f"{series.name} ({experiment.name})", far[worst] @ far[worst] / (far @ far)
+        if share < 0.5 and np.count_nonzero(far > _FAR) > len(worst):
+            continue  # most of them are off
+        if series.n == 1:
+            sentences.append(f"{name}: is {far[0]:.3g} sd off the model; look at its unit")
+            continue
+        shown = worst[:_SHOWN]
+        axis, unit = ("r", "mm") if series.profile else ("time", "s")
+        at = ", ".join(f"{series.x[i]:.6g}" for i in np.sort(shown))
+        more = "" if len(worst) <= _SHOWN else f" and {len(worst) - _SHOWN} more"
+        hint = "; at an edge or a stop, exclude leaves them out" if share > 0.5 else ""
+        sentences.append(
+            f"{name}: {_count(len(worst), 'reading')} at {axis} = {at} {unit}{more}, up to "
+            f"{far.max():.3g} sd off the model, make {100.0 * share:.3g} % of its chi2{hint}"
+        )
+    return sentences
+
+
+def _objective(one: Started) -> float:
+    return one.objective
+
+
+def _count(number: int, noun: str) -> str:
+    return f"{number} {noun}{'' if number == 1 else 's'}"
+
+
 def summary(found: "FitResult") -> str:
     """Return the outcome in a few lines."""
     problem = found.squares.problem
     lines = [
-        f"{problem.name}: {found.n} readings in {len(problem.experiments)} experiments, "
-        f"{len(found.parameters)} parameters, {found.histories} histories"
+        f"{problem.name}: {_count(found.n, 'reading')} in "
+        f"{_count(len(problem.experiments), 'experiment')}, "
+        f"{_count(len(found.parameters), 'parameter')}, {found.histories} histories"
         + (f" ({found.histories_of_profiles} for profiles)" if found.profiles else "")
     ]
     lines += [f"warning: {sentence}" for sentence in found.warnings]
@@ -82,7 +123,8 @@ def summary(found: "FitResult") -> str:
     lines += _series_lines(found)
     lines += _correlation_lines(found)
     if found.starts:
-        lines.append(f"{found.at_best} of {len(found.starts)} starts end at this optimum")
+        where = "at this optimum" if min(found.starts, key=_objective).converged else "here"
+        lines.append(f"{found.at_best} of {_count(len(found.starts), 'start')} end {where}")
     if found.alternatives or found.failed:
         lines += _alternative_lines(found)
     return "\n".join(lines)
@@ -92,8 +134,9 @@ def prediction(found: "FitResult") -> str:
     """Return what a fit would tell if the parameters were those of the start."""
     problem = found.squares.problem
     lines = [
-        f"{problem.name}: {found.n} readings in {len(problem.experiments)} experiments; to be "
-        "expected if the parameters are those of the start (nothing written):"
+        f"{problem.name}: {_count(found.n, 'reading')} in "
+        f"{_count(len(problem.experiments), 'experiment')}; to be expected if the parameters are "
+        "those of the start (nothing written):"
     ]
     lines += _parameter_lines(found)
     for one in found.parameters:
@@ -120,10 +163,13 @@ def unit_of(problem: Problem, key: str) -> str:
 def _parameter_lines(found: "FitResult") -> list[str]:
     width = max(len(one.key) for one in found.parameters)
     problem = found.squares.problem
-    return [f"  {one.key.ljust(width)}  {_told(one, problem)}" for one in found.parameters]
+    return [
+        f"  {one.key.ljust(width)}  {_told(one, problem, profiled=one.key in found.profiles)}"
+        for one in found.parameters
+    ]
 
 
-def _told(one: ParameterEstimate, problem: Problem) -> str:
+def _told(one: ParameterEstimate, problem: Problem, *, profiled: bool) -> str:
     unit, level, (low, high) = unit_of(problem, one.key), problem.settings.level, one.interval
     value = f"{one.estimate:.5g}"
     if one.verdict == "not identified":
@@ -135,7 +181,8 @@ def _told(one: ParameterEstimate, problem: Problem) -> str:
         limits = "no limit within its bounds"
     else:
         limits = f"less than {high:.5g}" if high is not None else f"more than {low:.5g}"
-    return f"{value}{spread}{unit}  {limits} ({100 * level:g} %)  {one.verdict}"
+    by = ", likelihood profile" if profiled else ""
+    return f"{value}{spread}{unit}  {limits} ({100 * level:g} %{by})  {one.verdict}"
 
 
 def _posterior_lines(found: "FitResult", posterior: "Posterior") -> list[str]:
@@ -159,8 +206,10 @@ def _fit_line(found: "FitResult") -> str:
     probable = "no p-value"
     if found.p_value is not None:
         probable = f"p = {found.p_value:.2g}"
+        if found.noise_fitted:
+            probable += " of those whose noise is given"
     elif found.noise_fitted:
-        probable = "noise was fitted"
+        probable = "all noise was fitted"
     elif found.squares.problem.settings.loss == "student":
         probable = 'loss "student"'
     return (
@@ -174,7 +223,9 @@ def _series_lines(found: "FitResult") -> list[str]:
     for experiment, series in found.experiments.items():
         for name, entry in series.items():
             unit = entry["unit"]
-            line = f"  {experiment}, {name}: {entry['n']} readings, chi2 {entry['chi2']:.4g}"
+            line = (
+                f"  {experiment}, {name}: {_count(entry['n'], 'reading')}, chi2 {entry['chi2']:.4g}"
+            )
             if "sd" in entry:
                 line += f", noise {entry['sd']:.3g} {unit}"
             for kind, own in nuisances.get(experiment, {}).get(name, {}).items():
@@ -192,7 +243,8 @@ def _unit_lines(found: "FitResult") -> list[str]:
     for experiment, series in found.squares.series:
         spread = np.median(series.sd) / series.factor
         lines.append(
-            f"  {experiment.name}, {series.name}: {series.n} readings in {series.unit}, noise "
+            f"  {experiment.name}, {series.name}: {_count(series.n, 'reading')} in {series.unit}, "
+            "noise "
             f"{spread:.3g}{' (guessed, to be fitted)' if series.sd_fitted else ''}"
         )
     return lines

@@ -26,6 +26,8 @@ _MOST_ANGLE, _LOAD_ASIDE = 15.0, 0.05
 _MOST_ASYMMETRY = 0.05
 #: moduli (MPa) that are those of materials in Pa; smaller ones may be meant, of rigid bodies
 _PASCALS = (1e9, 2e12)
+#: g/mm^3, osmium's and a little more
+_DENSEST = 0.025
 #: mm, and share of a Young's modulus, from which on numbers are likely in another unit
 _LARGEST, _MOST_PRESSED = 5000.0, 0.1
 
@@ -55,6 +57,11 @@ def implausible(case: Case) -> tuple[Doubt, ...]:
             found.append(
                 f"{name}.young = {ring.young:g} MPa is stiffer than any material; were it in Pa, "
                 f'"{ring.young:g} Pa" would be read too'
+            )
+        if ring.density is not None and ring.density > _DENSEST:
+            found.append(
+                f"{name}.density = {ring.density:g} g/mm3 is denser than any material; were it in "
+                f'g/cm3, "{ring.density:g} g/cm3" would be read too'
             )
         if max(ring.r[1], ring.z[1] - ring.z[0]) > _LARGEST:
             found.append(

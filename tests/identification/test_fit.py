@@ -2,6 +2,7 @@
 
 import copy
 import json
+import re
 import signal
 import tomllib
 from dataclasses import replace
@@ -27,7 +28,7 @@ from laboratory import (
 
 import ringwear_par as rw
 from ringwear_par.cases.text import toml_value
-from ringwear_par.errors import ComputationError
+from ringwear_par.errors import ComputationError, InputError
 from ringwear_par.identification import fit as fit_room
 from ringwear_par.identification import starts as starts_room
 from ringwear_par.identification.fit import fit, fitted, predicted, run_fit
@@ -129,7 +130,14 @@ def test_noise_is_fitted(tables, comm):
         experiment["data"][1]["sd"] = "fit"
     found = fit(given, comm)
     assert near(found)
-    assert found.p_value is None
+    assert found.p_value is not None  # of the penetrations, whose noise is given
+    assert found.p_value > 1e-3
+    squared, freedom = found.given
+    assert squared == pytest.approx(
+        sum(series["penetration"]["chi2"] for series in found.experiments.values())
+        + found.total - found.chi2
+    )  # fmt: skip
+    assert 0.9 * 100 < freedom <= 102
     for series in found.experiments.values():
         noise = series[f"profile.lower at {END:g} s"]
         assert 1e-3 * noise["sd"] == pytest.approx(SD_PROFILE, rel=0.25)
@@ -488,6 +496,8 @@ def test_a_fit_goes_on_with_the_starts_that_are_kept(written, comm, monkeypatch)
         with pytest.raises(ComputationError, match="the power failed"):
             run_fit(path, folder, comm)
     assert len(list((folder / "progress").iterdir())) == 1
+    with pytest.raises(InputError, match="interrupted; --restart goes on with it"):
+        run_fit(path, folder, comm)
     run_fit(path, folder, comm, restart=True)
     told = json.loads((folder / "fit.json").read_text())
     assert not (folder / "progress").exists()
@@ -528,3 +538,44 @@ def test_the_front_door(tables):
     assert "wear.lower.k" in repr(found)
     assert found.plot().axes
     assert "identified" in found.summary()
+
+
+@pytest.mark.serial
+def test_readings_that_cannot_be_are_named(tables, comm):
+    """A weighing in another unit, and one point of a profile at the edge."""
+    given = tables(starts=1)
+    first = given["experiment"][0]
+    first["data"].append(
+        {"quantity": "mass.lower", "value": 90.0, "unit": "mg", "sd": 5.0, "density": 0.0019}
+    )
+    path = Path(first["data"][1]["file"])
+    whole = path.read_text()
+    lines = whole.splitlines()
+    r, depth = lines[40].split(",")
+    lines[40] = f"{r},{float(depth) + 40.0}"
+    path.write_text("\n".join(lines) + "\n")
+    try:
+        told = "\n".join(fit(given, comm).warnings)
+    finally:
+        path.write_text(whole)
+    assert "the model does not fit" in told
+    assert re.search(r"mass.lower .*: is \d+.* sd off the model; look at its unit", told)
+    assert re.search(rf"profile.lower .*: .*at r = .*{float(r):.6g}.* mm.*, up to .*exclude", told)
+
+
+def test_starts_bounds_and_priors_have_units(tables):
+    given = tables()
+    given["fit"]["parameters"] = {
+        "wear.lower.k": {
+            "start": "1e-4 mm3/(N m)", "bounds": ["1e-9 1/MPa", 1e-5], "scale": "log",
+        },
+        "wear.lower.p0": {
+            "start": 0.0, "bounds": [0.0, "0.2 GPa"], "prior": {"normal": ["20 MPa", 5.0]},
+        },
+    }  # fmt: skip
+    k, p0 = read_fit(given).parameters
+    assert (k.start, k.bounds) == (1e-7, (1e-9, 1e-5))
+    assert (p0.bounds, p0.prior) == ((0.0, 200.0), (20.0, 5.0))
+    given["fit"]["parameters"]["wear.lower.p0"]["start"] = "1 mm"
+    with pytest.raises(InputError, match="must be a finite number"):
+        read_fit(given)
