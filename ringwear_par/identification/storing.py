@@ -12,6 +12,7 @@ import numpy as np
 from ringwear_par.atomic import atomic_write, check_writable
 from ringwear_par.errors import ComputationError, InputError
 from ringwear_par.identification.fitted import units_of
+from ringwear_par.identification.folders import CURVES, ESTIMATES, FIT, READINGS
 from ringwear_par.identification.problem import Problem
 from ringwear_par.results.hdf5 import atomic_hdf5, write_variable
 from ringwear_par.results.variables import PARAMETER, PARAMETER_UNIT, SOFTWARE, Variable
@@ -19,8 +20,7 @@ from ringwear_par.results.variables import PARAMETER, PARAMETER_UNIT, SOFTWARE, 
 if TYPE_CHECKING:
     from ringwear_par.identification.outcome import FitResult
 
-OUTCOME, RESULTS, FIGURE, ESTIMATES = "fit.json", "results.h5", "fit.png", "parameters.png"
-FILES = (OUTCOME, RESULTS, FIGURE, ESTIMATES)
+FILES = (FIT, READINGS, CURVES, ESTIMATES)
 
 
 def check(folder: Path, files: Sequence[str] = FILES) -> None:
@@ -44,7 +44,7 @@ def check(folder: Path, files: Sequence[str] = FILES) -> None:
 def complete(folder: Path, problem: Problem, *, compare: bool) -> bool:
     """Tell whether a folder holds the outcome of a problem, of its other laws too where asked."""
     try:
-        told = json.loads((folder / OUTCOME).read_text())
+        told = json.loads((folder / FIT).read_text())
         others = problem.alternatives.keys() if compare else set()
         return bool(told["key"] == problem.key and others <= told["alternatives"].keys())
     except (OSError, ValueError, TypeError, KeyError, AttributeError):
@@ -61,13 +61,13 @@ def save(found: "FitResult", folder: Path) -> None:
     check(folder)
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        with atomic_hdf5(folder / RESULTS) as (file, _):
+        with atomic_hdf5(folder / READINGS) as (file, _):
             _write(file, found)
-        with atomic_write(folder / FIGURE) as path:
+        with atomic_write(folder / CURVES) as path:
             found.plot().savefig(path, format="png", dpi=130)
         with atomic_write(folder / ESTIMATES) as path:
             found.plot_parameters().savefig(path, format="png", dpi=130)
-        with atomic_write(folder / OUTCOME) as path:
+        with atomic_write(folder / FIT) as path:
             path.write_text(json.dumps(found.to_dict(), indent=1, allow_nan=False) + "\n")
     except OSError as error:
         name = error.filename or folder

@@ -9,8 +9,8 @@ import h5py
 import numpy as np
 from scipy.stats import norm
 
-from ringwear_par.errors import InputError
-from ringwear_par.identification import design_summary, storing
+from ringwear_par.errors import InputError, legible
+from ringwear_par.identification import folders
 from ringwear_par.reports import charts
 from ringwear_par.reports.blocks import (
     Block,
@@ -44,14 +44,14 @@ def fit_page(folder: Path) -> Page:
     InputError : it holds none, or a damaged one.
     """
     sections: list[Section] = []
-    title = f"Fit: {folder.resolve().name}"
-    if (folder / storing.OUTCOME).exists():
-        with _telling(folder / storing.OUTCOME, "the outcome of ringwear fit") as told:
+    title = f"Fit: {legible(folder.resolve().name)}"
+    if (folder / folders.FIT).exists():
+        with _telling(folder / folders.FIT, "the outcome of ringwear fit") as told:
             sections += _fitted(folder, told)
     else:
-        title = f"Design: {folder.resolve().name}"
-    if (folder / design_summary.OUTCOME).exists():
-        with _telling(folder / design_summary.OUTCOME, "the outcome of ringwear design") as told:
+        title = f"Design: {legible(folder.resolve().name)}"
+    if (folder / folders.DESIGN).exists():
+        with _telling(folder / folders.DESIGN, "the outcome of ringwear design") as told:
             sections.insert(max(len(sections) - 1, 0), _designed(folder, told))
     kind = "Fit of a wear law" if title.startswith("Fit") else "Design of the next tests"
     return Page(kind, title, sections)
@@ -81,7 +81,7 @@ class _telling:  # noqa: N801  (it reads as a word)
 def _fitted(folder: Path, told: Mapping[str, Any]) -> list[Section]:
     sections = [Section("Summary", _summary(told))]
     level = float(told["level"])
-    drawn, single, text = _series(folder / storing.RESULTS, level)
+    drawn, single, text = _series(folder / folders.READINGS, level)
     blocks: list[Block] = [Charts(drawn)] if drawn else []
     if single:
         header = ("experiment", "series", "data", "model", "unit", "(data - model) / sd")
@@ -89,7 +89,7 @@ def _fitted(folder: Path, told: Mapping[str, Any]) -> list[Section]:
         blocks.append(Table(caption, header, single))
     blocks.append(_series_table(told))
     sections.append(Section("Data, model and residuals", blocks))
-    picture = folder / storing.ESTIMATES
+    picture = folder / folders.ESTIMATES
     if picture.exists():
         alt = (
             "Relative likelihood of each fitted key, and confidence ellipses of each pair of them; "
@@ -279,6 +279,8 @@ def _alternatives(told: Mapping[str, Any]) -> Table:
             f"{key} = {p['estimate']:.4g} {p['unit']}" for key, p in one["parameters"].items()
         )
         verdict = "does not fit" if one["flagged"] else "fits"
+        if one["p_value"] is None:
+            verdict = "not tested: noise was fitted, or has long tails"
         row = [name, f"{one['aic'] - best:+.1f}", f"{one['bic']:.5g}", f"{one['chi2']:.5g}"]
         rows.append([*row, keys, verdict])
     header = ("law", "AIC over the smallest", "BIC", "chi2", "parameters", "verdict")
@@ -300,7 +302,7 @@ def _designed(folder: Path, told: Mapping[str, Any]) -> Section:
                f"in {told['measured_as']}"]),
         Table("Best designs, with predicted standard deviations", header, rows),
     ]  # fmt: skip
-    picture, following = folder / design_summary.FIGURE, folder / design_summary.NEXT
+    picture, following = folder / folders.MAP, folder / folders.NEXT
     if picture.exists():
         alt = "Predicted standard deviations of the fitted keys over the tests; numbers above"
         blocks.append(Picture("Map of the tests", picture.read_bytes(), "image/png", alt))

@@ -7,13 +7,13 @@ from typing import Any
 from ringwear_par import __version__
 from ringwear_par.atomic import atomic_write, check_writable
 from ringwear_par.errors import ComputationError, InputError
+from ringwear_par.identification import folders
 from ringwear_par.reports.blocks import Page
 from ringwear_par.results.files import result_of
 from ringwear_par.results.result import Result
+from ringwear_par.studies.results_file import RESULTS
 
 _ENDINGS = (".html", ".htm")
-#: what tells what a folder is of
-_OF_FIT, _OF_SWEEP, _OF_DESIGN = "fit.json", "results.h5", "design.json"
 
 
 def report(source: Result | str | Path, output: str | Path) -> str:
@@ -66,17 +66,17 @@ def _page(source: Result | str | Path) -> Page:
 
         return run_page(result_of(source))
     folder = Path(source)
-    if any((folder / name).exists() for name in (_OF_FIT, _OF_DESIGN)):
+    if any((folder / name).exists() for name in (folders.FIT, folders.DESIGN)):
         from ringwear_par.reports.fit_page import fit_page
 
         return fit_page(folder)
-    if (folder / _OF_SWEEP).exists():
+    if (folder / RESULTS).exists():
         from ringwear_par.reports.sweep_page import sweep_page
 
         return sweep_page(folder)
     raise InputError(
-        f"{folder}: holds none of {_OF_FIT}, {_OF_DESIGN} and {_OF_SWEEP}; must be a result file, "
-        "or a folder that ringwear sweep (without --slice), fit or design has completed"
+        f"{folder}: holds none of {folders.FIT}, {folders.DESIGN} and {RESULTS}; must be a "
+        "result file, or a folder that ringwear sweep (without --slice), fit or design has completed"
     )
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from ringwear_par.cases.schema import BY_PATH, UNITS
-from ringwear_par.errors import InputError
+from ringwear_par.errors import InputError, legible
 from ringwear_par.reports.blocks import (
     Block,
     Lines,
@@ -25,9 +25,8 @@ from ringwear_par.results.variables import HISTORIES
 from ringwear_par.studies.ensemble import Ensemble, read_ensemble
 from ringwear_par.studies.figures import draw_sweep
 from ringwear_par.studies.index_bars import IndexBars, index_bars
-from ringwear_par.studies.results_file import FINAL
+from ringwear_par.studies.results_file import FINAL, told_flags
 from ringwear_par.studies.sensitivity import SENSITIVE, done_cases
-from ringwear_par.studies.summary import told_flags
 from ringwear_par.studies.surrogate import surrogate
 from ringwear_par.studies.variations import path_of
 from ringwear_par.textfiles import parse_value
@@ -60,7 +59,7 @@ def sweep_page(folder: Path) -> Page:
         sections.append(Section("Sensitivity", indices or [Lines([told])]))
     sections.append(Section("Cases", [_cases(ensemble)]))
     sections.append(_reproduced(ensemble))
-    return Page("Sweep of a study", f"Sweep: {folder.resolve().name}", sections)
+    return Page("Sweep of a study", f"Sweep: {legible(folder.resolve().name)}", sections)
 
 
 def _summary(ensemble: Ensemble) -> list[Block]:
