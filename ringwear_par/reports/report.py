@@ -40,10 +40,8 @@ def report(source: Result | str | Path, output: str | Path) -> str:
             temporary.write_text(_html(page), encoding="utf-8")
     except OSError as error:
         raise ComputationError(f"{output}: {error.strerror or error}") from error
-    return (
-        f"{output}: {page.kind}, {len(page.sections)} sections, "
-        f"{len(page.charts) + page.pictures} figures"
-    )
+    figures = len(page.charts) + page.pictures
+    return f"{output}: {page.kind}, {figures} figure{'' if figures == 1 else 's'}"
 
 
 def _check(output: Path) -> None:
@@ -76,7 +74,8 @@ def _page(source: Result | str | Path) -> Page:
         return sweep_page(folder)
     raise InputError(
         f"{folder}: holds none of {folders.FIT}, {folders.DESIGN} and {RESULTS}; must be a "
-        "result file, or a folder that ringwear sweep (without --slice), fit or design has completed"
+        "result file, or a folder that ringwear sweep (without --slice), fit or design has "
+        "completed"
     )
 
 

@@ -201,6 +201,44 @@ def test_a_fit_is_told_as_its_file_has_it(folder, pages):
     assert any(row[1].startswith("mass.lower") for table in page.tables for row in table)
 
 
+def test_what_a_fit_leaves_open_and_a_design_are_told(folder, tmp_path):
+    shutil.copytree(folder / "fit", tmp_path / "fit")
+    told = json.loads((tmp_path / "fit/fit.json").read_text())
+    one = {"verdict": "not identified", "sd": None, "interval": [None, None], "direction": "as k"}
+    told["parameters"]["wear.lower.p0"] |= one
+    told["warnings"], told["p_value"] = ["p0 is a guess"], None
+    told["covariance"][1][1] = None
+    told["alternatives"]["power"] = {"error": "no history"}
+    (tmp_path / "fit/fit.json").write_text(json.dumps(told))
+    sd = {"sd": {"wear.lower.k": 1e-9, "wear.lower.p0": None}}
+    tests = [{"load.pressure": 30.0, "time.end": 100.0}, {"load.pressure": 90.0}]
+    design = {
+        "parameters": {"wear.lower.k": 1e-7, "wear.lower.p0": 3.0}, "candidates": 12,
+        "criterion": "D", "measured_as": "test 1", "fit_file": sd,
+        "designs": [{"experiments": tests, "seconds": 150.0, **sd}],
+    }  # fmt: skip
+    (tmp_path / "fit/design.json").write_text(json.dumps(design))
+    rw.report(tmp_path / "fit", tmp_path / "page.html")
+    page = Read((tmp_path / "page.html").read_text())
+    dash = "\N{EN DASH}"
+    assert page.rows("95 % from")["wear.lower.p0"][1:] == [
+        dash, "MPa", dash, dash, "not identified"
+    ]  # fmt: skip
+    assert f"What the readings do not tell {dash} wear.lower.p0: as k" in page.text
+    assert ("p", {"class": "warning"}) in page.elements
+    assert page.rows("AIC over the smallest")["power"][-1] == "failed: no history"
+    words = "load.pressure = 30, time.end = 100 + load.pressure = 90"
+    assert page.rows("tests")["1"] == [words, "150", "1e-09", dash]
+
+
+def test_a_long_table_of_cases_is_cut(folder, tmp_path, monkeypatch):
+    monkeypatch.setattr("ringwear_par.reports.sweep_page._MOST", 4)
+    rw.report(folder / "sweep", tmp_path / "page.html")
+    page = Read((tmp_path / "page.html").read_text())
+    assert len(page.rows("status")) == 4
+    assert "The first 4 of 30 cases; cases.csv has all" in page.text
+
+
 @pytest.mark.parametrize("kind", KINDS)
 def test_pages_fetch_nothing(kind, pages):
     for tag, attributes in pages[kind].elements:
@@ -273,6 +311,7 @@ def test_laws_of_users_are_told_but_not_run(tmp_path):
         ("nothing.h5", "page.html", "nothing.h5: does not exist; must be a result file"),
         ("paper.toml", "page.html", "paper.toml: is not a result file of ringwear"),
         ("empty", "page.html", "empty: holds none of fit.json, design.json and results.h5"),
+        ("torn", "page.html", "design.json: is not the outcome of ringwear design, or is damaged"),
         ("broken", "page.html", "fit.json: is not the outcome of ringwear fit, or is damaged"),
     ],
 )
@@ -280,7 +319,9 @@ def test_what_cannot_be_is_refused(source, output, words, folder, tmp_path):
     (tmp_path / "empty").mkdir()
     (tmp_path / "broken").mkdir()
     (tmp_path / "broken/fit.json").write_text('{"level": 0.95, "parameters": []}')
-    place = tmp_path if source in ("empty", "broken") else folder
+    (tmp_path / "torn").mkdir()
+    (tmp_path / "torn/design.json").write_text('{"designs": [')
+    place = tmp_path if (tmp_path / source).is_dir() else folder
     before = {p.name for p in tmp_path.iterdir()}
     with pytest.raises(rw.InputError) as refused:
         rw.report(place / source, tmp_path / output)
@@ -300,7 +341,7 @@ def test_missing_packages_are_told(folder, tmp_path, monkeypatch):
 def test_the_command(ranks, folder, tmp_path):
     done = ringwear("report", folder / "run.h5", "-o", tmp_path / "page.html", ranks=ranks)
     assert done.returncode == 0, done.stderr
-    assert done.stdout == f"{tmp_path}/page.html: Wear history of a test, 6 sections, 11 figures\n"
+    assert done.stdout == f"{tmp_path}/page.html: Wear history of a test, 11 figures\n"
     assert (tmp_path / "page.html").read_bytes() == (folder / "run.html").read_bytes()
     refused = ringwear("report", folder / "away.h5", "-o", tmp_path / "other.html", ranks=ranks)
     assert refused.returncode == 2
