@@ -51,10 +51,11 @@ def sweep_page(folder: Path) -> Page:
             regressions, why = surrogate(ensemble), ""
         except InputError as error:
             regressions, why = None, f"No surrogate: {error}"
-        blocks: list[Block] = [_picture(draw_sweep(ensemble, regressions))]
+        bars = index_bars(ensemble, regressions)
+        blocks: list[Block] = [_picture(draw_sweep(ensemble, regressions, bars))]
         blocks += [Lines([why])] if why else []
         sections.append(Section("Histories and final values", blocks))
-        indices = [_indices(bars) for bars in index_bars(ensemble, regressions)]
+        indices = [_indices(each) for each in bars]
         told = "No indices: they need two varied numbers, and a design of enough cases."
         sections.append(Section("Sensitivity", indices or [Lines([told])]))
     sections.append(Section("Cases", [_cases(ensemble)]))
