@@ -58,7 +58,7 @@ def run_page(result: Result) -> Page:
 
 def _rows(found: KeyNumbers) -> list[Sequence[str]]:
     """Return the numbers of the summary, in as many digits."""
-    rows = [
+    rows: list[Sequence[str]] = [
         ("mean pressure", f"{found.mean_pressure:.4g}", "MPa"),
         ("largest pressure, of an element", f"{found.largest_pressure:.4g}", "MPa"),
         ("at the radius", f"{found.largest_at:.6g}", "mm"),
@@ -72,12 +72,11 @@ def _rows(found: KeyNumbers) -> list[Sequence[str]]:
             ("p V at the mean radius", f"{p_v:.4g}", "MPa mm/s"),
             ("sliding distance at the mean radius", f"{distance:.4g}", "m"),
         ]
-    return [
-        *rows,
-        ("penetration", f"{found.penetration:.6g}", _MICRO),
-        ("of it worn off, in the mean", f"{found.worn_off:.6g}", _MICRO),
-        ("of it elastic", f"{found.elastic:.3g}", _MICRO),
-    ]
+    rows.append(("penetration", f"{found.penetration:.6g}", _MICRO))
+    if found.worn_off is not None:
+        rows.append(("of it worn off", f"{found.worn_off:.6g}", _MICRO))
+        rows.append(("of it elastic", f"{found.elastic:.3g}", _MICRO))
+    return rows
 
 
 def _worn(found: KeyNumbers) -> Table:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from ringwear_par.cases.schema import BY_PATH, UNITS
+from ringwear_par.cases.schema import BY_PATH, unit_of
 from ringwear_par.errors import InputError, legible
 from ringwear_par.reports.blocks import (
     Block,
@@ -104,7 +104,7 @@ def _ranges(ensemble: Ensemble, here: Any) -> Table:
         else:
             words = list(dict.fromkeys(values))
             ends, count = [in_words(parse_value(w)) for w in (words[0], words[-1])], len(words)
-        rows.append((name, UNITS.get(name.partition("[")[0], ""), meaning, *ends, str(count)))
+        rows.append((name, unit_of(name), meaning, *ends, str(count)))
     header = ("key", "unit", "meaning", "least, or first", "largest, or last", "values")
     return Table("Varied keys", header, rows)
 

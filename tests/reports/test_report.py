@@ -94,7 +94,7 @@ def folder(tmp_path_factory):
         "vary": {
             "wear.lower.k": {"log": [1e-8, 1e-6], "count": 5},
             "load.pressure": {"values": [50.0, 100.0, 1e9]},  # the last of which cannot be
-            "wear.lower.p0": {"values": [0.0, 40.0]},
+            "upper.grip": {"values": ["clamped", "platen"]},
         },
     }
     with pytest.raises(rw.ComputationError, match="10 of 30 cases failed"):
@@ -128,9 +128,9 @@ def test_a_run_is_told_in_the_numbers_of_its_summary(folder, pages):
     named = {
         "mean pressure": r"mean pressure (\S+) MPa", "at the radius": r"r = (\S+) mm",
         "largest pressure, of an element": r"largest (\S+) MPa",
-        "p V at the mean radius": r"p V (\S+) MPa", "of it elastic": r"mean, (\S+) um elastic",
+        "p V at the mean radius": r"p V (\S+) MPa", "of it elastic": r"worn off, (\S+) um elastic",
         "sliding distance at the mean radius": r"sliding distance (\S+) m",
-        "penetration": r"penetration (\S+) um", "of it worn off, in the mean": r": (\S+) um worn",
+        "penetration": r"penetration (\S+) um", "of it worn off": r": (\S+) um worn",
     }  # fmt: skip
     for name, pattern in named.items():
         assert rows[name][0] == re.search(pattern, summary)[1], name
@@ -184,6 +184,8 @@ def test_a_sweep_is_told_with_its_failures(folder, pages):
         assert rows[case][0] == state
         assert rows[case][4] == (f"{depth:.6g}" if np.isfinite(depth) else "")
     assert page.rows("values")["load.pressure"][2:] == ["50", "1e+09", "3"]
+    assert page.rows("values")["upper.grip"][2:] == ["clamped", "platen", "2"]
+    assert {row[3] for row in rows.values()} == {"clamped", "platen"}
 
 
 def test_a_fit_is_told_as_its_file_has_it(folder, pages):
