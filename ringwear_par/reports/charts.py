@@ -159,7 +159,7 @@ def _pressure(
     touched = (pressure[stages] > 0.0) @ result.line.area
     force = result.histories["force"][stages]
     top = 3.0 * float((force / np.where(touched > 0.0, touched, np.inf)).max())
-    highest = float(pressure[stages].max())
+    highest = float(pressure[np.union1d(stages, instants)].max())
     if highest > 0.0:
         y["range"] = [0.0, min(top, 1.1 * highest)]
     chart = _profile(result, "pressure", label, pressure, stages, told, instants, **y)
