@@ -2,7 +2,8 @@
 
 Rooms follow the paper (Serre, Bonnet and Pradeilles-Duval 2001): ``elasticity`` eq. (5),
 ``contact`` (3), ``wear`` (4), ``history`` section 3; around them ``cases``, ``results``,
-``studies``, ``identification`` and ``verification``. Units: mm, N, MPa, s, rad; energies N mm.
+``studies``, ``identification``, ``reports`` and ``verification``. Units: mm, N, MPa, s, rad;
+energies N mm.
 
     import ringwear_par as rw
 
@@ -28,6 +29,7 @@ if TYPE_CHECKING:
     from ringwear_par.identification.design import DesignResult, design
     from ringwear_par.identification.fit import fit
     from ringwear_par.identification.outcome import FitResult
+    from ringwear_par.reports.report import report
     from ringwear_par.results.files import open_result
     from ringwear_par.results.result import FailedResult, Result
     from ringwear_par.results.simulate import simulate
@@ -59,6 +61,7 @@ _PUBLIC = {
     "plot": "studies.plot",
     "read_case": "cases.reading",
     "read_study": "studies.study",
+    "report": "reports.report",
     "simulate": "results.simulate",
     "simulate_all": "studies.many",
     "surrogate": "studies.surrogate",
@@ -67,8 +70,8 @@ _PUBLIC = {
 __all__ = [
     "Case", "ComputationError", "ContactPair", "DesignResult", "FailedResult", "FitResult",
     "InputError", "LocalState", "Result", "Study", "WearLaw", "assemble", "design", "fit",
-    "open_ensemble", "open_result", "plot", "read_case", "read_study", "simulate", "simulate_all",
-    "surrogate", "sweep",
+    "open_ensemble", "open_result", "plot", "read_case", "read_study", "report", "simulate",
+    "simulate_all", "surrogate", "sweep",
 ]  # fmt: skip
 
 

@@ -174,6 +174,10 @@ def _parser() -> argparse.ArgumentParser:
         help="write the fields along the contact line to .csv instead of the histories",
     )  # fmt: skip
 
+    report = command("report", "write a page of stored results that opens in any browser")
+    report.add_argument("results", type=_path, metavar="RUN.h5 or DIR")
+    report.add_argument("-o", "--output", type=_path, required=True, metavar="REPORT.html")
+
     laws = command("laws", "print what the wear laws of a case do, and test their derivatives")
     _add_case(laws)
 
@@ -288,6 +292,13 @@ def _export(args: argparse.Namespace, comm: Any) -> None:
     print(told)
 
 
+def _report(args: argparse.Namespace, comm: Any) -> None:
+    from ringwear_par.parallel import on_first_rank
+    from ringwear_par.reports.report import report
+
+    print(on_first_rank(comm, lambda: report(args.results, args.output)))
+
+
 def _laws(args: argparse.Namespace, comm: Any) -> None:
     from ringwear_par.cases.law_trials import check_laws
     from ringwear_par.parallel import on_first_rank
@@ -319,7 +330,7 @@ def _info(args: argparse.Namespace, comm: Any) -> None:
 
 _COMMANDS = {
     "run": _run, "sweep": _sweep, "fit": _fit, "design": _design, "plot": _plot,
-    "export": _export, "laws": _laws, "verify": _verify, "info": _info,
+    "export": _export, "report": _report, "laws": _laws, "verify": _verify, "info": _info,
 }  # fmt: skip
 
 
@@ -421,6 +432,7 @@ def _left(words: Sequence[str]) -> str:
         "design": "; nothing written",
         "plot": "; nothing written",
         "export": "; nothing written",
+        "report": "; nothing written",
     }.get(words[0] if words else "", "")
 
 

@@ -37,6 +37,8 @@ def test_import_directions():
         "rw.open_result(run).to_xarray()",
         "rw.plot(rw.open_result(run), ['wear', 'penetration'])",
         "rw.open_ensemble(folder).penetration",
+        "rw.report(run, f'{run}.html')",
+        "rw.report(folder, f'{run}.html')",
         "rw.surrogate",
         "rw.WearLaw, rw.Result, rw.FailedResult, rw.InputError, rw.ComputationError",
     ],

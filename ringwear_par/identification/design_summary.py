@@ -11,6 +11,7 @@ from ringwear_par.cases.keys import flatten
 from ringwear_par.cases.text import toml_value
 from ringwear_par.errors import ComputationError
 from ringwear_par.identification.candidates import LOADS, Candidate
+from ringwear_par.identification.folders import DESIGN, MAP, NEXT
 from ringwear_par.identification.inline_tables import on_one_line
 from ringwear_par.identification.storing import check
 from ringwear_par.identification.summary import unit_of
@@ -20,8 +21,7 @@ if TYPE_CHECKING:
     from ringwear_par.identification.design import DesignResult
     from ringwear_par.identification.search import Design
 
-OUTCOME, NEXT, FIGURE = "design.json", "next.toml", "design.png"
-FILES = (OUTCOME, NEXT, FIGURE)
+FILES = (DESIGN, NEXT, MAP)
 
 _CRITERIA = {
     "D": "smallest volume of the confidence ellipsoid (D)",
@@ -140,11 +140,11 @@ def save(found: "DesignResult", folder: Path) -> None:
     except OSError as error:
         raise unwritable(folder, error) from error
     try:
-        with atomic_write(folder / FIGURE) as path:
+        with atomic_write(folder / MAP) as path:
             found.plot().savefig(path, format="png", dpi=130)
         with atomic_write(folder / NEXT) as path:
             path.write_text(next_tests(found), encoding="utf-8")
-        with atomic_write(folder / OUTCOME) as path:
+        with atomic_write(folder / DESIGN) as path:
             path.write_text(json.dumps(found.to_dict(), indent=1, allow_nan=False) + "\n")
     except OSError as error:
         name = error.filename or folder

@@ -14,6 +14,7 @@ import numpy as np
 from ringwear_par.atomic import atomic_write, check_writable
 from ringwear_par.errors import ComputationError, InputError
 from ringwear_par.identification.fitted import units_of
+from ringwear_par.identification.folders import CURVES, ESTIMATES, FIT, READINGS
 from ringwear_par.identification.problem import Problem
 from ringwear_par.identification.starts import PROGRESS
 from ringwear_par.results.hdf5 import atomic_hdf5, write_variable
@@ -24,8 +25,7 @@ if TYPE_CHECKING:
 
 log = logging.getLogger(__name__)
 
-OUTCOME, RESULTS, FIGURE, ESTIMATES = "fit.json", "results.h5", "fit.png", "parameters.png"
-FILES = (OUTCOME, RESULTS, FIGURE, ESTIMATES)
+FILES = (FIT, READINGS, CURVES, ESTIMATES)
 
 
 def check(folder: Path, files: Sequence[str] = FILES) -> None:
@@ -64,7 +64,7 @@ def refuse_interrupted(folder: Path) -> None:
 def complete(folder: Path, problem: Problem, *, compare: bool) -> bool:
     """Tell whether a folder holds the outcome of a problem, of its other laws too where asked."""
     try:
-        told = json.loads((folder / OUTCOME).read_text())
+        told = json.loads((folder / FIT).read_text())
         others = problem.alternatives.keys() if compare else set()
         return bool(told["key"] == problem.key and others <= told["alternatives"].keys())
     except (OSError, ValueError, TypeError, KeyError, AttributeError):
@@ -83,18 +83,19 @@ def save(found: "FitResult", folder: Path) -> None:
     check(folder)
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        with atomic_hdf5(folder / RESULTS) as (file, _):
+        with atomic_hdf5(folder / READINGS) as (file, _):
             _write(file, found)
-        for figure, draw in ((FIGURE, found.plot), (ESTIMATES, found.plot_parameters)):
+        for figure, draw in ((CURVES, found.plot), (ESTIMATES, found.plot_parameters)):
             picture = io.BytesIO()
             try:
                 draw().savefig(picture, format="png", dpi=130)
             except (ArithmeticError, TypeError, ValueError) as error:  # of axes, for huge numbers
+                (folder / figure).unlink(missing_ok=True)
                 log.warning("%s: cannot be drawn: %s", folder / figure, error)
                 continue
             with atomic_write(folder / figure) as path:
                 path.write_bytes(picture.getbuffer())
-        with atomic_write(folder / OUTCOME) as path:
+        with atomic_write(folder / FIT) as path:
             path.write_text(json.dumps(found.to_dict(), indent=1, allow_nan=False) + "\n")
     except OSError as error:
         name = error.filename or folder

@@ -77,8 +77,10 @@ def key_numbers(result: "Result") -> KeyNumbers:
     p, load = state["pressure"], state["pressure"] * line.area
     mean, sliding = result.checkpoint.numbers["force"] / nominal_area(result), None
     if "omega" in about:
-        speed = about["omega"] * about["mean_radius"]
-        sliding = speed, mean * speed, 1e-3 * about["angle"] * about["mean_radius"]
+        # which files of before it have not
+        radius = float(about.get("mean_radius", 0.5 * (line.edges[0] + line.edges[-1])))
+        speed = about["omega"] * radius
+        sliding = speed, mean * speed, 1e-3 * about["angle"] * radius
     penetration, worn, elastic = 1e3 * last["penetration"], None, None
     if not {"face_lower", "face_upper"} & about.keys() and load.sum() > 0:
         worn = 1e3 * float(load @ state["wear"].sum(axis=0) / load.sum())

@@ -19,6 +19,7 @@ from ringwear_par.results.reading import (
     reading,
 )
 from ringwear_par.results.variables import HISTORIES, LINE, PROFILES, Variable
+from ringwear_par.studies.index import split_flags
 from ringwear_par.studies.results_file import (
     FINAL,
     OF_CASES,
@@ -47,6 +48,7 @@ class Ensemble:
     varied : values by varied key, (cases,) float, or str where they are not numbers.
     final : last stored values of FINAL, (cases,) float, NaN where nothing is stored.
     attributes : of the file: ``method`` of the design, ``study``, ``status``, versions.
+    flags : what makes the answer of a case doubtful, (cases,).
     """
 
     path: Path
@@ -59,6 +61,7 @@ class Ensemble:
     varied: dict[str, Any]
     final: dict[str, FloatArray]
     attributes: dict[str, Any]
+    flags: tuple[tuple[str, ...], ...] = ()
 
     def histories(self, name: str, cases: IntArray) -> FloatArray:
         """Read the histories of some cases (increasing numbers), (len(cases), steps).
@@ -70,6 +73,16 @@ class Ensemble:
         with reading(self.path, SOFTWARE, WHAT) as file:
             sizes = {"case": len(self.ids)}
             return find_array(file, over_cases(HISTORIES[name]), sizes)[cases]
+
+    def text(self, case: int) -> str:
+        """Read a case as a case file.
+
+        Raises
+        ------
+        InputError : the file is damaged.
+        """
+        with reading(self.path, SOFTWARE, WHAT) as file:
+            return read_text(find_texts(file, "case_toml", {"case": len(self.ids)})[case])
 
     def profiles(self, name: str, cases: IntArray) -> FloatArray | None:
         """Read profiles of some cases (increasing numbers), or the mid-points "r" of elements.
@@ -126,8 +139,15 @@ def read_ensemble(folder: Path) -> Ensemble:
             read_array(file, OF_CASES["seconds"], sizes), stored,
             {name: _varied(file, name, sizes) for name in attributes["coordinates"].split()},
             {name: read_array(file, OF_CASES[f"final_{name}"], sizes) for name in FINAL},
-            attributes,
+            attributes, _flags(file, sizes),
         )  # fmt: skip
+
+
+def _flags(file: h5py.File, sizes: dict[str, int]) -> tuple[tuple[str, ...], ...]:
+    """Return the flags of each case, none where the file is older than they are."""
+    if "flags" not in file:
+        return ((),) * sizes["case"]
+    return tuple(split_flags(read_text(text)) for text in find_texts(file, "flags", sizes)[:])
 
 
 def _varied(file: h5py.File, name: str, sizes: dict[str, int]) -> Any:

@@ -73,8 +73,16 @@ def draw_sweep_and_surrogate(ensemble: Ensemble) -> Figure:
     return draw_sweep(ensemble, regressions)
 
 
-def draw_sweep(ensemble: Ensemble, regressions: Surrogate | None = None) -> Figure:
+def draw_sweep(
+    ensemble: Ensemble,
+    regressions: Surrogate | None = None,
+    bars: Sequence[IndexBars] | None = None,
+) -> Figure:
     """Return the figure of a sweep's results, with that of their surrogate. Not collective.
+
+    Parameters
+    ----------
+    bars : sensitivity indices of both, where they are there already.
 
     Raises
     ------
@@ -85,7 +93,7 @@ def draw_sweep(ensemble: Ensemble, regressions: Surrogate | None = None) -> Figu
     upper = ensemble.final["worn_volume_upper"][drawn]
     if np.any(upper[np.isfinite(upper)] != 0.0):
         outputs.append("worn_volume_upper")
-    bars = index_bars(ensemble, regressions)
+    bars = index_bars(ensemble, regressions) if bars is None else bars
     varied = [key_of(name, values[drawn]) for name, values in ensemble.varied.items()]
     varied = [key for key in varied if key.differs] or varied
     names = most_important([key.name for key in varied], bars, _MOST_KEYS)

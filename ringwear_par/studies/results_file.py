@@ -1,7 +1,8 @@
 """What the results file of a sweep is called and holds, and how the next sweep reads it."""
 
 import math
-from collections.abc import Sequence
+from collections import Counter
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -70,6 +71,16 @@ def over_cases(variable: Variable) -> Variable:
 def power_of_2(number: float) -> int:
     """Return the largest power of 2 up to a number, 1 at least."""
     return 1 << max(int(number).bit_length() - 1, 0)
+
+
+def told_flags(flagged: Mapping[tuple[str, ...], int]) -> str:
+    """Return how many cases are flagged, and what for."""
+    counts: Counter[str] = Counter()
+    for flags, n in flagged.items():
+        counts.update(dict.fromkeys(flags, n))
+    told = ", ".join(f"{flag.replace('_', ' ')} ({n})" for flag, n in counts.most_common())
+    total = sum(flagged.values())
+    return f"{total} case{'' if total == 1 else 's'} flagged: {told}; see flags in {TABLE}"
 
 
 def cases_at_once(size: float) -> int:

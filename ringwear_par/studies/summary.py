@@ -1,12 +1,11 @@
 """What a sweep did, in a few lines."""
 
 from collections import Counter
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 from ringwear_par.results.progress import duration
-from ringwear_par.studies.results_file import RESULTS, TABLE
+from ringwear_par.studies.results_file import RESULTS, TABLE, told_flags
 from ringwear_par.studies.workers import Timings
 
 _KNOWN = ("stepping", "assembly", "waiting", "output")
@@ -72,13 +71,3 @@ class Summary:
         elif self.merged:
             lines.append(f"{self.folder / TABLE}, {self.folder / RESULTS}")
         return "\n".join(lines)
-
-
-def told_flags(flagged: Mapping[tuple[str, ...], int]) -> str:
-    """Return how many cases are flagged, and what for."""
-    counts: Counter[str] = Counter()
-    for flags, n in flagged.items():
-        counts.update(dict.fromkeys(flags, n))
-    told = ", ".join(f"{flag.replace('_', ' ')} ({n})" for flag, n in counts.most_common())
-    total = sum(flagged.values())
-    return f"{total} case{'' if total == 1 else 's'} flagged: {told}; see flags in {TABLE}"

@@ -1,0 +1,1 @@
+"""Pages of stored results: one HTML file of a run, a sweep or a fit that needs nothing else."""

@@ -1,0 +1,161 @@
+"""What a page is made of: sections of paragraphs, tables, texts, pictures and charts."""
+
+import base64
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+
+@dataclass(frozen=True)
+class Lines:
+    """A list of sentences.
+
+    Parameters
+    ----------
+    warning : whether they speak against the results.
+    """
+
+    lines: Sequence[str]
+    warning: bool = False
+    kind = "lines"
+
+
+@dataclass(frozen=True)
+class Table:
+    """A table; the first cell of a row is its header.
+
+    Parameters
+    ----------
+    rows : texts, or numbers as their texts.
+    sortable : whether columns can be sorted by their headers.
+    folded : whether it is shown only when it is asked for.
+    """
+
+    caption: str
+    header: Sequence[str]
+    rows: Sequence[Sequence[str]]
+    sortable: bool = False
+    folded: bool = False
+    kind = "table"
+
+
+@dataclass(frozen=True)
+class Source:
+    """A text to be taken home as it is, such as a case file."""
+
+    label: str
+    text: str
+    kind = "source"
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A picture that is drawn already.
+
+    Parameters
+    ----------
+    form : MIME type.
+    """
+
+    caption: str
+    content: bytes
+    form: str
+    alt: str
+    kind = "picture"
+
+    @property
+    def address(self) -> str:
+        """The picture itself, as the address of an image."""
+        return f"data:{self.form};base64,{base64.b64encode(self.content).decode()}"
+
+
+@dataclass(frozen=True)
+class Chart:
+    """A chart of plotly.
+
+    Parameters
+    ----------
+    name : of its element, without blanks, only one on the page.
+    label : what it shows, for those who do not see it.
+    data, layout : as plotly has them, plain numbers and texts; those of users are ``shown``.
+    height : pixels.
+    frames : values of y by instant of the last of ``data``, where there is a slider.
+    """
+
+    name: str
+    caption: str
+    label: str
+    data: Sequence[dict[str, Any]]
+    layout: dict[str, Any]
+    height: int = 320
+    frames: Sequence[Sequence[float | None]] = ()
+    kind = "chart"
+
+    @property
+    def told(self) -> dict[str, Any]:
+        """What the page's script draws."""
+        return {"data": self.data, "layout": self.layout, "frames": self.frames}
+
+
+@dataclass(frozen=True)
+class Charts:
+    """Charts beside each other, as far as there is room.
+
+    Parameters
+    ----------
+    instants : what a slider above them goes through, in words; () for none.
+    first : where it stands at the beginning.
+    """
+
+    charts: Sequence[Chart]
+    instants: Sequence[str] = ()
+    first: int = 0
+    kind = "charts"
+
+
+Block = Lines | Table | Source | Picture | Charts
+
+
+@dataclass(frozen=True)
+class Section:
+    """A part of a page with a heading."""
+
+    heading: str
+    blocks: Sequence[Block]
+
+
+@dataclass(frozen=True)
+class Page:
+    """A page.
+
+    Parameters
+    ----------
+    kind : what it is of, which stands above its title.
+    """
+
+    kind: str
+    title: str
+    sections: Sequence[Section]
+
+    @property
+    def charts(self) -> list[Chart]:
+        """All its charts."""
+        return [
+            chart
+            for section in self.sections
+            for block in section.blocks
+            if isinstance(block, Charts)
+            for chart in block.charts
+        ]
+
+    @property
+    def pictures(self) -> int:
+        """Number of figures that are no charts."""
+        return sum(isinstance(b, Picture) for section in self.sections for b in section.blocks)
+
+
+def software(versions: dict[str, str]) -> Table:
+    """Return the table of the versions that computed something."""
+    names = {"version": "ringwear-par"}
+    rows = [(names.get(n, n.replace("_", " ")), value) for n, value in versions.items()]
+    return Table("Software", ("what", "version"), rows)

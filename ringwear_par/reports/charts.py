@@ -1,0 +1,169 @@
+"""Charts of plotly, in the style of the other figures: axes, lines, histories, worn profiles."""
+
+import html
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from matplotlib.colors import to_hex
+
+from ringwear_par.arrays import IntArray
+from ringwear_par.errors import InputError
+from ringwear_par.reports.blocks import Chart, Charts
+from ringwear_par.results.drawing import COLOURS, stage_colour, time_unit
+from ringwear_par.results.history_panels import HISTORY_PANELS
+from ringwear_par.results.result import Result
+
+#: as matplotlib's in ``drawing``
+DASHES = ("solid", "dash", "dashdot", "dot", "longdash")
+#: digits that a screen shows
+_DIGITS = 7
+#: most instants of a slider
+_INSTANTS = 120
+_QUARTERS = 4
+#: as many points of a curve, or fewer, are marked
+_FEW_POINTS = 20
+_AXIS = {
+    "showline": True, "linecolor": "#444", "ticks": "outside", "gridcolor": "#e4e4e4",
+    "zeroline": False, "automargin": True, "exponentformat": "power", "minexponent": 6,
+}  # fmt: skip
+
+
+def numbers(values: Any) -> list[float | None]:
+    """Return values as a page tells them: as many digits as can be seen, None for no number."""
+    return [float(f"{v:.{_DIGITS}g}") if np.isfinite(v) else None for v in np.ravel(values)]
+
+
+def shown(text: str) -> str:
+    """Return a text of a user as plotly draws it, letter by letter."""
+    return html.escape(text)
+
+
+def axis(title: str, **more: Any) -> dict[str, Any]:
+    """Return an axis of plotly."""
+    return {**_AXIS, "title": {"text": title}, **more}
+
+
+def layout(x: dict[str, Any], y: dict[str, Any], **more: Any) -> dict[str, Any]:
+    """Return the layout of a chart with a legend above it, where it covers nothing."""
+    return {
+        "xaxis": x, "yaxis": y, "showlegend": True, "hovermode": "closest",
+        "legend": {"orientation": "h", "x": 0, "xanchor": "left", "y": 1.02, "yanchor": "bottom"},
+        "margin": {"l": 60, "r": 15, "t": 75 if more.get("showlegend", True) else 30, "b": 45},
+        "font": {"size": 12, "color": "#222"}, "paper_bgcolor": "#fff", "plot_bgcolor": "#fff",
+        **more,
+    }  # fmt: skip
+
+
+def line(x: Any, y: Any, name: str, number: int, **more: Any) -> dict[str, Any]:
+    """Return a curve, its colour and dashes by its number."""
+    style = {"color": COLOURS[number % len(COLOURS)], "dash": DASHES[number % len(DASHES)]}
+    return {"x": numbers(x), "y": numbers(y), "name": name, "mode": "lines", "line": style, **more}
+
+
+def histories(result: Result) -> Charts:
+    """Return a chart of each quantity over time that the result tells."""
+    time = result.histories["time"]
+    unit, seconds = time_unit(float(time[-1]))
+    charts = []
+    for name, panel in HISTORY_PANELS.items():
+        try:
+            curves = panel.curves(result)
+        except InputError:  # p V without friction
+            continue
+        data = []
+        for number, (told, values) in enumerate(curves.items()):
+            if len(values) < len(time):  # means of the time between two states
+                shape = {"line": {**line([], [], "", number)["line"], "shape": "vh"}}
+                values = np.append(values[:1], values)
+                data.append(line(time / seconds, values, told, number) | shape)
+            else:
+                mode = "lines+markers" if len(time) <= _FEW_POINTS else "lines"
+                data.append(line(time / seconds, values, told, number, mode=mode))
+        charts.append(
+            Chart(
+                name, panel.label, f"Line chart: {panel.label} over time ({unit})", data,
+                layout(
+                    axis(f"time ({unit})", rangemode="tozero"),
+                    axis(panel.label, rangemode="tozero"), showlegend=len(curves) > 1,
+                ),
+            )
+        )  # fmt: skip
+    return Charts(charts)
+
+
+def profiles(result: Result) -> Charts | None:
+    """Return worn faces and pressure at five instants and at that of a slider; None: not stored."""
+    there = {name: values for name, values in result.profiles.items() if values.ndim == 2}
+    faces = [
+        (name, sign * 1e3 * there[f"wear_{name}"])
+        for name, sign in (("lower", -1.0), ("upper", 1.0))
+        if f"wear_{name}" in there
+    ]
+    faces = [(name, depth) for name, depth in faces if depth.any()] or faces[:1]
+    if not faces and "pressure" not in there:
+        return None
+    time = result.histories["time"]
+    unit, seconds = time_unit(float(time[-1]))
+    instants = np.unique(np.linspace(0, len(time) - 1, _INSTANTS).round().astype(int))
+    wished = [time[min(1, len(time) - 1)], *(time[-1] * q / _QUARTERS for q in range(1, 5))]
+    stages = np.unique([int(np.abs(time - t).argmin()) for t in wished])
+    told = [f"{time[row] / seconds:.4g} {unit}" for row in stages]
+    charts = [
+        _profile(
+            result, f"wear-{name}", f"Worn face of {name} (\N{MICRO SIGN}m)", depth, stages, told,
+            instants,
+        )
+        for name, depth in faces
+    ]  # fmt: skip
+    if "pressure" in there:
+        charts.append(_pressure(result, there["pressure"], stages, told, instants))
+    return Charts(
+        charts, [f"{time[row] / seconds:.4g} {unit}" for row in instants], len(instants) - 1
+    )
+
+
+def _profile(
+    result: Result, name: str, label: str, values: Any, stages: IntArray, told: Sequence[str],
+    instants: IntArray, **y: Any,
+) -> Chart:  # fmt: skip
+    """Return curves along the radius: some that stay, and that of the slider, the last."""
+    r = numbers(result.line.r)
+    data: list[dict[str, Any]] = [
+        {
+            "x": r, "y": numbers(values[row]), "name": word, "mode": "lines",
+            "line": {
+                "color": to_hex(stage_colour(number, len(stages))),
+                "dash": DASHES[number % len(DASHES)], "width": 1.5,
+            },
+        }
+        for number, (row, word) in enumerate(zip(stages, told, strict=True))
+    ]  # fmt: skip
+    frames = [numbers(values[row]) for row in instants]
+    data.append(
+        {
+            "x": r, "y": frames[-1], "name": "time chosen", "mode": "lines+markers",
+            "line": {"color": COLOURS[1], "width": 2.5}, "marker": {"size": 4},
+        }
+    )  # fmt: skip
+    words = f"Line chart: {label} over the distance to the axis (mm) at {', '.join(told)}"
+    x = axis("distance to axis (mm)")
+    return Chart(name, label, words, data, layout(x, axis(label, **y)), 400, frames)
+
+
+def _pressure(
+    result: Result, pressure: Any, stages: IntArray, told: Sequence[str], instants: IntArray
+) -> Chart:
+    """Return pressures; singular edges of the first instant are cut, as in the other figures."""
+    label, y = "contact pressure (MPa)", {}
+    touched = (pressure[stages] > 0.0) @ result.line.area
+    force = result.histories["force"][stages]
+    top = 3.0 * float((force / np.where(touched > 0.0, touched, np.inf)).max())
+    highest = float(pressure[np.union1d(stages, instants)].max())
+    if highest > 0.0:
+        y["range"] = [0.0, min(top, 1.1 * highest)]
+    chart = _profile(result, "pressure", label, pressure, stages, told, instants, **y)
+    if highest <= top:
+        return chart
+    cut = f"contact pressure (MPa), its peak of {highest:.0f} MPa cut"
+    return Chart(**{**vars(chart), "caption": cut})

@@ -1,0 +1,338 @@
+"""The page of a fit, and of the design of the next tests, from what their folders hold."""
+
+import json
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+from scipy.stats import norm
+
+from ringwear_par.errors import InputError, legible
+from ringwear_par.identification import folders
+from ringwear_par.reports import charts
+from ringwear_par.reports.blocks import (
+    Block,
+    Chart,
+    Charts,
+    Lines,
+    Page,
+    Picture,
+    Section,
+    Source,
+    Table,
+    software,
+)
+from ringwear_par.results.drawing import COLOURS, in_words
+from ringwear_par.results.reading import read_text, reading
+from ringwear_par.results.variables import SOFTWARE
+from ringwear_par.textfiles import read_text as read_file
+
+#: what base units are told in, and how many of them
+_TOLD = {"mm": ("\N{MICRO SIGN}m", 1e3), "g": ("mg", 1e3), "N mm": ("N m", 1e-3)}
+#: of the median distance between radii: where they are further apart nothing was read
+_GAP = 3.0
+_DASH = "\N{EN DASH}"
+
+
+def fit_page(folder: Path) -> Page:
+    """Return the page of the folder of a fit, a design or both. Not collective.
+
+    Raises
+    ------
+    InputError : it holds none, or a damaged one.
+    """
+    sections: list[Section] = []
+    title = f"Fit: {legible(folder.resolve().name)}"
+    if (folder / folders.FIT).exists():
+        with _telling(folder / folders.FIT, "the outcome of ringwear fit") as told:
+            sections += _fitted(folder, told)
+    else:
+        title = f"Design: {legible(folder.resolve().name)}"
+    if (folder / folders.DESIGN).exists():
+        with _telling(folder / folders.DESIGN, "the outcome of ringwear design") as told:
+            sections.insert(max(len(sections) - 1, 0), _designed(folder, told))
+    kind = "Fit of a wear law" if title.startswith("Fit") else "Design of the next tests"
+    return Page(kind, title, sections)
+
+
+class _telling:  # noqa: N801  (it reads as a word)
+    """Give what a JSON file holds; what is not found in it means that the file is none of ours."""
+
+    def __init__(self, path: Path, what: str) -> None:
+        self._told = f"{path}: is not {what}, or is damaged"
+        self._text = read_file(path)
+
+    def __enter__(self) -> dict[str, Any]:
+        try:
+            found = json.loads(self._text)
+        except (ValueError, RecursionError) as error:
+            raise InputError(self._told) from error
+        if not isinstance(found, dict):
+            raise InputError(self._told)
+        return found
+
+    def __exit__(self, _: object, own: BaseException | None, __: object) -> None:
+        if isinstance(own, KeyError | TypeError | ValueError | AttributeError | IndexError):
+            raise InputError(self._told) from own
+
+
+def _fitted(folder: Path, told: Mapping[str, Any]) -> list[Section]:
+    sections = [Section("Summary", _summary(told))]
+    level = float(told["level"])
+    drawn, single, text = _series(folder / folders.READINGS, level)
+    blocks: list[Block] = [Charts(drawn)] if drawn else []
+    if single:
+        header = ("experiment", "series", "data", "model", "unit", "(data - model) / sd")
+        caption = f"Series of one reading, with what {100 * level:g} % of them keep within"
+        blocks.append(Table(caption, header, single))
+    blocks.append(_series_table(told))
+    sections.append(Section("Data, model and residuals", blocks))
+    picture = folder / folders.ESTIMATES
+    if picture.exists():
+        alt = (
+            "Relative likelihood of each fitted key, and confidence ellipses of each pair of them; "
+            "estimates, intervals and correlations are in the table above"
+        )
+        shown = Picture("Fitted keys", picture.read_bytes(), "image/png", alt)
+        sections.append(Section("Likelihoods and ellipses", [shown]))
+    if told["alternatives"]:
+        sections.append(Section("Other laws", [_alternatives(told)]))
+    sections.append(_reproduced(told, text))
+    return sections
+
+
+def _summary(told: Mapping[str, Any]) -> list[Block]:
+    parameters, level = told["parameters"], float(told["level"])
+    doubts = list(told["warnings"])
+    p_value = told["p_value"]
+    probable = "no p-value" if p_value is None else f"p = {p_value:.2g}"
+    lines = [
+        f"{told['n_data']} readings, {len(parameters)} parameters, {told['histories']} histories "
+        f"by {told['method']}, loss {told['loss']}",
+        f"chi2 = {told['chi2']:.5g}, {told['degrees_of_freedom']} degrees of freedom ({probable}); "
+        f"AIC {told['aic']:.5g}, BIC {told['bic']:.5g}",
+    ]
+    blocks: list[Block] = [Lines(doubts, warning=True)] if doubts else []
+    blocks += [Lines(lines), _estimates("Estimates", parameters, level)]
+    untold = [
+        f"{key}: {one['direction']}" for key, one in parameters.items() if one.get("direction")
+    ]
+    everything = ["All fitted keys are identified: the readings tell each of them."]
+    if untold:
+        blocks.append(
+            Lines([f"What the readings do not tell \N{EN DASH} {each}" for each in untold])
+        )
+    elif all(one["verdict"] == "identified" for one in parameters.values()):
+        blocks.append(Lines(everything))
+    if len(parameters) > 1:
+        blocks.append(_correlations(told))
+    return blocks
+
+
+def _estimates(caption: str, parameters: Mapping[str, Any], level: float) -> Table:
+    limits = f"{100 * level:g} %"
+    header = ["key", "estimate", "sd", "unit", f"{limits} from", f"{limits} to", "verdict"]
+    sampled = any("posterior" in one for one in parameters.values())
+    if sampled:
+        header += ["posterior median", "posterior from", "posterior to"]
+    rows = []
+    for key, one in parameters.items():
+        low, high = one["interval"]
+        row = [
+            key, _number(one["estimate"], 5), _number(one["sd"], 2), str(one["unit"]),
+            _number(low, 5), _number(high, 5), str(one["verdict"]),
+        ]  # fmt: skip
+        if sampled:
+            own = one["posterior"]
+            row += [_number(v, 5) for v in (own["median"], *own["interval"])]
+        rows.append(row)
+    return Table(caption, header, rows)
+
+
+def _number(value: float | None, digits: int) -> str:
+    return _DASH if value is None else f"{value:.{digits}g}"
+
+
+def _correlations(told: Mapping[str, Any]) -> Table:
+    keys, covariance = told["keys"], told["covariance"]
+    rows = []
+    for i, key in enumerate(keys):
+        row = [key]
+        for j in range(len(keys)):
+            entries = covariance[i][j], covariance[i][i], covariance[j][j]
+            known = all(v is not None for v in entries) and entries[1] > 0 and entries[2] > 0
+            row.append(f"{entries[0] / np.sqrt(entries[1] * entries[2]):+.3f}" if known else _DASH)
+        rows.append(row)
+    return Table("Correlations of the estimates", ["key", *keys], rows)
+
+
+def _series_table(told: Mapping[str, Any]) -> Table:
+    rows = []
+    for experiment, series in told["experiments"].items():
+        for name, one in series.items():
+            own = told["nuisance"].get(experiment, {}).get(name, {})
+            nuisances = ", ".join(
+                f"{kind} {v['estimate']:.3g}"
+                + ("" if v["sd"] is None else f" \u00b1 {v['sd']:.2g}")
+                for kind, v in own.items()
+            )
+            noise = _number(one.get("sd"), 3)
+            rows.append((f"{experiment}, {name}", str(one["n"]), f"{one['chi2']:.4g}",
+                         str(one["unit"]), noise, nuisances))  # fmt: skip
+    header = ("series", "readings", "chi2", "unit", "fitted noise", "nuisances")
+    return Table("Series", header, rows)
+
+
+def _series(path: Path, level: float) -> tuple[list[Chart], list[list[str]], str]:
+    """Return charts of the series, rows of those of one reading, and the fit file's text."""
+    drawn: list[Chart] = []
+    single: list[list[str]] = []
+    quantile = float(norm.ppf(0.5 + 0.5 * level))
+    with reading(path, SOFTWARE, "the readings of ringwear fit") as file:
+        for number, group in enumerate(_groups(file), start=1):
+            columns = {
+                name: group[name][()] for name in ("data", "model", "sd", "band", "residual")
+            }
+            unit, factor = _TOLD.get(read_text(group["data"].attrs["units"]), ("", 1.0))
+            unit = unit or read_text(group["data"].attrs["units"])
+            experiment, series = (read_text(group.attrs[n]) for n in ("experiment", "series"))
+            if len(columns["data"]) == 1:
+                bars = [(columns["data"], columns["sd"]), (columns["model"], columns["band"])]
+                told = [
+                    f"{factor * v[0]:.5g} \u00b1 {quantile * factor * s[0]:.2g}" for v, s in bars
+                ]
+                single.append([experiment, series, *told, unit, f"{columns['residual'][0]:.2g}"])
+                continue
+            profile = "r" in group
+            x = group["r" if profile else "time"][()]
+            name = f"series-{number}"
+            label = (series, unit)
+            drawn += _charts(name, experiment, label, x, columns, factor, quantile, profile)
+        return drawn, single, read_text(file.attrs["fit"])
+
+
+def _groups(file: h5py.File) -> Iterator[h5py.Group]:
+    names = [name for name in file if name.partition("_")[0].isdigit()]
+    for name in sorted(names, key=lambda name: int(name.partition("_")[0])):
+        yield file[name]
+
+
+def _charts(
+    name: str, experiment: str, label: tuple[str, str], x: Any, columns: Mapping[str, Any],
+    factor: float, quantile: float, profile: bool,
+) -> list[Chart]:  # fmt: skip
+    """Return the charts of a series: readings with the model, and residuals."""
+    order = np.argsort(x, kind="stable")
+    own, steps = x[order], np.diff(x[order])
+    usual = float(np.median(steps[steps > 0])) if (steps > 0).any() else np.inf
+    ends = np.flatnonzero(profile & (steps > _GAP * usual)) + 1
+    model = factor * columns["model"][order]
+    spread = factor * quantile * np.hypot(columns["band"], columns["sd"])[order]
+
+    def broken(values: Any) -> Any:
+        return np.insert(values.astype(float), ends, np.nan)
+
+    dots: dict[str, Any] = {"mode": "markers", "marker": {"size": 4, "color": "#8c8c8c"}}
+    told = f"{100 * (2 * norm.cdf(quantile) - 1):g} % of readings"
+    data = [
+        {"x": charts.numbers(x), "y": charts.numbers(factor * columns["data"]), "name": "data",
+         **dots},
+        charts.line(broken(own), broken(model), "model", 1, line={"color": COLOURS[1]}),
+    ]  # fmt: skip
+    for sign in (1.0, -1.0):
+        style = {"color": COLOURS[0], "dash": "dot", "width": 1}
+        band = charts.line(broken(own), broken(model + sign * spread), told, 0, line=style)
+        data.append({**band, "legendgroup": "band", "showlegend": sign > 0})
+    below = charts.axis("radius (mm)" if profile else "time (s)")
+    series, unit = label
+    upwards = {"autorange": "reversed"} if profile else {}
+    whole = f"{experiment}: {series}"
+    left = charts.axis(charts.shown(f"{series} ({unit})"), **upwards)
+    residuals = [{"x": charts.numbers(x), "y": charts.numbers(columns["residual"]), **dots}]
+    lines = [
+        {"type": "line", "xref": "paper", "x0": 0, "x1": 1, "y0": y, "y1": y,
+         "line": {"color": COLOURS[0], "width": 1, "dash": "dot"}}
+        for y in (-quantile, quantile)
+    ]  # fmt: skip
+    return [
+        Chart(name, whole, f"Data, model and band of {whole}", data, charts.layout(below, left)),
+        Chart(
+            f"{name}-residuals", f"{whole}, residuals", f"Residuals of {whole}", residuals,
+            charts.layout(
+                below, charts.axis("(data - model) / sd"), showlegend=False, shapes=lines
+            ),
+        ),
+    ]  # fmt: skip
+
+
+def _alternatives(told: Mapping[str, Any]) -> Table:
+    laws = {"this law": told, **told["alternatives"]}
+    best = min(one["aic"] for one in laws.values() if "aic" in one)
+    rows = []
+    for name, one in laws.items():
+        if "error" in one:
+            rows.append([name, _DASH, _DASH, _DASH, "", f"failed: {one['error']}"])
+            continue
+        keys = ", ".join(
+            f"{key} = {p['estimate']:.4g} {p['unit']}" for key, p in one["parameters"].items()
+        )
+        verdict = "does not fit" if one["flagged"] else "fits"
+        if one["p_value"] is None:
+            verdict = "not tested: noise was fitted, or has long tails"
+        row = [name, f"{one['aic'] - best:+.1f}", f"{one['bic']:.5g}", f"{one['chi2']:.5g}"]
+        rows.append([*row, keys, verdict])
+    header = ("law", "AIC over the smallest", "BIC", "chi2", "parameters", "verdict")
+    return Table("Laws compared", header, rows)
+
+
+def _designed(folder: Path, told: Mapping[str, Any]) -> Section:
+    keys = list(told["parameters"])
+    rows = []
+    for number, one in enumerate(told["designs"], start=1):
+        tests = " + ".join(map(_test, one["experiments"]))
+        rows.append([str(number), tests, f"{one['seconds']:g}",
+                     *(_number(one["sd"][key], 3) for key in keys)])  # fmt: skip
+    rows.append(["fit file", "its own tests", _DASH,
+                 *(_number(told["fit_file"]["sd"][key], 3) for key in keys)])  # fmt: skip
+    header = ["design", "tests", "seconds", *(f"sd of {key}" for key in keys)]
+    blocks: list[Block] = [
+        Lines([f"{told['candidates']} tests looked at, criterion {told['criterion']}, measured as "
+               f"in {told['measured_as']}"]),
+        Table("Best designs, with predicted standard deviations", header, rows),
+    ]  # fmt: skip
+    picture, following = folder / folders.MAP, folder / folders.NEXT
+    if picture.exists():
+        alt = "Predicted standard deviations of the fitted keys over the tests; numbers above"
+        blocks.append(Picture("Map of the tests", picture.read_bytes(), "image/png", alt))
+    if following.exists():
+        blocks.append(Source("The best tests, as tables of a fit file", read_file(following)))
+    return Section("The next tests", blocks)
+
+
+def _test(keys: Mapping[str, Any]) -> str:
+    return ", ".join(f"{key} = {in_words(value)}" for key, value in keys.items())
+
+
+def _reproduced(told: Mapping[str, Any], text: str) -> Section:
+    commands = (
+        f"ringwear fit fit.toml -o out/fit{' --compare' if told['alternatives'] else ''}\n"
+        "ringwear report out/fit -o report.html\n"
+    )
+    first = "Save the fit file as fit.toml beside its case and its data, then type:"
+    starts = [
+        [str(number), _number(one["objective"], 6), "yes" if one["converged"] else "no",
+         str(one["error"] or "")]
+        for number, one in enumerate(told["starts"], start=1)
+    ]  # fmt: skip
+    blocks: list[Block] = [Lines([first]), Source("Commands", commands), Source("Fit file", text)]
+    if told["data"]:
+        blocks.append(
+            Table("Data files, by their SHA-256", ("file", "hash"), [*told["data"].items()])
+        )
+    if starts:
+        header = ("start", "half the sum of squares, with priors", "converged", "error")
+        blocks.append(Table("Starts", header, starts))
+    blocks.append(software(told["versions"]))
+    return Section("How to reproduce", blocks)

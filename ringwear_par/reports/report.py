@@ -1,0 +1,101 @@
+"""``ringwear report``: a page of a run, or of the folder of a sweep or a fit, in one file."""
+
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+from ringwear_par import __version__
+from ringwear_par.atomic import atomic_write, check_writable
+from ringwear_par.errors import ComputationError, InputError
+from ringwear_par.identification import folders
+from ringwear_par.reports.blocks import Page
+from ringwear_par.results.files import result_of
+from ringwear_par.results.result import Result
+from ringwear_par.studies.results_file import RESULTS
+
+_ENDINGS = (".html", ".htm")
+
+
+def report(source: Result | str | Path, output: str | Path) -> str:
+    """Write a page of stored results; return what was written. On one rank.
+
+    It is one HTML file: pictures, charts that can be zoomed and their program are in it, and it
+    fetches nothing. Laws that a case has in files of the user's are not run.
+
+    Parameters
+    ----------
+    source : a result, its file, or the folder of a sweep, a fit or a design.
+    output : the page's file, .html.
+
+    Raises
+    ------
+    InputError : what cannot be read or written, or a package that is missing.
+    ComputationError : the disk.
+    """
+    output = Path(output)
+    _check(output)
+    page = _page(source)
+    try:
+        with atomic_write(output) as temporary:
+            temporary.write_text(_html(page), encoding="utf-8")
+    except OSError as error:
+        raise ComputationError(f"{output}: {error.strerror or error}") from error
+    figures = len(page.charts) + page.pictures
+    return f"{output}: {page.kind}, {figures} figure{'' if figures == 1 else 's'}"
+
+
+def _check(output: Path) -> None:
+    if output.suffix.lower() not in _ENDINGS:
+        raise InputError(f"{output}: its ending must be one of {', '.join(_ENDINGS)}")
+    check_writable(output)
+    try:
+        import jinja2  # noqa: F401
+        import plotly  # noqa: F401
+    except ImportError as error:
+        raise InputError(
+            f"{output}: needs the Python packages jinja2 and plotly; "
+            "pip install 'ringwear-par[report]'"
+        ) from error
+
+
+def _page(source: Result | str | Path) -> Page:
+    if isinstance(source, Result) or not Path(source).is_dir():
+        from ringwear_par.reports.run_page import run_page
+
+        return run_page(result_of(source))
+    folder = Path(source)
+    if any((folder / name).exists() for name in (folders.FIT, folders.DESIGN)):
+        from ringwear_par.reports.fit_page import fit_page
+
+        return fit_page(folder)
+    if (folder / RESULTS).exists():
+        from ringwear_par.reports.sweep_page import sweep_page
+
+        return sweep_page(folder)
+    raise InputError(
+        f"{folder}: holds none of {folders.FIT}, {folders.DESIGN} and {RESULTS}; must be a "
+        "result file, or a folder that ringwear sweep (without --slice), fit or design has "
+        "completed"
+    )
+
+
+def _html(page: Page) -> str:
+    """Return the text of a page; everything that is not of the template is escaped."""
+    import jinja2
+    from markupsafe import Markup
+    from plotly.offline import get_plotlyjs
+
+    parts = files("ringwear_par.reports") / "page"
+
+    def part(name: str) -> str:
+        return (parts / name).read_text(encoding="utf-8")
+
+    surroundings = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined)
+    values: dict[str, Any] = {
+        "page": page,
+        "version": __version__,
+        "style": Markup(part("page.css")),
+        "script": Markup(part("page.js")),
+        "plotly": Markup(get_plotlyjs()) if page.charts else "",
+    }
+    return surroundings.from_string(part("page.html")).render(values)

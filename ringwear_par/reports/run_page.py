@@ -1,0 +1,145 @@
+"""The page of a run."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from ringwear_par.reports import charts
+from ringwear_par.reports.blocks import Block, Lines, Page, Section, Source, Table, software
+from ringwear_par.reports.words import case_words
+from ringwear_par.results.key_numbers import KeyNumbers, key_numbers
+from ringwear_par.results.result import Result
+from ringwear_par.results.variables import HISTORIES
+
+_MICRO, _CUBIC = "\N{MICRO SIGN}m", "mm\N{SUPERSCRIPT THREE}"
+_BALANCES = {
+    "residual": "contact conditions (KKT residual)",
+    "force": "contact pressure against the applied force",
+    "volume": "worn profiles against the integrated rates",
+    "energy": "worn volume against dissipated energy",
+    "reaction": "force on the fixed faces against the contact's, vanishes with the mesh",
+    "torque": "torque on the fixed faces against the contact's, vanishes with the mesh",
+    "step_error": "estimated error of wear of a time step, mm",
+}
+_TOLD = [v for name, v in HISTORIES.items() if name not in ("twist", "contact_iterations")]
+#: instants of the table of histories
+_INSTANTS = 21
+
+
+def run_page(result: Result) -> Page:
+    """Return the page of a run. Not collective.
+
+    Raises
+    ------
+    InputError : the result was stored without its last state.
+    """
+    found = key_numbers(result)
+    lines, title = result.summary().splitlines(), str(result.attributes.get("title", ""))
+    if title:
+        del lines[0]
+    doubts = [line for line in lines if line.startswith("WARNING")]
+    blocks: list[Block] = [Lines(doubts, warning=True)] if doubts else []
+    blocks.append(Lines([line for line in lines if line not in doubts]))
+    blocks.append(Table("Key numbers, at the end", ("quantity", "value", "unit"), _rows(found)))
+    if found.bodies:
+        blocks.append(_worn(found))
+    sections = [Section("Summary", blocks)]
+    drawn = charts.profiles(result)
+    told = "No profiles are stored at several times (output.fields, output.profiles)."
+    sections.append(
+        Section("Worn profiles and pressure", [Lines([told]) if drawn is None else drawn])
+    )
+    sections.append(Section("Histories", [charts.histories(result), _told(result)]))
+    sections.append(Section("The case", case_words(result)))
+    sections.append(Section("Balances", [_balances(result)]))
+    sections.append(_reproduced(result))
+    return Page("Wear history of a test", title or "Run without a title", sections)
+
+
+def _rows(found: KeyNumbers) -> list[Sequence[str]]:
+    """Return the numbers of the summary, in as many digits."""
+    rows: list[Sequence[str]] = [
+        ("mean pressure", f"{found.mean_pressure:.4g}", "MPa"),
+        ("largest pressure, of an element", f"{found.largest_pressure:.4g}", "MPa"),
+        ("at the radius", f"{found.largest_at:.6g}", "mm"),
+        ("smallest pressure", f"{found.smallest_pressure:.4g}", "MPa"),
+        ("elements in contact", f"{found.touching}", ""),
+    ]
+    if found.sliding is not None:
+        speed, p_v, distance = found.sliding
+        rows += [
+            ("sliding speed at the mean radius", f"{speed:.4g}", "mm/s"),
+            ("p V at the mean radius", f"{p_v:.4g}", "MPa mm/s"),
+            ("sliding distance at the mean radius", f"{distance:.4g}", "m"),
+        ]
+    rows.append(("penetration", f"{found.penetration:.6g}", _MICRO))
+    if found.worn_off is not None:
+        rows.append(("of it worn off", f"{found.worn_off:.6g}", _MICRO))
+        rows.append(("of it elastic", f"{found.elastic:.3g}", _MICRO))
+    return rows
+
+
+def _worn(found: KeyNumbers) -> Table:
+    header = (
+        "body", f"deepest wear ({_MICRO})", f"worn volume ({_CUBIC})", "mass lost (mg)",
+        f"mean rate ({_MICRO}/h)", f"rate at the end ({_MICRO}/h)",
+        f"specific wear rate ({_CUBIC}/(N m))",
+    )  # fmt: skip
+    rows = [
+        (
+            one.body, f"{one.deepest:.6g}", f"{one.volume:.6g}", _or_dash(one.mass, 6),
+            _or_dash(one.rate, 4), _or_dash(one.rate_now, 4), _or_dash(one.specific, 4),
+        )
+        for one in found.bodies
+    ]  # fmt: skip
+    return Table("What has been worn off", header, rows)
+
+
+def _told(result: Result) -> Table:
+    """Return the histories at some instants, for those who do not see charts."""
+    count = len(result.step)
+    rows = np.unique(np.linspace(0, count - 1, _INSTANTS).round().astype(int)).tolist()
+    header = [f"{v.name.replace('_', ' ')} ({v.unit})" for v in _TOLD]
+    table = [[f"{result.histories[v.name][row]:.6g}" for v in _TOLD] for row in rows]
+    caption = f"{len(rows)} of the {count} stored states as numbers"
+    return Table(caption, header, table, folded=True)
+
+
+def _or_dash(value: float | None, digits: int) -> str:
+    return "\N{EN DASH}" if value is None else f"{value:.{digits}g}"
+
+
+def _balances(result: Result) -> Table:
+    off = result.balances
+    rows = [
+        (words, f"{off[name]:.1e}")
+        for name, words in _BALANCES.items()
+        if name in off and (name != "energy" or result.attributes.get("energy_identity"))
+    ]
+    caption = "Errors, the worst of all steps; relative, but for that of a time step"
+    return Table(caption, ("what is held against what", "error"), rows)
+
+
+def _reproduced(result: Result) -> Section:
+    about = result.attributes
+    ranks = int(about.get("ranks", 1))
+    launched = f"mpirun -n {ranks} " if ranks > 1 else ""
+    told = (
+        f"{launched}ringwear run case.toml -o run.h5\nringwear report run.h5 -o report.html\n"
+        "ringwear plot run.h5 -o run.png\n"
+    )
+    first = "Save the case file above as case.toml"
+    if result.user_laws:
+        first += ", and the laws under the names that it has for them"
+    seconds = {
+        name.removeprefix("seconds_"): f"{float(value):.3g}"
+        for name, value in about.items()
+        if name.startswith("seconds_")
+    }
+    names = [name for name in about if name == "version" or name.endswith("_version")]
+    used = {name: str(about[name]) for name in [*names, "mpi_library"] if name in about}
+    blocks: list[Block] = [Lines([f"{first}, then type:"]), Source("Commands", told)]
+    blocks.append(software(used))
+    rows = [("MPI ranks", str(ranks)), *((f"{k}, s", v) for k, v in seconds.items())]
+    blocks.append(Table("Ranks, and seconds that it took", ("what", "value"), rows))
+    return Section("How to reproduce", blocks)

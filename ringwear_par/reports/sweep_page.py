@@ -1,0 +1,181 @@
+"""The page of a sweep."""
+
+import io
+from collections import Counter
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from ringwear_par.cases.schema import BY_PATH, unit_of
+from ringwear_par.errors import InputError, legible
+from ringwear_par.reports.blocks import (
+    Block,
+    Lines,
+    Page,
+    Picture,
+    Section,
+    Source,
+    Table,
+    software,
+)
+from ringwear_par.results.drawing import in_words
+from ringwear_par.results.variables import HISTORIES
+from ringwear_par.studies.ensemble import Ensemble, read_ensemble
+from ringwear_par.studies.figures import draw_sweep
+from ringwear_par.studies.index_bars import IndexBars, index_bars
+from ringwear_par.studies.results_file import FINAL, told_flags
+from ringwear_par.studies.sensitivity import SENSITIVE, done_cases
+from ringwear_par.studies.surrogate import surrogate
+from ringwear_par.studies.variations import path_of
+from ringwear_par.textfiles import parse_value
+
+#: cases of the table
+_MOST = 1000
+#: digits of a number in a table
+_DIGITS = 6
+
+
+def sweep_page(folder: Path) -> Page:
+    """Return the page of a sweep's folder. Not collective.
+
+    Raises
+    ------
+    InputError : the folder holds no results.
+    """
+    ensemble = read_ensemble(folder)
+    sections = [Section("Summary", _summary(ensemble))]
+    if done_cases(ensemble).any():
+        try:
+            regressions, why = surrogate(ensemble), ""
+        except InputError as error:
+            regressions, why = None, f"No surrogate: {error}"
+        bars = index_bars(ensemble, regressions)
+        blocks: list[Block] = [_picture(draw_sweep(ensemble, regressions, bars))]
+        blocks += [Lines([why])] if why else []
+        sections.append(Section("Histories and final values", blocks))
+        indices = [_indices(each) for each in bars]
+        told = "No indices: they need two varied numbers, and a design of enough cases."
+        sections.append(Section("Sensitivity", indices or [Lines([told])]))
+    sections.append(Section("Cases", [_cases(ensemble)]))
+    sections.append(_reproduced(ensemble))
+    return Page("Sweep of a study", f"Sweep: {legible(folder.resolve().name)}", sections)
+
+
+def _summary(ensemble: Ensemble) -> list[Block]:
+    here = np.flatnonzero(ensemble.in_study)
+    status = Counter(ensemble.status[i] for i in here)
+    flags = Counter(ensemble.flags[i] for i in here if ensemble.flags[i])
+    doubts = [told_flags(flags)] if flags else []
+    if status["failed"]:
+        doubts.append(f"{status['failed']} of {len(here)} cases failed; the table of cases has why")
+    if status["incomplete"]:
+        doubts.append(f"{status['incomplete']} of {len(here)} cases are incomplete")
+    counts = ", ".join(f"{number} {word}" for word, number in status.most_common())
+    method = ensemble.attributes["method"]
+    lines = [f"{len(here)} cases ({counts}); design: {method}; the sweep is "
+             f"{ensemble.attributes['status']}"]  # fmt: skip
+    blocks: list[Block] = [Lines(doubts, warning=True)] if doubts else []
+    blocks += [Lines(lines), _ranges(ensemble, here)]
+    done = done_cases(ensemble)
+    if done.any():
+        rows = [
+            (HISTORIES[name].meaning, HISTORIES[name].unit, *_quantiles(values[done]))
+            for name, values in ensemble.final.items()
+        ]
+        header = ("at the end", "unit", "least", "median", "largest")
+        blocks.append(Table("What the cases come to", header, rows))
+    return blocks
+
+
+def _quantiles(values: Any) -> list[str]:
+    return [_number(v) for v in np.nanquantile(values, [0.0, 0.5, 1.0])]
+
+
+def _ranges(ensemble: Ensemble, here: Any) -> Table:
+    rows = []
+    for name, column in ensemble.varied.items():
+        values, meaning = column[here], BY_PATH[path_of(name)].meaning
+        if column.dtype.kind == "f":
+            known = values[np.isfinite(values)]
+            ends = [_number(v) for v in (known.min(), known.max())] if len(known) else ["", ""]
+            count = len(np.unique(known))
+        else:
+            words = list(dict.fromkeys(values))
+            ends, count = [in_words(parse_value(w)) for w in (words[0], words[-1])], len(words)
+        rows.append((name, unit_of(name), meaning, *ends, str(count)))
+    header = ("key", "unit", "meaning", "least, or first", "largest, or last", "values")
+    return Table("Varied keys", header, rows)
+
+
+def _number(value: float) -> str:
+    return f"{value:.{_DIGITS}g}" if np.isfinite(value) else ""
+
+
+def _picture(figure: Figure) -> Picture:
+    content = io.BytesIO()
+    figure.savefig(content, format="svg", metadata={"Date": None})
+    alt = (
+        "Histories of the penetration, sensitivity indices, final values against each varied key "
+        "and what the surrogate of the cases tells; the numbers are in the tables of this page"
+    )
+    return Picture("The sweep in pictures", content.getvalue(), "image/svg+xml", alt)
+
+
+def _indices(bars: IndexBars) -> Table:
+    header = ["key", *bars.names]
+    widths = [w for w in bars.widths if w is not None]
+    header += ["half-width of the first (95 %)", "of the second"][: len(widths)]
+    columns = [*bars.values, *widths]
+    rows = [(key, *(f"{column[i]:.3f}" for column in columns)) for i, key in enumerate(bars.keys)]
+    source = " ".join(bars.source.split())
+    noise = f"; of a key without influence {bars.noise:.3f}" if bars.noise else ""
+    return Table(f"Sensitivity of {SENSITIVE[bars.output]}: {source}{noise}", header, rows)
+
+
+def _cases(ensemble: Ensemble) -> Table:
+    """Return the first cases of the study, failed ones with why."""
+    here = np.flatnonzero(ensemble.in_study)
+    shown = here[:_MOST]
+    told = f"{len(here)} cases"
+    if len(shown) < len(here):
+        told = f"The first {len(shown)} of {len(here)} cases; cases.csv has all"
+    header = ["case", "status", *ensemble.varied]
+    header += [f"{name.replace('_', ' ')} ({HISTORIES[name].unit})" for name in FINAL]
+    remarks = {
+        "flags": [", ".join(flags).replace("_", " ") for flags in ensemble.flags],
+        "error": ensemble.error,
+    }
+    remarks = {name: told for name, told in remarks.items() if any(told[i] for i in shown)}
+    header += remarks
+    rows = []
+    for i in shown.tolist():
+        keys = [
+            _number(column[i]) if column.dtype.kind == "f" else in_words(parse_value(column[i]))
+            for column in ensemble.varied.values()
+        ]
+        finals = [_number(ensemble.final[name][i]) for name in FINAL]
+        words = [told[i] for told in remarks.values()]
+        rows.append((ensemble.ids[i], ensemble.status[i], *keys, *finals, *words))
+    return Table(f"{told}; headers sort", header, rows, sortable=True)
+
+
+def _reproduced(ensemble: Ensemble) -> Section:
+    about = ensemble.attributes
+    told = (
+        "ringwear sweep study.toml -o out/study\nringwear report out/study -o report.html\n"
+        "ringwear plot out/study -o study.png\n"
+    )
+    first = (
+        "Save the study as study.toml beside the case file that it names; the text of a case below "
+        "has all its keys, those that vary with their values of this case. Then type:"
+    )
+    blocks: list[Block] = [Lines([first]), Source("Commands", told)]
+    blocks.append(Source("Study", str(about["study"])))
+    if len(ensemble.ids):
+        blocks.append(Source(f"Case {ensemble.ids[0]} of the study", ensemble.text(0)))
+    names = [name for name in about if name == "version" or name.endswith("_version")]
+    blocks.append(software({name: str(about[name]) for name in [*names, "mpi_library"]
+                            if name in about}))  # fmt: skip
+    return Section("How to reproduce", blocks)

@@ -1,0 +1,442 @@
+"""Pages of a run, a sweep and a fit: what they say, that they fetch nothing, and in a browser."""
+
+import html.parser
+import itertools
+import json
+import re
+import shutil
+import subprocess
+import sys
+
+import numpy as np
+import plotly.graph_objects
+import pytest
+from laboratory import fit_tables, write_tests
+from test_cli import RANKS, ringwear, sentences
+from test_front_door import PAPER
+
+import ringwear_par as rw
+from ringwear_par.results.history_panels import HISTORY_PANELS
+
+pytestmark = pytest.mark.serial
+
+SCRIPT = "<script>alert(1)</script>"
+CASE = {
+    "title": SCRIPT, "lower.density": 7.8e-3, "wear.upper": {"law": "archard", "k": 2e-8},
+    "mesh.contact_elements": 12, "time.steps": 8,
+}  # fmt: skip
+KINDS = ("run", "sweep", "fit")
+CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser"))), None)
+in_browser = pytest.mark.skipif(
+    CHROMIUM is None, reason="no Chromium: apt-get install chromium has the pages opened in one"
+)
+
+
+class Read(html.parser.HTMLParser):
+    """A page as a browser reads it: elements, texts of tables and of scripts."""
+
+    def __init__(self, text):
+        super().__init__()
+        self.elements, self.tables, self.scripts, self.words, self._inside = [], [], [], [], []
+        self.feed(text)
+        self.close()
+
+    def handle_starttag(self, tag, attrs):  # noqa: D102
+        self.elements.append((tag, dict(attrs)))
+        if tag in ("script", "style", "title", "th", "td", "h1", "h2", "pre"):
+            self._inside = [*self._inside, tag]
+        if tag == "table":
+            self.tables.append([])
+        if tag == "tr":
+            self.tables[-1].append([])
+        if tag in ("th", "td"):
+            self.tables[-1][-1].append("")
+
+    def handle_endtag(self, tag):  # noqa: D102
+        if self._inside and self._inside[-1] == tag:
+            self._inside = self._inside[:-1]
+
+    def handle_data(self, data):  # noqa: D102
+        inside = self._inside[-1] if self._inside else ""
+        if inside == "script":
+            self.scripts.append(data)
+        elif inside in ("th", "td"):
+            self.tables[-1][-1][-1] += data
+        if inside not in ("script", "style"):
+            self.words.append(data)
+
+    @property
+    def text(self):  # noqa: D102
+        return " ".join("".join(self.words).split())
+
+    @property
+    def charts(self):
+        """What charts are of, by the names of their elements."""
+        names = [a["id"] for _, a in self.elements if a.get("class") == "plot"]
+        told = [json.loads(text) for text in self.scripts if text.startswith('{"data"')]
+        return dict(zip(names, told, strict=True))
+
+    def rows(self, caption_of):
+        """Rows of the table whose header has a word, by their first cells."""
+        found = [table for table in self.tables if caption_of in table[0]]
+        assert len(found) == 1, caption_of
+        return {row[0]: row[1:] for row in found[0][1:]}
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """A run, a sweep and a fit, with their pages."""
+    folder = tmp_path_factory.mktemp("reported")
+    rw.simulate(rw.read_case(PAPER, CASE)).save(folder / "run.h5")
+    (folder / "paper.toml").write_text(rw.read_case(PAPER, {**CASE, "time.steps": 3}).text)
+    study = {
+        "case": str(folder / "paper.toml"),
+        "vary": {
+            "wear.lower.k": {"log": [1e-8, 1e-6], "count": 5},
+            "load.pressure": {"values": [50.0, 100.0, 1e9]},  # the last of which cannot be
+            "upper.grip": {"values": ["clamped", "platen"]},
+        },
+    }
+    with pytest.raises(rw.ComputationError, match="10 of 30 cases failed"):
+        rw.sweep(rw.read_study(study), folder / "sweep")
+    experiments = write_tests(folder)
+    for experiment in experiments:
+        experiment["name"] += SCRIPT
+    one = {"quantity": "mass.lower", "value": 2.0, "unit": "mg", "sd": 1.0, "density": 1.9e-3}
+    experiments[0]["data"].append({**one, "at": 100.0})
+    tables = fit_tables(folder, experiments, starts=1, intervals=["linear"])
+    law = {"set": {"wear.lower.law": "archard"}}
+    law["parameters"] = {"wear.lower.k": tables["fit"]["parameters"]["wear.lower.k"]}
+    rw.fit({**tables, "compare": {"archard": law}}, compare=True).save(folder / "fit")
+    for kind, source in zip(KINDS, ("run.h5", "sweep", "fit"), strict=True):
+        told = rw.report(folder / source, folder / f"{kind}.html")
+        assert told.startswith(f"{folder / kind}.html: ")
+    return folder
+
+
+@pytest.fixture(scope="module")
+def pages(folder):
+    return {kind: Read((folder / f"{kind}.html").read_text()) for kind in KINDS}
+
+
+def test_a_run_is_told_in_the_numbers_of_its_summary(folder, pages):
+    result, page = rw.open_result(folder / "run.h5"), pages["run"]
+    summary = result.summary()
+    for line in summary.splitlines():
+        assert " ".join(line.split()) in page.text
+    rows = page.rows("quantity")
+    named = {
+        "mean pressure": r"mean pressure (\S+) MPa", "at the radius": r"r = (\S+) mm",
+        "largest pressure, of an element": r"largest (\S+) MPa",
+        "p V at the mean radius": r"p V (\S+) MPa", "of it elastic": r"worn off, (\S+) um elastic",
+        "sliding distance at the mean radius": r"sliding distance (\S+) m",
+        "penetration": r"penetration (\S+) um", "of it worn off": r": (\S+) um worn",
+    }  # fmt: skip
+    for name, pattern in named.items():
+        assert rows[name][0] == re.search(pattern, summary)[1], name
+    lower = page.rows("body")["lower"]
+    pattern = (
+        r"lower: deepest wear (\S+) um, worn volume (\S+) mm3, mass lost (\S+) mg; mean depth (\S+)"
+        r" um/h, (\S+) um/h now; specific wear rate (\S+) mm3"
+    )
+    assert lower == list(re.search(pattern, summary).groups())
+    assert page.rows("body")["upper"][2] == "\N{EN DASH}"  # its density is not given
+    errors = page.rows("what is held against what")
+    held = errors["contact pressure against the applied force"]
+    assert held == [f"{result.balances['force']:.1e}"]
+
+
+def test_charts_of_a_run_hold_what_is_stored(folder, pages):
+    result, charts = rw.open_result(folder / "run.h5"), pages["run"].charts
+    assert set(charts) == {"wear-lower", "wear-upper", "pressure", *HISTORY_PANELS}
+    depth = charts["penetration"]["data"][0]
+    assert np.allclose(depth["y"], 1e3 * result.histories["penetration"], rtol=1e-6)
+    assert np.allclose(depth["x"], result.histories["time"])
+    frames = charts["wear-lower"]["frames"]
+    assert np.allclose(frames, -1e3 * result.profiles["wear_lower"], rtol=1e-6)
+    assert charts["wear-lower"]["data"][-1]["y"] == frames[-1]
+    assert len(charts["volume"]["data"]) == 2
+
+
+def test_the_case_is_told_in_words_and_as_text(folder, pages):
+    words = pages["run"].rows("how")
+    assert words["lower body"][0].startswith("ring of radii 20 to 40 mm, height 20 mm; Young's")
+    assert "contact face: flat; density 0.0078" in words["lower body"][0]
+    law = rw.open_result(folder / "run.h5").attributes["law_upper"]
+    assert words["wear of upper"] == [law]
+    assert "mean pressure 80 MPa" in words["load"][0]
+    assert words["time"] == ["8 implicit steps of 1 s, 8 s in all"]
+    stored = rw.open_result(folder / "run.h5").case
+    assert " ".join(stored.split()) in pages["run"].text
+
+
+def test_a_sweep_is_told_with_its_failures(folder, pages):
+    page, ensemble = pages["sweep"], rw.open_ensemble(folder / "sweep")
+    with ensemble:
+        ids, status = ensemble["case"].values, ensemble["status"].values
+        final = ensemble["final_penetration"].values
+    failed = int((status == "failed").sum())
+    assert 0 < failed < len(ids)
+    assert f"{failed} of {len(ids)} cases failed" in page.text
+    rows = page.rows("status")
+    assert list(rows) == list(ids)
+    for case, state, depth in zip(ids, status, final, strict=True):
+        assert rows[case][0] == state
+        assert rows[case][4] == (f"{depth:.6g}" if np.isfinite(depth) else "")
+    assert page.rows("values")["load.pressure"][2:] == ["50", "1e+09", "3"]
+    assert page.rows("values")["upper.grip"][2:] == ["clamped", "platen", "2"]
+    assert {row[3] for row in rows.values()} == {"clamped", "platen"}
+
+
+def test_a_fit_is_told_as_its_file_has_it(folder, pages):
+    page, told = pages["fit"], json.loads((folder / "fit/fit.json").read_text())
+    estimates = next(t for t in page.tables if t[0][:2] == ["key", "estimate"])
+    for row, (key, one) in zip(estimates[1:], told["parameters"].items(), strict=True):
+        low, high = one["interval"]
+        assert row == [key, f"{one['estimate']:.5g}", f"{one['sd']:.2g}", one["unit"],
+                       f"{low:.5g}", f"{high:.5g}", one["verdict"]]  # fmt: skip
+    assert f"chi2 = {told['chi2']:.5g}" in page.text
+    laws = page.rows("AIC over the smallest")
+    assert laws["this law"][0] == "+0.0"
+    assert laws["archard"][-1] == "does not fit"
+    assert len(page.charts) == 8  # two tests, penetration and profile, with residuals
+    assert any(row[1].startswith("mass.lower") for table in page.tables for row in table)
+
+
+def test_what_a_fit_leaves_open_and_a_design_are_told(folder, tmp_path):
+    shutil.copytree(folder / "fit", tmp_path / "fit")
+    told = json.loads((tmp_path / "fit/fit.json").read_text())
+    one = {"verdict": "not identified", "sd": None, "interval": [None, None], "direction": "as k"}
+    told["parameters"]["wear.lower.p0"] |= one
+    told["warnings"], told["p_value"] = ["p0 is a guess"], None
+    told["covariance"][1][1] = None
+    told["alternatives"]["power"] = {"error": "no history"}
+    (tmp_path / "fit/fit.json").write_text(json.dumps(told))
+    sd = {"sd": {"wear.lower.k": 1e-9, "wear.lower.p0": None}}
+    tests = [{"load.pressure": 30.0, "time.end": 100.0}, {"load.pressure": 90.0}]
+    design = {
+        "parameters": {"wear.lower.k": 1e-7, "wear.lower.p0": 3.0}, "candidates": 12,
+        "criterion": "D", "measured_as": "test 1", "fit_file": sd,
+        "designs": [{"experiments": tests, "seconds": 150.0, **sd}],
+    }  # fmt: skip
+    (tmp_path / "fit/design.json").write_text(json.dumps(design))
+    rw.report(tmp_path / "fit", tmp_path / "page.html")
+    page = Read((tmp_path / "page.html").read_text())
+    dash = "\N{EN DASH}"
+    assert page.rows("95 % from")["wear.lower.p0"][1:] == [
+        dash, "MPa", dash, dash, "not identified"
+    ]  # fmt: skip
+    assert f"What the readings do not tell {dash} wear.lower.p0: as k" in page.text
+    assert ("p", {"class": "warning"}) in page.elements
+    assert page.rows("AIC over the smallest")["power"][-1] == "failed: no history"
+    words = "load.pressure = 30, time.end = 100 + load.pressure = 90"
+    assert page.rows("tests")["1"] == [words, "150", "1e-09", dash]
+
+
+def test_a_long_table_of_cases_is_cut(folder, tmp_path, monkeypatch):
+    monkeypatch.setattr("ringwear_par.reports.sweep_page._MOST", 4)
+    rw.report(folder / "sweep", tmp_path / "page.html")
+    page = Read((tmp_path / "page.html").read_text())
+    assert len(page.rows("status")) == 4
+    assert "The first 4 of 30 cases; cases.csv has all" in page.text
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_pages_fetch_nothing(kind, pages):
+    for tag, attributes in pages[kind].elements:
+        for name in ("src", "href", "action", "srcset", "poster", "data"):
+            address = attributes.get(name)
+            assert address is None or address.startswith(("#", "data:image/")), (tag, address)
+        assert tag not in ("link", "iframe", "object", "base")
+    assert "url(" not in "".join(re.findall("<style>(.*?)</style>", pages[kind].rawdata, re.S))
+    policy = next(a["content"] for _, a in pages[kind].elements if "http-equiv" in a)
+    assert policy.startswith("default-src 'none';")
+    assert "http" not in policy
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_texts_of_users_are_escaped(kind, pages, folder):
+    assert SCRIPT not in (folder / f"{kind}.html").read_text()
+    assert SCRIPT in pages[kind].text
+    assert not any(text.startswith("alert") for text in pages[kind].scripts)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_pages_are_made_for_everybody(kind, pages):
+    elements = pages[kind].elements
+    assert ("html", {"lang": "en-GB"}) in elements
+    levels = [int(tag[1]) for tag, _ in elements if re.fullmatch("h[1-6]", tag)]
+    assert levels[0] == 1
+    assert levels.count(1) == 1
+    assert all(b <= a + 1 for a, b in itertools.pairwise(levels))
+    for tag, attributes in elements:
+        if tag == "img":
+            assert len(attributes["alt"]) > 30
+        if attributes.get("role") == "img":
+            assert attributes["aria-label"]
+        if tag == "th":
+            assert attributes["scope"] in ("row", "col")
+    assert sum(tag == "caption" for tag, _ in elements) == len(pages[kind].tables)
+    names = [a["id"] for _, a in elements if "id" in a]
+    assert len(names) == len(set(names))
+    for told in pages[kind].charts.values():  # plotly refuses what it does not know
+        plotly.graph_objects.Figure({"data": told["data"], "layout": told["layout"]})
+
+
+def test_a_run_with_little_stored_has_a_page(tmp_path):
+    words = {"output.profiles": "last", "contact.friction": 0.0, "time.steps": 2}
+    result = rw.simulate(rw.read_case(PAPER, {**CASE, **words}))
+    told = rw.report(result, tmp_path / "page.html")
+    page = Read((tmp_path / "page.html").read_text())
+    assert "No profiles are stored" in page.text
+    assert "pv" not in page.charts
+    assert told.endswith(f"{len(HISTORY_PANELS) - 1} figures")
+
+
+def test_laws_of_users_are_told_but_not_run(tmp_path):
+    law = tmp_path / "law.py"
+    law.write_text("def rate(p, local):\n    return 1e-7 * p * local.speed\n")
+    wear = {"wear.lower": {"law": "user", "file": str(law)}, "wear.upper": None}
+    rw.simulate(rw.read_case(PAPER, {**CASE, **wear})).save(tmp_path / "run.h5")
+    law.write_text("raise SystemExit('it was run')\n")
+    rw.report(tmp_path / "run.h5", tmp_path / "page.html")
+    text = Read((tmp_path / "page.html").read_text()).text
+    assert "1e-7 * p * local.speed" in text
+    assert "ring of radii 20 to 40 mm" in text
+
+
+@pytest.mark.parametrize(
+    ("source", "output", "words"),
+    [
+        ("run.h5", "page.pdf", "page.pdf: its ending must be one of .html, .htm"),
+        ("run.h5", "away/page.html", "its folder"),
+        ("nothing.h5", "page.html", "nothing.h5: does not exist; must be a result file"),
+        ("paper.toml", "page.html", "paper.toml: is not a result file of ringwear"),
+        ("empty", "page.html", "empty: holds none of fit.json, design.json and results.h5"),
+        ("torn", "page.html", "design.json: is not the outcome of ringwear design, or is damaged"),
+        ("broken", "page.html", "fit.json: is not the outcome of ringwear fit, or is damaged"),
+    ],
+)
+def test_what_cannot_be_is_refused(source, output, words, folder, tmp_path):
+    (tmp_path / "empty").mkdir()
+    (tmp_path / "broken").mkdir()
+    (tmp_path / "broken/fit.json").write_text('{"level": 0.95, "parameters": []}')
+    (tmp_path / "torn").mkdir()
+    (tmp_path / "torn/design.json").write_text('{"designs": [')
+    place = tmp_path if (tmp_path / source).is_dir() else folder
+    before = {p.name for p in tmp_path.iterdir()}
+    with pytest.raises(rw.InputError) as refused:
+        rw.report(place / source, tmp_path / output)
+    assert words in str(refused.value)
+    assert "\n" not in str(refused.value)
+    assert {p.name for p in tmp_path.iterdir()} == before
+
+
+def test_missing_packages_are_told(folder, tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "plotly", None)
+    with pytest.raises(rw.InputError, match=r"pip install 'ringwear-par\[report\]'"):
+        rw.report(folder / "run.h5", tmp_path / "page.html")
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("ranks", RANKS)
+def test_the_command(ranks, folder, tmp_path):
+    done = ringwear("report", folder / "run.h5", "-o", tmp_path / "page.html", ranks=ranks)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout == f"{tmp_path}/page.html: Wear history of a test, 11 figures\n"
+    assert (tmp_path / "page.html").read_bytes() == (folder / "run.html").read_bytes()
+    refused = ringwear("report", folder / "away.h5", "-o", tmp_path / "other.html", ranks=ranks)
+    assert refused.returncode == 2
+    assert sentences(refused) == [
+        f"ringwear: {folder}/away.h5: does not exist; must be a result file of ringwear"
+    ]
+    assert [p.name for p in tmp_path.iterdir()] == ["page.html"]
+
+
+# -- in a browser ----------------------------------------------------------------------------------
+
+#: what a page says of itself once it is drawn; then its slider is moved and its table sorted
+PROBE = """
+<script>
+"use strict";
+window.addEventListener("load", () => {
+  const told = {}, all = (s) => [...document.querySelectorAll(s)];
+  const reached = (e) => { e.focus(); return document.activeElement === e; };
+  told.width = document.documentElement.scrollWidth;
+  told.plots = all(".plot").map((p) => p.querySelectorAll(".xy .scatterlayer .trace").length);
+  told.buttons = [...new Set(all(".modebar-btn").map((b) => b.dataset.title))];
+  told.pictures = all("main img").map((i) => i.complete && i.naturalWidth > 0);
+  told.focused = all("nav a, input, button, main pre, summary").map(reached);
+  const input = document.querySelector(".slider input");
+  if (input) {
+    input.value = 0;
+    input.dispatchEvent(new Event("input"));
+    const chosen = document.querySelector(".plot").data.at(-1).y;
+    told.slid = [document.querySelector("output").textContent, chosen];
+  }
+  const head = document.querySelectorAll(".sortable th button")[5];
+  if (head) {
+    const column = () => all(".sortable tbody tr").map((row) => row.cells[5].textContent);
+    told.sorted = [0, 1].map(() => { head.click(); return column(); });
+    told.order = head.parentElement.getAttribute("aria-sort");
+  }
+  const end = document.createElement("script");
+  end.type = "text/plain"; end.id = "told"; end.textContent = JSON.stringify(told);
+  document.body.append(end);
+  console.log("the probe is through");
+});
+</script>
+"""
+
+
+def opened(page, profile, *words):
+    """Open a page in Chromium, without a network, and return what it prints."""
+    return subprocess.run(
+        [
+            CHROMIUM, "--headless", "--no-sandbox", "--disable-gpu", "--hide-scrollbars",
+            "--host-resolver-rules=MAP * ~NOTFOUND", f"--user-data-dir={profile}",
+            "--enable-logging=stderr", "--v=0", "--virtual-time-budget=10000",
+            "--window-size=1024,800", *words, page.as_uri(),
+        ],
+        capture_output=True, text=True, timeout=120, check=True,
+    )  # fmt: skip
+
+
+@in_browser
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_browser_draws_the_page(kind, folder, pages, tmp_path):
+    page = tmp_path / "page.html"
+    text = (folder / f"{kind}.html").read_text()
+    page.write_text(text.replace("</body>", f"{PROBE}</body>"))
+    done = opened(page, tmp_path / "profile", "--dump-dom")
+    said = [line for line in done.stderr.splitlines() if ":CONSOLE" in line]
+    assert len(said) == 1, said  # no error, no warning: nothing but the probe
+    assert "the probe is through" in said[0]
+    told = json.loads(re.search('id="told">(.*?)</script>', done.stdout, re.S)[1])
+    assert told["width"] == 1024
+    curves = [len(chart["data"]) for chart in pages[kind].charts.values()]
+    assert told["plots"] == curves
+    assert not any("Share" in button or "cloud" in button.lower() for button in told["buttons"])
+    assert all(told["pictures"])
+    assert len(told["pictures"]) == {"run": 0, "sweep": 1, "fit": 1}[kind]
+    assert all(told["focused"])
+    assert len(told["focused"]) > 4
+    if kind == "run":
+        assert told["slid"] == ["0 s", pages["run"].charts["wear-lower"]["frames"][0]]
+    if kind == "sweep":
+        up, down = ([float(word) for word in words] for words in told["sorted"])
+        assert len(set(up)) > 10
+        assert up == sorted(up) == down[::-1]
+        assert told["order"] == "descending"
+
+
+@in_browser
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_browser_prints_the_page_on_a4(kind, folder, tmp_path):
+    printed = tmp_path / "page.pdf"
+    words = ["--no-pdf-header-footer", f"--print-to-pdf={printed}"]
+    opened(folder / f"{kind}.html", tmp_path / "profile", *words)
+    boxes = re.findall(rb"/MediaBox \[([-0-9. ]+)\]", printed.read_bytes())
+    assert boxes
+    for box in boxes:
+        assert np.allclose([float(v) for v in box.split()], [0, 0, 595, 842], atol=1.0)
