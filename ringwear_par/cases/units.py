@@ -97,13 +97,13 @@ def without_units(key: "Key", value: Any, entry: str | None = None) -> Any:
     if entry is not None:
         return _shape(entry, value) if key.kind == "points" else value
     if key.kind in ("number", "pair", "chamfer"):
-        return _plain(value, key.unit)
+        return in_unit(value, key.unit)
     if key.kind == "times":
-        return _plain(value, "s") if isinstance(value, list) else value
+        return in_unit(value, "s") if isinstance(value, list) else value
     if key.kind in ("schedule", "quantity"):
         if isinstance(value, Mapping):
             return {axis: _pairs(entry, "mm", key.unit) for axis, entry in value.items()}
-        return _pairs(value, "s", key.unit) if isinstance(value, list) else _plain(value, key.unit)
+        return _pairs(value, "s", key.unit) if isinstance(value, list) else in_unit(value, key.unit)
     if key.kind == "points":
         if isinstance(value, Mapping):  # a shape with a name
             return {name: _shape(name, entry) for name, entry in value.items()}
@@ -115,20 +115,28 @@ def without_units(key: "Key", value: Any, entry: str | None = None) -> Any:
 def _shape(name: str, value: Any) -> Any:
     if name == "trace":
         return _pairs(value, "mm", "mm")
-    return _plain(value, "deg" if name == "cone" else "mm")
+    return in_unit(value, "deg" if name == "cone" else "mm")
 
 
-def _plain(value: Any, unit: str) -> Any:
-    if isinstance(value, list):
-        return [_plain(entry, unit) for entry in value]
-    return number_in(value, unit) if has_unit(value) and unit not in ("-", "1") else value
+def in_unit(value: Any, unit: str) -> Any:
+    """Return a raw value, or lists and tables of some, with numbers in a unit that had their own.
+
+    Raises
+    ------
+    RejectedError : a unit is that of something else.
+    """
+    if isinstance(value, list | tuple):
+        return [in_unit(entry, unit) for entry in value]
+    if isinstance(value, Mapping):
+        return {name: in_unit(entry, unit) for name, entry in value.items()}
+    return number_in(value, unit) if has_unit(value) and unit not in ("", "-", "1") else value
 
 
 def _pairs(value: Any, first: str, second: str) -> Any:
     if not isinstance(value, list):
         return value
     return [
-        [_plain(entry[0], first), _plain(entry[1], second)]
+        [in_unit(entry[0], first), in_unit(entry[1], second)]
         if isinstance(entry, list) and len(entry) == 2
         else entry
         for entry in value

@@ -2,15 +2,16 @@
 
 import math
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from typing import Any
 
 import numpy as np
 
 from ringwear_par.cases.case import Case
 from ringwear_par.cases.numbers import interval_of
-from ringwear_par.cases.schema import BY_PATH
+from ringwear_par.cases.schema import BY_PATH, unit_of
 from ringwear_par.cases.suggestions import nearest_key
-from ringwear_par.cases.units import without_units
+from ringwear_par.cases.units import in_unit
 from ringwear_par.cases.values import RejectedError, number
 from ringwear_par.errors import legible
 from ringwear_par.history.sensitivity import differentiable
@@ -83,14 +84,9 @@ def _parameter(said: str, key: str, table: Any, faults: list[str]) -> FittedPara
 
 def _plain(path: str, value: Any) -> Any:
     """Return a raw entry with numbers in the key's unit; wrong ones stay, for who reads them."""
-    if isinstance(value, Mapping):
-        return {name: _plain(path, inner) for name, inner in value.items()}
-    if isinstance(value, list | tuple):
-        return [_plain(path, inner) for inner in value]
-    try:
-        return without_units(BY_PATH[path], value)
-    except RejectedError:
-        return value
+    with suppress(RejectedError):
+        return in_unit(value, unit_of(path))
+    return value
 
 
 def derivative_key(key: str) -> str:

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, cast, get_args
@@ -12,7 +13,7 @@ from scipy.ndimage import median_filter
 from ringwear_par.arrays import BoolArray, FloatArray, IntArray
 from ringwear_par.cases.case import Case
 from ringwear_par.cases.text import shortened
-from ringwear_par.cases.units import factor, has_unit, unit_of_column
+from ringwear_par.cases.units import factor, has_unit, in_unit, unit_of_column
 from ringwear_par.cases.values import RejectedError, number, text
 from ringwear_par.errors import InputError, legible
 from ringwear_par.identification.planned import instants
@@ -140,7 +141,7 @@ def read_series(
     if kind != "profile" and len(x) and end < x[-1] <= end * (1.0 + _ROUNDED):
         x = np.append(x[:-1], end)
     keep = np.ones(len(x), dtype=bool)
-    for low, high in _intervals(reader):
+    for low, high in _intervals(reader, "mm" if kind == "profile" else "s"):
         keep &= (x < low) | (x > high)
     sd, fitted = _sd(reader, found)
     nuisances = _nuisances(reader, kind, case)
@@ -246,7 +247,7 @@ def _planned(
         return None
     x = np.array([end if at is None else at])
     if where in reader:
-        x = reader.read(where, instants(), ...)
+        x = reader.read(where, instants(), ..., "s" if where == "times" else "mm")
     unit, scale = _unit(reader, kind)
     if not plans:
         reader.wrong(usual, f"{must}; planned readings are for --dry-run and ringwear design only")
@@ -323,9 +324,11 @@ def _factor(reader: TableReader, key: str, unit: str, base: str) -> float | None
         return None
 
 
-def _intervals(reader: TableReader) -> list[tuple[float, float]]:
-    """Return what is to be left out, in mm or s."""
+def _intervals(reader: TableReader, unit: str) -> list[tuple[float, float]]:
+    """Return what is to be left out, in a unit."""
     value = reader.raw("exclude", [])
+    with suppress(RejectedError):  # then it is no number
+        value = in_unit(value, unit)
     good = isinstance(value, list | tuple) and all(
         isinstance(entry, list | tuple)
         and len(entry) == 2

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Set
 from typing import Any
 
 from ringwear_par.cases.text import shortened
-from ringwear_par.cases.units import has_unit, number_in
+from ringwear_par.cases.units import in_unit
 from ringwear_par.cases.values import RejectedError, Values, is_number, pair
 from ringwear_par.errors import legible
 from ringwear_par.identification.problem import Prior
@@ -55,7 +55,7 @@ class TableReader:
 
         Parameters
         ----------
-        unit : in which a number that has a unit of its own is returned; "": it may have none.
+        unit : in which numbers that have a unit of their own are returned; "": they have none.
         """
         value = self.raw(key, ...)
         fallback = None if default is ... else default
@@ -64,8 +64,7 @@ class TableReader:
                 self.wrong(key, f"must be {values.allowed}")
             return fallback
         try:
-            if unit and has_unit(value):
-                value = number_in(value, unit)
+            value = in_unit(value, unit)
             return values.read(list(value) if isinstance(value, tuple) else value)
         except RejectedError as reason:
             why = f" ({reason})" if str(reason) else ""

@@ -515,3 +515,29 @@ def test_inline_tables_over_lines_keep_line_numbers():
     assert found == {"a": {"b": "{", "c": 1}, "d": {"e": "}", "f": [{"g": 1, "h": 2}, 3]}}
     with pytest.raises(tomllib.TOMLDecodeError, match="line 7"):
         tomllib.loads(on_one_line(text + "=\n"))
+
+
+def test_what_is_planned_and_left_out_may_have_units(good):
+    given = copy.deepcopy(good)
+    profile = given["experiment"][0]["data"][1]
+    profile["exclude"] = [["2.84 cm", 28.6]]
+    given["experiment"][0]["data"][0] = {
+        "quantity": "penetration", "unit": "um", "sd": "0.2 um",
+        "times": {"from": "2 s", "to": "1 min", "count": 30},
+    }  # fmt: skip
+    given["design"] = {
+        "vary": {"load.pressure": ["20 MPa", "0.1 GPa"], "time.end": [10, "2 min"]},
+        "budget": {"time.end": "5 min", "experiments": 2},
+    }
+    problem = read_fit(given, plans=True)
+    planned, read = problem.experiments[0].series
+    assert planned.x == pytest.approx(np.linspace(2.0, 60.0, 30))
+    assert not ((read.x >= 28.4) & (read.x <= 28.6)).any()
+    assert problem.design.ranges == {"load.pressure": (20.0, 100.0), "time.end": (10.0, 120.0)}
+    assert problem.design.seconds == 300.0
+    profile["exclude"] = [["2.84 s", 28.6]]
+    given["design"]["vary"]["time.end"] = [10, "2 mm"]
+    with pytest.raises(InputError) as error:
+        read_fit(given, plans=True)
+    assert "exclude" in str(error.value)
+    assert "time.end" in str(error.value)
