@@ -92,6 +92,7 @@ def test_exchange_finds_the_best_three(tables, comm):
         assert found.designs[0].score == pytest.approx(scores[criterion].max(), rel=1e-5)
 
 
+@pytest.mark.serial
 def test_an_earlier_fit_counts(tables, comm, tmp_path):
     """Information of the fit and of the tests add up; draws are around its estimates."""
     source = tables()
@@ -138,6 +139,7 @@ def test_tests_that_cannot_be_computed_are_left_out(tables, comm):
         rw.design(tables({"time.end": [500000.0, 600000.0]}, {"experiments": 1}), comm)
 
 
+@pytest.mark.serial
 def test_what_a_fit_knows_of_a_product_counts(tables, comm, tmp_path):
     """Without a torque k and friction are one number, which an earlier fit knows well."""
     source = tables()
@@ -220,6 +222,7 @@ def test_only_instants_may_vary(tables, comm):
     assert scores[0] > scores[-1]
 
 
+@pytest.mark.serial
 def test_noise_that_a_fit_has_found_counts(tables, comm, tmp_path):
     """The file's is but a guess, of second differences."""
     source = tables()

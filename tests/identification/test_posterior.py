@@ -124,6 +124,7 @@ def test_samples_keep_to_a_bound(linear, comm):
     assert unknowns[:, 1].mean() == pytest.approx(expected.mean(), abs=error * sd)
 
 
+@pytest.mark.serial
 def test_priors_count(linear, comm):
     """A prior as wide as what the readings tell halves the variance."""
     _, covariance, _, _ = linear(comm)
@@ -133,6 +134,7 @@ def test_priors_count(linear, comm):
     assert unknowns[:, 1].std() == pytest.approx(sd / np.sqrt(2.0), rel=error)
 
 
+@pytest.mark.serial
 def test_a_prior_is_that_of_the_value_on_a_logarithmic_scale(linear, comm):
     """Where the readings tell nothing, samples of k are those of its prior."""
     mean, sd = 1.3e-7, 0.5e-7
@@ -147,6 +149,7 @@ def test_a_prior_is_that_of_the_value_on_a_logarithmic_scale(linear, comm):
     assert drawn.samples[:, 0].std() == pytest.approx(expected.std(), rel=error)
 
 
+@pytest.mark.serial
 def test_outliers_widen_the_student_loss_only(linear, comm):
     """Without outliers a Student distribution tells 7/5 of the variance."""
     _, covariance, unknowns, drawn = linear(comm, samples=1000, settings={"loss": "student"})
