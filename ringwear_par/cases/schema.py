@@ -28,6 +28,7 @@ from ringwear_par.cases.values import (
     which_times,
     whole,
 )
+from ringwear_par.elasticity.profiles import SHAPE_UNITS
 from ringwear_par.wear.catalogue import LAWS
 from ringwear_par.wear.parameters import Parameter, parameters_of
 
@@ -226,7 +227,7 @@ def unit_of(name: str) -> str:
     if key is None or key.unit in ("-", "1"):
         return ""
     if key.path.endswith(".profile"):  # of which each shape has its own
-        return {"": "", "cone": "deg"}.get(entry, "mm")
+        return SHAPE_UNITS.get(entry, "")
     return key.unit
 
 

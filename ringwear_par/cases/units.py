@@ -6,6 +6,7 @@ from functools import cache
 from typing import TYPE_CHECKING, Any
 
 from ringwear_par.cases.values import RejectedError
+from ringwear_par.elasticity.profiles import SHAPE_UNITS
 from ringwear_par.errors import legible
 
 if TYPE_CHECKING:
@@ -115,7 +116,7 @@ def without_units(key: "Key", value: Any, entry: str | None = None) -> Any:
 def _shape(name: str, value: Any) -> Any:
     if name == "trace":
         return _pairs(value, "mm", "mm")
-    return in_unit(value, "deg" if name == "cone" else "mm")
+    return in_unit(value, SHAPE_UNITS.get(name, ""))
 
 
 def in_unit(value: Any, unit: str) -> Any:
@@ -130,6 +131,14 @@ def in_unit(value: Any, unit: str) -> Any:
     if isinstance(value, Mapping):
         return {name: in_unit(entry, unit) for name, entry in value.items()}
     return number_in(value, unit) if has_unit(value) and unit not in ("", "-", "1") else value
+
+
+def in_unit_where_right(value: Any, unit: str) -> Any:
+    """Return the same, or the value as it is where a unit is wrong, for who reads it to tell."""
+    try:
+        return in_unit(value, unit)
+    except RejectedError:
+        return value
 
 
 def _pairs(value: Any, first: str, second: str) -> Any:

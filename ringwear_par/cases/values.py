@@ -8,7 +8,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 
 from ringwear_par.arrays import BoolArray, FloatArray
-from ringwear_par.elasticity.profiles import SHAPES, Shape
+from ringwear_par.elasticity.profiles import SHAPE_UNITS, Shape
 from ringwear_par.schedules import Quantity, Table
 
 #: a schedule is a number or a table in time, a quantity these or a profile along the radius
@@ -233,7 +233,7 @@ def chamfer() -> Values:
 
 def _shape(value: dict[str, Any]) -> Shape:
     """Return the shape of a contact face that a table names."""
-    if len(value) != 1 or not value.keys() <= set(SHAPES):
+    if len(value) != 1 or not value.keys() <= SHAPE_UNITS.keys():
         raise RejectedError
     ((name, given),) = value.items()
     if name == "trace":

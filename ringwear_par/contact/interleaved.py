@@ -230,15 +230,25 @@ def _entries(builder: Any, first: Any, count: int) -> list[Any]:
     return _following(builder, first, ir.Constant(_ADDRESS, _BYTES * COLUMNS), count)
 
 
+def _take_rows(builder: Any, arguments: Any, count: int, place: Any) -> None:
+    """Do what an intrinsic below does, whose factor has so many rows, with its arguments.
+
+    Parameters
+    ----------
+    place : returns row and column of the factor of the rows, an entry and a known one.
+    """
+    to, known, row, length = arguments
+    rows = _following(builder, row, length, count)
+    entries = _entries(builder, to, 2), _entries(builder, known, 4)
+    _take_known(builder, *entries, lambda e, i: place(rows, e, i))
+
+
 @intrinsic
 def _forward_columns(context: Any, to: Any, known: Any, row: Any, length: Any) -> Any:
     """Take from two entries of COLUMNS right sides what four known ones, of a row each, make."""
 
     def generate(target: Any, builder: Any, signature: Any, a: Any) -> Any:
-        to, known, row, length = a
-        rows = _following(builder, row, length, 4)
-        entries = _entries(builder, to, 2), _entries(builder, known, 4)
-        _take_known(builder, *entries, lambda e, i: (rows[i], e))
+        _take_rows(builder, a, 4, lambda rows, e, i: (rows[i], e))
         return target.get_dummy_value()
 
     return types.void(to, known, row, length), generate
@@ -249,10 +259,7 @@ def _backward_columns(context: Any, to: Any, known: Any, row: Any, length: Any) 
     """Take from two entries, of a row each, of COLUMNS right sides what four known ones make."""
 
     def generate(target: Any, builder: Any, signature: Any, a: Any) -> Any:
-        to, known, row, length = a
-        rows = _following(builder, row, length, 2)
-        entries = _entries(builder, to, 2), _entries(builder, known, 4)
-        _take_known(builder, *entries, lambda e, i: (rows[e], i))
+        _take_rows(builder, a, 2, lambda rows, e, i: (rows[e], i))
         return target.get_dummy_value()
 
     return types.void(to, known, row, length), generate

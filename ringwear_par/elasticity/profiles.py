@@ -12,8 +12,8 @@ from ringwear_par.elasticity.sections import Polyline
 Pair = tuple[float, float]
 #: what counts as equal, relative to the size of a body
 CLOSE = 1e-9
-#: the shapes that have names
-SHAPES = ("crown", "sphere", "cone", "fillet", "trace")
+#: the shapes that have names, and the units of their numbers
+SHAPE_UNITS = {"crown": "mm", "sphere": "mm", "cone": "deg", "fillet": "mm", "trace": "mm"}
 #: points of a crown or sphere, and of a fillet's quarter of a circle
 _SAMPLES, _ARC = 101, 31
 
@@ -48,7 +48,7 @@ class Shape(NamedTuple):
 
     Parameters
     ----------
-    name : one of ``SHAPES``.
+    name : one of ``SHAPE_UNITS``.
     numbers : what it has: radii in mm (of a fillet one or two), an angle in degrees, radii and
         heights in mm in turns.
     """

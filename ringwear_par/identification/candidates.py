@@ -2,7 +2,6 @@
 
 import itertools
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Any, get_args
 
@@ -11,8 +10,8 @@ import numpy as np
 from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.case import Case
 from ringwear_par.cases.schema import unit_of
-from ringwear_par.cases.units import in_unit
-from ringwear_par.cases.values import RejectedError, is_number
+from ringwear_par.cases.units import in_unit_where_right
+from ringwear_par.cases.values import is_number
 from ringwear_par.identification.problem import Criterion, Experiment, Series, Space
 from ringwear_par.identification.tables import TableReader
 
@@ -107,7 +106,7 @@ def read_space(said: str, table: Any, faults: list[str]) -> Space:
     if _STEPS in ranges and not any(key in ranges for key in LOADS):
         vary.wrong(_STEPS, "needs load.pressure or load.force beside it, the range of the loads")
     limits = TableReader(f"{said}.budget", budget, faults)
-    seconds, count = _plain(limits.raw("time.end"), "s"), limits.raw("experiments", 1)
+    seconds, count = in_unit_where_right(limits.raw("time.end"), "s"), limits.raw("experiments", 1)
     limits.finish()
     if seconds is not None and not (is_number(seconds) and 0.0 < seconds < np.inf):
         limits.wrong("time.end", "must be a number above 0, s of all experiments together")
@@ -120,14 +119,8 @@ def read_space(said: str, table: Any, faults: list[str]) -> Space:
     return Space(criterion, ranges, seconds, count)  # type: ignore[arg-type]
 
 
-def _plain(value: Any, unit: str) -> Any:
-    with suppress(RejectedError):  # who reads it will tell
-        return in_unit(value, unit)
-    return value
-
-
 def _range(reader: TableReader, key: str) -> tuple[float, float] | None:
-    value = _plain(reader.raw(key), unit_of(key))
+    value = in_unit_where_right(reader.raw(key), unit_of(key))
     most = COUNTS.get(key)
     fine = (
         isinstance(value, list | tuple)

@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
 from typing import Any
 
 import numpy as np
@@ -11,8 +10,8 @@ from ringwear_par.cases.case import Case
 from ringwear_par.cases.numbers import interval_of
 from ringwear_par.cases.schema import BY_PATH, unit_of
 from ringwear_par.cases.suggestions import nearest_key
-from ringwear_par.cases.units import in_unit
-from ringwear_par.cases.values import RejectedError, number
+from ringwear_par.cases.units import in_unit_where_right
+from ringwear_par.cases.values import number
 from ringwear_par.errors import legible
 from ringwear_par.history.sensitivity import differentiable
 from ringwear_par.identification.problem import FittedParameter, Problem
@@ -60,7 +59,8 @@ def _parameter(said: str, key: str, table: Any, faults: list[str]) -> FittedPara
         return None
     before = len(faults)
     if isinstance(table, Mapping):
-        table = {name: _plain(path, value) for name, value in table.items()}
+        unit = unit_of(path)
+        table = {name: in_unit_where_right(value, unit) for name, value in table.items()}
     reader = TableReader(said, table, faults)
     start = reader.read("start", number(-math.inf))
     bounds = reader.bounds()
@@ -80,13 +80,6 @@ def _parameter(said: str, key: str, table: Any, faults: list[str]) -> FittedPara
     if len(faults) > before or start is None or bounds is None:
         return None
     return FittedParameter(key, start, bounds, log, prior)
-
-
-def _plain(path: str, value: Any) -> Any:
-    """Return a raw entry with numbers in the key's unit; wrong ones stay, for who reads them."""
-    with suppress(RejectedError):
-        return in_unit(value, unit_of(path))
-    return value
 
 
 def derivative_key(key: str) -> str:

@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Callable, Mapping
-from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, cast, get_args
@@ -13,7 +12,7 @@ from scipy.ndimage import median_filter
 from ringwear_par.arrays import BoolArray, FloatArray, IntArray
 from ringwear_par.cases.case import Case
 from ringwear_par.cases.text import shortened
-from ringwear_par.cases.units import factor, has_unit, in_unit, unit_of_column
+from ringwear_par.cases.units import factor, has_unit, in_unit_where_right, unit_of_column
 from ringwear_par.cases.values import RejectedError, number, text
 from ringwear_par.errors import InputError, legible
 from ringwear_par.identification.planned import instants
@@ -326,9 +325,7 @@ def _factor(reader: TableReader, key: str, unit: str, base: str) -> float | None
 
 def _intervals(reader: TableReader, unit: str) -> list[tuple[float, float]]:
     """Return what is to be left out, in a unit."""
-    value = reader.raw("exclude", [])
-    with suppress(RejectedError):  # then it is no number
-        value = in_unit(value, unit)
+    value = in_unit_where_right(reader.raw("exclude", []), unit)
     good = isinstance(value, list | tuple) and all(
         isinstance(entry, list | tuple)
         and len(entry) == 2

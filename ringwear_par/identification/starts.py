@@ -22,6 +22,8 @@ from ringwear_par.identification.problem import Problem
 
 log = logging.getLogger(__name__)
 
+#: of the largest derivative of any point: below it a parameter moves nothing
+_STILL = 1e-6
 #: folder in that of the outcome, until this is whole
 PROGRESS = "progress"
 _SEED = 0
@@ -123,10 +125,6 @@ class Progress:
         for path in (self._folder / PROGRESS).iterdir():
             path.unlink(missing_ok=True)
         (self._folder / PROGRESS).rmdir()
-
-
-#: of the largest derivative of any point: below it a parameter moves nothing
-_STILL = 1e-6
 
 
 def points(problem: Problem, count: int) -> FloatArray:

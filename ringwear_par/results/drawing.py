@@ -11,6 +11,7 @@ from matplotlib.figure import Figure
 from ringwear_par.atomic import atomic_write, check_writable
 from ringwear_par.cases.text import shortened
 from ringwear_par.cases.values import is_number
+from ringwear_par.elasticity.profiles import SHAPE_UNITS
 from ringwear_par.errors import InputError, legible
 
 STYLE: dict[Any, Any] = {
@@ -59,7 +60,7 @@ def in_words(value: Any, unit: str = "") -> str:
         ((name, size),) = value.items()
         if name == "trace":
             return f"trace of {len(size)} points"
-        return f"{name} {in_words(size, 'deg' if name == 'cone' else 'mm')}"
+        return f"{name} {in_words(size, SHAPE_UNITS.get(name, ''))}"
     if isinstance(value, list) and value and isinstance(value[0], list):
         ends = value[0][1], value[-1][1]
         if all(len(pair) == 2 and all(map(is_number, pair)) for pair in value):

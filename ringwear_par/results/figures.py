@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from ringwear_par.cases.case import Output
 from ringwear_par.cases.keys import read_keys
 from ringwear_par.cases.schema import UNITS, unit_of
-from ringwear_par.cases.units import has_unit, number_in
+from ringwear_par.cases.units import number_in
 from ringwear_par.cases.values import RejectedError
 from ringwear_par.errors import InputError, legible
 from ringwear_par.results.drawing import STYLE, check_format, in_words, plain, save_figure
@@ -209,15 +209,14 @@ def _at_times(result: Result, times: str) -> list[int]:
     """Return the stored states nearest to times."""
     there = result.histories["time"]
     rows = set()
-    for word in times.split(","):
+    for word in map(str.strip, times.split(",")):
         try:
-            number = _NUMBER.fullmatch(word.strip()) is not None
-            time = number_in(word.strip(), "s") if has_unit(word.strip()) else float(word)
-            if not (number or has_unit(word.strip())) or not 0 <= time <= there[-1] * (1 + 1e-9):
+            time = float(word) if _NUMBER.fullmatch(word) else number_in(word, "s")
+            if not 0 <= time <= there[-1] * (1 + 1e-9):
                 raise RejectedError
-        except (RejectedError, ValueError) as error:
+        except RejectedError as error:
             raise InputError(
-                f"--times {legible(times)}: {legible(word.strip())!r} is no time of {result.name}; "
+                f"--times {legible(times)}: {legible(word)!r} is no time of {result.name}; "
                 f'must be from 0 to {there[-1]:g} (s), or with a unit, such as "1 h"'
             ) from error
         rows.add(int(np.abs(there - time).argmin()))
