@@ -41,8 +41,8 @@ from ringwear_par import kept
 from ringwear_par.cases.case import Case, Stepping
 from ringwear_par.contact.solver import ContactSolver
 from ringwear_par.elasticity.assembly import assemble, number_dofs
-from ringwear_par.elasticity.body import boundary_conditions
-from ringwear_par.elasticity.mesh import Mesh, boundary_mesh
+from ringwear_par.elasticity.body import body_zones
+from ringwear_par.elasticity.mesh import Mesh
 from ringwear_par.elasticity.pair import assemble_pair
 from ringwear_par.elasticity.quadrature import quadrature
 from ringwear_par.elasticity.solve import solve_systems
@@ -98,14 +98,12 @@ def timed_commands(n: int, repeats: int) -> tuple[float, float]:
 def measure(n: int, repeats: int, comm: MPI.Comm) -> dict[str, float]:
     """Return one row of the table. Collective."""
     case, rules = paper_case(Mesh(n)), quadrature(Mesh().quadrature_tolerance)
-    rings = case.rings
-    meshes = [boundary_mesh(case.section(ring), case.line, case.mesh) for ring in rings]
-    conditions = [boundary_conditions(boundary, "clamped") for boundary in meshes]
-    dofs = [number_dofs(*both) for both in zip(meshes, conditions, strict=True)]
-    work = list(zip(meshes, conditions, dofs, strict=True))
+    zones = [body_zones(body, case.line, case.mesh) for body in bodies(case)]
+    dofs = [number_dofs(body) for body in zones]
 
     def assembled() -> list:
-        return [assemble(*parts, 0.3, rules, comm) for parts in work]
+        parts = zip(zones, dofs, strict=True)
+        return [assemble(body, own, rules, comm) for body, own in parts]
 
     systems, evaluations = [], 0
     for rows in assembled():
@@ -157,7 +155,7 @@ def measure(n: int, repeats: int, comm: MPI.Comm) -> dict[str, float]:
         zip(
             COLUMNS,
             (
-                n, comm.size, sum(len(boundary.elements) for boundary in meshes), sum(sizes),
+                n, comm.size, sum(len(z.boundary.elements) for body in zones for z in body), sum(sizes),
                 evaluations, assembly, 1e9 * assembly * comm.size / evaluations, solution,
                 1e-9 * flops / solution, both,
                 1e3 * contact, stepping, shared, 5.0 * stepping, recorded, adaptive,

@@ -40,7 +40,8 @@ from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.case import Case, Stepping
 from ringwear_par.cases.reading import read_case
 from ringwear_par.elasticity.body import boundary_conditions, solve_body
-from ringwear_par.elasticity.mesh import ContactLine, boundary_mesh
+from ringwear_par.elasticity.boundary import boundary_mesh
+from ringwear_par.elasticity.mesh import ContactLine
 from ringwear_par.elasticity.pair import ContactCompliance, ContactPair, largest_stable_step
 from ringwear_par.errors import RingwearError
 from ringwear_par.history.bodies import young

@@ -4,8 +4,14 @@ Displacements are continuous and quadratic, tractions constant, on straight elem
 is collocated where an unknown lives: at a node for its displacement, at an element's mid-point
 for its traction. The traction kernel acts on u(y) - u*(y), where u* is the rigid or
 constant-strain field that agrees with u at the collocation point, so every integrand is bounded.
+
+Bonded zones share the displacements of an interface's nodes and the tractions of its elements,
+opposite on both sides. The zone towards the contact face is collocated at all nodes there, the
+other at the mid-points, so that there are as many equations as unknowns. Tractions are scaled with
+the modulus of the body itself, the zone at the fixed face.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -13,9 +19,10 @@ import numpy as np
 from mpi4py import MPI
 
 from ringwear_par.arrays import BoolArray, FloatArray, IntArray
-from ringwear_par.elasticity.mesh import BoundaryMesh, Mesh, boundary_mesh, contact_line
+from ringwear_par.elasticity.boundary import BoundaryMesh, boundary_mesh
+from ringwear_par.elasticity.mesh import Mesh, contact_line
 from ringwear_par.elasticity.quadrature import Quadrature, quadrature
-from ringwear_par.elasticity.sections import Section
+from ringwear_par.elasticity.sections import Material, Section
 
 
 class BoundaryConditions(NamedTuple):
@@ -38,18 +45,36 @@ class BoundaryConditions(NamedTuple):
 
 
 class DofMap(NamedTuple):
-    """Where each unknown stands, (r, z) and theta being two systems, -1 for none.
+    """Where each unknown of a zone stands, (r, z) and theta being two systems, -1 for none.
 
     Parameters
     ----------
     equation : (m, 3) int, row collocated at the node in that direction.
     displacement : (m, 3) int, column of the nodal displacement.
     traction : (k, 3) int, column of the element's traction.
+    sign : (k,) float, -1 on elements whose traction is the opposite of the unknown, else 1.
     """
 
     equation: IntArray
     displacement: IntArray
     traction: IntArray
+    sign: FloatArray
+
+
+@dataclass(frozen=True)
+class Zone:
+    """A zone of a body, with all that its rows need.
+
+    Parameters
+    ----------
+    boundary : its boundary elements.
+    conditions : displacements and tractions known there.
+    material : its elasticity, the modulus over that of the body itself.
+    """
+
+    boundary: BoundaryMesh
+    conditions: BoundaryConditions
+    material: Material
 
 
 class Moving(NamedTuple):
@@ -92,23 +117,48 @@ class Assembly:
     kernel_evaluations: int
 
 
-def number_dofs(boundary: BoundaryMesh, conditions: BoundaryConditions) -> DofMap:
-    """Return the numbering of the unknowns. Not collective."""
-    elements, fixed = boundary.elements, conditions.fixed
-    known = np.zeros((len(boundary.nodes), 3), dtype=bool)
-    for local in range(3):
-        known[elements[:, local]] |= fixed
-    on_axis = boundary.nodes[:, 0] == 0.0
-    known[np.ix_(on_axis, [0, 2])] = True
-    collocated = ~known
-    collocated[elements[:, 1]] |= fixed
-    equation = np.full(collocated.shape, -1)
+def number_dofs(zones: Sequence[Zone]) -> list[DofMap]:
+    """Return the numbering of the unknowns of zones, each bonded to the next. Not collective."""
+    known, collocated = [], []
+    for zone in zones:
+        boundary, elements, fixed = zone.boundary, zone.boundary.elements, zone.conditions.fixed
+        of_zone = np.zeros((len(boundary.nodes), 3), dtype=bool)
+        for local in range(3):
+            of_zone[elements[:, local]] |= fixed
+        of_zone[np.ix_(boundary.nodes[:, 0] == 0.0, [0, 2])] = True
+        rows = ~of_zone
+        rows[elements[:, 1]] |= fixed
+        # at their ends, the zone above is
+        rows[np.setdiff1d(elements[boundary.above], elements[boundary.above, 1])] = False
+        known.append(of_zone)
+        collocated.append(rows)
+    first = np.cumsum([0, *(len(rows) for rows in collocated)])
+    numbers = _numbers(np.concatenate(collocated))
+    found: list[DofMap] = []
+    for zone, of_zone, start, stop in zip(zones, known, first[:-1], first[1:], strict=True):
+        elements, above = zone.boundary.elements, zone.boundary.above
+        equation = numbers[start:stop]
+        displacement = np.where(of_zone, -1, equation)
+        unknown = zone.conditions.fixed.copy()
+        unknown[above] = True
+        traction, sign = np.where(unknown, equation[elements[:, 1]], -1), np.ones(len(elements))
+        if found:
+            outer, before = found[-1], zones[len(found) - 1].boundary
+            bonded = before.elements[before.below, ::-1]  # the other way round
+            displacement[elements[above]] = outer.displacement[bonded]
+            outer.traction[before.below] = traction[above]
+            outer.sign[before.below] = -1.0
+        found.append(DofMap(equation, displacement, traction, sign))
+    return found
+
+
+def _numbers(collocated: BoolArray) -> IntArray:
+    """Return the number of each equation in its system, (m, 3), -1 for none."""
+    numbers = np.full(collocated.shape, -1)
     for block in (slice(0, 2), slice(2, 3)):
         rows = np.cumsum(collocated[:, block]).reshape(-1, block.stop - block.start) - 1
-        equation[:, block] = np.where(collocated[:, block], rows, -1)
-    displacement = np.where(known, -1, equation)
-    traction = np.where(fixed, equation[elements[:, 1]], -1)
-    return DofMap(equation, displacement, traction)
+        numbers[:, block] = np.where(collocated[:, block], rows, -1)
+    return numbers
 
 
 def load_kernels(comm: MPI.Comm) -> None:
@@ -122,60 +172,69 @@ def load_kernels(comm: MPI.Comm) -> None:
     boundary = boundary_mesh(Section((1.0, 2.0), 1.0), contact_line((1.0, 2.0), mesh), mesh)
     k = len(boundary.elements)
     free = BoundaryConditions(np.zeros((k, 3), bool), np.full((k, 3), -1), np.zeros((k, 3)), 0)
-    dofs = number_dofs(boundary, free)
+    zones = [Zone(boundary, free, Material(1.0, 0.0))]
+    dofs = number_dofs(zones)
 
     def load() -> None:
-        assemble(boundary, free, dofs, 0.0, quadrature(0.1), MPI.COMM_SELF)
+        assemble(zones, dofs, quadrature(0.1), MPI.COMM_SELF)
 
     load_compiled(comm, load)
 
 
 def assemble(
-    boundary: BoundaryMesh,
-    conditions: BoundaryConditions,
-    dofs: DofMap,
-    poisson: float,
+    zones: Sequence[Zone],
+    dofs: Sequence[DofMap],
     rules: Quadrature,
     comm: MPI.Comm,
-    moving: Moving | None = None,
+    moving: Sequence[Moving] = (),
     base: Assembly | None = None,
 ) -> Assembly:
-    """Assemble this rank's rows of both systems at Young's modulus 1.
+    """Assemble this rank's rows of both systems at modulus 1 of the body itself.
 
-    Collective on comm. Nodes are shared out in equal runs, so a rank holds about
+    Collective on comm. Nodes of all zones are shared out in equal runs, so a rank holds about
     1/size of the rows and no rank holds a whole matrix.
 
     Parameters
     ----------
-    moving : what moves, if only a part is to be assembled: what stays, or with ``base`` what moves.
+    dofs : of ``number_dofs``, one a zone.
+    moving : what moves of each zone, if only a part is to be assembled: what stays, or with
+        ``base`` what moves.
     base : the part that stays, to a copy of which the other is added.
     """
-    n_nodes = len(boundary.nodes)
-    moved = base is not None or moving is None
-    if moving is None:
-        moving = Moving(np.ones(n_nodes, bool), np.ones(len(boundary.elements), bool))
-    share = [rank * n_nodes // comm.size for rank in range(comm.size + 1)]
-    mine = slice(share[comm.rank], share[comm.rank + 1])
+    moved = base is not None or not moving
+    moving = moving or [_all_moving(zone.boundary) for zone in zones]
+    first = np.cumsum([0, *(len(zone.boundary.nodes) for zone in zones)])
+    begin, end = (rank * int(first[-1]) // comm.size for rank in (comm.rank, comm.rank + 1))
     starts = np.zeros(2, dtype=np.int64)
     matrices: list[FloatArray] = []
     loads: list[FloatArray] = []
+    equations = np.concatenate([of.equation for of in dofs])
     for system, block in enumerate((slice(0, 2), slice(2, 3))):
-        collocated = dofs.equation[:, block] >= 0
-        starts[system] = np.count_nonzero(collocated[: mine.start])
+        collocated = equations[:, block] >= 0
+        starts[system] = np.count_nonzero(collocated[:begin])
         if base is not None:
             before = base.normal if system == 0 else base.torsion
             matrices.append(before.matrix.copy())
             loads.append(before.loads.copy())
             continue
-        rows = np.count_nonzero(collocated[mine])
+        rows = np.count_nonzero(collocated[begin:end])
         matrices.append(np.zeros((rows, np.count_nonzero(collocated))))
-        loads.append(np.zeros((rows, conditions.n_loads)))
+        loads.append(np.zeros((rows, zones[0].conditions.n_loads)))
 
     from ringwear_par.elasticity.rows import assemble_rows
 
-    evaluations = assemble_rows(
-        mine.start, mine.stop, boundary, conditions, dofs, moving, moved, poisson, rules, starts,
-        (matrices[0], matrices[1]), (loads[0], loads[1]),
-    )  # fmt: skip
+    evaluations = 0
+    for zone, own, parts, start, stop in zip(
+        zones, dofs, moving, first[:-1], first[1:], strict=True
+    ):
+        low, high = (int(np.clip(node, start, stop)) - int(start) for node in (begin, end))
+        evaluations += assemble_rows(
+            low, high, zone.boundary, zone.conditions, own, parts, moved, zone.material.young,
+            zone.material.poisson, rules, starts, (matrices[0], matrices[1]), (loads[0], loads[1]),
+        )  # fmt: skip
     normal, torsion = (Rows(matrices[i], loads[i], int(starts[i])) for i in (0, 1))
     return Assembly(normal, torsion, evaluations)
+
+
+def _all_moving(boundary: BoundaryMesh) -> Moving:
+    return Moving(np.ones(len(boundary.nodes), bool), np.ones(len(boundary.elements), bool))

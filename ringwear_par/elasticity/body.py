@@ -1,7 +1,8 @@
 """A body condensed to its contact line: compliance in the normal direction and in torsion.
 
 Both are computed at Young's modulus 1 and scale by 1/E, so one assembly serves every modulus,
-load, speed and wear law at the same shape and Poisson's ratio.
+load, speed and wear law at the same shape and Poisson's ratio. Of layers the ratio of their modulus
+to that of the body itself counts.
 """
 
 import time
@@ -17,19 +18,21 @@ from ringwear_par.elasticity.assembly import (
     Assembly,
     BoundaryConditions,
     DofMap,
+    Zone,
     assemble,
     number_dofs,
 )
-from ringwear_par.elasticity.mesh import BoundaryMesh, ContactLine, Mesh, boundary_mesh
+from ringwear_par.elasticity.boundary import BoundaryMesh, zone_meshes
+from ringwear_par.elasticity.mesh import ContactLine, Mesh
 from ringwear_par.elasticity.quadrature import quadrature
-from ringwear_par.elasticity.sections import Body, Grip
+from ringwear_par.elasticity.sections import Body, Grip, Material
 from ringwear_par.elasticity.slopes import obliquity
 from ringwear_par.elasticity.solve import solve_systems, solved_whole
 
 
 @dataclass(frozen=True)
 class Response:
-    """Boundary values for each load, on every rank.
+    """Boundary values for each load, on every rank, those of one zone after those of another.
 
     Parameters
     ----------
@@ -71,7 +74,7 @@ class Compliance:
 def boundary_conditions(
     boundary: BoundaryMesh, grip: Grip, slope: FloatArray | None = None
 ) -> BoundaryConditions:
-    """Return those of a body in contact: fixed face, one right-hand side per contact element.
+    """Return those of a zone in contact: fixed face, one right-hand side per contact element.
 
     Right-hand side j is unit pressure along the common normal (normal system) and unit
     circumferential traction (torsion) on the true area of contact element j. Tractions are scaled
@@ -105,28 +108,48 @@ class Problem:
 
     Parameters
     ----------
-    boundary, conditions, poisson : the body.
+    zones : the body.
     tolerance : relative accuracy of the element integrals.
-    nodes, elements : whose displacements and whose tractions are wanted.
+    nodes, elements : of each zone, whose displacements and whose tractions are wanted.
     """
 
-    boundary: BoundaryMesh
-    conditions: BoundaryConditions
-    poisson: float
+    zones: tuple[Zone, ...]
     tolerance: float
-    nodes: IntArray
-    elements: IntArray
+    nodes: tuple[IntArray, ...]
+    elements: tuple[IntArray, ...]
 
 
 @dataclass(frozen=True)
 class Assembled:
-    """The assembled systems of a body, and what is wanted of their solution as of ``Problem``."""
+    """The assembled systems of a body, and what is wanted of their solution.
+
+    Parameters
+    ----------
+    rows : this rank's part of them.
+    displacement, traction : (wanted, 3) int, columns of the values wanted, -1 for none.
+    sign : (wanted,) float, of the tractions.
+    seconds : wall time of the assembly.
+    """
 
     rows: Assembly
-    dofs: DofMap
-    nodes: IntArray
-    elements: IntArray
+    displacement: IntArray
+    traction: IntArray
+    sign: FloatArray
     seconds: float
+
+    @classmethod
+    def of(
+        cls, rows: Assembly, problem: Problem, dofs: Sequence[DofMap], seconds: float
+    ) -> "Assembled":
+        """Return the systems of a problem."""
+        nodes, elements = problem.nodes, problem.elements
+        return cls(
+            rows,
+            np.concatenate([own.displacement[at] for own, at in zip(dofs, nodes, strict=True)]),
+            np.concatenate([own.traction[at] for own, at in zip(dofs, elements, strict=True)]),
+            np.concatenate([own.sign[at] for own, at in zip(dofs, elements, strict=True)]),
+            seconds,
+        )
 
 
 def solve_body(
@@ -138,17 +161,19 @@ def solve_body(
     elements: IntArray,
     comm: MPI.Comm,
 ) -> Response:
-    """Solve (5) for all right-hand sides; return some nodes' displacements, elements' tractions.
+    """Solve (5) of one zone; return some nodes' displacements and some elements' tractions.
 
     Collective on comm.
     """
-    problem = Problem(boundary, conditions, poisson, tolerance, nodes, elements)
-    return solve_bodies([problem], comm)[0]
+    zone = Zone(boundary, conditions, Material(1.0, poisson))
+    return solve_bodies([Problem((zone,), tolerance, (nodes,), (elements,))], comm)[0]
 
 
 def solve_bodies(problems: Sequence[Problem], comm: MPI.Comm) -> list[Response]:
     """Solve (5) of several bodies: at once where ranks can share their systems. Collective."""
-    largest = max(2 * len(problem.boundary.nodes) for problem in problems)
+    largest = max(
+        2 * sum(len(zone.boundary.nodes) for zone in problem.zones) for problem in problems
+    )
     if comm.size > 1 and solved_whole(largest, comm.size):
         return solve_assembled([_assembled(problem, comm) for problem in problems], comm)
     # one after another: not all in memory
@@ -156,14 +181,10 @@ def solve_bodies(problems: Sequence[Problem], comm: MPI.Comm) -> list[Response]:
 
 
 def _assembled(problem: Problem, comm: MPI.Comm) -> Assembled:
-    dofs = number_dofs(problem.boundary, problem.conditions)
     started = time.perf_counter()
-    rows = assemble(
-        problem.boundary, problem.conditions, dofs, problem.poisson,
-        quadrature(problem.tolerance), comm,
-    )  # fmt: skip
-    seconds = time.perf_counter() - started
-    return Assembled(rows, dofs, problem.nodes, problem.elements, seconds)
+    dofs = number_dofs(problem.zones)
+    rows = assemble(problem.zones, dofs, quadrature(problem.tolerance), comm)
+    return Assembled.of(rows, problem, dofs, time.perf_counter() - started)
 
 
 def solve_assembled(bodies: Sequence[Assembled], comm: MPI.Comm) -> list[Response]:
@@ -175,21 +196,23 @@ def solve_assembled(bodies: Sequence[Assembled], comm: MPI.Comm) -> list[Respons
     found = []
     for i, body in enumerate(bodies):
         n_loads = body.rows.normal.loads.shape[1]
-        displacement = np.zeros((len(body.nodes), 3, n_loads))
-        traction = np.zeros((len(body.elements), 3, n_loads))
+        displacement, traction = (
+            np.zeros((*columns.shape, n_loads)) for columns in (body.displacement, body.traction)
+        )
         for (x, start), components in zip(
             solutions[2 * i : 2 * i + 2], ((0, 1), (2,)), strict=True
         ):
             for c in components:
-                for target, column in (
-                    (displacement, body.dofs.displacement[body.nodes, c]),
-                    (traction, body.dofs.traction[body.elements, c]),
+                for target, columns in (
+                    (displacement, body.displacement),
+                    (traction, body.traction),
                 ):
-                    local = column - start
-                    here = (column >= 0) & (local >= 0) & (local < len(x))
+                    local = columns[:, c] - start
+                    here = (columns[:, c] >= 0) & (local >= 0) & (local < len(x))
                     target[here, c] = x[local[here]]
         for array in (displacement, traction):  # each entry is known to one rank: the sum is exact
             comm.Allreduce(MPI.IN_PLACE, array, MPI.SUM)
+        traction *= body.sign[:, None, None]
         evaluations = comm.allreduce(body.rows.kernel_evaluations)
         found.append((displacement, traction, evaluations, body.seconds))
     seconds = (time.perf_counter() - started) / len(bodies)
@@ -198,7 +221,9 @@ def solve_assembled(bodies: Sequence[Assembled], comm: MPI.Comm) -> list[Respons
 
 @dataclass(frozen=True)
 class BoundaryResponse:
-    """Values on the whole boundary, at Young's modulus 1, for loads on each contact element.
+    """Values on the whole boundary of a zone, for loads on each contact element of its body.
+
+    At Young's modulus 1 of the body itself.
 
     Load j is unit pressure (components r and z) and unit circumferential traction (theta) on
     contact element j, see ``boundary_conditions``.
@@ -208,34 +233,41 @@ class BoundaryResponse:
     boundary : the boundary elements.
     displacement : (m, 3, n) float, mm/MPa, of every node in r, z and theta.
     traction : (k, 3, n) float, MPa/MPa, on every element, the loads included.
+    material : of the zone, its modulus over that of the body itself.
     """
 
     boundary: BoundaryMesh
     displacement: FloatArray
     traction: FloatArray
+    material: Material
 
 
-def boundary_response(
+def boundary_responses(
     body: Body,
     line: ContactLine,
     mesh: Mesh,
     comm: MPI.Comm,
     worn: FloatArray | None = None,
     slope: FloatArray | None = None,
-) -> BoundaryResponse:
-    """Return displacements and tractions on the whole boundary, in the body's own frame.
+) -> list[BoundaryResponse]:
+    """Return displacements and tractions on the boundaries of all zones, in the body's own frame.
 
-    Collective on comm. ``worn`` is that of ``boundary_mesh``, ``slope`` of ``boundary_conditions``.
+    Collective on comm. ``worn`` is that of ``zone_meshes``, ``slope`` of ``boundary_conditions``.
     """
-    boundary = boundary_mesh(body.section, line, mesh, worn)
-    conditions = boundary_conditions(boundary, body.grip, slope)
-    nodes, elements = np.arange(len(boundary.nodes)), np.arange(len(boundary.elements))
-    response = solve_body(
-        boundary, conditions, body.poisson, mesh.quadrature_tolerance, nodes, elements, comm
-    )
-    e, c = np.nonzero(conditions.load >= 0)
-    response.traction[e, c, conditions.load[e, c]] += conditions.traction[e, c]
-    return BoundaryResponse(boundary, response.displacement, response.traction)
+    zones = body_zones(body, line, mesh, worn, slope)
+    counts = [(len(zone.boundary.nodes), len(zone.boundary.elements)) for zone in zones]
+    nodes, elements = (tuple(map(np.arange, of)) for of in zip(*counts, strict=True))
+    problem = Problem(zones, mesh.quadrature_tolerance, nodes, elements)
+    response = solve_bodies([problem], comm)[0]
+    found, after = [], np.cumsum(counts, axis=0)[:-1]
+    displacements = np.split(response.displacement, after[:, 0])
+    tractions = np.split(response.traction, after[:, 1])
+    for zone, displacement, traction in zip(zones, displacements, tractions, strict=True):
+        conditions = zone.conditions
+        e, c = np.nonzero(conditions.load >= 0)
+        traction[e, c, conditions.load[e, c]] += conditions.traction[e, c]
+        found.append(BoundaryResponse(zone.boundary, displacement, traction, zone.material))
+    return found
 
 
 def in_case_frame(
@@ -256,10 +288,11 @@ def in_case_frame(
         return replace(response, boundary=boundary._replace(nodes=nodes))
     nodes[:, 1] = plane - nodes[:, 1]
     signs = np.array([1.0, -1.0, -1.0])[None, :, None]
-    return BoundaryResponse(
-        boundary._replace(nodes=nodes, elements=boundary.elements[:, ::-1].copy()),
-        signs * response.displacement,
-        signs * response.traction,
+    return replace(
+        response,
+        boundary=boundary._replace(nodes=nodes, elements=boundary.elements[:, ::-1].copy()),
+        displacement=signs * response.displacement,
+        traction=signs * response.traction,
     )
 
 
@@ -273,10 +306,10 @@ def compliance(
 ) -> Compliance:
     """Return the compliance of a body's contact line.
 
-    Collective on comm. ``worn`` is that of ``boundary_mesh``, ``slope`` of ``boundary_conditions``.
+    Collective on comm. ``worn`` is that of ``zone_meshes``, ``slope`` of ``boundary_conditions``.
     """
-    problem = _contact_problem(body, line, mesh, worn, slope)
-    return condense(problem.boundary, solve_bodies([problem], comm)[0], slope)
+    problem = contact_problem(body, line, mesh, worn, slope)
+    return condense(problem, solve_bodies([problem], comm)[0], slope)
 
 
 def compliances(
@@ -291,45 +324,62 @@ def compliances(
     Ranks share their systems.
     """
     problems = [
-        _contact_problem(body, line, mesh, None, slope)
+        contact_problem(body, line, mesh, None, slope)
         for body, slope in zip(bodies, slopes, strict=True)
     ]
     responses = solve_bodies(problems, comm)
     return [
-        condense(problem.boundary, response, slope)
+        condense(problem, response, slope)
         for problem, response, slope in zip(problems, responses, slopes, strict=True)
     ]
 
 
-def _contact_problem(
+def body_zones(
+    body: Body,
+    line: ContactLine,
+    mesh: Mesh,
+    worn: FloatArray | None = None,
+    slope: FloatArray | None = None,
+) -> tuple[Zone, ...]:
+    """Return the zones of a body in contact, from the contact face downwards. Not collective.
+
+    Arguments are those of ``compliance``.
+    """
+    meshes = zone_meshes(body.section, line, mesh, worn)
+    slopes = slope, *(None for _ in body.layers)  # the first zone alone has the contact
+    return tuple(
+        Zone(boundary, boundary_conditions(boundary, body.grip, own), material)
+        for boundary, own, material in zip(meshes, slopes, body.relative, strict=True)
+    )
+
+
+def contact_problem(
     body: Body, line: ContactLine, mesh: Mesh, worn: FloatArray | None, slope: FloatArray | None
 ) -> Problem:
-    """Return a body under unit loads on its contact elements.
+    """Return a body under unit loads on its contact elements. Not collective.
 
     Displacements are collocated at the elements' mid-points; taking them from the end nodes would
     give pressures of alternating sign almost no displacement.
     """
-    boundary = boundary_mesh(body.section, line, mesh, worn)
+    zones = body_zones(body, line, mesh, worn, slope)
+    boundaries = [zone.boundary for zone in zones]
     return Problem(
-        boundary,
-        boundary_conditions(boundary, body.grip, slope),
-        body.poisson,
+        zones,
         mesh.quadrature_tolerance,
-        boundary.elements[boundary.contact, 1],
-        boundary.fixed,
+        tuple(boundary.elements[boundary.contact, 1] for boundary in boundaries),
+        tuple(boundary.fixed for boundary in boundaries),
     )
 
 
-def condense(
-    boundary: BoundaryMesh, response: Response, slope: FloatArray | None = None
-) -> Compliance:
+def condense(problem: Problem, response: Response, slope: FloatArray | None = None) -> Compliance:
     """Return the compliance of a solved body. Not collective.
 
     Parameters
     ----------
-    response : displacements at the contact elements' mid-points, tractions of the fixed elements.
+    problem : of ``contact_problem``.
     slope : that of ``boundary_conditions``.
     """
+    boundary = problem.zones[-1].boundary
     radial, axial = response.displacement[:, 0], response.displacement[:, 1]
     inner = boundary.nodes[boundary.elements[boundary.fixed, 0], 0]
     outer = boundary.nodes[boundary.elements[boundary.fixed, 2], 0]

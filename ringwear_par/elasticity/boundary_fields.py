@@ -1,19 +1,25 @@
 """What is known on the whole boundary of a body, after it has been recovered or read."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
+
+import numpy as np
 
 from ringwear_par.arrays import FloatArray, IntArray
 
 Which = Literal["lower", "upper"]
 BODIES: tuple[Which, Which] = ("lower", "upper")
 #: faces of a body; their numbers are stored
-FACES = ("free", "contact", "fixed", "inner_side", "outer_side")
+FACES = ("free", "contact", "fixed", "inner_side", "outer_side", "interface")
 
 
 @dataclass(frozen=True)
 class BoundaryFields:
     """Fields on the boundary of one body, in the frame of the case.
+
+    Layers have boundaries of their own, one after another from the contact face on; an interface
+    has elements on both sides.
 
     Parameters
     ----------
@@ -35,6 +41,27 @@ class BoundaryFields:
     traction: FloatArray
     pressure: FloatArray
     wear: FloatArray
+
+    @property
+    def contours(self) -> list[IntArray]:
+        """Numbers of the nodes on the boundary of each zone, along it."""
+        apart = (self.elements[1:, [0, 2]] != self.elements[:-1, [2, 0]]).all(axis=1)
+        zones = np.split(self.elements, np.flatnonzero(apart) + 1)
+        return [np.arange(zone.min(), zone.max() + 1) for zone in zones]
+
+
+def joined(zones: Sequence[BoundaryFields]) -> BoundaryFields:
+    """Return the fields of the zones of a body as one."""
+    if len(zones) == 1:
+        return zones[0]
+    first = np.cumsum([0, *(len(zone.nodes) for zone in zones[:-1])])
+    elements = [zone.elements + shift for zone, shift in zip(zones, first, strict=True)]
+    others = [
+        np.concatenate([getattr(zone, name) for zone in zones])
+        for name in ("face", "displacement", "traction", "pressure", "wear")
+    ]
+    nodes = np.concatenate([zone.nodes for zone in zones])
+    return BoundaryFields(nodes, np.concatenate(elements), *others)
 
 
 @dataclass(frozen=True)

@@ -1,12 +1,15 @@
 """Displacement and traction on the whole boundaries of both bodies, from a contact solution."""
 
+from dataclasses import replace
+
 import numpy as np
 from mpi4py import MPI
 
 from ringwear_par.arrays import FloatArray
-from ringwear_par.elasticity.body import BoundaryResponse, boundary_response, in_case_frame
-from ringwear_par.elasticity.boundary_fields import BODIES, FACES, BoundaryFields, Which
-from ringwear_par.elasticity.mesh import BoundaryMesh, ContactLine, Mesh, boundary_mesh, node_wear
+from ringwear_par.elasticity.body import BoundaryResponse, boundary_responses, in_case_frame
+from ringwear_par.elasticity.boundary import BoundaryMesh, node_wear, zone_meshes
+from ringwear_par.elasticity.boundary_fields import BODIES, FACES, BoundaryFields, Which, joined
+from ringwear_par.elasticity.mesh import ContactLine, Mesh
 from ringwear_par.elasticity.sections import Body
 from ringwear_par.elasticity.slopes import pair_slope
 
@@ -36,7 +39,7 @@ class BoundaryRecovery:
     ) -> None:
         self._bodies, self._line, self._mesh, self._planes = bodies, line, mesh, planes
         self._comm = comm
-        self._known: dict[Which, tuple[FloatArray, BoundaryResponse]] = {}
+        self._known: dict[Which, tuple[FloatArray, list[BoundaryResponse]]] = {}
 
     def fields(
         self,
@@ -89,20 +92,36 @@ class BoundaryRecovery:
         slope: FloatArray,
         shape: FloatArray | None,
     ) -> BoundaryFields:
+        zones = zip(self._responses(i, slope, shape), self._worn_zones(i, wear), strict=True)
+        return joined(
+            [self._of_zone(i, unit, shown, p, approach, friction, wear) for unit, shown in zones]
+        )
+
+    def _of_zone(
+        self,
+        i: int,
+        unit: BoundaryResponse,
+        shown: BoundaryMesh,
+        p: FloatArray,
+        approach: float,
+        friction: float,
+        wear: FloatArray,
+    ) -> BoundaryFields:
         which, young = BODIES[i], self._bodies[i].young
-        unit = self._response(i, slope, shape)
         # unit loads summed: one load is left, that of the case
         shear = friction * p
         displacement, traction = (
             np.concatenate([loads[:, :2] @ p, loads[:, 2:] @ shear], axis=1)
             for loads in (unit.displacement, unit.traction)
         )
-        shown = self._worn_boundary(i, wear)
         # the same force on elements that wear has tilted, and so lengthened, since the reference
         longer = (_lengths(unit.boundary) / _lengths(shown))[shown.contact, None]
         traction[shown.contact] *= longer
         response = in_case_frame(
-            BoundaryResponse(shown, displacement[..., None] / young, traction[..., None]),
+            replace(
+                unit, boundary=shown, displacement=displacement[..., None] / young,
+                traction=traction[..., None],
+            ),
             which, self._planes[i],
         )  # fmt: skip
         moved = response.displacement[..., 0].copy()
@@ -110,16 +129,20 @@ class BoundaryRecovery:
             moved[:, 1] -= approach
         elements = len(shown.elements)
         pressure, depth = np.zeros(elements), np.zeros(elements)
-        pressure[shown.contact], depth[shown.contact] = p, wear
+        if len(shown.contact):
+            pressure[shown.contact], depth[shown.contact] = p, wear
         face = np.zeros(elements, dtype=np.int64)
-        for name in FACES[1:]:
-            face[getattr(shown, name)] = FACES.index(name)
+        for name in ("contact", "fixed", "inner_side", "outer_side", "above", "below"):
+            number = "interface" if name in ("above", "below") else name
+            face[getattr(shown, name)] = FACES.index(number)
         return BoundaryFields(
             response.boundary.nodes, response.boundary.elements, face, moved,
             response.traction[..., 0], pressure, depth,
         )  # fmt: skip
 
-    def _response(self, i: int, slope: FloatArray, shape: FloatArray | None) -> BoundaryResponse:
+    def _responses(
+        self, i: int, slope: FloatArray, shape: FloatArray | None
+    ) -> list[BoundaryResponse]:
         """Return the responses of a body whose elements followed (n,) mm of wear. Collective.
 
         Slopes are those of ``boundary_conditions``.
@@ -131,22 +154,22 @@ class BoundaryRecovery:
         # the slopes and the shape are the same on all ranks, and so is the decision
         if known is None or not np.array_equal(known[0], at):
             self._known.pop(which, None)  # not two at a time
-            response = boundary_response(self._bodies[i], line, self._mesh, self._comm, worn, slope)
-            known = self._known[which] = (at, response)
+            found = boundary_responses(self._bodies[i], line, self._mesh, self._comm, worn, slope)
+            known = self._known[which] = (at, found)
         return known[1]
 
-    def _worn_boundary(self, i: int, wear: FloatArray) -> BoundaryMesh:
+    def _worn_zones(self, i: int, wear: FloatArray) -> list[BoundaryMesh]:
         """Return the boundary elements of a body after (n,) mm of wear, in its own frame.
 
         Mid-points of contact elements lie where gaps are taken, on the worn face.
         """
         section, line = self._bodies[i].section, self._line
-        boundary = boundary_mesh(section, line, self._mesh, node_wear(line, wear))
-        nodes = boundary.nodes.copy()
-        middle = boundary.elements[boundary.contact, 1]
+        first, *others = zone_meshes(section, line, self._mesh, node_wear(line, wear))
+        nodes = first.nodes.copy()
+        middle = first.elements[first.contact, 1]
         nodes[middle, 0] = line.gap_point
         nodes[middle, 1] = section.depth(line.gap_point) - wear
-        return boundary._replace(nodes=nodes)
+        return [first._replace(nodes=nodes), *others]
 
 
 def _lengths(boundary: BoundaryMesh) -> FloatArray:

@@ -16,9 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ringwear_par.arrays import FloatArray, IntArray
+from ringwear_par.elasticity.boundary import BoundaryMesh
 from ringwear_par.elasticity.compiling import compiled
 from ringwear_par.elasticity.kernels import TILE, TILE_ROWS, fill_tile
-from ringwear_par.elasticity.mesh import BoundaryMesh
 from ringwear_par.elasticity.quadrature import MAX_POINTS, Quadrature
 
 if TYPE_CHECKING:
@@ -351,6 +351,7 @@ def assemble_rows(
     dofs: "DofMap",
     moving: "Moving",
     moved: bool,
+    young: float,
     poisson: float,
     rules: Quadrature,
     starts: IntArray,
@@ -364,6 +365,7 @@ def assemble_rows(
     Parameters
     ----------
     boundary : BoundaryMesh, and further BoundaryConditions, DofMap, Moving.
+    young : modulus over the one that tractions are scaled with.
     rules : Quadrature.
     starts : (2,) int, number of the first row of each matrix.
     matrices, loads : those of the (r, z) and of the theta system, row-major.
@@ -372,7 +374,7 @@ def assemble_rows(
     k = len(elements)
     shear = 0.5 / (1.0 + poisson)
     lame = poisson / ((1.0 + poisson) * (1.0 - 2.0 * poisson))
-    lines = _element_lines(boundary)
+    soft, lines = 1.0 / young, _element_lines(boundary)
     # traction of u* = (r1/r) e_r is this over r
     star_r, star_z = 2.0 * (lame + shear) * lines[5], 2.0 * lame * lines[6]
     columns, weights = _number_columns(
@@ -445,9 +447,10 @@ def assemble_rows(
             for pair in range(5):
                 i, force = _COMPONENT[pair], _FORCE[pair]
                 if traction[e, i] >= 0:
-                    gathered[force, traction[e, i]] -= tractions[pair, e]
+                    gathered[force, traction[e, i]] -= dofs.sign[e] * soft * tractions[pair, e]
                 if load[e, i] >= 0:
-                    rights[force, load[e, i]] += tractions[pair, e] * conditions.traction[e, i]
+                    known = conditions.traction[e, i]
+                    rights[force, load[e, i]] += soft * tractions[pair, e] * known
         for force in range(3):
             if dofs.equation[p, force] >= 0:
                 system = 0 if force < 2 else 1

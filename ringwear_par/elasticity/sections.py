@@ -39,11 +39,14 @@ class Section:
     height : distance from the fixed face to the contact plane.
     face : contact face as a polyline of (r, z) from the inner to the outer radius, z <= 0; none is
         the flat face.
+    layers : thicknesses of bonded layers of other materials, from the contact plane downwards; the
+        face lies within the first.
     """
 
     r: tuple[float, float]
     height: float
     face: Polyline = ()
+    layers: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
         inner, outer = self.r
@@ -58,6 +61,16 @@ class Section:
                 f"section r = {self.r}, height = {self.height}, face = {self.face}: "
                 "0 <= inner < outer radius, a positive height and a face over increasing radii "
                 "between contact plane and fixed face are needed"
+            )
+        if self.layers and not (
+            min(self.layers) > 0
+            and sum(self.layers) < self.height
+            and all(v > -self.layers[0] for v in z)
+        ):
+            raise InputError(
+                f"section of height {self.height}, layers = {self.layers}, face = {self.face}: "
+                "layers must be thicker than 0 and together thinner than the body, and the face "
+                "must lie within the first"
             )
 
     @property
@@ -127,18 +140,40 @@ def corners(section: Section) -> list[float]:
 
 
 @dataclass(frozen=True)
+class Material:
+    """Isotropic elasticity: Young's modulus (MPa) and Poisson's ratio."""
+
+    young: float
+    poisson: float
+
+
+@dataclass(frozen=True)
 class Body:
     """An elastic body of revolution in contact, fixed at the face away from it.
 
     Parameters
     ----------
     section : meridian section, mm, in the body's own frame.
-    young : MPa, Young's modulus.
-    poisson : Poisson's ratio.
+    young : MPa, Young's modulus, under the layers.
+    poisson : Poisson's ratio, likewise.
     grip : how the face away from the contact is fixed.
+    layers : materials of the section's layers.
     """
 
     section: Section
     young: float
     poisson: float
     grip: Grip
+    layers: tuple[Material, ...] = ()
+
+    def __post_init__(self) -> None:
+        if len(self.layers) != len(self.section.layers):
+            raise InputError(
+                f"body: {len(self.layers)} materials for {len(self.section.layers)} layers"
+            )
+
+    @property
+    def relative(self) -> tuple[Material, ...]:
+        """Materials from the contact face downwards, moduli over that of the body itself."""
+        own = Material(1.0, self.poisson)
+        return *(Material(m.young / self.young, m.poisson) for m in self.layers), own

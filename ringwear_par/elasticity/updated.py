@@ -3,57 +3,76 @@
 Wear moves the nodes of the contact line and few others. What the rest of a body's boundary says of
 itself is assembled once and kept; each update adds the rows and columns that moved to a copy. A
 body without wear law is assembled once and for all if its face is flat. Otherwise the direction of
-the pressure on its contact elements may turn with the other face, and they count as moving.
+the pressure on its contact elements may turn with the other face, and they count as moving. As wear
+comes near an interface, this gives way too, and what stays is assembled once more.
 """
 
 import time
+from collections.abc import Sequence
 
 import numpy as np
 from mpi4py import MPI
 
 from ringwear_par.arrays import FloatArray
-from ringwear_par.elasticity.assembly import Assembly, Moving, assemble, number_dofs
+from ringwear_par.elasticity.assembly import Assembly, Moving, Zone, assemble, number_dofs
 from ringwear_par.elasticity.body import (
     Assembled,
     Compliance,
-    boundary_conditions,
+    body_zones,
     compliance,
     condense,
+    contact_problem,
     solve_assembled,
 )
-from ringwear_par.elasticity.mesh import ContactLine, Mesh, boundary_mesh, node_wear, pair_key
+from ringwear_par.elasticity.boundary import node_wear, zone_meshes
+from ringwear_par.elasticity.mesh import ContactLine, Mesh, pair_key
 from ringwear_par.elasticity.pair import ContactPair, join_bodies
 from ringwear_par.elasticity.quadrature import quadrature
 from ringwear_par.elasticity.sections import Body, Section
 from ringwear_par.elasticity.slopes import case_slopes, pair_slope
 
 
-def moving_parts(section: Section, line: ContactLine, mesh: Mesh, wears: bool = True) -> Moving:
-    """Return the nodes and elements of a boundary mesh that wear of its contact line moves.
+def moving_parts(
+    section: Section, line: ContactLine, mesh: Mesh, wears: bool = True, *, deep: bool = False
+) -> tuple[Moving, ...]:
+    """Return the nodes and elements of each zone that wear of the contact line moves.
 
     Of a body that does not wear, the elements that pressure may turn on.
+
+    Parameters
+    ----------
+    deep : whether wear is so deep that interfaces give way.
     """
-    unworn = boundary_mesh(section, line, mesh)
+    unworn = zone_meshes(section, line, mesh)
     if not wears:
-        elements = np.zeros(len(unworn.elements), dtype=bool)
-        elements[unworn.contact] = True
-        return Moving(np.zeros(len(unworn.nodes), dtype=bool), elements)
-    worn = boundary_mesh(section, line, mesh, np.full(line.n + 1, 1e-3 * section.height))
-    nodes = (worn.nodes != unworn.nodes).any(axis=1)
-    return Moving(nodes, nodes[unworn.elements].any(axis=1))
+        elements = np.zeros(len(unworn[0].elements), dtype=bool)
+        elements[unworn[0].contact] = True
+        still = [Moving(*(np.zeros(len(of), bool) for of in zone[:2])) for zone in unworn]
+        return Moving(still[0].nodes, elements), *still[1:]
+    height = section.height + float(section.depth(line.edges).min())
+    little = 1e-3 * min((section.height, *section.layers))
+    wear = np.full(line.n + 1, 0.49 * height if deep else little)
+    found = []
+    for before, after in zip(unworn, zone_meshes(section, line, mesh, wear), strict=True):
+        nodes = (before.nodes != after.nodes).any(axis=1)
+        found.append(Moving(nodes, nodes[before.elements].any(axis=1)))
+    return tuple(found)
 
 
 class _MovingBody:
-    """One body of which something moves: its base, and the compliance for any wear."""
+    """One body of which something moves: what stays, and the compliance for any wear."""
 
     def __init__(self, body: Body, line: ContactLine, mesh: Mesh, wears: bool) -> None:
-        self._body, self._line, self._mesh = body, line, mesh
-        self._moving = moving_parts(body.section, line, mesh, wears)
-        boundary = boundary_mesh(body.section, line, mesh)
+        self._body, self._line, self._mesh, self._wears = body, line, mesh, wears
         # which values are unknown, and where they stand, does not change with the wear
-        self._dofs = number_dofs(boundary, boundary_conditions(boundary, body.grip))
+        self._unworn = body_zones(body, line, mesh)
+        self._dofs = number_dofs(self._unworn)
         self._rules = quadrature(mesh.quadrature_tolerance)
-        self._base: Assembly | None = None
+        self._moving = [self._parts(deep=False)]
+        self._base: dict[bool, Assembly] = {}
+
+    def _parts(self, *, deep: bool) -> tuple[Moving, ...]:
+        return moving_parts(self._body.section, self._line, self._mesh, self._wears, deep=deep)
 
     def compliance(self, worn: FloatArray, slope: FloatArray, comm: MPI.Comm) -> Compliance:
         """Return the compliance after wear. Collective on comm.
@@ -65,19 +84,26 @@ class _MovingBody:
         """
         started = time.perf_counter()
         nodes = node_wear(self._line, worn)
-        boundary = boundary_mesh(self._body.section, self._line, self._mesh, nodes)
-        conditions = boundary_conditions(boundary, self._body.grip, slope)
-        arguments = boundary, conditions, self._dofs, self._body.poisson, self._rules, comm
-        evaluations = 0
-        if self._base is None:
-            self._base = assemble(*arguments, self._moving)
-            evaluations = self._base.kernel_evaluations
-        rows = assemble(*arguments, self._moving, self._base)
+        problem = contact_problem(self._body, self._line, self._mesh, nodes, slope)
+        deep, evaluations = self._is_deep(problem.zones), 0
+        if deep and len(self._moving) == 1:
+            self._moving.append(self._parts(deep=True))
+        arguments = problem.zones, self._dofs, self._rules, comm, self._moving[deep]
+        if deep not in self._base:
+            self._base[deep] = assemble(*arguments)
+            evaluations = self._base[deep].kernel_evaluations
+        rows = assemble(*arguments, self._base[deep])
         rows = Assembly(rows.normal, rows.torsion, rows.kernel_evaluations + evaluations)
-        seconds = time.perf_counter() - started
-        middle = boundary.elements[boundary.contact, 1]
-        assembled = Assembled(rows, self._dofs, middle, boundary.fixed, seconds)
-        return condense(boundary, solve_assembled([assembled], comm)[0], slope)
+        assembled = Assembled.of(rows, problem, self._dofs, time.perf_counter() - started)
+        return condense(problem, solve_assembled([assembled], comm)[0], slope)
+
+    def _is_deep(self, zones: Sequence[Zone]) -> bool:
+        """Tell whether more has moved than little wear moves: interfaces, or a whole side face."""
+        for zone, before, little in zip(zones, self._unworn, self._moving[0], strict=True):
+            moved = (zone.boundary.nodes != before.boundary.nodes).any(axis=1)
+            if (moved & ~little.nodes).any():
+                return True
+        return False
 
 
 class UpdatedGeometry:

@@ -8,7 +8,7 @@ from ringwear_par.cases.case import Case
 from ringwear_par.cases.law_trials import refuse_bad_laws
 from ringwear_par.cases.numbers import number_faults
 from ringwear_par.contact.problem import REPLICATED_LIMIT
-from ringwear_par.elasticity.mesh import boundary_mesh, count_elements
+from ringwear_par.elasticity.boundary import count_elements, zone_meshes
 from ringwear_par.errors import InputError
 
 
@@ -145,8 +145,8 @@ def check_mesh(case: Case, name: str) -> None:
     InputError : with the smallest length.
     """
     for ring in case.rings:
-        boundary = boundary_mesh(case.section(ring), case.line, case.mesh)
-        ends = boundary.nodes[boundary.elements]
+        zones = zone_meshes(case.section(ring), case.line, case.mesh)
+        ends = np.concatenate([zone.nodes[zone.elements] for zone in zones])
         shortest = float(np.hypot(*(ends[:, 2] - ends[:, 0]).T).min())
         if shortest < 1e-11 * ring.r[1]:
             raise InputError(

@@ -10,7 +10,7 @@ from ringwear_par import kept
 from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.case import Case, need_case
 from ringwear_par.elasticity.assembly import load_kernels
-from ringwear_par.elasticity.mesh import count_elements
+from ringwear_par.elasticity.boundary import count_elements
 from ringwear_par.elasticity.pair import BodyCost, ContactPair, assemble_pair
 from ringwear_par.elasticity.recovery import BoundaryRecovery
 from ringwear_par.elasticity.slopes import pair_slope

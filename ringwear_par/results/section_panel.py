@@ -8,8 +8,9 @@ from matplotlib.collections import LineCollection
 from matplotlib.patches import Polygon
 
 from ringwear_par.arrays import FloatArray, IntArray
+from ringwear_par.elasticity.boundary import node_wear
 from ringwear_par.elasticity.boundary_fields import FACES, BoundaryFields
-from ringwear_par.elasticity.mesh import ContactLine, node_wear
+from ringwear_par.elasticity.mesh import ContactLine
 from ringwear_par.results.drawing import COLOURS, time_unit
 from ringwear_par.results.export import choose_state
 from ringwear_par.results.result import Result
@@ -75,19 +76,21 @@ def draw_section(axes: Any, result: Result, label: str) -> None:
     overlap = float((lower[faces[0][:, 1], 1] - upper[faces[1][:, 1], 1]).max())
     upper[:, 1] += max(overlap, 0.0)
     for number, body in enumerate(state.bodies):
-        axes.add_patch(
-            Polygon(
-                body.nodes, fill=False, edgecolor="0.75", linewidth=0.8,
-                label=None if number else "undeformed",
-            )
-        )  # fmt: skip
+        for zone, at in enumerate(body.contours):
+            axes.add_patch(
+                Polygon(
+                    body.nodes[at], fill=False, edgecolor="0.75", linewidth=0.8,
+                    label=None if number or zone else "undeformed",
+                )
+            )  # fmt: skip
     for number, (outline, name) in enumerate(((lower, "lower"), (upper, "upper"))):
-        axes.add_patch(
-            Polygon(
-                outline, facecolor=(COLOURS[number], 0.12), edgecolor=COLOURS[number],
-                linewidth=0.8, label=name,
-            )
-        )  # fmt: skip
+        for zone, at in enumerate(state.bodies[number].contours):
+            axes.add_patch(
+                Polygon(
+                    outline[at], facecolor=(COLOURS[number], 0.12), edgecolor=COLOURS[number],
+                    linewidth=0.8, label=None if zone else name,
+                )
+            )  # fmt: skip
     p = state.bodies[0].pressure[elements[0]]
     # singular edges of the first instant would take all the colours
     area = result.line.area[p > 0.0].sum()

@@ -15,7 +15,7 @@ from ringwear_par.cases.law_trials import law_sources, refuse_bad_laws
 from ringwear_par.cases.numbers import doubtful, with_numbers
 from ringwear_par.cases.reading import make_case
 from ringwear_par.cases.text import toml_value
-from ringwear_par.elasticity.mesh import count_elements
+from ringwear_par.elasticity.boundary import count_elements
 from ringwear_par.errors import InputError
 from ringwear_par.history.bodies import operator_key, young
 from ringwear_par.history.limits import check_memory, check_mesh, check_ranks

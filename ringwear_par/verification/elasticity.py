@@ -9,8 +9,9 @@ from mpi4py import MPI
 
 from ringwear_par.elasticity.assembly import BoundaryConditions
 from ringwear_par.elasticity.body import boundary_conditions, compliance, solve_body
+from ringwear_par.elasticity.boundary import boundary_mesh
 from ringwear_par.elasticity.kernels import ring_kernels
-from ringwear_par.elasticity.mesh import ContactLine, Mesh, boundary_mesh, contact_line
+from ringwear_par.elasticity.mesh import ContactLine, Mesh, contact_line
 from ringwear_par.elasticity.sections import Body, Section
 from ringwear_par.verification import reference
 from ringwear_par.verification.check import NU, Check, converging

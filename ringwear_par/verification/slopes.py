@@ -11,7 +11,8 @@ from mpi4py import MPI
 from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.case import Case
 from ringwear_par.elasticity.body import boundary_conditions, solve_body
-from ringwear_par.elasticity.mesh import ContactLine, Mesh, boundary_mesh, contact_line
+from ringwear_par.elasticity.boundary import boundary_mesh
+from ringwear_par.elasticity.mesh import ContactLine, Mesh, contact_line
 from ringwear_par.elasticity.sections import Body, Section
 from ringwear_par.history.bodies import bodies, young
 from ringwear_par.history.model import WearModel

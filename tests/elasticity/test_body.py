@@ -9,9 +9,9 @@ from petsc4py import PETSc
 
 from ringwear_par.elasticity import solve
 from ringwear_par.elasticity.assembly import Rows
-from ringwear_par.elasticity.body import boundary_response, compliance, in_case_frame
+from ringwear_par.elasticity.body import boundary_responses, compliance, in_case_frame
 from ringwear_par.elasticity.mesh import Mesh, contact_line
-from ringwear_par.elasticity.sections import Body, Section
+from ringwear_par.elasticity.sections import Body, Material, Section
 from ringwear_par.elasticity.solve import has_scalapack
 from ringwear_par.errors import ComputationError
 from ringwear_par.verification.elasticity import (
@@ -129,14 +129,14 @@ def test_a_singular_system_fails_on_all_ranks(comm):
 
 
 def test_no_rank_holds_a_whole_matrix(comm):
-    from ringwear_par.elasticity.assembly import assemble, number_dofs
+    from ringwear_par.elasticity.assembly import Zone, assemble, number_dofs
     from ringwear_par.elasticity.body import boundary_conditions
-    from ringwear_par.elasticity.mesh import boundary_mesh
+    from ringwear_par.elasticity.boundary import boundary_mesh
     from ringwear_par.elasticity.quadrature import quadrature
 
     body = boundary_mesh(LOWER, contact_line(CONTACT, Mesh(16)), Mesh(16))
-    conditions = boundary_conditions(body, "clamped")
-    rows = assemble(body, conditions, number_dofs(body, conditions), 0.3, quadrature(1e-6), comm)
+    zones = [Zone(body, boundary_conditions(body, "clamped"), Material(1.0, 0.3))]
+    rows = assemble(zones, number_dofs(zones), quadrature(1e-6), comm)
     for system in (rows.normal, rows.torsion):
         local, n = system.matrix.shape
         assert comm.allreduce(local) == n
@@ -172,7 +172,7 @@ def test_memory_stays_flat(comm):
 def test_the_whole_boundary_in_both_frames(section, comm):
     mesh = Mesh(24)
     line = contact_line(CONTACT, mesh)
-    response = boundary_response(Body(section, 1.0, 0.3, "clamped"), line, mesh, comm)
+    (response,) = boundary_responses(Body(section, 1.0, 0.3, "clamped"), line, mesh, comm)
     body = response.boundary
     condensed_body = condensed(section, mesh, comm)
     middle = body.elements[body.contact, 1]

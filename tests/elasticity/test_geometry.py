@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from ringwear_par.elasticity.mesh import Mesh, boundary_mesh, contact_line, count_elements, graded
+from ringwear_par.elasticity.boundary import boundary_mesh, count_elements
+from ringwear_par.elasticity.mesh import Mesh, contact_line, graded
 from ringwear_par.elasticity.sections import Section, corners
 from ringwear_par.errors import InputError
 

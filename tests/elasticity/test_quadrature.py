@@ -4,10 +4,11 @@ import numpy as np
 import pytest
 from scipy.integrate import quad
 
-from ringwear_par.elasticity.assembly import BoundaryConditions, assemble, number_dofs
-from ringwear_par.elasticity.mesh import Mesh, boundary_mesh, contact_line
+from ringwear_par.elasticity.assembly import BoundaryConditions, Zone, assemble, number_dofs
+from ringwear_par.elasticity.boundary import boundary_mesh
+from ringwear_par.elasticity.mesh import Mesh, contact_line
 from ringwear_par.elasticity.quadrature import MAX_POINTS, quadrature
-from ringwear_par.elasticity.sections import Section
+from ringwear_par.elasticity.sections import Material, Section
 
 
 @pytest.mark.parametrize("power", range(5))
@@ -48,8 +49,8 @@ def rows(tolerance, comm):
     load = np.full((k, 3), -1)
     load[body.contact] = np.arange(len(body.contact))[:, None]
     conditions = BoundaryConditions(fixed, load, np.ones((k, 3)), len(body.contact))
-    return assemble(body, conditions, number_dofs(body, conditions), 0.3,
-                    quadrature(tolerance), comm)  # fmt: skip
+    zones = [Zone(body, conditions, Material(1.0, 0.3))]
+    return assemble(zones, number_dofs(zones), quadrature(tolerance), comm)
 
 
 @pytest.mark.parametrize("bore", [0.01, 0.3, 10.0])

@@ -11,7 +11,8 @@ from wearing import sliding
 from ringwear_par.cases.case import Stepping
 from ringwear_par.cases.reading import read_case
 from ringwear_par.elasticity.body import compliance
-from ringwear_par.elasticity.mesh import Mesh, node_wear
+from ringwear_par.elasticity.boundary import node_wear
+from ringwear_par.elasticity.mesh import Mesh
 from ringwear_par.elasticity.slopes import case_slopes, common_slope
 from ringwear_par.history import euler, sdirk2
 from ringwear_par.history.balances import WorstBalances, balances
