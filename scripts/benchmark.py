@@ -100,6 +100,7 @@ def measure(n: int, repeats: int, comm: MPI.Comm) -> dict[str, float]:
     case, rules = paper_case(Mesh(n)), quadrature(Mesh().quadrature_tolerance)
     zones = [body_zones(body, case.line, case.mesh) for body in bodies(case)]
     dofs = [number_dofs(body) for body in zones]
+    elements = sum(len(zone.boundary.elements) for body in zones for zone in body)
 
     def assembled() -> list:
         parts = zip(zones, dofs, strict=True)
@@ -155,7 +156,7 @@ def measure(n: int, repeats: int, comm: MPI.Comm) -> dict[str, float]:
         zip(
             COLUMNS,
             (
-                n, comm.size, sum(len(z.boundary.elements) for body in zones for z in body), sum(sizes),
+                n, comm.size, elements, sum(sizes),
                 evaluations, assembly, 1e9 * assembly * comm.size / evaluations, solution,
                 1e-9 * flops / solution, both,
                 1e3 * contact, stepping, shared, 5.0 * stepping, recorded, adaptive,
