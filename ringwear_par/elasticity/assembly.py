@@ -24,6 +24,9 @@ from ringwear_par.elasticity.mesh import Mesh, contact_line
 from ringwear_par.elasticity.quadrature import Quadrature, quadrature
 from ringwear_par.elasticity.sections import Material, Section
 
+#: components of the (r, z) and of the theta system
+_SYSTEMS = slice(0, 2), slice(2, 3)
+
 
 class BoundaryConditions(NamedTuple):
     """Boundary conditions of every element, for the components r, z and theta.
@@ -101,11 +104,13 @@ class Rows:
     matrix : (local, n) float, row-major.
     loads : (local, n_loads) float, row-major.
     start : number of the first row.
+    zones : numbers of the first rows of the body's zones.
     """
 
     matrix: FloatArray
     loads: FloatArray
     start: int
+    zones: tuple[int, ...] = (0,)
 
 
 @dataclass(frozen=True)
@@ -155,7 +160,7 @@ def number_dofs(zones: Sequence[Zone]) -> list[DofMap]:
 def _numbers(collocated: BoolArray) -> IntArray:
     """Return the number of each equation in its system, (m, 3), -1 for none."""
     numbers = np.full(collocated.shape, -1)
-    for block in (slice(0, 2), slice(2, 3)):
+    for block in _SYSTEMS:
         rows = np.cumsum(collocated[:, block]).reshape(-1, block.stop - block.start) - 1
         numbers[:, block] = np.where(collocated[:, block], rows, -1)
     return numbers
@@ -209,7 +214,7 @@ def assemble(
     matrices: list[FloatArray] = []
     loads: list[FloatArray] = []
     equations = np.concatenate([of.equation for of in dofs])
-    for system, block in enumerate((slice(0, 2), slice(2, 3))):
+    for system, block in enumerate(_SYSTEMS):
         collocated = equations[:, block] >= 0
         starts[system] = np.count_nonzero(collocated[:begin])
         if base is not None:
@@ -232,7 +237,13 @@ def assemble(
             low, high, zone.boundary, zone.conditions, own, parts, moved, zone.material.young,
             zone.material.poisson, rules, starts, (matrices[0], matrices[1]), (loads[0], loads[1]),
         )  # fmt: skip
-    normal, torsion = (Rows(matrices[i], loads[i], int(starts[i])) for i in (0, 1))
+    of_zones = [
+        tuple(np.count_nonzero(equations[:node, block] >= 0) for node in first[:-1])
+        for block in _SYSTEMS
+    ]
+    normal, torsion = (
+        Rows(*parts) for parts in zip(matrices, loads, starts.tolist(), of_zones, strict=True)
+    )
     return Assembly(normal, torsion, evaluations)
 
 

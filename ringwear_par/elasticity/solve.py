@@ -10,6 +10,7 @@ every rank factorise a copy of the whole. The same holds for all systems where t
 them: what is asked of PETSc, PETSc does.
 """
 
+import itertools
 from collections.abc import Sequence
 
 import numpy as np
@@ -86,22 +87,54 @@ def _solve_whole(systems: Sequence[Rows], comm: MPI.Comm) -> list[Solution]:
         matrix, loads, _ = gathered.pop(0)  # in memory no longer than needed
         x, residual = np.empty((0, system.loads.shape[1])), 0.0
         if len(matrix):
-            x, residual = _solve_alone(matrix, loads)
+            x, residual = _solve_alone(matrix, loads, system.zones)
         worst = max(worst, residual)
         solutions.append((x, 0))
     _check(worst, comm)
     return solutions
 
 
-def _solve_alone(matrix: FloatArray, loads: FloatArray) -> tuple[FloatArray, float]:
-    """Return the solution of a system and its residual. Not collective."""
+def _solve_alone(
+    matrix: FloatArray, loads: FloatArray, zones: Sequence[int]
+) -> tuple[FloatArray, float]:
+    """Return the solution of a system and its residual. Not collective.
+
+    Zones are coupled to their neighbours alone. They are eliminated one after another, from the one
+    at the fixed face on: what it does at given displacements of the interface above is known.
+
+    Parameters
+    ----------
+    zones : numbers of the first rows of zones.
+    """
+    parts = [slice(*ends) for ends in itertools.pairwise([*zones, len(matrix)])]
+    block, right = matrix[parts[-1], parts[-1]].copy(), loads[parts[-1]]
+    given = []  # of each zone, from the last on: at no displacement above, per displacement there
+    for above, own in zip(parts[-2::-1], parts[:0:-1], strict=True):
+        displaced = matrix[own, above]
+        columns = np.flatnonzero(displaced.any(axis=0))
+        found = _solve_block(block, np.hstack([right, displaced[:, columns]]))
+        alone, per_displacement = np.hsplit(found, [right.shape[1]])
+        given.append((alone, per_displacement, columns))
+        block, right = matrix[above, above].copy(), loads[above]
+        pulled = matrix[above, own]
+        tractions = np.flatnonzero(pulled.any(axis=0))
+        pulled = pulled[:, tractions]
+        block[:, columns] -= pulled @ per_displacement[tractions]
+        right = right - pulled @ alone[tractions]
+    x = [_solve_block(block, right)]
+    for alone, per_displacement, columns in reversed(given):
+        x.append(alone - per_displacement @ x[-1][columns])
+    solution = np.concatenate(x)
+    return solution, _residual(matrix, loads, solution.sum(axis=1))
+
+
+def _solve_block(matrix: FloatArray, rights: FloatArray) -> FloatArray:
+    """Return the solution of a dense system whose matrix may be written to; NaN if it failed."""
     # row by row, the matrix is the transpose of what LAPACK reads column by column
-    factor, pivots, failed = dgetrf(matrix.copy().T, overwrite_a=True)
+    factor, pivots, failed = dgetrf(matrix.T, overwrite_a=True)
     if not failed:
-        x, failed = dgetrs(factor, pivots, loads, trans=1)
-    if failed:
-        return np.full_like(loads, np.nan), np.inf
-    return x, _residual(matrix, loads, x.sum(axis=1))
+        x, failed = dgetrs(factor, pivots, rights, trans=1)
+    return np.full_like(rights, np.nan) if failed else x
 
 
 def _gather(

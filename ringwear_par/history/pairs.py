@@ -38,7 +38,10 @@ def assemble(case: Case, comm: MPI.Comm | None = None, *, use_kept: bool = True)
     comm = MPI.COMM_WORLD if comm is None else comm
     key = operator_key(case)
     # two unknowns at each of two nodes an element, and one node more from axis to axis
-    unknowns = 2 + 4 * max(count_elements(s, case.contact, case.mesh) for s in case.sections)
+    unknowns = max(
+        2 * (1 + len(s.layers)) + 4 * count_elements(s, case.contact, case.mesh)
+        for s in case.sections
+    )
     use_kept = use_kept and solved_whole(unknowns, comm.size)
     if use_kept and (stacked := kept.read(key, case.line.n, comm)) is not None:
         return from_stacked(case, stacked)
