@@ -80,6 +80,7 @@ class Chart:
     data, layout : as plotly has them, plain numbers and texts; those of users are ``shown``.
     height : pixels.
     frames : values of y by instant of the last of ``data``, where there is a slider.
+    wide : whether it has no other one beside it.
     """
 
     name: str
@@ -89,6 +90,7 @@ class Chart:
     layout: dict[str, Any]
     height: int = 320
     frames: Sequence[Sequence[float | None]] = ()
+    wide: bool = False
     kind = "chart"
 
     @property
@@ -105,11 +107,13 @@ class Charts:
     ----------
     instants : what a slider above them goes through, in words; () for none.
     first : where it stands at the beginning.
+    points : what points are, as plotly draws texts: their ``customdata`` are numbers of these.
     """
 
     charts: Sequence[Chart]
     instants: Sequence[str] = ()
     first: int = 0
+    points: Sequence[str] = ()
     kind = "charts"
 
 

@@ -61,6 +61,35 @@ def line(x: Any, y: Any, name: str, number: int, **more: Any) -> dict[str, Any]:
     return {"x": numbers(x), "y": numbers(y), "name": name, "mode": "lines", "line": style, **more}
 
 
+def shade(number: int, opacity: float) -> str:
+    """Return a colour of ``COLOURS`` that one sees through."""
+    red, green, blue = (int(COLOURS[number][i : i + 2], 16) for i in (1, 3, 5))
+    return f"rgba({red}, {green}, {blue}, {opacity})"
+
+
+def band(
+    x: Any, low: Any, high: Any, name: str, ends: tuple[str, str], number: int, opacity: float,
+    width: float = 0.0, dash: str = "solid",
+) -> list[dict[str, Any]]:  # fmt: skip
+    """Return a ribbon between two curves, each part between gaps (NaN) by itself, and its ends."""
+    xs: list[float | None] = []
+    ys: list[float | None] = []
+    for part in np.ma.clump_unmasked(np.ma.masked_invalid(low + high + x)):
+        xs += [*numbers(x[part]), *numbers(x[part][::-1]), None]
+        ys += [*numbers(low[part]), *numbers(high[part][::-1]), None]
+    ribbon = {
+        "x": xs[:-1], "y": ys[:-1], "name": name, "mode": "lines", "line": {"width": 0},
+        "fill": "toself", "fillcolor": shade(number, opacity), "hoverinfo": "skip",
+        "meta": "aside",
+    }  # fmt: skip
+    style = {"color": COLOURS[number], "width": width, "dash": dash}
+    drawn = [
+        {**line(x, end, word, number, line=style), "showlegend": False}
+        for end, word in ((low, ends[0]), (high, ends[1]))
+    ]
+    return [ribbon, *drawn]
+
+
 def histories(result: Result) -> Charts:
     """Return a chart of each quantity over time that the result tells."""
     time = result.histories["time"]

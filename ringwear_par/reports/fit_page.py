@@ -33,6 +33,8 @@ from ringwear_par.textfiles import read_text as read_file
 _TOLD = {"mm": ("\N{MICRO SIGN}m", 1e3), "g": ("mg", 1e3), "N mm": ("N m", 1e-3)}
 #: of the median distance between radii: where they are further apart nothing was read
 _GAP = 3.0
+#: readings whose noise has a bar each
+_FEW = 60
 _DASH = "\N{EN DASH}"
 
 
@@ -82,7 +84,7 @@ def _fitted(folder: Path, told: Mapping[str, Any]) -> list[Section]:
     sections = [Section("Summary", _summary(told))]
     level = float(told["level"])
     drawn, single, text = _series(folder / folders.READINGS, level)
-    blocks: list[Block] = [Charts(drawn)] if drawn else []
+    blocks: list[Block] = [Lines(_bands(level)), Charts(drawn)] if drawn else []
     if single:
         header = ("experiment", "series", "data", "model", "unit", "(data - model) / sd")
         caption = f"Series of one reading, with what {100 * level:g} % of them keep within"
@@ -213,6 +215,16 @@ def _series(path: Path, level: float) -> tuple[list[Chart], list[list[str]], str
         return drawn, single, read_text(file.attrs["fit"])
 
 
+def _bands(level: float) -> list[str]:
+    percent = f"{100 * level:g} %"
+    return [
+        f"Inner band: the model, {percent} confidence, from the covariance of the fitted keys and "
+        "nuisances, linear about the estimates; keys that are not identified are taken as known",
+        f"Outer band: {percent} of readings, noise included; bars, where there are few readings: "
+        "one standard deviation of the noise",
+    ]
+
+
 def _groups(file: h5py.File) -> Iterator[h5py.Group]:
     names = [name for name in file if name.partition("_")[0].isdigit()]
     for name in sorted(names, key=lambda name: int(name.partition("_")[0])):
@@ -229,22 +241,32 @@ def _charts(
     usual = float(np.median(steps[steps > 0])) if (steps > 0).any() else np.inf
     ends = np.flatnonzero(profile & (steps > _GAP * usual)) + 1
     model = factor * columns["model"][order]
+    own_band = factor * quantile * columns["band"][order]
     spread = factor * quantile * np.hypot(columns["band"], columns["sd"])[order]
 
     def broken(values: Any) -> Any:
         return np.insert(values.astype(float), ends, np.nan)
 
     dots: dict[str, Any] = {"mode": "markers", "marker": {"size": 4, "color": "#8c8c8c"}}
-    told = f"{100 * (2 * norm.cdf(quantile) - 1):g} % of readings"
-    data = [
-        {"x": charts.numbers(x), "y": charts.numbers(factor * columns["data"]), "name": "data",
-         **dots},
-        charts.line(broken(own), broken(model), "model", 1, line={"color": COLOURS[1]}),
-    ]  # fmt: skip
-    for sign in (1.0, -1.0):
-        style = {"color": COLOURS[0], "dash": "dot", "width": 1}
-        band = charts.line(broken(own), broken(model + sign * spread), told, 0, line=style)
-        data.append({**band, "legendgroup": "band", "showlegend": sign > 0})
+    level = f"{100 * (2 * norm.cdf(quantile) - 1):g} %"
+    noise = charts.numbers(factor * columns["sd"])
+    bars = {"type": "data", "array": noise, "visible": True, "thickness": 1, "width": 0}
+    readings = {
+        "x": charts.numbers(x), "y": charts.numbers(factor * columns["data"]), "name": "data",
+        "text": [f"\u00b1 {sd:.3g}" for sd in noise if sd is not None], **dots,
+        "hovertemplate": "%{x:.5g}: %{y:.5g} %{text} (noise)<extra></extra>",
+    }  # fmt: skip
+    if len(x) <= _FEW:
+        readings["error_y"] = {**bars, "color": dots["marker"]["color"]}
+    data = []
+    for what, reach, style in (
+        ("readings", spread, (0, 0.1, 1.0, "dot")), ("the model", own_band, (1, 0.35, 0.5)),
+    ):  # fmt: skip
+        low, high = (broken(model + sign * reach) for sign in (-1.0, 1.0))
+        told = f"{level} of {what}"
+        data += charts.band(broken(own), low, high, told, (f"{told}, from", f"{told}, to"), *style)
+    line = charts.line(broken(own), broken(model), "model", 1, line={"color": COLOURS[1]})
+    data += [readings, line]
     below = charts.axis("radius (mm)" if profile else "time (s)")
     series, unit = label
     upwards = {"autorange": "reversed"} if profile else {}

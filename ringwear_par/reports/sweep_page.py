@@ -1,20 +1,18 @@
 """The page of a sweep."""
 
-import io
 from collections import Counter
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from matplotlib.figure import Figure
 
 from ringwear_par.cases.schema import BY_PATH, unit_of
 from ringwear_par.errors import InputError, legible
+from ringwear_par.reports import sweep_charts
 from ringwear_par.reports.blocks import (
     Block,
     Lines,
     Page,
-    Picture,
     Section,
     Source,
     Table,
@@ -23,7 +21,7 @@ from ringwear_par.reports.blocks import (
 from ringwear_par.results.drawing import in_words
 from ringwear_par.results.variables import HISTORIES
 from ringwear_par.studies.ensemble import Ensemble, read_ensemble
-from ringwear_par.studies.figures import draw_sweep
+from ringwear_par.studies.figures import Choice, choose
 from ringwear_par.studies.index_bars import IndexBars, index_bars
 from ringwear_par.studies.results_file import FINAL, told_flags
 from ringwear_par.studies.sensitivity import SENSITIVE, done_cases
@@ -52,12 +50,13 @@ def sweep_page(folder: Path) -> Page:
         except InputError as error:
             regressions, why = None, f"No surrogate: {error}"
         bars = index_bars(ensemble, regressions)
-        blocks: list[Block] = [_picture(draw_sweep(ensemble, regressions, bars))]
-        blocks += [Lines([why])] if why else []
-        sections.append(Section("Histories and final values", blocks))
-        indices = [_indices(each) for each in bars]
+        chosen = choose(ensemble, regressions, bars)
+        sections.append(Section("Histories", [sweep_charts.histories(ensemble, chosen)]))
+        sections.append(Section("Final values", _effects(ensemble, chosen, why)))
         told = "No indices: they need two varied numbers, and a design of enough cases."
-        sections.append(Section("Sensitivity", indices or [Lines([told])]))
+        drawn = sweep_charts.indices(bars)
+        blocks: list[Block] = [Lines([told])] if drawn is None else [drawn]
+        sections.append(Section("Sensitivity", [*blocks, *map(_indices, bars)]))
     sections.append(Section("Cases", [_cases(ensemble)]))
     sections.append(_reproduced(ensemble))
     return Page("Sweep of a study", f"Sweep: {legible(folder.resolve().name)}", sections)
@@ -113,14 +112,19 @@ def _number(value: float) -> str:
     return f"{value:.{_DIGITS}g}" if np.isfinite(value) else ""
 
 
-def _picture(figure: Figure) -> Picture:
-    content = io.BytesIO()
-    figure.savefig(content, format="svg", metadata={"Date": None})
-    alt = (
-        "Histories of the penetration, sensitivity indices, final values against each varied key "
-        "and what the surrogate of the cases tells; the numbers are in the tables of this page"
-    )
-    return Picture("The sweep in pictures", content.getvalue(), "image/svg+xml", alt)
+def _effects(ensemble: Ensemble, chosen: Choice, why: str) -> list[Block]:
+    drawn = sweep_charts.effects(ensemble, chosen)
+    told = [f"{chosen.told}: a point each case, named where the pointer is."]
+    if len(drawn.points) < len(chosen.cases):
+        told.append(
+            f"{len(drawn.points)} of {len(chosen.cases)} cases are drawn, chosen at random; "
+            "medians and the surrogate are of all."
+        )
+    if chosen.responses is not None:
+        told.append("; ".join(chosen.responses.said))
+    elif why:
+        told.append(why)
+    return [Lines(told), drawn]
 
 
 def _indices(bars: IndexBars) -> Table:

@@ -103,7 +103,7 @@ def key_of(name: str, column: Any) -> Key:
     words = list(dict.fromkeys(column))
     codes = {word: float(i) for i, word in enumerate(words)}
     values = np.array([codes[word] for word in column])
-    return Key(name, values, tuple(map(plain, _categories(words))))
+    return Key(name, values, tuple(_categories(words)))
 
 
 def _categories(words: Sequence[str]) -> list[str]:
@@ -215,7 +215,7 @@ def _draw_curves(axes: Any, plan: Plan, values: FloatArray) -> None:
         axes.plot(
             x[curve], values[curve], color=COLOURS[number % len(COLOURS)],
             linestyle=DASHES[number // len(COLOURS)], marker=_MARKERS[number], markersize=4.0,
-            linewidth=1.0, label=plan.labels[number] if plan.labels else None,
+            linewidth=1.0, label=plain(plan.labels[number]) if plan.labels else None,
         )  # fmt: skip
     if plan.points is not None and len(plan.points):
         axes.plot(
@@ -261,15 +261,22 @@ def _draw_scatter(axes: Any, key: Key, x: FloatArray, y: FloatArray) -> None:
         style = {"linestyle": "none", "marker": "_", "markersize": 14.0, "markeredgewidth": 1.6}
         axes.plot(levels, middle, color=COLOURS[1], label="median", **style)
     elif many:
-        parts = np.array_split(np.argsort(x, kind="stable"), min(20, len(x) // 50))
-        middle = np.array([[np.median(x[part]), np.median(y[part])] for part in parts])
-        axes.plot(*middle.T, color=COLOURS[1], label="running median")
+        axes.plot(*running_median(x, y), color=COLOURS[1], label="running median")
+
+
+def running_median(x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return medians of x and y of parts of many points, along x."""
+    parts = np.array_split(np.argsort(x, kind="stable"), min(20, len(x) // 50))
+    return (
+        np.array([np.median(x[part]) for part in parts]),
+        np.array([np.median(y[part]) for part in parts]),
+    )
 
 
 def _set_categories(axes: Any, categories: Sequence[str]) -> None:
     every = -(-len(categories) // 12)
     places = range(0, len(categories), every)
-    words = [categories[i] for i in places]
+    words = [plain(categories[i]) for i in places]
     axes.set_xticks(list(places), words)
     axes.set_xlim(-0.6, len(categories) - 0.4)
     if sum(len(word) + 2 for word in words) > 34:

@@ -1,28 +1,77 @@
 """Histories of a sweep over time: one line a case, or a fan of quantiles where there are many."""
 
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from ringwear_par.arrays import FloatArray, IntArray
-from ringwear_par.results.drawing import COLOURS, DASHES, set_legend, time_unit
+from ringwear_par.results.drawing import COLOURS, DASHES, plain, set_legend, time_unit
 from ringwear_par.studies.axes import GREY, LOG_VALUE, OUTPUTS, spans
 from ringwear_par.studies.effects import Key, values_told
 from ringwear_par.studies.ensemble import Ensemble
 from ringwear_par.studies.sensitivity import chosen_cases
 
+#: so few cases are drawn one by one
+FEW = 12
 _MOST_HISTORIES, _TIMES, _SINGLES = 2000, 200, 8
 _BLOCK_BYTES = 16e6
 
 
+@dataclass(frozen=True)
+class Fan:
+    """Penetrations of many cases at common times.
+
+    Parameters
+    ----------
+    cases : their numbers; of very many, some that were chosen at random.
+    chosen : in words whether they were, and what the quantiles are of; "" if there is nothing to
+        tell.
+    time : (times,), s.
+    table : (cases, times), um; NaN where a case has ended.
+    quantiles : (5, times), um: 5, 25, 50, 75 and 95 %; NaN where less than half of the cases last
+        so long, for they would jump about.
+    """
+
+    cases: IntArray
+    chosen: tuple[str, ...]
+    time: FloatArray
+    table: FloatArray
+    quantiles: FloatArray
+
+    def singles(self, most: int) -> IntArray:
+        """Return rows of the table from the least to the deepest, evenly in their order."""
+        by_depth = np.argsort(np.nanmax(self.table, axis=1))
+        return by_depth[np.unique(np.linspace(0, len(by_depth) - 1, most).astype(int))]
+
+
+def fan_of(ensemble: Ensemble, drawn: IntArray) -> Fan:
+    """Return the penetrations of cases at common times. Not collective."""
+    cases = chosen_cases(drawn, _MOST_HISTORIES)
+    time, table, even = _fan_table(ensemble, cases)
+    quantiles = np.nanquantile(table, [0.05, 0.25, 0.5, 0.75, 0.95], axis=0)
+    quantiles[:, np.isfinite(table).sum(axis=0) < 0.5 * len(table)] = np.nan
+    told = []
+    if len(cases) < len(drawn):
+        told.append(f"{len(cases)} of {len(drawn)} cases, chosen at random")
+    if not even:
+        told.append("quantiles of cases that last so long,\nas long as half of them do")
+    return Fan(cases, tuple(told), time, table, quantiles)
+
+
+def labels_of(ensemble: Ensemble, drawn: IntArray, keys: Sequence[Key]) -> tuple[list[str], str]:
+    """Return what tells cases apart, and what it is."""
+    differ = [key for key in keys if key.differs]
+    if len(differ) > 3:
+        return [ensemble.ids[case] for case in drawn], "case"
+    labels = [", ".join(words) for words in zip(*map(values_told, differ), strict=True)]
+    return labels, ",\n".join(key.label for key in differ)
+
+
 def draw_histories(axes: Any, ensemble: Ensemble, drawn: IntArray, keys: Sequence[Key]) -> None:
     """Draw one line a case."""
-    differ = [key for key in keys if key.differs]
-    labels = [", ".join(words) for words in zip(*map(values_told, differ), strict=True)]
-    title = ",\n".join(key.label for key in differ)
-    if len(differ) > 3:
-        labels, title = [ensemble.ids[case] for case in drawn], "case"
+    labels, title = labels_of(ensemble, drawn, keys)
     time, depth = (ensemble.histories(name, drawn) for name in ("time", "penetration"))
     unit, seconds = time_unit(float(np.nanmax(time)))
     for number, count in enumerate(ensemble.steps_stored[drawn]):
@@ -30,7 +79,7 @@ def draw_histories(axes: Any, ensemble: Ensemble, drawn: IntArray, keys: Sequenc
             time[number, :count] / seconds, 1e3 * depth[number, :count],
             color=COLOURS[number % len(COLOURS)],
             linestyle=DASHES[number // len(COLOURS) % len(DASHES)],
-            label=labels[number] if labels else None,
+            label=plain(labels[number]) if labels else None,
         )  # fmt: skip
     _finish_fan(axes, unit)
     if labels:
@@ -42,20 +91,16 @@ def draw_histories(axes: Any, ensemble: Ensemble, drawn: IntArray, keys: Sequenc
 
 def draw_fan(axes: Any, ensemble: Ensemble, drawn: IntArray, columns: int) -> None:
     """Draw quantile bands, the median and a few cases."""
-    cases = chosen_cases(drawn, _MOST_HISTORIES)
-    grid, table, even = _fan_table(ensemble, cases)
-    unit, seconds = time_unit(float(grid[-1]))
-    grid = grid / seconds
-    low, lower, median, upper, high = np.nanquantile(table, [0.05, 0.25, 0.5, 0.75, 0.95], axis=0)
-    few = np.isfinite(table).sum(axis=0) < 0.5 * len(table)  # their quantiles would jump about
-    for quantile in (low, lower, median, upper, high):
-        quantile[few] = np.nan
+    fan = fan_of(ensemble, drawn)
+    unit, seconds = time_unit(float(fan.time[-1]))
+    grid = fan.time / seconds
+    low, lower, median, upper, high = fan.quantiles
     colour = COLOURS[0]
-    by_depth = table[np.argsort(np.nanmax(table, axis=1))]  # the least and the deepest included
-    for number, row in enumerate(by_depth[np.linspace(0, len(table) - 1, _SINGLES).astype(int)]):
+    singles = fan.singles(_SINGLES)
+    for number, row in enumerate(singles):
         axes.plot(
-            grid, row, color=GREY, linewidth=0.5, alpha=0.7, zorder=1.5,
-            label=None if number else f"{_SINGLES} of the cases",
+            grid, fan.table[row], color=GREY, linewidth=0.5, alpha=0.7, zorder=1.5,
+            label=None if number else f"{len(singles)} of the cases",
         )  # fmt: skip
     axes.fill_between(
         grid, low, high, color=colour, alpha=0.16, linewidth=0.0, label="5\N{EN DASH}95 %"
@@ -64,17 +109,12 @@ def draw_fan(axes: Any, ensemble: Ensemble, drawn: IntArray, columns: int) -> No
         grid, lower, upper, color=colour, alpha=0.3, linewidth=0.0, label="25\N{EN DASH}75 %"
     )
     axes.plot(grid, median, color=colour, label="median")
-    titles = []
-    if len(cases) < len(drawn):
-        titles.append(f"{len(cases)} of {len(drawn)} cases, chosen at random")
-    if not even:
-        titles.append("quantiles of cases that last so long,\nas long as half of them do")
     _finish_fan(axes, unit)
-    ends = 1e3 * ensemble.final["penetration"][cases]
+    ends = 1e3 * ensemble.final["penetration"][fan.cases]
     if spans(ends, LOG_VALUE):
         axes.set_yscale("log")
         axes.set_ylim(0.1 * ends.min(), 1.5 * ends.max())
-    set_legend(axes, columns, ",\n".join(titles))
+    set_legend(axes, columns, ",\n".join(fan.chosen))
 
 
 def _finish_fan(axes: Any, unit: str) -> None:

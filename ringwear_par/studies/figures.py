@@ -8,6 +8,7 @@ Sobol sequence or of a grid is no sample of it.
 
 import logging
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +21,7 @@ from ringwear_par.errors import InputError
 from ringwear_par.results.drawing import STYLE, check_format, save_figure
 from ringwear_par.studies.effects import Key, Plan, draw_effects, key_of, plan_of
 from ringwear_par.studies.ensemble import Ensemble, read_ensemble
-from ringwear_par.studies.fan import draw_fan, draw_histories
+from ringwear_par.studies.fan import FEW, draw_fan, draw_histories
 from ringwear_par.studies.index_bars import IndexBars, index_bars, most_important
 from ringwear_par.studies.predictions import Surrogate
 from ringwear_par.studies.sensitivity import done_cases
@@ -29,8 +30,6 @@ from ringwear_par.studies.surrogate_figures import Responses
 
 log = logging.getLogger(__name__)
 
-#: cases drawn one by one
-_FEW = 12
 #: keys that are drawn: with more of them the figure is of no use
 _MOST_KEYS = 8
 _COLUMNS, _PANEL, _WIDTH = 4, (2.3, 2.1), 7.2
@@ -73,16 +72,29 @@ def draw_sweep_and_surrogate(ensemble: Ensemble) -> Figure:
     return draw_sweep(ensemble, regressions)
 
 
-def draw_sweep(
-    ensemble: Ensemble,
-    regressions: Surrogate | None = None,
-    bars: Sequence[IndexBars] | None = None,
-) -> Figure:
-    """Return the figure of a sweep's results, with that of their surrogate. Not collective.
+@dataclass(frozen=True)
+class Choice:
+    """What is drawn of a sweep.
 
     Parameters
     ----------
-    bars : sensitivity indices of both, where they are there already.
+    cases : numbers of those that are done.
+    outputs : names of final values.
+    keys, plans : the varied keys of the largest indices, and how outputs are drawn against each.
+    responses : what the surrogate tells of them; None: nothing, or there is none.
+    told : how many cases and keys, in words.
+    """
+
+    cases: IntArray
+    outputs: list[str]
+    keys: list[Key]
+    plans: list[Plan]
+    responses: Responses | None
+    told: str
+
+
+def choose(ensemble: Ensemble, regressions: Surrogate | None, bars: Sequence[IndexBars]) -> Choice:
+    """Choose what is drawn of a sweep. Not collective.
 
     Raises
     ------
@@ -93,14 +105,32 @@ def draw_sweep(
     upper = ensemble.final["worn_volume_upper"][drawn]
     if np.any(upper[np.isfinite(upper)] != 0.0):
         outputs.append("worn_volume_upper")
-    bars = index_bars(ensemble, regressions) if bars is None else bars
     varied = [key_of(name, values[drawn]) for name, values in ensemble.varied.items()]
     varied = [key for key in varied if key.differs] or varied
     names = most_important([key.name for key in varied], bars, _MOST_KEYS)
     keys = [key for key in varied if key.name in names]
-    below = None if regressions is None else Responses.of(regressions, outputs, names)
+    responses = None if regressions is None else Responses.of(regressions, outputs, names)
     method = str(ensemble.attributes.get("method"))
     plans = [plan_of(key, [other for other in varied if other is not key], method) for key in keys]
+    told = _counts(ensemble)
+    if len(keys) < len(varied):
+        why = "of the largest indices" if bars else "the first"
+        told += f"; {len(keys)} of {len(varied)} keys, {why}"
+    return Choice(drawn, outputs, keys, plans, responses, told)
+
+
+def draw_sweep(ensemble: Ensemble, regressions: Surrogate | None = None) -> Figure:
+    """Return the figure of a sweep's results, with that of their surrogate. Not collective.
+
+    Raises
+    ------
+    InputError : no case is done.
+    """
+    _drawn(ensemble)
+    bars = index_bars(ensemble, regressions)
+    chosen = choose(ensemble, regressions, bars)
+    drawn, outputs, keys = chosen.cases, chosen.outputs, chosen.keys
+    plans, below = chosen.plans, chosen.responses
     if below is not None:  # which has the cases, too
         plans = [plan for plan in plans if plan.kind != "scatter" or not below.shows(plan.key.name)]
     blocks = _blocks(plans)
@@ -118,11 +148,7 @@ def draw_sweep(
             columns = max(columns, below.columns)
         width = max(_WIDTH, _PANEL[0] * columns)
         figure = Figure(figsize=(width, sum(heights) + 0.3), layout="constrained")
-        told = _counts(ensemble)
-        if len(keys) < len(varied):
-            why = "of the largest indices" if bars else "the first"
-            told += f"; {len(keys)} of {len(varied)} keys, {why}"
-        figure.suptitle(told, fontsize=9.0)
+        figure.suptitle(chosen.told, fontsize=9.0)
         parts: Any = figure.subfigures(len(heights), 1, height_ratios=heights, squeeze=False)[:, 0]
         _draw_top(parts[0], ensemble, drawn, keys, bars)
         for part, block, shape in zip(parts[1 : 1 + len(blocks)], blocks, shapes, strict=True):
@@ -169,7 +195,7 @@ def _draw_top(
     panels = np.atleast_1d(
         part.subplots(1, 1 + len(bars), width_ratios=[1.3, *(1.0 for _ in bars)])
     )
-    if len(drawn) > _FEW:
+    if len(drawn) > FEW:
         draw_fan(panels[0], ensemble, drawn, 2 if bars else 4)
     else:
         draw_histories(panels[0], ensemble, drawn, keys)

@@ -57,6 +57,11 @@ class Responses:
         return len(self.surrogate.parts) == 1 and key in self._part.keys
 
     @property
+    def over(self) -> dict[str, int]:
+        """The keys over which it draws, with their numbers."""
+        return {self._part.keys[i]: i for i in self.keys}
+
+    @property
     def columns(self) -> int:
         """Number of panels beside each other."""
         return max(map(len, self._blocks))
@@ -79,12 +84,13 @@ class Responses:
 
     def draw(self, parts: Sequence[Any]) -> None:
         """Draw into parts of a figure, one a row."""
-        parts[0].suptitle(self._said, fontsize=8.0)
+        parts[0].suptitle("\n".join(map(plain, self.said)), fontsize=8.0)
         for number, (part, block) in enumerate(zip(parts, self._blocks, strict=True)):
             self._draw_curves(part, block, legend=not number)
 
     @property
-    def _said(self) -> str:
+    def said(self) -> tuple[str, str]:
+        """What the surrogate is of, and how good it is."""
         part = self._part
         said = f"surrogate of {len(part.points)} cases"
         if part.texts:
@@ -95,8 +101,8 @@ class Responses:
             f"{told_share(part.responses[name].relative_error)}"
             for name in self.names
         )
-        said = plain(f"{said}; keys vary evenly over their ranges")
-        return f"{said}\nleave-out errors, of the spread: {errors}"
+        said += "; keys vary evenly over their ranges"
+        return said, f"leave-out errors, of the spread: {errors}"
 
     def _draw_curves(self, figure: Any, keys: Sequence[int], *, legend: bool) -> None:
         """Draw one row an output and one column a key."""
@@ -107,8 +113,7 @@ class Responses:
         )
         for row, name in enumerate(self.names):
             factor, label = OUTPUTS[name]
-            response = part.responses[name]
-            values = factor * response.values[:, 0]
+            values = factor * part.responses[name].values[:, 0]
             logarithmic = spans(values, LOG_VALUE)
             for axes, key in zip(panels[row], keys, strict=True):
                 x = part.values_at(key, part.points[:, key])
@@ -119,11 +124,9 @@ class Responses:
                     markersize=3.0 if many else 5.0, markeredgewidth=0.0, label="cases",
                     rasterized=many, zorder=1.5,
                 )  # fmt: skip
-                places = np.linspace(0.0, 1.0, _PLACES)
-                along, mean = part.values_at(key, places), self._means(name, key, places)
-                low, high = (factor * response.shifted(mean, by) for by in (-2.0, 2.0))
+                along, mean, low, high = self.curve(name, key)
                 axes.fill_between(
-                    along, low, high, color=COLOURS[1], alpha=0.6, linewidth=0.9,
+                    along, factor * low, factor * high, color=COLOURS[1], alpha=0.6, linewidth=0.9,
                     label="\N{PLUS-MINUS SIGN} 2 leave-out errors",
                 )  # fmt: skip
                 axes.plot(along, factor * mean, color=COLOURS[0], linewidth=0.6, label=mean_of)
@@ -143,6 +146,13 @@ class Responses:
         if legend:
             set_legend(panels[0, 0], 1, "")
         figure.align_ylabels(panels[:, 0])
+
+    def curve(self, name: str, key: int) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+        """Return places along a key, the mean there, and it less and plus 2 leave-out errors."""
+        part, places = self._part, np.linspace(0.0, 1.0, _PLACES)
+        mean, response = self._means(name, key, places), part.responses[name]
+        low, high = (response.shifted(mean, by) for by in (-2.0, 2.0))
+        return part.values_at(key, places), mean, low, high
 
     def _means(self, name: str, key: int, places: FloatArray) -> FloatArray:
         """Return the response at places of a key, the mean over the ranges of the others."""

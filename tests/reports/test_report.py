@@ -1,5 +1,6 @@
 """Pages of a run, a sweep and a fit: what they say, that they fetch nothing, and in a browser."""
 
+import html
 import html.parser
 import itertools
 import json
@@ -8,6 +9,7 @@ import shutil
 import subprocess
 import sys
 
+import h5py
 import numpy as np
 import plotly.graph_objects
 import pytest
@@ -188,6 +190,51 @@ def test_a_sweep_is_told_with_its_failures(folder, pages):
     assert {row[3] for row in rows.values()} == {"clamped", "platen"}
 
 
+def points(page):
+    """What the points of a page's charts are, in words."""
+    (told,) = (text for text in page.scripts if text.startswith("["))
+    return [html.unescape(text).split("<br>") for text in json.loads(told)]
+
+
+def test_charts_of_a_sweep_name_cases_and_their_values(folder, pages):
+    charts, told = pages["sweep"].charts, points(pages["sweep"])
+    with rw.open_ensemble(folder / "sweep") as ensemble:
+        done = ensemble.isel(case=np.flatnonzero(ensemble["status"] == "done")).load()
+    assert [words[0] for words in told] == [f"case {name}" for name in done["case"].values]
+    chart = charts["effect-penetration-wear-lower-k"]
+    at = np.concatenate([curve.get("customdata", []) for curve in chart["data"]]).astype(int)
+    assert sorted(at) == list(range(20))
+    for name, values in (("y", 1e3 * done["final_penetration"]), ("x", done["wear.lower.k"])):
+        drawn = [v for curve in chart["data"] if "customdata" in curve for v in curve[name]]
+        assert np.allclose(drawn, values.values[at], rtol=1e-6)
+    for words, k, grip in zip(
+        told, done["wear.lower.k"].values, done["upper.grip"].values, strict=True
+    ):
+        assert np.isclose(float(words[1].rpartition(" = ")[2]), k, rtol=1e-2)
+        assert words[3] == f"upper.grip = {grip}"
+    fan = {curve["name"]: curve for curve in charts["histories"]["data"]}
+    last = 1e3 * done["final_penetration"].values
+    assert np.isclose(fan["median"]["y"][-1], np.median(last))
+    assert np.isclose(fan["95 %"]["y"][-1], np.quantile(last, 0.95))
+
+
+def test_few_cases_have_a_line_each_and_many_a_few(folder, tmp_path, monkeypatch):
+    monkeypatch.setattr("ringwear_par.reports.sweep_charts._LINES", 3)
+    monkeypatch.setattr("ringwear_par.reports.sweep_charts._POINTS", 7)
+    rw.report(folder / "sweep", tmp_path / "page.html")
+    page = Read((tmp_path / "page.html").read_text())
+    assert "quantiles of 20 cases, and 3 of the cases" in page.text
+    assert "7 of 20 cases are drawn" in page.text
+    assert len(points(page)) == 7
+    names = [curve["name"] for curve in page.charts["histories"]["data"]]
+    assert names.count("3 of the cases") == 3
+    monkeypatch.setattr("ringwear_par.reports.sweep_charts.FEW", 20)
+    rw.report(folder / "sweep", tmp_path / "page.html")
+    drawn = Read((tmp_path / "page.html").read_text()).charts["histories"]["data"]
+    assert len(drawn) == 20
+    assert len({curve["text"] for curve in drawn}) == 20
+
+
 def test_a_fit_is_told_as_its_file_has_it(folder, pages):
     page, told = pages["fit"], json.loads((folder / "fit/fit.json").read_text())
     estimates = next(t for t in page.tables if t[0][:2] == ["key", "estimate"])
@@ -200,6 +247,22 @@ def test_a_fit_is_told_as_its_file_has_it(folder, pages):
     assert laws["this law"][0] == "+0.0"
     assert laws["archard"][-1] == "does not fit"
     assert len(page.charts) == 8  # two tests, penetration and profile, with residuals
+    with h5py.File(folder / "fit/results.h5") as file:
+        stored = {name: file[next(n for n in file if n.startswith("1_"))][name][()]
+                  for name in ("time", "data", "model", "band", "sd")}  # fmt: skip
+    curves = {curve["name"]: curve for curve in page.charts["series-1"]["data"]}
+    order = np.argsort(stored["time"], kind="stable")
+    for name, sign, sd in (
+        ("model", 0.0, 0.0), ("95 % of the model, from", -1.0, stored["band"]),
+        ("95 % of readings, from", -1.0, np.hypot(stored["band"], stored["sd"])),
+    ):  # fmt: skip
+        end = 1e3 * (stored["model"] + sign * 1.959964 * sd)[order]
+        assert np.allclose(curves[name]["y"], end, rtol=1e-5), name
+    ribbon = np.array(curves["95 % of the model"]["y"])
+    low = np.array(curves["95 % of the model, from"]["y"])
+    assert np.array_equal(ribbon[: len(low)], low)
+    assert len(ribbon) == 2 * len(low)
+    assert "from the covariance of the fitted keys" in page.text
     assert any(row[1].startswith("mass.lower") for table in page.tables for row in table)
 
 
@@ -359,19 +422,35 @@ def test_the_command(ranks, folder, tmp_path):
 PROBE = """
 <script>
 "use strict";
-window.addEventListener("load", () => {
+window.addEventListener("load", async () => {
   const told = {}, all = (s) => [...document.querySelectorAll(s)];
   const reached = (e) => { e.focus(); return document.activeElement === e; };
   told.width = document.documentElement.scrollWidth;
-  told.plots = all(".plot").map((p) => p.querySelectorAll(".xy .scatterlayer .trace").length);
+  told.plots = all(".plot").map((p) => p.querySelectorAll(".xy .trace").length);
   told.buttons = [...new Set(all(".modebar-btn").map((b) => b.dataset.title))];
   told.pictures = all("main img").map((i) => i.complete && i.naturalWidth > 0);
-  told.focused = all("nav a, input, button, main pre, summary").map(reached);
+  // what a chart shows and does by hand: its numbers, and buttons instead of the mouse
+  all("details").forEach((e) => { e.open = true; });
+  told.focused = all("nav a, input, button, main pre, summary, .numbers").map(reached);
+  const plot = document.querySelector(".plot"), ranges = () => ["xaxis", "yaxis"]
+    .map((name) => [...plot._fullLayout[name].range]);
+  const press = (name) => [...plot.parentElement.querySelectorAll(".by-hand button")]
+    .find((button) => button.textContent === name).click();
+  told.ranges = [ranges(), ...["zoom in", "right", "up", "whole chart"].map((name) => {
+    press(name);
+    return ranges();
+  })];
+  told.points = all(".plot").flatMap((p) => p.data.filter((c) => c.customdata).map((c) => c.text));
+  const texts = (row) => [...row.cells].map((cell) => cell.textContent);
+  await new Promise((done) => { setTimeout(done, 100); });
+  told.numbers = all(".numbers").map((e) => [...e.querySelectorAll("tr")].map(texts));
   const input = document.querySelector(".slider input");
   if (input) {
     input.value = 0;
     input.dispatchEvent(new Event("input"));
     const chosen = document.querySelector(".plot").data.at(-1).y;
+    told.slid_numbers = [...document.querySelectorAll(".numbers tbody tr")].slice(0, chosen.length)
+      .map((row) => row.cells[row.cells.length - 1].textContent);
     told.slid = [document.querySelector("output").textContent, chosen];
   }
   const head = document.querySelectorAll(".sortable th button")[5];
@@ -418,16 +497,42 @@ def test_a_browser_draws_the_page(kind, folder, pages, tmp_path):
     assert told["plots"] == curves
     assert not any("Share" in button or "cloud" in button.lower() for button in told["buttons"])
     assert all(told["pictures"])
-    assert len(told["pictures"]) == {"run": 0, "sweep": 1, "fit": 1}[kind]
+    assert len(told["pictures"]) == {"run": 0, "sweep": 0, "fit": 1}[kind]
     assert all(told["focused"])
     assert len(told["focused"]) > 4
     if kind == "run":
         assert told["slid"] == ["0 s", pages["run"].charts["wear-lower"]["frames"][0]]
+        assert [float(word) for word in told["slid_numbers"]] == told["slid"][1]
+    check_by_hand(told, list(pages[kind].charts.values()))
     if kind == "sweep":
         up, down = ([float(word) for word in words] for words in told["sorted"])
         assert len(set(up)) > 10
         assert up == sorted(up) == down[::-1]
         assert told["order"] == "descending"
+
+
+def check_by_hand(told, charts):
+    """Check tables of the charts' numbers, and what the buttons of the first one do."""
+    (x, y), near, right, up, whole = (np.array(ranges) for ranges in told["ranges"])
+    assert np.allclose(near, [np.mean(v) + 0.25 * np.diff(v) * [-1, 1] for v in (x, y)])
+    assert np.allclose(right, np.add(near, [[0.25 * np.ptp(near[0])], [0.0]]))
+    assert np.allclose(up, np.add(right, [[0.0], [0.25 * (near[1][1] - near[1][0])]]))
+    assert np.allclose(whole, [x, y])
+    assert len(told["numbers"]) == len(charts)
+    for rows, chart in zip(told["numbers"], charts, strict=True):
+        shown = [curve for curve in chart["data"] if curve.get("meta") != "aside"]
+        values = [v for curve in shown for v in curve["y"]]
+        if rows[0][0] == "curve":
+            written = [row[2] for row in rows[1:]]
+        else:  # beside each other
+            assert len(rows[0]) == 1 + len(shown)
+            written = [row[i] for i in range(1, len(rows[0])) for row in rows[1:]]
+        assert len(written) == len(values)
+        for text, value in zip(written, values, strict=True):
+            assert text == (value if isinstance(value, str) else "" if value is None else text)
+            assert not isinstance(value, float) or np.isclose(float(text), value)
+    for text in itertools.chain(*told["points"]):
+        assert text.startswith("case ")
 
 
 @in_browser
