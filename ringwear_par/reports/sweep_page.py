@@ -118,7 +118,7 @@ def _effects(ensemble: Ensemble, chosen: Choice, why: str) -> list[Block]:
     if len(drawn.points) < len(chosen.cases):
         told.append(
             f"{len(drawn.points)} of {len(chosen.cases)} cases are drawn, chosen at random; "
-            "medians and the surrogate are of all."
+            "medians are of all."
         )
     if chosen.responses is not None:
         told.append("; ".join(chosen.responses.said))
