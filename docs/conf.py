@@ -24,8 +24,10 @@ extensions = [
     "case_words",
     "docstrings",
     "mathml",
+    "measured",
 ]
 exclude_patterns = ["_build", "gallery", "extensions", "generated/**/*.py"]
+exclude_patterns += ["generated/mesh_errors.md"]  # which a page includes
 nitpicky = True
 # types of other packages: looking them up would need the network
 nitpick_ignore_regex = [
@@ -49,6 +51,8 @@ templates_path = ["templates"]
 html_theme = "furo"
 html_title = f"ringwear-par {version}"
 html_show_copyright = html_copy_source = html_show_sourcelink = False
+# it would fetch every page that is found, which browsers refuse for files
+html_show_search_summary = False
 html_static_path = ["static"]
 html_css_files = ["site.css"]
 copybutton_exclude = ".linenos, .gp, .go"
@@ -77,6 +81,7 @@ sphinx_gallery_conf = {
     "show_memory": False,
     "remove_config_comments": True,
     "write_computation_times": False,
+    "min_reported_time": 3600,
     "show_signature": False,
 }
 # of sphinx_gallery's functions, which Sphinx cannot keep between two builds

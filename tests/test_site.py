@@ -68,7 +68,7 @@ def test_links_to_files_of_the_repository_lead_there(page):
         path = page.parent / name if name else page
         if "generated" in path.parts:  # by the build, of scripts in docs/gallery or of the code
             script = ROOT / "docs" / "gallery" / f"{path.stem}.py"
-            assert script.exists() or path.stem in ("index", "first_case"), target
+            assert script.exists() or path.stem in ("index", "first_case", "verify"), target
             continue
         assert path.exists(), target
         assert not fragment or fragment in anchors(path.read_text("utf-8")), target

@@ -199,21 +199,21 @@ def _plain(text: str) -> str:
     return re.sub(r"([\[\]{}<>*_])", r"\\\1", text)
 
 
-def first_case(text: str) -> Figure:
-    """Return the picture of the page of the first case, as its last command draws it.
-
-    Parameters
-    ----------
-    text : of the page; its first TOML block is the case.
-    """
+def first_case_of(text: str) -> "rw.Case":
+    """Return the case of the page of the first case, which is its first TOML block."""
     block = text.partition("```toml\n")[2].partition("```")[0]
+    return rw.read_case(parse_toml(block, "first_case.md"))
+
+
+def first_case(text: str) -> Figure:
+    """Return the picture of the page of the first case, as its last command draws it."""
     with TemporaryDirectory() as folder:
         path = Path(folder) / "rig.h5"
-        rw.simulate(rw.read_case(parse_toml(block, "first_case.md"))).save(path)
+        rw.simulate(first_case_of(text)).save(path)
         return rw.plot(path, "wear,pressure", FIRST_STEPS)
 
 
-def _write(path: Path, text: str) -> None:
+def write(path: Path, text: str) -> None:
     """Write a page that has changed; Sphinx would read the others again."""
     if not path.exists() or path.read_text("utf-8") != text:
         path.write_text(text, "utf-8")
@@ -223,12 +223,12 @@ def _made(app: "Sphinx") -> None:
     folder = Path(app.srcdir) / "generated"
     (folder / "laws").mkdir(parents=True, exist_ok=True)
     for name in LAWS:
-        _write(folder / "laws" / f"{name}.md", law_page(name))
+        write(folder / "laws" / f"{name}.md", law_page(name))
         law_figure(name).savefig(folder / "laws" / f"{name}.svg", metadata={"Date": None})
     page = (Path(app.srcdir) / "first_case.md").read_text("utf-8")
     first_case(page).savefig(folder / "first_case.png", dpi=200)
     for name in KEYS:
-        _write(folder / f"{name}.md", key_page(name))
+        write(folder / f"{name}.md", key_page(name))
 
 
 def setup(app: "Sphinx") -> dict[str, bool]:

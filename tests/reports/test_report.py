@@ -426,13 +426,13 @@ window.addEventListener("load", async () => {
   const told = {}, all = (s) => [...document.querySelectorAll(s)];
   const reached = (e) => { e.focus(); return document.activeElement === e; };
   told.width = document.documentElement.scrollWidth;
-  told.plots = all(".plot").map((p) => p.querySelectorAll(".xy .trace").length);
+  told.plots = all("div.plot").map((p) => p.querySelectorAll(".xy .trace").length);
   told.buttons = [...new Set(all(".modebar-btn").map((b) => b.dataset.title))];
   told.pictures = all("main img").map((i) => i.complete && i.naturalWidth > 0);
   // what a chart shows and does by hand: its numbers, and buttons instead of the mouse
   all("details").forEach((e) => { e.open = true; });
   told.focused = all("nav a, input, button, main pre, summary, .numbers").map(reached);
-  const plot = document.querySelector(".plot"), ranges = () => ["xaxis", "yaxis"]
+  const plot = document.querySelector("div.plot"), ranges = () => ["xaxis", "yaxis"]
     .map((name) => [...plot._fullLayout[name].range]);
   const press = (name) => [...plot.parentElement.querySelectorAll(".by-hand button")]
     .find((button) => button.textContent === name).click();
@@ -440,7 +440,7 @@ window.addEventListener("load", async () => {
     press(name);
     return ranges();
   })];
-  told.points = all(".plot").flatMap((p) => p.data.filter((c) => c.customdata).map((c) => c.text));
+  told.points = all("div.plot").flatMap((p) => p.data.filter((c) => c.customdata).map((c) => c.text));
   const texts = (row) => [...row.cells].map((cell) => cell.textContent);
   await new Promise((done) => { setTimeout(done, 100); });
   told.numbers = all(".numbers").map((e) => [...e.querySelectorAll("tr")].map(texts));
@@ -448,7 +448,7 @@ window.addEventListener("load", async () => {
   if (input) {
     input.value = 0;
     input.dispatchEvent(new Event("input"));
-    const chosen = document.querySelector(".plot").data.at(-1).y;
+    const chosen = document.querySelector("div.plot").data.at(-1).y;
     told.slid_numbers = [...document.querySelectorAll(".numbers tbody tr")].slice(0, chosen.length)
       .map((row) => row.cells[row.cells.length - 1].textContent);
     told.slid = [document.querySelector("output").textContent, chosen];

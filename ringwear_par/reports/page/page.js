@@ -47,7 +47,7 @@ function tell(plot) {
   plot.parentElement.querySelector(".numbers").replaceChildren(table);
 }
 for (const aside of document.querySelectorAll(".by-hand")) {
-  const plot = aside.parentElement.querySelector(".plot"), axes = ["xaxis", "yaxis"];
+  const plot = aside.parentElement.querySelector("div.plot"), axes = ["xaxis", "yaxis"];
   const whole = Object.fromEntries(axes.map((name) => [`${name}.range`, [...plot._fullLayout[name].range]]));
   aside.addEventListener("toggle", () => { if (aside.open) tell(plot); });
   aside.querySelector("p").addEventListener("click", (event) => {
@@ -67,7 +67,7 @@ for (const slider of document.querySelectorAll(".slider input")) {
     const instant = Number(slider.value);
     block.querySelector("output").textContent = instants[instant];
     slider.setAttribute("aria-valuetext", instants[instant]);
-    for (const plot of block.querySelectorAll(".plot")) {
+    for (const plot of block.querySelectorAll("div.plot")) {
       if (!plot.frames.length) continue;
       Plotly.restyle(plot, { y: [plot.frames[instant]] }, [plot.data.length - 1]);
       if (plot.parentElement.querySelector(".by-hand").open) tell(plot);
