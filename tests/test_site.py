@@ -5,18 +5,20 @@
 
 import re
 import shlex
+import shutil
 from pathlib import Path
 
 import case_words
 import check_links
+import measured
 import pytest
 
 import ringwear_par as rw
 from ringwear_par.cases import schema
-from ringwear_par.cases.keys import flatten
-from ringwear_par.cases.schema import BY_PATH, TABLES
 from ringwear_par.cli import _parser
 from ringwear_par.identification import schema as fit_schema
+from ringwear_par.identification.candidates import count_of
+from ringwear_par.identification.fit_file import read_fit
 from ringwear_par.textfiles import parse_toml
 from ringwear_par.wear.catalogue import LAWS
 from ringwear_par.wear.parameters import parameters_of
@@ -94,26 +96,49 @@ def test_python_has_names_that_there_are(page):
         assert set(re.findall(r"\brw\.(\w+)", block)) <= set(rw.__all__)
 
 
+@pytest.fixture
+def examples(tmp_path, monkeypatch):
+    """A copy of the examples' folders, their cases being the folder that one is in."""
+    for name in ("cases", "fit"):
+        shutil.copytree(ROOT / "scripts" / name, tmp_path / name)
+    monkeypatch.chdir(tmp_path / "cases")
+    return tmp_path
+
+
 @each_page("```toml")
-def test_toml_has_keys_that_there_are(page):
-    for block in blocks(page, "toml"):
+def test_toml_is_read_as_the_program_reads_it(page, examples):
+    for number, block in enumerate(blocks(page, "toml")):
         tables = parse_toml(block, page.name)
-        if {"vary", "fit", "experiment", "design"} & tables.keys():
-            continue
-        keys = flatten(tables, page.name)
-        assert keys
-        for key in keys:
-            assert key in BY_PATH or any(
-                path in BY_PATH and path not in TABLES for path in _above(key)
-            ), key
-        if {"lower", "upper", "time"} <= tables.keys():
-            rw.read_case(tables)
+        if {"fit", "experiment"} & tables.keys():
+            file = examples / "fit" / f"block_{number}.toml"
+            file.write_text(block, "utf-8")
+            read_fit(file)
+        elif "vary" in tables:
+            file = examples / "cases" / f"block_{number}.toml"
+            file.write_text(block, "utf-8")
+            rw.read_study(file)
+        elif "design" in tables:
+            plan = parse_toml((examples / "fit" / "plan.toml").read_text("utf-8"), "plan.toml")
+            whole = {**plan, **tables, "case": "paper.toml"}
+            assert count_of(read_fit(whole, plans=True).design) > 1
+        else:
+            rw.read_case(_completed(tables))
 
 
-def _above(key):
-    """Return the keys whose tables a dotted key may be in."""
-    words = key.split(".")
-    return [".".join(words[:n]) for n in range(1, len(words))]
+def _completed(tables):
+    """Return a whole case that has the tables of a block, each as it is."""
+    base = parse_toml((ROOT / "scripts/cases/paper.toml").read_text("utf-8"), "paper.toml")
+    case = {**base, **tables}
+    if "upper" in tables and "lower" not in tables:  # which it must meet
+        case["lower"] = {**base["lower"], "r": [0.0, 40.0], "z": [0.0, tables["upper"]["z"][0]]}
+    if "wear" in tables:
+        case["wear"] = tables["wear"]
+    return case
+
+
+def test_wrong_keys_of_blocks_are_found(examples):
+    with pytest.raises(rw.InputError, match="omgea"):
+        rw.read_case(_completed({"load": {"pressure": 1.0, "omgea": 1.0}}))
 
 
 def test_every_command_and_option_is_told():
@@ -153,6 +178,12 @@ def test_every_law_has_its_page_and_its_curve(name):
         if line.get_label().startswith("V"):
             assert rate[0] == 0.0
             assert rate[-1] > 0.0
+
+
+def test_the_first_case_is_explained_line_by_line():
+    page = (ROOT / "docs" / "first_case.md").read_text("utf-8")
+    told = page.partition("Line by line:")[2].partition("\n## ")[0]
+    assert len(re.findall(r"^\d+\. ", told, re.M)) == len(measured.first_summary(page).splitlines())
 
 
 def test_a_law_that_no_case_shows_is_an_error(monkeypatch, tmp_path):

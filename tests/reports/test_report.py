@@ -6,13 +6,13 @@ import itertools
 import json
 import re
 import shutil
-import subprocess
 import sys
 
 import h5py
 import numpy as np
 import plotly.graph_objects
 import pytest
+from browser import in_browser, opened
 from laboratory import fit_tables, write_tests
 from test_cli import RANKS, ringwear, sentences
 from test_front_door import PAPER
@@ -28,10 +28,6 @@ CASE = {
     "mesh.contact_elements": 12, "time.steps": 8,
 }  # fmt: skip
 KINDS = ("run", "sweep", "fit")
-CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser"))), None)
-in_browser = pytest.mark.skipif(
-    CHROMIUM is None, reason="no Chromium: apt-get install chromium has the pages opened in one"
-)
 
 
 class Read(html.parser.HTMLParser):
@@ -440,7 +436,8 @@ window.addEventListener("load", async () => {
     press(name);
     return ranges();
   })];
-  told.points = all("div.plot").flatMap((p) => p.data.filter((c) => c.customdata).map((c) => c.text));
+  const named = (p) => p.data.filter((curve) => curve.customdata);
+  told.points = all("div.plot").flatMap((p) => named(p).map((curve) => curve.text));
   const texts = (row) => [...row.cells].map((cell) => cell.textContent);
   await new Promise((done) => { setTimeout(done, 100); });
   told.numbers = all(".numbers").map((e) => [...e.querySelectorAll("tr")].map(texts));
@@ -468,30 +465,16 @@ window.addEventListener("load", async () => {
 """
 
 
-def opened(page, profile, *words):
-    """Open a page in Chromium, without a network, and return what it prints."""
-    return subprocess.run(
-        [
-            CHROMIUM, "--headless", "--no-sandbox", "--disable-gpu", "--hide-scrollbars",
-            "--host-resolver-rules=MAP * ~NOTFOUND", f"--user-data-dir={profile}",
-            "--enable-logging=stderr", "--v=0", "--virtual-time-budget=10000",
-            "--window-size=1024,800", *words, page.as_uri(),
-        ],
-        capture_output=True, text=True, timeout=120, check=True,
-    )  # fmt: skip
-
-
 @in_browser
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_browser_draws_the_page(kind, folder, pages, tmp_path):
     page = tmp_path / "page.html"
     text = (folder / f"{kind}.html").read_text()
     page.write_text(text.replace("</body>", f"{PROBE}</body>"))
-    done = opened(page, tmp_path / "profile", "--dump-dom")
-    said = [line for line in done.stderr.splitlines() if ":CONSOLE" in line]
+    text, said = opened(page.as_uri(), tmp_path / "profile", "--dump-dom")
     assert len(said) == 1, said  # no error, no warning: nothing but the probe
     assert "the probe is through" in said[0]
-    told = json.loads(re.search('id="told">(.*?)</script>', done.stdout, re.S)[1])
+    told = json.loads(re.search('id="told">(.*?)</script>', text, re.S)[1])
     assert told["width"] == 1024
     curves = [len(chart["data"]) for chart in pages[kind].charts.values()]
     assert told["plots"] == curves
@@ -540,7 +523,7 @@ def check_by_hand(told, charts):
 def test_a_browser_prints_the_page_on_a4(kind, folder, tmp_path):
     printed = tmp_path / "page.pdf"
     words = ["--no-pdf-header-footer", f"--print-to-pdf={printed}"]
-    opened(folder / f"{kind}.html", tmp_path / "profile", *words)
+    opened((folder / f"{kind}.html").as_uri(), tmp_path / "profile", *words)
     boxes = re.findall(rb"/MediaBox \[([-0-9. ]+)\]", printed.read_bytes())
     assert boxes
     for box in boxes:

@@ -1,0 +1,154 @@
+"""The built site in a browser: every page, wide and narrow, drawn without a fault.
+
+``scripts/docs.sh`` builds it.
+"""
+
+import functools
+import http.server
+import json
+import threading
+from pathlib import Path
+from urllib.parse import unquote, urlsplit
+
+import pytest
+from browser import in_browser, open_until
+
+SITE = Path(__file__).parents[1] / "docs" / "_build" / "html"
+WIDTHS = (1280, 400)
+SOUGHT, FOUND = "search.html?q=pressure", 10
+
+pytestmark = [
+    pytest.mark.serial,
+    in_browser,
+    pytest.mark.skipif(
+        not (SITE / "index.html").exists(), reason="no site: bash scripts/docs.sh builds it"
+    ),
+]
+
+#: opens the pages one after another in a frame, and tells what each has become
+DRIVER = """<!DOCTYPE html>
+<title>driver</title><link rel="icon" href="data:,"><iframe height="900"></iframe>
+<script>
+"use strict";
+const frame = document.querySelector("iframe"), told = [];
+async function look(page, width) {
+  frame.width = width;
+  const there = new Promise((done) => { frame.onload = done; });
+  frame.src = page;
+  await there;
+  const here = frame.contentDocument, all = (s) => [...here.querySelectorAll(s)];
+  for (const image of here.images) image.loading = "eager";
+  await Promise.all([...here.images].map((image) => image.decode().catch(() => {})));
+  const sought = () => page.includes("?q=") && all("#search-results li").length <= FOUND;
+  for (let wait = 0; wait < 100 && sought(); wait++) {
+    await new Promise((done) => { setTimeout(done, 100); });
+  }
+  const box = (e) => e.getBoundingClientRect();
+  told.push({
+    page, width, scrolls: here.documentElement.scrollWidth, title: here.title,
+    text: here.querySelector("article")?.innerText.length ?? 0,
+    broken: [...here.images].filter((i) => !i.naturalWidth).map((i) => i.src),
+    wide: [...here.images].filter((i) => box(i).right > width).map((i) => i.src),
+    pictures: here.images.length, formulas: all("math").length,
+    flat: all("article math").filter((e) => !box(e).width || !box(e).height).length,
+    links: [...new Set(all("a[href]").map((a) => a.href))],
+    found: all("#search-results li").length,
+    bare: (here.querySelector("article")?.innerText.match(/\\$\\$|\\{[a-z]+\\}`|\\\\frac/g) ?? []),
+  });
+}
+(async () => {
+  for (const width of WIDTHS) for (const page of PAGES) await look(page, width);
+  console.log("the driver is through");
+  await fetch("/told", { method: "POST", body: JSON.stringify(told) });
+})();
+</script>
+"""
+
+
+@pytest.fixture(scope="module")
+def seen(tmp_path_factory):
+    """What the browser tells of each page at each width, what it said, and what it did not get."""
+    pages = sorted(
+        str(path.relative_to(SITE))
+        for path in SITE.rglob("*.html")
+        if "_static" not in path.relative_to(SITE).parts
+    )
+    pages = [SOUGHT if page == "search.html" else page for page in pages]
+    driver = DRIVER.replace("WIDTHS", str(list(WIDTHS))).replace("PAGES", json.dumps(pages))
+    driver = driver.replace("FOUND", str(FOUND))
+    refused, found, through = [], [], threading.Event()
+
+    class Served(http.server.SimpleHTTPRequestHandler):
+        def do_GET(self):
+            if self.path != "/driver":
+                return super().do_GET()
+            self.send_response(200)
+            self.send_header("Content-Type", "text/html; charset=utf-8")
+            self.end_headers()
+            return self.wfile.write(driver.encode())
+
+        def do_POST(self):
+            length = int(self.headers["Content-Length"])
+            found.extend(json.loads(self.rfile.read(length)))
+            self.send_response(204)
+            self.end_headers()
+            through.set()
+
+        def log_request(self, code="-", size="-"):
+            if int(code) >= 400:
+                refused.append(self.path)
+
+        def log_message(self, *words):
+            pass
+
+    handler = functools.partial(Served, directory=str(SITE))
+    with http.server.ThreadingHTTPServer(("127.0.0.1", 0), handler) as server:
+        threading.Thread(target=server.serve_forever, daemon=True).start()
+        profile = tmp_path_factory.mktemp("profile")
+        address = f"http://127.0.0.1:{server.server_port}/driver"
+        said = open_until(through, address, profile, width=WIDTHS[0] + 50)
+        server.shutdown()
+    assert found, said
+    assert len(pages) > 50
+    assert len(found) == len(WIDTHS) * len(pages)
+    return found, said, refused
+
+
+def test_pages_say_nothing_in_the_console_and_get_what_they_ask_for(seen):
+    _, said, refused = seen
+    assert not refused
+    assert len(said) == 1, said  # no error, no warning, no request away from here
+    assert "the driver is through" in said[0]
+
+
+def test_pages_show_what_they_hold(seen):
+    for page in seen[0]:
+        at = page["page"], page["width"]
+        assert page["text"] > 20, at
+        assert not page["broken"], at
+        assert not page["flat"], at
+        assert not page["bare"], at  # formulas and roles that were not understood
+    wide = {page["page"]: page for page in seen[0] if page["width"] == WIDTHS[0]}
+    assert wide["model.html"]["formulas"] > 20
+    assert wide["index.html"]["pictures"] == 1
+    assert wide["generated/gallery/index.html"]["pictures"] >= 8
+    assert wide[SOUGHT]["found"] > FOUND
+
+
+def test_pages_are_as_wide_as_the_window(seen):
+    """What is wider, such as tables and formulas, scrolls by itself."""
+    for page in seen[0]:
+        at = page["page"], page["width"]
+        assert page["scrolls"] <= page["width"], at
+        assert not page["wide"], at
+
+
+def test_links_lead_to_pages_of_the_site(seen):
+    known = set()
+    for page in seen[0]:
+        for link in page["links"]:
+            address = urlsplit(link)
+            if address.hostname == "127.0.0.1":
+                known.add(address.path)
+    assert len(known) > 50
+    assert not [path for path in known if not (SITE / unquote(path).strip("/")).exists()]
