@@ -1,6 +1,7 @@
 """A Spack package: copy it to ``packages/py_ringwear_par/package.py`` of a repository of yours."""
 
 from spack.package import *
+from spack_repo.builtin.build_systems.python import PythonPackage
 
 
 class PyRingwearPar(PythonPackage):
@@ -10,7 +11,9 @@ class PyRingwearPar(PythonPackage):
     # until there is a release: spack dev-build, or spack develop -p /path/to/clone
     version("0.2.0")
 
+    # extras of pyproject.toml; Spack's py-pyevtk and py-salib are too old for the others
     variant("fit", default=True, description="posteriors of fits")
+    variant("report", default=True, description="pages of runs, sweeps and fits")
     variant("xarray", default=True, description="results as xarray datasets")
 
     depends_on("python@3.11:", type=("build", "run"))
@@ -26,5 +29,7 @@ class PyRingwearPar(PythonPackage):
     depends_on("py-matplotlib@3.6:", type=("build", "run"))
     depends_on("py-pint@0.22:", type=("build", "run"))
     depends_on("py-emcee@3.1:", type=("build", "run"), when="+fit")
+    depends_on("py-jinja2@3.1:", type=("build", "run"), when="+report")
+    depends_on("py-plotly@5.20:", type=("build", "run"), when="+report")
     depends_on("py-xarray@2024.1:", type=("build", "run"), when="+xarray")
     depends_on("py-h5netcdf@1.3:", type=("build", "run"), when="+xarray")
