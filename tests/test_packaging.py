@@ -11,7 +11,7 @@ PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]
 EXTRAS = PROJECT["optional-dependencies"]
 RECIPES = ROOT / "scripts" / "packaging"
 #: extras that Spack's packages are new enough for
-SPACK = ("fit", "report", "xarray")
+SPACK = ("fit", "report", "sensitivity", "xarray")
 
 pytestmark = pytest.mark.serial
 

@@ -11,9 +11,10 @@ class PyRingwearPar(PythonPackage):
     # until there is a release: spack dev-build, or spack develop -p /path/to/clone
     version("0.2.0")
 
-    # extras of pyproject.toml; Spack's py-pyevtk and py-salib are too old for the others
+    # extras of pyproject.toml; Spack's py-pyevtk is too old for "export"
     variant("fit", default=True, description="posteriors of fits")
     variant("report", default=True, description="pages of runs, sweeps and fits")
+    variant("sensitivity", default=True, description="sensitivity indices of sweeps")
     variant("xarray", default=True, description="results as xarray datasets")
 
     depends_on("python@3.11:", type=("build", "run"))
@@ -31,5 +32,6 @@ class PyRingwearPar(PythonPackage):
     depends_on("py-emcee@3.1:", type=("build", "run"), when="+fit")
     depends_on("py-jinja2@3.1:", type=("build", "run"), when="+report")
     depends_on("py-plotly@5.20:", type=("build", "run"), when="+report")
+    depends_on("py-salib@1.5:", type=("build", "run"), when="+sensitivity")
     depends_on("py-xarray@2024.1:", type=("build", "run"), when="+xarray")
     depends_on("py-h5netcdf@1.3:", type=("build", "run"), when="+xarray")
