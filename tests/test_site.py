@@ -101,6 +101,8 @@ def examples(tmp_path, monkeypatch):
     """A copy of the examples' folders, their cases being the folder that one is in."""
     for name in ("cases", "fit"):
         shutil.copytree(ROOT / "scripts" / name, tmp_path / name)
+    first = (ROOT / "docs" / "first_case.md").read_text("utf-8")
+    (tmp_path / "fit" / "rig.toml").write_text(measured.first_case_of(first).text, "utf-8")
     monkeypatch.chdir(tmp_path / "cases")
     return tmp_path
 

@@ -116,7 +116,8 @@ KEYS: tuple[FitKey, ...] = (
     FitKey(f"{_DATA}.times", "s", None, "planned readings, instead of file; for --dry-run and "
            "ringwear design only", instants().allowed),
     FitKey(f"{_DATA}.r", "mm", None, "planned readings of a profile, likewise", instants().allowed),
-    FitKey(f"{_DATA}.density", "g/mm3", None, "of the body that was weighed (required of a mass)",
+    FitKey(f"{_DATA}.density", "g/mm3", None, "of the body that was weighed; default: that of the "
+           "case (a mass must have one)",
            "a number from {:g} to {:g}".format(*DENSITIES)),
     FitKey(f"{_DATA}.sd", "data's", ..., "standard deviation of the readings' noise",
            'a number > 0; a column of file; { relative = x } of the readings (of their running '

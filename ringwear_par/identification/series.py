@@ -115,7 +115,7 @@ def read_series(
     reader.said = f"{said} ({quantity})"
     end = math.inf if case is None else case.time.end
     at = reader.read("at", number(0.0), None, "s")
-    density = _density(reader) if kind == "mass" else 1.0
+    density = _density(reader, quantity, case) if kind == "mass" else 1.0
     if at is not None and at > end:
         reader.wrong("at", f"must be within the test, which ends at {end:g} s")
     timed = next((key for key in ("file", "times") if key in reader), "")
@@ -202,9 +202,12 @@ class _Readings:
     planned: bool = False
 
 
-def _density(reader: TableReader) -> float | None:
+def _density(reader: TableReader, quantity: str, case: Case | None) -> float | None:
     """Return a density, g/mm3; refuse one that nothing has, as that in another unit."""
-    density: float | None = reader.read("density", number(0.0), ..., BASE["density"])
+    rings = {} if case is None else {"mass.lower": case.lower, "mass.upper": case.upper}
+    own = rings[quantity].density if quantity in rings else None
+    usual = ... if own is None else own
+    density: float | None = reader.read("density", number(0.0), usual, BASE["density"])
     low, high = DENSITIES
     if density is None or low <= density <= high:
         return density

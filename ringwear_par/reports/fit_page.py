@@ -111,10 +111,10 @@ def _summary(told: Mapping[str, Any]) -> list[Block]:
     p_value = told["p_value"]
     probable = "no p-value" if p_value is None else f"p = {p_value:.2g}"
     lines = [
-        f"{told['n_data']} readings, {len(parameters)} parameters, {told['histories']} histories "
-        f"by {told['method']}, loss {told['loss']}",
-        f"chi2 = {told['chi2']:.5g}, {told['degrees_of_freedom']} degrees of freedom ({probable}); "
-        f"AIC {told['aic']:.5g}, BIC {told['bic']:.5g}",
+        f"{_counted(told['n_data'], 'reading')}, {_counted(len(parameters), 'parameter')}, "
+        f"{told['histories']} histories by {told['method']}, loss {told['loss']}",
+        f"chi2 = {told['chi2']:.5g}, {_counted(told['degrees_of_freedom'], 'degree')} of freedom "
+        f"({probable}); AIC {told['aic']:.5g}, BIC {told['bic']:.5g}",
     ]
     blocks: list[Block] = [Lines(doubts, warning=True)] if doubts else []
     blocks += [Lines(lines), _estimates("Estimates", parameters, level)]
@@ -131,6 +131,10 @@ def _summary(told: Mapping[str, Any]) -> list[Block]:
     if len(parameters) > 1:
         blocks.append(_correlations(told))
     return blocks
+
+
+def _counted(count: int, what: str) -> str:
+    return f"{count} {what}{'' if count == 1 else 's'}"
 
 
 def _estimates(caption: str, parameters: Mapping[str, Any], level: float) -> Table:

@@ -271,6 +271,20 @@ def test_numbers_with_units(plan):
         read_fit(tables, plans=True)
 
 
+def test_a_mass_has_the_density_of_its_body(plan):
+    tables = copy.deepcopy(plan)
+    weighing = {"quantity": "mass.lower", "value": 5.0, "unit": "mg", "sd": 0.1}
+    tables["experiment"][0]["data"].append(weighing)
+    with pytest.raises(InputError, match=r"density is missing: must be"):
+        read_fit(tables, plans=True)
+    tables["experiment"][0]["set"]["lower.density"] = "7.8 g/cm3"
+    mass = read_fit(tables, plans=True).experiments[0].series[-1]
+    assert mass.density == pytest.approx(0.0078)
+    weighing["density"] = 0.0019
+    mass = read_fit(tables, plans=True).experiments[0].series[-1]
+    assert mass.density == pytest.approx(0.0019)
+
+
 @pytest.mark.parametrize(
     ("line", "said"),
     [
