@@ -5,6 +5,7 @@ small; all of them are in the sweep's own files.
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -107,13 +108,16 @@ def _hover(unit: str) -> str:
 def _words(ensemble: Ensemble, chosen: Choice, cases: IntArray) -> list[str]:
     """Return what each of some cases is, as plotly draws texts."""
     rows = np.searchsorted(chosen.cases, cases)
-    columns = [(charts.shown(key.label), values_told(key)) for key in chosen.keys]
+    columns = [
+        (charts.shown(key.label), values_told(replace(key, values=key.values[rows])))
+        for key in chosen.keys
+    ]
     return [
         "<br>".join([
             f"case {charts.shown(ensemble.ids[case])}",
-            *(f"{label} = {charts.shown(values[row])}" for label, values in columns),
+            *(f"{label} = {charts.shown(values[number])}" for label, values in columns),
         ])
-        for case, row in zip(cases, rows, strict=True)
+        for number, case in enumerate(cases)
     ]  # fmt: skip
 
 
