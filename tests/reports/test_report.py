@@ -438,6 +438,11 @@ window.addEventListener("load", async () => {
   })];
   const named = (p) => p.data.filter((curve) => curve.customdata);
   told.points = all("div.plot").flatMap((p) => named(p).map((curve) => curve.text));
+  const widths = (when) => {
+    dispatchEvent(new Event(when));
+    return all("div.plot").map((p) => p._fullLayout.width);
+  };
+  told.widths = [widths("beforeprint"), widths("afterprint")];
   const texts = (row) => [...row.cells].map((cell) => cell.textContent);
   await new Promise((done) => { setTimeout(done, 100); });
   told.numbers = all(".numbers").map((e) => [...e.querySelectorAll("tr")].map(texts));
@@ -487,11 +492,20 @@ def test_a_browser_draws_the_page(kind, folder, pages, tmp_path):
         assert told["slid"] == ["0 s", pages["run"].charts["wear-lower"]["frames"][0]]
         assert [float(word) for word in told["slid_numbers"]] == told["slid"][1]
     check_by_hand(told, list(pages[kind].charts.values()))
+    check_paper(told["widths"], {"run": 0, "sweep": 1, "fit": 0}[kind])
     if kind == "sweep":
         up, down = ([float(word) for word in words] for words in told["sorted"])
         assert len(set(up)) > 10
         assert up == sorted(up) == down[::-1]
         assert told["order"] == "descending"
+
+
+def check_paper(widths, whole):
+    """Check that charts are as wide as A4 has room for, and then as before."""
+    on_paper, after = widths
+    assert on_paper == [1000] * whole + [485] * (len(on_paper) - whole)
+    assert max(after) <= 980
+    assert after != on_paper
 
 
 def check_by_hand(told, charts):

@@ -12,6 +12,12 @@ for (const told of document.querySelectorAll("script.told")) {
     modeBarButtons: [["toImage", "zoom2d", "pan2d", "zoomIn2d", "zoomOut2d", "resetScale2d"]],
   });
 }
+// on paper charts are as wide as their place there, whatever the window was
+const resized = (width) => document.querySelectorAll("div.plot").forEach((plot) => {
+  Plotly.relayout(plot, { width: width(plot), autosize: true });
+});
+addEventListener("beforeprint", () => resized((plot) => plot.closest(".whole") ? 1000 : 485));
+addEventListener("afterprint", () => resized(() => null));
 // what the mouse does in a chart, by buttons: a share of its width or height
 const moves = {
   "zoom in": [0.5, 0, 0], "zoom out": [2, 0, 0], "left": [1, -0.25, 0], "right": [1, 0.25, 0],
