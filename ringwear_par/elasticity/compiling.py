@@ -11,7 +11,8 @@ import tempfile
 from collections.abc import Callable
 from contextlib import suppress
 from functools import partial
-from typing import TYPE_CHECKING
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numba
 
@@ -62,7 +63,8 @@ def load_compiled(comm: "MPI.Comm", load: Callable[[], None]) -> None:
     """Call compiled functions once, which compiles them or loads them. Collective on comm.
 
     Rank 0 goes first, so that many ranks do not write one cache at the same time. What a full disk
-    does not take is compiled each time.
+    does not take is compiled each time; what an older version kept, of types that are no more, is
+    forgotten.
     """
 
     def load_or_compile() -> None:
@@ -74,6 +76,8 @@ def load_compiled(comm: "MPI.Comm", load: Callable[[], None]) -> None:
                 if untold and comm.rank == 0:
                     log.warning("compiled code is not kept, going on: %s", error.strerror)
                 untold = False
+            except (AttributeError, ImportError):
+                _forget()
         return load()
 
     if comm.rank == 0:
@@ -83,5 +87,25 @@ def load_compiled(comm: "MPI.Comm", load: Callable[[], None]) -> None:
         load_or_compile()
 
 
-#: decorator of compiled functions; without a place to keep them they are compiled by each process
-compiled = partial(numba.njit, cache=_kept())
+_KEPT = _kept()
+_functions: list[Any] = []
+
+
+def compiled(function: Any = None, **options: Any) -> Any:
+    """Decorate a function that numba compiles, with options of ``numba.njit``.
+
+    Without a place to keep them, functions are compiled by each process.
+    """
+    if function is None:
+        return partial(compiled, **options)
+    made = numba.njit(cache=_KEPT, **options)(function)
+    _functions.append(made)
+    return made
+
+
+def _forget() -> None:
+    """Remove what says which of our functions have been compiled and kept."""
+    for function in _functions:
+        module = function.__module__.rpartition(".")[2]
+        for index in Path(function.stats.cache_path).glob(f"{module}.{function.__name__}-*.nbi"):
+            index.unlink(missing_ok=True)

@@ -1,0 +1,27 @@
+"""Compiled code that was kept."""
+
+from types import SimpleNamespace
+
+from mpi4py import MPI
+
+from ringwear_par.elasticity import compiling
+
+
+def test_what_an_older_version_kept_is_forgotten(tmp_path, monkeypatch):
+    """numba pickles the types that a function was compiled for; they may have moved since."""
+    own, other = tmp_path / "rows.place-7.py311.nbi", tmp_path / "theirs.place-7.py311.nbi"
+    own.touch()
+    other.touch()
+    function = SimpleNamespace(
+        __module__="ringwear_par.rows", __name__="place",
+        stats=SimpleNamespace(cache_path=str(tmp_path)),
+    )  # fmt: skip
+    monkeypatch.setattr(compiling, "_functions", [function])
+
+    def load():
+        if own.exists():
+            raise AttributeError("Can't get attribute 'Mesh'")
+
+    compiling.load_compiled(MPI.COMM_SELF, load)
+    assert not own.exists()
+    assert other.exists()
