@@ -172,7 +172,7 @@ def _side(
     z = graded(low, high, n, CORNER_GRADING, CORNER_GRADING)
     middle = 0.5 * (low + high)
     if below == low and above > middle:
-        upper = z > middle
+        upper = 2 * np.arange(n + 1) > n  # by number: round-off would make the middle node move
         z[upper] -= (high - above) / (high - middle) * (z[upper] - middle)
     else:
         z = below + (above - below) / (high - low) * (z - low)

@@ -51,7 +51,8 @@ def moving_parts(
         return Moving(still[0].nodes, elements), *still[1:]
     height = section.height + float(section.depth(line.edges).min())
     little = 1e-3 * min((section.height, *section.layers))
-    wear = np.full(line.n + 1, 0.49 * height if deep else little)
+    most = 0.5 * (1.0 - 1e-6) * height  # that elements follow
+    wear = np.full(line.n + 1, most if deep else little)
     found = []
     for before, after in zip(unworn, zone_meshes(section, line, mesh, wear), strict=True):
         nodes = (before.nodes != after.nodes).any(axis=1)

@@ -25,7 +25,8 @@ from ringwear_par.history.model import WearModel
 from ringwear_par.verification import reference
 from ringwear_par.verification.check import NU, SIZES, Check
 
-_GRADED = 3.0
+#: grading of the contact with a rigid edge
+GRADED = 3.0
 
 
 @dataclass(frozen=True)
@@ -41,7 +42,7 @@ class _Indentation:
 
 
 def _indentation(a: float, big_r: float, n: int, comm: MPI.Comm) -> _Indentation:
-    contact, mesh = (a, 1.0), Mesh(n, grading=_GRADED)
+    contact, mesh = (a, 1.0), Mesh(n, grading=GRADED)
     line = contact_line(contact, mesh)
     disc = Body(Section((0.0, big_r), big_r), 1.0, NU, "clamped")
     unit = compliance(disc, line, mesh, comm)
@@ -87,9 +88,12 @@ def pressure_at(line: ContactLine, p: FloatArray, r: float) -> float:
 _CYLINDER = 1.0, 1.0 / math.sqrt(3.0)
 
 
-def _without_truncation(at_50_and_100: Iterable[float]) -> float:
-    """Return a stiffness for R = infinity, its inverse being linear in 1/R."""
-    one, two = at_50_and_100
+def without_truncation(of_two: Iterable[float]) -> float:
+    """Return a stiffness for R = infinity from two R, one twice the other.
+
+    Its inverse is linear in 1/R.
+    """
+    one, two = of_two
     return 1.0 / (2.0 / two - 1.0 / one)
 
 
@@ -106,7 +110,7 @@ def half_space_checks(comm: MPI.Comm) -> Iterator[Check]:
             return Check(f"{name}: {text}", SIZES, errors, tolerance, digits)
 
         unit = reference.flat_cylinder_force(modulus, 1.0, 1.0)
-        forces = [_without_truncation(r.force for r in runs[n]) for n in SIZES]
+        forces = [without_truncation(r.force for r in runs[n]) for n in SIZES]
         yield row("force", forces, force * unit, 1e-4, 1e-6)
         yield row("p(mid)/p(mean)", [runs[n][1].middle for n in SIZES], middle, 1e-3, 1e-5)
         if not ratio:
@@ -120,7 +124,7 @@ def half_space_checks(comm: MPI.Comm) -> Iterator[Check]:
                 rates = [runs[n][1].decay_force[i] for n in SIZES]
                 exact = reference.DECAY_FORCE[i]
                 yield row(f"decay {i + 1}, given force", rates, exact, 5e-4, 2e-4)
-                rates = [_without_truncation(r.decay_approach[i] for r in runs[n]) for n in SIZES]
+                rates = [without_truncation(r.decay_approach[i] for r in runs[n]) for n in SIZES]
                 exact = reference.DECAY_APPROACH[i]
                 yield row(f"decay {i + 1}, given approach", rates, exact, 1e-3, 2e-4)
 

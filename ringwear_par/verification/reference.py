@@ -28,6 +28,9 @@ EXPLICIT_LIMIT = 1.485
 PAPER_APPROACH = 0.0365486
 PAPER_TORQUE = 84908.2
 PAPER_PRESSURE = {30.0: 34.392, 28.6: 85.388, 31.4: 84.186}
+#: the same, lower with a bonded layer of E = 100 GPa, nu = 0.3, 0.05 mm thick
+COATED_APPROACH = 0.0360214
+COATED_PRESSURE = {30.0: 33.576, 28.6: 61.120, 31.4: 60.176}
 #: other rings under the same load (see ``fine``), independent finite elements: approach (mm), p(30)
 #: and mean pressures (MPa) at the inner and the outer edge, between these distances (mm) from it
 EDGE_DISTANCES = (0.0, 0.001, 0.005, 0.02, 0.1, 0.3)

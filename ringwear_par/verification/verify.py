@@ -14,6 +14,7 @@ from ringwear_par.verification.edges import edge_checks
 from ringwear_par.verification.elasticity import elasticity_checks
 from ringwear_par.verification.half_space import half_space_checks, sphere_checks
 from ringwear_par.verification.histories import history_checks
+from ringwear_par.verification.layers import layer_checks
 from ringwear_par.verification.paper import paper_checks
 from ringwear_par.verification.slopes import slope_checks
 
@@ -26,6 +27,7 @@ def checks(comm: MPI.Comm) -> Iterator[Check]:
     yield from half_space_checks(comm)
     yield from sphere_checks(comm)
     yield from paper_checks(comm)
+    yield from layer_checks(comm)
     yield from edge_checks(comm)
     yield from slope_checks(comm)
     yield from history_checks(comm)

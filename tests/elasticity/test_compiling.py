@@ -8,7 +8,7 @@ from ringwear_par.elasticity import compiling
 
 
 def test_what_an_older_version_kept_is_forgotten(tmp_path, monkeypatch):
-    """numba pickles the types that a function was compiled for; they may have moved since."""
+    """Numba pickles the types that a function was compiled for; they may have moved since."""
     own, other = tmp_path / "rows.place-7.py311.nbi", tmp_path / "theirs.place-7.py311.nbi"
     own.touch()
     other.touch()

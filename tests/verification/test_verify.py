@@ -75,6 +75,26 @@ def test_identities_hold_to_round_off(checks):
         ("cones of 5 degrees: pressure, worst from 0.02 mm on", 1.7),
         ("cones of 5 degrees, both wear, steady: torque", 1.9),
         ("cones of 10 degrees: approach", 1.7),
+        ("Lame, bonded sleeve: pressure between", 3.0),
+        ("disc with two layers, pressure J0: u of the face", 1.8),
+        ("disc with two layers, pressure J0: interfaces", 1.8),
+        ("disc with two layers, shear J1: u of the face", 1.8),
+        ("disc with two layers, shear J1: interfaces", 1.8),
+        *(
+            (f"{layer}, {text}", order)
+            for layer in ("hard layer 0.5", "soft layer 0.5", "hard layer 0.05", "soft layer 0.05")
+            for text, order in (
+                ("uniform pressure: u_z on the axis", 2.2),
+                ("uniform pressure: u_z, worst to 0.9 a", 2.2),
+                ("uniform pressure: u_z at the edge", 2.2),
+                ("rigid flat punch: force", 2.2),
+                ("rigid flat punch: p / p(mean), worst to 0.9 a", 1.8),
+            )
+        ),
+        ("paper, 0.05 mm below of the same material: approach", 2.5),
+        ("paper, hard coating: approach", 2.2),
+        ("paper, hard coating: p(28.6)", 1.6),
+        ("paper, hard coating: p(31.4)", 1.6),
     ],
 )
 def test_observed_orders(checks, name, order):
@@ -134,6 +154,16 @@ def test_interior_pressure_converges_without_checkerboard(comm):
     for n, tolerance in ((32, 1e-2), (64, 3e-3), (128, 1.5e-3)):
         line, _, p = unworn(paper_case(Mesh(n), pressure=50.0), comm)
         assert pressure_at(line, p, 29.0) == pytest.approx(44.65, rel=tolerance)
+
+
+@pytest.mark.most_ranks(2)
+def test_coatings_on_the_default_mesh(checks):
+    """64 elements: 5e-5 of the approach, 1 % of pressures near edges, 1e-4 of the held force."""
+    for text, most in (
+        ("approach", 5e-5), ("p(30)", 3e-4), ("p(28.6)", 1e-2), ("p(31.4)", 1e-2),
+        ("force on the held faces", 1e-4),
+    ):  # fmt: skip
+        assert checks[f"paper, hard coating: {text}"].errors[1] <= most, text
 
 
 def test_what_is_not_met_is_named(monkeypatch, comm, capsys):

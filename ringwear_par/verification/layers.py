@@ -1,0 +1,305 @@
+"""Bodies with bonded layers against exact solutions, and the paper's rings with a coating.
+
+Half-spaces are stood in for as in ``half_space``, by larger discs: where a layer is stiff, what the
+truncation adds falls off more slowly.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from mpi4py import MPI
+from scipy.special import j0, j1, jn_zeros
+
+from ringwear_par.arrays import FloatArray
+from ringwear_par.elasticity.assembly import BoundaryConditions, Zone
+from ringwear_par.elasticity.body import (
+    Problem,
+    body_zones,
+    contact_problem,
+    solve_bodies,
+)
+from ringwear_par.elasticity.boundary import boundary_mesh
+from ringwear_par.elasticity.mesh import ContactLine, Mesh, contact_line
+from ringwear_par.elasticity.pair import assemble_pair
+from ringwear_par.elasticity.sections import Body, Material, Section
+from ringwear_par.history.bodies import bodies
+from ringwear_par.verification import layered_reference, reference
+from ringwear_par.verification.check import NU, SIZES, Check
+from ringwear_par.verification.half_space import GRADED, pressure_at, without_truncation
+from ringwear_par.verification.layered_reference import LayeredHalfSpace
+from ringwear_par.verification.paper import paper_case
+
+#: numbers of elements where much is to be solved, or 128 show but the quadrature
+_COARSE = 16, 32, 64
+_HALF_SPACE = Material(1.0, NU)
+#: layers on it
+_HARD, _SOFT = Material(10.0, 0.2), Material(0.1, 0.4)
+#: radii of the discs that stand for it
+_DISCS = 200.0, 400.0
+#: of the element integrals
+_TOLERANCE = 1e-8
+
+
+def layer_checks(comm: MPI.Comm) -> Iterator[Check]:
+    """Check bodies with layers, alone and in contact. Collective on comm."""
+    yield from patch_checks(comm)
+    yield from mode_checks(comm)
+    for thickness in (0.5, 0.05):
+        for name, layer in (("hard", _HARD), ("soft", _SOFT)):
+            yield from _half_space_rows(f"{name} layer {thickness:g}", thickness, layer, comm)
+    yield from coating_checks(comm)
+
+
+def bar_errors(n: int, comm: MPI.Comm) -> tuple[float, float]:
+    """Return the errors of a bar of two materials with one nu / E under uniform pressure.
+
+    Of u_z on its top, and of the tractions of the interface, over the pressure.
+    """
+    h, layer, base = 4.0, Material(2.0, 0.4), Material(1.0, 0.2)
+    section, mesh = Section((20.0, 40.0), 20.0, (), (h,)), Mesh(n)
+    line = contact_line(section.r, mesh)
+    body = Body(section, base.young, base.poisson, "platen", (layer,))
+    problem = contact_problem(body, line, mesh, None, None)
+    bonded = problem.zones[1].boundary.above
+    problem = replace(problem, elements=(np.array([], dtype=int), bonded))
+    response = solve_bodies([problem], comm)[0]
+    exact = h / layer.young + (section.height - h) / base.young
+    u, t = -response.displacement[:, 1].sum(axis=1), response.traction[:, :2].sum(axis=2)
+    return float(np.abs(u / exact - 1.0).max()), float(np.abs(t - [0.0, -1.0]).max())
+
+
+def sleeve_errors(n: int, comm: MPI.Comm) -> tuple[float, float]:
+    """Return the errors of two bonded concentric rings between smooth planes, under pressure.
+
+    Of u_r on the bore, and of the pressure between them.
+    """
+    radii, pressures, height = (20.0, 30.0, 40.0), (3.0, 1.0), 10.0
+    materials = Material(0.5, 0.4), Material(1.0, 0.25)
+    zones: list[Zone] = []
+    for r, material in zip((radii[:2], radii[1:]), materials, strict=True):
+        boundary = boundary_mesh(Section(r, height), contact_line(r, Mesh(n)), Mesh(n))
+        k, none = len(boundary.elements), np.array([], dtype=int)
+        fixed = np.zeros((k, 3), dtype=bool)
+        fixed[np.concatenate([boundary.fixed, boundary.contact]), 1] = True
+        fixed[boundary.fixed, 2] = True
+        load, traction = np.full((k, 3), -1), np.zeros((k, 3))
+        if zones:  # interfaces go upwards
+            pressed, value = boundary.outer_side, -pressures[1]
+            boundary = boundary._replace(above=boundary.inner_side[::-1].copy(), inner_side=none)
+        else:
+            pressed, value = boundary.inner_side, pressures[0]
+            boundary = boundary._replace(below=boundary.outer_side, outer_side=none)
+        load[pressed, 0], traction[pressed, 0] = 0, value
+        zones.append(Zone(boundary, BoundaryConditions(fixed, load, traction, 1), material))
+    first, second = (zone.boundary for zone in zones)
+    problem = Problem(
+        tuple(zones), _TOLERANCE, (first.elements[first.inner_side, 1], none),
+        (none, second.above),
+    )  # fmt: skip
+    response = solve_bodies([problem], comm)[0]
+    between = layered_reference.sleeve_pressure(radii, *pressures, materials)
+    bore = reference.lame_displacement(
+        np.array(radii[0]), *radii[:2], pressures[0], between, materials[0].young,
+        materials[0].poisson,
+    )  # fmt: skip
+    u, t = response.displacement[:, 0, 0], response.traction[:, 0, 0]
+    return float(np.abs(u / bore - 1.0).max()), float(np.abs(t / between - 1.0).max())
+
+
+def patch_checks(comm: MPI.Comm) -> Iterator[Check]:
+    """Check fields that are uniform in each material, or nearly so. Collective on comm."""
+    for name, values, found in (
+        ("bar of two materials", ("u_z", "interface"), [bar_errors(n, comm) for n in _COARSE]),
+        ("Lame, bonded sleeve", ("u_r of the bore", "pressure between"),
+         [sleeve_errors(n, comm) for n in _COARSE]),
+    ):  # fmt: skip
+        for i, value in enumerate(values):
+            yield Check(f"{name}: {value}", _COARSE, tuple(each[i] for each in found), 1e-6)
+
+
+def mode_errors(n: int, comm: MPI.Comm) -> tuple[float, float, float, float]:
+    """Return the errors of a disc with two layers under Bessel modes, root mean square.
+
+    Of the displacement of its face, over its amplitude, and of the tractions of its interfaces,
+    over the amplitude of the load, under pressure J0(k r) between smooth sides and under shear
+    J1(k r) with free ones, its base being clamped.
+    """
+    big_r, base = 10.0, Material(1.0, NU)
+    stack = [(0.5, Material(5.0, 0.2)), (1.0, Material(0.5, 0.45)), (6.5, base)]
+    thicknesses, materials = zip(*stack, strict=True)
+    section = Section((0.0, big_r), sum(thicknesses), (), thicknesses[:-1])
+    mesh = Mesh(n)
+    line = contact_line(section.r, mesh)
+    body = Body(section, base.young, base.poisson, "clamped", materials[:-1])
+    squeezed, turned = (float(jn_zeros(order, 2)[1]) / big_r for order in (1, 2))
+    zones = []
+    for zone in body_zones(body, line, mesh):
+        boundary, (fixed, load, traction, _) = zone.boundary, zone.conditions
+        fixed[boundary.outer_side, 0] = True
+        load[boundary.contact] = 0
+        if len(boundary.contact):
+            traction[boundary.contact, 1] = -j0(squeezed * line.r)
+            traction[boundary.contact, 2] = j1(turned * line.r)
+        conditions = BoundaryConditions(fixed, load, traction, 1)
+        zones.append(replace(zone, conditions=conditions))
+    problem = Problem(
+        tuple(zones), _TOLERANCE,
+        tuple(zone.boundary.elements[zone.boundary.contact, 1] for zone in zones),
+        tuple(zone.boundary.above for zone in zones),
+    )  # fmt: skip
+    response = solve_bodies([problem], comm)[0]
+    odd, even, angular = j1(squeezed * line.r), j0(squeezed * line.r), j1(turned * line.r)
+    pattern = np.stack([odd, even], axis=1)
+    normal = layered_reference.normal_mode(squeezed, stack)[:-1, None].reshape(-1, 2, 1, 2)
+    torsion = layered_reference.torsion_mode(turned, stack)[:-1]
+    u = response.displacement[:, :, 0]
+    t = response.traction[:, :, 0].reshape(-1, n, 3)  # interfaces have the elements of the face
+    return (
+        _root_mean_square(u[:, :2] - normal[0, 0] * pattern, line) / np.abs(normal[0, 0]).max(),
+        _root_mean_square(t[:, :, :2] - normal[1:, 1] * pattern, line),
+        _root_mean_square(u[:, 2:] - torsion[0, 0] * angular[:, None], line) / torsion[0, 0],
+        _root_mean_square(t[:, :, 2:] - np.multiply.outer(torsion[1:, 1], angular)[..., None],
+                          line),
+    )  # fmt: skip
+
+
+def _root_mean_square(error: FloatArray, line: ContactLine) -> float:
+    """Return the largest of the root mean squares of errors (..., n, components) over the area."""
+    return float(np.sqrt((line.area @ error**2 / line.area.sum()).max()))
+
+
+def mode_checks(comm: MPI.Comm) -> Iterator[Check]:
+    """Check a finite disc with two layers under Bessel modes. Collective on comm."""
+    found = [mode_errors(n, comm) for n in SIZES]
+    for i, text in enumerate(
+        ("pressure J0: u of the face", "pressure J0: interfaces",
+         "shear J1: u of the face", "shear J1: interfaces")
+    ):  # fmt: skip
+        yield Check(f"disc with two layers, {text}", SIZES, tuple(each[i] for each in found), 1e-3)
+
+
+@dataclass(frozen=True)
+class _Loaded:
+    """A layered disc loaded on the circle r < 1, at the modulus of what is under the layer."""
+
+    axis: float  # u_z downwards under pressure 1: on the axis,
+    inside: FloatArray  # at the elements,
+    rim: float  # and at the end of the load
+    force: float  # of a rigid flat punch per approach
+    pressure: FloatArray  # under it, over the mean
+
+
+def _loaded(disc: Body, line: ContactLine, mesh: Mesh, comm: MPI.Comm) -> _Loaded:
+    problem = contact_problem(disc, line, mesh, None, None)
+    contact = problem.zones[0].boundary.elements[problem.zones[0].boundary.contact]
+    nodes = np.array([*contact[:, 1], contact[0, 2], contact[-1, 0]])
+    problem = replace(problem, nodes=(nodes, problem.nodes[1]))
+    given = -solve_bodies([problem], comm)[0].displacement[:, 1]
+    *inside, axis, rim = given.sum(axis=1)
+    p = np.linalg.solve(given[: line.n], np.ones(line.n))
+    force = float(line.area @ p)
+    return _Loaded(axis, np.array(inside), rim, force, p * line.area.sum() / force)
+
+
+def _half_space_rows(
+    name: str, thickness: float, layer: Material, comm: MPI.Comm
+) -> Iterator[Check]:
+    exact = LayeredHalfSpace(thickness, layer, _HALF_SPACE)
+    found = []
+    for n in _COARSE:
+        mesh = Mesh(n, grading=GRADED)
+        line = contact_line((0.0, 1.0), mesh)
+        near, far = (
+            _loaded(Body(Section((0.0, big_r), big_r, (), (thickness,)), _HALF_SPACE.young,
+                         _HALF_SPACE.poisson, "clamped", (layer,)), line, mesh, comm)
+            for big_r in _DISCS
+        )  # fmt: skip
+        inner = line.r < 0.9
+        axis, *inside, rim = exact.bathed_circle(np.array([0.0, *line.r, 1.0]))
+        force, share = exact.punch(line.edges)
+        pressure = np.diff(share) * line.area.sum() / line.area
+        found.append(
+            (
+                abs((2.0 * far.axis - near.axis) / axis - 1.0),
+                float(np.abs((2.0 * far.inside - near.inside) / inside - 1.0)[inner].max()),
+                abs((2.0 * far.rim - near.rim) / rim - 1.0),
+                abs(without_truncation((near.force, far.force)) / force - 1.0),
+                float(np.abs(far.pressure - pressure)[inner].max()),
+            )
+        )
+    for i, (text, tolerance) in enumerate(
+        (
+            ("uniform pressure: u_z on the axis", 2e-4),
+            ("uniform pressure: u_z, worst to 0.9 a", 5e-4),
+            ("uniform pressure: u_z at the edge", 1e-3),
+            ("rigid flat punch: force", 5e-4),
+            ("rigid flat punch: p / p(mean), worst to 0.9 a", 5e-3),
+        )
+    ):
+        yield Check(f"{name}, {text}", _COARSE, tuple(each[i] for each in found), tolerance)
+
+
+@dataclass(frozen=True)
+class _Coated:
+    """The paper's rings with layers, in full contact without wear, at 50 MPa."""
+
+    line: ContactLine
+    approach: float
+    pressure: FloatArray
+    held: tuple[float, float]  # largest errors of force and torque on the held faces
+
+
+def paper_rings(
+    lower: Sequence[tuple[float, Material]] = (), upper: Sequence[tuple[float, Material]] = ()
+) -> tuple[Body, Body]:
+    """Return the paper's rings with layers, each a thickness (mm) and a material."""
+
+    def layered(body: Body, layers: Sequence[tuple[float, Material]]) -> Body:
+        section = replace(body.section, layers=tuple(thickness for thickness, _ in layers))
+        return replace(body, section=section, layers=tuple(material for _, material in layers))
+
+    below, above = bodies(paper_case(Mesh()))
+    return layered(below, lower), layered(above, upper)
+
+
+def _coated(both: tuple[Body, Body], n: int, comm: MPI.Comm) -> _Coated:
+    case = paper_case(Mesh(n), pressure=50.0)
+    line, force = case.line, case.area * 50.0
+    pair = assemble_pair(both, line, case.mesh, comm).compliance((both[0].young, both[1].young))
+    unit = np.linalg.solve(pair.matrix, line.area)
+    approach = force / float(line.area @ unit)
+    p = approach * unit
+    torque = (line.area * line.arm) @ p
+    return _Coated(
+        line, approach, p,
+        (float(np.abs(pair.force_reaction @ p / force - 1.0).max()),
+         float(np.abs(pair.torque_reaction @ p / torque - 1.0).max())),
+    )  # fmt: skip
+
+
+def coating_checks(comm: MPI.Comm) -> Iterator[Check]:
+    """Check coated rings of the paper. Collective on comm."""
+    case = paper_case(Mesh())
+    own, plain = Material(case.lower.young, NU), {}
+    for n in _COARSE:
+        plain[n] = _coated(paper_rings(), n, comm).approach
+    for said, rings in (
+        *((f"{h:g} mm below", paper_rings([(h, own)])) for h in (0.005, 0.05, 0.5)),
+        ("0.05 mm above", paper_rings([], [(0.05, Material(case.upper.young, NU))])),
+    ):
+        errors = tuple(abs(_coated(rings, n, comm).approach / plain[n] - 1.0) for n in _COARSE)
+        yield Check(f"paper, {said} of the same material: approach", _COARSE, errors, 1e-5)
+    hard = paper_rings([(0.05, Material(100e3, NU))])
+    found = [_coated(hard, n, comm) for n in SIZES]
+    approaches = tuple(abs(each.approach / reference.COATED_APPROACH - 1.0) for each in found)
+    yield Check("paper, hard coating: approach", SIZES, approaches, 1e-5, 1.4e-6)
+    for r, exact in reference.COATED_PRESSURE.items():
+        errors = tuple(abs(pressure_at(each.line, each.pressure, r) / exact - 1.0)
+                       for each in found)  # fmt: skip
+        yield Check(f"paper, hard coating: p({r:g})", SIZES, errors,
+                    *((3e-4, 1.5e-5) if r == 30.0 else (2e-3, 1e-5)))  # fmt: skip
+    for i, text in enumerate(("force", "torque")):
+        errors = tuple(each.held[i] for each in found)
+        yield Check(f"paper, hard coating: {text} on the held faces", SIZES, errors, 1e-4,
+                    kind="identity")  # fmt: skip

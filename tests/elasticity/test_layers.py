@@ -1,0 +1,274 @@
+"""Bodies with bonded layers: systems, ranks, balances, limits, elements that follow the wear."""
+
+import itertools
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from mpi4py import MPI
+
+from ringwear_par.elasticity.assembly import assemble, number_dofs
+from ringwear_par.elasticity.body import (
+    body_zones,
+    boundary_responses,
+    compliance,
+    contact_problem,
+)
+from ringwear_par.elasticity.boundary import node_wear, zone_meshes
+from ringwear_par.elasticity.mesh import Mesh, contact_line
+from ringwear_par.elasticity.pair import assemble_pair
+from ringwear_par.elasticity.quadrature import quadrature
+from ringwear_par.elasticity.sections import Body, Material, Section
+from ringwear_par.elasticity.slopes import pair_slope
+from ringwear_par.elasticity.updated import UpdatedGeometry, moving_parts
+
+CONTACT = (28.5, 31.5)
+HARD, SOFT = Material(1e5, 0.25), Material(2e3, 0.4)
+LOWER = Body(Section((20.0, 40.0), 20.0), 1e4, 0.3, "clamped")
+UPPER = Body(Section(CONTACT, 20.0), 1e5, 0.3, "clamped")
+
+
+def layered(body, *layers):
+    section = replace(body.section, layers=tuple(thickness for thickness, _ in layers))
+    return replace(body, section=section, layers=tuple(material for _, material in layers))
+
+
+COATED = layered(LOWER, (0.05, HARD), (0.5, SOFT))
+DISC = Body(Section((0.0, 10.0), 8.0, (), (0.3, 1.0)), 1e4, 0.3, "platen", (HARD, SOFT))
+CHAMFERED = replace(
+    layered(UPPER, (0.2, SOFT)),
+    section=Section(CONTACT, 20.0, ((28.5, -0.1), (28.6, 0.0), (31.4, 0.0), (31.5, -0.1)), (0.2,)),
+)
+BODIES = [(COATED, CONTACT), (layered(UPPER, (0.3, SOFT)), CONTACT), (DISC, (0.0, 3.0)),
+          (DISC, (2.0, 3.0)), (CHAMFERED, CONTACT)]  # fmt: skip
+QUANTITIES = ("normal", "torsion", "force_reaction", "torque_reaction")
+
+
+def condensed(body, mesh, comm, contact=CONTACT):
+    line = contact_line(contact, mesh, body.section)
+    return compliance(body, line, mesh, comm)
+
+
+def approach(pair, line, young=(1e4, 1e5)):
+    """Under 50 MPa, all in contact."""
+    matrix = pair.compliance(young).matrix
+    p = np.linalg.solve(matrix, line.area)
+    return 50.0 * line.area.sum() / float(line.area @ p)
+
+
+@pytest.mark.parametrize(("body", "contact"), BODIES)
+def test_as_many_equations_as_unknowns(body, contact):
+    mesh = Mesh(16)
+    zones = body_zones(body, contact_line(contact, mesh, body.section), mesh)
+    dofs = number_dofs(zones)
+    for block in (slice(0, 2), slice(2, 3)):
+        rows = np.concatenate([of.equation[:, block].ravel() for of in dofs])
+        columns = [of[:, block].ravel() for own in dofs for of in (own.displacement, own.traction)]
+        rows, found = rows[rows >= 0], np.concatenate(columns)
+        n = len(rows)
+        assert np.array_equal(np.sort(rows), np.arange(n))  # each equation once
+        assert np.array_equal(np.unique(found[found >= 0]), np.arange(n))
+    for zone, own in zip(zones, dofs, strict=True):
+        assert (own.sign < 0.0).nonzero()[0].tolist() == sorted(zone.boundary.below)
+
+
+def test_equations_of_layers_are_shared_out_over_the_ranks(comm):
+    mesh = Mesh(16)
+    zones = body_zones(COATED, contact_line(CONTACT, mesh), mesh)
+    rows = assemble(zones, number_dofs(zones), quadrature(1e-6), comm)
+    for system in (rows.normal, rows.torsion):
+        local, n = system.matrix.shape
+        assert comm.allreduce(local) == n
+        assert abs(local - n / comm.size) <= 0.15 * n
+        assert system.start == sum(comm.allgather(local)[: comm.rank])
+
+
+@pytest.mark.parametrize(("body", "contact"), [BODIES[0], BODIES[3]])
+def test_same_compliance_on_any_number_of_ranks(body, contact, comm):
+    found = condensed(body, Mesh(24), comm, contact)
+    alone = condensed(body, Mesh(24), MPI.COMM_SELF, contact)
+    for name in QUANTITIES:
+        assert np.array_equal(getattr(found, name), getattr(alone, name)), name
+    assert found.response.kernel_evaluations == alone.response.kernel_evaluations
+
+
+@pytest.mark.parametrize(("body", "coarse"), [(COATED, 16), (BODIES[1][0], 16), (CHAMFERED, 32)])
+def test_defects_vanish_with_the_mesh(body, coarse, comm):
+    symmetry, force, torque = [], [], []
+    for n in (coarse, 2 * coarse, 4 * coarse):
+        found, line = condensed(body, Mesh(n), comm), contact_line(CONTACT, Mesh(n), body.section)
+        weighted = line.area[:, None] * found.normal
+        symmetry.append(np.abs(weighted - weighted.T).max() / np.abs(weighted).max())
+        force.append(abs(found.force_reaction.sum() / line.area.sum() - 1.0))
+        torque.append(abs(found.torque_reaction.sum() / (line.area @ line.arm) - 1.0))
+    for defects in (symmetry, force, torque):
+        assert defects[0] > 1.5 * defects[1] > 1.5**2 * defects[2]
+    assert symmetry[2] < 2e-3
+    assert max(force[2], torque[2]) < 5e-5
+
+
+@pytest.mark.parametrize(("body", "contact"), BODIES)
+def test_zones_share_their_interfaces_and_balance(body, contact, comm):
+    """Displacements are the same, tractions opposite; each zone hands the whole load on."""
+    mesh = Mesh(32)
+    line = contact_line(contact, mesh, body.section)
+    responses = boundary_responses(body, line, mesh, comm)
+    load = np.stack([line.area, line.area * line.arm])
+    for upper, lower in itertools.pairwise(responses):
+        one = upper.boundary.elements[upper.boundary.below]
+        other = lower.boundary.elements[lower.boundary.above, ::-1]
+        assert np.array_equal(upper.displacement[one], lower.displacement[other])
+        t = upper.traction[upper.boundary.below]
+        assert np.array_equal(-t, lower.traction[lower.boundary.above])
+        inner, outer = lower.boundary.nodes[other[:, 0], 0], lower.boundary.nodes[other[:, 2], 0]
+        area = np.pi * np.abs(outer**2 - inner**2)
+        moment = 2.0 / 3.0 * np.pi * np.abs(outer**3 - inner**3)
+        force, torque = area @ t[:, 1], -moment @ t[:, 2]
+        assert force.sum() == pytest.approx(load[0].sum(), rel=1e-3)
+        assert torque.sum() == pytest.approx(load[1].sum(), rel=1e-3)
+    top, base = responses[0], responses[-1]
+    assert [len(of.boundary.fixed) > 0 for of in responses] == [False] * (len(responses) - 1) + [
+        True
+    ]
+    assert not base.displacement[base.boundary.elements[base.boundary.fixed].ravel(), 1:].any()
+    middle = top.boundary.elements[top.boundary.contact, 1]
+    assert np.array_equal(-top.displacement[middle, 1], condensed(body, mesh, comm, contact).normal)
+
+
+def test_only_ratios_of_moduli_count(comm):
+    found = condensed(COATED, Mesh(16), comm)
+    ten = replace(COATED, young=1e5, layers=(Material(1e6, 0.25), Material(2e4, 0.4)))
+    assert ten.relative == COATED.relative
+    assert np.array_equal(condensed(ten, Mesh(16), comm).normal, found.normal)
+
+
+@pytest.mark.parametrize("layers", [(0.001,), (0.05,), (0.5,), (2.0, 3.0)])
+@pytest.mark.parametrize("which", [0, 1])
+def test_layers_of_the_same_material_are_none(layers, which, comm):
+    mesh, both = Mesh(48), [LOWER, UPPER]
+    line = contact_line(CONTACT, mesh)
+    plain = approach(assemble_pair(tuple(both), line, mesh, comm), line)
+    own = Material(both[which].young, both[which].poisson)
+    both[which] = layered(both[which], *((thickness, own) for thickness in layers))
+    found = approach(assemble_pair(tuple(both), line, mesh, comm), line)
+    assert found == pytest.approx(plain, rel=1e-4)
+
+
+def test_harder_stiffer_and_thicker_more_so(comm):
+    mesh = Mesh(32)
+    line = contact_line(CONTACT, mesh)
+    pairs = [(layered(LOWER, *layers), UPPER) for layers in (
+        [(0.5, HARD)], [(0.05, HARD)], [(0.005, HARD)], [], [(0.005, SOFT)], [(0.05, SOFT)],
+        [(0.5, SOFT)],
+    )]  # fmt: skip
+    found = [approach(assemble_pair(pair, line, mesh, comm), line) for pair in pairs]
+    assert found == sorted(found)
+    assert found[2] == pytest.approx(found[3], rel=5e-3)
+
+
+# elements that follow the wear
+
+
+def moving(both, wears, mesh, comm):
+    line = contact_line(CONTACT, mesh, both[0].section, both[1].section)
+    return line, UpdatedGeometry(both, wears, line, mesh, comm)
+
+
+def profiles(line, depths):
+    """Uneven wear of lower and upper, these at most."""
+    x = (line.r - line.r[0]) / (line.r[-1] - line.r[0])
+    return np.stack([depths[0] * (0.6 + 0.4 * np.cos(5.0 * x)), depths[1] * (0.2 + 0.8 * x**2)])
+
+
+@pytest.mark.parametrize("depths", [(0.02, 0.1), (0.2, 0.1), (0.02, 0.45), (0.8, 0.6)])
+def test_an_update_is_a_fresh_assembly(depths, comm):
+    """Within layers, through one of them, and through all."""
+    mesh, both = Mesh(24), (COATED, layered(UPPER, (0.3, SOFT)))
+    line, geometry = moving(both, (True, True), mesh, comm)
+    unworn = geometry.update(np.zeros((2, line.n)))
+    worn = profiles(line, depths)
+    pair = geometry.update(worn)
+    slope = pair_slope((both[0].section, both[1].section), line, mesh, worn)
+    for i, (body, own) in enumerate(zip(both, (slope, -slope), strict=True)):
+        fresh = compliance(body, line, mesh, comm, node_wear(line, worn[i]), own)
+        assert np.abs(pair.normal[i] - fresh.normal).max() <= 1e-11 * np.abs(fresh.normal).max()
+        twist = line.area @ fresh.torsion
+        assert np.abs(pair.twist[i] - twist).max() <= 1e-11 * np.abs(twist).max()
+        assert pair.force_reaction[i] == pytest.approx(fresh.force_reaction, rel=1e-10)
+    # no memory of what came before, and the same again to the last bit
+    for again, was in ((np.zeros((2, line.n)), unworn), (worn, pair)):
+        assert np.array_equal(geometry.update(again).normal, was.normal)
+
+
+def test_an_update_of_layers_saves_most_of_the_work(comm):
+    both = layered(LOWER, (0.05, HARD)), UPPER
+    line, geometry = moving(both, (True, False), Mesh(24), comm)
+    full = compliance(both[0], line, Mesh(24), comm).response.kernel_evaluations
+    through = profiles(line, (0.2, 0.0))
+    geometry.update(0.0 * through)
+    shallow, deep, again, back = (
+        geometry.update(share * through).cost.kernel_evaluations for share in (0.1, 1.0, 1.0, 0.1)
+    )
+    assert shallow == back < again < full
+    assert deep > full  # what stays is assembled once more
+
+
+def test_uniform_wear_within_a_layer_is_a_thinner_layer(comm):
+    """The whole face of the upper ring worn: one that is lower by as much, its layer too."""
+    mesh, h = Mesh(48), 0.2
+    thick = LOWER, layered(UPPER, (0.5, SOFT))
+    line, geometry = moving(thick, (False, True), mesh, comm)
+    worn = np.stack([np.zeros(line.n), np.full(line.n, h)])
+    found = approach(geometry.update(worn), line)
+    section = Section(CONTACT, 20.0 - h, (), (0.5 - h,))
+    thin = LOWER, replace(thick[1], section=section)
+    exact, before = (approach(assemble_pair(both, line, mesh, comm), line)
+                     for both in (thin, thick))  # fmt: skip
+    assert abs(found - exact) < 1e-4 * abs(exact - before)
+
+
+@pytest.mark.parametrize("coating", [HARD, SOFT])
+def test_a_residual_film_is_about_the_substrate(coating, comm):
+    """The upper ring worn through its layer: a lower ring without, but for a film of 1 um."""
+    mesh, h = Mesh(48), 0.3
+    line, geometry = moving((LOWER, layered(UPPER, (0.05, coating))), (False, True), mesh, comm)
+    pair = geometry.update(np.stack([np.zeros(line.n), np.full(line.n, h)]))
+    bare = LOWER, replace(UPPER, section=Section(CONTACT, 20.0 - h))
+    exact = approach(assemble_pair(bare, line, mesh, comm), line)
+    film = 1e-3 * 50.0 / coating.young
+    assert approach(pair, line) == pytest.approx(exact, abs=max(film, 2e-5 * exact))
+    assert np.linalg.eigvalsh(pair.compliance((1e4, 1e5)).matrix).min() > 0.0
+
+
+def test_deep_is_where_interfaces_or_whole_sides_move(comm):
+    mesh = Mesh(16)
+    for body, shallow, deep in (
+        (layered(LOWER, (0.05, HARD)), 0.048, 0.05),
+        (layered(UPPER, (0.05, HARD)), 0.024, 0.03),  # half of its side
+        (LOWER, 9.0, None),
+        (UPPER, 9.0, None),
+    ):
+        line, geometry = moving((body, UPPER), (True, False), mesh, comm)
+        own = geometry._moving[0]
+        for depth, expected in ((0.0, False), (shallow, False), (deep, True)):
+            if depth is not None:
+                worn = node_wear(line, np.full(line.n, depth))
+                zones = contact_problem(body, line, mesh, worn, None).zones
+                assert own._is_deep(zones) is expected, (body, depth)
+
+
+@pytest.mark.parametrize("thickness", [0.05, 5.0, 9.9, 12.0])
+@pytest.mark.parametrize("body", [LOWER, UPPER])
+def test_what_wear_can_move_is_told(body, thickness):
+    """To the deepest that elements follow."""
+    section, mesh = replace(body.section, layers=(thickness, 0.02)), Mesh(16)
+    line = contact_line(CONTACT, mesh)
+    unworn = zone_meshes(section, line, mesh)
+    parts = moving_parts(section, line, mesh, deep=True)
+    for depth in (0.03, 4.0, 9.95, 9.999):
+        for zone, before, can in zip(
+            zone_meshes(section, line, mesh, np.full(17, depth)), unworn, parts, strict=True
+        ):
+            moved = (zone.nodes != before.nodes).any(axis=1)
+            assert not (moved & ~can.nodes).any()
+            assert not (moved[zone.elements].any(axis=1) & ~can.elements).any()
