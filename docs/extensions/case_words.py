@@ -113,10 +113,10 @@ def _curves(case: "rw.Case", law: Law) -> Figure:
 
 
 def _meaning(law: type[Law]) -> tuple[str, str]:
-    """Return the first sentence of a law's docstring as a title, and the rest before sections."""
+    """Return the first sentence of a law's docstring, and the rest up to its sections."""
     text = re.split(r"\n\s*\n\w+\n-{3,}", inspect.cleandoc(law.__doc__ or ""))[0]
     first, _, rest = text.partition("\n\n")
-    return first[:1].lower() + first[1:].rstrip("."), rest
+    return first, rest
 
 
 def law_page(name: str) -> str:
@@ -132,8 +132,8 @@ def law_page(name: str) -> str:
     if note := re.fullmatch(r"(.*\S) \(([^()]* [^()]*)\)", formula):
         formula, where = note.groups()
     shown = latex(formula)
-    title, told = _meaning(law)
-    lines = [f"# `{name}`: {title}", ""]
+    first, told = _meaning(law)
+    lines = [f"# {name}", "", first, ""]
     lines += [f"$$\n{shown}\n$$" if shown else f"Rate: {law.formula}.", ""]
     if where:
         lines += [f"where `{where}`.", ""]
@@ -153,6 +153,14 @@ def law_page(name: str) -> str:
         "*Its rate with these numbers at the mean radius of the contact, and at half the speed.*"
     ]
     return "\n".join(lines) + "\n"
+
+
+def law_list() -> str:
+    """Return what each law is, in MyST, with a link to its page."""
+    rows = [
+        f"| [`{name}`](generated/laws/{name}.md) | {_meaning(LAWS[name])[0]} |" for name in LAWS
+    ]
+    return "\n".join(["| law | what it says |", "|---|---|", *rows]) + "\n"
 
 
 def law_figure(name: str) -> Figure:
@@ -231,6 +239,7 @@ def _made(app: "Sphinx") -> None:
     for name in LAWS:
         write(folder / "laws" / f"{name}.md", law_page(name))
         law_figure(name).savefig(folder / "laws" / f"{name}.svg", metadata={"Date": None})
+    _write(folder / "laws.txt", law_list())
     page = (Path(app.srcdir) / "first_case.md").read_text("utf-8")
     first_case(page).savefig(folder / "first_case.png", dpi=200)
     for name in KEYS:

@@ -63,9 +63,9 @@ class ThresholdLaw(AboveThreshold):
     by friction energy, in mm3/(N mm) = 1/MPa; below p0 (MPa) contact slides without wear. With p0 =
     0 it is Archard's law of a specific wear rate k mu.
 
-    Use it where light loads hardly wear, where wear goes with friction energy, or where profiles
-    stay more curved than Archard's law has them: pressures end near p0 + c / r. Tests at one load
-    tell k and p0 only together; two loads, one of them near p0, tell them apart.
+    Use it where light loads hardly wear, where wear goes with friction energy, or where it begins
+    at the edges and comes to the middle late. Pressures end near p0 + c / r. Tests at one load tell
+    k and p0 only together; two loads, one of them near p0, tell them apart.
 
     The onset at p0 is sudden, where measured ones are rounded. If the mean pressure is below p0,
     only edges wear, until nothing is pressed harder than p0.
