@@ -239,7 +239,7 @@ def _made(app: "Sphinx") -> None:
     for name in LAWS:
         write(folder / "laws" / f"{name}.md", law_page(name))
         law_figure(name).savefig(folder / "laws" / f"{name}.svg", metadata={"Date": None})
-    _write(folder / "laws.txt", law_list())
+    write(folder / "laws.txt", law_list())
     page = (Path(app.srcdir) / "first_case.md").read_text("utf-8")
     first_case(page).savefig(folder / "first_case.png", dpi=200)
     for name in KEYS:
