@@ -156,8 +156,8 @@ def _parser() -> argparse.ArgumentParser:
         "surfaces, revolved; .csv: histories",
     )  # fmt: skip
     export.add_argument(
-        "--time", type=float, metavar="T",
-        help="take the stored state nearest to this time, s (default: the last)",
+        "--time", type=_time, metavar="T",
+        help='take the stored state nearest to this time, s or such as "2 h" (default: the last)',
     )  # fmt: skip
     export.add_argument(
         "--revolve",
@@ -211,6 +211,19 @@ def _slice(text: str) -> tuple[int, int]:
         raise argparse.ArgumentTypeError(f"{legible(text)}: must be I/N, such as 2/8")
     first, _, last = text.partition("/")
     return int(first), int(last)
+
+
+def _time(text: str) -> float:
+    """Return a time, s."""
+    from ringwear_par.cases.units import seconds
+    from ringwear_par.cases.values import RejectedError
+
+    try:
+        return seconds(text)
+    except RejectedError as error:
+        raise argparse.ArgumentTypeError(
+            f'{legible(text)}: must be a time in s, or with its unit, such as "2 h"'
+        ) from error
 
 
 def _path(text: str) -> Path:

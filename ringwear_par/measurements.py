@@ -11,9 +11,11 @@ import numpy as np
 from ringwear_par.arrays import BoolArray, FloatArray, IntArray
 from ringwear_par.errors import InputError, legible
 
-#: faults of a table told one by one
-_FAULTS_TOLD = 5
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
+#: h:mm:ss, or two of them
+_CLOCK = re.compile(r"(?:(\d+):(?=[0-5]\d:))?(\d+):([0-5]\d(?:\.\d*)?)", re.ASCII)
+#: what Excel writes above a table
+_SEPARATOR = re.compile(r'"?sep=([,;\t])"?', re.IGNORECASE)
 #: cells that say that there is nothing
 _EMPTY = frozenset({"", "nan"})
 
@@ -43,34 +45,56 @@ class Measurements:
             [all(row[i].lower() not in _EMPTY for i in places) for row in self.rows], dtype=bool
         )
 
-    def numbers(self, name: str, rows: BoolArray) -> FloatArray:
+    def numbers(self, name: str, rows: BoolArray, hour: float | None = None) -> FloatArray:
         """Return the numbers of a column in some of the rows.
+
+        Parameters
+        ----------
+        hour : in the column's unit, which may have clock times then: h:mm:ss, or min:s, or h:min
+            where the unit is the hour.
 
         Raises
         ------
-        InputError : the first cells that are none.
+        InputError : cells that are none; the first is shown.
         """
         place = self.columns.index(name)
-        values, faults = np.full(len(self.rows), np.nan), []
+        values, wrong = np.full(len(self.rows), np.nan), []
         for i in np.flatnonzero(rows).tolist():
             cell = self.rows[i][place].replace(",", ".")
             if _NUMBER.fullmatch(cell) and np.isfinite(float(cell)):
                 values[i] = float(cell)
+            elif hour is not None and (clock := _CLOCK.fullmatch(cell)):
+                values[i] = _clock_time(clock, hour)
             else:
-                faults.append(
-                    f"{self.name}: line {self.lines[i]}: {legible(name)} = "
-                    f"{legible(self.rows[i][place])}: must be a number, or empty"
-                )
-        if faults:
-            raise InputError(*faults[:_FAULTS_TOLD])
+                wrong.append(i)
+        if wrong:
+            raise InputError(
+                f"{self.name}: line {self.lines[wrong[0]]}: {legible(name)} = "
+                f"{legible(self.rows[wrong[0]][place])}{and_more(len(wrong), 'line')}: must be a "
+                f"number{'' if hour is None else ' or a clock time (h:mm:ss)'}, or empty"
+            )
         return values[rows]
+
+
+def _clock_time(clock: re.Match[str], hour: float) -> float:
+    """Return a clock time in the unit of which an hour is ``hour``."""
+    hours, minutes, seconds = float(clock[1] or 0), float(clock[2]), float(clock[3])
+    if clock[1] is None and hour == 1.0:
+        hours, minutes, seconds = minutes, seconds, 0.0
+    return hour * (hours + minutes / 60.0 + seconds / 3600.0)
+
+
+def and_more(count: int, noun: str) -> str:
+    """Return how many have a fault beside the one that is told, in brackets; "" for none."""
+    return "" if count == 1 else f" (and {count - 1} more {noun}{'s' if count > 2 else ''})"
 
 
 def read_measurements(path: Path) -> Measurements:
     """Read a table: a line of names, then numbers; between them commas, semicolons or tabs.
 
-    Lines that begin with # and empty ones are skipped. Decimal commas are read where semicolons,
-    tabs or quotes are around them. Not collective.
+    Lines that begin with # and empty ones are skipped; so is ``sep=;`` above the names, which says
+    what is between them. Decimal commas are read where semicolons, tabs or quotes are around them.
+    Not collective.
 
     Raises
     ------
@@ -86,9 +110,14 @@ def read_measurements(path: Path) -> Measurements:
         for number, line in enumerate(_text(path, content).splitlines(), start=1)
         if line.strip(" \t,;") and not line.lstrip().startswith("#")
     ]
+    separator = _SEPARATOR.fullmatch(numbered[0][1].strip(" ")) if numbered else None
+    if separator is not None:
+        del numbered[0]
     if not numbered:
         raise InputError(f"{path}: is empty; must be a line of column names, and lines of numbers")
     delimiter = next((c for c in "\t;" if c in numbered[0][1]), ",")
+    if separator is not None:
+        delimiter = separator[1]
     try:
         cells = list(csv.reader((line for _, line in numbered), delimiter=delimiter))
     except csv.Error as error:
@@ -107,18 +136,19 @@ def read_measurements(path: Path) -> Measurements:
         for name in dict.fromkeys(columns)
         if name and columns.count(name) > 1
     ]
-    rows = []
-    for line, row in zip(lines[1:].tolist(), cells[1:], strict=True):
-        stripped = tuple(cell.strip() for cell in row)
-        if len(stripped) < len(columns) or any(stripped[len(columns) :]):
-            hint = "; decimal commas need semicolons or tabs between columns"
-            faults.append(
-                f"{path}: line {line}: has {len(row)} values; must have {len(columns)}, as the "
-                f"first line{hint if delimiter == ',' and len(row) > len(columns) else ''}"
-            )
-        rows.append(stripped[: len(columns)])
+    rows = [tuple(cell.strip() for cell in row) for row in cells[1:]]
+    wrong = [i for i, row in enumerate(rows) if len(row) < len(columns) or any(row[len(columns) :])]
+    if wrong:
+        count = len(rows[wrong[0]])
+        hint = "; decimal commas need semicolons or tabs between columns"
+        faults.append(
+            f"{path}: line {lines[1 + wrong[0]]}: has {count} values"
+            f"{and_more(len(wrong), 'line')}; must have {len(columns)}, as the first line"
+            f"{hint if delimiter == ',' and count > len(columns) else ''}"
+        )
     if faults:
-        raise InputError(*faults[:_FAULTS_TOLD])
+        raise InputError(*faults)
+    rows = [row[: len(columns)] for row in rows]
     return Measurements(
         str(path), columns, tuple(rows), lines[1:], hashlib.sha256(content).hexdigest()
     )

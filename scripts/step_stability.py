@@ -51,7 +51,7 @@ from ringwear_par.history.pairs import assemble
 from ringwear_par.history.simulate import simulate
 from ringwear_par.history.snapshots import Snapshot
 from ringwear_par.history.state import State
-from ringwear_par.results.drawing import STYLE
+from ringwear_par.results.drawing import COLOURS, STYLE
 from ringwear_par.verification.reference import EXPLICIT_LIMIT, contact_modulus
 from ringwear_par.wear.threshold import ThresholdLaw
 
@@ -380,7 +380,8 @@ def report_unworn(sizes: tuple[int, ...], comm: MPI.Comm) -> None:
 
 
 _DASHES = ((0, (1, 1)), "-.", "--", "-")
-COLOURS = {"a": "#c1440e", "b": "#6a4c93", "c": "#1b4f8a"}
+#: of what the panels show: (a), (b) and nodal gaps, (c) and mid-point gaps
+_SHOWN = {"a": COLOURS[1], "b": COLOURS[3], "c": COLOURS[0]}
 
 
 def draw(found: Study, path: Path) -> None:
@@ -413,10 +414,10 @@ def draw(found: Study, path: Path) -> None:
             found.runs["mid-point", "implicit", LONG, 0.0],
         )
         for ax, same, (name, (run, title)) in zip(axes[0], sames, panels.items(), strict=True):
-            _profiles(ax, run, same, COLOURS[name])
+            _profiles(ax, run, same, _SHOWN[name])
             ax.set_title(f"({name}) {title}", loc="left")
         nodal = found.runs["nodal", "implicit", LONG, 40.0]
-        axes[0, 2].plot(nodal.r[::2], -nodal.wear[-1, ::2], ".", ms=4, color=COLOURS["b"])
+        axes[0, 2].plot(nodal.r[::2], -nodal.wear[-1, ::2], ".", ms=4, color=_SHOWN["b"])
         _pressures(axes[1, 0], panels)
         _unworn(axes[1, 1], nodal.r, found.unworn)
         _limits(axes[1, 2], found.limits)
@@ -449,10 +450,12 @@ def _pressures(ax: Axes, panels: dict[str, tuple[Run, str]]) -> None:
     for name, (run, _) in panels.items():
         mark, width, order = styles[name]
         ax.plot(
-            run.r, run.pressure, mark, ms=3.5, lw=width, zorder=order, color=COLOURS[name],
+            run.r, run.pressure, mark, ms=3.5, lw=width, zorder=order, color=_SHOWN[name],
             label=f"({name})",
         )  # fmt: skip
-    ax.set(xlabel="distance to axis (mm)", ylabel="contact pressure (MPa)", ylim=(-5.0, 205.0))
+    highest = max(float(run.pressure.max()) for run, _ in panels.values())
+    top = 1.2 * highest  # room for the legend
+    ax.set(xlabel="distance to axis (mm)", ylabel="contact pressure (MPa)", ylim=(-5.0, top))
     ax.set_title(f"(d) contact pressure after {TIMES[-1]:g} s of (a), (b), (c)", loc="left")
     ax.legend(frameon=False, ncols=3, loc="upper center")
 
@@ -460,7 +463,7 @@ def _pressures(ax: Axes, panels: dict[str, tuple[Run, str]]) -> None:
 def _unworn(ax: Axes, r: FloatArray, pressures: dict[Gaps, FloatArray]) -> None:
     names: tuple[tuple[Gaps, str], ...] = (("nodal", "b"), ("mid-point", "c"))
     for gaps, name in names:
-        ax.plot(r, pressures[gaps], ".-", ms=4, color=COLOURS[name], label=f"{gaps} gaps")
+        ax.plot(r, pressures[gaps], ".-", ms=4, color=_SHOWN[name], label=f"{gaps} gaps")
     ax.set(xlabel="distance to axis (mm)", ylabel="contact pressure (MPa)")
     ax.set_title(
         "(e) contact pressure before any wear: nodal gaps\nhardly feel alternating pressures",
@@ -483,7 +486,7 @@ def _limits(ax: Axes, limit: dict[int, Limits]) -> None:
     for gaps, name in names:
         measured = [at.measured[gaps] for at in limit.values()]
         values = [at.eigenvalue[gaps] for at in limit.values()]
-        style = {"ls": "none", "color": COLOURS[name]}
+        style = {"ls": "none", "color": _SHOWN[name]}
         ax.loglog(
             n, measured, marker="o", ms=7, mfc="none", label=f"{gaps} gaps, by stepping", **style
         )
@@ -492,10 +495,10 @@ def _limits(ax: Axes, limit: dict[int, Limits]) -> None:
         ax.annotate(
             f"{at.measured['mid-point'] / at.formula:.3f}", (number, at.measured["mid-point"]),
             xytext=(14, 6), textcoords="offset points", ha="center", fontsize=7.5,
-            color=COLOURS["c"],
+            color=_SHOWN["c"],
         )  # fmt: skip
     for name, step, offset in (("a", LONG, (-20, 1)), ("b", SHORT, (-20, -9))):
-        ax.plot(N, step, "*", ms=7, color=COLOURS[name], zorder=5)
+        ax.plot(N, step, "*", ms=7, color=_SHOWN[name], zorder=5)
         ax.annotate(f"({name})", (N, step), xytext=offset, textcoords="offset points")
     ax.set(
         xlabel="number of equal contact elements", ylabel="explicit step (s)",

@@ -171,6 +171,11 @@ def test_every_key_has_its_entry(name, keys):
 @pytest.mark.parametrize("name", LAWS)
 def test_every_law_has_its_page_and_its_curve(name):
     page = case_words.law_page(name)
+    first, told = re.match(rf"# {name}\n\n([^\n]*\.)\n\n(.*)## Parameters", page, re.S).groups()
+    assert f"| [`{name}`](generated/laws/{name}.md) | {first} |" in case_words.law_list()
+    assert "\nUse it " in told  # and what it is in, and what it does not do
+    assert re.search(r"mm/s|1/MPa", told)
+    assert re.search(r"\bnot?\b|at least|only", told.partition("\nUse it ")[2].partition("\n\n")[2])
     for parameter in parameters_of(LAWS[name]).values():
         assert re.search(rf"`{parameter.name} <wear\.\w+\.{parameter.name}>`", page)
         assert parameter.unit == "-" or parameter.unit in page

@@ -112,9 +112,11 @@ def _curves(case: "rw.Case", law: Law) -> Figure:
     return figure
 
 
-def _meaning(law: type[Law]) -> str:
-    """Return the docstring of a law up to its first section."""
-    return re.split(r"\n\s*\n\w+\n-{3,}", inspect.cleandoc(law.__doc__ or ""))[0]
+def _meaning(law: type[Law]) -> tuple[str, str]:
+    """Return the first sentence of a law's docstring, and the rest up to its sections."""
+    text = re.split(r"\n\s*\n\w+\n-{3,}", inspect.cleandoc(law.__doc__ or ""))[0]
+    first, _, rest = text.partition("\n\n")
+    return first, rest
 
 
 def law_page(name: str) -> str:
@@ -130,10 +132,12 @@ def law_page(name: str) -> str:
     if note := re.fullmatch(r"(.*\S) \(([^()]* [^()]*)\)", formula):
         formula, where = note.groups()
     shown = latex(formula)
-    lines = [f"# {name}", "", f"$$\n{shown}\n$$" if shown else f"Rate: {law.formula}.", ""]
+    first, told = _meaning(law)
+    lines = [f"# {name}", "", first, ""]
+    lines += [f"$$\n{shown}\n$$" if shown else f"Rate: {law.formula}.", ""]
     if where:
         lines += [f"where `{where}`.", ""]
-    lines += [_meaning(law), "", "## Parameters", ""]
+    lines += [told, "", "## Parameters", ""]
     lines += ["| key | unit | default | meaning | allowed |", "|---|---|---|---|---|"]
     for parameter in parameters_of(law).values():
         key = BY_PATH[f"wear.{body}.{parameter.name}"]
@@ -145,8 +149,18 @@ def law_page(name: str) -> str:
     table = _table_of(path.read_text("utf-8"), f"wear.{body}")
     lines += ["", "## In a case file", "", f"From `scripts/cases/{path.name}`:", ""]
     lines += ["```toml", table, "```", "", f"![Rate of wear against pressure]({name}.svg)", ""]
-    lines += ["*Its rate with these numbers, at the mean radius and at half the speed.*"]
+    lines += [
+        "*Its rate with these numbers at the mean radius of the contact, and at half the speed.*"
+    ]
     return "\n".join(lines) + "\n"
+
+
+def law_list() -> str:
+    """Return what each law is, in MyST, with a link to its page."""
+    rows = [
+        f"| [`{name}`](generated/laws/{name}.md) | {_meaning(LAWS[name])[0]} |" for name in LAWS
+    ]
+    return "\n".join(["| law | what it says |", "|---|---|", *rows]) + "\n"
 
 
 def law_figure(name: str) -> Figure:
@@ -225,6 +239,7 @@ def _made(app: "Sphinx") -> None:
     for name in LAWS:
         write(folder / "laws" / f"{name}.md", law_page(name))
         law_figure(name).savefig(folder / "laws" / f"{name}.svg", metadata={"Date": None})
+    write(folder / "laws.txt", law_list())
     page = (Path(app.srcdir) / "first_case.md").read_text("utf-8")
     first_case(page).savefig(folder / "first_case.png", dpi=200)
     for name in KEYS:

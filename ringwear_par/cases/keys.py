@@ -10,11 +10,12 @@ import numpy as np
 from ringwear_par.cases.faults import LOADS, unread_keys
 from ringwear_par.cases.laws import law_keys
 from ringwear_par.cases.schema import BY_PATH, TABLES
+from ringwear_par.cases.text import shortened
 from ringwear_par.cases.traces import read_trace
 from ringwear_par.cases.units import without_units
 from ringwear_par.cases.values import RejectedError
 from ringwear_par.errors import InputError, legible
-from ringwear_par.textfiles import parse_toml, parse_value, refuse_depth
+from ringwear_par.textfiles import parse_toml, parse_value, read_text, refuse_depth
 
 #: keys that exclude each other: an overriding one takes the place of the others
 _ALTERNATIVES = (
@@ -37,6 +38,40 @@ def read_keys(text: str, name: str = "case") -> dict[str, Any]:
     tables = parse_toml(text, name)
     refuse_study(tables, name)
     return flatten(tables, name)
+
+
+def base_keys(
+    name: str, folder: Path, tables: Mapping[str, Any], in_python: bool, faults: list[str]
+) -> dict[str, Any] | None:
+    """Return the dotted keys of the case that a study or a fit file begins from.
+
+    None where something is wrong with it, which is added to the faults.
+
+    Parameters
+    ----------
+    name : what messages call the file.
+    folder : from which names of files count.
+    tables : of the file; ``case`` is the name of a case file.
+    in_python : whether ``case`` may be the tables of the case.
+    """
+    base = tables.get("case")
+    try:
+        if in_python and isinstance(base, Mapping):
+            return override({}, in_full(flatten(base, f"{name}: case"), folder))
+        if isinstance(base, str):
+            path = folder / base
+            try:
+                text = read_text(path)
+            except InputError as error:
+                faults.append(f"{name}: case = {shortened(base)}: {error}")
+                return None
+            return in_full(read_keys(text, str(path)), path.parent)
+    except InputError as error:
+        faults += error.faults
+        return None
+    said = "is missing" if base is None else f"= {shortened(base)}"
+    faults.append(f"{name}: case {said}: must be the name of a case file, relative to this one")
+    return None
 
 
 def kinds(tables: Mapping[str, Any]) -> set[str]:

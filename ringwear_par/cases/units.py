@@ -14,6 +14,7 @@ if TYPE_CHECKING:
 
 #: more is no unit, and slow to look at
 _LONGEST = 40
+_PLAIN = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?", re.ASCII)
 _WITH_UNIT = re.compile(
     r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*((?:[^\W\d_]|[%°µμ(]|1\s*/).*)", re.ASCII
 )
@@ -60,6 +61,16 @@ def unit_of_column(name: str, base: str) -> str | None:
     except RejectedError:
         return None
     return match[1]
+
+
+def seconds(text: str) -> float:
+    """Return a time of a command line: in s, or with its unit ("2 h").
+
+    Raises
+    ------
+    RejectedError : it is none.
+    """
+    return float(text) if _PLAIN.fullmatch(text.strip()) else number_in(text, "s")
 
 
 def has_unit(value: Any) -> bool:

@@ -154,10 +154,13 @@ class ErrorControl:
         self._from = state
         self._end, self._cut = _end(state.time, self._length, limit)
         if _vanishes(state.time, self._end):
+            why = self._failure or (
+                f"errors exceed time.tolerance = {time.tolerance:g} mm or time.pressure_tolerance "
+                f"= {time.pressure_tolerance:g} (larger ones may be met)"
+            )
             raise ComputationError(
-                f"time.tolerance = {time.tolerance:g} mm and time.pressure_tolerance = "
-                f"{time.pressure_tolerance:g} are not met by any step; the last one "
-                f"would be {self._end - state.time:.3g} s{self._failure}"
+                f"{why}, however short the step: the last one would be "
+                f"{self._end - state.time:.3g} s"
             )
         return self._end
 
@@ -165,7 +168,7 @@ class ErrorControl:
         """Try a quarter of the step; a law that fails will fail in any."""
         if isinstance(error, LawError) or self._from is None:
             raise error
-        self._failure = f" ({error})"
+        self._failure = str(error)
         self._length = 0.25 * (self._end - self._from.time)
         self.progress = replace(self.progress, rejected=self.progress.rejected + 1)
 

@@ -286,7 +286,7 @@ class WearModel:
         except HistoriesError:
             raise
         except ComputationError as error:
-            raise ComputationError(f"step 0 (before any wear): {error}") from error
+            raise ComputationError(f"{error}; in step 0, before any wear") from error
         self._check_interpenetration()
         rates = self.rates_at(nothing, wear, contact.pressure)
         worn = np.zeros(wear.shape[:-1])

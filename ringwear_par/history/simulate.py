@@ -97,7 +97,7 @@ def simulate(
                     with together(comm):
                         within.append(scheme(model, state, time))
             except ComputationError as error:
-                told = f"step {made.steps + 1} (from time {state.time:g} s): {error}"
+                told = f"{error}; in step {made.steps + 1}, from time {state.time:g} s"
                 raise type(error)(told) from error
             for passed in within:
                 show(passed.state, passed, passed.state.contact.iterations, passing=True)

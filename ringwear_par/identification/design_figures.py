@@ -37,7 +37,7 @@ def figure(found: "DesignResult") -> Figure:
     for j, (axes, parameter) in enumerate(zip(panels, parameters, strict=True)):
         scale = 100.0 / found.nominal[j] if parameter.log else 1.0
         unit = "%" if parameter.log else unit_of(found.problem, parameter.key).strip()
-        label = f"predicted sd of {parameter.key} ({unit})"
+        label = f"predicted sd of {parameter.key}" + (f" ({unit})" if unit else "")
         if len(plain) and len(found.pairs):
             _map_of_pairs(axes, found, plain, scale * found.pairs[..., j], label, first=j == 0)
         elif len({found.candidates[i].seconds for i in plain}) > 1:

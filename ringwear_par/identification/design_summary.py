@@ -2,20 +2,17 @@
 
 import json
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ringwear_par.atomic import atomic_write, unwritable
-from ringwear_par.cases.keys import flatten
-from ringwear_par.cases.text import toml_value
 from ringwear_par.errors import ComputationError
-from ringwear_par.identification.candidates import LOADS, Candidate
+from ringwear_par.identification.candidates import Candidate
 from ringwear_par.identification.folders import DESIGN, MAP, NEXT
-from ringwear_par.identification.inline_tables import on_one_line
+from ringwear_par.identification.next_tests import next_tests
 from ringwear_par.identification.storing import check
 from ringwear_par.identification.summary import unit_of
-from ringwear_par.textfiles import parse_toml
 
 if TYPE_CHECKING:
     from ringwear_par.identification.design import DesignResult
@@ -100,33 +97,6 @@ def _spreads(found: "DesignResult", one: "Design") -> str:
     return "; ".join(told)
 
 
-def set_of(found: "DesignResult", test: Candidate) -> dict[str, Any]:
-    """Return all case keys that an experiment of a fit file sets for a test."""
-    table = parse_toml(on_one_line(found.problem.text), found.problem.name)["experiment"][0].get(
-        "set", {}
-    )
-    own, changes = flatten(table, "set"), test.changes()
-    loads = {*LOADS, "load.displacement"} if set(LOADS) & changes.keys() else set()
-    return {key: value for key, value in own.items() if key not in loads} | changes
-
-
-def next_tests(found: "DesignResult") -> str:
-    """Return the best design as tables of a fit file."""
-    problem, best = found.problem, found.designs[0]
-    lines = [
-        f"# the best of {len(found.candidates)} candidates: {_spreads(found, best)}",
-        f"# readings as in {problem.experiments[0].name} of {problem.name}",
-    ]
-    for number, place in enumerate(best.tests, start=1):
-        test = found.candidates[place]
-        changes = ", ".join(
-            f"{toml_value(k)} = {toml_value(v)}" for k, v in set_of(found, test).items()
-        )
-        lines += ["", "[[experiment]]", f'name = "next {number}"', f"set = {{ {changes} }}"]
-        lines += [f"# {series.name}: {series.n} readings" for series in test.experiment.series]
-    return "\n".join(lines) + "\n"
-
-
 def save(found: "DesignResult", folder: Path) -> None:
     """Write all three files; design.json, which says that it is whole, the last. On one rank.
 
@@ -143,7 +113,8 @@ def save(found: "DesignResult", folder: Path) -> None:
         with atomic_write(folder / MAP) as path:
             found.plot().savefig(path, format="png", dpi=130)
         with atomic_write(folder / NEXT) as path:
-            path.write_text(next_tests(found), encoding="utf-8")
+            told = _spreads(found, found.designs[0])
+            path.write_text(next_tests(found, told), encoding="utf-8")
         with atomic_write(folder / DESIGN) as path:
             path.write_text(json.dumps(found.to_dict(), indent=1, allow_nan=False) + "\n")
     except OSError as error:

@@ -1,9 +1,11 @@
 """The figure of a fit: data and model of every series with its band, and the residuals below.
 
-A series of one reading is a narrow panel of its own.
+Series of one reading, such as weighings, share a strip below: a line each.
 """
 
 import math
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -18,7 +20,9 @@ if TYPE_CHECKING:
     from ringwear_par.identification.outcome import FitResult
 
 _COLUMNS = 3
-_WIDTH, _NARROW, _HEIGHT = 4.3, 0.5, 3.9
+_WIDTH, _HEIGHT = 4.3, 3.9
+#: of the strip of single readings: a line of it, what is around them, and how narrow it may be
+_ROW, _MARGIN, _NARROWEST = 0.28, 0.55, 6.5
 _DATA, _MODEL, _BAND = "0.55", COLOURS[1], COLOURS[0]
 _RESIDUAL = "(data - model) / sd"
 #: what readings are called, by the first part of their quantity, if not by that
@@ -32,43 +36,59 @@ _CLOSE = 1e-9
 def figure(found: "FitResult") -> Figure:
     """Return the figure of data, model, its band at the fit's level, and residuals."""
     squares = found.squares
-    drawn = [
-        (experiment, series, part)
+    every = [
+        _Drawn(experiment, series, part)
         for (experiment, series), part in zip(squares.series, squares.parts, strict=True)
     ]
-    across = 2 if len(drawn) == 4 else min(_COLUMNS, len(drawn))
-    down = math.ceil(len(drawn) / across)
-    widths = [
-        _WIDTH * (1.0 if any(series.n > 1 for _, series, _ in drawn[column::across]) else _NARROW)
-        for column in range(across)
-    ]
-    chart = Figure(figsize=(sum(widths), _HEIGHT * down), layout="constrained")
-    grid = chart.add_gridspec(2 * down, across, width_ratios=widths, height_ratios=[5, 2] * down)
+    curves = [one for one in every if one.series.n > 1]
+    single = [one for one in every if one.series.n == 1]
+    across = 2 if len(curves) == 4 else min(_COLUMNS, max(len(curves), 1))
+    down = math.ceil(len(curves) / across)
+    heights = _HEIGHT * down, _MARGIN + _ROW * len(single)
+    width = max(_WIDTH * across, _NARROWEST if single else 0.0)
+    chart = Figure(figsize=(width, heights[0] + bool(single) * heights[1]), layout="constrained")
+    parts: Any = chart, chart
+    if single and curves:  # labels of the strip make no panel above it narrower
+        parts = chart.subfigures(2, 1, height_ratios=heights)
+    top, strip = parts
+    grid = top.add_gridspec(max(2 * down, 1), across, height_ratios=[5, 2] * down or [1])
     quantile = float(norm.ppf(0.5 + 0.5 * squares.problem.settings.level))
-    explained = False
-    for place, (experiment, series, part) in enumerate(drawn):
+    for place, one in enumerate(curves):
         row, column = divmod(place, across)
-        if series.n == 1:
-            above = chart.add_subplot(grid[2 * row : 2 * row + 2, column])
-            _draw_one(above, found, series, part, quantile)
-        else:
-            above = chart.add_subplot(grid[2 * row, column])
-            below = chart.add_subplot(grid[2 * row + 1, column], sharex=above)
-            _draw(above, below, found, experiment, series, part, quantile)
-            if not explained:
-                above.legend(fontsize=7, frameon=False)
-                explained = True
-        above.set_title(f"{experiment.name}: {series.name}", fontsize=8)
-        above.set_ylabel(label(series), fontsize=8)
+        above = top.add_subplot(grid[2 * row, column])
+        below = top.add_subplot(grid[2 * row + 1, column], sharex=above)
+        _draw(above, below, found, one, quantile)
+        if place == 0:
+            above.legend(fontsize=7, frameon=False)
+        above.set_title(one.name, fontsize=8)
+        above.set_ylabel(label(one.series), fontsize=8)
+    if single:
+        _draw_single(strip.add_subplot(), found, single, quantile, explained=not curves)
     return chart
+
+
+@dataclass(frozen=True)
+class _Drawn:
+    """A series, the experiment that it is of, and which of all readings are its own."""
+
+    experiment: Experiment
+    series: Series
+    part: slice
+
+    @property
+    def name(self) -> str:
+        return f"{self.experiment.name}: {self.series.name}"
 
 
 def label(series: Series) -> str:
     """Return what an axis of readings is called."""
     kind, _, body = series.quantity.partition(".")
     of = f" of {body}" if body else ""
-    unit = series.unit.replace("\N{MICRO SIGN}", "u").replace("\N{GREEK SMALL LETTER MU}", "u")
-    return f"{_WORDS.get(kind, kind)}{of} ({unit})"
+    return f"{_WORDS.get(kind, kind)}{of} ({_ascii(series.unit)})"
+
+
+def _ascii(unit: str) -> str:
+    return unit.replace("\N{MICRO SIGN}", "u").replace("\N{GREEK SMALL LETTER MU}", "u")
 
 
 def pieces(series: Series, contact: tuple[float, float]) -> list[IntArray]:
@@ -87,34 +107,53 @@ def pieces(series: Series, contact: tuple[float, float]) -> list[IntArray]:
     return np.split(order, ends)
 
 
-def _draw_one(axes: Any, found: "FitResult", series: Series, part: slice, quantile: float) -> None:
-    """Draw a single reading beside the model's."""
-    scale, reach = 1.0 / series.factor, quantile / series.factor
-    bars = (
-        ("data", series.value, reach * found.squares.sd[part], _DATA),
-        ("model", found.evaluation.model[part], reach * found.band[part], _MODEL),
-    )
-    for x, (_, value, bar, colour) in enumerate(bars):
-        axes.errorbar([x], scale * value, bar, fmt="o", color=colour, ms=4, capsize=4)
-    axes.set_xticks([0, 1], [name for name, *_ in bars])
-    axes.set_xlim(-0.6, 1.6)
-    axes.set_box_aspect(2.0)
-    level = f"{100 * found.squares.problem.settings.level:g} %"
-    axes.set_xlabel(
-        f"{_RESIDUAL} = {-found.evaluation.noise[part][0]:.2g}\nbars: {level}", fontsize=7
-    )
-    axes.tick_params(labelsize=7)
-
-
-def _draw(
-    above: Any,
-    below: Any,
-    found: "FitResult",
-    experiment: Experiment,
-    series: Series,
-    part: slice,
-    quantile: float,
+def _draw_single(
+    axes: Any, found: "FitResult", single: Sequence[_Drawn], quantile: float, *, explained: bool
 ) -> None:
+    """Draw series of one reading, a line each: how far it is off the model, and both in words."""
+    level = f"{100 * found.squares.problem.settings.level:g} %"
+    residuals = np.array([-found.evaluation.noise[one.part][0] for one in single])
+    places, told = np.arange(len(single)), []
+    bands = np.array([(found.band[one.part] / found.squares.sd[one.part])[0] for one in single])
+    for values, shade, what in (
+        (np.hypot(bands, 1.0), 0.15, "of readings"), (bands, 0.5, "of the model")
+    ):  # fmt: skip
+        axes.barh(
+            places, 2 * quantile * values, left=-quantile * values, height=0.7, color=_BAND,
+            alpha=shade, lw=0, label=f"{level} {what}",
+        )  # fmt: skip
+    axes.axvline(0.0, color=_MODEL, lw=1, label="model")
+    axes.plot(residuals, places, "o", color=_DATA, ms=4, label="data")
+    for one in single:
+        scale, unit = 1.0 / one.series.factor, _ascii(one.series.unit)
+        value, sd, model, band = (
+            scale * float(values[0])
+            for values in (
+                one.series.value, quantile * found.squares.sd[one.part],
+                found.evaluation.model[one.part], quantile * found.band[one.part],
+            )
+        )  # fmt: skip
+        told.append(
+            f"{value:.4g} \N{PLUS-MINUS SIGN} {sd:.2g} {unit}, "
+            f"model {model:.4g} \N{PLUS-MINUS SIGN} {band:.2g}"
+        )
+    reach = max(4.0, 1.1 * float(np.abs(residuals).max()), 1.1 * quantile * float(bands.max()))
+    axes.set_xlim(-reach, reach)
+    axes.set_ylim(len(single) - 0.4, -0.6)
+    axes.set_yticks(places, [one.name for one in single])
+    right = axes.secondary_yaxis("right")
+    right.set_yticks(places, told)
+    for side in (axes, right):
+        side.tick_params(labelsize=7)
+    right.tick_params(length=0)
+    axes.set_xlabel(_RESIDUAL, fontsize=7)
+    if explained:
+        axes.legend(fontsize=7, frameon=False, loc="lower center", bbox_to_anchor=(0.5, 1.0),
+                    ncols=4)  # fmt: skip
+
+
+def _draw(above: Any, below: Any, found: "FitResult", one: _Drawn, quantile: float) -> None:
+    experiment, series, part = one.experiment, one.series, one.part
     scale = 1.0 / series.factor
     data, sd = scale * series.value, scale * found.squares.sd[part]
     model, residuals = scale * found.evaluation.model[part], -found.evaluation.noise[part]

@@ -19,7 +19,7 @@ from ringwear_par.identification.minimise import Optimum, minimise
 from ringwear_par.identification.outcome import FitResult
 from ringwear_par.identification.planned import fill
 from ringwear_par.identification.plausible import refuse_idle, refuse_reversed
-from ringwear_par.identification.posterior import require_emcee, sample_posterior
+from ringwear_par.identification.posterior import missing_for, sample_posterior
 from ringwear_par.identification.problem import Problem
 from ringwear_par.identification.profile import likelihood_profiles
 from ringwear_par.identification.rounds import Rounds
@@ -85,11 +85,11 @@ def fitted(
         return replace(found, alternatives=others, failed=failed)
 
 
-def _readable(source: Source, *, plans: bool = False) -> Problem:
+def _readable(source: Source) -> Problem:
     """Return the problem of a fit file, if there is what its intervals need. On one rank."""
-    problem = read_fit(source, plans=plans)
-    if "posterior" in problem.settings.intervals:
-        require_emcee()
+    problem = read_fit(source)
+    if missing := missing_for(problem.settings.intervals):
+        raise InputError(f"{problem.name}: {missing}")
     return problem
 
 
@@ -249,12 +249,12 @@ def run_fit(
     from ringwear_par.identification import storing
     from ringwear_par.identification.summary import prediction
 
-    problem = on_first_rank(comm, lambda: _readable(source, plans=dry_run))
     if dry_run:
-        found = predicted(problem, comm)
+        found = predicted(on_first_rank(comm, lambda: read_fit(source, plans=True)), comm)
         if comm.rank == 0:
             print(prediction(found))
         return
+    problem = on_first_rank(comm, lambda: _readable(source))
     on_first_rank(comm, lambda: storing.check(folder))
     if restart and on_first_rank(comm, lambda: storing.complete(folder, problem, compare=compare)):
         if comm.rank == 0:

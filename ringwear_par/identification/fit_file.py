@@ -10,7 +10,7 @@ import numpy as np
 
 from ringwear_par.cases.case import Case
 from ringwear_par.cases.faults import Origin
-from ringwear_par.cases.keys import flatten, in_full, kinds, override, read_keys
+from ringwear_par.cases.keys import base_keys, flatten, in_full, kinds, override, read_keys
 from ringwear_par.cases.reading import make_case
 from ringwear_par.cases.text import shortened, toml_value
 from ringwear_par.cases.values import number, some_of, text, whole
@@ -72,7 +72,7 @@ def read_fit(source: Path | str | Mapping[str, Any], *, plans: bool = False) -> 
         faults.append(
             f"{name}: {legible(key)}: unknown key{hint}; must be one of {', '.join(_TABLES)}"
         )
-    base = _read_base(name, folder, tables, isinstance(source, Mapping), faults)
+    base = base_keys(name, folder, tables, isinstance(source, Mapping), faults)
     settings, parameters = _read_settings(f"{name}: fit", tables.get("fit", {}), faults)
     files = FileStore(folder)
     read = _Experiments(name, folder, base, files, plans)
@@ -111,25 +111,6 @@ def _plain(value: Any) -> Any:
             )
         return read_keys(value.text)
     return str(value) if isinstance(value, Path) else value
-
-
-def _read_base(
-    name: str, folder: Path, tables: Mapping[str, Any], in_python: bool, faults: list[str]
-) -> dict[str, Any] | None:
-    """Return the dotted keys of the base case, and add what is wrong with it to the faults."""
-    base = tables.get("case")
-    try:
-        if in_python and isinstance(base, Mapping):
-            return override({}, in_full(flatten(base, f"{name}: case"), folder))
-        if isinstance(base, str):
-            path = folder / base
-            return in_full(read_keys(read_text(path), str(path)), path.parent)
-    except InputError as error:
-        faults += error.faults
-        return None
-    said = "is missing" if base is None else f"= {shortened(base)}"
-    faults.append(f"{name}: case {said}: must be the name of a case file, relative to this one")
-    return None
 
 
 def _read_settings(

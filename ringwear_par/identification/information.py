@@ -8,11 +8,11 @@ from mpi4py import MPI
 
 from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.case import Case
-from ringwear_par.identification.histories import Histories
 from ringwear_par.identification.intervals import share_of_loss
 from ringwear_par.identification.problem import Experiment, Problem, Series
 from ringwear_par.identification.readings import nuisance_columns, whitened
-from ringwear_par.parallel import together
+from ringwear_par.identification.rounds import Rounds
+from ringwear_par.stopping import StopSignals
 
 #: singular values of nuisances' columns of unit length that are no more than round-off
 _ROUND_OFF = 1e-10
@@ -21,7 +21,7 @@ _ROUND_OFF = 1e-10
 def informations(
     problem: Problem, tests: Sequence[Experiment], draws: FloatArray, comm: MPI.Intracomm
 ) -> tuple[FloatArray, dict[int, str], int]:
-    """Return what each test tells. Collective on comm, whose ranks share the tests.
+    """Return what each test tells. Collective on comm, whose ranks compute each draw together.
 
     Tests of one case, the same object, share its histories; series that they share are read once.
 
@@ -39,30 +39,28 @@ def informations(
         groups.setdefault(id(test.case), []).append(number)
     numbers = list(groups.values())
     whole = [_together([tests[number] for number in group]) for group in numbers]
-    own = list(range(len(whole)))[comm.rank :: comm.size]
-    histories = Histories(replace(problem, experiments=tuple(whole), alternatives={}), comm)
-    m = len(problem.parameters)
-    found: dict[int, FloatArray] = {}
-    failures: dict[int, str] = {}
-    with together(comm):
+    posed = replace(problem, experiments=tuple(whole), alternatives={})
+    # signals are not waited for: there is nothing to keep
+    rounds = Rounds(posed, comm, StopSignals())
+
+    def told() -> tuple[FloatArray, dict[int, str], int]:
+        m = len(problem.parameters)
+        found = np.full((len(draws), len(tests), m, m), np.nan)
+        failures: dict[int, str] = {}
         for d, values in enumerate(draws):
             pairs = zip(problem.parameters, values.tolist(), strict=True)
             slopes = np.array([parameter.slope(value) for parameter, value in pairs])
-            for place, response in zip(own, histories.of(own, values), strict=True):
-                for number in numbers[place]:
-                    found.setdefault(number, np.full((len(draws), m, m), np.nan))
+            responses = rounds.of(range(len(whole)), values)
+            for group, test, response in zip(numbers, whole, responses, strict=True):
                 if isinstance(response, Exception):
-                    failures |= {n: str(response) for n in numbers[place] if n not in failures}
+                    failures |= {n: str(response) for n in group if n not in failures}
                     continue
-                each = _each(problem, whole[place], response[:, 1:] * slopes)
-                for number in numbers[place]:
-                    found[number][d] = sum(each[id(series)] for series in tests[number].series)
-    every: dict[int, FloatArray] = {}
-    for part, failed in comm.allgather((found, failures)):
-        every |= part
-        failures |= failed
-    stacked = np.stack([every[number] for number in range(len(tests))], axis=1)
-    return stacked, failures, comm.allreduce(histories.count)
+                each = _each(problem, test, response[:, 1:] * slopes)
+                for number in group:
+                    found[d, number] = sum(each[id(series)] for series in tests[number].series)
+        return found, failures, rounds.count
+
+    return rounds.lead(told)
 
 
 def _together(tests: Sequence[Experiment]) -> Experiment:

@@ -11,12 +11,13 @@ nothing to the spread of the samples.
 
 import logging
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass
+from importlib.util import find_spec
 
 import numpy as np
 
 from ringwear_par.arrays import FloatArray
-from ringwear_par.errors import InputError
 from ringwear_par.identification.chain import Keeper, Walk
 from ringwear_par.identification.histories import Histories
 from ringwear_par.identification.least_squares import LeastSquares
@@ -57,19 +58,11 @@ class Posterior:
         return ends
 
 
-def require_emcee() -> None:
-    """Refuse to go on without emcee.
-
-    Raises
-    ------
-    InputError : it is not installed.
-    """
-    try:
-        import emcee  # noqa: F401
-    except ImportError as error:
-        raise InputError(
-            'fit: intervals: "posterior" needs emcee: pip install emcee, or leave it out'
-        ) from error
+def missing_for(intervals: Sequence[str]) -> str:
+    """Return what intervals of a fit need that is not installed, "" for nothing; import nothing."""
+    if "posterior" not in intervals or find_spec("emcee") is not None:
+        return ""
+    return 'fit.intervals: "posterior" needs emcee: pip install emcee, or leave it out'
 
 
 def sample_posterior(

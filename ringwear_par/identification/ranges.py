@@ -2,28 +2,28 @@
 
 import numpy as np
 
+from ringwear_par.arrays import IntArray
 from ringwear_par.cases.case import Case
 from ringwear_par.identification.problem import Series
 from ringwear_par.identification.tables import TableReader
-
-_FAULTS_TOLD = 5
+from ringwear_par.measurements import and_more
 
 
 def check_times(reader: TableReader, series: Series, case: Case) -> None:
     """Refuse times that do not increase, or that are outside the test."""
     x, end = series.x, case.time.end
-    faults = []
-    for i in np.flatnonzero(np.diff(x) <= 0).tolist():
-        faults.append(
-            f"{_line(series, i + 1)}time {x[i + 1]:g} s after {x[i]:g} s: times must increase"
+    if (late := np.flatnonzero(np.diff(x) <= 0)).size:
+        i = int(late[0])
+        reader.fault(
+            f"{_line(series, i + 1)}time {x[i + 1]:g} s after {x[i]:g} s{_more(late)}: times must "
+            "increase"
         )
-    for i in np.flatnonzero((x < 0) | (x > end)).tolist():
-        faults.append(
-            f"{_line(series, i)}time {x[i]:g} s: must be within the test, from 0 to {end:g} "
-            "s (time.end)"
+    if (outside := np.flatnonzero((x < 0) | (x > end))).size:
+        i = int(outside[0])
+        reader.fault(
+            f"{_line(series, i)}time {x[i]:g} s{_more(outside)}: must be within the test, from 0 "
+            f"to {end:g} s (time.end)"
         )
-    for fault in faults[:_FAULTS_TOLD]:
-        reader.fault(fault)
     if series.quantity != "torque":
         _check_depths(reader, series, case)
 
@@ -31,13 +31,12 @@ def check_times(reader: TableReader, series: Series, case: Case) -> None:
 def check_profile(reader: TableReader, series: Series, case: Case) -> None:
     """Refuse radii that are not those of the body."""
     ring = getattr(case, series.body)
-    outside = np.flatnonzero((series.x < ring.r[0]) | (series.x > ring.r[1]))
-    for i in outside[:_FAULTS_TOLD].tolist():
-        hint = ""
+    if (outside := np.flatnonzero((series.x < ring.r[0]) | (series.x > ring.r[1]))).size:
+        i, hint = int(outside[0]), ""
         if ring.r[0] <= series.x[i] / 1e3 <= ring.r[1]:
             hint = "; it is a thousand times too large: look at units.r"
         reader.fault(
-            f"{_line(series, i)}r = {series.x[i]:g} mm: must be on the "
+            f"{_line(series, i)}r = {series.x[i]:g} mm{_more(outside)}: must be on the "
             f"{series.body} body, from {ring.r[0]:g} to {ring.r[1]:g} mm{hint}"
         )
     a, b = case.contact
@@ -60,6 +59,10 @@ def _check_depths(reader: TableReader, series: Series, case: Case) -> None:
             f"{_line(series, i)}{series.value[i]:g} mm: must be less than the height of a body, "
             f"{highest:g} mm; look at the unit"
         )
+
+
+def _more(wrong: IntArray) -> str:
+    return and_more(len(wrong), "reading")
 
 
 def _line(series: Series, i: int) -> str:

@@ -101,12 +101,14 @@ KEYS: tuple[FitKey, ...] = (
            "are positive where material is lost; points of a profile outside the contact are "
            "unworn", _one_of(QUANTITIES)),
     FitKey(f"{_DATA}.file", "-", None, "table of readings: a line of column names, then numbers; "
-           "lines that begin with # and empty cells are skipped",
+           "lines that begin with # and empty cells are skipped; times may be clock times: "
+           "h:mm:ss, or min:s (h:min where units.time is h)",
            "the name of a text file with commas, semicolons or tabs, relative to this one"),
     FitKey(f"{_DATA}.columns", "-", None, "names of its columns, where they are not time (or r) "
            "and value", _COLUMNS),
     FitKey(f"{_DATA}.units", "-", None, "units of its columns, as pint knows them; default: the "
-           "ending of a column's name, as in z_um; else s, mm, N mm, g, mm^3", _COLUMNS),
+           "ending of a column's name, as in z_um, which they must not contradict; else s, mm, "
+           "N mm, g, mm^3", _COLUMNS),
     FitKey(f"{_DATA}.value", "data's", None, "a single reading, instead of file",
            number(-math.inf).allowed),
     FitKey(f"{_DATA}.unit", "-", None, "unit of value, or of sd where readings are planned",

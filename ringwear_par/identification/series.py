@@ -19,7 +19,7 @@ from ringwear_par.identification.planned import instants
 from ringwear_par.identification.problem import BASE, Nuisance, Quantity, Series
 from ringwear_par.identification.ranges import check_profile, check_times
 from ringwear_par.identification.tables import TableReader
-from ringwear_par.measurements import Measurements, read_measurements
+from ringwear_par.measurements import Measurements, and_more, read_measurements
 
 QUANTITIES = get_args(Quantity)
 #: which nuisances a quantity may have
@@ -45,7 +45,6 @@ _NEAR_ZERO = 0.05
 _LONGEST_CORRELATION = 100.0
 #: of the test: times that are rounded, in minutes, say, may be so much later than its end
 _ROUNDED = 2e-4
-_FAULTS_TOLD = 5
 #: g/mm3: foams have more, osmium has less; other units of densities, in g/mm3
 DENSITIES = (1e-5, 0.03)
 _OTHERS = {"g/cm3": 1e-3, "kg/m3": 1e-6, "kg/mm3": 1e3, "t/mm3": 1e6}
@@ -296,21 +295,37 @@ def _from_file(reader: TableReader, kind: str, files: Files) -> _Readings | None
         base = BASE[kind if role == "value" else role]
         unit = units.get(role) or unit_of_column(column, base) or base
         scale = _factor(reader, f"units.{role}", unit, base)
-        if scale is not None:
-            names[role], found[role], factors[role] = column, unit, scale
+        if scale is None:
+            continue
+        if named := _other_unit(column, unit):
+            reader.fault(
+                f"units.{role} = {shortened(unit)}: the column {legible(column)} of {data.name} is "
+                f"in {named} by its name; must be the same unit"
+            )
+        names[role], found[role], factors[role] = column, unit, scale
     if len(names) < len(roles):
         return None
     rows = data.filled(*names.values())
-    x, value = (factors[role] * _column(reader, data, names[role], rows) for role in roles)
+    hour = factor("h", "s") / factors["time"] if "time" in roles else None
+    x = factors[roles[0]] * _column(reader, data, names[roles[0]], rows, hour)
+    value = factors["value"] * _column(reader, data, names["value"], rows)
     told = bool(units.get("value") or unit_of_column(names["value"], BASE[kind]))
     return _Readings(
         x, value, found["value"], factors["value"], told, data, rows, data.lines[rows], data.name
     )
 
 
-def _column(reader: TableReader, data: Measurements, name: str, rows: BoolArray) -> FloatArray:
+def _other_unit(column: str, unit: str) -> str:
+    """Return the unit that a column's name ends with where it is not this one, else ""."""
+    named = unit_of_column(column, unit)
+    return "" if named is None or math.isclose(factor(named, unit), 1.0) else legible(named)
+
+
+def _column(
+    reader: TableReader, data: Measurements, name: str, rows: BoolArray, hour: float | None = None
+) -> FloatArray:
     try:
-        return data.numbers(name, rows)
+        return data.numbers(name, rows, hour)
     except InputError as error:
         for fault in error.faults:
             reader.fault(fault)
@@ -392,6 +407,11 @@ def _sd_column(reader: TableReader, column: str, found: _Readings) -> FloatArray
             "sd", f'must be a number, "fit", {{ relative = x }} or a column of {data.name}'
         )
         return unknown
+    if named := _other_unit(column, found.unit):
+        reader.wrong(
+            "sd", f"the column is in {named} by its name; must be in {found.unit}, as the readings"
+        )
+        return unknown
     filled = data.filled(column)[rows]
     if not filled.all():
         reader.fault(
@@ -399,9 +419,9 @@ def _sd_column(reader: TableReader, column: str, found: _Readings) -> FloatArray
         )
         return unknown
     sd = found.factor * _column(reader, data, column, rows)
-    for i in np.flatnonzero(sd <= 0)[:_FAULTS_TOLD].tolist():
-        told = f"{column} = {sd[i] / found.factor:g}"
-        reader.fault(f"{found.where}: line {lines[i]}: {told}: must be a number > 0")
+    if (wrong := np.flatnonzero(sd <= 0)).size:
+        told = f"{column} = {sd[wrong[0]] / found.factor:g}{and_more(wrong.size, 'line')}"
+        reader.fault(f"{found.where}: line {lines[wrong[0]]}: {told}: must be a number > 0")
     return sd
 
 

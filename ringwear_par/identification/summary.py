@@ -6,7 +6,7 @@ import numpy as np
 
 from ringwear_par.identification.fitted import units_of
 from ringwear_par.identification.intervals import ParameterEstimate
-from ringwear_par.identification.posterior import FEW
+from ringwear_par.identification.posterior import FEW, missing_for
 from ringwear_par.identification.problem import Problem
 from ringwear_par.identification.starts import Started
 
@@ -149,6 +149,8 @@ def prediction(found: "FitResult") -> str:
         f"to be done: {settings.starts} starts by {settings.method}, intervals: "
         f"{', '.join(settings.intervals)}"
     )
+    if missing := missing_for(settings.intervals):
+        lines.append(f"missing: {missing}")
     if problem.alternatives:
         lines.append(f"to be compared: {', '.join(problem.alternatives)}")
     return "\n".join(lines)
@@ -170,11 +172,10 @@ def _parameter_lines(found: "FitResult") -> list[str]:
 
 
 def _told(one: ParameterEstimate, problem: Problem, *, profiled: bool) -> str:
-    unit, level, (low, high) = unit_of(problem, one.key), problem.settings.level, one.interval
-    value = f"{one.estimate:.5g}"
+    level, (low, high) = problem.settings.level, one.interval
+    value = _with_spread(one, problem)
     if one.verdict == "not identified":
-        return f"{value}{unit}  not identified"
-    spread = "" if one.sd is None or one.verdict == "at bound" else f" +- {one.sd:.2g}"
+        return f"{value}  not identified"
     if low is not None and high is not None:
         limits = f"from {low:.5g} to {high:.5g}"
     elif low is None and high is None:
@@ -182,7 +183,14 @@ def _told(one: ParameterEstimate, problem: Problem, *, profiled: bool) -> str:
     else:
         limits = f"less than {high:.5g}" if high is not None else f"more than {low:.5g}"
     by = ", likelihood profile" if profiled else ""
-    return f"{value}{spread}{unit}  {limits} ({100 * level:g} %{by})  {one.verdict}"
+    return f"{value}  {limits} ({100 * level:g} %{by})  {one.verdict}"
+
+
+def _with_spread(one: ParameterEstimate, problem: Problem) -> str:
+    """Return an estimate with its standard deviation, if it has one, and its unit."""
+    told = one.sd is not None and one.verdict == "identified"
+    spread = f" +- {one.sd:.2g}" if told else ""
+    return f"{one.estimate:.5g}{spread}{unit_of(problem, one.key)}"
 
 
 def _posterior_lines(found: "FitResult", posterior: "Posterior") -> list[str]:
@@ -260,7 +268,9 @@ def _alternative_lines(found: "FitResult") -> list[str]:
     best = min(other.aic for other in laws.values())
     lines = ["laws compared (AIC over the smallest, BIC, chi2, parameters):"]
     for name, other in sorted(laws.items(), key=lambda item: item[1].aic):
-        values = ", ".join(f"{p.key} = {p.estimate:.4g}" for p in other.parameters)
+        values = ", ".join(
+            f"{p.key} = {_with_spread(p, other.squares.problem)}" for p in other.parameters
+        )
         flag = "; does not fit" if other.flagged else ""
         lines.append(
             f"  {name}: {other.aic - best:+.1f}, {other.bic:.5g}, {other.chi2:.5g}; {values}{flag}"

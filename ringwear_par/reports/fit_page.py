@@ -161,6 +161,13 @@ def _number(value: float | None, digits: int) -> str:
     return _DASH if value is None else f"{value:.{digits}g}"
 
 
+def _estimate(one: Mapping[str, Any]) -> str:
+    """Return an estimate with its standard deviation, if it has one, and its unit."""
+    spread = "" if one["sd"] is None else f" \N{PLUS-MINUS SIGN} {one['sd']:.2g}"
+    unit = "" if one["unit"] in ("1", "-") else f" {one['unit']}"
+    return f"{one['estimate']:.4g}{spread}{unit}"
+
+
 def _correlations(told: Mapping[str, Any]) -> Table:
     keys, covariance = told["keys"], told["covariance"]
     rows = []
@@ -301,9 +308,7 @@ def _alternatives(told: Mapping[str, Any]) -> Table:
         if "error" in one:
             rows.append([name, _DASH, _DASH, _DASH, "", f"failed: {one['error']}"])
             continue
-        keys = ", ".join(
-            f"{key} = {p['estimate']:.4g} {p['unit']}" for key, p in one["parameters"].items()
-        )
+        keys = ", ".join(f"{key} = {_estimate(p)}" for key, p in one["parameters"].items())
         verdict = "does not fit" if one["flagged"] else "fits"
         if one["p_value"] is None:
             verdict = "not tested: noise was fitted, or has long tails"

@@ -22,6 +22,8 @@ _BALANCES = {
     "step_error": "estimated error of wear of a time step, mm",
 }
 _TOLD = [v for name, v in HISTORIES.items() if name not in ("twist", "contact_iterations")]
+#: units of those that pages, as pictures do, tell in others than files, and what these are of them
+_UNITS = {"torque": ("N m", 1e-3), "dissipated_energy": ("J", 1e-3)}
 #: instants of the table of histories
 _INSTANTS = 21
 
@@ -59,7 +61,7 @@ def run_page(result: Result) -> Page:
 def _rows(found: KeyNumbers) -> list[Sequence[str]]:
     """Return the numbers of the summary, in as many digits."""
     rows: list[Sequence[str]] = [
-        ("mean pressure", f"{found.mean_pressure:.4g}", "MPa"),
+        ("mean pressure, over the nominal annulus", f"{found.mean_pressure:.4g}", "MPa"),
         ("largest pressure, of an element", f"{found.largest_pressure:.4g}", "MPa"),
         ("at the radius", f"{found.largest_at:.6g}", "mm"),
         ("smallest pressure", f"{found.smallest_pressure:.4g}", "MPa"),
@@ -99,8 +101,12 @@ def _told(result: Result) -> Table:
     """Return the histories at some instants, for those who do not see charts."""
     count = len(result.step)
     rows = np.unique(np.linspace(0, count - 1, _INSTANTS).round().astype(int)).tolist()
-    header = [f"{v.name.replace('_', ' ')} ({v.unit})" for v in _TOLD]
-    table = [[f"{result.histories[v.name][row]:.6g}" for v in _TOLD] for row in rows]
+    units = [_UNITS.get(v.name, (v.unit, 1.0)) for v in _TOLD]
+    both = list(zip(_TOLD, units, strict=True))
+    header = [f"{v.name.replace('_', ' ')} ({unit})" for v, (unit, _) in both]
+    table = [
+        [f"{factor * result.histories[v.name][row]:.6g}" for v, (_, factor) in both] for row in rows
+    ]
     caption = f"{len(rows)} of the {count} stored states as numbers"
     return Table(caption, header, table, folded=True)
 

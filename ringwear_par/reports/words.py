@@ -73,7 +73,7 @@ def _test(case: Case) -> list[tuple[str, str]]:
         pressed = f"axial force, N: {told(load.force)}"
         if isinstance(load.force, float):
             pressed = f"axial force {load.force:.6g} N, mean pressure {load.force / case.area:.4g} "
-            pressed += "MPa over the nominal contact"
+            pressed += "MPa over the nominal annulus"
     elif load.displacement is not None:
         pressed = f"given displacement, mm downwards: {told(load.displacement)}"
     speed = f"{told(load.omega)} rad/s"

@@ -1,5 +1,6 @@
 """Figures from stored results: profiles at some times, histories, deformed sections."""
 
+import logging
 import re
 from collections.abc import Callable, Iterable, Sequence
 from functools import partial
@@ -13,16 +14,23 @@ from matplotlib.figure import Figure
 from ringwear_par.cases.case import Output
 from ringwear_par.cases.keys import read_keys
 from ringwear_par.cases.schema import UNITS, unit_of
-from ringwear_par.cases.units import number_in
+from ringwear_par.cases.units import seconds
 from ringwear_par.cases.values import RejectedError
 from ringwear_par.errors import InputError, legible
 from ringwear_par.results.drawing import STYLE, check_format, in_words, plain, save_figure
 from ringwear_par.results.export import choose_state
 from ringwear_par.results.files import result_of
 from ringwear_par.results.history_panels import HISTORY_PANELS, draw_history
-from ringwear_par.results.profile_panels import draw_pressure, draw_wear, tell_cut
+from ringwear_par.results.profile_panels import (
+    draw_pressure,
+    draw_wear,
+    stored_field,
+    tell_cut,
+)
 from ringwear_par.results.result import FailedResult, Result
 from ringwear_par.results.section_panel import draw_section
+
+log = logging.getLogger(__name__)
 
 Source = Result | str | Path
 
@@ -32,7 +40,15 @@ PANELS = (*_PROFILES, "section", *HISTORY_PANELS)
 #: what is drawn where nothing else is asked for
 DEFAULT = "wear,penetration"
 _MOST_COLUMNS = 3
-_NUMBER = re.compile(r"[0-9]+\.?[0-9]*([eE][-+]?[0-9]+)?")
+#: of a time that is asked for: how far off that of the state shown may be unsaid
+_NOTICED = 0.01
+#: what panels need of a result: refused where it is not stored
+_NEEDED: dict[str, Callable[[Result], Any]] = {
+    "wear": lambda result: [stored_field(result, f"wear_{body}") for body in ("lower", "upper")],
+    "pressure": lambda result: stored_field(result, "pressure"),
+    "section": lambda result: choose_state(result, None),
+    **{name: panel.curves for name, panel in HISTORY_PANELS.items()},
+}
 
 
 def plot(
@@ -47,7 +63,8 @@ def plot(
     Profiles (``wear``, ``pressure``) and deformed sections (``section``, the last one stored) are
     drawn of every result, one panel each, profiles on one scale; the histories of all of them share
     a panel (``penetration``, ``approach``, ``force``, ``torque``, ``energy``, ``volume``, ``rate``,
-    ``pv``).
+    ``pv``). A panel for which a result holds nothing is left out, with a warning, if there are
+    others.
 
     Parameters
     ----------
@@ -60,7 +77,8 @@ def plot(
 
     Raises
     ------
-    InputError : a file that is not a result, an unknown panel, a step or time not stored.
+    InputError : a file that is not a result, an unknown panel, a step not stored, a time outside
+        of the history, nothing that can be drawn.
     """
     given: Any = results
     one = isinstance(given, str) or not isinstance(given, Iterable)
@@ -145,25 +163,37 @@ def _drawn_panels(
         for source, result, label in zip(sources, results, labels, strict=True)
         if not chosen or source in chosen
     ]
-    drawings: list[tuple[str, Callable[..., None]]] = []
     for panel in panels:
-        if panel in HISTORY_PANELS:
-            drawn = partial(draw_history, panel=HISTORY_PANELS[panel])
-            drawings.append((panel, partial(drawn, results=results, labels=labels)))
-        elif panel in _PROFILES:
-            for result, label in profiled:
-                rows = _at_times(result, times) if times else _rows(result, steps)
-                profile = partial(_PROFILES[panel], result=result, label=label, rows=rows)
-                drawings.append((panel, profile))
-        elif panel == "section":
-            for result, label in profiled:
-                choose_state(result, None)  # refuses a file without
-                drawings.append((panel, partial(draw_section, result=result, label=label)))
-        else:
+        if panel not in PANELS:
             raise InputError(
                 f"--panels {legible(','.join(panels))}: {legible(panel)!r} must be one of "
                 f"{', '.join(PANELS)}"
             )
+    rows: list[list[int]] = []
+    if not _PROFILES.keys().isdisjoint(panels):
+        rows = [_at_times(r, times) if times else _rows(r, steps) for r, _ in profiled]
+    drawings: list[tuple[str, Callable[..., None]]] = []
+    left_out: list[tuple[str, str]] = []
+    for panel in panels:
+        if panel in HISTORY_PANELS:
+            if faults := _not_stored(panel, results):
+                left_out += faults
+                continue
+            drawn = partial(draw_history, panel=HISTORY_PANELS[panel])
+            drawings.append((panel, partial(drawn, results=results, labels=labels)))
+            continue
+        for number, (result, label) in enumerate(profiled):
+            if faults := _not_stored(panel, [result]):
+                left_out += faults
+            elif panel == "section":
+                drawings.append((panel, partial(draw_section, result=result, label=label)))
+            else:
+                profile = partial(_PROFILES[panel], result=result, label=label, rows=rows[number])
+                drawings.append((panel, profile))
+    if not drawings:
+        raise InputError(*(fault for _, fault in left_out))
+    for panel, fault in left_out:
+        log.warning("%s is not drawn: %s", panel, fault)
     lines = -(-len(drawings) // _MOST_COLUMNS)
     columns = -(-len(drawings) // lines)
     # sections have the same scale along both axes and leave room that constrained ones keep
@@ -188,6 +218,17 @@ def _drawn_panels(
     return figure
 
 
+def _not_stored(panel: str, results: Iterable[Result]) -> list[tuple[str, str]]:
+    """Return the panel and what results do not hold of what it needs, a sentence each."""
+    faults: list[tuple[str, str]] = []
+    for result in results:
+        try:
+            _NEEDED[panel](result)
+        except InputError as error:
+            faults += [(panel, fault) for fault in error.faults]
+    return faults
+
+
 def _rows(result: Result, steps: str) -> list[int]:
     stored, last = result.step, int(result.step[-1])
     if not steps:
@@ -206,12 +247,12 @@ def _rows(result: Result, steps: str) -> list[int]:
 
 
 def _at_times(result: Result, times: str) -> list[int]:
-    """Return the stored states nearest to times."""
+    """Return the stored states nearest to times, and say which where these are others."""
     there = result.histories["time"]
     rows = set()
     for word in map(str.strip, times.split(",")):
         try:
-            time = float(word) if _NUMBER.fullmatch(word) else number_in(word, "s")
+            time = seconds(word)
             if not 0 <= time <= there[-1] * (1 + 1e-9):
                 raise RejectedError
         except RejectedError as error:
@@ -219,7 +260,13 @@ def _at_times(result: Result, times: str) -> list[int]:
                 f"--times {legible(times)}: {legible(word)!r} is no time of {result.name}; "
                 f'must be from 0 to {there[-1]:g} (s), or with a unit, such as "1 h"'
             ) from error
-        rows.add(int(np.abs(there - time).argmin()))
+        row = int(np.abs(there - time).argmin())
+        if abs(there[row] - time) > _NOTICED * time:
+            log.warning(
+                "--times %s: %s has no state stored there; that of %.4g s is shown",
+                word, result.name, there[row],
+            )  # fmt: skip
+        rows.add(row)
     return sorted(rows)
 
 

@@ -13,7 +13,13 @@ from ringwear_par.results.result import Result
 _COLUMNS = 3
 
 
-def _field(result: Result, name: str) -> Any:
+def stored_field(result: Result, name: str) -> Any:
+    """Return a field along the contact line at all stored states.
+
+    Raises
+    ------
+    InputError : it is not stored, or of the last step only.
+    """
     if name not in result.profiles:
         raise InputError(
             f"{result.name}: does not hold {name}; output.fields of its case left it out"
@@ -46,7 +52,7 @@ def draw_wear(axes: Any, result: Result, label: str, rows: Sequence[int]) -> Non
     """Draw worn profiles: the face of lower falls below 0, that of upper rises above it."""
     inner, outer = result.line.edges[[0, -1]]
     margin = 0.15 * (outer - inner)
-    lower, upper = _field(result, "wear_lower"), _field(result, "wear_upper")
+    lower, upper = stored_field(result, "wear_lower"), stored_field(result, "wear_upper")
     ends = max(inner - margin, 0.0), outer + margin
     if lower.any() and upper.any():
         _profiles(axes, result, rows, lambda row: -1e3 * lower[row], lambda row: 1e3 * upper[row])
@@ -72,7 +78,7 @@ def draw_wear(axes: Any, result: Result, label: str, rows: Sequence[int]) -> Non
 
 def draw_pressure(axes: Any, result: Result, label: str, rows: Sequence[int]) -> None:
     """Draw contact pressures; the singular edges of the first instant are cut."""
-    pressure = _field(result, "pressure")
+    pressure = stored_field(result, "pressure")
     highest = float(pressure[list(rows)].max())
     touched = (pressure[list(rows)] > 0.0) @ result.line.area  # mm^2
     mean = result.histories["force"][list(rows)] / np.where(touched > 0.0, touched, np.inf)

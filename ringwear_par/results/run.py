@@ -3,8 +3,8 @@
 import logging
 import os
 import time
-from collections.abc import Sequence
-from contextlib import ExitStack, closing
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, closing, contextmanager
 from dataclasses import replace
 from pathlib import Path
 
@@ -71,8 +71,6 @@ def run_case(
         return _draw(output, figure, comm)
     if comm.rank == 0:
         warn_of_threads(comm.size)
-        for doubt in implausible(case):  # before the work, and in the summary after it
-            log.warning("%s: %s", path, doubt.text)
     recorder = Recorder(case, comm, before)
     if recorder.start is not None and comm.rank == 0:
         reached = recorder.start
@@ -128,7 +126,8 @@ def run_case(
                 since = 0.0 if recorder.start is None else recorder.start.state.time
                 observers.append(at_end.enter_context(closing(Progress(since, case.time.end))))
             try:
-                simulate(case, comm, start=recorder.start, observers=observers)
+                with _doubting(case, path, comm):
+                    simulate(case, comm, start=recorder.start, observers=observers)
             except UnfitError as error:
                 raise InputError(*(f"{path}: {fault}" for fault in error.faults)) from error
             except InputError:
@@ -137,7 +136,10 @@ def run_case(
                 if recorder.last is None or recorder.last.step is None:
                     raise
                 save_at_end(str(error))
-                raise ComputationError(f"{error}; {output} holds the steps before it") from error
+                raise ComputationError(
+                    f"{error} of {path}; {output} holds the steps before it, and ringwear plot or "
+                    "report show how it came to that"
+                ) from error
             result = save_at_end()
         if comm.rank == 0:
             print(result.summary())
@@ -151,6 +153,18 @@ def run_case(
                 f"command with --restart continues{remark(watch.agreed)}"
             )
     return _draw(output, figure, comm)
+
+
+@contextmanager
+def _doubting(case: Case, path: Path, comm: MPI.Comm) -> Iterator[None]:
+    """Say which numbers of a case are doubtful where it fails; else its summary says so."""
+    try:
+        yield
+    except RingwearError:
+        if comm.rank == 0:
+            for doubt in implausible(case):
+                log.warning("%s: %s", path, doubt.text)
+        raise
 
 
 def _check_options(snapshot: Snapshot) -> bool:

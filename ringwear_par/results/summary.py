@@ -40,7 +40,8 @@ def summary(result: "Result") -> str:
         *(f"face of {b}: {about[f'face_{b}']}" for b in ("lower", "upper") if f"face_{b}" in about),
         *_trust(result),
         f"approach {reached['approach']:.7g} mm, force {reached['force']:.6g} N, "
-        f"torque {last['torque']:.6g} N mm, energy dissipated {last['dissipated_energy']:.6g} N mm",
+        f"torque {1e-3 * last['torque']:.6g} N m, "
+        f"energy dissipated {1e-3 * last['dissipated_energy']:.6g} J",
         *_pressed(result, found),
         *_worn(found),
     ]
@@ -104,9 +105,10 @@ def _trust(result: "Result") -> list[str]:
 def _pressed(result: "Result", found: KeyNumbers) -> list[str]:
     """Return what presses at the end and how far it has slid, in a tribologist's words."""
     lines = [
-        f"mean pressure {found.mean_pressure:.4g} MPa, largest {found.largest_pressure:.4g} MPa at "
-        f"r = {found.largest_at:.6g} mm (of an element), smallest {found.smallest_pressure:.4g} "
-        f"MPa; {found.touching} of {result.line.n} elements in contact"
+        f"mean pressure {found.mean_pressure:.4g} MPa over the nominal annulus, largest "
+        f"{found.largest_pressure:.4g} MPa at r = {found.largest_at:.6g} mm (of an element), "
+        f"smallest {found.smallest_pressure:.4g} MPa; {found.touching} of {result.line.n} elements "
+        "in contact"
     ]
     if found.sliding is not None:
         speed, p_v, distance = found.sliding

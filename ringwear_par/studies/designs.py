@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from ringwear_par.cases.case import Case
-from ringwear_par.cases.keys import flatten, in_full, kinds, override, read_keys
+from ringwear_par.cases.keys import base_keys, in_full, kinds
 from ringwear_par.cases.schema import BY_PATH
 from ringwear_par.cases.suggestions import nearest_key
 from ringwear_par.cases.text import shortened, toml_value
@@ -92,7 +92,7 @@ def read_draft(source: Path | str | Mapping[str, Any]) -> Draft:
         f"{name}: {legible(key)}: unknown key; must be one of case, vary, design"
         for key in tables.keys() - {"case", "vary", "design"}
     ]
-    base = _read_base(name, folder, tables, isinstance(source, Mapping), faults)
+    base = base_keys(name, folder, tables, isinstance(source, Mapping), faults) or {}
     vary, design = tables.get("vary", {}), tables.get("design", {})
     for key, table in (("vary", vary), ("design", design)):
         if not isinstance(table, dict):
@@ -142,30 +142,6 @@ def _plain(tables: Mapping[str, Any]) -> dict[str, Any]:
 
     found: dict[str, Any] = json.loads(json.dumps(dict(tables), default=plain))
     return found
-
-
-def _read_base(
-    name: str, folder: Path, tables: Mapping[str, Any], in_python: bool, faults: list[str]
-) -> dict[str, Any]:
-    """Return the dotted keys of the base case, and add what is wrong with it to the faults."""
-    base = tables.get("case")
-    try:
-        if in_python and isinstance(base, dict):
-            return override({}, in_full(flatten(base, f"{name}: case"), folder))
-        if isinstance(base, str):
-            path = folder / base
-            try:
-                text = read_text(path)
-            except InputError as error:
-                faults.append(f"{name}: case = {shortened(base)}: {error}")
-                return {}
-            return in_full(read_keys(text, str(path)), path.parent)
-    except InputError as error:
-        faults += error.faults
-        return {}
-    said = "is missing" if base is None else f"= {shortened(base)}"
-    faults.append(f"{name}: case {said}: must be the name of a case file, relative to this one")
-    return {}
 
 
 def design_faults(name: str, design: Mapping[str, Any], method: str) -> list[str]:

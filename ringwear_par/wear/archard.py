@@ -10,7 +10,19 @@ from ringwear_par.wear.parameters import Coefficient
 
 @dataclass(frozen=True)
 class ArchardLaw(Law):
-    """``k p V``, without friction coefficient; k in 1/MPa: mm3 of wear per N mm."""
+    """Wear in proportion to pressure and sliding speed.
+
+    Archard's law. The rate of depth is k times the pressure p times the sliding speed V; k is the
+    specific wear rate that test reports give, volume lost over load and distance, in mm3/(N mm) =
+    1/MPa: 1e-5 mm3/(N m) is 1e-8. The friction coefficient has no part in it.
+
+    Use it where nothing but one wear rate is known, and where twice the load or twice the distance
+    wears off twice as much. As wear goes on p V becomes the same at all radii, so that pressures
+    end near c / r whatever k is.
+
+    It has no load below which nothing wears, no running-in, and the same k at all pressures and
+    speeds: beyond those of the test that k is from it is a guess.
+    """
 
     name = "archard"
     formula = "k p V"

@@ -1,4 +1,10 @@
-"""The paper's law of an averaged pressure."""
+"""The paper's law of an averaged pressure.
+
+The same average is taken of the pressure and of the rate: pressure felt at a distance wears at
+that distance. Taken of the pressure only, a step would no longer be a minimisation, nor its
+solution be sure to exist. ``rate`` is that of a pressure already averaged; ``WearIncrement`` takes
+the averages.
+"""
 
 from dataclasses import dataclass, field
 from typing import Annotated
@@ -9,12 +15,18 @@ from ringwear_par.wear.threshold import ThresholdLaw
 
 @dataclass(frozen=True)
 class NonLocalLaw(ThresholdLaw):
-    """``k mu max(0, <p> - p0) V``, pressure and the wear that it causes averaged over a length.
+    """The threshold law of a pressure that is averaged over a length.
 
-    The same average, which keeps constants and volumes, is taken of the pressure and of the rate:
-    pressure felt at a distance wears at that distance. Taken of the pressure only, the step
-    would no longer be a minimisation, nor its solution be sure to exist. ``rate`` is that of a
-    pressure already averaged; ``WearIncrement`` takes the averages.
+    As the threshold law, k in 1/MPa and p0 in MPa, but of the pressure averaged by a Gaussian of
+    the standard deviation ``length`` (mm) along the radius; the wear that it causes is averaged in
+    the same way, which changes no volume.
+
+    Use it where peaks narrower than a grain, a particle or the spacing of asperities should not
+    wear by themselves. At a sharp edge elasticity has an infinite pressure, and with the other laws
+    how fast it wears off depends on the elements there; with this one on ``length``.
+
+    Speed and friction are not averaged. Profiles cannot bend within ``length``, so that grooves and
+    steps narrower than it are smoothed too; it is a number to be fitted, from profiles near edges.
     """
 
     name = "non-local"

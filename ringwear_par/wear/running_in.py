@@ -16,10 +16,20 @@ from ringwear_par.wear.threshold import AboveThreshold
 
 @dataclass(frozen=True)
 class RunningInLaw(AboveThreshold):
-    """``k(s) mu max(0, p - p0) V`` with ``k(s) = k + (k_start - k) exp(-s)``.
+    """Wear that is faster at first and settles with worn depth or distance slid.
 
-    s is worn depth / ``depth`` or distance slid / ``distance`` at the same place; one of them is
-    given, in mm, the other None. k_start >= k.
+    The threshold law with a coefficient that falls from k_start to k (both in 1/MPa, volume lost by
+    friction energy). What it has above k falls by the factor e with every ``depth`` worn off, or
+    every ``distance`` slid, at the same place; one of these is given, in mm. With p0 = 0 the
+    specific wear rate is k_start mu at first, k mu in the end.
+
+    Use it where the first hours of a test wear faster than the rest at the same load: ``depth`` if
+    a layer or the roughness is worn off, ``distance`` if surfaces or a transfer film settle. Fits
+    need readings from both parts.
+
+    k_start is k at least: wear that becomes faster with time needs tables in time or a law of one's
+    own. What is remembered is that of each place: a body that is turned to a fresh face, or
+    refilled with lubricant, is a new case.
 
     Raises
     ------

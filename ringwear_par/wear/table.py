@@ -13,9 +13,17 @@ from ringwear_par.wear.parameters import Parameter
 
 @dataclass(frozen=True)
 class TableLaw(Law):
-    """Rate against p V from a table, from (0, 0); linear between its points.
+    """A measured curve: the rate of wear against pressure times sliding speed.
 
-    Pairs are p V, MPa mm/s, and the rate, mm/s.
+    Pairs are p V in MPa mm/s (1 MPa m/s is 1000) and the rate of depth in mm/s (1 um/h is 2.78e-7),
+    the first of them (0, 0). It is linear between its points; beyond the last one the last slope
+    goes on.
+
+    Use it where tests at several p V follow no formula, as near the p V limit of a polymer.
+
+    Load and speed count by their product alone, and the friction coefficient not at all. Rates must
+    not fall with p V, and the curve goes through the points with all their scatter: smooth it
+    before.
     """
 
     name = "table"

@@ -54,15 +54,26 @@ def _reads_wear(source: str) -> bool:
 
 @dataclass(frozen=True)
 class UserLaw(Law):
-    """A law from a Python file that defines ``rate(p, at)``; ``at`` is a ``LocalState``.
+    """A law of your own, from a Python file.
 
-    It may define ``d_rate_dp(p, at)`` and ``d_rate_dwear(p, at)``, and a list ``breakpoints`` of
-    times (s) at which the rate jumps or bends, where adaptive steps end; also under their older
+    The file defines ``rate(p, at)``, the rate of depth in mm/s at pressures p in MPa; ``at`` knows
+    the speed, the radius, the friction coefficient, the time, the depth worn off and the distance
+    slid so far, and the numbers that the case gives in ``parameters``, in whatever units the file
+    has them.
+
+    Use it for what the other laws cannot say: rounded thresholds, levelling off at high pressures,
+    coefficients that follow the temperature of a record. Studies and fits vary its parameters as
+    those of the others.
+
+    The rate must be 0 without pressure, continuous, not negative, and must not fall with the
+    pressure. It is called for one history at a time, which makes large sweeps slower. Whatever the
+    file does wrong is told with time and element.
+
+    The file may define ``d_rate_dp(p, at)`` and ``d_rate_dwear(p, at)``, and a list ``breakpoints``
+    of times (s) at which the rate jumps or bends, where adaptive steps end; also under their older
     names slope, wear_slope and knots. A file that reads ``at.wear`` remembers worn depth, exactly,
     unless it says ``remembers = False``; one with the older ``slope`` does if it has a
     ``wear_slope``.
-    Functions are called for one history at a time. Whatever the file does wrong is told with time
-    and element.
 
     Parameters
     ----------

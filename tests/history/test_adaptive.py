@@ -243,7 +243,22 @@ def test_a_tolerance_that_cannot_be_met_is_told(stepped, monkeypatch):
         raise ComputationError("contact: no")
 
     monkeypatch.setitem(METHODS, "adaptive", (never, ErrorControl))
-    with pytest.raises(ComputationError, match=r"step 1 \(from time 0 s\).*contact: no"):
+    with pytest.raises(
+        ComputationError, match=r"^contact: no, however short.* in step 1, from time 0 s$"
+    ):
+        stepped(time=until(10.0))
+
+
+def test_errors_that_stay_too_large_are_told_with_their_tolerances(stepped, monkeypatch):
+    scheme, control = METHODS["adaptive"]
+
+    def wrong(*arguments):
+        return replace(scheme(*arguments), wear_error=1.0)
+
+    monkeypatch.setitem(METHODS, "adaptive", (wrong, control))
+    with pytest.raises(
+        ComputationError, match=r"^errors exceed time.tolerance = 2e-06 mm or .*0\.1"
+    ):
         stepped(time=until(10.0))
 
 

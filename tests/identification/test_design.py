@@ -4,6 +4,7 @@ import copy
 import itertools
 import json
 import tomllib
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -249,6 +250,17 @@ def test_three_tests_are_told(tables, comm):
     assert found.single_scores.shape == (15,)
 
 
+def test_keys_without_unit_have_no_brackets(tables, comm):
+    """In the map, whose colours tell the sd of each key."""
+    source = tables()
+    sought = source["fit"]["parameters"]
+    sought["contact.friction"] = {"start": 0.1, "bounds": [0.01, 1.0],
+                                  "prior": {"normal": [0.1, 0.01]}}  # fmt: skip
+    labels = [axes.get_ylabel() for axes in rw.design(source, comm).plot().axes]
+    assert "predicted sd of contact.friction" in labels
+    assert "predicted sd of wear.lower.p0 (MPa)" in labels
+
+
 def test_candidates_keep_to_their_ranges(tables):
     vary = {
         "load.pressure": [40.0, 80.0], "time.end": [20.0, 100.0], "load.steps": [1, 2],
@@ -313,6 +325,16 @@ def test_the_folder_holds_what_to_do_next(tables, laboratory, tmp_path, comm, ca
     assert [t["set"]["load.pressure"] for t in tests] == [
         t["load.pressure"] for t in told["designs"][0]["experiments"]
     ]
+    # beside those of the fit file they are tests that are planned, which tell what it says
+    both = tables()
+    both["experiment"] += tests
+    problem = read_fit(both, plans=True)
+    assert [test.name for test in problem.experiments] == ["test 1", "test 2", "next 1", "next 2"]
+    for one in problem.experiments[2:]:
+        assert all(series.planned for series in one.series)
+    alone = predicted(replace(problem, experiments=problem.experiments[2:]), comm)
+    expected = told["designs"][0]["sd"].values()
+    assert spreads(alone) == pytest.approx(list(expected), rel=1e-6)
     assert (tmp_path / "next/design.png").stat().st_size > 10_000
     assert "2 of 15 tests" in capsys.readouterr().out
     with pytest.raises(

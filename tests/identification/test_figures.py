@@ -70,10 +70,30 @@ def test_residuals_are_data_less_model(found):
         assert drawn == pytest.approx(expected)
 
 
-def test_a_single_reading_has_no_axis_of_time(found):
-    axes = found.plot().axes[-1]
-    assert [tick.get_text() for tick in axes.get_xticklabels()] == ["data", "model"]
-    assert "time" not in axes.get_xlabel()
+def test_single_readings_share_a_strip(found):
+    """A line each, below the curves, with both numbers in words."""
+    chart = found.plot()
+    chart.draw_without_rendering()
+    *curves, strip = chart.axes
+    assert [tick.get_text() for tick in strip.get_yticklabels()] == ["test 1: mass.lower"]
+    assert strip.get_xlabel() == "(data - model) / sd"
+    (data,) = (line for line in strip.lines if line.get_label() == "data")
+    assert data.get_xdata() == pytest.approx([-found.evaluation.noise[-1]])
+    (side,) = strip.child_axes
+    (told,) = (tick.get_text() for tick in side.get_yticklabels())
+    assert told.startswith("5 \N{PLUS-MINUS SIGN} 0.2 mg, model ")
+    boxes = [axes.get_window_extent() for axes in (*curves, strip)]
+    assert all(boxes[-1].y1 < box.y0 for box in boxes[:-1])
+    assert boxes[-1].height < 0.1 * chart.bbox.height
+
+
+def test_single_readings_alone_are_a_figure(found):
+    problem = found.squares.problem
+    (test,) = problem.experiments
+    one = replace(test, series=test.series[2:])
+    (axes,) = predicted(replace(problem, experiments=(one,)), found.comm).plot().axes
+    words = [text.get_text() for text in axes.get_legend().texts]
+    assert sorted(words) == ["95 % of readings", "95 % of the model", "data", "model"]
 
 
 def test_what_is_not_identified_has_neither_curve_nor_ellipse(found):

@@ -4,6 +4,7 @@ import copy
 import json
 import re
 import signal
+import sys
 import tomllib
 from dataclasses import replace
 from pathlib import Path
@@ -335,6 +336,25 @@ def test_other_laws_are_told_not_to_fit(tables, comm):
     told = found.to_dict()["alternatives"]["archard"]
     assert told["flagged"] is True
     assert list(told["parameters"]) == ["wear.lower.k"]
+    (line,) = (line for line in found.summary().splitlines() if line.startswith("  archard: "))
+    k = other.parameters[0]
+    assert f"wear.lower.k = {k.estimate:.5g} +- {k.sd:.2g} 1/MPa; does not fit" in line
+
+
+@pytest.mark.serial
+def test_a_dry_run_tells_what_is_not_installed(tables, tmp_path, comm, capsys, monkeypatch):
+    """And does not need it, as the fit does."""
+    given = tables(intervals=["posterior"])
+    path = tmp_path / "fit.toml"
+    path.write_text("".join(f"{key} = {toml_value(value)}\n" for key, value in given.items()))
+    monkeypatch.setitem(sys.modules, "emcee", None)  # as if it were not there
+    run_fit(path, tmp_path / "out", comm, dry_run=True)
+    assert 'missing: fit.intervals: "posterior" needs emcee: pip install' in capsys.readouterr().out
+    with pytest.raises(InputError, match=r'fit.toml: fit.intervals: "posterior" needs emcee'):
+        run_fit(path, tmp_path / "out", comm)
+    monkeypatch.undo()
+    run_fit(path, tmp_path / "out", comm, dry_run=True)
+    assert "missing" not in capsys.readouterr().out
 
 
 @pytest.mark.serial

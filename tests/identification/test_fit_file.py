@@ -134,7 +134,7 @@ K = ("fit", "parameters", "wear.lower.k")
     [
         (("cases",), 1, "cases: unknown key (did you mean case?); must be one of case, fit"),
         (("case",), None, "case is missing"),
-        (("case",), "nowhere.toml", "nowhere.toml: cannot be read"),
+        (("case",), "nowhere.toml", 'fit: case = "nowhere.toml": nowhere.toml: cannot be read'),
         (("experiment",), [], "must be tables, [[experiment]]"),
         (("experiment",), {"name": "a"}, "must be tables, [[experiment]]"),
         (("experiment", 1, "name"), "test 1", "is there twice"),
@@ -174,6 +174,9 @@ K = ("fit", "parameters", "wear.lower.k")
         ((*PEN, "units"), {"value": "parsecs per"}, "must be the unit of a length, such as um, mm"),
         ((*PEN, "units"), {"value": "s"}, 'units.value = "s": must be the unit of a length'),
         ((*PEN, "units"), {"time": "mm"}, 'units.time = "mm": must be the unit of a time, such as'),
+        ((*PEN, "units"), {"time": "min"}, 'units.time = "min": the column t_s of '),
+        ((*PEN, "units"), {"time": "min"}, "is in s by its name; must be the same unit"),
+        ((*PEN, "units"), {"value": "mm"}, "is in um by its name; must be the same unit"),
         ((*PEN, "at"), 10.0, "must be absent beside file"),
         ((*PEN, "value"), 10.0, "value = 10.0: must be absent beside file"),
         ((*PEN, "sd"), None, "sd is missing"),
@@ -191,8 +194,6 @@ K = ("fit", "parameters", "wear.lower.k")
         ((*PROF, "at"), 100.1, "at = 100.1: must be within the test, which ends at 100 s"),
         ((*PEN, "correlation_time"), 1e5, "must be at most 100 times the test"),
         ((*PROF, "correlation_time"), 1.0, "must be absent for a profile"),
-        ((*PROF, "units"), {"r": "m", "value": "um"}, "r = 28000 mm: must be on the lower body"),
-        ((*PROF, "units"), {"r": "m", "value": "um"}, "a thousand times too large"),
         (("experiment", 1, "data", 0, "file"), 0, "must be the name of a table"),
         (("compare",), {"a": {"set": {}, "parameters": {}}}, "compare.a.parameters: is missing"),
         (
@@ -216,6 +217,11 @@ def test_faults(path, value, said, good):
     [
         ([(1, 1), (2, 1), (2, 1)], "line 4: time 2 s after 2 s: times must increase"),
         ([(1, 1), (3, 1), (2, 1)], "line 4: time 2 s after 3 s: times must increase"),
+        ([(5, 1), (4, 1), (3, 1), (9, 1)], "line 3: time 4 s after 5 s (and 1 more reading)"),
+        (
+            [(1, 1), (101, 1), (102, 1), (103, 1)],
+            "line 3: time 101 s (and 2 more readings): must be within the test",
+        ),
         ([(1, 1), (99, 1), (101, 1)], "line 4: time 101 s: must be within the test, from 0 to 100"),
         ([(-1, 1), (99, 1)], "line 2: time -1 s: must be within the test"),
         ([(1, 1), (2, 3e7)], "line 3: 30000 mm: must be less than the height of a body"),
@@ -230,6 +236,52 @@ def test_faulty_times(rows, said, good, tmp_path):
     with pytest.raises(InputError) as caught:
         read_fit(tables)
     assert said in str(caught.value)
+
+
+def test_a_fault_of_many_readings_is_told_once(good, tmp_path):
+    """In hours what was meant in seconds: all readings but a few are beyond the end."""
+    write_table(tmp_path / "z.csv", ("time", "z_um"), range(1, 50), range(1, 50))
+    tables = changed(good, (*PEN, "file"), str(tmp_path / "z.csv"))
+    tables["experiment"][0]["data"][0] |= {
+        "columns": {"value": "z_um"}, "units": {"time": "h"}, "sd": 0.2,
+    }  # fmt: skip
+    with pytest.raises(InputError) as caught:
+        read_fit(tables)
+    (fault,) = caught.value.faults
+    assert "time 3600 s (and 48 more readings): must be within the test" in fault
+
+
+def test_radii_in_another_unit(good, tmp_path):
+    write_table(tmp_path / "d.csv", ("r", "d_um"), (28.0, 30.0, 32.0), (0.0, 1.0, 0.0))
+    tables = changed(good, (*PROF, "file"), str(tmp_path / "d.csv"))
+    tables["experiment"][0]["data"][1] |= {
+        "columns": {"value": "d_um"}, "units": {"r": "m"}
+    }  # fmt: skip
+    with pytest.raises(InputError) as caught:
+        read_fit(tables)
+    first, _ = caught.value.faults
+    assert "r = 28000 mm (and 2 more readings): must be on the lower body" in first
+    assert "a thousand times too large" in first
+
+
+def test_noise_in_another_unit_than_its_readings(good, tmp_path):
+    columns = (1.0, 2.0, 3.0), (1.0, 2.0, 3.0), (2e-4, 2e-4, 2e-4)
+    write_table(tmp_path / "z.csv", ("t_s", "z_um", "noise_mm"), *columns)
+    tables = changed(good, (*PEN, "file"), str(tmp_path / "z.csv"))
+    tables["experiment"][0]["data"][0]["sd"] = "noise_mm"
+    with pytest.raises(InputError, match=r'sd = "noise_mm": .* in mm by its name; must be in um'):
+        read_fit(tables)
+
+
+def test_records_of_a_spreadsheet(good, tmp_path):
+    """With its first line, decimal commas and clock times."""
+    rows = "".join(f"0:{t // 60:02d}:{t % 60:02d};{t / 10:g}\n" for t in range(2, 99, 2))
+    (tmp_path / "z.csv").write_text("sep=;\ntime;z_um\n" + rows.replace(".", ","))
+    tables = changed(good, (*PEN, "file"), str(tmp_path / "z.csv"))
+    tables["experiment"][0]["data"][0]["columns"] = {"value": "z_um"}
+    record = read_fit(tables).experiments[0].series[0]
+    assert record.x == pytest.approx(np.arange(2.0, 99.0, 2.0))
+    assert record.value == pytest.approx(1e-4 * record.x)
 
 
 @pytest.mark.parametrize(
@@ -389,7 +441,7 @@ def test_a_fit_needs_readings(plan):
         ((*PEN, "unit"), "s", 'unit = "s": must be the unit of a length'),
         ((*PROF, "r"), [10.0, 30.0], "r = 10 mm: must be on the lower body, from 20 to 40 mm"),
         ((*PROF, "r"), [21.0, 22.0], "has no reading within the contact, 28.5 to 31.5 mm"),
-        ((*PROF, "r"), [28000.0, 30000.0], "r = 28000 mm: must be on the lower body"),
+        ((*PROF, "r"), [28000.0, 30000.0], "r = 28000 mm (and 1 more reading): must be on the l"),
         ((*PROF, "r"), None, "file is missing: must be the name of a table of depths over radii"),
         ((*PROF, "at"), 100.1, "at = 100.1: must be within the test, which ends at 100 s"),
         ((*PROF, "exclude"), [[20, 40]], "has no readings"),

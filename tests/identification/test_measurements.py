@@ -22,6 +22,8 @@ def numbers(path, *names):
         "# a rig\n\nt;z\n0,5;1\n# a remark\n1,5;-2e-1\n",
         "t\tz\n0.5\t1\n1.5\t-.2\n",
         '\ufefft,z\r\n"0,5",1\r\n1.5,-0.2,\r\n',
+        "sep=;\r\nt;z\r\n0,5;1\r\n1,5;-0,2\r\n",
+        '\ufeff"sep=,"\nt,z\n0.5,1\n1.5,-0.2\n',
         "t;z;more\n0.5;1;\n;3;\n0.7;;x\n0.8;nan;\n1.5;-0.20;text\n",
     ],
 )
@@ -29,6 +31,30 @@ def test_tables(text, tmp_path):
     path = tmp_path / "a.csv"
     path.write_bytes(text.encode())
     assert numbers(path, "t", "z") == [[0.5, 1.5], [1.0, -0.2]]
+
+
+@pytest.mark.parametrize(
+    ("hour", "cells", "expected"),
+    [
+        (3600.0, ["00:10:00", "1:00:30", "90", "2:05,5"], [600.0, 3630.0, 90.0, 125.5]),
+        (60.0, ["0:10:00", "1:30"], [10.0, 1.5]),
+        (1.0, ["1:30", "26:00", "0:00:36"], [1.5, 26.0, 0.01]),
+    ],
+)
+def test_clock_times(hour, cells, expected, tmp_path):
+    path = tmp_path / "a.csv"
+    path.write_text("\n".join(["t;z", *(f"{cell};1" for cell in cells)]))
+    table = read_measurements(path)
+    assert table.numbers("t", table.filled("t"), hour) == pytest.approx(expected)
+
+
+@pytest.mark.parametrize("cell", ["1:75", "1:60:00", "1:2:3", "12:", ":30", "-1:30", "1:30:00:00"])
+def test_what_is_no_clock_time(cell, tmp_path):
+    path = tmp_path / "a.csv"
+    path.write_text(f"t;z\n{cell};1\n")
+    table = read_measurements(path)
+    with pytest.raises(InputError, match=r"must be a number or a clock time \(h:mm:ss\), or empty"):
+        table.numbers("t", table.filled("t"), 3600.0)
 
 
 @pytest.mark.parametrize("encoding", ["utf-8", "utf-16", "cp1252"])
@@ -49,6 +75,10 @@ def test_encodings(encoding, tmp_path):
         ("t;z\n1\n", "line 2: has 1 values; must have 2"),
         ("t;z\n\n1;1,2,3\n", "line 3: z = 1,2,3: must be a number, or empty"),
         ("t;z\n1;2\n2;n/a\n", "line 3: z = n/a: must be a number, or empty"),
+        ("t;z\n1;a\n2;3\n3;b\n4;c\n", "line 2: z = a (and 2 more lines): must be a number"),
+        ("t;z\n1\n2\n3;4\n", "line 2: has 1 values (and 1 more line); must have 2"),
+        ("t;z\n1;1:30\n", "line 2: z = 1:30: must be a number"),
+        ("sep=;\n", "is empty"),
         ("t;z\n1;2\n-;3\n", "line 3: t = -: must be a number, or empty"),
         ("t;z\n1;1_0\n", "line 2: z = 1_0: must be a number"),
         ("t;z\n1;inf\n", "line 2: z = inf: must be a number"),

@@ -124,7 +124,8 @@ def test_a_run_is_told_in_the_numbers_of_its_summary(folder, pages):
         assert " ".join(line.split()) in page.text
     rows = page.rows("quantity")
     named = {
-        "mean pressure": r"mean pressure (\S+) MPa", "at the radius": r"r = (\S+) mm",
+        "mean pressure, over the nominal annulus": r"mean pressure (\S+) MPa",
+        "at the radius": r"r = (\S+) mm",
         "largest pressure, of an element": r"largest (\S+) MPa",
         "p V at the mean radius": r"p V (\S+) MPa", "of it elastic": r"worn off, (\S+) um elastic",
         "sliding distance at the mean radius": r"sliding distance (\S+) m",
@@ -139,6 +140,10 @@ def test_a_run_is_told_in_the_numbers_of_its_summary(folder, pages):
     )
     assert lower == list(re.search(pattern, summary).groups())
     assert page.rows("body")["upper"][2] == "\N{EN DASH}"  # its density is not given
+    (stored,) = (table for table in page.tables if "time (s)" in table[0])
+    for name, unit in (("torque", "N m"), ("dissipated_energy", "J")):
+        column = stored[0].index(f"{name.replace('_', ' ')} ({unit})")
+        assert stored[-1][column] == f"{1e-3 * result.histories[name][-1]:.6g}"
     errors = page.rows("what is held against what")
     held = errors["contact pressure against the applied force"]
     assert held == [f"{result.balances['force']:.1e}"]

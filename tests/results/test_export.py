@@ -185,7 +185,9 @@ def test_without_pyevtk(runs, tmp_path, monkeypatch):
         (["no.h5", "-o", "{}/a.vtp"], "no.h5: does not exist"),
         (["run.h5", "-o", "{}/no/a.vtp"], "its folder"),
         (["run.h5", "-o", "{}/a.vtp", "--time", "201"], "--time 201: must be from 0 to 200 s"),
-        (["run.h5", "-o", "{}/a.vtp", "--time", "nan"], "--time nan: must be a number"),
+        (["run.h5", "-o", "{}/a.vtp", "--time", "1 h"], "--time 3600: must be from 0 to 200 s"),
+        (["run.h5", "-o", "{}/a.vtp", "--time", "nan"], "nan: must be a time in s, or with its"),
+        (["run.h5", "-o", "{}/a.vtp", "--time", "2 mm"], "2 mm: must be a time in s, or with its"),
         (["run.h5", "-o", "{}/a.csv", "--time", "10"], "--time 10: must be"),
         (["run.h5", "-o", "{}/a.csv", "--scale", "10"], "--scale 10: must be"),
         (["run.h5", "-o", "{}/a.vtp", "--revolve", "10"], "for .vtu and .vtkhdf only"),
@@ -205,9 +207,10 @@ def test_bad_input_is_one_sentence(runs, tmp_path, words, said):
 
 @pytest.mark.parametrize("ranks", RANKS)
 def test_the_command_on_any_number_of_ranks(runs, tmp_path, ranks):
-    done = ringwear("export", runs / "run.h5", "-o", "a.vtu", ranks=ranks, cwd=tmp_path)
+    words = [runs / "run.h5", "-o", "a.vtu", "--time", "1.5 min"]
+    done = ringwear("export", *words, ranks=ranks, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
-    assert done.stdout.count("a.vtu: 200 s") == 1
+    assert done.stdout.count("a.vtu: 100 s") == 1
     if ranks:
         bad = ringwear("export", runs / "plain.h5", "-o", "b.vtu", ranks=ranks, cwd=tmp_path)
         assert bad.returncode == 2

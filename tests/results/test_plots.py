@@ -231,6 +231,32 @@ def test_profiles_at_times_are_those_of_the_nearest_states(runs):
     assert [t.get_text() for t in axes.get_legend().texts] == ["0 s", "5 s", "15 s"]
 
 
+def test_times_without_a_stored_state_are_told(runs, caplog):
+    """Of all that are drawn once, and only where it can be seen."""
+    from ringwear_par.results.figures import plot
+
+    plot(runs[2], "penetration")
+    assert not caplog.messages
+    plot(runs[1], "wear,pressure", times="5.04, 15.4, 0.25 min")
+    (told,) = caplog.messages
+    assert "--times 15.4: " in told
+    assert told.endswith("p0_40.h5 has no state stored there; that of 15 s is shown")
+
+
+def test_what_is_stored_is_drawn_beside_what_is_not(runs, caplog):
+    from ringwear_par.results.figures import plot
+
+    figure = plot(runs[:2], "wear,section,penetration")
+    assert len(figure.axes) == 3  # two panels of wear
+    told = [message.partition(" is not drawn: ") for message in caplog.messages]
+    assert [panel for panel, _, _ in told] == ["section", "section"]
+    assert all("holds no fields on the bodies' boundaries" in why for _, _, why in told)
+    (axes,) = plot(runs[2], "wear,penetration,pressure").axes
+    assert axes.get_ylabel().startswith("penetration")
+    with pytest.raises(InputError, match="must be one of wear"):
+        plot(runs[0], "wear,warmth")
+
+
 def test_long_histories_are_drawn_in_hours(tmp_path, comm):
     from ringwear_par.results.drawing import time_unit
     from ringwear_par.results.figures import plot

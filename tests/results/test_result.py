@@ -311,7 +311,10 @@ def test_the_summary_tells_wear_in_a_tribologists_words():
     speed = 2.0 * np.pi * 30.0
     for words in (
         "face of upper: spline through 101 points",
-        f"mean pressure 20 MPa, largest {result.checkpoint.arrays['pressure'].max():.4g} MPa",
+        "mean pressure 20 MPa over the nominal annulus, largest "
+        f"{result.checkpoint.arrays['pressure'].max():.4g} MPa",
+        f"torque {1e-3 * result.histories['torque'][-1]:.6g} N m, energy dissipated "
+        f"{1e-3 * result.histories['dissipated_energy'][-1]:.6g} J",
         f"sliding speed {speed:.4g} mm/s, p V {20.0 * speed:.4g} MPa mm/s, "
         f"sliding distance {20e-3 * speed:.4g} m",
         "specific wear rate 1e-05 mm3/(N m)",

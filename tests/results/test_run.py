@@ -79,6 +79,23 @@ def test_what_makes_an_answer_doubtful_is_stored(shared_path, comm, capsys):
         assert told not in err
 
 
+IN_PASCALS = ["lower.young=210e9", "upper.young=210e9"]
+
+
+def test_a_number_in_another_unit_is_doubted_once(shared_path, comm, capsys, caplog):
+    run_case(PAPER, shared_path / "run.h5", [*SMALL, *IN_PASCALS, "time.steps=2"], comm=comm)
+    if comm.rank == 0:
+        assert capsys.readouterr().out.count("lower.young = 2.1e+11 MPa is stiffer") == 1
+        assert "young" not in caplog.text
+
+
+def test_a_number_in_another_unit_is_doubted_where_there_is_no_summary(shared_path, comm, caplog):
+    with pytest.raises(ComputationError, match="half of its height"):
+        run_case(PAPER, shared_path / "run.h5", [*TOO_MUCH, *IN_PASCALS], comm=comm)
+    if comm.rank == 0:
+        assert caplog.text.count("lower.young = 2.1e+11 MPa is stiffer") == 1
+
+
 def test_the_summary_of_a_stopped_run_says_so_first(interrupted):
     told = open_result(interrupted).summary().splitlines()[1]
     assert told == "WARNING: stopped after step 7 of 20: ringwear run --restart continues it"
@@ -147,7 +164,7 @@ def test_a_failure_at_a_time_of_output_leaves_no_row_twice(shared_path, comm, mo
 
     with monkeypatch.context() as patch:
         patch.setitem(simulate.METHODS, "implicit", (failing, simulate.METHODS["implicit"][1]))
-        with pytest.raises(ComputationError, match=r"step 3 \(from time 2 s\): contact: no"):
+        with pytest.raises(ComputationError, match=r"^contact: no; in step 3, from time 2 s of "):
             run_case(PAPER, parts, keys, comm=comm)
     assert open_result(parts).histories["time"].tolist() == [0.0, 0.5]
     run_case(PAPER, parts, keys, comm=comm, restart=True)
