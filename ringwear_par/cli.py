@@ -178,6 +178,16 @@ def _parser() -> argparse.ArgumentParser:
     report.add_argument("results", type=_path, metavar="RUN.h5 or DIR")
     report.add_argument("-o", "--output", type=_path, required=True, metavar="REPORT.html")
 
+    explore = command("explore", "serve a page on this machine with sliders for a case's numbers")
+    _add_case(explore)
+    explore.add_argument(
+        "--port", type=_port, default=0, metavar="N", help="of the address (default: any free one)"
+    )
+    explore.add_argument(
+        "--no-browser", action="store_true", help="print the address, but open no browser"
+    )
+    _add_no_cache(explore)
+
     laws = command("laws", "print what the wear laws of a case do, and test their derivatives")
     _add_case(laws)
 
@@ -224,6 +234,12 @@ def _time(text: str) -> float:
         raise argparse.ArgumentTypeError(
             f'{legible(text)}: must be a time in s, or with its unit, such as "2 h"'
         ) from error
+
+
+def _port(text: str) -> int:
+    if not (re.fullmatch("[0-9]{1,5}", text) and int(text) < 65536):
+        raise argparse.ArgumentTypeError(f"{legible(text)}: must be a whole number up to 65535")
+    return int(text)
 
 
 def _path(text: str) -> Path:
@@ -312,6 +328,12 @@ def _report(args: argparse.Namespace, comm: Any) -> None:
     print(on_first_rank(comm, lambda: report(args.results, args.output)))
 
 
+def _explore(args: argparse.Namespace, comm: Any) -> None:
+    from ringwear_par.explorer.server import explore
+
+    explore(args.case, args.overrides, comm=comm, port=args.port, browser=not args.no_browser)
+
+
 def _laws(args: argparse.Namespace, comm: Any) -> None:
     from ringwear_par.cases.law_trials import check_laws
     from ringwear_par.parallel import on_first_rank
@@ -343,7 +365,7 @@ def _info(args: argparse.Namespace, comm: Any) -> None:
 
 _COMMANDS = {
     "run": _run, "sweep": _sweep, "fit": _fit, "design": _design, "plot": _plot,
-    "export": _export, "report": _report, "laws": _laws, "verify": _verify, "info": _info,
+    "export": _export, "report": _report, "explore": _explore, "laws": _laws, "verify": _verify, "info": _info,
 }  # fmt: skip
 
 

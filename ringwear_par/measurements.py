@@ -90,21 +90,35 @@ def and_more(count: int, noun: str) -> str:
 
 
 def read_measurements(path: Path) -> Measurements:
-    """Read a table: a line of names, then numbers; between them commas, semicolons or tabs.
-
-    Lines that begin with # and empty ones are skipped; so is ``sep=;`` above the names, which says
-    what is between them. Decimal commas are read where semicolons, tabs or quotes are around them.
-    Not collective.
+    """Read a table from a file, see ``measurements_in``. Not collective.
 
     Raises
     ------
-    InputError : it cannot be read, or is no such table.
+    InputError : it cannot be read, or is no table.
     """
     try:
         content = path.read_bytes()
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or error
         raise InputError(f"{path}: cannot be read: {reason}") from error
+    return measurements_in(content, str(path))
+
+
+def measurements_in(content: bytes, path: str) -> Measurements:
+    """Return a table: a line of names, then numbers; between them commas, semicolons or tabs.
+
+    Lines that begin with # and empty ones are skipped; so is ``sep=;`` above the names, which says
+    what is between them. Decimal commas are read where semicolons, tabs or quotes are around them.
+
+    Parameters
+    ----------
+    content : of a file.
+    path : what messages call it.
+
+    Raises
+    ------
+    InputError : it is no such table.
+    """
     numbered = [
         (number, line)
         for number, line in enumerate(_text(path, content).splitlines(), start=1)
@@ -150,11 +164,11 @@ def read_measurements(path: Path) -> Measurements:
         raise InputError(*faults)
     rows = [row[: len(columns)] for row in rows]
     return Measurements(
-        str(path), columns, tuple(rows), lines[1:], hashlib.sha256(content).hexdigest()
+        path, columns, tuple(rows), lines[1:], hashlib.sha256(content).hexdigest()
     )
 
 
-def _text(path: Path, content: bytes) -> str:
+def _text(path: str, content: bytes) -> str:
     """Return the text of a file in UTF-8, in UTF-16 with its mark, or as older Windows writes."""
     marked = content.startswith((b"\xff\xfe", b"\xfe\xff"))
     for encoding in ("utf-16",) if marked else ("utf-8-sig", "cp1252"):

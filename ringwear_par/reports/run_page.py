@@ -42,9 +42,9 @@ def run_page(result: Result) -> Page:
     doubts = [line for line in lines if line.startswith("WARNING")]
     blocks: list[Block] = [Lines(doubts, warning=True)] if doubts else []
     blocks.append(Lines([line for line in lines if line not in doubts]))
-    blocks.append(Table("Key numbers, at the end", ("quantity", "value", "unit"), _rows(found)))
+    blocks.append(Table("Key numbers, at the end", ("quantity", "value", "unit"), key_rows(found)))
     if found.bodies:
-        blocks.append(_worn(found))
+        blocks.append(worn_table(found))
     sections = [Section("Summary", blocks)]
     drawn = charts.profiles(result)
     told = "No profiles are stored at several times (output.fields, output.profiles)."
@@ -58,7 +58,7 @@ def run_page(result: Result) -> Page:
     return Page("Wear history of a test", title or "Run without a title", sections)
 
 
-def _rows(found: KeyNumbers) -> list[Sequence[str]]:
+def key_rows(found: KeyNumbers) -> list[Sequence[str]]:
     """Return the numbers of the summary, in as many digits."""
     rows: list[Sequence[str]] = [
         ("mean pressure, over the nominal annulus", f"{found.mean_pressure:.4g}", "MPa"),
@@ -81,7 +81,8 @@ def _rows(found: KeyNumbers) -> list[Sequence[str]]:
     return rows
 
 
-def _worn(found: KeyNumbers) -> Table:
+def worn_table(found: KeyNumbers) -> Table:
+    """Return what each body has lost, in the numbers of the summary."""
     header = (
         "body", f"deepest wear ({_MICRO})", f"worn volume ({_CUBIC})", "mass lost (mg)",
         f"mean rate ({_MICRO}/h)", f"rate at the end ({_MICRO}/h)",

@@ -1,0 +1,1 @@
+"""``ringwear explore``: a page on this machine with sliders, histories computed as they move."""

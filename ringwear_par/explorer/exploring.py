@@ -1,0 +1,124 @@
+"""A case that is changed number by number: its keys, its text to take home, its histories."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from mpi4py import MPI
+
+from ringwear_par.cases.case import Case
+from ringwear_par.cases.keys import flatten, in_full, override, parse_overrides, read_keys
+from ringwear_par.cases.reading import make_case, read_case
+from ringwear_par.cases.text import toml_text
+from ringwear_par.elasticity.pair import ContactPair
+from ringwear_par.explorer.controls import Control, changed, controls_of
+from ringwear_par.history.bodies import operator_key
+from ringwear_par.history.limits import check_case
+from ringwear_par.history.pairs import assemble
+from ringwear_par.results.result import Result
+from ringwear_par.results.simulate import simulate
+from ringwear_par.textfiles import read_text
+
+#: about how many states of fixed steps are kept: more would not be seen
+_STATES = 400
+_FILES = ("wear.lower.file", "wear.upper.file")
+_PROFILES = ("lower.profile", "upper.profile")
+
+
+@dataclass(frozen=True, eq=False)
+class Explored:
+    """A history of some numbers.
+
+    Parameters
+    ----------
+    text : the case file.
+    case : as the file has it.
+    controls : as they stand, by name.
+    result : ``rw.simulate`` of the case, with all fields, and nearly all steps or its times.
+    """
+
+    text: str
+    case: Case
+    controls: Mapping[str, Control]
+    result: Result
+
+
+class Exploration:
+    """A case file whose numbers are moved; what is assembled is used as long as it fits.
+
+    Parameters
+    ----------
+    keys : raw keys, see ``raw_keys``.
+    name : what messages call the case.
+    comm : communicator of one rank.
+    """
+
+    def __init__(self, keys: Mapping[str, Any], name: str, comm: MPI.Comm) -> None:
+        self._keys, self._name, self._comm = keys, name, comm
+        #: of the case file, in the order of the page
+        self.controls = {control.name: control for control in controls_of(keys)}
+        self._pair: ContactPair | None = None
+
+    def compute(
+        self, texts: Mapping[str, str], assembling: Callable[[], None] = lambda: None
+    ) -> Explored:
+        """Return the history of other numbers.
+
+        Parameters
+        ----------
+        texts : by the names of controls, perhaps with units.
+        assembling : called before bodies are assembled.
+
+        Raises
+        ------
+        InputError : all that is wrong with the numbers, one sentence each.
+        ComputationError : a step failed.
+        """
+        keys, controls = changed(self._keys, self.controls, texts)
+        case = make_case(in_full(keys, Path()), self._name)
+        check_case(case, 1, self._name)
+        drawn = make_case(in_full(_stored(keys, case), Path()), self._name)
+        pair = None
+        if not drawn.follows_wear:  # of which each history assembles anew
+            if self._pair is None or self._pair.key != operator_key(drawn):
+                assembling()
+                self._pair = assemble(drawn, self._comm)
+            pair = self._pair
+        return Explored(toml_text(keys), case, controls, simulate(drawn, self._comm, pair=pair))
+
+
+def raw_keys(path: Path, overrides: list[str]) -> dict[str, Any]:
+    """Return the dotted keys of a case file as the user wrote them, names of files in full.
+
+    Raises
+    ------
+    InputError : what ``ringwear run`` refuses, in its words.
+    """
+    check_case(read_case(path, overrides), 1, str(path))
+    own = _files_in_full(read_keys(read_text(path), str(path)), path.parent)
+    changes = flatten(parse_overrides(overrides), "--set")
+    return override(own, _files_in_full(changes, Path()))
+
+
+def _files_in_full(keys: Mapping[str, Any], folder: Path) -> dict[str, Any]:
+    """Return keys with the whole names of files, so that the text may be saved anywhere."""
+    found = dict(keys)
+    for path, value in keys.items():
+        if path in _FILES or path in tuple(f"{table}.file" for table in _PROFILES):
+            found[path] = str((folder / value).resolve())
+        elif path in _PROFILES and isinstance(value, Mapping) and "file" in value:
+            found[path] = {"file": str((folder / value["file"]).resolve())}
+    return found
+
+
+def _stored(keys: Mapping[str, Any], case: Case) -> dict[str, Any]:
+    """Return keys that have stored what the page draws of a history.
+
+    Times of output stay: states between steps change what comes after them in the last digits.
+    """
+    own = {"output.every", "output.fields", "output.profiles", "output.boundary"}
+    kept = {path: value for path, value in keys.items() if path not in own}
+    if not case.output.times:
+        kept["output.every"] = 1 if case.time.adaptive else max(1, case.time.steps // _STATES)
+    return kept

@@ -1,0 +1,155 @@
+"""Measurements laid over the charts: the columns of a table, read by their names and units."""
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import cast
+
+import numpy as np
+
+from ringwear_par.arrays import FloatArray
+from ringwear_par.cases.case import Case
+from ringwear_par.cases.units import factor, unit_of_column
+from ringwear_par.errors import InputError, legible
+from ringwear_par.identification.problem import BASE
+from ringwear_par.measurements import measurements_in
+from ringwear_par.results.result import Result
+
+#: what a column may be over time, and along the radius; as in fit files
+OVER_TIME = (
+    "penetration", "approach", "torque", "volume.lower", "volume.upper", "mass.lower", "mass.upper",
+)  # fmt: skip
+ALONG_RADIUS = ("profile.lower", "profile.upper")
+#: how the names of columns begin that are times and radii, or one of the quantities
+_TIME, _RADIUS = re.compile(r"t(ime)?(?![a-z])", re.I), re.compile(r"r(adius)?(?![a-z])", re.I)
+_WORDS = {
+    "penetration": "penetration", "displacement": "penetration", "depth": "profile",
+    "wear": "profile", "profile": "profile", "height": "profile", "approach": "approach",
+    "torque": "torque", "moment": "torque", "volume": "volume", "mass": "mass",
+}  # fmt: skip
+#: columns that go with others
+_BESIDE = re.compile(r"(sd|std|sigma|error|uncertainty)(?![a-z])", re.I)
+#: bytes that a table may have
+LARGEST = 5_000_000
+
+
+@dataclass(frozen=True, eq=False)
+class Laid:
+    """A column of a table over its times or radii.
+
+    Parameters
+    ----------
+    file, column : names.
+    quantity : one of those above.
+    x : (n,) s, or mm where it is ``along`` the radius.
+    raw : (n,) as the table has them.
+    """
+
+    file: str
+    column: str
+    quantity: str
+    along: bool
+    x: FloatArray
+    raw: FloatArray
+
+    @property
+    def choices(self) -> Sequence[str]:
+        """The quantities that it may be."""
+        return ALONG_RADIUS if self.along else OVER_TIME
+
+    @property
+    def unit(self) -> str:
+        """Its unit, told by its name or else that of the quantity in a case."""
+        base = BASE[self.quantity.partition(".")[0]]
+        return unit_of_column(self.column, base) or base
+
+    def values(self, case: Case) -> FloatArray:
+        """Return the readings, (n,) mm, N mm or mm^3: a mass as the volume of what is lost.
+
+        Raises
+        ------
+        InputError : the case does not tell the density of a mass.
+        """
+        kind, _, body = self.quantity.partition(".")
+        values = factor(self.unit, BASE[kind]) * self.raw
+        if kind != "mass":
+            return cast(FloatArray, values)
+        density = getattr(case, body).density
+        if density is None:
+            raise InputError(
+                f"{self.file}: {legible(self.column)}: a mass needs the density of the body; the "
+                f"case must have {body}.density (g/mm^3)"
+            )
+        return cast(FloatArray, values / density)
+
+    def off(self, result: Result, values: FloatArray) -> float | None:
+        """Return the root mean square of readings minus curve as drawn; None: they do not meet."""
+        kind, _, body = self.quantity.partition(".")
+        if kind == "profile":
+            x, y = result.line.r, result.profiles[f"wear_{body}"][-1]
+            # outside the contact nothing is worn
+            model = np.where((self.x < result.line.edges[0]) | (self.x > result.line.edges[-1]),
+                             0.0, np.interp(self.x, x, y))  # fmt: skip
+            return float(np.sqrt(np.mean((values - model) ** 2)))
+        name = f"worn_volume_{body}" if kind in ("volume", "mass") else kind
+        inside = self.x <= result.histories["time"][-1] * (1.0 + 1e-9)
+        if not inside.any():
+            return None
+        model = np.interp(self.x, result.histories["time"], result.histories[name])
+        return float(np.sqrt(np.mean((values - model)[inside] ** 2)))
+
+
+def read_table(content: bytes, name: str, case: Case) -> list[Laid]:
+    """Return the columns of a table that can be laid over the charts of a case.
+
+    One column is the time or the radius, by its name; the others are quantities by theirs, and
+    depths are of the body that wears where a name does not say which. Units are at their ends.
+
+    Raises
+    ------
+    InputError : it is no such table.
+    """
+    name = legible(name)
+    if len(content) > LARGEST:
+        raise InputError(f"{name}: has {len(content)} bytes; must have at most {LARGEST}")
+    table = measurements_in(content, name)
+    first = next((c for c in table.columns if _TIME.match(c) or _RADIUS.match(c)), None)
+    if first is None:
+        shown = legible(", ".join(table.columns), 200)
+        raise InputError(
+            f"{name}: has the columns {shown}; must have one of times, such as time_s, or of "
+            "radii, such as r_mm"
+        )
+    along = _TIME.match(first) is None
+    base = BASE["r" if along else "time"]
+    share = factor(unit_of_column(first, base) or base, base)
+    found = []
+    for column in table.columns:
+        if column == first or not column or _BESIDE.match(column):
+            continue
+        rows = table.filled(first, column)
+        if not rows.any():
+            continue
+        x = share * table.numbers(first, rows)
+        order = np.argsort(x, kind="stable")
+        raw = table.numbers(column, rows)[order]
+        found.append(Laid(name, column, _quantity(column, along, case), along, x[order], raw))
+    if not found:
+        raise InputError(f"{name}: has no readings beside {legible(first)}; must have some")
+    return found
+
+
+def _quantity(column: str, along: bool, case: Case) -> str:
+    """Return what a column is, as well as its name tells."""
+    words = re.findall("[a-z]+", column.lower())
+    kind = next((_WORDS[word] for word in words if word in _WORDS), "")
+    wearing = [b for b, law in zip(("lower", "upper"), case.laws, strict=True) if law is not None]
+    body = next((b for b in ("lower", "upper") if b in words), (wearing or ["lower"])[0])
+    if along:
+        return f"profile.{body}"
+    if kind in ("volume", "mass"):
+        return f"{kind}.{body}"
+    if kind in OVER_TIME:
+        return kind
+    of_its_unit = (q for q in OVER_TIME if unit_of_column(column, BASE[q.partition(".")[0]]))
+    return next(of_its_unit, "penetration")

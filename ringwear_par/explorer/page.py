@@ -1,0 +1,268 @@
+"""A page of the explorer: what it asks for is computed, the last wish first, and drawn."""
+
+import base64
+import binascii
+import json
+import logging
+import time
+from collections.abc import Callable, Sequence
+from functools import cache
+from importlib.resources import files
+from itertools import groupby
+from typing import Any
+
+import jinja2
+from bokeh.core.properties import String
+from bokeh.model import DataModel
+from markupsafe import Markup
+
+from ringwear_par import __version__
+from ringwear_par.errors import InputError, RingwearError, reason_of
+from ringwear_par.explorer.controls import Control
+from ringwear_par.explorer.exploring import Exploration, Explored
+from ringwear_par.explorer.figures import MENU, Figures
+from ringwear_par.explorer.measured import LARGEST, Laid, read_table
+from ringwear_par.reports.run_page import key_rows, worn_table
+from ringwear_par.results.key_numbers import key_numbers
+from ringwear_par.results.result import Result
+
+log = logging.getLogger(__name__)
+
+#: groups of controls that are folded at first
+_FOLDED = ("Shape",)
+#: what the page asks for at first
+_START: dict[str, Any] = {"n": 0, "values": {}, "instant": 1.0, "menu": "volume"}
+
+
+class Talk(DataModel):
+    """What a page and its server tell each other, in JSON.
+
+    ``asked`` (numbers by the names of controls, the time and chart chosen) and ``given`` (a table
+    of measurements, or what its columns are) come from the page, ``told`` goes to it.
+    """
+
+    asked = String(default="")
+    given = String(default="")
+    told = String(default="")
+
+
+class Page:
+    """The page of one visitor. Its methods are of the server's thread, but for ``_compute``.
+
+    Parameters
+    ----------
+    document : of bokeh, to be filled.
+    exploration : of the case; used by the main thread.
+    title : of the page.
+    hosts : under which it is served, with the port.
+    put : gives the main thread something to do.
+    """
+
+    def __init__(
+        self,
+        document: Any,
+        exploration: Exploration,
+        title: str,
+        hosts: Sequence[str],
+        put: Callable[[Callable[[], None]], None],
+    ) -> None:
+        self._document, self._exploration, self._put = document, exploration, put
+        self._figures, self._talk = Figures(), Talk(name="talk")
+        self._wanted: dict[str, Any] = dict(_START)
+        self._busy, self._gone = False, False
+        #: what is drawn, of which numbers, and the history of the case file
+        self._explored: Explored | None = None
+        self._drawn: dict[str, Any] | None = None
+        self._first: Result | None = None
+        self._laid: list[Laid] = []
+        self._seconds = 0.0
+        for root in (*self._figures.roots, self._talk):
+            document.add_root(root)
+        document.title = f"{title} \N{EN DASH} ringwear explore"
+        document.template = _template()
+        document.template_variables.update(_variables(exploration, title, hosts))
+        document.on_session_destroyed(self._left)
+        self._talk.on_change("asked", lambda _, __, new: self._ask(json.loads(new)))
+        self._talk.on_change("given", lambda _, __, new: self._give(json.loads(new)))
+        self._start()
+
+    def _left(self, _: Any) -> None:
+        self._gone = True
+
+    # -- histories ---------------------------------------------------------------------------------
+
+    def _ask(self, wanted: dict[str, Any]) -> None:
+        """Take a wish, the place of one that nobody has begun with."""
+        self._wanted = wanted
+        if self._busy:
+            return
+        if self._drawn is not None and wanted["values"] == self._drawn["values"]:
+            self._draw()
+        else:
+            self._start()
+
+    def _start(self) -> None:
+        self._busy = True
+        self._put(self._compute)
+
+    def _compute(self) -> None:
+        """Compute what is wanted. In the main thread."""
+        if self._gone:
+            return
+        wanted, started = self._wanted, time.perf_counter()
+        outcome: Explored | tuple[str, ...]
+        try:
+            outcome = self._exploration.compute(wanted["values"], self._assembling)
+        except InputError as error:
+            outcome = error.faults
+        except RingwearError as error:
+            outcome = (str(error),)
+        except Exception as error:  # the page goes on; the terminal has the traceback
+            log.exception("a history failed unexpectedly")
+            outcome = (f"failed unexpectedly: {reason_of(error)}",)
+        seconds = time.perf_counter() - started
+        self._document.add_next_tick_callback(lambda: self._computed(wanted, outcome, seconds))
+
+    def _assembling(self) -> None:
+        """Say that the bodies are assembled. In the main thread."""
+        self._document.add_next_tick_callback(lambda: self._tell({"assembling": True}))
+
+    def _computed(
+        self, wanted: dict[str, Any], outcome: Explored | tuple[str, ...], seconds: float
+    ) -> None:
+        self._busy, self._seconds, self._drawn = False, seconds, wanted
+        if isinstance(outcome, Explored):
+            self._explored = outcome
+            if self._first is None:
+                self._first = outcome.result
+            self._draw()
+        else:
+            self._drawn = None
+            self._tell({"n": wanted["n"], "faults": outcome})
+        if self._wanted is not wanted:
+            self._ask(self._wanted)
+
+    # -- measurements ------------------------------------------------------------------------------
+
+    def _give(self, given: dict[str, Any]) -> None:
+        """Take a table, another meaning of a column, or take a column away."""
+        fault = ""
+        try:
+            if "content" in given:
+                fault = self._add(str(given["name"]), str(given["content"]))
+            elif "remove" in given:
+                del self._laid[int(given["remove"])]
+            else:
+                number, quantity = int(given["column"]), str(given["quantity"])
+                one = self._laid[number]
+                if quantity in one.choices:
+                    self._laid[number] = Laid(**{**vars(one), "quantity": quantity})
+        except IndexError:  # of a column that is there no more
+            pass
+        except InputError as error:
+            fault = " ".join(error.faults)
+        self._draw(fault)
+
+    def _add(self, name: str, content: str) -> str:
+        if self._explored is None:
+            return f"{name}: is laid over a history; there must be one first"
+        try:
+            table = base64.b64decode(content, validate=True)
+        except binascii.Error:
+            return f"{name}: has not arrived whole"
+        self._laid += read_table(table, name, self._explored.case)
+        return ""
+
+    # -- what is seen ------------------------------------------------------------------------------
+
+    def _draw(self, fault: str = "") -> None:
+        """Draw what is computed, and tell its numbers."""
+        found = self._explored
+        if found is None or self._first is None:
+            if fault:
+                self._tell({"laid": [], "laid_fault": fault})
+            return
+        wanted, result, faults = self._wanted, found.result, [fault] if fault else []
+        good, told = [], []
+        for one in self._laid:
+            off = None
+            try:
+                off = one.off(result, one.values(found.case))
+                good.append(one)
+            except InputError as error:
+                faults += error.faults
+            told.append(_column(one, off))
+        menu = wanted["menu"] if wanted["menu"] in MENU else _START["menu"]
+        chosen, cut = self._figures.draw(
+            result, self._first, found.case, float(wanted["instant"]), menu, good
+        )
+        numbers = key_numbers(result)
+        before = {name: value for name, value, _ in key_rows(key_numbers(self._first))}
+        worn = worn_table(numbers)
+        self._tell(
+            {
+                "n": wanted["n"], "faults": [], "controls": _states(found.controls.values()),
+                "doubts": result.doubts, "summary": result.summary(), "case": found.text,
+                "numbers": [(name, value, before.get(name, ""), unit)
+                            for name, value, unit in key_rows(numbers)],
+                "worn": [worn.header, *worn.rows] if numbers.bodies else [],
+                "chosen": chosen, "cut": cut, "laid": told, "laid_fault": " ".join(faults),
+                "seconds": self._seconds,
+            }
+        )  # fmt: skip
+
+    def _tell(self, told: dict[str, Any]) -> None:
+        self._talk.told = json.dumps(told)
+
+
+def _column(one: Laid, off: float | None) -> dict[str, Any]:
+    """Return what the page says of a column that is laid over it."""
+    far = ""
+    if off is not None:
+        kind = one.quantity.partition(".")[0]
+        told = {"torque": (1e-3, "N m"), "volume": (1.0, "mm\N{SUPERSCRIPT THREE}"),
+                "mass": (1.0, "mm\N{SUPERSCRIPT THREE}")}  # fmt: skip
+        factor, unit = told.get(kind, (1e3, "\N{MICRO SIGN}m"))
+        far = f"{factor * off:.3g} {unit}"
+    return {
+        "file": one.file, "column": one.column, "quantity": one.quantity, "unit": one.unit,
+        "choices": list(one.choices), "readings": len(one.x), "off": far,
+    }  # fmt: skip
+
+
+def _states(controls: Any) -> dict[str, dict[str, Any]]:
+    """Return how controls stand, by name."""
+    return {
+        c.name: {"text": c.text, "value": c.value, "low": c.low, "high": c.high, "step": c.step}
+        for c in controls
+    }
+
+
+@cache
+def _template() -> jinja2.Template:
+    surroundings = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined)
+    return surroundings.from_string(_part("explore.html"))
+
+
+def _part(name: str, room: str = "ringwear_par.explorer", folder: str = "parts") -> str:
+    return (files(room) / folder / name).read_text(encoding="utf-8")
+
+
+def _variables(exploration: Exploration, title: str, hosts: Sequence[str]) -> dict[str, Any]:
+    """Return what the template is filled with, beside what bokeh gives it."""
+
+    def group(control: Control) -> str:
+        return control.group
+
+    return {
+        "case_name": title, "version": __version__,
+        "sockets": " ".join(f"ws://{host}" for host in hosts),
+        "groups": [
+            (name, name.startswith(_FOLDED), list(controls))
+            for name, controls in groupby(exploration.controls.values(), group)
+        ],
+        "menu": MENU, "start": _START, "largest": LARGEST,
+        "style": Markup(_part("page.css", "ringwear_par.reports", "page")
+                        + _part("explore.css")),
+        "script": Markup(_part("explore.js")),
+    }  # fmt: skip

@@ -1,0 +1,185 @@
+"use strict";
+const find = (id) => document.getElementById(id);
+const element = (name, text = "", more = {}) => Object.assign(document.createElement(name), { textContent: text, ...more });
+const page = { talk: null, n: 0, flying: false, waiting: false, values: {}, instant: 1, menu: find("menu").value, given: [] };
+
+// -- what is asked for: one wish at a time, the last one next, so that moves never queue up
+function ask() {
+  if (!page.talk || page.flying) { page.waiting = true; return; }
+  page.flying = true; page.waiting = false; page.n += 1;
+  const { n, values, instant, menu } = page;
+  page.late = setTimeout(() => say("Computing \u2026", true), 400);
+  page.talk.asked = JSON.stringify({ n, values, instant, menu });
+}
+// figures that have come are painted before the next wish
+function land() {
+  clearTimeout(page.late);
+  const next = () => { page.flying = false; page.landed = performance.now(); if (page.waiting) ask(); else rest(); };
+  if (document.hidden) next(); else requestAnimationFrame(() => requestAnimationFrame(next));
+}
+let resting = 0;
+// said only once sliders rest, for those who listen to the page
+function rest() {
+  clearTimeout(resting);
+  resting = setTimeout(() => { if (!page.flying) say(page.words ?? ""); }, 300);
+}
+function say(words, busy = false) {
+  const status = find("status");
+  if (status.textContent !== words) status.textContent = words;
+  status.classList.toggle("busy", busy);
+}
+
+// -- controls
+const controls = new Map();
+for (const row of document.querySelectorAll(".control")) {
+  const [range, box] = row.querySelectorAll("input"), { name, unit } = row.dataset;
+  const log = "log" in row.dataset, whole = "whole" in row.dataset, assembles = "assembles" in row.dataset;
+  const control = { row, range, box, log };
+  controls.set(name, control);
+  control.place = ({ text, value, low, high, step }, force) => {
+    if (force || document.activeElement !== box) box.value = text;
+    if (!force && control.held) return;
+    const of = (v) => log ? Math.log10(Math.max(v, Number.MIN_VALUE)) : v;
+    Object.assign(range, { min: of(low), max: of(high), step });
+    range.value = of(value);
+    range.setAttribute("aria-valuetext", `${text} ${unit}`.trim());
+  };
+  control.place({ text: box.value, value: Number(range.getAttribute("value")), low: Number(range.min), high: Number(range.max), step: Number(range.step) }, true);
+  const slid = () => {
+    let text = range.value;
+    if (log) text = String(Number((10 ** Number(range.value)).toPrecision(3)));
+    if (whole) text = String(Math.round(Number(text)));
+    box.value = text;
+    range.setAttribute("aria-valuetext", `${text} ${unit}`.trim());
+    return text;
+  };
+  const set = (text) => { page.values[name] = text; page.moved = true; ask(); };
+  range.addEventListener("input", () => {
+    control.held = true;
+    const text = slid();
+    if (assembles) say("Let go to assemble the bodies anew.", true); else set(text);
+  });
+  range.addEventListener("change", () => { control.held = false; set(slid()); });
+  box.addEventListener("change", () => set(box.value.trim()));
+}
+find("reset").addEventListener("click", () => { page.values = {}; page.forced = true; ask(); });
+find("instant").addEventListener("input", (event) => { page.instant = Number(event.target.value); ask(); });
+find("menu").addEventListener("change", (event) => { page.menu = event.target.value; ask(); });
+
+// -- what is told
+function hear(told) {
+  if (told.assembling) { say("Assembling the bodies \u2026", true); return; }
+  const faults = told.faults ?? [];
+  if (told.faults) {
+    const list = faults.map((text) => element("p", text, { className: "warning" }));
+    if (faults.length) list.push(element("p", "The figures are of the last numbers that could be computed.", { className: "note" }));
+    find("faults").replaceChildren(...list);
+    find("figures").classList.toggle("old", faults.length > 0);
+  }
+  if (told.controls) {
+    for (const [name, state] of Object.entries(told.controls)) if (!page.waiting || page.forced) controls.get(name)?.place(state, page.forced);
+    if (!page.waiting) page.forced = false;
+    find("doubts").replaceChildren(...told.doubts.map((text) => element("li", text)));
+    find("doubts").hidden = !told.doubts.length;
+    fill(find("numbers").tBodies[0], told.numbers);
+    find("worn").hidden = !told.worn.length;
+    if (told.worn.length) {
+      find("worn").tHead.replaceChildren(element("tr"));
+      find("worn").tHead.rows[0].append(...told.worn[0].map((text) => element("th", text, { scope: "col" })));
+      fill(find("worn").tBodies[0], told.worn.slice(1));
+    }
+    find("summary").textContent = told.summary;
+    find("case").textContent = told.case;
+    find("chosen").textContent = told.chosen;
+    find("instant").setAttribute("aria-valuetext", told.chosen);
+    find("pressure-note").textContent = told.cut && `(${told.cut})`;
+    page.words = `The whole history, computed in ${(1000 * told.seconds).toPrecision(2)} ms.`;
+  }
+  if (faults.length) page.words = "Not computed: see above.";
+  if (told.laid) lay(told);
+  if (told.n === page.n && page.flying) land(); else if (!page.flying) rest();
+  page.drawn = (page.drawn ?? 0) + 1;
+}
+function fill(body, rows) {
+  body.replaceChildren(...rows.map((cells) => {
+    const row = element("tr");
+    row.append(...cells.map((text, i) => i ? element("td", text) : element("th", text, { scope: "row" })));
+    return row;
+  }));
+}
+
+// -- measurements
+function lay({ laid, laid_fault }) {
+  const told = JSON.stringify([laid, laid_fault]);
+  if (told === page.laid) return;  // whoever is in a menu stays there
+  const same = page.laid && JSON.stringify(JSON.parse(page.laid)[0].map((c) => [c.column, c.quantity])) === JSON.stringify(laid.map((c) => [c.column, c.quantity]));
+  page.laid = told;
+  find("laid").hidden = !laid.length;
+  find("laid-fault").hidden = !laid_fault;
+  find("laid-fault").textContent = laid_fault;
+  const body = find("laid").tBodies[0];
+  if (same) { laid.forEach((column, i) => { body.rows[i].cells[4].textContent = column.off; }); return; }
+  body.replaceChildren(...laid.map((column, i) => {
+    const row = element("tr"), menu = element("select", "", { ariaLabel: `${column.column} is` }), remove = element("button", "Remove", { type: "button", ariaLabel: `Remove ${column.column}` });
+    menu.append(...column.choices.map((name) => element("option", name, { value: name, selected: name === column.quantity })));
+    menu.addEventListener("change", () => give({ column: i, quantity: menu.value }));
+    remove.addEventListener("click", () => give({ remove: i }));
+    row.append(element("th", `${column.column} (${column.file})`, { scope: "row" }), ...["", column.unit, String(column.readings), column.off, ""].map((text) => element("td", text)));
+    row.cells[1].append(menu); row.cells[5].append(remove);
+    return row;
+  }));
+  const over = laid.find((column) => !column.choices[0].startsWith("profile") && column.quantity !== "penetration");
+  const wanted = over && { approach: "approach", torque: "torque" }[over.quantity] || over && "volume";
+  if (wanted && find("menu").value !== wanted) { find("menu").value = page.menu = wanted; ask(); }
+}
+function give(what) { page.talk.given = JSON.stringify({ ...what, at: performance.now() }); }
+async function take(files) {
+  for (const file of files) {
+    if (file.size > Number(find("file").dataset.largest)) {
+      find("laid-fault").hidden = false;
+      find("laid-fault").textContent = `${file.name}: has ${file.size} bytes; must have at most ${find("file").dataset.largest}`;
+      continue;
+    }
+    const bytes = new Uint8Array(await file.arrayBuffer());
+    let text = "";
+    for (let i = 0; i < bytes.length; i += 32768) text += String.fromCharCode(...bytes.subarray(i, i + 32768));
+    give({ name: file.name, content: btoa(text) });
+  }
+}
+find("file").addEventListener("change", async (event) => { await take([...event.target.files]); event.target.value = ""; });
+document.addEventListener("dragover", (event) => { event.preventDefault(); document.body.classList.add("over"); });
+document.addEventListener("dragleave", (event) => { if (!event.relatedTarget) document.body.classList.remove("over"); });
+document.addEventListener("drop", (event) => {
+  event.preventDefault(); document.body.classList.remove("over");
+  take([...event.dataTransfer.files]);
+});
+
+// -- the case file to take home
+find("copy").addEventListener("click", async () => {
+  try {
+    await navigator.clipboard.writeText(find("case").textContent);
+    find("copied").textContent = "Copied.";
+  } catch {
+    getSelection().selectAllChildren(find("case"));
+    find("copied").textContent = "Selected; copy it with Ctrl-C.";
+  }
+  setTimeout(() => { find("copied").textContent = ""; }, 4000);
+});
+find("download").addEventListener("click", (event) => {
+  const address = URL.createObjectURL(new Blob([find("case").textContent], { type: "application/toml" }));
+  event.currentTarget.href = address;
+  setTimeout(() => URL.revokeObjectURL(address), 10000);
+});
+
+// -- the connection
+const waiting = setInterval(() => {
+  const doc = window.Bokeh?.documents[0], talk = doc?.get_model_by_name("talk");
+  if (!talk) return;
+  clearInterval(waiting);
+  page.talk = talk;
+  talk.properties.told.change.connect(() => hear(JSON.parse(talk.told)));
+  doc.on_event("connection_lost", () => {
+    find("faults").replaceChildren(element("p", "The connection is lost: ringwear explore has ended, or this page slept. If it still runs, load the page again.", { className: "warning" }));
+  });
+  if (talk.told) hear(JSON.parse(talk.told));
+}, 50);
