@@ -365,7 +365,8 @@ def _info(args: argparse.Namespace, comm: Any) -> None:
 
 _COMMANDS = {
     "run": _run, "sweep": _sweep, "fit": _fit, "design": _design, "plot": _plot,
-    "export": _export, "report": _report, "explore": _explore, "laws": _laws, "verify": _verify, "info": _info,
+    "export": _export, "report": _report, "explore": _explore, "laws": _laws, "verify": _verify,
+    "info": _info,
 }  # fmt: skip
 
 

@@ -277,10 +277,10 @@ def _faces(body: str, keys: Mapping[str, Any], group: str) -> Iterator[Control]:
         unit = SHAPE_UNITS[shape]
         interval = Interval(-45.0, 45.0) if shape == "cone" else anything
         for place, raw in _places(given):
-            entry = shape if place is None else f"{shape}[{place}]"
+            size = shape if place is None else f"{shape}[{place}]"
             told = shape if place is None else f"{_ENTRY[place]} {shape}"
             yield from _quantity(
-                f"{body}.profile", entry, raw, group, told, meaning, unit, interval, assembles=True
+                f"{body}.profile", size, raw, group, told, meaning, unit, interval, assembles=True
             )
 
 

@@ -1,6 +1,8 @@
 """Bokeh's figures of a history: worn faces, contact pressure, and quantities over time."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -21,7 +23,11 @@ _DASHES = ("solid", "dashed", "dashdot", "dotted", "dotdash")
 _QUARTERS = 4
 #: as many points of a curve, or fewer, are marked
 _FEW_POINTS = 20
-_GREY, _LEGEND = "#8a929a", 4
+_GREY, _LEGEND = "#8a929a", 3
+_KINDS, _COLUMNS = ("lines", "dots", "points"), ("x", "y", "label", "colour", "dash", "width")
+_RADIUS = "distance to axis (mm)"
+#: of an axis, beyond what is drawn
+_ROOM = 0.04
 _MICRO = "\N{MICRO SIGN}m"
 #: readings by their kinds: name of the chart over time, and what they are times as much there
 _OVER_TIME = {
@@ -30,6 +36,10 @@ _OVER_TIME = {
 }  # fmt: skip
 #: labels of the charts that the second one over time may be; the first is that of penetration
 MENU = {name: panel.label for name, panel in HISTORY_PANELS.items() if name != "penetration"}
+
+
+#: abscissae and values
+Curve = tuple[FloatArray, FloatArray]
 
 
 class Line(NamedTuple):
@@ -52,173 +62,205 @@ class Points(NamedTuple):
     colour: str
 
 
-class Chart:
-    """A figure of lines and points, all of which are drawn anew at once.
+def _chart(name: str) -> Any:
+    """Return a figure of lines and points, whose sources the page fills."""
+    plot = figure(
+        name=name, height=320, sizing_mode="stretch_width", x_axis_label=" ", y_axis_label=" ",
+        x_range=(0.0, 1.0), y_range=(0.0, 1.0), tools="pan,box_zoom,reset,save",
+    )  # fmt: skip
+    lines, dots, points = (
+        ColumnDataSource({column: [] for column in _COLUMNS}, name=f"{name}-{kind}")
+        for kind in _KINDS
+    )
+    plot.toolbar.logo = None
+    drawn = plot.multi_line(
+        "x", "y", line_color="colour", line_dash="dash", line_width="width", source=lines
+    )
+    plot.scatter("x", "y", size=4, color="colour", source=dots)
+    read = plot.scatter("x", "y", size=5, line_color="colour", fill_color=None, source=points)
+    plot.add_tools(HoverTool(renderers=[drawn, read], tooltips="$x{0.[000]}, $y{0.[000]}"))
+    legend = Legend(
+        items=[LegendItem(label={"field": "label"}, renderers=[r]) for r in (drawn, read)],
+        orientation="horizontal", ncols=_LEGEND, location="left", border_line_color=None, padding=0,
+        margin=0, spacing=6, glyph_width=22, glyph_height=12, label_height=12,
+        label_text_font_size="12px", label_text_baseline="middle",
+    )  # fmt: skip
+    plot.add_layout(legend, "above")
+    for axis in (plot.xaxis, plot.yaxis):
+        axis.axis_label_text_font_style = "normal"
+        axis.axis_label_text_font_size = "13px"
+        axis.major_label_text_font_size = "12px"
+        axis.minor_tick_line_color = None
+    plot.grid.grid_line_color = "#e4e4e4"
+    plot.outline_line_color = None
+    return plot
+
+
+def figures() -> list[Any]:
+    """Return the figures of the page, empty."""
+    return [_chart(name) for name in ("wear", "pressure", "penetration", "other")]
+
+
+def _told(
+    lines: Sequence[Line], points: Sequence[Points], x: str, y: str, marks: bool = False
+) -> dict[str, Any]:
+    """Return what a figure is to show, and nothing else: columns of its sources, labels, ranges.
 
     Parameters
     ----------
-    name : of its element on the page.
     marks : whether lines of few points are marked at them.
     """
-
-    def __init__(self, name: str, marks: bool = False) -> None:
-        self._marks = marks
-        self.figure = plot = figure(
-            name=name, height=300, sizing_mode="stretch_width", x_axis_label=" ", y_axis_label=" ",
-            tools="pan,box_zoom,reset,save", toolbar_location="right",
-        )  # fmt: skip
-        self._lines, self._dots, self._points = (ColumnDataSource() for _ in range(3))
-        self.draw([])
-        plot.toolbar.logo = None
-        lines = plot.multi_line(
-            "x", "y", line_color="colour", line_dash="dash", line_width="width", source=self._lines
-        )
-        plot.scatter("x", "y", size=4, color="colour", source=self._dots)
-        points = plot.scatter(
-            "x", "y", size=5, line_color="colour", fill_color=None, source=self._points
-        )
-        plot.add_tools(HoverTool(renderers=[lines, points], tooltips="$x{0.[000]}, $y{0.[000]}"))
-        legend = Legend(
-            items=[LegendItem(label={"field": "label"}, renderers=[r]) for r in (lines, points)],
-            orientation="horizontal", ncols=_LEGEND, border_line_color=None, padding=0, margin=0,
-            spacing=10, glyph_width=18, label_text_font_size="12px",
-        )  # fmt: skip
-        plot.add_layout(legend, "above")
-        for axis in (plot.xaxis, plot.yaxis):
-            axis.axis_label_text_font_style = "normal"
-            axis.axis_label_text_font_size = "13px"
-            axis.major_label_text_font_size = "12px"
-            axis.minor_tick_line_color = None
-        plot.grid.grid_line_color = "#e4e4e4"
-        plot.outline_line_color = None
-
-    def draw(
-        self, lines: Sequence[Line], points: Sequence[Points] = (), x: str = "", y: str = ""
-    ) -> None:
-        """Draw some lines and points, and no others; x and y are the axes' labels."""
-        self._lines.data = {
-            "x": [line.x for line in lines], "y": [line.y for line in lines],
+    few = [line for line in lines if marks and len(line.x) <= _FEW_POINTS]
+    told: dict[str, Any] = {
+        "lines": {
+            "x": [line.x.tolist() for line in lines], "y": [line.y.tolist() for line in lines],
             "label": [line.label for line in lines], "colour": [line.colour for line in lines],
             "dash": [line.dash for line in lines], "width": [line.width for line in lines],
-        }  # fmt: skip
-        few = [line for line in lines if self._marks and len(line.x) <= _FEW_POINTS]
-        for source, sets in ((self._dots, few), (self._points, points)):
-            source.data = {
-                "x": np.concatenate([[], *(one.x for one in sets)]),
-                "y": np.concatenate([[], *(one.y for one in sets)]),
-                "label": [one.label for one in sets for _ in one.x],
-                "colour": [one.colour for one in sets for _ in one.x],
-            }
-        for axis, label in ((self.figure.xaxis, x), (self.figure.yaxis, y)):
-            axis.axis_label = label
+        },
+    }  # fmt: skip
+    for kind, sets in (("dots", few), ("points", points)):
+        told[kind] = {
+            "x": [x for one in sets for x in one.x.tolist()],
+            "y": [y for one in sets for y in one.y.tolist()],
+            "label": [one.label for one in sets for _ in one.x],
+            "colour": [one.colour for one in sets for _ in one.x],
+        }
+    both: list[Sequence[Line | Points]] = [lines, points]
+    ranges = [
+        _range(np.concatenate([[], *(one[axis] for sets in both for one in sets)]), axis == 1)
+        for axis in (0, 1)
+    ]
+    return {"sources": told, "x": x, "y": y, "ranges": ranges}
 
 
-class Figures:
-    """The charts of the page."""
+def _range(values: FloatArray, zero: bool) -> list[float]:
+    """Return the ends of an axis for some values, with zero where that is asked for."""
+    found = values[np.isfinite(values)]
+    if not found.size:
+        return [0.0, 1.0]
+    low, high = float(found.min()), float(found.max())
+    if zero:
+        low, high = min(low, 0.0), max(high, 0.0)
+    room = _ROOM * ((high - low) or abs(high) or 1.0)
+    return [low - room if low or not zero else low, high + room if high or not zero else high]
 
-    def __init__(self) -> None:
-        self.wear, self.pressure = Chart("wear"), Chart("pressure")
-        self.penetration, self.other = Chart("penetration", True), Chart("other", True)
+
+@dataclass(frozen=True, eq=False)
+class Drawing:
+    """What the figures are to show of a history.
+
+    Parameters
+    ----------
+    result : with all profiles.
+    first : that of the case file.
+    case : of the result, which tells densities.
+    share : of the whole time, which is chosen.
+    menu : name of the second chart over time.
+    laid : readings to be laid over it.
+    """
+
+    result: Result
+    first: Result
+    case: Case
+    share: float
+    menu: str
+    laid: Sequence[Laid]
 
     @property
-    def roots(self) -> list[Any]:
-        """What belongs on the page."""
-        charts = self.wear, self.pressure, self.penetration, self.other
-        return [chart.figure for chart in charts]
+    def chosen(self) -> int:
+        """The stored state nearest to the chosen time."""
+        time = self.result.histories["time"]
+        return int(np.abs(time - self.share * time[-1]).argmin())
 
-    def draw(
-        self, result: Result, first: Result, case: Case, share: float, menu: str,
-        laid: Sequence[Laid],
-    ) -> tuple[str, str]:  # fmt: skip
-        """Draw a history; return its chosen time, and what is cut off the pressure, in words.
-
-        Parameters
-        ----------
-        result : with all profiles.
-        first : that of the case file.
-        case : of the result, which tells densities.
-        share : of the whole time, which is chosen.
-        menu : name of the second chart over time.
-        laid : readings to be laid over it.
-        """
-        time = result.histories["time"]
+    @property
+    def chosen_time(self) -> str:
+        """The chosen time in words."""
+        time = self.result.histories["time"]
         unit, seconds = time_unit(float(time[-1]))
-        chosen = int(np.abs(time - share * time[-1]).argmin())
-        wished = [time[min(1, len(time) - 1)], *(time[-1] * q / _QUARTERS for q in range(1, 5))]
-        rows = [int(row) for row in np.unique([np.abs(time - t).argmin() for t in wished])]
-        self._draw_wear(result, first, case, rows, chosen, laid)
-        cut = self._draw_pressure(result, rows, chosen)
-        self._draw_history(self.penetration, "penetration", result, first, case, laid)
-        self._draw_history(self.other, menu, result, first, case, laid)
-        return f"{time[chosen] / seconds:.4g} {unit}", cut
+        return f"{time[self.chosen] / seconds:.4g} {unit}"
 
-    def _draw_wear(
-        self, result: Result, first: Result, case: Case, rows: Sequence[int], chosen: int,
-        laid: Sequence[Laid],
-    ) -> None:  # fmt: skip
-        lines = _stages(result, rows, chosen, _faces)
-        if first is not result:
-            lines.insert(0, _line(first, -1, _faces, "case file, end", _GREY, "dashed"))
+    @property
+    def stages(self) -> list[int]:
+        """The stored states that profiles are drawn of: the first step and four quarters."""
+        time = self.result.histories["time"]
+        wished = [time[min(1, len(time) - 1)], *(time[-1] * q / _QUARTERS for q in range(1, 5))]
+        return [int(row) for row in np.unique([np.abs(time - t).argmin() for t in wished])]
+
+    def told(self) -> dict[str, dict[str, Any]]:
+        """Return what the figures show, by name."""
+        return {
+            "wear": self._wear(), "pressure": self._pressure(),
+            "penetration": self._history("penetration"), "other": self._history(self.menu),
+        }  # fmt: skip
+
+    def _wear(self) -> dict[str, Any]:
+        result, lines = self.result, self._stages(_faces)
+        if self.first is not result:
+            lines = [
+                *(Line(x, y, "case file, end", _GREY, "dashed") for x, y in _faces(self.first, -1)),
+                *lines,
+            ]
         points = []
-        for number, one in enumerate(laid):
+        for number, one in enumerate(self.laid):
             if one.along:
                 sign = -1e3 if one.quantity == "profile.lower" else 1e3
-                points.append(
-                    Points(one.x, sign * one.values(case), one.column, _colour(number))
-                )
+                y = sign * one.values(self.case)
+                points.append(Points(one.x, y, one.column, _colour(number)))
         worn = [b for b in ("lower", "upper") if result.profiles[f"wear_{b}"].any()] or ["lower"]
-        where = {
-            ("lower",): "worn face of lower", ("upper",): "worn face of upper",
-            ("lower", "upper"): "worn faces: lower below 0, upper above",
-        }[tuple(worn)]  # fmt: skip
-        self.wear.draw(lines, points, "distance to axis (mm)", f"{where} ({_MICRO})")
+        where = "worn faces" if len(worn) > 1 else f"worn face of {worn[0]}"
+        note = "lower below 0, upper above" if len(worn) > 1 else ""
+        return _told(lines, points, _RADIUS, f"{where} ({_MICRO})") | {"note": note}
 
-    def _draw_pressure(self, result: Result, rows: Sequence[int], chosen: int) -> str:
-        """Draw pressures, singular edges cut as in the other figures; return what is cut."""
-        shown = [*rows, chosen]
+    def _pressure(self) -> dict[str, Any]:
+        """Return pressures; singular edges are cut, as in the other figures."""
+        result, shown = self.result, [*self.stages, self.chosen]
+        told = _told(self._stages(_pressures), (), _RADIUS, "contact pressure (MPa)")
         pressure = result.profiles["pressure"][shown]
-        lines = _stages(result, rows, chosen, _pressures)
-        label = "contact pressure (MPa)"
-        self.pressure.draw(lines, (), "distance to axis (mm)", label)
         touched = (pressure > 0.0) @ result.line.area
         force = result.histories["force"][shown]
         top = 3.0 * float((force / np.where(touched > 0.0, touched, np.inf)).max())
         highest = float(pressure.max())
-        self.pressure.figure.y_range.update(
-            start=0.0, end=min(top, 1.1 * highest) if highest > 0.0 else 1.0
-        )
-        return f"its peak of {highest:.0f} MPa is cut" if highest > top > 0.0 else ""
+        told["ranges"][1] = [0.0, min(top, 1.1 * highest) if highest > 0.0 else 1.0]
+        told["note"] = f"its peak of {highest:.0f} MPa is cut" if highest > top > 0.0 else ""
+        return told
 
-    def _draw_history(
-        self, chart: Chart, name: str, result: Result, first: Result, case: Case,
-        laid: Sequence[Laid],
-    ) -> None:  # fmt: skip
-        panel = HISTORY_PANELS[name]
+    def _history(self, name: str) -> dict[str, Any]:
+        result, first, panel = self.result, self.first, HISTORY_PANELS[name]
         unit, seconds = time_unit(float(result.histories["time"][-1]))
+        note, lines = "", []
         try:
-            lines = _curves(panel.curves(result), result, seconds)
             if first is not result:
-                before = _curves(panel.curves(first), first, seconds)
                 lines = [
-                    *(
-                        line._replace(
-                            label=f"case file {line.label}".strip(), colour=_GREY, dash="dashed"
-                        )
-                        for line in before
-                    ),
-                    *lines,
-                ]
-        except InputError:  # p V without friction
-            lines = []
+                    line._replace(
+                        label=f"case file {line.label}".strip(), colour=_GREY, dash="dashed",
+                        width=1.6,
+                    )
+                    for line in _curves(panel.curves(first), first, seconds, "")
+                ]  # fmt: skip
+            lines += _curves(panel.curves(result), result, seconds, "now" if lines else "")
+        except InputError as error:  # p V without friction
+            note = str(error).rpartition(": ")[2]
         points = []
-        for number, one in enumerate(laid):
+        for number, one in enumerate(self.laid):
             kind = one.quantity.partition(".")[0]
             if not one.along and _OVER_TIME[kind][0] == name:
-                factor = _OVER_TIME[kind][1]
-                points.append(
-                    Points(one.x / seconds, factor * one.values(case), one.column, _colour(number))
-                )
-        chart.draw(lines, points, f"time ({unit})", panel.label)
+                y = _OVER_TIME[kind][1] * one.values(self.case)
+                points.append(Points(one.x / seconds, y, one.column, _colour(number)))
+        return _told(lines, points, f"time ({unit})", panel.label, marks=True) | {"note": note}
+
+    def _stages(self, of: Callable[[Result, int], list[Curve]]) -> list[Line]:
+        """Return lines along the radius: at some states, and at that which is chosen."""
+        result, rows = self.result, self.stages
+        time = result.histories["time"]
+        unit, seconds = time_unit(float(time[-1]))
+        lines = [
+            Line(x, y, f"{time[row] / seconds:.3g} {unit}", _stage_colour(number, len(rows)),
+                 _DASHES[number % len(_DASHES)])
+            for number, row in enumerate(rows)
+            for x, y in of(result, row)
+        ]  # fmt: skip
+        chosen = of(result, self.chosen)
+        return lines + [Line(x, y, "time chosen", COLOURS[1], width=3.0) for x, y in chosen]
 
 
 def _colour(number: int) -> str:
@@ -226,49 +268,35 @@ def _colour(number: int) -> str:
     return COLOURS[(2 + number) % len(COLOURS)]
 
 
-def _faces(result: Result, row: int) -> tuple[FloatArray, FloatArray]:
+@cache
+def _stage_colour(number: int, count: int) -> str:
+    return str(to_hex(stage_colour(number, count)))
+
+
+def _faces(result: Result, row: int) -> list[Curve]:
     """Return the worn faces, um: that of lower falls below 0, that of upper rises above it."""
     faces = [
         sign * result.profiles[f"wear_{body}"]
         for body, sign in (("lower", -1e3), ("upper", 1e3))
     ]  # fmt: skip
     there = [face for face in faces if face.any()] or faces[:1]
-    nothing = np.array([np.nan])
-    if len(there) == 1:
-        return result.line.r, there[0][row]
-    r = result.line.r
-    return np.concatenate([r, nothing, r]), np.concatenate([there[0][row], nothing, there[1][row]])
+    return [(result.line.r, face[row]) for face in there]
 
 
-def _pressures(result: Result, row: int) -> tuple[FloatArray, FloatArray]:
-    return result.line.r, result.profiles["pressure"][row]
+def _pressures(result: Result, row: int) -> list[Curve]:
+    return [(result.line.r, result.profiles["pressure"][row])]
 
 
-def _line(
-    result: Result, row: int, of: Any, label: str, colour: str, dash: str, width: float = 1.6
-) -> Line:
-    x, y = of(result, row)
-    return Line(x, y, label, colour, dash, width)
-
-
-def _stages(result: Result, rows: Sequence[int], chosen: int, of: Any) -> list[Line]:
-    """Return lines along the radius: at some states, and at that which is chosen."""
-    time = result.histories["time"]
-    unit, seconds = time_unit(float(time[-1]))
-    lines = [
-        _line(result, row, of, f"{time[row] / seconds:.4g} {unit}",
-              to_hex(stage_colour(number, len(rows))), _DASHES[number % len(_DASHES)])
-        for number, row in enumerate(rows)
-    ]  # fmt: skip
-    return [*lines, _line(result, chosen, of, "time chosen", COLOURS[1], "solid", 3.0)]
-
-
-def _curves(curves: dict[str, FloatArray], result: Result, seconds: float) -> list[Line]:
+def _curves(
+    curves: dict[str, FloatArray], result: Result, seconds: float, one: str
+) -> list[Line]:  # fmt: skip
+    """Return histories as lines; ``one`` is what the only one is called."""
     time = result.histories["time"] / seconds
     lines = []
     for number, (name, y) in enumerate(curves.items()):
         x = time
         if len(y) < len(time):  # means of the time between two states
             x, y = np.repeat(time, 2)[1:-1], np.repeat(y, 2)
-        lines.append(Line(x, y, name or "now", COLOURS[number], _DASHES[number], 2.0))
+        label = name if len(curves) > 1 else one or name or "history"
+        lines.append(Line(x, y, label, COLOURS[number], _DASHES[number], 2.0))
     return lines

@@ -20,7 +20,7 @@ from ringwear_par import __version__
 from ringwear_par.errors import InputError, RingwearError, reason_of
 from ringwear_par.explorer.controls import Control
 from ringwear_par.explorer.exploring import Exploration, Explored
-from ringwear_par.explorer.figures import MENU, Figures
+from ringwear_par.explorer.figures import MENU, Drawing, figures
 from ringwear_par.explorer.measured import LARGEST, Laid, read_table
 from ringwear_par.reports.run_page import key_rows, worn_table
 from ringwear_par.results.key_numbers import key_numbers
@@ -34,11 +34,12 @@ _FOLDED = ("Shape",)
 _START: dict[str, Any] = {"n": 0, "values": {}, "instant": 1.0, "menu": "volume"}
 
 
-class Talk(DataModel):
+class Talk(DataModel):  # type: ignore[misc]
     """What a page and its server tell each other, in JSON.
 
     ``asked`` (numbers by the names of controls, the time and chart chosen) and ``given`` (a table
-    of measurements, or what its columns are) come from the page, ``told`` goes to it.
+    of measurements, or what its columns are) come from the page, ``told`` goes to it: all that is
+    seen of a history in one message, so that figures are painted once.
     """
 
     asked = String(default="")
@@ -67,7 +68,7 @@ class Page:
         put: Callable[[Callable[[], None]], None],
     ) -> None:
         self._document, self._exploration, self._put = document, exploration, put
-        self._figures, self._talk = Figures(), Talk(name="talk")
+        self._talk = Talk(name="talk")
         self._wanted: dict[str, Any] = dict(_START)
         self._busy, self._gone = False, False
         #: what is drawn, of which numbers, and the history of the case file
@@ -76,7 +77,7 @@ class Page:
         self._first: Result | None = None
         self._laid: list[Laid] = []
         self._seconds = 0.0
-        for root in (*self._figures.roots, self._talk):
+        for root in (*figures(), self._talk):
             document.add_root(root)
         document.title = f"{title} \N{EN DASH} ringwear explore"
         document.template = _template()
@@ -193,9 +194,8 @@ class Page:
                 faults += error.faults
             told.append(_column(one, off))
         menu = wanted["menu"] if wanted["menu"] in MENU else _START["menu"]
-        chosen, cut = self._figures.draw(
-            result, self._first, found.case, float(wanted["instant"]), menu, good
-        )
+        share = float(wanted["instant"])
+        drawing = Drawing(result, self._first, found.case, share, menu, good)
         numbers = key_numbers(result)
         before = {name: value for name, value, _ in key_rows(key_numbers(self._first))}
         worn = worn_table(numbers)
@@ -206,8 +206,8 @@ class Page:
                 "numbers": [(name, value, before.get(name, ""), unit)
                             for name, value, unit in key_rows(numbers)],
                 "worn": [worn.header, *worn.rows] if numbers.bodies else [],
-                "chosen": chosen, "cut": cut, "laid": told, "laid_fault": " ".join(faults),
-                "seconds": self._seconds,
+                "chosen": drawing.chosen_time, "charts": drawing.told(), "laid": told,
+                "laid_fault": " ".join(faults), "seconds": self._seconds,
             }
         )  # fmt: skip
 
@@ -255,7 +255,7 @@ def _variables(exploration: Exploration, title: str, hosts: Sequence[str]) -> di
         return control.group
 
     return {
-        "case_name": title, "version": __version__,
+        "case_name": title, "case_title": exploration.title, "version": __version__,
         "sockets": " ".join(f"ws://{host}" for host in hosts),
         "groups": [
             (name, name.startswith(_FOLDED), list(controls))

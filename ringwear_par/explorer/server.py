@@ -74,7 +74,9 @@ def explore(
             print(f"{server.address}\nopen this in a browser on this machine; Ctrl-C ends it",
                   flush=True)  # fmt: skip
             if browser and _has_screen():
-                threading.Thread(target=webbrowser.open, args=(server.address,), daemon=True).start()
+                opening = threading.Thread(target=webbrowser.open, args=(server.address,))
+                opening.daemon = True
+                opening.start()
             while True:  # MPI, PETSc and compiled code are used by this thread alone
                 desk.get()()
                 signals.check()  # of a signal that has made a history fail, and nothing else
@@ -92,6 +94,8 @@ def _listen(port: int) -> socket.socket:
     """
     listening = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
     listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+    # many small messages: none is to wait for the receipt of another
+    listening.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
     try:
         listening.bind((_HOST, port))
     except OSError as error:

@@ -11,11 +11,11 @@ function ask() {
   page.late = setTimeout(() => say("Computing \u2026", true), 400);
   page.talk.asked = JSON.stringify({ n, values, instant, menu });
 }
-// figures that have come are painted before the next wish
+// the next is computed while figures are painted
 function land() {
   clearTimeout(page.late);
-  const next = () => { page.flying = false; page.landed = performance.now(); if (page.waiting) ask(); else rest(); };
-  if (document.hidden) next(); else requestAnimationFrame(() => requestAnimationFrame(next));
+  page.flying = false;
+  if (page.waiting) ask(); else rest();
 }
 let resting = 0;
 // said only once sliders rest, for those who listen to the page
@@ -69,7 +69,9 @@ find("menu").addEventListener("change", (event) => { page.menu = event.target.va
 // -- what is told
 function hear(told) {
   if (told.assembling) { say("Assembling the bodies \u2026", true); return; }
-  const faults = told.faults ?? [];
+  const faults = told.faults ?? [], rested = !page.waiting;
+  if (told.n === page.n && page.flying) land(); else if (!page.flying) rest();
+  page.drawn = (page.drawn ?? 0) + 1;
   if (told.faults) {
     const list = faults.map((text) => element("p", text, { className: "warning" }));
     if (faults.length) list.push(element("p", "The figures are of the last numbers that could be computed.", { className: "note" }));
@@ -77,8 +79,8 @@ function hear(told) {
     find("figures").classList.toggle("old", faults.length > 0);
   }
   if (told.controls) {
-    for (const [name, state] of Object.entries(told.controls)) if (!page.waiting || page.forced) controls.get(name)?.place(state, page.forced);
-    if (!page.waiting) page.forced = false;
+    for (const [name, state] of Object.entries(told.controls)) if (rested || page.forced) controls.get(name)?.place(state, page.forced);
+    if (rested) page.forced = false;
     find("doubts").replaceChildren(...told.doubts.map((text) => element("li", text)));
     find("doubts").hidden = !told.doubts.length;
     fill(find("numbers").tBodies[0], told.numbers);
@@ -92,13 +94,29 @@ function hear(told) {
     find("case").textContent = told.case;
     find("chosen").textContent = told.chosen;
     find("instant").setAttribute("aria-valuetext", told.chosen);
-    find("pressure-note").textContent = told.cut && `(${told.cut})`;
-    page.words = `The whole history, computed in ${(1000 * told.seconds).toPrecision(2)} ms.`;
+    draw(told.charts);
+    page.words = `The whole history, computed in ${Math.round(1000 * told.seconds)} ms.`;
   }
-  if (faults.length) page.words = "Not computed: see above.";
+  if (faults.length) page.words = "Not computed:";
   if (told.laid) lay(told);
-  if (told.n === page.n && page.flying) land(); else if (!page.flying) rest();
-  page.drawn = (page.drawn ?? 0) + 1;
+}
+// nothing of this is news to the server; who has zoomed in stays there
+const ends = new Map();
+function draw(charts) {
+  const doc = page.talk.document, quietly = { sync: false };
+  for (const [name, { sources, x, y, ranges, note }] of Object.entries(charts)) {
+    const plot = doc.get_model_by_name(name);
+    for (const [kind, data] of Object.entries(sources)) doc.get_model_by_name(`${name}-${kind}`).setv({ data }, quietly);
+    plot.below[0].setv({ axis_label: x }, quietly);
+    plot.left[0].setv({ axis_label: y }, quietly);
+    [plot.x_range, plot.y_range].forEach((axis, i) => {
+      const [start, end] = ranges[i], before = ends.get(axis);
+      const zoomed = before && (axis.start !== before[0] || axis.end !== before[1]);
+      axis.setv({ reset_start: start, reset_end: end, ...(zoomed ? {} : { start, end }) }, quietly);
+      ends.set(axis, ranges[i]);
+    });
+    find(`${name}-note`).textContent = note ? `(${note})` : "";
+  }
 }
 function fill(body, rows) {
   body.replaceChildren(...rows.map((cells) => {
