@@ -163,9 +163,7 @@ def measurements_in(content: bytes, path: str) -> Measurements:
     if faults:
         raise InputError(*faults)
     rows = [row[: len(columns)] for row in rows]
-    return Measurements(
-        path, columns, tuple(rows), lines[1:], hashlib.sha256(content).hexdigest()
-    )
+    return Measurements(path, columns, tuple(rows), lines[1:], hashlib.sha256(content).hexdigest())
 
 
 def _text(path: str, content: bytes) -> str:

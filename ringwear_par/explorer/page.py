@@ -6,9 +6,10 @@ import json
 import logging
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import cache
 from importlib.resources import files
-from itertools import groupby
+from itertools import count, groupby
 from typing import Any
 
 import jinja2
@@ -75,7 +76,9 @@ class Page:
         self._explored: Explored | None = None
         self._drawn: dict[str, Any] | None = None
         self._first: Result | None = None
-        self._laid: list[Laid] = []
+        #: by numbers that stay theirs
+        self._laid: dict[int, Laid] = {}
+        self._numbers = count()
         self._seconds = 0.0
         for root in (*figures(), self._talk):
             document.add_root(root)
@@ -147,19 +150,14 @@ class Page:
 
     def _give(self, given: dict[str, Any]) -> None:
         """Take a table, another meaning of a column, or take a column away."""
-        fault = ""
+        fault, number = "", int(given.get("number", -1))
         try:
             if "content" in given:
                 fault = self._add(str(given["name"]), str(given["content"]))
-            elif "remove" in given:
-                del self._laid[int(given["remove"])]
-            else:
-                number, quantity = int(given["column"]), str(given["quantity"])
-                one = self._laid[number]
-                if quantity in one.choices:
-                    self._laid[number] = Laid(**{**vars(one), "quantity": quantity})
-        except IndexError:  # of a column that is there no more
-            pass
+            elif given.get("remove"):
+                self._laid.pop(number, None)
+            elif number in self._laid and given.get("quantity") in self._laid[number].choices:
+                self._laid[number] = replace(self._laid[number], quantity=given["quantity"])
         except InputError as error:
             fault = " ".join(error.faults)
         self._draw(fault)
@@ -171,7 +169,8 @@ class Page:
             table = base64.b64decode(content, validate=True)
         except binascii.Error:
             return f"{name}: has not arrived whole"
-        self._laid += read_table(table, name, self._explored.case)
+        found = read_table(table, name, self._explored.case)
+        self._laid.update((next(self._numbers), one) for one in found)
         return ""
 
     # -- what is seen ------------------------------------------------------------------------------
@@ -185,14 +184,14 @@ class Page:
             return
         wanted, result, faults = self._wanted, found.result, [fault] if fault else []
         good, told = [], []
-        for one in self._laid:
+        for number, one in self._laid.items():
             off = None
             try:
                 off = one.off(result, one.values(found.case))
                 good.append(one)
             except InputError as error:
                 faults += error.faults
-            told.append(_column(one, off))
+            told.append({"number": number, **_column(one, off)})
         menu = wanted["menu"] if wanted["menu"] in MENU else _START["menu"]
         share = float(wanted["instant"])
         drawing = Drawing(result, self._first, found.case, share, menu, good)

@@ -130,18 +130,18 @@ function fill(body, rows) {
 function lay({ laid, laid_fault }) {
   const told = JSON.stringify([laid, laid_fault]);
   if (told === page.laid) return;  // whoever is in a menu stays there
-  const same = page.laid && JSON.stringify(JSON.parse(page.laid)[0].map((c) => [c.column, c.quantity])) === JSON.stringify(laid.map((c) => [c.column, c.quantity]));
+  const same = page.laid && JSON.stringify(JSON.parse(page.laid)[0].map((c) => [c.number, c.quantity])) === JSON.stringify(laid.map((c) => [c.number, c.quantity]));
   page.laid = told;
   find("laid").hidden = !laid.length;
   find("laid-fault").hidden = !laid_fault;
   find("laid-fault").textContent = laid_fault;
   const body = find("laid").tBodies[0];
   if (same) { laid.forEach((column, i) => { body.rows[i].cells[4].textContent = column.off; }); return; }
-  body.replaceChildren(...laid.map((column, i) => {
+  body.replaceChildren(...laid.map((column) => {
     const row = element("tr"), menu = element("select", "", { ariaLabel: `${column.column} is` }), remove = element("button", "Remove", { type: "button", ariaLabel: `Remove ${column.column}` });
     menu.append(...column.choices.map((name) => element("option", name, { value: name, selected: name === column.quantity })));
-    menu.addEventListener("change", () => give({ column: i, quantity: menu.value }));
-    remove.addEventListener("click", () => give({ remove: i }));
+    menu.addEventListener("change", () => give({ number: column.number, quantity: menu.value }));
+    remove.addEventListener("click", () => give({ number: column.number, remove: true }));
     row.append(element("th", `${column.column} (${column.file})`, { scope: "row" }), ...["", column.unit, String(column.readings), column.off, ""].map((text) => element("td", text)));
     row.cells[1].append(menu); row.cells[5].append(remove);
     return row;
