@@ -231,13 +231,10 @@ class Drawing:
         try:
             if first is not result:
                 lines = [
-                    line._replace(
-                        label=f"case file {line.label}".strip(), colour=_GREY, dash="dashed",
-                        width=1.6,
-                    )
-                    for line in _curves(panel.curves(first), first, seconds, "")
-                ]  # fmt: skip
-            lines += _curves(panel.curves(result), result, seconds, "now" if lines else "")
+                    line._replace(colour=_GREY, dash="dashed", width=1.6)
+                    for line in _curves(panel.curves(first), first, seconds, "case file")
+                ]
+            lines += _curves(panel.curves(result), result, seconds, "now")
         except InputError as error:  # p V without friction
             note = str(error).rpartition(": ")[2]
         points = []
@@ -288,15 +285,15 @@ def _pressures(result: Result, row: int) -> list[Curve]:
 
 
 def _curves(
-    curves: dict[str, FloatArray], result: Result, seconds: float, one: str
+    curves: dict[str, FloatArray], result: Result, seconds: float, whose: str
 ) -> list[Line]:  # fmt: skip
-    """Return histories as lines; ``one`` is what the only one is called."""
+    """Return histories as lines that are called by whose they are, and by their names."""
     time = result.histories["time"] / seconds
     lines = []
     for number, (name, y) in enumerate(curves.items()):
         x = time
         if len(y) < len(time):  # means of the time between two states
             x, y = np.repeat(time, 2)[1:-1], np.repeat(y, 2)
-        label = name if len(curves) > 1 else one or name or "history"
+        label = f"{name}, {whose}" if len(curves) > 1 else whose
         lines.append(Line(x, y, label, COLOURS[number], _DASHES[number], 2.0))
     return lines
