@@ -32,13 +32,17 @@ log = logging.getLogger(__name__)
 #: groups of controls that are folded at first
 _FOLDED = ("Shape",)
 #: what the page asks for at first
-_START: dict[str, Any] = {"n": 0, "values": {}, "instant": 1.0, "menu": "volume"}
+_START: dict[str, Any] = {"n": 0, "values": {}, "instant": 1.0, "menu": "volume",
+                          "moving": False}  # fmt: skip
+#: s; histories that take longer are sketched while a slider moves
+_SLOW = 0.05
 
 
 class Talk(DataModel):  # type: ignore[misc]
     """What a page and its server tell each other, in JSON.
 
-    ``asked`` (numbers by the names of controls, the time and chart chosen) and ``given`` (a table
+    ``asked`` (numbers by the names of controls and whether one is moving, the time and chart
+    chosen) and ``given`` (a table
     of measurements, or what its columns are) come from the page, ``told`` goes to it: all that is
     seen of a history in one message, so that figures are painted once.
     """
@@ -75,6 +79,7 @@ class Page:
         #: what is drawn, of which numbers, and the history of the case file
         self._explored: Explored | None = None
         self._drawn: dict[str, Any] | None = None
+        self._sketched, self._slow = False, False
         self._first: Result | None = None
         #: by numbers that stay theirs
         self._laid: dict[int, Laid] = {}
@@ -100,7 +105,8 @@ class Page:
         self._wanted = wanted
         if self._busy:
             return
-        if self._drawn is not None and wanted["values"] == self._drawn["values"]:
+        known = self._drawn is not None and wanted["values"] == self._drawn["values"]
+        if known and (wanted.get("moving") or not self._sketched):
             self._draw()
         else:
             self._start()
@@ -114,9 +120,11 @@ class Page:
         if self._gone:
             return
         wanted, started = self._wanted, time.perf_counter()
+        sketch = bool(wanted.get("moving")) and self._slow
         outcome: Explored | tuple[str, ...]
         try:
-            outcome = self._exploration.compute(wanted["values"], self._assembling)
+            values = wanted["values"]
+            outcome = self._exploration.compute(values, self._assembling, sketch=sketch)
         except InputError as error:
             outcome = error.faults
         except RingwearError as error:
@@ -125,18 +133,26 @@ class Page:
             log.exception("a history failed unexpectedly")
             outcome = (f"failed unexpectedly: {reason_of(error)}",)
         seconds = time.perf_counter() - started
-        self._document.add_next_tick_callback(lambda: self._computed(wanted, outcome, seconds))
+        self._document.add_next_tick_callback(
+            lambda: self._computed(wanted, outcome, seconds, sketch)
+        )
 
     def _assembling(self) -> None:
         """Say that the bodies are assembled. In the main thread."""
         self._document.add_next_tick_callback(lambda: self._tell({"assembling": True}))
 
     def _computed(
-        self, wanted: dict[str, Any], outcome: Explored | tuple[str, ...], seconds: float
+        self,
+        wanted: dict[str, Any],
+        outcome: Explored | tuple[str, ...],
+        seconds: float,
+        sketch: bool,
     ) -> None:
         self._busy, self._seconds, self._drawn = False, seconds, wanted
         if isinstance(outcome, Explored):
-            self._explored = outcome
+            self._explored, self._sketched = outcome, sketch
+            if not sketch:
+                self._slow = seconds > _SLOW
             if self._first is None:
                 self._first = outcome.result
             self._draw()
@@ -207,6 +223,7 @@ class Page:
                 "worn": [worn.header, *worn.rows] if numbers.bodies else [],
                 "chosen": drawing.chosen_time, "charts": drawing.told(), "laid": told,
                 "laid_fault": " ".join(faults), "seconds": self._seconds,
+                "sketch": self._sketched,
             }
         )  # fmt: skip
 

@@ -8,6 +8,7 @@ import re
 import shutil
 import subprocess
 import time
+from contextlib import suppress
 
 from tornado.httpclient import HTTPRequest
 from tornado.websocket import websocket_connect
@@ -63,12 +64,17 @@ class Browser:
         return self
 
     def __exit__(self, *_):
-        self._socket.close()
+        self._loop.run_until_complete(self._disconnect())
+        self._loop.close()
         self._process.kill()
         self._process.wait()
         self._process.stderr.close()
-        self._loop.run_until_complete(asyncio.sleep(0.01))
-        self._loop.close()
+
+    async def _disconnect(self):
+        self._socket.close()
+        with suppress(asyncio.TimeoutError):
+            while await asyncio.wait_for(self._socket.read_message(), 1.0) is not None:
+                pass
 
     def call(self, method, **parameters):
         """Call a method of the protocol, and return what it answers."""

@@ -220,6 +220,16 @@ def test_pairs_are_used_again(comm):
         assert len(said) == times
 
 
+def test_sketches_are_coarse_and_near(comm):
+    for path in (PAPER, CASES / "crown.toml"):
+        exploration = Exploration(raw_keys(path, []), path.name, comm)
+        found, sketch = (exploration.compute({}, sketch=so) for so in (False, True))
+        assert sketch.text == found.text
+        assert sketch.result.steps_made[-1] < 0.6 * found.result.steps_made[-1]
+        ends = [one.result.histories["penetration"][-1] for one in (sketch, found)]
+        assert ends[0] == pytest.approx(ends[1], rel=2e-3)
+
+
 # -- figures and measurements ----------------------------------------------------------------------
 
 
@@ -319,7 +329,7 @@ def test_a_page_computes_the_last_wish_and_goes_on_after_faults(comm):
     computed, compute, later = [], exploration.compute, []
     document.add_next_tick_callback = later.append
 
-    def counted(texts, assembling):
+    def counted(texts, assembling, sketch):
         computed.append(texts)
         if texts == {"wear.lower.k": "5"}:
             raise ZeroDivisionError("of a fault in the code")
@@ -359,6 +369,12 @@ def test_a_page_computes_the_last_wish_and_goes_on_after_faults(comm):
     told = work()
     assert told["n"] == 12
     assert told["faults"] == []
+    page._slow, page._exploration.compute = True, compute
+    talk.asked = json.dumps({**json.loads(talk.asked), "n": 12.5, "moving": True,
+                             "values": {"wear.lower.k": "2e-7"}})  # fmt: skip
+    assert work()["sketch"] is True
+    talk.asked = json.dumps({**json.loads(talk.asked), "n": 12, "moving": False})
+    assert work()["sketch"] is False  # the same numbers, but at rest
     page._left(None)
     ask(13, **{"wear.lower.k": "9e-8"})
     assert work()["n"] == 12  # nobody is there to see it

@@ -1,15 +1,15 @@
 "use strict";
 const find = (id) => document.getElementById(id);
 const element = (name, text = "", more = {}) => Object.assign(document.createElement(name), { textContent: text, ...more });
-const page = { talk: null, n: 0, flying: false, waiting: false, values: {}, instant: 1, menu: find("menu").value, given: [] };
+const page = { talk: null, n: 0, flying: false, waiting: false, values: {}, instant: 1, menu: find("menu").value, moving: false, sketch: false };
 
 // -- what is asked for: one wish at a time, the last one next, so that moves never queue up
 function ask() {
   if (!page.talk || page.flying) { page.waiting = true; return; }
   page.flying = true; page.waiting = false; page.n += 1;
-  const { n, values, instant, menu } = page;
+  const { n, values, instant, menu, moving } = page;
   page.late = setTimeout(() => say("Computing \u2026", true), 400);
-  page.talk.asked = JSON.stringify({ n, values, instant, menu });
+  page.talk.asked = JSON.stringify({ n, values, instant, menu, moving });
 }
 // the next is computed while figures are painted
 function land() {
@@ -21,7 +21,10 @@ let resting = 0;
 // said only once sliders rest, for those who listen to the page
 function rest() {
   clearTimeout(resting);
-  resting = setTimeout(() => { if (!page.flying) say(page.words ?? ""); }, 300);
+  resting = setTimeout(() => {
+    if (page.flying) return;
+    if (page.sketch) { page.moving = false; ask(); } else say(page.words ?? "");
+  }, 300);
 }
 function say(words, busy = false) {
   const status = find("status");
@@ -53,16 +56,16 @@ for (const row of document.querySelectorAll(".control")) {
     range.setAttribute("aria-valuetext", `${text} ${unit}`.trim());
     return text;
   };
-  const set = (text) => { page.values[name] = text; page.moved = true; ask(); };
+  const set = (text, moving) => { page.values[name] = text; page.moving = moving; ask(); };
   range.addEventListener("input", () => {
     control.held = true;
     const text = slid();
-    if (assembles) say("Let go to assemble the bodies anew.", true); else set(text);
+    if (assembles) say("Let go to assemble the bodies anew.", true); else set(text, true);
   });
-  range.addEventListener("change", () => { control.held = false; set(slid()); });
-  box.addEventListener("change", () => set(box.value.trim()));
+  range.addEventListener("change", () => { control.held = false; set(slid(), false); });
+  box.addEventListener("change", () => set(box.value.trim(), false));
 }
-find("reset").addEventListener("click", () => { page.values = {}; page.forced = true; ask(); });
+find("reset").addEventListener("click", () => { page.values = {}; page.moving = false; page.forced = true; ask(); });
 find("instant").addEventListener("input", (event) => { page.instant = Number(event.target.value); ask(); });
 find("menu").addEventListener("change", (event) => { page.menu = event.target.value; ask(); });
 
@@ -70,6 +73,8 @@ find("menu").addEventListener("change", (event) => { page.menu = event.target.va
 function hear(told) {
   if (told.assembling) { say("Assembling the bodies \u2026", true); return; }
   const faults = told.faults ?? [], rested = !page.waiting;
+  page.sketch = Boolean(told.sketch);
+  if (page.sketch) say("A sketch in coarser steps, until the slider rests.", true);
   if (told.n === page.n && page.flying) land(); else if (!page.flying) rest();
   page.drawn = (page.drawn ?? 0) + 1;
   if (told.faults) {
