@@ -130,7 +130,7 @@ def read_table(content: bytes, name: str, case: Case) -> list[Laid]:
         rows = table.filled(first, column)
         if not rows.any():
             continue
-        x = share * table.numbers(first, rows)
+        x = share * table.numbers(first, rows, None if along else factor("h", "s") / share)
         order = np.argsort(x, kind="stable")
         raw = table.numbers(column, rows)[order]
         found.append(Laid(name, column, _quantity(column, along, case), along, x[order], raw))

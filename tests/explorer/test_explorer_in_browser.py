@@ -7,19 +7,14 @@ import time
 
 import numpy as np
 import pytest
-from browser import CHROMIUM, Browser
+from browser import in_browser
+from chromium import Browser
 from test_cli import ringwear
 from test_explorer import CASES, FIT, PAPER, served
 
 import ringwear_par as rw
 
-pytestmark = [
-    pytest.mark.serial,
-    pytest.mark.skipif(
-        CHROMIUM is None,
-        reason="no Chromium: apt-get install chromium has the explorer tried in one",
-    ),
-]
+pytestmark = [pytest.mark.serial, in_browser]
 
 #: what is drawn and told once nothing is under way
 REST = "page.drawn > 0 && !page.flying && !page.waiting && !page.sketch && page.n >= {n}"

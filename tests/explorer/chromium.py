@@ -5,15 +5,13 @@ import base64
 import itertools
 import json
 import re
-import shutil
 import subprocess
 import time
 from contextlib import suppress
 
+from browser import CHROMIUM
 from tornado.httpclient import HTTPRequest
 from tornado.websocket import websocket_connect
-
-CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser"))), None)
 
 
 class Browser:
