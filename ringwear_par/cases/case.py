@@ -16,6 +16,7 @@ from ringwear_par.elasticity.sections import Grip, Polyline, Section
 from ringwear_par.errors import InputError
 from ringwear_par.schedules import Quantity, breakpoints
 from ringwear_par.wear.law import Law, WearLaw, complete
+from ringwear_par.wear.layered import LayeredLaw
 
 #: dotted keys and values, or "KEY=VALUE" texts
 Overrides = Mapping[str, Any] | Sequence[str]
@@ -26,10 +27,24 @@ CHANGED = "# changed in Python after it was read: not all of this is as run"
 
 
 @dataclass(frozen=True)
+class RingLayer:
+    """A bonded layer of a ring: thickness in mm, Young's modulus in MPa.
+
+    ``wear`` is its wear law, None where it wears as the ring itself does.
+    """
+
+    thickness: float
+    young: float
+    poisson: float
+    wear: WearLaw | None = None
+
+
+@dataclass(frozen=True)
 class Ring:
     """A ring or disc: radii and heights in mm, Young's modulus in MPa, density in g/mm^3.
 
-    ``face`` is the contact face in the body's own frame (see geometry), none the flat one.
+    ``face`` is the contact face in the body's own frame (see geometry), none the flat one;
+    ``layers`` follow each other from the contact plane inwards.
     """
 
     r: tuple[float, float]
@@ -39,6 +54,7 @@ class Ring:
     grip: Grip
     face: Polyline = ()
     density: float | None = None
+    layers: tuple[RingLayer, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -189,12 +205,18 @@ class Case:
 
     @property
     def laws(self) -> tuple[Law | None, Law | None]:
-        """Wear laws of lower and upper, complete."""
+        """Wear laws of lower and upper, complete; with layers those of all of them."""
         lower, upper = self.wear_lower, self.wear_upper
-        return (
-            None if lower is None else complete(lower),
-            None if upper is None else complete(upper),
-        )
+        return _law(self.lower, lower), _law(self.upper, upper)
+
+    def layer_ends(self, body: int) -> FloatArray:
+        """Return the depths at which layers of lower (0) or upper (1) end, (layers, n) mm.
+
+        From the unworn face, along the axis; layers count from the contact plane.
+        """
+        ring = self.rings[body]
+        ends = np.cumsum([layer.thickness for layer in ring.layers])[:, None]
+        return ends + self.section(ring).depth(self.line.gap_point)
 
     @property
     def area(self) -> float:
@@ -236,7 +258,8 @@ class Case:
 
     def section(self, ring: Ring) -> Section:
         """Return the meridian section of one of the two rings, in its own frame."""
-        return Section(ring.r, ring.z[1] - ring.z[0], ring.face)
+        layers = tuple(layer.thickness for layer in ring.layers)
+        return Section(ring.r, ring.z[1] - ring.z[0], ring.face, layers)
 
     @property
     def sections(self) -> tuple[Section, Section]:
@@ -267,6 +290,17 @@ class Case:
         if self.rebuild is not None:
             return self.text
         return f"{CHANGED}\n{self.text}"
+
+
+def _law(ring: Ring, own: WearLaw | None) -> Law | None:
+    """Return what a ring wears by."""
+    itself = None if own is None else complete(own)
+    of_layers = [None if each.wear is None else complete(each.wear) for each in ring.layers]
+    if itself is None and not any(of_layers):
+        return None
+    if not ring.layers:
+        return itself
+    return LayeredLaw.of([layer.thickness for layer in ring.layers], of_layers, itself)
 
 
 def need_case(given: object, name: str) -> None:

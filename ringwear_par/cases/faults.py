@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from ringwear_par.cases.case import SAME_TIME, Case
+from ringwear_par.cases.case import SAME_TIME, Case, RingLayer
 from ringwear_par.cases.schema import BY_PATH
 from ringwear_par.cases.text import shortened
 from ringwear_par.elasticity.mesh import contact_pieces
@@ -46,7 +46,8 @@ class Origin:
 
     def of(self, path: str) -> str:
         """Return how a sentence about one key begins."""
-        return f"{self.setting} " if path in self.overrides else f"{self.name}: "
+        here = not self.overrides.isdisjoint({path, path.partition("[")[0]})
+        return f"{self.setting} " if here else f"{self.name}: "
 
     @property
     def whole(self) -> str:
@@ -221,6 +222,48 @@ def contact_faces(name: str, values: Mapping[str, Any], faults: list[str]) -> di
                 faces[ring] = profile_face(ring, profile, r, z)
         faults += [f"{name}: {ring}.{fault}" for fault in found]
     return faces
+
+
+def layer_faults(
+    name: str,
+    values: Mapping[str, Any],
+    faces: Mapping[str, Polyline],
+    layers: Mapping[str, tuple[RingLayer, ...]],
+) -> list[str]:
+    """Return the faults of layers that are right by themselves but not in their bodies.
+
+    Parameters
+    ----------
+    values : what was read of the keys.
+    faces : contact faces of lower and upper.
+    layers : by key, those that are right.
+    """
+    faults = []
+    for path, own in layers.items():
+        body, total = path.partition(".")[0], sum(layer.thickness for layer in own)
+        z = values.get(f"{body}.z")
+        if not own:
+            continue
+        if z is not None and total >= z[1] - z[0]:
+            faults.append(
+                f"{name}: {path}: are {total:g} mm thick together; must be less than the "
+                f"{z[1] - z[0]:g} mm of {body}"
+            )
+        deepest = -min((height for _, height in faces[body]), default=0.0)
+        if deepest >= own[0].thickness:
+            faults.append(
+                f"{name}: {path}[0].thickness = {own[0].thickness:g}: the contact face of {body} "
+                f"recedes by {deepest:g} mm; must be more than that, so that it stays within the "
+                "top layer"
+            )
+    if any(layers.values()):
+        faults += [
+            f'{name}: wear.{body}.law = "non-local": averages over a length; must be a local law '
+            "where a body has layers"
+            for body in ("lower", "upper")
+            if values.get(f"wear.{body}.law") == "non-local"
+        ]
+    return faults
 
 
 def check_contact(name: str, case: Case, displacement: Quantity | None) -> None:

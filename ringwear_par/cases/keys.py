@@ -9,7 +9,8 @@ import numpy as np
 
 from ringwear_par.cases.faults import LOADS, unread_keys
 from ringwear_par.cases.laws import law_keys
-from ringwear_par.cases.schema import BY_PATH, TABLES
+from ringwear_par.cases.layers import LAYERS, changed_layers, layers_in_full
+from ringwear_par.cases.schema import BY_PATH, TABLES, key_of
 from ringwear_par.cases.text import shortened
 from ringwear_par.cases.traces import read_trace
 from ringwear_par.cases.units import without_units
@@ -208,9 +209,12 @@ def _value_in_full(path: str, value: Any, folder: Path) -> Any:
             return value
     if path in _PROFILES and isinstance(value, dict):
         return _face_in_full(path, value, folder)
-    if isinstance(value, str | list | dict) and path in BY_PATH:
+    if path in LAYERS:
+        return layers_in_full(path, value)
+    key = key_of(path)
+    if isinstance(value, str | list | dict) and key is not None:
         try:
-            return without_units(BY_PATH[path], value)
+            return without_units(key, value)
         except RejectedError:
             return value
     return value
@@ -221,10 +225,14 @@ def override(keys: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, A
 
     A new load takes the place of the old one, as do other keys that exclude each other; keys that
     had a meaning and have none any more (of another law, scheme or geometry) go. None takes a key
-    away, or all keys of a table. ``wear.lower.parameters.NAME`` is one entry of that table, as is
-    ``upper.profile.crown``.
+    away, or all keys of a table. ``wear.lower.parameters.NAME`` is one entry of that table, as are
+    ``upper.profile.crown`` and ``lower.layers[0].wear.k``.
+
+    Raises
+    ------
+    InputError : a layer is changed that is not there.
     """
-    changes = _with_parameters(keys, changes)
+    changes = changed_layers(keys, _with_parameters(keys, changes))
     gone = {path for path, value in changes.items() if value is None}
     keys = {path: v for path, v in keys.items() if gone.isdisjoint({path, *_tables_of(path)})}
     changes = {path: value for path, value in changes.items() if value is not None}

@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from typing import Any
 
-from ringwear_par.cases.schema import BY_PATH
+from ringwear_par.cases.schema import Key, key_of
 from ringwear_par.errors import InputError
 from ringwear_par.wear.catalogue import LAWS
 from ringwear_par.wear.law import Law
@@ -25,20 +25,20 @@ def read_law(
     Parameters
     ----------
     name : what messages call the case.
-    table : "wear.lower" or "wear.upper".
+    table : "wear.lower", "wear.upper", or that of a layer, "lower.layers[0].wear".
     keys, values : dotted keys as given, and as read, defaults included and wrong ones left out.
     faults : what is wrong with the case.
     """
     if not any(path.startswith(f"{table}.") for path in keys):
         return None
     if f"{table}.law" not in keys:
-        faults.append(f"{name}: {table}.law is missing: {BY_PATH[f'{table}.law'].rule}")
+        faults.append(f"{name}: {table}.law is missing: {_rule(f'{table}.law')}")
     law = values.get(f"{table}.law")
     if law is None:
         return None
     declared = parameters_of(LAWS[law])
     found = [
-        f'{table}.{key} is missing: {BY_PATH[f"{table}.{key}"].rule} where {table}.law = "{law}"'
+        f'{table}.{key} is missing: {_rule(f"{table}.{key}")} where {table}.law = "{law}"'
         for key, parameter in declared.items()
         if parameter.needed and f"{table}.{key}" not in keys
     ]
@@ -47,9 +47,13 @@ def read_law(
         f'{path}: has no meaning where {table}.law = "{law}"; must be among {", ".join(declared)}'
         f"{_owners(path)}"
         for path in keys
-        if path in BY_PATH and path.startswith(f"{table}.") and path not in known
+        if path.startswith(f"{table}.") and path not in known and key_of(path) is not None
     ]
-    own = {key: values[f"{table}.{key}"] for key in declared if f"{table}.{key}" in values}
+    own = {
+        key: values.get(f"{table}.{key}", _usual(f"{table}.{key}"))
+        for key in declared
+        if f"{table}.{key}" in values or f"{table}.{key}" not in keys
+    }
     found += LAWS[law].faults(f"{table}.", own)
     made = None
     if not found and len(own) == len(declared):
@@ -59,6 +63,21 @@ def read_law(
             found += [f"{table}.{fault}" for fault in error.faults]
     faults += [f"{name}: {fault}" for fault in found]
     return made
+
+
+def _key(path: str) -> Key:
+    key = key_of(path)
+    assert key is not None
+    return key
+
+
+def _rule(path: str) -> str:
+    return _key(path).rule
+
+
+def _usual(path: str) -> Any:
+    """Return the default of a key, that of layers among them."""
+    return _key(path).default
 
 
 def _owners(path: str) -> str:

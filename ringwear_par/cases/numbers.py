@@ -2,7 +2,7 @@
 
 The numbers are those whose keys stand for one number of a case, whatever the others are: moduli,
 friction, loads, the end and tolerances of adaptive steps, parameters of wear laws. They are called
-by their key and, for a parameter of a user's law, its name in the table.
+by their key and, for a parameter of a user's law or of a layer's, its name in table or list.
 """
 
 import math
@@ -13,8 +13,9 @@ from typing import Any
 import numpy as np
 
 from ringwear_par.arrays import BoolArray, FloatArray
-from ringwear_par.cases.case import Case
-from ringwear_par.cases.schema import BY_PATH
+from ringwear_par.cases.case import Case, Ring
+from ringwear_par.cases.layers import LAYERS
+from ringwear_par.cases.schema import BY_PATH, LAYER_KEYS, key_of
 from ringwear_par.cases.values import Interval
 from ringwear_par.schedules import largest, smallest
 from ringwear_par.wear.law import Law
@@ -22,7 +23,7 @@ from ringwear_par.wear.parameters import parameters_of
 from ringwear_par.wear.running_in import RunningInLaw
 from ringwear_par.wear.user import UserLaw
 
-#: key and name of a parameter of a user's law, None elsewhere
+#: key and name of a parameter of a user's law, or of a layer's ("[0].wear.k"), None elsewhere
 Number = tuple[str, str | None]
 
 #: which part of a case has the number of a key, and what it is called there
@@ -50,6 +51,9 @@ _ANY = Interval(-math.inf)
 def interval_of(number: Number) -> Interval | None:
     """Return what a number may be by itself; None if it is none of those told above."""
     path, entry = number
+    if entry is not None and path in LAYERS:
+        key = key_of(f"{path}{entry}")  # elasticity is that of the other entries
+        return key.numbers if key is not None and key.path.startswith("wear.") else None
     if entry is not None:
         return _ANY if path in _TABLES else None
     return BY_PATH[path].numbers if path in _PLACES else None
@@ -62,7 +66,7 @@ def number_faults(case: Case, name: str) -> list[str]:
     ----------
     name : what messages call the case.
     """
-    faults = []
+    faults = _layer_faults(case, name)
     for path, (part, attribute) in _PLACES.items():
         key, whole = BY_PATH[path], getattr(case, part) if part else case
         value = getattr(whole, attribute, None)
@@ -76,6 +80,19 @@ def number_faults(case: Case, name: str) -> list[str]:
         if not key.numbers.holds(np.array(float(value))):
             faults.append(f"{name}: {path} = {value:g}: {key.rule}")
     return faults
+
+
+def _layer_faults(case: Case, name: str) -> list[str]:
+    """Return the same of layers."""
+    return [
+        f"{name}: {body}.layers[{i}].{key.path} = {value:g}: {key.rule}"
+        for body, ring in zip(("lower", "upper"), case.rings, strict=True)
+        for i, layer in enumerate(ring.layers)
+        for key in LAYER_KEYS
+        if isinstance(value := getattr(layer, key.path, None), float | int)
+        and key.numbers is not None
+        and not key.numbers.holds(np.array(float(value)))
+    ]
 
 
 def doubtful(case: Case, numbers: Mapping[Number, FloatArray]) -> BoolArray:
@@ -92,6 +109,11 @@ def doubtful(case: Case, numbers: Mapping[Number, FloatArray]) -> BoolArray:
     found = np.zeros(len(next(iter(numbers.values()))), dtype=bool)
     if any(isinstance(law, UserLaw) for law in laws.values()):
         return ~found  # they are tried
+    of_layers = [layer.wear for ring in case.rings for layer in ring.layers]
+    if any(path in LAYERS for path, _ in numbers) and any(
+        isinstance(law, RunningInLaw) for law in of_layers
+    ):
+        return ~found
     if ("time.end", None) in numbers and (case.output.times or _bends(case)):
         return ~found
     deepest = numbers.get(("load.displacement", None))
@@ -125,7 +147,8 @@ def with_numbers(
     fields: dict[str, dict[str, Sequence[Any]]] = {"": {"text": texts}}
     for (path, entry), values in numbers.items():
         if entry is not None:
-            fields.setdefault(_TABLES[path], {})[entry] = values
+            part = path.partition(".")[0] if path in LAYERS else _TABLES[path]
+            fields.setdefault(part, {})[entry] = values
             continue
         part, name = _PLACES[path]
         if path == "load.pressure":
@@ -137,8 +160,26 @@ def with_numbers(
         there = getattr(case, part)
         if isinstance(there, UserLaw):
             own = {"parameters": _parameters(there, own)}
+        if isinstance(there, Ring):
+            own = _with_layers(there, own)
         whole[part] = _copies(there, own)
     return _copies(case, whole)
+
+
+def _with_layers(ring: Ring, own: Mapping[str, Sequence[Any]]) -> dict[str, Sequence[Any]]:
+    """Return values of fields of a ring, those of entries of its layers made whole layers."""
+    found = {name: values for name, values in own.items() if not name.startswith("[")}
+    entries = {name: values for name, values in own.items() if name.startswith("[")}
+    if entries:
+        columns = []
+        for i, layer in enumerate(ring.layers):
+            begin = f"[{i}].wear."
+            laws = {k.removeprefix(begin): v for k, v in entries.items() if k.startswith(begin)}
+            count = len(next(iter(entries.values())))
+            made = _copies(layer.wear, laws) if laws else [layer.wear] * count
+            columns.append(_copies(layer, {"wear": made}))
+        found["layers"] = list(zip(*columns, strict=True))
+    return found
 
 
 def _parameters(law: UserLaw, own: Mapping[str, Sequence[float]]) -> list[Any]:

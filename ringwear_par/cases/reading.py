@@ -5,12 +5,13 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from ringwear_par.cases.case import Case, Load, Output, Overrides, Ring, Stepping
+from ringwear_par.cases.case import Case, Load, Output, Overrides, Ring, RingLayer, Stepping
 from ringwear_par.cases.faults import (
     Origin,
     check_contact,
     contact_faces,
     joint_faults,
+    layer_faults,
 )
 from ringwear_par.cases.keys import (
     flatten,
@@ -21,7 +22,8 @@ from ringwear_par.cases.keys import (
     refuse_study,
 )
 from ringwear_par.cases.laws import read_law
-from ringwear_par.cases.schema import BY_PATH, KEYS, TABLES
+from ringwear_par.cases.layers import LAYERS, entries_of, expanded
+from ringwear_par.cases.schema import KEYS, LAYER_KEYS, TABLES, key_of, layer_entry
 from ringwear_par.cases.suggestions import nearest_key
 from ringwear_par.cases.text import shortened, toml_text
 from ringwear_par.cases.units import without_units
@@ -98,13 +100,16 @@ def make_case(keys: Mapping[str, Any], origin: Origin | str, text: str | None = 
     InputError : all faults, one sentence each.
     """
     origin = Origin(origin) if isinstance(origin, str) else origin
-    values, faults = _read_values(keys, origin)
+    entries = expanded(keys)
+    values, faults = _read_values(entries, origin)
     faults += joint_faults(origin, keys, values)
-    laws = [read_law(origin.name, table, keys, values, faults) for table in _WEAR]
+    laws = [read_law(origin.name, table, entries, values, faults) for table in _WEAR]
     faces = contact_faces(origin.whole, values, faults)
+    layers = {path: _read_layers(origin, path, keys, entries, values, faults) for path in LAYERS}
+    faults += layer_faults(origin.whole, values, faces, layers)
     if faults:
         raise InputError(*faults)
-    case = _build(values, laws, faces, toml_text(keys) if text is None else text)
+    case = _build(values, laws, faces, layers, toml_text(keys) if text is None else text)
     check_contact(origin.whole, case, values["load.displacement"])
     object.__setattr__(case, "rebuild", _rebuilt)  # a copy by dataclasses.replace has none
     return case
@@ -114,25 +119,58 @@ def _rebuilt(text: str, changes: Overrides) -> Case:
     return parse_case(text, "case", changes)
 
 
+def _read_layers(
+    origin: Origin,
+    path: str,
+    keys: Mapping[str, Any],
+    entries: Mapping[str, Any],
+    values: Mapping[str, Any],
+    faults: list[str],
+) -> tuple[RingLayer, ...]:
+    """Return the layers of a body as far as they are right; add to the faults.
+
+    Parameters
+    ----------
+    keys, entries : dotted keys and raw values, with layers as lists and entry by entry.
+    values : what was read of these.
+    """
+    found, layers = [], keys.get(path, [])
+    for i in range(0 if entries_of(layers) is None else len(layers)):
+        table = f"{path}[{i}]"
+        law = read_law(origin.name, f"{table}.wear", entries, values, faults)
+        needed = [key.path for key in LAYER_KEYS if key.default is ...]
+        faults += [
+            f"{origin.name}: {table}.{name} is missing: {own.rule}"
+            for name in needed
+            if f"{table}.{name}" not in entries and (own := key_of(f"{table}.{name}")) is not None
+        ]
+        own_values = [values[f"{table}.{n}"] for n in needed if f"{table}.{n}" in values]
+        if len(own_values) == len(needed):
+            found.append(RingLayer(*own_values, law))
+    return tuple(found)
+
+
 def _read_values(keys: Mapping[str, Any], origin: Origin) -> tuple[dict[str, Any], list[str]]:
     """Return what the keys hold, with defaults, and the faults of each by itself."""
     faults: list[str] = []
     values: dict[str, Any] = {}
     for path, value in keys.items():
-        key = BY_PATH.get(path)
+        key = key_of(path)
         if key is not None:
             try:
                 values[path] = key.read(without_units(key, value))
             except RejectedError as reason:
                 why = f"{key.rule} ({reason})" if str(reason) else key.rule
                 faults.append(f"{origin.of(path)}{path} = {shortened(value)}: {why}")
-        elif path in TABLES:
+        elif path in TABLES or (path.endswith(".wear") and path.startswith(LAYERS)):
             said = f"{path} = {shortened(value)}"
-            faults.append(f"{origin.of(path)}{said}: must be a table, [{path}]")
+            must = " of a law" if path not in TABLES else f", [{path}]"
+            faults.append(f"{origin.of(path)}{said}: must be a table{must}")
         else:
             faults.append(f"{origin.of(path)}{legible(path)}: unknown key{nearest_key(path)}")
+    layered = {entry[0] for path in keys if (entry := layer_entry(path)) is not None}
     for key in KEYS:
-        if key.path not in keys:
+        if key.path not in keys and key.path not in layered:
             if key.default is not ...:
                 values[key.path] = key.default
             else:
@@ -144,11 +182,13 @@ def _build(
     values: Mapping[str, Any],
     laws: Sequence[Law | None],
     faces: Mapping[str, Polyline],
+    layers: Mapping[str, tuple[RingLayer, ...]],
     text: str,
 ) -> Case:
     def ring(which: str, grip: Grip) -> Ring:
         r, z, young, poisson = (values[f"{which}.{k}"] for k in ("r", "z", "young", "poisson"))
-        return Ring(r, z, young, poisson, grip, faces[which], values[f"{which}.density"])
+        density = values[f"{which}.density"]
+        return Ring(r, z, young, poisson, grip, faces[which], density, layers[f"{which}.layers"])
 
     case = Case(
         lower=ring("lower", "clamped"),

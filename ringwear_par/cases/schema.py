@@ -2,6 +2,7 @@
 
 import itertools
 import math
+import re
 import textwrap
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
@@ -23,6 +24,7 @@ from ringwear_par.cases.values import (
     rates,
     schedule,
     some_of,
+    tables,
     text,
     times,
     which_times,
@@ -30,6 +32,7 @@ from ringwear_par.cases.values import (
 )
 from ringwear_par.elasticity.profiles import SHAPE_UNITS
 from ringwear_par.wear.catalogue import LAWS
+from ringwear_par.wear.law import Law
 from ringwear_par.wear.parameters import Parameter, parameters_of
 
 FIELDS = ("pressure", "gap", "wear_lower", "wear_upper")
@@ -78,6 +81,15 @@ def _ring_keys(ring: str, name: str) -> list[Key]:
             None,
         ),
         Key(f"{ring}.density", *number(0.0), "g/mm^3", "for the lost mass of summaries", None),
+        Key(
+            f"{ring}.layers",
+            *tables("tables { thickness, young, poisson, wear }, from the contact face inwards"),
+            "-",
+            f"bonded layers of the {ring} body: thickness (mm), young (MPa) and poisson of each, "
+            f"and wear, a table of its law and parameters; absent: that of [wear.{ring}]. "
+            f"{ring}.layers[0].thickness and {ring}.layers[0].wear.k are its entries",
+            (),
+        ),
     ]  # fmt: skip
 
 
@@ -92,15 +104,21 @@ def _values(parameter: Parameter) -> Values:
     return text("the name of a Python file") if parameter.kind == "file" else parameters()
 
 
-def _wear_keys(ring: str) -> list[Key]:
-    """Return the keys of a body's wear: ``law``, and what the laws declare."""
-    table = f"wear.{ring}"
-    formulas = "; ".join(f"{name}: {law.formula}" for name, law in LAWS.items())
-    meaning = f"rate of wear of {ring}: {formulas}; no table [{table}]: does not wear"
-    keys = [Key(f"{table}.law", *choice(*LAWS), "-", meaning, None)]
-    declared = [parameters_of(law) for law in LAWS.values()]
+def _wear_keys(table: str, of: str, absent: str, laws: Mapping[str, type[Law]]) -> list[Key]:
+    """Return the keys of a table of wear: ``law``, and what the laws declare.
+
+    Parameters
+    ----------
+    of : what wears.
+    absent : what it does without the table.
+    laws : that it may wear by.
+    """
+    formulas = "; ".join(f"{name}: {law.formula}" for name, law in laws.items())
+    meaning = f"rate of wear of {of}: {formulas}; no table {absent}"
+    keys = [Key(f"{table}.law", *choice(*laws), "-", meaning, None)]
+    declared = [parameters_of(law) for law in laws.values()]
     for name in dict.fromkeys(itertools.chain(*declared)):
-        users = {law: own[name] for law, own in zip(LAWS, declared, strict=True) if name in own}
+        users = {law: own[name] for law, own in zip(laws, declared, strict=True) if name in own}
         keys.append(_wear_key(f"{table}.{name}", users))
     return keys
 
@@ -136,8 +154,11 @@ KEYS: tuple[Key, ...] = (
         "45 degrees, on the contact corners of the upper ring; excludes upper.profile", None,
     ),
     Key("contact.friction", *number(0.0, ends=True), "1", "Coulomb friction coefficient mu"),
-    *_wear_keys("lower"),
-    *_wear_keys("upper"),
+    *(
+        key
+        for body in ("lower", "upper")
+        for key in _wear_keys(f"wear.{body}", body, f"[wear.{body}]: does not wear", LAWS)
+    ),
     Key("load.control", *choice("force", "displacement"), "-", "what is held constant", "force"),
     Key("load.force", *schedule(0.0), "N", "axial force (control = force)", None),
     Key(
@@ -212,13 +233,43 @@ KEYS: tuple[Key, ...] = (
 )  # fmt: skip
 
 
+#: the laws that layers may wear by: local ones, and no files
+LAYER_LAWS = {name: law for name, law in LAWS.items() if name not in ("non-local", "user")}
+#: the entries of a layer
+LAYER_KEYS: tuple[Key, ...] = (
+    Key("thickness", *number(0.0), "mm", "thickness of the layer, along the axis"),
+    Key("young", *number(0.0), "MPa", "Young's modulus of the layer"),
+    Key("poisson", *number(-1.0, 0.5), "1", "Poisson's ratio of the layer"),
+    *_wear_keys("wear", "the layer", "wear: wears as the body", LAYER_LAWS),
+)
+_LAYER_ENTRIES = {key.path: key for key in LAYER_KEYS}
+_LAYER = re.compile(r"((?:lower|upper)\.layers)(\[[0-9]{1,3}\])\.(.+)")
+
 UNITS = {key.path: key.unit for key in KEYS}
 BY_PATH = {key.path: key for key in KEYS}
 TABLES = {key.path[:cut] for key in KEYS for cut, c in enumerate(key.path) if c == "."}
 
 
+def layer_entry(name: str) -> tuple[str, str, str] | None:
+    """Return key, which layer and which of its entries: "lower.layers", "[0]" and "wear.k".
+
+    None where a name is not that of an entry of a layer.
+    """
+    match = _LAYER.fullmatch(name)
+    return None if match is None else (match[1], match[2], match[3])
+
+
+def key_of(name: str) -> Key | None:
+    """Return the key of this name, or that of an entry of a layer; None where there is none."""
+    entry = layer_entry(name)
+    return BY_PATH.get(name) if entry is None else _LAYER_ENTRIES.get(entry[2])
+
+
 def unit_of(name: str) -> str:
     """Return the unit of a key, or of an entry of one, as studies name them; "" for none."""
+    if layer_entry(name) is not None:
+        own = key_of(name)
+        return "" if own is None or own.unit in ("-", "1") else own.unit
     path = name.partition("[")[0]
     key, entry = BY_PATH.get(path), ""
     if key is None:

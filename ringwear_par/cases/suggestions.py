@@ -3,7 +3,7 @@
 import difflib
 from collections.abc import Iterable
 
-from ringwear_par.cases.schema import BY_PATH
+from ringwear_par.cases.schema import BY_PATH, LAYER_KEYS, layer_entry
 
 #: what users call the last parts of keys, in small letters without "_" and "-"
 _ALIASES: dict[str, tuple[str, ...]] = {
@@ -67,6 +67,8 @@ _ALIASES: dict[str, tuple[str, ...]] = {
 }
 #: least likeness of last parts in one table, of last parts of one or two letters, and elsewhere
 _NEAR, _NEAR_SHORT, _NEAR_ELSEWHERE = 0.6, 0.5, 0.75
+#: entries of a layer
+_TOLD = ("thickness", "young", "poisson", "wear")
 #: longer than any key, and slow to compare
 _LONGEST = 100
 
@@ -78,6 +80,11 @@ def nearest_key(path: str) -> str:
     """
     if len(path) > _LONGEST:
         return ""
+    entry = layer_entry(path)
+    if entry is not None:
+        own = [key.path for key in LAYER_KEYS]
+        near = _near(entry[2].rpartition(".")[2], own, _NEAR_SHORT)
+        return f" (did you mean {' or '.join(near)}?)" if near else f"; must be {', '.join(_TOLD)}"
     table, _, last = path.rpartition(".")
     there = [known for known in BY_PATH if known.rpartition(".")[0] == table]
     near = _near(last, there, _NEAR if len(last) > 2 else _NEAR_SHORT)

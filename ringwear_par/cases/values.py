@@ -14,7 +14,7 @@ from ringwear_par.schedules import Quantity, Table
 #: a schedule is a number or a table in time, a quantity these or a profile along the radius
 Kind = Literal[
     "number", "whole", "schedule", "quantity", "pair", "chamfer", "points", "times", "choice",
-    "names", "text", "parameters",
+    "names", "text", "parameters", "layers",
 ]  # fmt: skip
 Reader = Callable[[Any], Any]
 
@@ -265,6 +265,22 @@ def profile() -> Values:
 
     told = "at least 2 points [r, z] of finite numbers or { crown, sphere, cone, fillet or file }"
     return Values("points", read, told)
+
+
+def tables(told: str) -> Values:
+    """Return lists of tables whose entries are keys themselves, read one by one elsewhere.
+
+    Parameters
+    ----------
+    told : what each of the tables is.
+    """
+
+    def read(value: Any) -> tuple[dict[str, Any], ...]:
+        if not isinstance(value, list) or not all(isinstance(entry, dict) for entry in value):
+            raise RejectedError
+        return tuple(value)
+
+    return Values("layers", read, f"a list of {told}")
 
 
 def choice(*names: str) -> Values:

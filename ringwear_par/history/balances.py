@@ -3,6 +3,8 @@
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+
 from ringwear_par.arrays import FloatArray, larger, relative
 from ringwear_par.history.model import WearModel
 from ringwear_par.history.snapshots import Snapshot
@@ -25,7 +27,8 @@ class Balances:
     volume : worn volume of the profiles against the time integral of the rate at the contact
         pressures, which implicit schemes evaluate apart from the depths (a check of bookkeeping for
         explicit steps, whose depths are the rates times the step).
-    energy : worn volume against k times the dissipated energy, where p0 = 0 (else 0).
+    energy : worn volume against k times the dissipated energy, where p0 = 0 (else 0); with layers
+        what the volumes of all of them took of it.
     residual : KKT residual of the contact solution.
     step_error : mm, estimated error of the wear of a time step.
     """
@@ -57,8 +60,10 @@ def balances(model: WearModel, state: State) -> dict[str, Any]:
     turned, lower, upper, turned_lower, turned_upper = _parts(model.reactions(contact.pressure))
     volumes, worn = _parts(model.integrals(state.wear)), _parts(state.worn)
     identity: Any = 0.0
-    for ratio, volume in zip(model.per_energy, volumes, strict=True):
-        if ratio is not None:
+    for body, (ratio, volume) in enumerate(zip(model.per_energy, volumes, strict=True)):
+        if isinstance(ratio, list):
+            identity = larger(identity, _layers_defect(model, state, body, ratio))
+        elif ratio is not None:
             identity = larger(identity, _defect(volume, ratio * state.energy))
     force = None if model.force is None else in_time(model.force, state.time)
     off = larger(abs(volumes[0] - worn[0]), abs(volumes[1] - worn[1]))
@@ -71,6 +76,23 @@ def balances(model: WearModel, state: State) -> dict[str, Any]:
         "energy": identity,
         "residual": contact.residual,
     }
+
+
+def _layers_defect(model: WearModel, state: State, body: int, ratios: list[Any]) -> Any:
+    """Return how far the energy is off what volumes worn off the layers of a body took of it.
+
+    0 where a law of them has no fixed volume by energy.
+    """
+    volumes = model.layer_volumes(body, state.wear[body])
+    known = np.all([np.asarray(ratio) > 0.0 for ratio in ratios], axis=0)
+    took = sum(
+        np.divide(volumes[..., number], ratio, where=known, out=np.zeros(volumes.shape[:-1]))
+        for number, ratio in enumerate(ratios)
+    )
+    exact = np.where(known, state.energy, 0.0)
+    if exact.ndim == 0:
+        return _defect(float(took), float(exact))
+    return _defect(took, exact)
 
 
 def _parts(values: FloatArray) -> Any:

@@ -35,6 +35,7 @@ from ringwear_par.history.snapshots import BatchSnapshot
 from ringwear_par.history.state import State
 from ringwear_par.wear.catalogue import LAWS
 from ringwear_par.wear.law import CompletedLaw, Law
+from ringwear_par.wear.layered import LayeredLaw, NoWear
 from ringwear_par.wear.parameters import Parameter, parameters_of
 from ringwear_par.wear.user import serves_many
 
@@ -79,13 +80,17 @@ def can_share(case: Case) -> bool:
 
     Laws that are not ours are tried. Not collective.
     """
-    own = [law for law in case.laws if law is not None and type(law) not in LAWS.values()]
+    given = [law for law in case.laws if law is not None]
+    every = [each for law in given for each in (law.laws if isinstance(law, LayeredLaw) else [law])]
+    own = [law for law in every if type(law) not in (*LAWS.values(), NoWear)]
     return all(serves_many(law, case.line.r) for law in own)
 
 
 def _kind(law: Law) -> Hashable:
     """Return what laws have to share to be stacked."""
     parts: list[Any] = [type(law)]
+    if isinstance(law, LayeredLaw):
+        return (*parts, law.thicknesses, law.own, *map(_kind, law.laws))
     if isinstance(law, CompletedLaw):
         return (*parts, *_own_kind(law.own))
     for name, parameter in _fields_of(type(law)):  # type: ignore[arg-type]

@@ -4,14 +4,18 @@ from collections.abc import Hashable
 
 from ringwear_par.cases.case import Case
 from ringwear_par.elasticity.mesh import pair_key
-from ringwear_par.elasticity.sections import Body
+from ringwear_par.elasticity.sections import Body, Material
 
 
 def bodies(case: Case) -> tuple[Body, Body]:
     """Return lower and upper. Not collective."""
     lower, upper = (
-        Body(case.section(ring), ring.young, ring.poisson, ring.grip) for ring in case.rings
-    )
+        Body(
+            case.section(ring), ring.young, ring.poisson, ring.grip,
+            tuple(Material(each.young, each.poisson) for each in ring.layers),
+        )
+        for ring in case.rings
+    )  # fmt: skip
     return lower, upper
 
 

@@ -10,9 +10,10 @@ import numpy as np
 
 from ringwear_par.arrays import Numbers, columns
 from ringwear_par.history.model import WearModel
-from ringwear_par.history.schemes import Step, advanced
+from ringwear_par.history.schemes import Step, advanced, first_through
 from ringwear_par.history.state import State
 from ringwear_par.schedules import mean
+from ringwear_par.wear.layered_increment import LayeredIncrement
 
 
 def forward(model: WearModel, state: State, end: Numbers) -> Step:
@@ -23,6 +24,13 @@ def forward(model: WearModel, state: State, end: Numbers) -> Step:
     if not model.steady_speed:
         rates = model.rates(state.time, omega, state.wear, p)
     depths, volumes = columns(length) * rates, length * model.integrals(rates)
+    through = None
+    if model.layered:
+        start = model.increment(state.time, omega, state.wear, length)
+        assert isinstance(start, LayeredIncrement)
+        depths = start.explicit(p)
+        volumes = model.integrals(depths)
+        through = first_through(state, (state.time, length, start, p, 1.0))
     along = model.along(state)
     if along is not None:
         along.explicit(model.increment(state.time, omega, state.wear, length), p)
@@ -30,7 +38,7 @@ def forward(model: WearModel, state: State, end: Numbers) -> Step:
     contact = model.contact(end, state.wear + depths, p, along=along)
     then = model.rates_at(end, state.wear + depths, contact.pressure)
     energy = length * omega * model.torque(p)
-    after = advanced(model, state, end, depths, volumes, energy, contact, then, along)
+    after = advanced(model, state, end, depths, volumes, energy, contact, then, along, through)
     return _judged(state, after)
 
 
@@ -43,15 +51,19 @@ def backward(model: WearModel, state: State, end: Numbers) -> Step:
     contact = model.contact(end, state.wear, state.contact.pressure, during, along=along)
     p = contact.pressure
     depths = during.depths(p)
-    then = during.rates(p, depths)
-    volumes = length * model.integrals(then)
+    if model.layered:
+        volumes = model.integrals(during.apart(p, depths, 1.0))
+    else:
+        then = during.rates(p, depths)
+        volumes = length * model.integrals(then)
     if not model.rates_last:
         then = model.rates_at(end, state.wear + depths, p)
     energy = length * omega * model.torque(p)
     if along is not None:
         along.implicit()
         along.work(length, omega, p, along.pressure)
-    after = advanced(model, state, end, depths, volumes, energy, contact, then, along)
+    through = first_through(state, (state.time, length, during, p, 1.0))
+    after = advanced(model, state, end, depths, volumes, energy, contact, then, along, through)
     return _judged(state, after)
 
 

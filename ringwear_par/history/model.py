@@ -9,6 +9,7 @@ axis.
 """
 
 import copy
+import itertools
 from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import replace
 from types import MappingProxyType
@@ -38,6 +39,8 @@ from ringwear_par.history.tangent import Along
 from ringwear_par.schedules import Quantity, in_time, integral, largest, stack, take
 from ringwear_par.wear.increment import Closing, WearIncrement, averaged_rate, averaging
 from ringwear_par.wear.law import LocalState, stack_laws
+from ringwear_par.wear.layered import ROUND_OFF, LayeredLaw
+from ringwear_par.wear.layered_increment import LayeredIncrement
 
 if TYPE_CHECKING:
     from ringwear_par.contact.batch import BatchSolver
@@ -103,10 +106,22 @@ class WearModel:
             self._tolerance = case.time.tolerance
             self.force, self.displacement = load.force, load.displacement
             self.laws, self.shape = case.laws, (line.n,)
-        #: worn volume of lower and upper per dissipated energy, 1/MPa, None where it is not fixed
+        #: worn volume of lower and upper per dissipated energy, 1/MPa, None where it is not fixed;
+        #: of bodies with layers those of all of them and of the body itself, 0 where not fixed
         self.per_energy = tuple(
-            law.per_energy(self.friction) if law is not None else None for law in self.laws
+            None
+            if law is None
+            else law.layer_ratios(self.friction)
+            if isinstance(law, LayeredLaw)
+            else law.per_energy(self.friction)
+            for law in self.laws
         )
+        #: (layers, n) mm, along the axis, depths at which the layers of lower and upper end
+        self.layer_ends = tuple(
+            case.layer_ends(i) if ring.layers else None for i, ring in enumerate(case.rings)
+        )
+        #: whether wear goes through layers
+        self.layered = any(isinstance(law, LayeredLaw) for law in self.laws)
         #: whether the speed never changes, so that it is its own mean
         self.steady_speed = isinstance(self.omega, float)
         #: whether the rates at the end of an increment are those of the instant: speed and wear
@@ -234,7 +249,12 @@ class WearModel:
         for name in ("omega", "force", "displacement"):
             setattr(taken, name, take(getattr(self, name), histories))
         taken.laws = tuple(None if law is None else law.take(histories) for law in self.laws)
-        taken.per_energy = tuple(rows_of(each, histories) for each in self.per_energy)
+        taken.per_energy = tuple(
+            [rows_of(ratio, histories) for ratio in each]
+            if isinstance(each, list)
+            else rows_of(each, histories)
+            for each in self.per_energy
+        )
         if self.sensitivity is not None:
             taken.sensitivity = self.sensitivity.take(histories)
         return taken
@@ -258,6 +278,13 @@ class WearModel:
         true_area = self.area * self.compliance.obliquity
         #: 1 / cos alpha of sloping faces, None where all are flat
         self._obliquity = self.compliance.obliquity if pair.slope.any() else None
+        if self.layered:
+            self.laws = tuple(
+                law.at(self._along_normal(self.layer_ends[i]))
+                if isinstance(law, LayeredLaw)
+                else law
+                for i, law in enumerate(self.laws)
+            )
         self._averages = tuple(
             averaging(self._r, true_area, law.length) if law is not None and law.length else None
             for law in self.laws
@@ -267,6 +294,28 @@ class WearModel:
         self._carried = np.vstack(
             [self._moment, self.compliance.force_reaction, self.compliance.torque_reaction]
         )
+
+    def _along_normal(self, axial: Any) -> FloatArray:
+        """Return depths along the normal, as laws are told them, from those along the axis."""
+        return axial if self._obliquity is None else axial / self._obliquity
+
+    def layer_left(self, body: int, wear: FloatArray) -> FloatArray:
+        """Return what is left of all layers of a body together, (..., n) mm, worn by (..., n) mm."""
+        ends = self.layer_ends[body]
+        assert ends is not None
+        left = ends[-1] - wear
+        return np.where(left <= ROUND_OFF * ends[-1], 0.0, left)
+
+    def layer_volumes(self, body: int, wear: FloatArray) -> FloatArray:
+        """Return what is worn off each layer and the body itself, (..., layers + 1) mm3."""
+        ends = self.layer_ends[body]
+        assert ends is not None
+        bounds = [np.zeros(self.line.n), *ends, np.full(self.line.n, np.inf)]
+        parts = [
+            inner(self.area, np.clip(wear, start, end) - start)
+            for start, end in itertools.pairwise(bounds)
+        ]
+        return np.stack(np.asarray(parts), axis=-1)
 
     # -- start and going on ------------------------------------------------------------------------
 
@@ -473,9 +522,8 @@ class WearModel:
         """
         lower = self.local_state(time, omega, wear[0])
         upper = self.local_state(time, omega, wear[1]) if self.laws[1] is not None else lower
-        return WearIncrement(
-            self.laws, (lower, upper), step, self._averages, self._obliquity, closing
-        )
+        kind = LayeredIncrement if self.layered else WearIncrement
+        return kind(self.laws, (lower, upper), step, self._averages, self._obliquity, closing)
 
     def rates(self, time: Numbers, omega: Numbers, wear: FloatArray, p: FloatArray) -> FloatArray:
         """Return the rates of wear of lower and upper, (2, ..., n) mm/s, at pressure and wear."""

@@ -7,12 +7,17 @@ such a function, and a line in ``simulate.METHODS``.
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
-from ringwear_par.arrays import FloatArray, Numbers
+import numpy as np
+
+from ringwear_par.arrays import FloatArray, Numbers, columns
 from ringwear_par.contact.problem import ContactState
 from ringwear_par.history.model import WearModel
 from ringwear_par.history.state import State
 from ringwear_par.history.tangent import Along
+from ringwear_par.wear.increment import WearIncrement
+from ringwear_par.wear.layered_increment import LayeredIncrement
 
 
 @dataclass(frozen=True)
@@ -52,6 +57,7 @@ def advanced(
     contact: ContactState,
     rates: FloatArray,
     along: Along | None,
+    through: FloatArray | None = None,
 ) -> State:
     """Return the state at the end of a step.
 
@@ -62,6 +68,7 @@ def advanced(
     energy : float or (B,), N mm, dissipated in it.
     rates : (2, ..., n) float, mm/s, of wear at its end.
     along : derivatives along it, where they are asked for.
+    through : (2, ...) float, s, when wear first got through the layers, see ``first_through``.
 
     Raises
     ------
@@ -70,6 +77,24 @@ def advanced(
     return model.checked(
         State(
             end, state.wear + depths, state.worn + volumes, state.energy + energy, contact, rates,
-            state.shape, state.fit, None if along is None else along.reached(contact),
+            state.shape, state.fit, None if along is None else along.reached(contact), through,
         )
     )  # fmt: skip
+
+
+def first_through(state: State, *parts: tuple[Numbers, Numbers, WearIncrement, Any, Any]) -> Any:
+    """Return when wear first got through the layers, (2, ...) s; None where there are none.
+
+    Parameters
+    ----------
+    parts : of a step, one after the other: start and length (s) of what the whole step of its
+        increment stands for, the increment, the pressure and the share of the step that is worn.
+    """
+    if not isinstance(parts[0][2], LayeredIncrement):
+        return None
+    first = np.full(state.worn.shape, np.inf) if state.through is None else state.through
+    for start, length, increment, p, share in parts:
+        assert isinstance(increment, LayeredIncrement)
+        after = increment.through(p, share)
+        first = np.minimum(first, (columns(start) + columns(length) * after).min(axis=-1))
+    return first

@@ -18,7 +18,7 @@ from ringwear_par.arrays import FloatArray, Numbers, columns, inner, larger
 from ringwear_par.contact.problem import ContactState
 from ringwear_par.history.entering import Entering, entering, entry_error
 from ringwear_par.history.model import WearModel
-from ringwear_par.history.schemes import Step, advanced
+from ringwear_par.history.schemes import Step, advanced, first_through
 from ringwear_par.history.state import State
 from ringwear_par.history.tangent import Along
 from ringwear_par.schedules import in_time
@@ -46,10 +46,11 @@ def step(model: WearModel, state: State, end: Numbers) -> Step:
     stage = model.contact(middle, state.wear, state.contact.pressure, first, along=along)
     worn_first = first.unhindered(stage.pressure)
     counts = 1.0 if enter is None else enter.counts(stage.pressure, 0.0)
-    carried = state.wear + _SHARE * (counts * worn_first)
+    lost_first = first.lost(stage.pressure, worn_first, _SHARE * counts)
+    carried = state.wear + lost_first
     if along is not None:
         along.first_stage(stage.pressure, worn_first, counts, _SHARE)
-    last, contact, counts_last = _last_stage(
+    last, contact, counts_last, inside = _last_stage(
         model, enter, end, speeds[2], carried, length, stage.pressure, along
     )
     worn_last = last.unhindered(contact.pressure)
@@ -65,19 +66,31 @@ def step(model: WearModel, state: State, end: Numbers) -> Step:
         residual=larger(stage.residual, contact.residual),
     )
     energy = length * inner(_WEIGHTS, powers)
-    depths = _SHARE * (counts * worn_first) + losses
-    then = last.rates(contact.pressure, worn_last)
-    volumes = length * model.integrals(
-        _WEIGHTS[1] * (counts * first.rates(stage.pressure, worn_first))
-        + _WEIGHTS[2] * (counts_last * then)
-    )
+    depths = lost_first + losses
+    through = None
+    if model.layered:
+        volumes = model.integrals(
+            first.apart(stage.pressure, worn_first, _SHARE * counts)
+            + last.apart(contact.pressure, worn_last, inside)
+        )
+        through = first_through(
+            state,
+            (state.time, GAMMA * length, first, stage.pressure, _SHARE * counts),
+            (end - GAMMA * length, GAMMA * length, last, contact.pressure, inside),
+        )
+    else:
+        then = last.rates(contact.pressure, worn_last)
+        volumes = length * model.integrals(
+            _WEIGHTS[1] * (counts * first.rates(stage.pressure, worn_first))
+            + _WEIGHTS[2] * (counts_last * then)
+        )
     if not model.rates_last:
         then = model.rates(end, speeds[2], state.wear + depths, contact.pressure)
     if along is not None:
         along.last_stage(last, contact.pressure, worn_last, GAMMA * length)
         for i, d_p in enumerate(along.counted, start=1):
             along.work(_WEIGHTS[i] * length, speeds[i], pressures[i], d_p)
-    after = advanced(model, state, end, depths, volumes, energy, contact, then, along)
+    after = advanced(model, state, end, depths, volumes, energy, contact, then, along, through)
     standard = worn_last  # in a last stage of its usual length
     if enter is not None:
         standard = np.where(enter.late, 0.0, worn_last / np.where(enter.late, 1.0, counts_last))
@@ -111,20 +124,21 @@ def _last_stage(
     length: Numbers,
     near: FloatArray,
     along: Along | None,
-) -> tuple[WearIncrement, ContactState, FloatArray | float]:
-    """Return the last stage, its contact, and how many times its weight it counts, (..., n).
+) -> tuple[WearIncrement, ContactState, FloatArray | float, FloatArray | float]:
+    """Return the last stage, its contact, how many times its weight it counts, (..., n).
 
+    And which share of its elements' own steps, which are longer by as much, they wear.
     ``near`` are pressures near those at its end, (..., n) MPa.
     """
     step = GAMMA * length
     if enter is None:
         last = model.increment(end, speed, carried, step)
         contact = model.contact(end, carried, near, last, along=along)
-        return last, contact, 1.0
+        return last, contact, 1.0, 1.0
     counts = np.where(enter.late, 1.0 / GAMMA, 1.0)
     last = model.increment(end, speed, carried, step, enter.closing(step, counts))
     contact = model.contact(end, carried, near, last, along=along)
-    p, inside = contact.pressure, last.share(last.unhindered(contact.pressure))
+    p, inside = contact.pressure, last.share(last.top(contact.pressure))
     if enter.force_kept:
         # what the others count depends on what those that enter carry: so little that twice will do
         if along is not None:
@@ -137,8 +151,8 @@ def _last_stage(
             contact.iterations if found is None else np.where(found[0], 0, contact.iterations)
         )
         contact = replace(again, iterations=again.iterations + more)
-        inside = last.share(last.unhindered(contact.pressure))
-    return last, contact, counts * inside
+        inside = last.share(last.top(contact.pressure))
+    return last, contact, counts * inside, inside
 
 
 def _scale(model: WearModel, before: ContactState, after: ContactState) -> FloatArray:

@@ -9,7 +9,7 @@ import numpy as np
 
 from ringwear_par.arrays import FloatArray, IntArray, columns, inner
 from ringwear_par.cases.case import Case
-from ringwear_par.cases.schema import UNITS
+from ringwear_par.cases.schema import UNITS, layer_entry
 from ringwear_par.contact.problem import REPLICATED_LIMIT
 from ringwear_par.elasticity.pair import ContactPair
 from ringwear_par.elasticity.slopes import obliquity
@@ -17,6 +17,7 @@ from ringwear_par.errors import InputError, legible
 from ringwear_par.history.bodies import young
 from ringwear_par.wear.increment import d_averaging
 from ringwear_par.wear.law import Law, LocalState
+from ringwear_par.wear.layered import LayeredLaw
 from ringwear_par.wear.parameters import parameters_of
 
 if TYPE_CHECKING:
@@ -36,8 +37,7 @@ def differentiable(case: Case) -> dict[str, str]:
             continue
         for name in law.numeric:
             if _is_number(law.quantity(name)):
-                parameter = parameters_of(type(law)).get(name)
-                found[f"wear.{body}.{name}"] = "1" if parameter is None else parameter.unit
+                found[_key_of_number(body, name)] = _unit(law, name)
         if law.length and "length" in parameters_of(type(law)):
             found[f"wear.{body}.length"] = "mm"
     found["contact.friction"] = UNITS["contact.friction"]
@@ -53,6 +53,20 @@ def differentiable(case: Case) -> dict[str, str]:
         if _is_number(number):
             found[key] = UNITS[key]
     return found
+
+
+def _key_of_number(body: str, name: str) -> str:
+    """Return the key of a parameter of a body's law, or of one of its layers' laws."""
+    layer, _, own = name.rpartition("].")
+    return f"{body}.{layer}].wear.{own}" if layer else f"wear.{body}.{name}"
+
+
+def _unit(law: Law, name: str) -> str:
+    """Return the unit of a parameter, "1" where it is not declared."""
+    if isinstance(law, LayeredLaw):
+        return next(_unit(law.laws[number], own) for number, own in law.having(name))
+    parameter = parameters_of(type(law)).get(name)
+    return "1" if parameter is None else parameter.unit
 
 
 def _is_number(quantity: Any) -> bool:
@@ -98,6 +112,15 @@ def check_derivatives(case: Case, keys: Sequence[str], ranks: int = 1) -> None:
         raise InputError(*faults)
 
 
+def _name_of_number(body: str, key: str) -> str:
+    """Return what the law of a body calls the parameter of a key, "" if it is none of its."""
+    entry = layer_entry(key)
+    if entry is not None and entry[0] == f"{body}.layers":
+        return f"layers{entry[1]}.{entry[2].removeprefix('wear.')}"
+    begin = f"wear.{body}."
+    return key.removeprefix(begin) if key.startswith(begin) else ""
+
+
 class Sensitivity:
     """What P numbers of a case, or of B cases that step together, act on directly.
 
@@ -116,10 +139,10 @@ class Sensitivity:
         rows = {key: row for row, key in enumerate(keys)}
         #: rows and names of the parameters of the laws of lower and upper
         self._laws = tuple(
-            [(row, key.removeprefix(f"wear.{body}.")) for key, row in rows.items()
-             if key.startswith(f"wear.{body}.")]
+            [(row, name) for key, row in rows.items() if (name := _name_of_number(body, key))]
             for body in _BODIES
-        )  # fmt: skip
+        )
+        self._whole_laws = cases[0].laws
         #: of bodies, which number is the length of their averages, and what it does to these
         self.averages: dict[int, tuple[int, FloatArray]] = {}
         line, true_area = pair.line, pair.line.area * obliquity(pair.slope)
@@ -170,10 +193,17 @@ class Sensitivity:
         """Return derivatives (P, ...) that are 0."""
         return np.zeros((len(self), *shape))
 
-    def rates(self, i: int, law: Law, p: FloatArray, at: LocalState) -> FloatArray:
+    def rates(
+        self, i: int, law: Law, p: FloatArray, at: LocalState, layer: int | None
+    ) -> FloatArray:
         """Return what the numbers do to rates, see ``RateVariation`` of increments."""
-        out = self.nothing(*p.shape)
+        out, whole = self.nothing(*p.shape), self._whole_laws[i]
         for row, name in self._laws[i]:
+            if layer is not None and isinstance(whole, LayeredLaw):
+                own = whole.of_layer(name, layer)
+                if own is None or own not in law.numeric:
+                    continue
+                name = own
             out[row] = law.d_rate_dparameter(name, p, at)
         if self.friction is not None:
             size, still = columns(self._sizes[self.friction]), np.zeros(p.shape[-1])

@@ -27,6 +27,8 @@ class State:
     fit : (..., n) float, mm, what elements are nearer than their profiles say since their slopes
         turned, see ``WearModel.update_geometry``; None where they do not.
     tangent : derivatives, where they were asked for.
+    through : (2, ...) float, s, when wear first got through all layers of lower and upper;
+        infinite where it has not, or there are none.
     """
 
     time: Numbers
@@ -38,6 +40,7 @@ class State:
     shape: FloatArray | None = None
     fit: FloatArray | None = None
     tangent: Tangent | None = None
+    through: FloatArray | None = None
 
     def take(self, histories: IntArray) -> "State":
         """Return some of B histories."""
@@ -50,6 +53,7 @@ class State:
             ContactState(*(values[histories] for values in vars(contact).values())),
             self.rates[:, histories],
             tangent=None if self.tangent is None else self.tangent.take(histories),
+            through=None if self.through is None else self.through[:, histories],
         )
 
     def joined(self, other: "State") -> "State":
@@ -63,6 +67,7 @@ class State:
         return State(
             of("time"), of("wear", 1), of("worn", 1), of("energy"), contact, of("rates", 1),
             tangent=_tangent(self, other, Tangent.joined),
+            through=None if self.through is None else of("through", 1),
         )  # fmt: skip
 
     def history(self, i: int) -> "State":
@@ -79,6 +84,7 @@ class State:
             ),
             self.rates[:, i],
             tangent=None if self.tangent is None else self.tangent.history(i),
+            through=None if self.through is None else self.through[:, i],
         )  # fmt: skip
 
     def updated(self, which: BoolArray, after: "State") -> "State":
@@ -100,6 +106,7 @@ class State:
             contact,
             np.where(rows, after.rates, self.rates),
             tangent=_tangent(self, after, lambda old, new: old.updated(which, new)),
+            through=None if self.through is None else of("through"),
         )
 
 

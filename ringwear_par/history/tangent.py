@@ -143,13 +143,7 @@ class Along:
         slope: FloatArray | None = None
         if during is not None:
             varied = self._varied_by(during, p, self._step, instant=False)
-            worn = varied.depth
-            slope = varied.slope if during.local else during.jacobian(p)
-            if during.closing is not None:
-                closed = (during.closing.gap == 0.0) | (during.depth(p) > 0.0)
-                assert self._closes is not None
-                worn = np.where(closed, worn - self._closes, 0.0)
-                slope = np.where(closed, slope, 0.0)
+            worn, slope = varied.posed(during, p, self._closes)
             gap += worn
             self._varied = varied
         load = self._numbers.load
@@ -204,13 +198,12 @@ class Along:
         counts : how many times its weight the stage counts, (..., n) or 1.
         share : of what is worn that the last stage starts from.
         """
-        first, lost = self.pressure, self.unhindered()
-        self._counted = first
+        first = self._counted = self.pressure
+        d_counts: FloatArray | float = 0.0
         if self._enter is not None:
             d_counts = self._enter.d_counts(p, first, 0.0, 0.0)
             self._counted = counts * first + d_counts * p
-            lost = {i: counts * d_worn + d_counts * worn[i] for i, d_worn in lost.items()}
-        self._wear_off({i: share * depths for i, depths in lost.items()})
+        self._wear_off(self._lost(worn, share * counts, share * d_counts))
         self._near = self._first = first
 
     def lengthen(self, last: WearIncrement, p: FloatArray, step: Numbers) -> None:
@@ -221,8 +214,8 @@ class Along:
         step : s, of which steps are so many times as much as the stage counts.
         """
         assert self._enter is not None
-        worn, whole = last.unhindered(p), last.step / columns(step)
-        inside, d_inside = last.share(worn), self._d_share(last, worn, self.unhindered())
+        whole = last.step / columns(step)
+        inside, d_inside = self._inside(last, p)
         counts = whole * inside
         d_counts = self._enter.d_counts(p, self.pressure, counts, whole * d_inside)
         self._step = columns(step) * np.where(self._enter.late, 0.0, d_counts)
@@ -232,29 +225,30 @@ class Along:
         self, last: WearIncrement, p: FloatArray, worn: FloatArray, step: Numbers
     ) -> None:
         """Wear off what the last stage of two does, see ``first_stage`` and ``lengthen``."""
-        d_worn = self.unhindered()
         self._counted_last = self.pressure
+        inside: FloatArray | float = 1.0
+        d_inside: FloatArray | float = 0.0
         if self._enter is not None:
-            inside, d_inside = last.share(worn), self._d_share(last, worn, d_worn)
-            d_worn = {i: inside * lost + d_inside * worn[i] for i, lost in d_worn.items()}
+            inside, d_inside = self._inside(last, p)
             counts = last.step / columns(step)
             d_counts = counts * d_inside
             if self._step is not None:
                 d_counts = d_counts + inside * self._step / columns(step)
             self._counted_last = counts * inside * self.pressure + d_counts * p
-        self._wear_off(d_worn)
+        self._wear_off(self._lost(worn, inside, d_inside))
 
-    def _d_share(
-        self, last: WearIncrement, worn: FloatArray, d_worn: dict[int, FloatArray]
-    ) -> FloatArray:
-        """Return derivatives of ``WearIncrement.share``, (P, ..., n)."""
-        assert last.closing is not None
-        assert self._closes is not None
-        gap, total = last.closing.gap, worn[0] + worn[1]
-        inside = (gap > 0.0) & (total > gap)
-        total = np.where(inside, total, 1.0)
-        d_total = sum(d_worn.values())
-        return np.where(inside, (gap * d_total / total - self._closes) / total, 0.0)
+    def _inside(self, last: WearIncrement, p: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return ``WearIncrement.share`` at a solution, (..., n), and its derivatives."""
+        assert self._varied is not None
+        top, d_total = last.top(p), sum(self._varied.top(self.pressure).values())
+        d_inside = last.d_share(top[0] + top[1], np.asarray(d_total), self._closes)
+        return last.share(top), d_inside
+
+    def _lost(self, worn: FloatArray, share: Any, d_share: Any) -> dict[int, FloatArray]:
+        """Return derivatives of what the last stage wears off in a share of its step."""
+        if self._varied is None:
+            return {}
+        return self._varied.lost(self.pressure, worn, share, d_share)
 
     def work(self, lasts: Numbers, omega: Numbers, p: FloatArray, d_p: FloatArray) -> None:
         """Dissipate the energy of a time, s, at a speed, rad/s, and a pressure."""

@@ -59,7 +59,7 @@ def _parameter(said: str, key: str, table: Any, faults: list[str]) -> FittedPara
         return None
     before = len(faults)
     if isinstance(table, Mapping):
-        unit = unit_of(path)
+        unit = unit_of(key)
         table = {name: in_unit_where_right(value, unit) for name, value in table.items()}
     reader = TableReader(said, table, faults)
     start = reader.read("start", number(-math.inf))

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from ringwear_par.cases.schema import BY_PATH, unit_of
+from ringwear_par.cases.schema import unit_of
 from ringwear_par.errors import InputError, legible
 from ringwear_par.reports import sweep_charts
 from ringwear_par.reports.blocks import (
@@ -26,7 +26,7 @@ from ringwear_par.studies.index_bars import IndexBars, index_bars
 from ringwear_par.studies.results_file import FINAL, told_flags
 from ringwear_par.studies.sensitivity import SENSITIVE, done_cases
 from ringwear_par.studies.surrogate import surrogate
-from ringwear_par.studies.variations import path_of
+from ringwear_par.studies.variations import own_key
 from ringwear_par.textfiles import parse_value
 
 #: cases of the table
@@ -95,7 +95,7 @@ def _quantiles(values: Any) -> list[str]:
 def _ranges(ensemble: Ensemble, here: Any) -> Table:
     rows = []
     for name, column in ensemble.varied.items():
-        values, meaning = column[here], BY_PATH[path_of(name)].meaning
+        values, meaning = column[here], own_key(name).meaning
         if column.dtype.kind == "f":
             known = values[np.isfinite(values)]
             ends = [_number(v) for v in (known.min(), known.max())] if len(known) else ["", ""]

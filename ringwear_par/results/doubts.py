@@ -68,8 +68,15 @@ def implausible(case: Case) -> tuple[Doubt, ...]:
                 f"{name} measures {max(ring.r[1], ring.z[1] - ring.z[0]):g} mm: in um? lengths "
                 "are in mm"
             )
+        found += [
+            f"{name}.layers[{i}].young = {layer.young:g} MPa is stiffer than any material; were it "
+            f'in Pa, "{layer.young:g} Pa" would be read too'
+            for i, layer in enumerate(ring.layers)
+            if _PASCALS[0] < layer.young <= _PASCALS[1]
+        ]
     if case.load.force is not None:
-        pressure, young = largest(case.load.force) / case.area, min(r.young for r in case.rings)
+        moduli = [of.young for ring in case.rings for of in (ring, *ring.layers)]
+        pressure, young = largest(case.load.force) / case.area, min(moduli)
         if pressure > _MOST_PRESSED * young:
             found.append(
                 f"the mean pressure of {pressure:.3g} MPa is more than a tenth of a Young's "

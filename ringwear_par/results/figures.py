@@ -13,7 +13,8 @@ from matplotlib.figure import Figure
 
 from ringwear_par.cases.case import Output
 from ringwear_par.cases.keys import read_keys
-from ringwear_par.cases.schema import UNITS, unit_of
+from ringwear_par.cases.layers import expanded
+from ringwear_par.cases.schema import unit_of
 from ringwear_par.cases.units import seconds
 from ringwear_par.cases.values import RejectedError
 from ringwear_par.errors import InputError, legible
@@ -272,10 +273,9 @@ def _at_times(result: Result, times: str) -> list[int]:
 
 def _labels(results: Sequence[Result]) -> list[str]:
     """Name each result by what sets its case apart, or by its file where that is too much."""
-    cases = [read_keys(result.case, result.name) for result in results]
-    paths = [
-        path for path in UNITS if path != "title" and len({str(c.get(path)) for c in cases}) > 1
-    ]
+    cases = [expanded(read_keys(result.case, result.name)) for result in results]
+    known = dict.fromkeys(path for case in cases for path in case if path != "title")
+    paths = [path for path in known if len({str(c.get(path)) for c in cases}) > 1]
     if not 1 <= len(paths) <= 2 or any(path not in case for path in paths for case in cases):
         return [
             f"result {number}" if result.path is None else plain(result.path.stem)

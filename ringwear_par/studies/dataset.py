@@ -19,7 +19,7 @@ import numpy as np
 from ringwear_par.arrays import BoolArray, FloatArray, IntArray
 from ringwear_par.atomic import atomic_write
 from ringwear_par.cases.keys import read_keys
-from ringwear_par.cases.schema import BY_PATH, unit_of
+from ringwear_par.cases.schema import unit_of
 from ringwear_par.cases.text import toml_value
 from ringwear_par.cases.values import is_number
 from ringwear_par.errors import InputError
@@ -54,7 +54,7 @@ from ringwear_par.studies.results_file import (
     cases_at_once,
     over_cases,
 )
-from ringwear_par.studies.variations import Column, path_of, value_of
+from ringwear_par.studies.variations import Column, own_key, value_of
 
 _COLUMNS = ("status", "error", *FINAL, "seconds", "in_study", "version", "flags")
 
@@ -117,7 +117,7 @@ def _meanings(names: Sequence[str]) -> str:
     finals = {name: OF_CASES[f"final_{name}"] for name in FINAL}
     columns = [{"titles": "case", "dc:description": "id of the case, of its content"}]
     for name in names:
-        key = BY_PATH[path_of(name)]
+        key = own_key(name)
         unit = {"schema:unitText": unit_of(name)} if unit_of(name) else {}
         columns.append({"titles": name, "dc:description": key.meaning, **unit})
     for name in _COLUMNS:
@@ -310,7 +310,7 @@ class _Writer:
         """Write the varied keys as coordinates, as texts where they are not all numbers."""
         file, listing = self._file, self._listing
         for i, name in enumerate(listing.names):
-            more, key = [row[i] for row in self._looked_up], BY_PATH[path_of(name)]
+            more, key = [row[i] for row in self._looked_up], own_key(name)
             column = listing.columns[i]
             there = more if column.numbers is not None else [*column.there, *more]
             numbers = all(v is None or is_number(v) for v in there)

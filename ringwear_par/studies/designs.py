@@ -28,6 +28,7 @@ from ringwear_par.studies.variations import (
     path_of,
     read_variations,
     split_key,
+    whole_name,
 )
 from ringwear_par.textfiles import parse_toml, parse_value, read_text, refuse_depth
 
@@ -127,7 +128,7 @@ def read_draft(source: Path | str | Mapping[str, Any]) -> Draft:
 
 def _found(name: str, folder: Path, value: Any) -> Any:
     path, entry = split_key(name)
-    whole = f"{path}.{entry}" if isinstance(entry, str) else path
+    whole = whole_name(path, entry) if isinstance(entry, str) else path
     (found,) = in_full({whole: value}, folder).values()
     return found
 

@@ -14,8 +14,9 @@ from typing import Any
 
 import numpy as np
 
+from ringwear_par.cases.layers import LAYERS, entries_of
 from ringwear_par.cases.numbers import Number
-from ringwear_par.cases.schema import BY_PATH
+from ringwear_par.cases.schema import BY_PATH, key_of
 from ringwear_par.studies.rows import Rows, by_kind
 from ringwear_par.textfiles import read_text
 
@@ -56,6 +57,14 @@ def _id_pieces(case_keys: Mapping[str, Any], numbers: Mapping[Number, int]) -> l
             pieces.append(numbers[path, None])
         elif path.startswith("wear.") and path.endswith(".file"):  # what it says, not where it is
             pieces.append(_pair(path, read_text(Path(raw))))
+        elif path in LAYERS:
+            for entry, value in sorted((entries_of(raw) or {}).items()):
+                known, own = (path, entry) in numbers, key_of(f"{path}{entry}")
+                assert own is not None
+                if known:
+                    pieces.append(numbers[path, entry])
+                elif (value := own.read(value)) != own.default:
+                    pieces.append(_pair(f"{path}{entry}", value))
         elif isinstance(raw, dict) and any((path, name) in numbers for name in raw):
             there = key.read({n: 0.0 if (path, n) in numbers else v for n, v in raw.items()})
             pieces.append(f", {json.dumps(path)}: [")
@@ -89,7 +98,8 @@ def identities_of(rows: Rows, firsts: Mapping[int, int]) -> Any:
         part = rows.part(window)
         written: list[list[str]] = [[]] * len(rows.columns)
         for (path, entry), i in rows.numbers.items():
-            written[i] = part.columns[i].each(_Told(path) if entry is None else _told)
+            name = path if entry is None else f"{path}{entry}" if path in LAYERS else ""
+            written[i] = part.columns[i].each(_Told(name) if name else _told)
         for kind, here in by_kind(rows.kinds[window]):
             if kind in firsts:
                 pieces = _id_pieces(rows.keys(firsts[kind], places=True), rows.numbers)
@@ -112,7 +122,9 @@ class _Told:
     """Writes the numbers of a key as JSON pairs, but for its default."""
 
     def __init__(self, path: str) -> None:
-        self._begin, self._default = f", {json.dumps(path)}: ", BY_PATH[path].default
+        key = key_of(path)
+        assert key is not None
+        self._begin, self._default = f", {json.dumps(path)}: ", key.default
 
     def __call__(self, raw: Any) -> str:
         value = float(raw)

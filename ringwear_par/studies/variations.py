@@ -10,7 +10,8 @@ import numpy as np
 
 from ringwear_par.arrays import FloatArray, IntArray
 from ringwear_par.cases.keys import override
-from ringwear_par.cases.schema import BY_PATH
+from ringwear_par.cases.layers import LAYERS, entries_of
+from ringwear_par.cases.schema import BY_PATH, Key, key_of, layer_entry
 from ringwear_par.cases.suggestions import nearest_key
 from ringwear_par.cases.text import shortened
 from ringwear_par.cases.units import without_units
@@ -108,9 +109,10 @@ class Variation:
 
     Parameters
     ----------
-    name : as in the study: a case key, or an entry of one that is a pair, such as ``upper.r[1]``.
+    name : as in the study: a case key, or an entry of one that is a pair, such as ``upper.r[1]``,
+        a table or a list of layers.
     path : the case key.
-    index : which entry of a pair, None for the whole value.
+    index : which entry, None for the whole value.
     spacing : how values follow from ``values`` (the values, or both ends of a range).
     values : raw values.
     count : number of values of a range in a grid.
@@ -152,7 +154,13 @@ class Variation:
 
 
 def split_key(name: str) -> tuple[str, int | str | None]:
-    """Return the case key of a varied one, and which entry of a pair or of a table it is."""
+    """Return the case key of a varied one, and which entry of a pair, table or layer it is.
+
+    That of a layer is "[0].wear.k" of "lower.layers".
+    """
+    layer = layer_entry(name)
+    if layer is not None:
+        return layer[0], f"{layer[1]}.{layer[2]}"
     match = re.fullmatch(r"(.+)\[([01])\]", name)
     if match:
         return match[1], int(match[2])
@@ -160,6 +168,16 @@ def split_key(name: str) -> tuple[str, int | str | None]:
         r"(wear\.(?:lower|upper)\.parameters|(?:lower|upper)\.profile)\.(.+)", name
     )
     return (match[1], match[2]) if match else (name, None)
+
+
+def whole_name(path: str, entry: str) -> str:
+    """Return what an entry of a table or of layers is called, as ``split_key`` takes it."""
+    return f"{path}{entry}" if path in LAYERS else f"{path}.{entry}"
+
+
+def own_key(name: str) -> Key:
+    """Return the key of a varied one: of a layer's entry its own, else that of the whole."""
+    return key_of(name) or BY_PATH[path_of(name)]
 
 
 def path_of(name: str) -> str:
@@ -170,6 +188,8 @@ def path_of(name: str) -> str:
 def has_entry(name: str) -> bool:
     """Tell whether a varied key that is named as an entry is one of a pair, or a shape's size."""
     path, index = split_key(name)
+    if path in LAYERS and index is not None:
+        return key_of(name) is not None
     if index in ("file", "trace") and path.endswith(".profile"):
         return False
     return not isinstance(index, int) or BY_PATH[path].kind == "pair"
@@ -182,6 +202,8 @@ def value_of(case_keys: Mapping[str, Any], name: str) -> Any:
     if index is None:
         return None if value is ... else value
     if isinstance(index, str):
+        if path in LAYERS:
+            return (entries_of(value) or {}).get(index)
         return value.get(index) if isinstance(value, dict) else None
     return value[index] if isinstance(value, list | tuple) and len(value) > index else None
 
@@ -200,7 +222,7 @@ def varied_keys(
         if index is None:
             changed[path] = value
         elif isinstance(index, str):
-            changed[f"{path}.{index}"] = value
+            changed[whole_name(path, index)] = value
         else:
             there = changed.get(path, base.get(path))
             pair = list(there) if isinstance(there, list) and len(there) == 2 else [None, None]
@@ -280,8 +302,8 @@ def _variation(said: str, key: str, entry: Any, method: str, faults: list[str]) 
     shown = f"{said}: {spacing} = {shortened(values)}"
     try:
         if isinstance(values, list):
-            entry = index if isinstance(index, str) else None
-            values = [without_units(BY_PATH[path], value, entry) for value in values]
+            entry = index if isinstance(index, str) and path not in LAYERS else None
+            values = [without_units(own_key(key), value, entry) for value in values]
     except RejectedError as reason:
         faults.append(f"{shown}: must be two increasing numbers ({reason})")
         return None
@@ -310,7 +332,7 @@ def _variation(said: str, key: str, entry: Any, method: str, faults: list[str]) 
         key, path, index, "log" if spacing == "log" else "linear", tuple(map(float, values)),
         count or 0,
     )  # fmt: skip
-    if index is None and (rule := _rule_broken(made, method)):
+    if (index is None or path in LAYERS) and (rule := _rule_broken(made, method)):
         faults.append(f"{shown}: all of it {rule}")
         return None
     return made
@@ -318,7 +340,7 @@ def _variation(said: str, key: str, entry: Any, method: str, faults: list[str]) 
 
 def _rule_broken(made: Variation, method: str) -> str:
     """Return what a key must be that has a range which reaches beyond that, "" if it does not."""
-    key, inside = BY_PATH[made.path], 0.0 if method == "grid" else _INSIDE
+    key, inside = own_key(made.name), 0.0 if method == "grid" else _INSIDE
     try:
         for value in made.at(np.array([inside, 1.0 - inside])).each():
             key.read(value)

@@ -18,7 +18,7 @@ _MEMORY_ITERATIONS = 60
 _ROUND_OFF, _NOISE = 1e-15, 1e-9
 _POTENTIAL_PANELS, _BISECTIONS = 8, 60
 #: what P numbers do to the rate of a body, see ``WearIncrement.varied``
-RateVariation = Callable[[int, Law, FloatArray, LocalState], FloatArray]
+RateVariation = Callable[[int, Law, FloatArray, LocalState, int | None], FloatArray]
 _GAUSS = tuple(0.5 * v for v in np.polynomial.legendre.leggauss(8))
 
 
@@ -130,7 +130,7 @@ class WearIncrement:
 
     def history(self, i: int) -> "WearIncrement":
         """Return the increment of one of B histories."""
-        return WearIncrement(
+        return type(self)(
             tuple(None if law is None else complete(law).history(i) for law in self.laws),
             tuple(at.history(i) for at in self.at),
             history(self.step, i),
@@ -142,7 +142,7 @@ class WearIncrement:
     def take(self, histories: IntArray) -> "WearIncrement":
         """Return the increment of some of B histories."""
         closing, lower = self.closing, self.at[0].take(histories)
-        return WearIncrement(
+        return type(self)(
             tuple(None if law is None else complete(law).take(histories) for law in self.laws),
             (lower, lower if self.at[1] is self.at[0] else self.at[1].take(histories)),
             take(self.step, histories),
@@ -223,6 +223,27 @@ class WearIncrement:
             depths[i] = self._axial(self._depth(law, at, average, p))
         return depths
 
+    def top(self, p: FloatArray) -> FloatArray:
+        """Return what bodies would lose all along if they stayed in the layer that is at the face.
+
+        (2, ..., n) mm, of lower and upper, which are of one material each.
+        """
+        return self.unhindered(p)
+
+    def lost(self, p: FloatArray, worn: FloatArray, share: FloatArray | float) -> FloatArray:
+        """Return what lower and upper lose in contact in a share of the step, (2, ..., n) mm.
+
+        Parameters
+        ----------
+        worn : what they do all along, ``unhindered``.
+        share : (..., n) or a number; more than 1 where the step counts for longer.
+        """
+        return share * worn
+
+    def apart(self, p: FloatArray, worn: FloatArray, share: FloatArray | float) -> FloatArray:
+        """Return the same, from the rates at the pressure alone, see ``rates``."""
+        return share * (self.step * self.rates(p, worn))
+
     def varied(
         self,
         p: FloatArray,
@@ -236,8 +257,8 @@ class WearIncrement:
 
         Parameters
         ----------
-        numbers : ``(i, law, p, at) -> (P, ..., n)`` mm/s, what the numbers themselves do to the
-            rate of body i at given pressure and wear.
+        numbers : ``(i, law, p, at, layer) -> (P, ..., n)`` mm/s, what the numbers themselves do to
+            the rate of body i at given pressure and wear, in one of its layers if it has any.
         d_wear : (2, P, ..., n) mm, derivatives of the wear before the step.
         d_step : (P, ..., n) s, those of ``step``; None: 0.
         instant : whether rates are those before the step, as in explicit steps.
@@ -248,7 +269,7 @@ class WearIncrement:
             q = np.maximum(p if average is None else averaged(average, p), 0.0)
             within = law.remembers and not instant
             there = self._after(law, at, q) if within else at
-            change = numbers(i, law, q, there)
+            change = numbers(i, law, q, there, None)
             before = law.d_rate_dbefore(q, there)
             if before is not None:
                 normal = d_wear[i] if self.obliquity is None else d_wear[i] / self.obliquity
@@ -283,6 +304,20 @@ class WearIncrement:
             share[open_] = 0.0
             np.divide(left, total, out=share, where=open_ & (left > 0.0))
         return share
+
+    def d_share(self, total: FloatArray, d_total: FloatArray, d_gap: Any) -> FloatArray:
+        """Return derivatives of ``share`` from those of what it is made of, both bodies' together.
+
+        Parameters
+        ----------
+        total : (..., n) mm, and ``d_total`` (..., n) or (P, ..., n).
+        d_gap : of the gaps that close, likewise.
+        """
+        assert self.closing is not None
+        gap = self.closing.gap
+        inside = (gap > 0.0) & (total > gap)
+        total = np.where(inside, total, 1.0)
+        return np.where(inside, (gap * d_total / total - d_gap) / total, 0.0)
 
     def depths(self, p: FloatArray) -> FloatArray:
         """Return what lower and upper lose, (2, ..., n) mm."""
@@ -423,6 +458,43 @@ class VariedIncrement:
     def depth(self) -> FloatArray:
         """(P, ..., n) mm, of both bodies together at given pressure."""
         return _total([depths for _, depths, _, _ in self.bodies])
+
+    def posed(
+        self, during: WearIncrement, p: FloatArray, closes: FloatArray | None
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return how the depth in the contact problem varies at given pressure, and with it.
+
+        (P, ..., n) mm and (..., n) or (..., n, n) mm/MPa.
+
+        Parameters
+        ----------
+        during : the increment.
+        closes : (P, ..., n) mm, derivatives of the gaps that wear closes.
+        """
+        worn, slope = self.depth, self.slope if during.local else during.jacobian(p)
+        if during.closing is not None:
+            closed = (during.closing.gap == 0.0) | (during.depth(p) > 0.0)
+            assert closes is not None
+            worn = np.where(closed, worn - closes, 0.0)
+            slope = np.where(closed, slope, 0.0)
+        return worn, slope
+
+    def top(self, d_p: FloatArray) -> dict[int, FloatArray]:
+        """Return derivatives of ``WearIncrement.top``, see ``with_pressure``."""
+        return self.with_pressure(d_p)
+
+    def lost(
+        self, d_p: FloatArray, worn: FloatArray, share: Any, d_share: Any
+    ) -> dict[int, FloatArray]:
+        """Return derivatives of ``WearIncrement.lost``, (P, ..., n) mm of each body.
+
+        Parameters
+        ----------
+        d_p : (P, ..., n) MPa.
+        d_share : of ``share``, (P, ..., n) or 0.
+        """
+        each = self.with_pressure(d_p)
+        return {i: share * d_worn + d_share * worn[i] for i, d_worn in each.items()}
 
     def with_pressure(self, d_p: FloatArray) -> dict[int, FloatArray]:
         """Return (P, ..., n) mm of each body, as the pressure varies by (P, ..., n) MPa."""

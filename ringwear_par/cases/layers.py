@@ -1,0 +1,123 @@
+"""Layers among the keys of a case: each entry of each of them under a name of its own.
+
+``lower.layers`` is a list of tables. Its entries are called as studies and ``--set`` call them:
+``lower.layers[0].thickness``, ``lower.layers[0].wear.k``; 0 is the layer at the contact face.
+"""
+
+import copy
+import re
+from collections.abc import Mapping
+from typing import Any
+
+from ringwear_par.cases.schema import LAYER_LAWS, key_of, layer_entry
+from ringwear_par.cases.units import without_units
+from ringwear_par.cases.values import RejectedError
+from ringwear_par.errors import InputError, legible
+from ringwear_par.wear.parameters import parameters_of
+
+LAYERS = ("lower.layers", "upper.layers")
+_ENTRY = re.compile(r"\[([0-9]{1,3})\]\.(.+)")
+
+
+def expanded(keys: Mapping[str, Any]) -> dict[str, Any]:
+    """Return dotted keys with the entries of layers in the place of their lists.
+
+    Lists that are none of tables stay, for who reads them.
+    """
+    found: dict[str, Any] = {}
+    for path, value in keys.items():
+        entries = entries_of(value) if path in LAYERS else None
+        if entries is None:
+            found[path] = value
+        else:
+            found |= {f"{path}{entry}": own for entry, own in entries.items()}
+    return found
+
+
+def entries_of(layers: Any) -> dict[str, Any] | None:
+    """Return raw values by entry, "[0].wear.k"; None where they are no list of tables."""
+    if not (isinstance(layers, list | tuple) and all(isinstance(own, dict) for own in layers)):
+        return None
+    found: dict[str, Any] = {}
+    for i, layer in enumerate(layers):
+        for name, value in layer.items():
+            if name == "wear" and isinstance(value, dict) and value:
+                found |= {f"[{i}].wear.{key}": own for key, own in value.items()}
+            else:
+                found[f"[{i}].{name}"] = value
+    return found
+
+
+def with_entries(path: str, layers: Any, changes: Mapping[str, Any]) -> Any:
+    """Return the raw list of layers with some entries replaced; None takes one away.
+
+    Under another law, parameters that have a meaning no more go.
+
+    Raises
+    ------
+    InputError : there is no such layer.
+    """
+    changed = copy.deepcopy(list(layers)) if entries_of(layers) is not None else []
+    for name, value in changes.items():
+        match = _ENTRY.fullmatch(name)
+        assert match is not None
+        i, entry = int(match[1]), match[2]
+        if i >= len(changed):
+            there = ", ".join(f"{path}[{j}]" for j in range(len(changed)))
+            raise InputError(
+                f"{path}[{i}].{legible(entry)}: the case has no such layer; must be of "
+                + (there or f"one of {path}, of which it has none")
+            )
+        table, last = changed[i], entry
+        if entry.startswith("wear."):
+            last = entry.removeprefix("wear.")
+            if not isinstance(table.get("wear"), dict):
+                table["wear"] = {}
+            table = table["wear"]
+            if last == "law" and isinstance(value, str) and value in LAYER_LAWS:
+                known = {"law", *parameters_of(LAYER_LAWS[value])}
+                for other in [other for other in table if other not in known]:
+                    if f"[{i}].wear.{other}" not in changes:
+                        del table[other]
+        if value is None:
+            table.pop(last, None)
+        else:
+            table[last] = value
+        if changed[i].get("wear") == {}:
+            del changed[i]["wear"]
+    return changed
+
+
+def layers_in_full(path: str, layers: Any) -> Any:
+    """Return the raw list of layers with numbers in the units of a case; wrong ones stay."""
+    entries = entries_of(layers)
+    if entries is None:
+        return layers
+    changes = {}
+    for entry, value in entries.items():
+        key = key_of(f"{path}{entry}")
+        if key is not None and isinstance(value, str | list | dict):
+            try:
+                changes[entry] = without_units(key, value)
+            except RejectedError:
+                continue
+    return with_entries(path, layers, changes) if changes else layers
+
+
+def changed_layers(keys: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
+    """Return changes of which those of entries of layers are one of their whole list.
+
+    Raises
+    ------
+    InputError : there is no such layer.
+    """
+    found = dict(changes)
+    for path in LAYERS:
+        entries = {}
+        for name in changes:
+            entry = layer_entry(name)
+            if entry is not None and entry[0] == path:
+                entries[f"{entry[1]}.{entry[2]}"] = found.pop(name)
+        if entries:
+            found[path] = with_entries(path, found.get(path, keys.get(path, [])), entries)
+    return found
