@@ -144,9 +144,10 @@ def _read_layers(
             for name in needed
             if f"{table}.{name}" not in entries and (own := key_of(f"{table}.{name}")) is not None
         ]
-        own_values = [values[f"{table}.{n}"] for n in needed if f"{table}.{n}" in values]
-        if len(own_values) == len(needed):
-            found.append(RingLayer(*own_values, law))
+        sizes = [values[f"{table}.{n}"] for n in needed if f"{table}.{n}" in values]
+        if len(sizes) == len(needed):
+            thickness, young, poisson = sizes
+            found.append(RingLayer(thickness, young, poisson, law))
     return tuple(found)
 
 

@@ -15,7 +15,8 @@ import numpy as np
 from ringwear_par.arrays import BoolArray, FloatArray, Numbers, columns, inner
 from ringwear_par.history.model import WearModel
 from ringwear_par.history.state import State
-from ringwear_par.wear.increment import Closing
+from ringwear_par.wear.increment import Closing, WearIncrement
+from ringwear_par.wear.layered_increment import LayeredIncrement
 
 #: gaps that a step may close, in what the fastest element wears in it
 _REACH = 2.0
@@ -37,16 +38,24 @@ class Entering:
     gap : (..., n) float, mm, of these elements at the start, 0 elsewhere.
     area : (n,) float, mm^2.
     force_kept : whether the others carry what these do not.
+    held : (..., n) float, how many times its weight the first stage counts for elements that wear
+        through a layer after it, see ``held``; 1 for all others.
     """
 
     gap: FloatArray
     area: FloatArray
     force_kept: bool
+    held: FloatArray | float = 1.0
 
     @property
     def late(self) -> BoolArray:
         """Which elements these are, (..., n)."""
-        return self.gap > 0.0
+        return (self.gap > 0.0) | (np.asarray(self.held) < 1.0)
+
+    @property
+    def first(self) -> FloatArray:
+        """How many times its weight the first stage counts for these elements, (..., n)."""
+        return np.where(self.gap > 0.0, 0.0, self.held)
 
     def closing(self, step: Numbers, stretch: FloatArray) -> Closing:
         """Return what a stage closes; ``stretch`` is of the steps, s, of the elements."""
@@ -106,6 +115,30 @@ def entering(model: WearModel, state: State, length: Numbers) -> Entering | None
     if not late.any():
         return None
     return Entering(np.where(late, gap, 0.0), model.area, model.force is not None)
+
+
+def held(
+    model: WearModel, enter: Entering | None, first: WearIncrement, p: FloatArray, share: float
+) -> Entering | None:
+    """Return the elements that enter, and with them those that get to the next layer after a stage.
+
+    The pressure of the first stage is not that of the next layer: it wears such an element as long
+    as its layer lasts, and the last stage does for the rest of the step.
+
+    Parameters
+    ----------
+    p : (..., n) float, MPa, of the first stage.
+    share : of that stage's length, what it stands for.
+    """
+    if not isinstance(first, LayeredIncrement):
+        return enter
+    counts = first.until_next(p, share) / share
+    if enter is not None:
+        counts = np.where(enter.gap > 0.0, 1.0, counts)
+    if not (counts < 1.0).any():
+        return enter
+    gap = np.zeros_like(p) if enter is None else enter.gap
+    return Entering(gap, model.area, model.force is not None, counts)
 
 
 def entry_error(

@@ -300,7 +300,7 @@ class WearModel:
         return axial if self._obliquity is None else axial / self._obliquity
 
     def layer_left(self, body: int, wear: FloatArray) -> FloatArray:
-        """Return what is left of all layers of a body together, (..., n) mm, worn by (..., n) mm."""
+        """Return what is left of all layers of a body, (..., n) mm, worn by (..., n) mm."""
         ends = self.layer_ends[body]
         assert ends is not None
         left = ends[-1] - wear
@@ -311,11 +311,11 @@ class WearModel:
         ends = self.layer_ends[body]
         assert ends is not None
         bounds = [np.zeros(self.line.n), *ends, np.full(self.line.n, np.inf)]
-        parts = [
+        parts: list[Any] = [
             inner(self.area, np.clip(wear, start, end) - start)
             for start, end in itertools.pairwise(bounds)
         ]
-        return np.stack(np.asarray(parts), axis=-1)
+        return np.stack(parts, axis=-1)
 
     # -- start and going on ------------------------------------------------------------------------
 
@@ -340,7 +340,10 @@ class WearModel:
         rates = self.rates_at(nothing, wear, contact.pressure)
         worn = np.zeros(wear.shape[:-1])
         tangent = None if along is None else along.reached(contact)
-        return self.checked(State(nothing, wear, worn, nothing, contact, rates, tangent=tangent))
+        through = np.full(worn.shape, np.inf) if self.layered else None
+        return self.checked(
+            State(nothing, wear, worn, nothing, contact, rates, tangent=tangent, through=through)
+        )
 
     def _check_interpenetration(self) -> None:
         """Refuse undeformed bodies that overlap by more than the largest force presses them."""

@@ -92,7 +92,8 @@ def first_through(state: State, *parts: tuple[Numbers, Numbers, WearIncrement, A
     """
     if not isinstance(parts[0][2], LayeredIncrement):
         return None
-    first = np.full(state.worn.shape, np.inf) if state.through is None else state.through
+    assert state.through is not None
+    first = state.through
     for start, length, increment, p, share in parts:
         assert isinstance(increment, LayeredIncrement)
         after = increment.through(p, share)

@@ -16,13 +16,14 @@ import numpy as np
 
 from ringwear_par.arrays import FloatArray, Numbers, columns, inner, larger
 from ringwear_par.contact.problem import ContactState
-from ringwear_par.history.entering import Entering, entering, entry_error
+from ringwear_par.history.entering import Entering, entering, entry_error, held
 from ringwear_par.history.model import WearModel
 from ringwear_par.history.schemes import Step, advanced, first_through
 from ringwear_par.history.state import State
 from ringwear_par.history.tangent import Along
 from ringwear_par.schedules import in_time
 from ringwear_par.wear.increment import WearIncrement
+from ringwear_par.wear.layered import ROUND_OFF
 
 GAMMA = 1.0 - 1.0 / math.sqrt(2.0)
 # weights of the rates at 0, gamma and 1; what the integral of the quadratic through them has more
@@ -31,6 +32,9 @@ _AT_START, _AT_STAGE = 0.5 - 1.0 / (6.0 * GAMMA), 1.0 / (6.0 * GAMMA * (1.0 - GA
 _DEFECT = np.array([_AT_START, _AT_STAGE, 1.0 - _AT_START - _AT_STAGE]) - _WEIGHTS
 #: what the first stage wears off counts (1 - gamma) h, the stage itself was gamma h long
 _SHARE = (1.0 - GAMMA) / GAMMA
+#: share of what rates change in a step that counts as its error where elements get through a layer:
+#: depths were within 0.015 um of converged ones, in 0.0025 um of tolerance, of 30 coatings of 3 um
+_FIRST_ORDER = 0.25
 
 
 def step(model: WearModel, state: State, end: Numbers) -> Step:
@@ -45,7 +49,8 @@ def step(model: WearModel, state: State, end: Numbers) -> Step:
     along = model.along(state, enter)
     stage = model.contact(middle, state.wear, state.contact.pressure, first, along=along)
     worn_first = first.unhindered(stage.pressure)
-    counts = 1.0 if enter is None else enter.counts(stage.pressure, 0.0)
+    enter = held(model, enter, first, stage.pressure, _SHARE)
+    counts = 1.0 if enter is None else enter.counts(stage.pressure, enter.first)
     lost_first = first.lost(stage.pressure, worn_first, _SHARE * counts)
     carried = state.wear + lost_first
     if along is not None:
@@ -100,6 +105,11 @@ def step(model: WearModel, state: State, end: Numbers) -> Step:
     ).sum(axis=0)
     if enter is not None:  # those make one step of first order, see ``entry_error``
         defect = np.where(enter.late, 0.0, defect)
+    if model.layered:
+        defect = _through_defect(
+            model, state, after, enter, last, stage.pressure, defect,
+            (standard - worn_first).sum(axis=0), worn_last,
+        )  # fmt: skip
     off = entry_error(model, enter, state, after, worn_last)
     if defect.any():
         # the wear that the defect undoes by the pressure that it takes away
@@ -135,7 +145,7 @@ def _last_stage(
         last = model.increment(end, speed, carried, step)
         contact = model.contact(end, carried, near, last, along=along)
         return last, contact, 1.0, 1.0
-    counts = np.where(enter.late, 1.0 / GAMMA, 1.0)
+    counts = np.where(enter.late, 1.0 + (1.0 - enter.first) * _SHARE, 1.0)
     last = model.increment(end, speed, carried, step, enter.closing(step, counts))
     contact = model.contact(end, carried, near, last, along=along)
     p, inside = contact.pressure, last.share(last.top(contact.pressure))
@@ -143,7 +153,7 @@ def _last_stage(
         # what the others count depends on what those that enter carry: so little that twice will do
         if along is not None:
             along.lengthen(last, p, step)
-        counts = np.where(enter.late, counts, enter.counts(p, np.divide(inside, GAMMA)))
+        counts = np.where(enter.late, counts, enter.counts(p, counts * inside))
         last = model.increment(end, speed, carried, step, enter.closing(step, counts))
         found = None if p.ndim == 1 else (np.logical_not(enter.late.any(axis=-1)), contact)
         again = model.contact(end, carried, near, last, found=found, along=along)
@@ -153,6 +163,45 @@ def _last_stage(
         contact = replace(again, iterations=again.iterations + more)
         inside = last.share(last.top(contact.pressure))
     return last, contact, counts * inside, inside
+
+
+def _through_defect(
+    model: WearModel,
+    before: State,
+    after: State,
+    enter: Entering | None,
+    last: WearIncrement,
+    near: FloatArray,
+    defect: FloatArray,
+    changed: FloatArray,
+    worn_last: FloatArray,
+) -> FloatArray:
+    """Return the defect, (..., n) mm, of steps in which elements get to their next layer.
+
+    The stages do not know when in the step that is, and when the others take over what such an
+    element carried: what the rates change counts as of first order.
+
+    Parameters
+    ----------
+    near : (..., n) MPa, of the first stage, at which the next layer would have worn.
+    defect : of the quadratic, which holds in all other steps.
+    changed : (..., n) mm, what both stages differ in, in the length of one.
+    """
+    now = np.zeros(model.shape, dtype=bool)
+    for ends, *worn in zip(model.layer_ends, before.wear, after.wear, strict=True):
+        for end in () if ends is None else ends:
+            was, is_ = (each >= end * (1.0 - ROUND_OFF) for each in worn)
+            now |= is_ & ~was
+    some = now.any(axis=-1, keepdims=True)
+    if not some.any():
+        return defect
+    first_order = _FIRST_ORDER / GAMMA * changed
+    if enter is not None:
+        held = np.asarray(enter.held) < 1.0
+        first_order = np.where(enter.late, 0.0, first_order)
+        settled = _FIRST_ORDER * (last.unhindered(near) - worn_last).sum(axis=0)
+        first_order = np.where(held, settled, first_order)
+    return np.where(some, first_order, defect)
 
 
 def _scale(model: WearModel, before: ContactState, after: ContactState) -> FloatArray:

@@ -24,6 +24,7 @@ _ARRAYS = (
     Variable("rates", ("body", "element"), "mm/s", "rate of wear"),
     Variable("shape", ("body", "element"), "mm", "wear depth that the elements have followed"),
     Variable("fit", ("element",), "mm", "what elements are nearer since their slopes turned"),
+    Variable("through", ("body",), "s", "when wear first got through all layers, or infinite"),
     Variable("pressure", ("element",), "MPa", "contact pressure"),
     Variable("gap", ("element",), "mm", "gap between the deformed profiles"),
     Variable("warm_scaled_pressure", ("element",), "1", "unknowns of the contact solver"),
@@ -90,6 +91,8 @@ def take(
         arrays["shape"] = state.shape
     if state.fit is not None:
         arrays["fit"] = state.fit
+    if state.through is not None:
+        arrays["through"] = state.through
     return Checkpoint(numbers, arrays)
 
 
@@ -113,6 +116,7 @@ def restored(result: "Result") -> "Start":
     state = State(
         float(numbers["time"]), arrays["wear"], arrays["worn"], float(numbers["energy"]),
         contact, arrays["rates"], arrays.get("shape"), arrays.get("fit"),
+        through=arrays.get("through"),
     )  # fmt: skip
     progress = Progress(
         int(numbers["step"]), float(numbers["next_step"]), int(numbers["rejected"]),
@@ -152,7 +156,7 @@ def read_checkpoint(group: "h5py.Group", sizes: Mapping[str, int]) -> Checkpoint
     known = {**sizes, "body": 2}
     arrays = {v.name: read_array(group, v, known) for v in _ARRAYS if v.name in group}
     numbers = {name: read_number(group.attrs[name]) for name in _NUMBERS if name in group.attrs}
-    needed = {variable.name for variable in _ARRAYS} - {"shape", "fit"}
+    needed = {variable.name for variable in _ARRAYS} - {"shape", "fit", "through"}
     if len(numbers) < len(_NUMBERS) or not needed <= arrays.keys():
         return None
     return Checkpoint(numbers, arrays)

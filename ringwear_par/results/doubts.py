@@ -75,7 +75,8 @@ def implausible(case: Case) -> tuple[Doubt, ...]:
             if _PASCALS[0] < layer.young <= _PASCALS[1]
         ]
     if case.load.force is not None:
-        moduli = [of.young for ring in case.rings for of in (ring, *ring.layers)]
+        moduli = [ring.young for ring in case.rings]
+        moduli += [layer.young for ring in case.rings for layer in ring.layers]
         pressure, young = largest(case.load.force) / case.area, min(moduli)
         if pressure > _MOST_PRESSED * young:
             found.append(

@@ -188,8 +188,8 @@ class LayeredLaw(Law):
 
     def layer_ratios(self, friction: Any) -> list[Any]:
         """Return worn volume per dissipated energy of each layer and the body, 1/MPa, 0: none."""
-        return [law.per_energy(friction) or 0.0 if isinstance(friction, float) else
-                _or_nothing(law.per_energy(friction), friction) for law in self.laws]  # fmt: skip
+        ratios = [law.per_energy(friction) for law in self.laws]
+        return [0.0 * friction if ratio is None else ratio for ratio in ratios]
 
     def describe(self) -> str:
         """Return the formulas with their numbers and units, layer by layer."""
@@ -220,10 +220,6 @@ class LayeredLaw(Law):
     def take(self, histories: IntArray) -> Self:
         """Return the law of some of B histories."""
         return replace(self, laws=tuple(law.take(histories) for law in self.laws))
-
-
-def _or_nothing(ratio: Any, friction: Any) -> Any:
-    return np.zeros_like(friction) if ratio is None else ratio
 
 
 # -- a step ----------------------------------------------------------------------------------------
@@ -262,7 +258,10 @@ def passage(full: FloatArray, left: FloatArray, share: FloatArray | float) -> Pa
     remains = np.broadcast_to(np.asarray(share, dtype=float), full.shape[1:])
     for number in range(len(left)):
         a, c = full[number], left[number]
-        behind[number] = through = (remains * a >= c) & ((remains > 0.0) | (c <= 0.0))
+        # a share that ends at the interface does so in spite of round-off
+        behind[number] = through = (remains * a >= c * (1.0 - 4e-16)) & (
+            (remains > 0.0) | (c <= 0.0)
+        )
         taken = np.divide(c, a, out=np.zeros_like(a), where=through & (a > 0.0))
         taken = np.where(through, np.minimum(taken, remains), remains)
         times[number] = taken

@@ -12,9 +12,9 @@ from typing import Any
 
 import numpy as np
 
-from ringwear_par.arrays import BoolArray, FloatArray
+from ringwear_par.arrays import FloatArray
 from ringwear_par.wear.increment import RateVariation, VariedIncrement, WearIncrement
-from ringwear_par.wear.law import LocalState
+from ringwear_par.wear.law import Law, LocalState
 from ringwear_par.wear.layered import LayeredLaw, Passage, d_passage, passage
 
 #: halvings of the pressures that integrals are taken over, towards a kink
@@ -58,29 +58,19 @@ class LayeredIncrement(WearIncrement):
     def __post_init__(self) -> None:
         super().__post_init__()
         bodies = {
-            i: _Layers.of(law, at)
-            for i, law, at, _ in self._each
-            if isinstance(law, LayeredLaw)
-        }  # fmt: skip
+            i: _Layers.of(law, at) for i, law, at, _ in self._each if isinstance(law, LayeredLaw)
+        }
         object.__setattr__(self, "_bodies", bodies)
 
     # -- how time divides --------------------------------------------------------------------------
 
     def _full(
-        self, body: _Layers, of_layer: Callable[[Any, LocalState], FloatArray], p: FloatArray,
-        reached: BoolArray | None = None,
-    ) -> FloatArray:  # fmt: skip
-        """Return what a function gives of each law, (layers + 1, ..., n), 0 where none is needed.
-
-        Parameters
-        ----------
-        reached : (layers + 1,) which are; None: those that any element may reach.
-        """
+        self, body: _Layers, of_layer: Callable[[Law, LocalState], FloatArray], p: FloatArray
+    ) -> FloatArray:
+        """Return what a function gives of each law, (layers + 1, ..., n), 0 where all is gone."""
         found = np.zeros((len(body.law.laws), *np.broadcast_shapes(p.shape, body.left.shape[1:])))
         for number, (law, at) in enumerate(zip(body.law.laws, body.states, strict=True)):
-            if reached is None and number < len(body.left) and not body.left[number].any():
-                continue  # nobody has any of it
-            if reached is None or reached[number]:
+            if number == len(body.left) or body.left[number].any():
                 found[number] = of_layer(law, at)
         return found
 
@@ -106,8 +96,10 @@ class LayeredIncrement(WearIncrement):
         depths = np.zeros((2, *p.shape))
         for i, law, at, average in self._each:
             body = self._bodies.get(i)
-            own = self._depth(law, at, average, p) if body is None else (
-                self._present(body, self._depths(body, p)))  # fmt: skip
+            if body is None:
+                own = self._depth(law, at, average, p)
+            else:
+                own = self._present(body, self._depths(body, p))
             depths[i] = self._axial(own)
         return depths
 
@@ -139,7 +131,7 @@ class LayeredIncrement(WearIncrement):
     def apart(self, p: FloatArray, worn: FloatArray, share: FloatArray | float) -> FloatArray:
         """Return what is lost in a share of the step, from the rates at the pressure alone."""
         depths, q = np.zeros((2, *p.shape)), np.maximum(p, 0.0)
-        for i, law, at, average in self._each:
+        for i, law, at, _ in self._each:
             body = self._bodies.get(i)
             if body is None:
                 there = self._after(law, at, q) if law.remembers else at
@@ -168,10 +160,25 @@ class LayeredIncrement(WearIncrement):
             found[i] = np.where(now, gone.times[:-1].sum(axis=0), np.inf)
         return found
 
+    def until_next(self, p: FloatArray, share: FloatArray | float) -> FloatArray:
+        """Return shares of the step, (..., n), that end where a body gets to its next layer.
+
+        Of elements that would do so in a share of more than a step, but not in the step itself;
+        of others the same.
+        """
+        found = np.broadcast_to(np.asarray(share, dtype=float), p.shape)
+        for body in self._bodies.values():
+            full = self._depths(body, p)
+            left = np.concatenate([body.left, np.full_like(full[:1], np.inf)])
+            c, a = self._present(body, left), self._present(body, full)
+            ends = (a < c) & (found * a > c)
+            found = np.where(ends, np.divide(c, a, out=np.ones_like(a), where=ends), found)
+        return found
+
     def explicit(self, p: FloatArray) -> FloatArray:
         """Return what both lose at the rates of the start, (2, ..., n) mm, layer by layer."""
         depths = np.zeros((2, *p.shape))
-        for i, law, at, average in self._each:
+        for i, law, at, _ in self._each:
             body = self._bodies.get(i)
             if body is None:
                 own = self.step * law.rate(p, at)
@@ -212,8 +219,10 @@ class LayeredIncrement(WearIncrement):
         slope = np.zeros_like(p)
         for i, law, at, _ in self._each:
             body = self._bodies.get(i)
-            own = self._d_depth_dp(law, at, p) if body is None else (
-                self._present(body, self._slopes(body, p)))  # fmt: skip
+            if body is None:
+                own = self._d_depth_dp(law, at, p)
+            else:
+                own = self._present(body, self._slopes(body, p))
             slope += self._axial(own)
         return self.d_share(self.top(p).sum(axis=0), slope, 0.0)
 
@@ -301,8 +310,10 @@ class LayeredIncrement(WearIncrement):
         for i, law, at, _ in self._each:
             body = self._bodies.get(i)
             normal = d_wear[i] if self.obliquity is None else d_wear[i] / self.obliquity
-            layers = [(None, law, at)] if body is None else list(
-                zip(range(len(body.law.laws)), body.law.laws, body.states, strict=True))  # fmt: skip
+            layers: list[tuple[int | None, Law, LocalState]] = [(None, law, at)]
+            if body is not None:
+                each = zip(body.law.laws, body.states, strict=True)
+                layers = [(number, *own) for number, own in enumerate(each)]
             full = np.zeros((len(layers), *p.shape))
             change, slope = np.zeros((len(layers), *d_wear[i].shape)), np.zeros_like(full)
             for place, (layer, own, there) in enumerate(layers):
