@@ -21,11 +21,24 @@ from ringwear_par.history.tangent import variables as derivatives_of
 from ringwear_par.results.checkpoints import take
 from ringwear_par.results.columns import HistoryColumns
 from ringwear_par.results.doubts import Doubt, doubts_at, unstable
-from ringwear_par.results.recorder import Recorder, attributes, derivative_names, row
+from ringwear_par.results.recorder import (
+    Recorder,
+    attributes,
+    derivative_names,
+    layer_names_of,
+    row,
+)
 from ringwear_par.results.result import Result
-from ringwear_par.results.variables import D_PROFILES, HISTORIES
+from ringwear_par.results.variables import (
+    D_PROFILES,
+    HISTORIES,
+    LAYER_PROFILES,
+    LAYER_VOLUMES,
+)
 
 _BALANCES = [each.name for each in fields(Balances)]
+#: along the contact line
+_WIDE = (*D_PROFILES, *LAYER_PROFILES)
 #: what is told since the start, and of what
 _SINCE_START = {"penetration": "approach", "d_penetration": "d_approach"}
 
@@ -97,8 +110,12 @@ class BatchRecorder:
         self._steps: list[IntArray] = []
         self._parameters = tuple(derivatives)
         names = derivative_names(cases[0], derivatives)
-        stored = (*HISTORIES, *self._fields, *names)
-        fields_of_pair = {*self._fields, *D_PROFILES}
+        self._layers = {
+            name: 1 + len(cases[0].lower.layers if "lower" in name else cases[0].upper.layers)
+            for name in layer_names_of(cases[0])
+        }
+        stored = (*HISTORIES, *self._fields, *names, *self._layers)
+        fields_of_pair = {*self._fields, *D_PROFILES, *LAYER_PROFILES}
         last = () if self._deep else tuple(name for name in stored if name in fields_of_pair)
         self._rows: dict[str, list[Any]] = {name: [] for name in stored if name not in last}
         self._last = {name: np.full(self._shape(name, count), np.nan) for name in last}
@@ -113,7 +130,9 @@ class BatchRecorder:
     def _shape(self, name: str, rows: int) -> tuple[int, ...]:
         """Return the shape of so many rows of a variable, or of so many histories' last ones."""
         parameters = (len(self._parameters),) if name.startswith("d_") else ()
-        along = (self._pair.line.n,) if name in self._fields or name in D_PROFILES else ()
+        along = (self._pair.line.n,) if name in self._fields or name in _WIDE else ()
+        if name in LAYER_VOLUMES:
+            along = (self._layers[name],)
         return (*parameters, rows, *along)
 
     def __call__(self, snapshot: BatchSnapshot) -> None:
@@ -220,6 +239,7 @@ class BatchRecorder:
             tuple("failed" if bad else "done" for bad in failed),
             tuple(alone[i].reason if bad else "" for i, bad in enumerate(failed)),
             {name: values for name, values in found.items() if name.startswith("d_")},
+            {name: found[name] for name in self._layers},
         )
 
     def _sorted(self, alone: Mapping[int, Alone]) -> tuple[IntArray, IntArray, dict[str, Any]]:
@@ -246,7 +266,7 @@ class BatchRecorder:
 
         def by_history(name: str, parts: Sequence[Any]) -> Any:
             """Return rows in order: fields, which are large, are copied once only."""
-            shape, wide = self._shape(name, 0), name in self._fields or name in D_PROFILES
+            shape, wide = self._shape(name, 0), name in (*self._fields, *_WIDE, *LAYER_VOLUMES)
             if not wide:
                 dtype = HISTORIES[name].dtype if name in HISTORIES else np.float64
                 together = np.concatenate([np.empty(shape, dtype), *parts], axis=-1)
@@ -345,11 +365,16 @@ class BatchRecorder:
                 error="",
                 balances=self.balances(number),
                 step_error_time=float(self._step_error_time[number]),
+                through=state.through,
             ),
             take(state, progress, warm, 0, 0),
             parameters=dict(units),
             derivatives={
                 name: values[:, rows] if name in self._rows else values[:, number]
                 for name, values in columns.derivatives.items()
+            },
+            layers={
+                name: values[rows] if name in self._rows else values[number]
+                for name, values in columns.layers.items()
             },
         )  # fmt: skip

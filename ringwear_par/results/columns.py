@@ -28,6 +28,8 @@ class HistoryColumns:
     reason : why it failed, one line; "" for one that has not.
     derivatives : (P, rows) each, of fields (P, rows, n) or (P, B, n), by name, see
         ``variables.D_HISTORIES`` and ``D_PROFILES``.
+    layers : (rows,), (rows, layers + 1), (rows, n) or (B, n) each, by name, see
+        ``variables.LAYERS``.
     """
 
     offsets: IntArray
@@ -40,6 +42,7 @@ class HistoryColumns:
     status: tuple[str, ...]
     reason: tuple[str, ...]
     derivatives: Mapping[str, FloatArray] = field(default_factory=dict)
+    layers: Mapping[str, FloatArray] = field(default_factory=dict)
 
     @property
     def count(self) -> int:

@@ -27,6 +27,9 @@ from ringwear_par.results.variables import (
     D_PROFILES,
     EDGES,
     HISTORIES,
+    LAYER_PROFILES,
+    LAYER_VOLUMES,
+    LAYERS,
     PARAMETER,
     PARAMETER_UNIT,
     PROFILES,
@@ -43,12 +46,12 @@ _BALANCES = ("force", "torque", "reaction", "volume", "energy", "residual")
 _ALWAYS = {"case", "title", "status", "version"}
 _TEXTS = _ALWAYS | {
     "begun_by", "scheme", "user_laws", "law_lower", "law_upper", "doubts", "error",
-    "face_lower", "face_upper",
+    "face_lower", "face_upper", "layers_lower", "layers_upper",
 }  # fmt: skip
 _NUMBERS = {
     "ranks", "time_step", "time_steps", "time_end", "symmetry_defect", "energy_identity",
     "step_error_time", "friction", "omega", "angle", "nominal_area", "mean_radius",
-    "density_lower", "density_upper",
+    "density_lower", "density_upper", "time_through_lower", "time_through_upper",
 }  # fmt: skip
 _NUMBERED = ("balance_", "seconds_")
 
@@ -137,7 +140,22 @@ def _read(file: h5py.File, path: Path) -> Result:
         path,
         None,
         *_read_derivatives(file, sizes),
+        _read_layers(file, sizes),
     )
+
+
+def _read_layers(file: h5py.File, sizes: dict[str, int]) -> dict[str, Any]:
+    """Return the variables of layers by name; nothing of most."""
+    found = {}
+    for name, variable in LAYERS.items():
+        if name not in file:
+            continue
+        if name in LAYER_VOLUMES:  # which may have a dimension of their own
+            found[name] = read_array(file, variable, {"step": sizes["step"]})
+        else:
+            last = name in LAYER_PROFILES
+            found[name] = read_array(file, _as_stored(file, variable) if last else variable, sizes)
+    return found
 
 
 def _read_derivatives(

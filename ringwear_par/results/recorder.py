@@ -9,7 +9,7 @@ import numpy as np
 from mpi4py import MPI
 
 from ringwear_par import __version__
-from ringwear_par.arrays import FloatArray, IntArray
+from ringwear_par.arrays import FloatArray, IntArray, inner
 from ringwear_par.cases.case import Case
 from ringwear_par.cases.law_trials import law_sources
 from ringwear_par.elasticity.boundary_fields import BoundaryState
@@ -25,8 +25,15 @@ from ringwear_par.info import versions
 from ringwear_par.results.checkpoints import restored, take
 from ringwear_par.results.doubts import Doubt, doubts, instability
 from ringwear_par.results.result import Result, balance_attributes
-from ringwear_par.results.variables import D_HISTORIES, D_PROFILES, HISTORIES
+from ringwear_par.results.variables import (
+    D_HISTORIES,
+    D_PROFILES,
+    HISTORIES,
+    LAYER_PROFILES,
+    layer_names,
+)
 from ringwear_par.schedules import in_time, integral
+from ringwear_par.wear.layered import LayeredLaw
 
 
 def row(model: WearModel, state: State) -> dict[str, Any]:
@@ -48,7 +55,26 @@ def row(model: WearModel, state: State) -> dict[str, Any]:
         "gap": contact.gap,
         "wear_lower": state.wear[0],
         "wear_upper": state.wear[1],
+        **_of_layers(model, state),
     }
+
+
+def _of_layers(model: WearModel, state: State) -> dict[str, Any]:
+    """Return the same of bodies with layers."""
+    found: dict[str, Any] = {}
+    for i, body in enumerate(("lower", "upper")):
+        if model.layer_ends[i] is not None:
+            left = model.layer_left(i, state.wear[i])
+            through = inner(model.area, (left <= 0.0).astype(float)) / model.area.sum()
+            found[f"share_through_{body}"] = through
+            found[f"layer_left_{body}"] = left
+            found[f"worn_volume_{body}_layers"] = model.layer_volumes(i, state.wear[i])
+    return found
+
+
+def layer_names_of(case: Case) -> tuple[str, ...]:
+    """Return which variables of layers are stored of a case."""
+    return layer_names((bool(case.lower.layers), bool(case.upper.layers)))
 
 
 def derivative_names(case: Case, keys: Sequence[str]) -> list[str]:
@@ -72,6 +98,7 @@ def attributes(
     error: str,
     balances: Balances,
     step_error_time: float,
+    through: FloatArray | None,
 ) -> dict[str, Any]:
     """Return the attributes of a result. Not collective.
 
@@ -82,6 +109,7 @@ def attributes(
     seconds : by attribute.
     error : why it cannot go on, "" where it can.
     balances, step_error_time : see ``WorstBalances``.
+    through : (2,) s, when wear first got through the layers, see ``State``.
     """
     laws = [law for law in case.laws if law is not None]
     return {
@@ -108,12 +136,35 @@ def attributes(
             f"law_{body}": "" if law is None else law.describe()
             for body, law in zip(("lower", "upper"), case.laws, strict=True)
         },
+        **_layer_attributes(case, through),
         "doubts": json.dumps([doubt.text for doubt in doubts]),
         "error": error,
-        "energy_identity": int(any(law.per_energy(case.friction) for law in laws)),
+        "energy_identity": int(
+            any(
+                all(law.layer_ratios(case.friction))
+                if isinstance(law, LayeredLaw)
+                else law.per_energy(case.friction)
+                for law in laws
+            )
+        ),
         **balance_attributes(vars(balances)),
         "step_error_time": step_error_time,
     }
+
+
+def _layer_attributes(case: Case, through: FloatArray | None) -> dict[str, Any]:
+    """Return what is told of layers: what they are, and when wear first got through, s or NaN."""
+    found: dict[str, Any] = {}
+    for i, (body, ring) in enumerate(zip(("lower", "upper"), case.rings, strict=True)):
+        if ring.layers:
+            found[f"layers_{body}"] = ", then ".join(
+                f"{1e3 * layer.thickness:.6g} um of E = {layer.young:.6g} MPa, "
+                f"nu = {layer.poisson:.6g}"
+                for layer in ring.layers
+            )
+            time = np.inf if through is None else float(through[i])
+            found[f"time_through_{body}"] = time if np.isfinite(time) else np.nan
+    return found
 
 
 def _sliding(case: Case, time: float) -> dict[str, Any]:
@@ -161,6 +212,7 @@ class Recorder:
         self._derivatives: dict[str, list[FloatArray]] = {
             name: [] for name in derivative_names(case, derivatives)
         }
+        self._layers: dict[str, list[Any]] = {name: [] for name in layer_names_of(case)}
         self._earlier: list[BoundaryState] = []
         #: iterations of the contact solver since the last stored state
         self._pending_iterations = 0
@@ -195,6 +247,9 @@ class Recorder:
         for name in self._profiles:
             stored = before.profiles[name]
             self._profiles[name] = list(stored[keep] if self._deep else stored[None][keep[-1:]])
+        for name in self._layers:
+            stored, last_only = before.layers[name], name in LAYER_PROFILES and not self._deep
+            self._layers[name] = list(stored[None][keep[-1:]] if last_only else stored[keep])
         # the last state of a shorter run is not the last one of this run
         if case.output.boundary != "last" or case.time.finished(
             start.progress.steps, start.state.time
@@ -238,6 +293,10 @@ class Recorder:
             column.append(values[name])
         for name, rows in self._profiles.items():
             if not self._deep:
+                rows.clear()
+            rows.append(values[name])
+        for name, rows in self._layers.items():
+            if not self._deep and name in LAYER_PROFILES:
                 rows.clear()
             rows.append(values[name])
         slopes = derivatives_of(snapshot.model, snapshot.state)
@@ -290,6 +349,11 @@ class Recorder:
                 if rows
             },
             **{
+                name: np.array(rows if self._deep or name not in LAYER_PROFILES else rows[-1])
+                for name, rows in self._layers.items()
+                if rows
+            },
+            **{
                 name: np.stack(rows, axis=1) if self._deep or name not in D_PROFILES else rows[-1]
                 for name, rows in self._derivatives.items()
                 if rows
@@ -326,11 +390,13 @@ class Recorder:
                 error=error,
                 balances=self.balances,
                 step_error_time=self._balances.step_error_time,
+                through=state.through,
             ),
             take(state, progress, model.warm(), model.updates, self._pending_iterations),
             comm=self._comm,
             parameters=units_of(case, self._parameters),
             derivatives={name: arrays[name] for name in self._derivatives},
+            layers={name: arrays[name] for name in self._layers},
         )
 
     def kernel_evaluations(self) -> int:

@@ -2,7 +2,7 @@
 
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -19,6 +19,10 @@ from ringwear_par.results.variables import (
     D_PROFILES,
     ELEMENT,
     HISTORIES,
+    LAYER,
+    LAYER_PROFILES,
+    LAYER_VOLUMES,
+    LAYERS,
     LINE,
     PARAMETER,
     PARAMETER_UNIT,
@@ -27,6 +31,7 @@ from ringwear_par.results.variables import (
     STATE_NUMBER,
     STEP,
     STEPS_MADE,
+    UPPER_LAYER,
     Variable,
 )
 from ringwear_par.textfiles import parse_toml
@@ -60,6 +65,8 @@ class Result:
     parameters : keys of the numbers that there are derivatives with respect to, with their units.
     derivatives : (P, s) or (P, s, n) each, by name, see variables.D_HISTORIES and D_PROFILES;
         (P, n) where the last profiles are stored only.
+    layers : of bodies with layers, by name, see variables.LAYERS: (s,), (s, layers + 1) and (s, n),
+        or (n,) where the last profiles are stored only.
     """
 
     line: ContactLine
@@ -74,6 +81,7 @@ class Result:
     comm: Any = None
     parameters: Mapping[str, str] = field(default_factory=dict)
     derivatives: Mapping[str, FloatArray] = field(default_factory=dict)
+    layers: Mapping[str, FloatArray] = field(default_factory=dict)
 
     def __repr__(self) -> str:
         title = self.attributes.get("title") or "no title"
@@ -133,6 +141,7 @@ class Result:
         for name, values in self.profiles.items():
             variable = PROFILES[name]
             found.append((variable if values.ndim == 2 else variable.at_last_step(), values))
+        found += self._layer_variables()
         if self.parameters:
             found.append((PARAMETER, list(self.parameters)))
             found.append((PARAMETER_UNIT, list(self.parameters.values())))
@@ -145,6 +154,23 @@ class Result:
             if name in D_PROFILES:
                 variable = D_PROFILES[name]
                 found.append((variable if values.ndim == 3 else variable.at_last_step(), values))
+        return found
+
+    def _layer_variables(self) -> list[tuple[Variable, Any]]:
+        """Return those of layers, with their coordinates."""
+        found: list[tuple[Variable, Any]] = []
+        layer = LAYER
+        for name, values in self.layers.items():
+            variable = LAYERS[name]
+            if name in LAYER_VOLUMES:
+                if found and found[0][0] is LAYER and len(found[0][1]) != values.shape[1]:
+                    layer = UPPER_LAYER
+                if layer not in [there for there, _ in found]:
+                    found.insert(0, (layer, np.arange(values.shape[1])))
+                variable = replace(variable, dimensions=("step", layer.name))
+            if name in LAYER_PROFILES and values.ndim == 1:
+                variable = variable.at_last_step()
+            found.append((variable, values))
         return found
 
     @property

@@ -104,6 +104,48 @@ PROFILES = _table(
     ),
 )
 
+# -- layers ----------------------------------------------------------------------------------------
+
+#: coordinates of volumes by layer; the second where upper has other numbers of layers than lower
+LAYER = Variable(
+    "layer", ("layer",), "1", "layer from the contact face inwards; the last is the body itself",
+    integer=True,
+)  # fmt: skip
+UPPER_LAYER = replace(LAYER, name="layer_upper", dimensions=("layer_upper",))
+_BODIES = ("lower", "upper")
+#: of bodies with layers: at each stored state
+LAYER_HISTORIES = _table(
+    *(
+        Variable(
+            f"share_through_{body}", ("step",), "1",
+            f"share of the contact area where all layers of the {body} ring are worn through",
+        )
+        for body in _BODIES
+    )
+)  # fmt: skip
+#: along the contact line, as ``PROFILES``
+LAYER_PROFILES = _table(
+    *(
+        Variable(
+            f"layer_left_{body}", ("step", "element"), "mm",
+            f"thickness left of all layers of the {body} ring, along the axis",
+        )
+        for body in _BODIES
+    )
+)  # fmt: skip
+#: and by layer
+LAYER_VOLUMES = _table(
+    *(
+        Variable(
+            f"worn_volume_{body}_layers", ("step", "layer"), "mm3",
+            f"volume lost by each layer of the {body} ring, and by the ring itself",
+        )
+        for body in _BODIES
+    )
+)  # fmt: skip
+#: all of them
+LAYERS = {**LAYER_HISTORIES, **LAYER_VOLUMES, **LAYER_PROFILES}
+
 # -- derivatives -----------------------------------------------------------------------------------
 
 PARAMETER = Variable(
@@ -129,6 +171,13 @@ D_HISTORIES = _table(
     *(derivative_of(v) for name, v in HISTORIES.items() if name not in _NOT_DIFFERENTIATED)
 )
 D_PROFILES = _table(*map(derivative_of, PROFILES.values()))
+
+
+def layer_names(bodies: tuple[bool, bool]) -> tuple[str, ...]:
+    """Return the variables of layers where lower, upper or both have some."""
+    there = [body for body, has in zip(_BODIES, bodies, strict=True) if has]
+    return tuple(name for name in LAYERS if any(f"_{body}" in name for body in there))
+
 
 #: coordinates of the result file that are no dimensions; it may lack the last
 COORDINATES = ("time", *LINE, PARAMETER_UNIT.name)
