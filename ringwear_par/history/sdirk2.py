@@ -54,6 +54,7 @@ def step(model: WearModel, state: State, end: Numbers) -> Step:
     lost_first = first.lost(stage.pressure, worn_first, _SHARE * counts)
     carried = state.wear + lost_first
     if along is not None:
+        along.hold(enter, _SHARE, GAMMA * length)
         along.first_stage(stage.pressure, worn_first, counts, _SHARE)
     last, contact, counts_last, inside = _last_stage(
         model, enter, end, speeds[2], carried, length, stage.pressure, along

@@ -21,6 +21,7 @@ import numpy as np
 from ringwear_par.arrays import BoolArray, FloatArray, IntArray, Numbers, columns, inner
 from ringwear_par.contact.problem import ContactState
 from ringwear_par.wear.increment import VariedIncrement, WearIncrement
+from ringwear_par.wear.layered_increment import VariedLayers
 
 if TYPE_CHECKING:
     from ringwear_par.history.entering import Entering
@@ -122,7 +123,9 @@ class Along:
         self._varied: VariedIncrement | None = None
         self._closes: FloatArray | None = None
         if enter is not None:
-            self._closes = np.where(enter.late, before.gap, 0.0)
+            self._closes = np.where(enter.gap > 0.0, before.gap, 0.0)
+        #: (P, ..., n) of what the first stage counts for elements that enter
+        self._d_first: FloatArray | float = 0.0
         #: (P, ..., n) s, of the steps of elements
         self._step: FloatArray | None = None
         self._energy = before.energy
@@ -201,10 +204,28 @@ class Along:
         first = self._counted = self.pressure
         d_counts: FloatArray | float = 0.0
         if self._enter is not None:
-            d_counts = self._enter.d_counts(p, first, 0.0, 0.0)
+            d_counts = self._enter.d_counts(p, first, self._enter.first, self._d_first)
             self._counted = counts * first + d_counts * p
         self._wear_off(self._lost(worn, share * counts, share * d_counts))
         self._near = self._first = first
+
+    def hold(self, enter: "Entering | None", share: float, step: Numbers) -> None:
+        """Take note of the elements that get to the next layer after the first stage.
+
+        Parameters
+        ----------
+        enter : they, and those that wear brings into contact.
+        share : of the first stage's length, what it stands for.
+        step : s, of the last stage.
+        """
+        if enter is self._enter or enter is None or not isinstance(self._varied, VariedLayers):
+            return
+        self._enter = enter
+        if self._closes is None:
+            self._closes = np.zeros_like(self._before.gap)
+        held = np.asarray(enter.held) < 1.0
+        self._d_first = np.where(held, self._varied.until_next(share, self.pressure) / share, 0.0)
+        self._step = -columns(step) * share * self._d_first
 
     def lengthen(self, last: WearIncrement, p: FloatArray, step: Numbers) -> None:
         """Take note that the last stage is tried again, its steps being those that ``p`` asks for.
@@ -217,8 +238,11 @@ class Along:
         whole = last.step / columns(step)
         inside, d_inside = self._inside(last, p)
         counts = whole * inside
-        d_counts = self._enter.d_counts(p, self.pressure, counts, whole * d_inside)
-        self._step = columns(step) * np.where(self._enter.late, 0.0, d_counts)
+        d_late = whole * d_inside
+        d_step: FloatArray | float = 0.0 if self._step is None else self._step
+        d_late = d_late + inside * d_step / columns(step)
+        d_counts = self._enter.d_counts(p, self.pressure, counts, d_late)
+        self._step = np.where(self._enter.late, d_step, columns(step) * d_counts)
         self._near = self._first
 
     def last_stage(

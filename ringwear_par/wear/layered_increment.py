@@ -418,6 +418,22 @@ class VariedLayers(VariedIncrement):
             for i, one in self.each.items()
         }
 
+    def until_next(self, share: float, d_p: FloatArray) -> FloatArray:
+        """Return derivatives of ``LayeredIncrement.until_next``, (P, ..., n)."""
+        found, ends = np.zeros_like(d_p), np.full(d_p.shape[1:], share)
+        for one in self.each.values():
+            if one.body is None:
+                continue
+            left = np.concatenate([one.body.left, np.full_like(one.full[:1], np.inf)])
+            assert one.d_left is not None
+            d_left = np.concatenate([one.d_left, np.zeros_like(one.change[:1])])
+            c, a, d_c = one.top(left), one.top(one.full), one.top(d_left)
+            now = (a < c) & (ends * a > c)
+            ends = np.divide(c, a, out=ends.copy(), where=now)
+            d_a = one.top(one.change) + one.top(one.slope) * d_p
+            found = np.where(now, (d_c - ends * d_a) / np.where(now, a, 1.0), found)
+        return found
+
     def lost(
         self, d_p: FloatArray, worn: FloatArray, share: Any, d_share: Any
     ) -> dict[int, FloatArray]:
