@@ -7,7 +7,7 @@ import numpy as np
 from ringwear_par.reports import charts
 from ringwear_par.reports.blocks import Block, Lines, Page, Section, Source, Table, software
 from ringwear_par.reports.words import case_words
-from ringwear_par.results.key_numbers import KeyNumbers, key_numbers
+from ringwear_par.results.key_numbers import KeyNumbers, WornLayers, key_numbers
 from ringwear_par.results.result import Result
 from ringwear_par.results.variables import HISTORIES
 
@@ -45,6 +45,7 @@ def run_page(result: Result) -> Page:
     blocks.append(Table("Key numbers, at the end", ("quantity", "value", "unit"), key_rows(found)))
     if found.bodies:
         blocks.append(worn_table(found))
+    blocks += [_through(one.body, one.layers) for one in found.bodies if one.layers is not None]
     sections = [Section("Summary", blocks)]
     drawn = charts.profiles(result)
     told = "No profiles are stored at several times (output.fields, output.profiles)."
@@ -96,6 +97,20 @@ def worn_table(found: KeyNumbers) -> Table:
         for one in found.bodies
     ]  # fmt: skip
     return Table("What has been worn off", header, rows)
+
+
+def _through(body: str, layers: WornLayers) -> Table:
+    """Return what has become of the layers of a body."""
+    names = [f"layer {i}" for i in range(len(layers.volumes) - 1)] + ["the body itself"]
+    rows = [
+        (f"volume lost by {name}", f"{volume:.6g}", _CUBIC)
+        for name, volume in zip(names, layers.volumes, strict=True)
+    ]
+    rows.append(("share of the contact area worn through", f"{layers.share:.4g}", ""))
+    rows.append(("first worn through at", _or_dash(layers.time, 6), "s"))
+    rows.append(("least thickness left", f"{layers.thinnest:.4g}", _MICRO))
+    rows.append(("largest thickness left", f"{layers.thickest:.4g}", _MICRO))
+    return Table(f"Layers of {body}, at the end", ("quantity", "value", "unit"), rows)
 
 
 def _told(result: Result) -> Table:

@@ -28,6 +28,9 @@ _MOST_ASYMMETRY = 0.05
 _PASCALS = (1e9, 2e12)
 #: g/mm^3, osmium's and a little more
 _DENSEST = 0.025
+#: share of a layer, meant by load, that is worn off, and by which its modulus differs from what is
+#: under it, from which on the unworn stack is another
+_MOST_OF_LAYER, _OTHER_MODULUS = 0.25, 0.1
 #: mm, and share of a Young's modulus, from which on numbers are likely in another unit
 _LARGEST, _MOST_PRESSED = 5000.0, 0.1
 
@@ -152,9 +155,36 @@ def doubts_at(
         )
     return (
         *found,
+        *_other_stack(case, line, state),
         *_unlike_slopes(case, line, compliance, state),
         *_asymmetric(line, *asymmetry),
     )
+
+
+def _other_stack(case: Case, line: ContactLine, state: State) -> list[Doubt]:
+    """Return whether layers of another modulus are worn that elasticity still has."""
+    if case.follows_wear:
+        return []
+    found, load = [], line.area * state.contact.pressure
+    for i, (body, ring) in enumerate(zip(("lower", "upper"), case.rings, strict=True)):
+        if not (ring.layers and state.wear[i].any() and load.any()):
+            continue
+        ends = case.layer_ends(i)
+        starts = np.concatenate([np.zeros_like(ends[:1]), ends[:-1]])
+        worn = (np.clip(state.wear[i], starts, ends) - starts) / (ends - starts)
+        under = [*(layer.young for layer in ring.layers[1:]), ring.young]
+        for number, (layer, below) in enumerate(zip(ring.layers, under, strict=True)):
+            share = float(worn[number] @ load / load.sum())
+            if share > _MOST_OF_LAYER and abs(layer.young / below - 1.0) > _OTHER_MODULUS:
+                found.append(
+                    Doubt(
+                        "worn_layer",
+                        f"{100.0 * share:.0f} % of {body}.layers[{number}] is worn off where it "
+                        f"bears load, and its modulus, {layer.young:g} MPa, is not the "
+                        f"{below:g} MPa under it: elasticity is that of the unworn layers",
+                    )
+                )
+    return found
 
 
 def _unlike_slopes(

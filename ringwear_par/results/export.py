@@ -15,7 +15,14 @@ from ringwear_par.errors import InputError
 from ringwear_par.results.cells import Cells, contours, surfaces
 from ringwear_par.results.files import result_of
 from ringwear_par.results.result import Result
-from ringwear_par.results.variables import HISTORIES, PROFILES, Variable
+from ringwear_par.results.variables import (
+    HISTORIES,
+    LAYER_HISTORIES,
+    LAYER_PROFILES,
+    LAYER_VOLUMES,
+    PROFILES,
+    Variable,
+)
 from ringwear_par.results.vtkhdf import write_vtkhdf
 
 SEGMENTS, _MOST_SEGMENTS = 72, 3600
@@ -179,15 +186,24 @@ def _history_table(result: Result) -> tuple[list[str], Iterable[Sequence[Any]]]:
     """Return the histories, a row for each stored state."""
     header = ["step", *map(_titled, HISTORIES.values())]
     columns = [result.step, *(result.histories[name] for name in HISTORIES)]
+    for name, values in result.layers.items():
+        if name in LAYER_HISTORIES:
+            header.append(_titled(LAYER_HISTORIES[name]))
+            columns.append(values)
+        elif name in LAYER_VOLUMES:
+            volume = LAYER_VOLUMES[name]
+            header += [_titled(volume.named(f"{name}[{i}]")) for i in range(values.shape[1])]
+            columns += list(values.T)
     return header, zip(*(column.tolist() for column in columns), strict=True)
 
 
 def _contact_table(result: Result) -> tuple[list[str], Iterable[Sequence[Any]]]:
     """Return the contact line, a row for each stored state and element."""
-    names = [name for name in PROFILES if name in result.profiles]
+    known, there = {**PROFILES, **LAYER_PROFILES}, {**result.profiles, **result.layers}
+    names = [name for name in known if name in there]
     if not names:
         raise InputError(f"{result.name}: holds no field of the contact line (output.fields)")
-    tables = [np.atleast_2d(result.profiles[name]) for name in names]
+    tables = [np.atleast_2d(there[name]) for name in names]
     stored, n = tables[0].shape  # one row where the last state's fields are stored only
     steps, times = result.step[-stored:], result.histories["time"][-stored:]
     header = ["step", "time (s)", "element", "r (mm)"]
@@ -195,7 +211,7 @@ def _contact_table(result: Result) -> tuple[list[str], Iterable[Sequence[Any]]]:
         np.repeat(steps, n), np.repeat(times, n), np.tile(np.arange(n), stored),
         np.tile(result.line.r, stored), *(table.ravel() for table in tables),
     ]  # fmt: skip
-    header += [_titled(PROFILES[name]) for name in names]
+    header += [_titled(known[name]) for name in names]
     return header, zip(*(column.tolist() for column in columns), strict=True)
 
 

@@ -62,6 +62,18 @@ def _p_v(result: Result) -> dict[str, FloatArray]:
     return {"": 1e-3 * power / friction / nominal_area(result)}
 
 
+def _through(result: Result) -> dict[str, FloatArray]:
+    """Return the shares of the contact area that are worn through, %."""
+    found = {
+        body: 100.0 * result.layers[f"share_through_{body}"]
+        for body in ("lower", "upper")
+        if f"share_through_{body}" in result.layers
+    }
+    if not found:
+        raise InputError(f"{result.name}: through needs a body with layers, of which it has none")
+    return found
+
+
 #: by name, as ``--panels`` has it
 HISTORY_PANELS = {
     "penetration": HistoryPanel("penetration depth (\N{MICRO SIGN}m)", _stored("penetration", 1e3)),
@@ -71,6 +83,7 @@ HISTORY_PANELS = {
     "energy": HistoryPanel("energy dissipated (J)", _stored("dissipated_energy", 1e-3)),
     "volume": HistoryPanel("worn volume (mm\N{SUPERSCRIPT THREE})", _volumes),
     "rate": HistoryPanel("wear rate, mean depth (\N{MICRO SIGN}m/h)", _rates),
+    "through": HistoryPanel("worn through (% of the contact area)", _through),
     "pv": HistoryPanel("pressure \N{MULTIPLICATION SIGN} speed, mean (MPa m/s)", _p_v),
 }
 

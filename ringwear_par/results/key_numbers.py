@@ -23,6 +23,7 @@ class Worn:
     mass : mg.
     rate, rate_now : um/h, mean depth over the nominal area, over the whole time and at its end.
     specific : mm3/(N m), volume by load and sliding distance.
+    layers : of a body with layers, which it may have though it does not wear.
     """
 
     body: str
@@ -32,6 +33,26 @@ class Worn:
     rate: float | None
     rate_now: float | None
     specific: float | None
+    layers: "WornLayers | None" = None
+
+
+@dataclass(frozen=True)
+class WornLayers:
+    """What has become of the layers of a body.
+
+    Parameters
+    ----------
+    volumes : mm3, lost by each from the contact face inwards; the last by the body itself.
+    share : of the contact area where all of them are worn through.
+    time : s, when that began; None: not yet.
+    thinnest, thickest : um, least and most that is left of all of them.
+    """
+
+    volumes: tuple[float, ...]
+    share: float
+    time: float | None
+    thinnest: float
+    thickest: float
 
 
 @dataclass(frozen=True)
@@ -117,4 +138,20 @@ def _worn(result: "Result", number: int, body: str) -> Worn:
     if about.get("friction") and energy > 0:
         # load times sliding distance of every place, which is energy over friction
         specific = 1e3 * volume * about["friction"] / energy
-    return Worn(body, 1e3 * state["wear"][number].max(), volume, mass, rate, now, specific)
+    deepest = 1e3 * state["wear"][number].max()
+    return Worn(body, deepest, volume, mass, rate, now, specific, _layers(result, body))
+
+
+def _layers(result: "Result", body: str) -> WornLayers | None:
+    """Return what has become of the layers of a body; None where it has none."""
+    if f"share_through_{body}" not in result.layers:
+        return None
+    left = np.atleast_2d(result.layers[f"layer_left_{body}"])[-1]
+    time = float(result.attributes.get(f"time_through_{body}", np.nan))
+    return WornLayers(
+        tuple(result.layers[f"worn_volume_{body}_layers"][-1].tolist()),
+        float(result.layers[f"share_through_{body}"][-1]),
+        None if np.isnan(time) else time,
+        1e3 * float(left.min()),
+        1e3 * float(left.max()),
+    )

@@ -70,10 +70,20 @@ def draw_wear(axes: Any, result: Result, label: str, rows: Sequence[int]) -> Non
     else:
         _profiles(axes, result, rows, lambda row: -1e3 * lower[row])
         axes.set_ylabel("wear depth (\N{MICRO SIGN}m)")
+    for body, sign in (("lower", -1e3), ("upper", 1e3)):
+        _interface(axes, result, body, sign)
     for start, end in ((ends[0], inner), (outer, ends[1])):
         axes.plot([start, end], [0, 0], color="0.4", linewidth=0.8)
     axes.set_xlim(*ends)
     set_legend(axes, _COLUMNS, label)
+
+
+def _interface(axes: Any, result: Result, body: str, sign: float) -> None:
+    """Draw where the layers of a body that has worn end."""
+    left, wear = result.layers.get(f"layer_left_{body}"), result.profiles[f"wear_{body}"]
+    if left is None or not wear.any():
+        return
+    axes.plot(result.line.r, sign * (wear[0] + left[0]), color="0.4", linewidth=0.8, linestyle=":")
 
 
 def draw_pressure(axes: Any, result: Result, label: str, rows: Sequence[int]) -> None:

@@ -10,7 +10,7 @@ from ringwear_par.cases.keys import read_keys
 from ringwear_par.cases.schema import BY_PATH
 from ringwear_par.cases.values import is_number
 from ringwear_par.errors import LONGEST_SENTENCE, legible
-from ringwear_par.results.key_numbers import KeyNumbers, key_numbers
+from ringwear_par.results.key_numbers import KeyNumbers, WornLayers, key_numbers
 
 if TYPE_CHECKING:
     from ringwear_par.results.result import Result
@@ -37,7 +37,12 @@ def summary(result: "Result") -> str:
     lines = [
         *([title, *warnings, made] if title else [made, *warnings]),
         *_wearing(about),
-        *(f"face of {b}: {about[f'face_{b}']}" for b in ("lower", "upper") if f"face_{b}" in about),
+        *(
+            f"{what} of {b}: {about[key]}"
+            for what in ("face", "layers")
+            for b in ("lower", "upper")
+            if (key := f"{what}_{b}") in about
+        ),
         *_trust(result),
         f"approach {reached['approach']:.7g} mm, force {reached['force']:.6g} N, "
         f"torque {1e-3 * last['torque']:.6g} N m, "
@@ -84,7 +89,8 @@ def _trust(result: "Result") -> list[str]:
     off, about = result.balances, result.attributes
     identity = ""
     if about.get("energy_identity"):
-        identity = f", worn volume against energy {off['energy']:.1e}"
+        by_layer = " by layer" if result.layers else ""
+        identity = f", worn volume{by_layer} against energy {off['energy']:.1e}"
     lines = [
         f"relative errors, worst of all steps: contact (KKT) {off['residual']:.1e}, "
         f"force {off['force']:.1e}, "
@@ -135,7 +141,25 @@ def _worn(found: KeyNumbers) -> list[str]:
         if one.specific is not None:
             told += f"; specific wear rate {one.specific:.4g} mm3/(N m)"
         lines.append(told)
+        if one.layers is not None:
+            lines.append(_through(one.body, one.layers))
     return lines
+
+
+def _through(body: str, layers: WornLayers) -> str:
+    """Return what has become of the layers of a body."""
+    *of_layers, itself = (f"{volume:.6g}" for volume in layers.volumes)
+    several = "layers" if len(of_layers) > 1 else "layer"
+    told = (
+        f"{several} of {body}: {' + '.join(of_layers)} mm3 worn, of the body itself {itself} mm3; "
+    )
+    if layers.time is None:
+        return f"{told}nowhere worn through, {layers.thinnest:.4g} um left at least"
+    left = f", {layers.thickest:.4g} um left at most" if layers.thickest > 0.0 else ""
+    return (
+        f"{told}worn through over {100.0 * layers.share:.4g} % of the contact area, first at t = "
+        f"{layers.time:.4g} s{left}"
+    )
 
 
 def _plain(value: float) -> str:
