@@ -20,7 +20,7 @@ from ringwear_par.wear.derivative_test import (
     taylor_test_parameter,
     taylor_test_wear,
 )
-from ringwear_par.wear.law import CompletedLaw, Law, LocalState
+from ringwear_par.wear.law import CompletedLaw, Law, LocalState, WearLaw, complete
 from ringwear_par.wear.user import UserLaw, check_object, check_user_law
 
 _BODIES = ("lower", "upper")
@@ -37,15 +37,28 @@ _SHOWN = (0.0, 10.0, 50.0, 100.0, 200.0)
 _MOST_TIMES = 5
 
 
+def _given(case: Case) -> dict[str, WearLaw | None]:
+    """Return the laws of bodies and of layers that have their own, by what they are called."""
+    found: dict[str, WearLaw | None] = {}
+    for body, ring, law in zip(
+        _BODIES, case.rings, (case.wear_lower, case.wear_upper), strict=True
+    ):
+        found[body] = law
+        for i, layer in enumerate(ring.layers):
+            if layer.wear is not None:
+                found[f"{body}.layers[{i}]"] = layer.wear
+    return found
+
+
 def law_sources(case: Case) -> dict[str, str]:
     """Return the texts of the user's own laws by body."""
-    laws = zip(_BODIES, case.laws, strict=True)
+    laws = _given(case).items()
     return {body: law.source for body, law in laws if isinstance(law, UserLaw)}
 
 
 def law_files(case: Case) -> dict[str, str]:
     """Return the names of the Python files of a case's laws by key."""
-    laws = zip(_BODIES, case.laws, strict=True)
+    laws = _given(case).items()
     return {f"wear.{body}.file": law.file for body, law in laws if isinstance(law, UserLaw)}
 
 
@@ -62,10 +75,12 @@ def refuse_bad_laws(case: Case, name: str, slopes: bool = True) -> None:
     pressure = _PRESSURE
     if case.load.force is not None:
         pressure = _MEANS * largest(case.load.force) / case.area
-    for body, given in zip(_BODIES, (case.wear_lower, case.wear_upper), strict=True):
+    for body, given in _given(case).items():
         if given is not None and type(given) not in _OURS:  # which are what they should be
             law = given if isinstance(given, UserLaw) else CompletedLaw(given)
             key = f"wear.{body}.file" if isinstance(law, UserLaw) else f"wear.{body}"
+            if body not in _BODIES:
+                key = f"{body}.wear"
             try:
                 if law is not given:
                     check_object(given)
@@ -95,10 +110,9 @@ def check_laws(path: Path, overrides: Sequence[str]) -> int:
     """
     case = read_case(path, overrides)
     refuse_bad_laws(case, str(path), slopes=False)
-    failed = sum(
-        _tested(case, body, law) for body, law in zip(_BODIES, case.laws, strict=True) if law
-    )
-    for body, law in zip(_BODIES, case.laws, strict=True):
+    laws = _given(case)
+    failed = sum(_tested(case, body, complete(law)) for body, law in laws.items() if law)
+    for body, law in laws.items():
         if law is None:
             print(f"{body}: does not wear")
     if failed:

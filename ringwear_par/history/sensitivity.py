@@ -47,8 +47,9 @@ def differentiable(case: Case) -> dict[str, str]:
         ("load.force", load.force),
         ("load.displacement", load.displacement),
         ("load.omega", load.omega),
-        ("lower.young", case.lower.young),
-        ("upper.young", case.upper.young),
+        # one modulus of a body with layers is no factor of its elasticity
+        ("lower.young", None if case.lower.layers else case.lower.young),
+        ("upper.young", None if case.upper.layers else case.upper.young),
     ):
         if _is_number(number):
             found[key] = UNITS[key]

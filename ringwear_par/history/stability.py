@@ -4,12 +4,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.case import Case
 from ringwear_par.contact.problem import ContactState
 from ringwear_par.contact.solver import ContactSolver
 from ringwear_par.elasticity.pair import ContactCompliance, largest_stable_step
 from ringwear_par.schedules import integral, largest
-from ringwear_par.wear.law import LocalState
+from ringwear_par.wear.law import Law, LocalState
+from ringwear_par.wear.layered import LayeredLaw
 
 if TYPE_CHECKING:
     from ringwear_par.history.model import WearModel
@@ -54,9 +56,16 @@ def _stable_step(case: Case, compliance: ContactCompliance, most: float) -> floa
     for time in (0.0, *case.breakpoints):
         slid = integral(omega, 0.0, time) * line.arm
         at = LocalState(time, line.r, largest(omega) * line.arm, case.friction, zero, slid)
-        every = [law.d_rate_dp(p, at) for law in case.laws if law is not None]
+        every = [_steepest(law, p, at) for law in case.laws if law is not None]
         slopes = np.maximum(slopes, sum(every, zero))
     return largest_stable_step(compliance, slopes * compliance.obliquity)
+
+
+def _steepest(law: Law, p: FloatArray, at: LocalState) -> FloatArray:
+    """Return the slope of a law with pressure, the steepest of those of layers."""
+    if isinstance(law, LayeredLaw):
+        return np.max([own.d_rate_dp(p, at) for own in law.laws], axis=0)
+    return law.d_rate_dp(p, at)
 
 
 def pressed(solver: ContactSolver, case: Case) -> ContactState:

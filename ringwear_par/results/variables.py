@@ -145,6 +145,9 @@ LAYER_VOLUMES = _table(
 )  # fmt: skip
 #: all of them
 LAYERS = {**LAYER_HISTORIES, **LAYER_VOLUMES, **LAYER_PROFILES}
+#: what sweeps store: cases may have other numbers of layers each
+SWEPT_HISTORIES = {**HISTORIES, **LAYER_HISTORIES}
+SWEPT_PROFILES = {**PROFILES, **LAYER_PROFILES}
 
 # -- derivatives -----------------------------------------------------------------------------------
 

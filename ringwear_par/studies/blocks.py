@@ -1,7 +1,7 @@
 """Cases that are stored together, and a case by itself."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -9,7 +9,13 @@ import numpy as np
 from ringwear_par.arrays import FloatArray, IntArray
 from ringwear_par.cases.case import Case
 from ringwear_par.results.columns import HistoryColumns
-from ringwear_par.results.variables import HISTORIES, LINE, PROFILES
+from ringwear_par.results.variables import (
+    LAYER_HISTORIES,
+    LAYER_PROFILES,
+    LINE,
+    SWEPT_HISTORIES,
+    SWEPT_PROFILES,
+)
 from ringwear_par.studies.index import STATUS, Index, Kind, Piece, Source, index_of
 from ringwear_par.studies.texts import Texts
 
@@ -49,8 +55,9 @@ class Record:
 
     @property
     def fields(self) -> tuple[str, ...]:
-        """Fields along the contact line that are stored."""
-        return tuple(name for name in PROFILES if name in self.arrays)
+        """Fields along the contact line that are stored, and what is of bodies with layers."""
+        known = (*SWEPT_PROFILES, *LAYER_HISTORIES)
+        return tuple(name for name in known if name in self.arrays)
 
     @property
     def deep(self) -> bool:
@@ -63,7 +70,7 @@ def piece_of(record: Record, name: str) -> Piece | None:
     values = record.arrays.get(name)
     if values is None:
         return None
-    if name in LINE or (name in PROFILES and values.ndim == 1):
+    if name in LINE or (name in SWEPT_PROFILES and values.ndim == 1):
         return Piece(values[None])
     return Piece(values, np.array([0, len(values)]))
 
@@ -124,9 +131,9 @@ class Block:
         columns = HistoryColumns(
             offsets=np.cumsum([0, *(record.rows for record in records)]),
             steps=rows("step").astype(np.int64),
-            histories={name: rows(name) for name in HISTORIES if name in first},
+            histories={name: rows(name) for name in SWEPT_HISTORIES if name in first},
             profiles={
-                name: rows(name) if deep else last(name) for name in PROFILES if name in first
+                name: rows(name) if deep else last(name) for name in SWEPT_PROFILES if name in first
             },
             imbalance=np.array([record.imbalance for record in records]),
             flags=tuple(record.flags for record in records),
@@ -160,6 +167,15 @@ class Block:
         if case.output.times:
             first = columns.offsets[:-1]
             step = np.arange(len(step)) - np.repeat(first, np.diff(columns.offsets))
+        if columns.layers:
+            there = columns.layers.items()
+            share = {name: values for name, values in there if name in LAYER_HISTORIES}
+            left = {name: values for name, values in there if name in LAYER_PROFILES}
+            columns = replace(
+                columns,
+                histories={**columns.histories, **share},
+                profiles={**columns.profiles, **left},
+            )
         line = {"r": case.line.r, "width": case.line.width}
         deep = case.output.profiles == "all"
         return cls(tuple(ids), texts, version, line, deep, step, columns)

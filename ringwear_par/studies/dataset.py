@@ -24,7 +24,13 @@ from ringwear_par.cases.text import toml_value
 from ringwear_par.cases.values import is_number
 from ringwear_par.errors import InputError
 from ringwear_par.results.hdf5 import atomic_hdf5
-from ringwear_par.results.variables import HISTORIES, LINE, PROFILES, Variable
+from ringwear_par.results.variables import (
+    HISTORIES,
+    LAYER_HISTORIES,
+    LINE,
+    SWEPT_PROFILES,
+    Variable,
+)
 from ringwear_par.studies.case_variables import (
     WINDOW,
     ColumnWriter,
@@ -190,10 +196,11 @@ class _Writer:
         fields = {name for kind in self._kinds for name in kind.fields}
         variables = [
             *HISTORIES.values(),
+            *(variable for name, variable in LAYER_HISTORIES.items() if name in fields),
             *LINE.values(),
             *(
                 variable if self._deep else variable.at_last_step()
-                for name, variable in PROFILES.items()
+                for name, variable in SWEPT_PROFILES.items()
                 if name in fields
             ),
         ]

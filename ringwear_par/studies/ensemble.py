@@ -18,7 +18,7 @@ from ringwear_par.results.reading import (
     read_text,
     reading,
 )
-from ringwear_par.results.variables import HISTORIES, LINE, PROFILES, Variable
+from ringwear_par.results.variables import HISTORIES, LINE, SWEPT_PROFILES, Variable
 from ringwear_par.studies.index import split_flags
 from ringwear_par.studies.results_file import (
     FINAL,
@@ -94,11 +94,11 @@ class Ensemble:
         ------
         InputError : the file is damaged.
         """
-        variable = {**LINE, **PROFILES}[name]
+        variable = {**LINE, **SWEPT_PROFILES}[name]
         with reading(self.path, SOFTWARE, WHAT) as file:
             if name not in file:
                 return None
-            if name in PROFILES and file[name].ndim == 2:
+            if name in SWEPT_PROFILES and file[name].ndim == 2:
                 variable = variable.at_last_step()
             return find_array(file, over_cases(variable), {"case": len(self.ids)})[cases]
 

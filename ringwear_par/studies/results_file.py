@@ -17,7 +17,15 @@ from ringwear_par.results.reading import (
     read_words,
     reading,
 )
-from ringwear_par.results.variables import HISTORIES, LINE, PROFILES, STEP, Variable
+from ringwear_par.results.variables import (
+    HISTORIES,
+    LAYER_HISTORIES,
+    LINE,
+    STEP,
+    SWEPT_HISTORIES,
+    SWEPT_PROFILES,
+    Variable,
+)
 from ringwear_par.studies.earlier import UNKNOWN_VERSION
 from ringwear_par.studies.index import STATUS, Index, Kind, Piece, index_of, split_flags
 
@@ -111,7 +119,7 @@ def _index(path: Path, file: h5py.File) -> Index:
         read_array(file, OF_CASES[name], sizes)
         for name in ("steps_stored", "elements", "seconds", "imbalance")
     )
-    fields = tuple(name for name in PROFILES if name in file)
+    fields = tuple(name for name in (*SWEPT_PROFILES, *LAYER_HISTORIES) if name in file)
     deep = any(file[name].ndim == 3 for name in fields)
     version, flags = (
         read_words(file, name, sizes)
@@ -204,9 +212,9 @@ class Results:
 def _tables(file: h5py.File, sizes: dict[str, int]) -> dict[str, h5py.Dataset]:
     """Return the variables over cases and steps or elements."""
     found = {}
-    for name, variable in {**HISTORIES, **LINE, **PROFILES}.items():
+    for name, variable in {**SWEPT_HISTORIES, **LINE, **SWEPT_PROFILES}.items():
         if name in file:
-            last = name in PROFILES and file[name].ndim == 2
+            last = name in SWEPT_PROFILES and file[name].ndim == 2
             own = over_cases(variable.at_last_step() if last else variable)
             found[name] = find_array(file, own, sizes)
     return found

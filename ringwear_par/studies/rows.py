@@ -11,7 +11,7 @@ from ringwear_par.arrays import BoolArray, FloatArray, IntArray
 from ringwear_par.cases.numbers import Number, interval_of
 from ringwear_par.studies.designs import Draft
 from ringwear_par.studies.texts import Place
-from ringwear_par.studies.variations import Column, split_key, varied_keys
+from ringwear_par.studies.variations import Column, path_of, split_key, varied_keys
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,6 +41,9 @@ class Rows:
         for i, (path, entry) in enumerate(map(split_key, draft.names)):
             if isinstance(entry, int) or draft.columns[i].numbers is None:
                 continue
+            body, _, own = path.partition(".")
+            if own == "young" and _has_layers(draft, body):
+                continue  # of other layers: no one factor of the elasticity
             if interval_of((path, entry)) is not None:
                 numbers[path, entry] = i
         return cls(draft.base, draft.names, draft.columns, numbers)
@@ -93,6 +96,12 @@ class Rows:
             for number, i in self.numbers.items()
             if (values := self.columns[i].numbers) is not None
         }
+
+
+def _has_layers(draft: Draft, body: str) -> bool:
+    """Tell whether a body may have layers in a study."""
+    path = f"{body}.layers"
+    return path in draft.base or any(path_of(name) == path for name in draft.names)
 
 
 def by_kind(kinds: IntArray) -> Iterator[tuple[int, IntArray]]:

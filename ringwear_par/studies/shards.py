@@ -18,7 +18,7 @@ import numpy as np
 
 from ringwear_par.arrays import IntArray
 from ringwear_par.errors import ComputationError
-from ringwear_par.results.variables import LINE, PROFILES
+from ringwear_par.results.variables import LAYER_HISTORIES, LINE, SWEPT_PROFILES
 from ringwear_par.studies.blocks import Block
 from ringwear_par.studies.connections import ReadFile, columns_there, connect
 from ringwear_par.studies.earlier import read_cases
@@ -186,7 +186,7 @@ class _Blocks:
         if _checksum([data]) != crc:
             raise ValueError(name)
         values = np.frombuffer(data, dtype=_dtype(name))
-        if name in PROFILES or name in LINE:
+        if name in SWEPT_PROFILES or name in LINE:
             values = values.reshape(-1, elements)
         return Piece(values, self.offsets[block] if layout[name] == _ROWS else None)
 
@@ -296,12 +296,12 @@ def _index_block(
         raise ValueError(status)
     count = {_ROWS: int(rows.sum()), _EACH: len(names), _ONCE: 1}
     for name, how in layout.items():
-        wide = elements if name in PROFILES or name in LINE else 1
+        wide = elements if name in SWEPT_PROFILES or name in LINE else 1
         if sizes[name] != 8 * wide * count[how]:
             raise ValueError(name)
     flags = {int(i): tuple(own) for i, own in about["flags"].items()}
-    fields = tuple(name for name in PROFILES if name in layout)
-    deep = any(layout[name] == _ROWS for name in fields)
+    fields = tuple(name for name in (*SWEPT_PROFILES, *LAYER_HISTORIES) if name in layout)
+    deep = any(layout[name] == _ROWS for name in fields if name in SWEPT_PROFILES)
     plain = Kind(version, (), fields, deep)
     kinds = [plain] if not flags else [
         plain._replace(flags=flags.get(i, ())) for i in range(len(names))

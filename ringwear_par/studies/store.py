@@ -24,6 +24,7 @@ from ringwear_par.history.balances import Balances
 from ringwear_par.results.checkpoints import restored
 from ringwear_par.results.files import open_result
 from ringwear_par.results.reading import UnreadableError
+from ringwear_par.results.variables import LAYER_VOLUMES
 from ringwear_par.studies import results_file, shards
 from ringwear_par.studies.blocks import Record, index_record, piece_of
 from ringwear_par.studies.identities import case_id
@@ -251,6 +252,7 @@ def _interrupted(path: Path) -> Record:
             "r": result.line.r,
             "width": result.line.width,
             **result.profiles,
+            **{name: v for name, v in result.layers.items() if name not in LAYER_VOLUMES},
         }
     except DAMAGE as error:
         raise InputError(f"{path}: is damaged") from error
