@@ -16,7 +16,7 @@ from ringwear_par.contact.active_sets import follow, natural
 from ringwear_par.contact.blocks import HessianBlocks
 from ringwear_par.contact.interleaved import multiply, multiply_more
 from ringwear_par.contact.lockstep import LockStepNewton
-from ringwear_par.contact.problem import KKT_TOLERANCE, ContactState
+from ringwear_par.contact.problem import KKT_TOLERANCE, ContactState, on_curve
 from ringwear_par.contact.tao import OPEN, Guard
 from ringwear_par.elasticity.compiling import load_compiled
 from ringwear_par.errors import HistoriesError
@@ -127,6 +127,16 @@ class _Callbacks:
             coupling[:, own, own] -= blocks.slope[rows]
             blocks.coupling[rows] = coupling
 
+    def on_curve(self, before: FloatArray, after: FloatArray) -> FloatArray:
+        """Return unknowns after a Newton step, those at work back on curves, see ``problem``."""
+        assert self.wear is not None
+        (wear, _), rows = self._worn(self.wear, after), self._rows
+        found = after.copy()
+        found[rows] = on_curve(
+            wear, before[rows], after[rows], self._scale[rows], self._weights[rows]
+        )
+        return found
+
     def steepest(self, q: FloatArray) -> FloatArray:
         """Return what wear adds to the diagonal, (B, n), of either side of a kink of the law."""
         if self.wear is None:
@@ -229,6 +239,7 @@ class BatchSolver:
         else:
             raise ValueError("force or approach must be given")
         self._callbacks.pose(wear)
+        newton.bend = self._callbacks.on_curve if wear is not None and wear.bends else None
         self._pose_coupling(wear)
         newton.at_work = asked
         if apart.any():

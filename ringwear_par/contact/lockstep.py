@@ -6,6 +6,8 @@ that the force is met, to round-off, by every step. There is no damped iteration
 sets cycle is given up, and is computed alone.
 """
 
+from collections.abc import Callable
+
 import numpy as np
 
 from ringwear_par.arrays import BoolArray, FloatArray, IntArray
@@ -32,6 +34,8 @@ class LockStepNewton(Method):
         self._blocks, self._weights = blocks, weights
         #: (h,) the histories that are at work: others stay as they are, and so does their gradient
         self.at_work: IntArray = np.arange(len(weights))
+        #: puts the unknowns of histories at work back on curves, see ``newton``, if any
+        self.bend: Callable[[FloatArray, FloatArray], FloatArray] | None = None
         #: (B, n) mm, (B,) mm, and (B,) N, or (0,) where approaches are given
         self.gaps, self.approaches = np.zeros_like(weights), np.zeros(len(weights))
         self.forces = np.zeros(0)
@@ -59,10 +63,13 @@ class LockStepNewton(Method):
             stop_if_told(tao)
             blocks.refresh(histories, free, weights)
             steps = blocks.solve(histories, -gradient[histories])
+            before = None if self.bend is None else q.copy()
             advance(
                 histories, weights, blocks.border, blocks.sums, self.forces, steps, q,
                 self.approaches,
             )  # fmt: skip
+            if self.bend is not None and before is not None:
+                q = self.bend(before, q)
             gradient = self._evaluate(tao, q)
             found = np.empty(len(histories), dtype=np.int64)
             changed = settle(

@@ -128,6 +128,11 @@ class WearIncrement:
         elif isinstance(self.step, np.ndarray):
             object.__setattr__(self, "step", columns(self.step))
 
+    @property
+    def bends(self) -> bool:
+        """Whether depth may almost jump with pressure, so that straight lines tell little of it."""
+        return False
+
     def history(self, i: int) -> "WearIncrement":
         """Return the increment of one of B histories."""
         return type(self)(

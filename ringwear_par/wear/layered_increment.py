@@ -62,6 +62,11 @@ class LayeredIncrement(WearIncrement):
         }
         object.__setattr__(self, "_bodies", bodies)
 
+    @property
+    def bends(self) -> bool:
+        """Whether there is any layer left to get through."""
+        return any(bool(body.left.any()) for body in self._bodies.values())
+
     # -- how time divides --------------------------------------------------------------------------
 
     def _full(
