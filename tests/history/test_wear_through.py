@@ -1,0 +1,194 @@
+"""Histories that wear through layers: balances, accuracy, thresholds, batches, restarts, ranks."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from mpi4py import MPI
+
+import ringwear_par as rw
+from ringwear_par.history.pairs import assemble
+from ringwear_par.history.sensitivity import differentiable
+from ringwear_par.history.simulate import simulate
+from ringwear_par.history.trace import Trace, trace
+from ringwear_par.results import files
+from ringwear_par.studies.batches import computed
+
+CASE = Path(__file__).parents[2] / "scripts" / "cases" / "wear_through.toml"
+ALONE = MPI.COMM_SELF
+LAYER = {"thickness": 0.003, "young": 10e3, "poisson": 0.3}
+SOFT = {"law": "threshold", "k": 1e-7, "p0": 0.0}
+FIXED = {"time.scheme": "implicit", "time.end": None}
+SCHEMES = {
+    "adaptive": {"time.end": 120.0},
+    "implicit": {**FIXED, "time.step": 4.0, "time.steps": 30},
+    "explicit": {**FIXED, "time.scheme": "explicit", "time.step": 0.5, "time.steps": 240},
+}
+
+
+def case_of(layer=None, layers=None, **changes):
+    """A small case whose layers have the body's own moduli."""
+    own = {"wear": {"law": "threshold", "k": 2e-8}, **LAYER, **(layer or {})}
+    keys = {"lower.layers": [own] if layers is None else layers, "mesh.contact_elements": 24}
+    return rw.read_case(CASE, {**keys, "mesh.grading": 1.5, **changes})
+
+
+@pytest.fixture(scope="module")
+def pair():
+    return assemble(case_of(), ALONE)
+
+
+@pytest.mark.parametrize("scheme", SCHEMES)
+def test_energy_goes_into_the_layers_one_after_the_other(pair, scheme):
+    """V_c / k_c + V_s / k_s is the energy, of both bodies, through two layers of lower."""
+    two = [{**LAYER, "thickness": 5e-4, "wear": {**SOFT, "k": 3e-7}}, {**LAYER, "wear": SOFT}]
+    upper = [{**LAYER, "thickness": 2e-4, "wear": {**SOFT, "k": 1e-8}}]
+    case = case_of(
+        layers=two, **{"upper.layers": upper, "wear.upper.law": "archard", "wear.upper.k": 2e-9},
+        **{"wear.lower.k": 4e-7}, **SCHEMES[scheme],
+    )  # fmt: skip
+    history = trace(case, ALONE, pair=pair)
+    last, model = history.last, history.model
+    assert history.balances.energy < 1e-12
+    assert history.balances.volume < 1e-12
+    lower, upper = (model.layer_volumes(i, last.wear[i]) for i in (0, 1))
+    energy = lower / [3e-7, 1e-7, 4e-7]
+    assert energy.sum() == pytest.approx(last.energy, rel=1e-12)
+    assert (upper / [1e-8, 2e-9 / 0.1]).sum() == pytest.approx(last.energy, rel=1e-12)
+    assert (energy > 0.02 * last.energy).all()  # it is in the body itself by now
+    assert np.isfinite(last.through).all()
+    for i in (0, 1):
+        before = [s.time for s in history.states if (model.layer_left(i, s.wear[i]) > 0.0).all()]
+        after = [s.time for s in history.states if (model.layer_left(i, s.wear[i]) <= 0.0).any()]
+        assert before[-1] <= last.through[i] <= after[0]
+
+
+@pytest.mark.parametrize("scheme", SCHEMES)
+def test_a_layer_that_wears_as_the_body_is_none(pair, scheme):
+    layered = trace(case_of({"wear": SOFT}, **SCHEMES[scheme]), ALONE, pair=pair)
+    plain = trace(case_of(layers=[], **SCHEMES[scheme]), ALONE, pair=pair)
+    near = {"atol": 5e-6} if scheme == "adaptive" else {"rtol": 1e-10}
+    np.testing.assert_allclose(layered.last.wear, plain.last.wear, **near)
+    assert layered.last.energy == pytest.approx(plain.last.energy, rel=1e-5)
+
+
+@pytest.mark.parametrize("p0", [0.0, 85.0])
+def test_adaptive_steps_find_when_elements_get_through(pair, p0):
+    """Within 0.02 um of a converged history at any time, the mean pressure being 80 MPa."""
+    times = np.linspace(4.0, 160.0, 40).tolist()
+    wear = {"wear": {**SOFT, "k": 2e-8, "p0": p0}}
+    case = case_of(wear, **{"time.end": 160.0, "output.times": times})
+
+    def depths(tolerance):
+        history = trace(case.replace({"time.tolerance": tolerance}), ALONE, pair=pair)
+        return np.array([history.at(time).wear[0] for time in times]), history
+
+    found, history = depths(2.5e-6)
+    exact, fine = depths(5e-8)
+    assert np.abs(found - exact).max() < 2e-5
+    assert ((exact > 0.003).mean(axis=1) > 0.1).any()
+    assert history.last.through[0] == pytest.approx(fine.last.through[0], rel=0.02)
+    assert history.steps < 400
+
+
+@pytest.mark.parametrize("step", [2.0, 60.0])
+@pytest.mark.parametrize("p0", [60.0, 79.0, 100.0, 150.0])
+def test_a_threshold_above_the_pressure_fails_no_step(pair, p0, step):
+    """The load is borne by islands of the coating, at its threshold, as the body recedes."""
+    case = case_of(
+        {"wear": {**SOFT, "k": 1e-7, "p0": p0}, "thickness": 0.001},
+        **{**FIXED, "time.step": step, "time.steps": 30, "wear.lower.k": 3e-7},
+    )
+    history = trace(case, ALONE, pair=pair)
+    assert history.balances.worst < 1e-9
+    through = history.model.layer_left(0, history.last.wear[0]) <= 0.0
+    assert through.any()
+    assert (np.diff([state.wear[0] for state in history.states], axis=0) >= 0.0).all()
+
+
+def test_histories_in_lock_step_are_those_alone_and_none_is_given_up(pair):
+    base = case_of(**{"time.end": 80.0})
+    numbers = [(1e-8, 0.0, 1e-7), (4e-8, 60.0, 3e-7), (3e-8, 100.0, 1e-6), (2e-8, 20.0, 5e-8)]
+    keys = ("lower.layers[0].wear.k", "lower.layers[0].wear.p0", "wear.lower.k")
+    cases = [base.replace(dict(zip(keys, each, strict=True))) for each in numbers]
+    (together,) = computed(cases, pair, keep_ends=True)
+    assert not together.alone
+    for case, result in zip(cases, together.results(), strict=True):
+        (by_itself,) = computed([case], pair, keep_ends=True)
+        (same,) = by_itself.results()
+        for name in (*same.histories, *same.layers):
+            known = same.histories | same.layers, result.histories | result.layers
+            np.testing.assert_array_equal(*(each[name] for each in known), err_msg=name)
+        alone = rw.simulate(case, ALONE, pair=pair)
+        off = np.abs(alone.profiles["wear_lower"][-1] - result.profiles["wear_lower"][-1])
+        assert off.max() < 2e-5
+        ends = (each.attributes["time_through_lower"] for each in (alone, result))
+        np.testing.assert_allclose(*ends, rtol=1e-3)
+
+
+def test_layers_of_other_thicknesses_do_not_share_a_batch(pair):
+    cases = [case_of({"thickness": t}, **{"time.end": 20.0}) for t in (0.001, 0.003)]
+    sizes = sorted(len(each.numbers) for each in computed(cases, pair))
+    assert sizes == [1, 1]
+
+
+def test_ranks_have_the_same_history(comm, pair):
+    case = case_of(**{"time.end": 60.0})
+    together, alone = trace(case, comm), trace(case, ALONE, pair=pair)
+    np.testing.assert_allclose(together.last.wear, alone.last.wear, atol=2e-6)
+    np.testing.assert_allclose(together.last.through, alone.last.through, rtol=1e-6)
+
+
+def test_a_restart_goes_on_in_a_coating_and_after_it(restarted):
+    settings = ["mesh.contact_elements=16", "time.end=60.0"]
+    whole, parts = restarted(CASE, settings, 40)
+    one, other = files.open_result(whole), files.open_result(parts)
+    assert 0.0 < one.attributes["time_through_lower"] < 60.0
+    for name in ("wear_lower", "pressure"):
+        np.testing.assert_array_equal(one.profiles[name], other.profiles[name])
+    for name in one.layers:
+        np.testing.assert_array_equal(one.layers[name], other.layers[name])
+    assert one.attributes["time_through_lower"] == other.attributes["time_through_lower"]
+
+
+KEYS = (
+    "lower.layers[0].wear.k", "lower.layers[0].wear.p0", "wear.lower.k", "load.pressure",
+    "contact.friction",
+)  # fmt: skip
+
+
+@pytest.mark.parametrize("scheme", SCHEMES)
+def test_derivatives_are_those_of_differences(pair, scheme):
+    """Most elements: those that pass an interface at another place spoil single ones."""
+    changes = dict(SCHEMES[scheme])
+    if scheme == "explicit":
+        changes |= {"time.step": 0.02, "time.steps": 60}  # stable
+    layer = {"wear": {"law": "threshold", "k": 2e-8, "p0": 5.0}}
+    if scheme == "explicit":
+        layer |= {"thickness": 2e-5}
+    case = case_of(layer, **changes)
+    assert set(KEYS) <= differentiable(case).keys()
+    assert "lower.young" not in differentiable(case)  # of a stack it is no factor
+    times = None
+    if scheme == "adaptive":
+        times = [state.time for state in trace(case, ALONE, pair=pair).states[1:]]
+
+    def history(changed, keys=()):
+        seen = Trace()
+        how = {"observers": [seen], "derivatives": keys, "step_times": times}
+        simulate(changed, ALONE, pair=pair, **how)
+        return seen
+
+    found = history(case, KEYS)
+    state = found.last
+    assert 0.0 < (found.model.layer_left(0, state.wear[0]) <= 0.0).mean() < 1.0
+    values = (2e-8, 5.0, 1e-7, 80.0, 0.1)
+    for row, (key, number) in enumerate(zip(KEYS, values, strict=True)):
+        h = 1e-6 * number
+        ends = [history(case.replace({key: number + s * h})).last for s in (1.0, -1.0)]
+        for name, derivative in (
+            ("wear", state.tangent.wear[:, row]), ("energy", state.tangent.energy[row])
+        ):  # fmt: skip
+            change = np.subtract(*(getattr(end, name) for end in ends)) / (2.0 * h)
+            size = np.abs(derivative).max() or 1.0
+            assert np.median(np.abs(change - derivative)) < 1e-5 * size, (key, name)
