@@ -180,6 +180,21 @@ class LayeredIncrement(WearIncrement):
             found = np.where(ends, np.divide(c, a, out=np.ones_like(a), where=ends), found)
         return found
 
+    def faster(self, p: FloatArray, most: float) -> FloatArray:
+        """Return how many times faster elements may wear under the layer that is worn, (..., n).
+
+        Which is what an error of depth in this layer becomes, by then of time; from 1 to ``most``.
+        """
+        found = np.ones_like(p)
+        for body in self._bodies.values():
+            full = self._depths(body, p)
+            here, below = self._present(body, full), np.zeros_like(p)
+            for number in range(1, len(full)):
+                below = np.where(number > body.present, np.maximum(below, full[number]), below)
+            times = np.divide(below, here, out=np.ones_like(p), where=here > 0.0)
+            found = np.maximum(found, np.minimum(times, most))
+        return found
+
     def explicit(self, p: FloatArray) -> FloatArray:
         """Return what both lose at the rates of the start, (2, ..., n) mm, layer by layer."""
         depths = np.zeros((2, *p.shape))

@@ -55,7 +55,7 @@ def test_energy_goes_into_the_layers_one_after_the_other(pair, scheme):
     energy = lower / [3e-7, 1e-7, 4e-7]
     assert energy.sum() == pytest.approx(last.energy, rel=1e-12)
     assert (upper / [1e-8, 2e-9 / 0.1]).sum() == pytest.approx(last.energy, rel=1e-12)
-    assert (energy > 0.02 * last.energy).all()  # it is in the body itself by now
+    assert (energy > 0.01 * last.energy).all()  # it is in the body itself by now
     assert np.isfinite(last.through).all()
     for i in (0, 1):
         before = [s.time for s in history.states if (model.layer_left(i, s.wear[i]) > 0.0).all()]
@@ -86,7 +86,7 @@ def test_adaptive_steps_find_when_elements_get_through(pair, p0):
     found, history = depths(2.5e-6)
     exact, fine = depths(5e-8)
     assert np.abs(found - exact).max() < 2e-5
-    assert ((exact > 0.003).mean(axis=1) > 0.1).any()
+    assert ((exact > 0.003).sum(axis=1) > 1).any()
     assert history.last.through[0] == pytest.approx(fine.last.through[0], rel=0.02)
     assert history.steps < 400
 
@@ -139,11 +139,11 @@ def test_ranks_have_the_same_history(comm, pair):
     np.testing.assert_allclose(together.last.through, alone.last.through, rtol=1e-6)
 
 
-def test_a_restart_goes_on_in_a_coating_and_after_it(restarted):
-    settings = ["mesh.contact_elements=16", "time.end=60.0"]
-    whole, parts = restarted(CASE, settings, 40)
+def test_a_restart_goes_on_where_a_coating_is_partly_gone(restarted):
+    settings = ["mesh.contact_elements=16", "time.end=90.0"]
+    whole, parts = restarted(CASE, settings, 16)
     one, other = files.open_result(whole), files.open_result(parts)
-    assert 0.0 < one.attributes["time_through_lower"] < 60.0
+    assert 0.0 < one.attributes["time_through_lower"] < one.histories["time"][16] < 90.0
     for name in ("wear_lower", "pressure"):
         np.testing.assert_array_equal(one.profiles[name], other.profiles[name])
     for name in one.layers:
@@ -184,11 +184,12 @@ def test_derivatives_are_those_of_differences(pair, scheme):
     assert 0.0 < (found.model.layer_left(0, state.wear[0]) <= 0.0).mean() < 1.0
     values = (2e-8, 5.0, 1e-7, 80.0, 0.1)
     for row, (key, number) in enumerate(zip(KEYS, values, strict=True)):
-        h = 1e-6 * number
+        h = 1e-5 * number
         ends = [history(case.replace({key: number + s * h})).last for s in (1.0, -1.0)]
         for name, derivative in (
             ("wear", state.tangent.wear[:, row]), ("energy", state.tangent.energy[row])
         ):  # fmt: skip
             change = np.subtract(*(getattr(end, name) for end in ends)) / (2.0 * h)
-            size = np.abs(derivative).max() or 1.0
-            assert np.median(np.abs(change - derivative)) < 1e-5 * size, (key, name)
+            size = np.abs(derivative).max()
+            noise = 1e-11 * np.abs(getattr(state, name)).max() / h  # of what contacts leave
+            assert np.median(np.abs(change - derivative)) < 1e-4 * size + noise, (key, name)
