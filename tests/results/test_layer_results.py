@@ -1,0 +1,139 @@
+"""Results of bodies with layers: variables, words, tables, pictures, sweeps."""
+
+import csv
+from pathlib import Path
+
+import numpy as np
+import pytest
+from mpi4py import MPI
+
+import ringwear_par as rw
+from ringwear_par.results.export import export
+from ringwear_par.results.figures import plot
+
+CASE = Path(__file__).parents[2] / "scripts" / "cases" / "wear_through.toml"
+LAYER = {"thickness": 0.003, "young": 10e3, "poisson": 0.3}
+SMALL = {
+    "mesh.contact_elements": 16, "time.scheme": "implicit", "time.end": None, "time.step": 10.0,
+    "time.steps": 9,
+}  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def result():
+    """Two layers below, one above, whose volumes have dimensions of their own."""
+    below = [{**LAYER, "thickness": 5e-4}, LAYER]
+    upper = {"upper.layers": [{**LAYER, "wear": {"law": "archard", "k": 1e-10}}]}
+    return rw.simulate(rw.read_case(CASE, {"lower.layers": below, **upper, **SMALL}), MPI.COMM_SELF)
+
+
+def test_variables_of_layers_are_those_of_the_contract(result, tmp_path):
+    result.save(tmp_path / "run.h5")
+    xarray = pytest.importorskip("xarray")
+    pytest.importorskip("h5netcdf")
+    data = xarray.open_dataset(tmp_path / "run.h5", engine="h5netcdf")
+    assert data["worn_volume_lower_layers"].dims == ("step", "layer")
+    assert data["worn_volume_upper_layers"].dims == ("step", "layer_upper")
+    assert data["layer_left_lower"].dims == ("step", "element")
+    assert data["share_through_lower"].dims == ("step",)
+    assert {data[name].attrs["units"] for name in ("layer_left_lower", "wear_lower")} == {"mm"}
+    for body in ("lower", "upper"):
+        total = data[f"worn_volume_{body}_layers"].sum(axis=1)
+        np.testing.assert_allclose(total, data[f"worn_volume_{body}"], rtol=1e-13)
+    left = np.maximum(0.0035 - data["wear_lower"].values, 0.0)
+    np.testing.assert_allclose(data["layer_left_lower"], left, atol=1e-15)
+    area = 2.0 * np.pi * data["r"] * data["width"]
+    share = ((left == 0.0) * area.values).sum(axis=1) / area.values.sum()
+    np.testing.assert_allclose(data["share_through_lower"], share, rtol=1e-12)
+    time = data.attrs["time_through_lower"]
+    assert data["time"][np.argmax(share > 0) - 1] < time <= data["time"][np.argmax(share > 0)]
+    assert np.isnan(data.attrs["time_through_upper"])
+    again = rw.open_result(tmp_path / "run.h5")
+    for name, values in result.layers.items():
+        np.testing.assert_array_equal(again.layers[name], values)
+    assert again.to_xarray().equals(result.to_xarray())
+
+
+def test_a_body_with_layers_that_has_no_others_beside(tmp_path):
+    one = rw.simulate(rw.read_case(CASE, {**SMALL, "output.profiles": "last"}), MPI.COMM_SELF)
+    assert one.layers["layer_left_lower"].shape == (16,)
+    assert one.layers["worn_volume_lower_layers"].shape == (10, 2)
+    assert set(one.layers) == {
+        "share_through_lower", "worn_volume_lower_layers", "layer_left_lower"
+    }  # fmt: skip
+    one.save(tmp_path / "run.h5")
+    again = rw.open_result(tmp_path / "run.h5")
+    np.testing.assert_array_equal(again.layers["layer_left_lower"], one.layers["layer_left_lower"])
+    assert dict(rw.simulate(rw.read_case(CASE, {**SMALL, "lower.layers": None})).layers) == {}
+
+
+def test_the_summary_says_what_has_become_of_layers(result):
+    told = result.summary()
+    assert "through a layer of 0.5 um, then" in told
+    assert "layers of lower: 0.5 um of E = 10000 MPa, nu = 0.3, then 3 um of E" in told
+    share = 100.0 * result.layers["share_through_lower"][-1]
+    time = result.attributes["time_through_lower"]
+    assert f"worn through over {share:.4g} % of the contact area, first at t = {time:.4g} s" in told
+    assert "of the body itself 0 mm3; nowhere worn through" in told  # upper
+    assert "worn volume by layer against energy" in told
+
+
+def test_a_worn_layer_of_another_modulus_is_a_doubt(result):
+    assert not any("elasticity is that of the unworn layers" in text for text in result.doubts)
+    hard = rw.simulate(rw.read_case(CASE, SMALL), MPI.COMM_SELF)
+    (doubt,) = [text for text in hard.doubts if "unworn layers" in text]
+    assert "lower.layers[0] is worn off where it bears load" in doubt
+
+
+def test_layers_in_tables_and_pictures(result, tmp_path):
+    export(result, tmp_path / "history.csv")
+    with (tmp_path / "history.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert (
+        float(rows[-1]["worn_volume_lower_layers[2] (mm3)"])
+        == (result.layers["worn_volume_lower_layers"][-1, 2])
+    )
+    assert float(rows[-1]["share_through_lower"]) == result.layers["share_through_lower"][-1]
+    export(result, tmp_path / "line.csv", fields=True)
+    assert "layer_left_lower (mm)" in (tmp_path / "line.csv").read_text().splitlines()[0]
+    wear, through = plot(result, "wear,through").axes
+    drawn = [line.get_ydata() for line in through.lines]
+    np.testing.assert_allclose(drawn[0], 100.0 * result.layers["share_through_lower"])
+    grey = [line for line in wear.lines if line.get_color() == "0.4"]
+    interface = [line for line in grey if line.get_linestyle() == ":"]
+    np.testing.assert_allclose(interface[0].get_ydata(), -3.5)  # um, of lower
+    plain = rw.simulate(rw.read_case(CASE, {**SMALL, "lower.layers": None}), MPI.COMM_SELF)
+    with pytest.raises(rw.InputError, match="through needs a body with layers"):
+        plot(plain, "through")
+
+
+@pytest.mark.serial
+def test_sweeps_over_thicknesses_and_laws_of_layers(tmp_path):
+    study = {
+        "case": {**rw_tables(), **SMALL},
+        "vary": {
+            "lower.layers[0].thickness": {"values": ["0.5 um", 0.003]},
+            "lower.layers[0].wear.k": {"log": [1e-8, 4e-8], "count": 2},
+        },
+        "design": {"method": "grid"},
+    }
+    rw.sweep(rw.read_study(study), tmp_path / "out", MPI.COMM_SELF)
+    data = rw.open_ensemble(tmp_path / "out")
+    thickness, k = (data[f"lower.layers[0].{name}"].values for name in ("thickness", "wear.k"))
+    assert sorted(set(thickness)) == [5e-4, 3e-3]
+    assert data["lower.layers[0].thickness"].attrs["units"] == "mm"
+    for i in range(4):
+        case = rw.read_case(study["case"]).replace(
+            {"lower.layers[0].thickness": thickness[i], "lower.layers[0].wear.k": k[i]}
+        )
+        alone = rw.simulate(case, MPI.COMM_SELF)
+        for name in ("share_through_lower", "layer_left_lower"):
+            np.testing.assert_allclose(data[name][i], alone.layers[name], atol=1e-9, err_msg=name)
+
+
+def rw_tables():
+    """The case without its comments, by dotted keys."""
+    from ringwear_par.cases.keys import read_keys
+
+    keys = read_keys(CASE.read_text())
+    return {path: value for path, value in keys.items() if path != "time.end"}
