@@ -64,8 +64,8 @@ def plot(
     Profiles (``wear``, ``pressure``) and deformed sections (``section``, the last one stored) are
     drawn of every result, one panel each, profiles on one scale; the histories of all of them share
     a panel (``penetration``, ``approach``, ``force``, ``torque``, ``energy``, ``volume``, ``rate``,
-    ``pv`` and, of bodies with layers, ``through``). A panel for which a result holds nothing is left
-    out, with a warning, if there are others.
+    ``pv`` and, of bodies with layers, ``through``). A panel for which a result holds nothing is
+    left out, with a warning, if there are others.
 
     Parameters
     ----------
