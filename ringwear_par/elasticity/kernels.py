@@ -112,7 +112,8 @@ def elliptic(m1: float) -> tuple[float, float]:
 
 
 @compiled(inline="always")
-def _moments_by_recursion(r: float, a: float, b: float) -> Moments:
+def moments_by_recursion(r: float, a: float, b: float) -> Moments:
+    """Return what ``moments`` does, away from the axis."""
     near2 = a * a + b * b
     span2 = 4.0 * r * (r + a)
     far2 = near2 + span2
@@ -135,7 +136,8 @@ def _moments_by_recursion(r: float, a: float, b: float) -> Moments:
 
 
 @compiled(inline="always")
-def _moments_by_quadrature(r: float, a: float, b: float) -> Moments:
+def moments_by_quadrature(r: float, a: float, b: float) -> Moments:
+    """Return what ``moments`` does, near the axis or far from the source."""
     near2 = a * a + b * b
     span2 = 4.0 * r * (r + a)
     i10 = i11 = i30 = i31 = i32 = i50 = i51 = i52 = i53 = 0.0
@@ -158,7 +160,8 @@ def _moments_by_quadrature(r: float, a: float, b: float) -> Moments:
 
 
 @compiled(inline="always")
-def _is_small(r: float, a: float, b: float) -> bool:
+def is_small(r: float, a: float, b: float) -> bool:
+    """Tell whether the parameter is too small for the recursions."""
     span2 = 4.0 * r * (r + a)
     return span2 < SMALL_PARAMETER * (a * a + b * b + span2)
 
@@ -172,9 +175,9 @@ def moments(r: float, a: float, b: float) -> Moments:
     r : radius of the source, mm, >= 0.
     a, b : radial and axial offset of the field point, mm, not both zero.
     """
-    if _is_small(r, a, b):
-        return _moments_by_quadrature(r, a, b)
-    return _moments_by_recursion(r, a, b)
+    if is_small(r, a, b):
+        return moments_by_quadrature(r, a, b)
+    return moments_by_recursion(r, a, b)
 
 
 @compiled(inline="always")
@@ -229,7 +232,7 @@ def _from_moments(
 
 @compiled
 def _near_axis(r: float, a: float, b: float, nr: float, nz: float, nu: float) -> RingKernels:
-    return _from_moments(_moments_by_quadrature(r, a, b), r, a, b, nr, nz, nu)
+    return _from_moments(moments_by_quadrature(r, a, b), r, a, b, nr, nz, nu)
 
 
 @compiled
@@ -240,9 +243,9 @@ def ring_kernels(r: float, a: float, b: float, nr: float, nz: float, nu: float) 
     field point; ``t`` stands for theta, which uncouples. U in 1/MPa at E = 1, T in 1; both carry
     the ``r1`` of ``dS = r1 dtheta ds``.
     """
-    if _is_small(r, a, b):
+    if is_small(r, a, b):
         return _near_axis(r, a, b, nr, nz, nu)
-    return _from_moments(_moments_by_recursion(r, a, b), r, a, b, nr, nz, nu)
+    return _from_moments(moments_by_recursion(r, a, b), r, a, b, nr, nz, nu)
 
 
 # contraction: products and sums in one instruction; nothing else may be reordered
@@ -261,7 +264,7 @@ def fill_tile(tile: FloatArray, count: int, r: float, nu: float) -> None:
     for i in range(count):
         a, b = tile[i], tile[TILE + i]
         values = _from_moments(
-            _moments_by_recursion(r, a, b), r, a, b, tile[2 * TILE + i], tile[3 * TILE + i], nu
+            moments_by_recursion(r, a, b), r, a, b, tile[2 * TILE + i], tile[3 * TILE + i], nu
         )
         tile[_KERNELS + i] = values[0]
         tile[_KERNELS + TILE + i] = values[1]
@@ -273,11 +276,11 @@ def fill_tile(tile: FloatArray, count: int, r: float, nu: float) -> None:
         tile[_KERNELS + 7 * TILE + i] = values[7]
         tile[_KERNELS + 8 * TILE + i] = values[8]
         tile[_KERNELS + 9 * TILE + i] = values[9]
-        small += _is_small(r, a, b)
+        small += is_small(r, a, b)
     if small == 0:
         return
     for i in range(count):
-        if _is_small(r, tile[i], tile[TILE + i]):
+        if is_small(r, tile[i], tile[TILE + i]):
             values = _near_axis(
                 r, tile[i], tile[TILE + i], tile[2 * TILE + i], tile[3 * TILE + i], nu
             )

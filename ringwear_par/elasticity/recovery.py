@@ -92,7 +92,7 @@ class BoundaryRecovery:
         slope: FloatArray,
         shape: FloatArray | None,
     ) -> BoundaryFields:
-        zones = zip(self._responses(i, slope, shape), self._worn_zones(i, wear), strict=True)
+        zones = zip(self.responses(i, slope, shape), self._worn_zones(i, wear), strict=True)
         return joined(
             [self._of_zone(i, unit, shown, p, approach, friction, wear) for unit, shown in zones]
         )
@@ -140,12 +140,17 @@ class BoundaryRecovery:
             response.traction[..., 0], pressure, depth,
         )  # fmt: skip
 
-    def _responses(
+    def responses(
         self, i: int, slope: FloatArray, shape: FloatArray | None
     ) -> list[BoundaryResponse]:
-        """Return the responses of a body whose elements followed (n,) mm of wear. Collective.
+        """Return the responses of the zones of lower (0) or upper (1), in the body's own frame.
 
-        Slopes are those of ``boundary_conditions``.
+        Collective on comm.
+
+        Parameters
+        ----------
+        slope : (n,) float, that of ``boundary_conditions``.
+        shape : (n,) float, mm, wear that the elements have followed; None: none.
         """
         line, which = self._line, BODIES[i]
         worn = None if shape is None or not shape.any() else node_wear(line, shape)

@@ -1,0 +1,65 @@
+"""What is known of stresses in the bodies, after they have been computed or read."""
+
+import math
+from dataclasses import dataclass
+
+from ringwear_par.arrays import FloatArray
+
+
+@dataclass(frozen=True)
+class Largest:
+    """The largest von Mises stress (MPa) of a body, its place (mm), and the layer it is in.
+
+    Layers are numbered from the contact face on, the last is the body itself. NaN and -1 where
+    there is no stress.
+    """
+
+    mises: float
+    r: float
+    z: float
+    layer: int
+
+
+@dataclass(frozen=True)
+class StressState:
+    """Stresses after ``step`` steps, at ``time`` (s).
+
+    Components, the last axis, are those of ``stress_measures``, in MPa.
+
+    Parameters
+    ----------
+    points : (p, 6) float.
+    grid : (nr, nz, 6) float, NaN outside the bodies.
+    surface : of the contact elements of lower and upper, (n, 6) float each.
+    largest : of lower and upper.
+    """
+
+    step: int
+    time: float
+    points: FloatArray
+    grid: FloatArray
+    surface: tuple[FloatArray, FloatArray]
+    largest: tuple[Largest, Largest]
+
+    @property
+    def of_both(self) -> Largest:
+        """The larger of the largest."""
+        return max(self.largest, key=lambda of: -math.inf if math.isnan(of.mises) else of.mises)
+
+
+@dataclass(frozen=True)
+class StressHistory:
+    """Stored stresses, and where they are.
+
+    Parameters
+    ----------
+    points : (p, 2) float, mm, r and z in the frame of the case.
+    grid : radii and heights of the grid, mm; none of each where there is no grid.
+    exclude : mm, radius round edges in which the largest stress was not looked for.
+    states : those that were asked for.
+    """
+
+    points: FloatArray
+    grid: tuple[FloatArray, FloatArray]
+    exclude: float
+    states: tuple[StressState, ...]

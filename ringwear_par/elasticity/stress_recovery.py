@@ -1,0 +1,214 @@
+"""Stress at points of both bodies, on their contact faces and where it is largest."""
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from mpi4py import MPI
+
+from ringwear_par.arrays import FloatArray, IntArray
+from ringwear_par.elasticity.body import BoundaryResponse, in_case_frame
+from ringwear_par.elasticity.boundary import BoundaryMesh
+from ringwear_par.elasticity.boundary_fields import BODIES
+from ringwear_par.elasticity.compiling import load_compiled
+from ringwear_par.elasticity.largest_stress import Search, edges, zones_of
+from ringwear_par.elasticity.mesh import ContactLine, Mesh
+from ringwear_par.elasticity.quadrature import quadrature
+from ringwear_par.elasticity.recovery import BoundaryRecovery
+from ringwear_par.elasticity.sections import Body
+from ringwear_par.elasticity.slopes import pair_slope
+from ringwear_par.elasticity.stress import Influence, surface_influence, zone_influence
+from ringwear_par.elasticity.stress_fields import Largest
+from ringwear_par.elasticity.stress_measures import mises
+
+#: points that a rank does in one go; the same whatever the ranks, and so the digits
+_BLOCK = 64
+
+
+class BodyStress(NamedTuple):
+    """Stress of one body, the same on all ranks.
+
+    Parameters
+    ----------
+    points : (p, 6) float, MPa, rr, tt, zz, rz, rt, tz at the points asked for; NaN where wear has
+        left none of the body.
+    surface : (n, 6) float, MPa, likewise on the contact elements.
+    largest : the largest von Mises stress outside the radius round edges.
+    """
+
+    points: FloatArray
+    surface: FloatArray
+    largest: Largest
+
+
+class StressPoints(NamedTuple):
+    """Points of a body at which stress is wanted.
+
+    Parameters
+    ----------
+    at : (p, 2) float, mm, r and z in the frame of the case.
+    sides : (p,) float, of points on interfaces: 1 for the material above, -1 for that below, 0 for
+        the one towards the contact face.
+    """
+
+    at: FloatArray
+    sides: FloatArray
+
+
+@dataclass(frozen=True)
+class _Known:
+    """What is known of one body: points, their zones, and influences.
+
+    Parameters
+    ----------
+    search : its points come first.
+    blocks : numbers of points and their influences; those that are this rank's.
+    surface : of the contact elements.
+    """
+
+    search: Search
+    points: FloatArray
+    zones: IntArray
+    blocks: list[tuple[IntArray, Influence]]
+    surface: Influence
+
+    def stress(self, pressure: FloatArray, shear: FloatArray, comm: MPI.Comm) -> FloatArray:
+        """Return (p, 6) MPa at all points. Collective on comm."""
+        found = np.zeros((len(self.points), 6))
+        for numbers, influence in self.blocks:
+            found[numbers] = influence.stress(pressure, shear)
+        comm.Allreduce(MPI.IN_PLACE, found, MPI.SUM)  # each is known to one rank: it is exact
+        return found
+
+
+class StressRecovery:
+    """The stress in two bodies, for any contact solution and wear.
+
+    Points are integrated over when first needed, shared out over the ranks, and anew for a body
+    whose elements have moved; from then on a state takes one product.
+
+    Parameters
+    ----------
+    bodies : lower and upper.
+    line : contact elements.
+    mesh : discretisation.
+    planes : mm, height of the contact plane of lower and upper in the frame of the case.
+    points : of lower and of upper.
+    exclude : mm, radius round edges in which the largest stress is not looked for.
+    comm : communicator of the collective methods.
+    """
+
+    def __init__(
+        self,
+        bodies: tuple[Body, Body],
+        line: ContactLine,
+        mesh: Mesh,
+        planes: tuple[float, float],
+        points: tuple[StressPoints, StressPoints],
+        exclude: float,
+        comm: MPI.Comm,
+    ) -> None:
+        self._bodies, self._line, self._mesh, self._planes = bodies, line, mesh, planes
+        self._points, self._exclude, self._comm = points, exclude, comm
+        self._boundaries = BoundaryRecovery(bodies, line, mesh, planes, comm)
+        self._shape: FloatArray | None = None
+        self._known: tuple[_Known, _Known] | None = None
+
+    def stresses(
+        self, pressure: FloatArray, friction: float, shape: FloatArray | None = None
+    ) -> tuple[BodyStress, BodyStress]:
+        """Return the stresses of lower and upper. Collective on comm, the same on all ranks.
+
+        Parameters
+        ----------
+        pressure : (n,) float, MPa, of the contact solution.
+        friction : mu; all of the contact slides.
+        shape : (2, n) float, mm, wear that the elastic bodies have followed; None: none.
+
+        Raises
+        ------
+        ComputationError : the wear leaves too little of a body, or a factorisation failed.
+        """
+        if shape is not None and not shape.any():
+            shape = None
+        if self._known is None or not _same(shape, self._shape):
+            self._known = None  # not two at a time
+            self._known = self._integrated(shape)
+            self._shape = None if shape is None else shape.copy()
+        shear = friction * pressure
+        lower, upper = (
+            self._of_body(i, known, pressure, shear) for i, known in enumerate(self._known)
+        )
+        return lower, upper
+
+    def _of_body(
+        self, i: int, known: _Known, pressure: FloatArray, shear: FloatArray
+    ) -> BodyStress:
+        stress = known.stress(pressure, shear, self._comm)
+        asked = len(known.search.points)
+        values = mises(stress)
+        values[asked:][~known.search.allows(known.points[asked:])] = np.nan
+        return BodyStress(
+            stress[asked:],
+            known.surface.stress(pressure, shear),
+            known.search.largest(known.points, known.zones, values),
+        )
+
+    def _integrated(self, shape: FloatArray | None) -> tuple[_Known, _Known]:
+        """Return the influences of both bodies. Collective on comm."""
+        sections = self._bodies[0].section, self._bodies[1].section
+        slope = pair_slope(sections, self._line, self._mesh, shape)
+        load_stress_kernels(self._comm)
+        zones = [
+            [
+                in_case_frame(unit, BODIES[i], self._planes[i])
+                for unit in self._boundaries.responses(i, own, None if shape is None else shape[i])
+            ]
+            for i, own in enumerate((slope, -slope))
+        ]
+        around = np.concatenate([edges([zone.boundary for zone in body]) for body in zones])
+        lower, upper = (self._of_zones(i, body, around) for i, body in enumerate(zones))
+        return lower, upper
+
+    def _of_zones(self, i: int, zones: list[BoundaryResponse], around: FloatArray) -> _Known:
+        boundaries = [zone.boundary for zone in zones]
+        search = Search(boundaries, around, self._exclude)
+        asked, sides = self._points[i]
+        points = np.concatenate([search.points, asked])
+        numbers = np.concatenate([search.zones, zones_of(boundaries, asked, sides)])
+        parts = [
+            (zone, own[first : first + _BLOCK])
+            for k, zone in enumerate(zones)
+            for own in [np.flatnonzero(numbers == k)]
+            for first in range(0, len(own), _BLOCK)
+        ]
+        mine = parts[self._comm.rank :: self._comm.size]
+        blocks = [(own, zone_influence(zone, points[own])) for zone, own in mine]
+        surface, contact = surface_influence(zones[0]), boundaries[0].contact
+        return _Known(
+            search, points, numbers, blocks,
+            Influence(surface.normal[contact], surface.torsion[contact]),
+        )  # fmt: skip
+
+
+def _same(one: FloatArray | None, other: FloatArray | None) -> bool:
+    if one is None or other is None:
+        return one is other
+    return bool(np.array_equal(one, other))
+
+
+def load_stress_kernels(comm: MPI.Comm) -> None:
+    """Compile the kernels of stress, or load them from the cache. Collective on comm."""
+    from ringwear_par.elasticity.stress_rows import stress_rows
+
+    nodes = np.array([[1.0, 0.0], [1.5, 0.0], [2.0, 0.0]])
+    none = np.empty(0, dtype=np.int64)
+    boundary = BoundaryMesh(nodes, np.array([[0, 1, 2]]), *6 * (none,))
+
+    def load() -> None:
+        stress_rows(
+            np.array([[1.5, 1.0]]), np.array([1]), boundary, 0.3, quadrature(1e-2),
+            np.empty((1, 4, 8)), np.empty((1, 2, 4)),
+        )  # fmt: skip
+
+    load_compiled(comm, load)

@@ -1,0 +1,275 @@
+"""Stress at points of a body: exact fields, the surface, edges, thin bodies, reference values."""
+
+import numpy as np
+import pytest
+
+import ringwear_par as rw
+from ringwear_par.elasticity.body import BoundaryResponse
+from ringwear_par.elasticity.boundary import boundary_mesh
+from ringwear_par.elasticity.largest_stress import Search, edges
+from ringwear_par.elasticity.mesh import Mesh, contact_line
+from ringwear_par.elasticity.pair import assemble_pair
+from ringwear_par.elasticity.sections import Body, Material, Section
+from ringwear_par.elasticity.stress import locate, surface_influence, zone_influence
+from ringwear_par.elasticity.stress_measures import max_shear, mises, principal
+from ringwear_par.elasticity.stress_recovery import StressPoints, StressRecovery
+from ringwear_par.elasticity.surface_stress import faces
+
+NU = 0.3
+RING = Section((20.0, 40.0), 20.0)
+DISC = Section((0.0, 10.0), 8.0)
+SHEET = Section((20.0, 40.0), 0.05)
+INSIDE = {
+    RING: [[30.0, -10.0], [21.0, -0.5], [30.0, -0.01], [20.003, -7.0], [39.9, -19.9]],
+    DISC: [[0.0, -4.0], [0.0, -0.01], [1e-3, -2.0], [5.0, -4.0], [9.99, -7.99], [2.0, -1e-4]],
+    SHEET: [[30.0, -0.02], [25.0, -0.001], [33.3, -0.049]],
+}
+
+
+def linear_fields(r, z):
+    """Displacements of which quadratic elements have no error, and their stresses (4 of each)."""
+    zero, lame, shear = 0 * r, NU / ((1 + NU) * (1 - 2 * NU)), 0.5 / (1 + NU)
+    both = 2 * (lame + shear)
+    displacement = [
+        [-NU * r, z, zero],  # a bar
+        [r, zero, zero],
+        [zero, zero + 1, r],  # rigid
+        [zero, zero, r * z],  # torsion
+    ]
+    stress = [
+        [zero, zero, zero + 1, zero, zero, zero],
+        [zero + both, zero + both, zero + 2 * lame, zero, zero, zero],
+        [zero] * 6,
+        [zero, zero, zero, zero, zero, shear * r],
+    ]
+    return np.array(displacement).T, np.array(stress).T  # (m, 3, 4), (m, 6, 4)
+
+
+def exact_zone(section, n=16):
+    line = contact_line(section.r, Mesh(n))
+    boundary = boundary_mesh(section, line, Mesh(n))
+    ends = boundary.nodes[boundary.elements]
+    along = ends[:, 2] - ends[:, 0]
+    normal = np.stack([along[:, 1], -along[:, 0]], 1) / np.hypot(*along.T)[:, None]
+    displacement, _ = linear_fields(*boundary.nodes.T)
+    _, s = linear_fields(*ends[:, 1].T)
+    nr, nz = normal.T[:, :, None]
+    traction = np.stack(
+        [s[:, 0] * nr + s[:, 3] * nz, s[:, 3] * nr + s[:, 2] * nz, s[:, 4] * nr + s[:, 5] * nz], 1
+    )
+    return BoundaryResponse(boundary, displacement, traction, Material(1.0, NU))
+
+
+def at_points(zone, points):
+    influence = zone_influence(zone, np.array(points))
+    return np.concatenate([influence.normal, influence.torsion], axis=1)
+
+
+@pytest.mark.parametrize("section", INSIDE)
+def test_linear_fields_are_exact(section):
+    points = np.array(INSIDE[section])
+    got, (_, exact) = at_points(exact_zone(section), points), linear_fields(*points.T)
+    assert got[..., :3] == pytest.approx(exact[..., :3], abs=3e-7)
+    # tractions are constant on elements, that of torsion is not
+    assert got[..., 3] == pytest.approx(exact[..., 3], abs=1e-2 * np.abs(exact).max())
+
+
+def test_torsion_converges():
+    points = np.array([[25.0, -5.0], [38.0, -12.0]])
+    _, exact = linear_fields(*points.T)
+    errors = [np.abs(at_points(exact_zone(RING, n), points) - exact).max() for n in (16, 64)]
+    assert 0.5 * np.log2(errors[0] / errors[1]) > 1.5
+    assert errors[1] < 1e-3
+
+
+@pytest.mark.parametrize("section", INSIDE)
+def test_the_surface_has_linear_fields_too(section):
+    zone = exact_zone(section)
+    middle = zone.boundary.nodes[zone.boundary.elements[:, 1]]
+    influence = surface_influence(zone)
+    got = np.concatenate([influence.normal, influence.torsion], axis=1)
+    _, exact = linear_fields(*middle.T)
+    assert got[..., :3] == pytest.approx(exact[..., :3], abs=1e-9)
+    # between the mid-points, and on the bodies' corners
+    points = zone.boundary.nodes[zone.boundary.elements[:, 0]]
+    points = points[points[:, 0] > 0]
+    got, (_, exact) = at_points(zone, points), linear_fields(*points.T)
+    assert got[..., :3] == pytest.approx(exact[..., :3], abs=1e-9)
+
+
+def test_points_outside_have_no_stress():
+    got = at_points(exact_zone(RING), [[30.0, 0.5], [30.0, -10.0], [19.0, -5.0], [30.0, -20.5]])
+    assert np.isnan(got[[0, 2, 3]]).all()
+    assert np.isfinite(got[1]).all()
+
+
+def test_points_are_located():
+    at = locate(boundary_mesh(DISC, contact_line(DISC.r, Mesh(8)), Mesh(8)),
+                np.array([[0.0, -1.0], [3.0, 0.5], [9.0, -4.0], [0.0, -8.5]]))  # fmt: skip
+    assert at.distance == pytest.approx([1.0, -0.5, 1.0, -0.5])
+    assert at.foot[:3] == pytest.approx(np.array([[0.0, 0.0], [3.0, 0.0], [10.0, -4.0]]))
+
+
+def test_runs_end_at_corners_and_with_the_contact():
+    upper = Section((28.5, 31.5), 20.0, ((28.5, -0.1), (28.6, 0.0), (31.4, 0.0), (31.5, -0.1)))
+    for section, contact, runs in (
+        (RING, (28.5, 31.5), 6),
+        (upper, (28.5, 31.5), 6),
+        (DISC, (0.0, 5.0), 4),
+    ):
+        boundary = boundary_mesh(section, contact_line(contact, Mesh(16), section), Mesh(16))
+        found = faces(boundary)
+        assert len(found.runs) == runs
+        assert sorted(np.concatenate(found.runs)) == list(range(len(boundary.elements)))
+        t = np.array([0.0, 0.5, 1.0])
+        for run in found.runs:  # sizes go on smoothly from element to element
+            sizes = np.array([found.size(np.full(3, e), t) for e in run])
+            assert sizes[1:, 0] == pytest.approx(sizes[:-1, 2])
+            assert (sizes > 0).all()
+
+
+def test_powers_between_mid_points():
+    """Stresses at edges are powers of the distance: the interpolation has to follow them."""
+    boundary = boundary_mesh(RING, contact_line((28.5, 31.5), Mesh(64)), Mesh(64))
+    found = faces(boundary)
+    values = np.abs(boundary.nodes[boundary.elements[:, 1], 0] - 28.5) ** -0.45
+    for e in boundary.contact[2:30]:
+        for t in (0.0, 0.25, 0.8):
+            chosen, weights = found.weights(int(e), t)
+            first, _, last = boundary.nodes[boundary.elements[e], 0]
+            exact = (first + t * (last - first) - 28.5) ** -0.45
+            assert weights @ values[chosen] == pytest.approx(exact, rel=1e-2)
+
+
+def test_measures():
+    uniaxial = np.array([0.0, 0.0, -3.0, 0.0, 0.0, 0.0])
+    shear = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 2.0])
+    both = np.stack([uniaxial, shear])
+    assert mises(both) == pytest.approx([3.0, 2.0 * np.sqrt(3.0)])
+    assert max_shear(both) == pytest.approx([1.5, 2.0])
+    assert principal(both) == pytest.approx(np.array([[0.0, 0.0, -3.0], [2.0, 0.0, -2.0]]))
+    assert np.isnan(principal(np.full((2, 6), np.nan))).all()
+
+
+def test_the_search_leaves_edges_out_and_finds_between_its_points():
+    boundary = boundary_mesh(RING, contact_line((28.5, 31.5), Mesh(32)), Mesh(32))
+    around = edges([boundary])
+    assert sorted(map(tuple, around.round(9))) == [(28.5, 0), (31.5, 0)]
+    search = Search([boundary], around, 0.1)
+    for edge, reach in ((around, 0.1), (np.array([[20.0, -20.0], [40.0, -20.0]]), 5.0)):
+        away = np.hypot(*np.moveaxis(search.points[:, None] - edge, -1, 0)).min()
+        assert reach - 1e-9 < away < 1.5 * reach
+    assert (locate(boundary, search.points).distance > -1e-6).all()
+    peak = np.array([29.87, -1.234])
+    values = 7.0 - ((search.points - peak) ** 2).sum(axis=1)
+    found = search.largest(search.points, search.zones, values)
+    assert found.mises == pytest.approx(7.0, abs=2e-3)
+    assert (found.r, found.z) == pytest.approx(tuple(peak), abs=0.05)
+    assert found.layer == 0
+    nothing = search.largest(search.points, search.zones, np.full(len(values), np.nan))
+    assert np.isnan(nothing.mises)
+    assert nothing.layer == -1
+
+
+PAPER = (Body(RING, 1e4, 0.3, "clamped"), Body(Section((28.5, 31.5), 20.0), 1e5, 0.3, "clamped"))
+
+
+def paper_stresses(n, comm, points, exclude=0.1):
+    case = rw.read_case("scripts/cases/paper.toml", {
+        "load.pressure": 50, "mesh.contact_elements": n, "time.step": 1e-9, "time.steps": 1,
+    })  # fmt: skip
+    pressure = rw.simulate(case, comm).profiles["pressure"][0]
+    both = tuple(StressPoints(np.array(at), np.zeros(len(at))) for at in points)
+    recovery = StressRecovery(PAPER, case.line, case.mesh, (20.0, 20.0), both, exclude, comm)
+    return recovery.stresses(pressure, 0.1)
+
+
+@pytest.mark.parametrize(("n", "tolerance"), [(64, 1e-3), (128, 1e-4)])
+def test_the_papers_rings(n, tolerance, comm):
+    """Converged finite elements: 50 MPa, mu = 0.1."""
+    lower, upper = paper_stresses(n, comm, ([[30.0, 19.95], [30.0, 19.8]], [[30.0, 25.0]]))
+    assert mises(lower.points) == pytest.approx([15.4735, 15.7083], rel=tolerance)
+    assert max_shear(lower.points) == pytest.approx([8.7740, 9.0225], rel=tolerance)
+    # tension positive, z upwards, lower dragged towards +theta
+    assert lower.points[0, 2] < -30.0
+    assert lower.points[0, 5] == pytest.approx(3.426, rel=1e-3)
+    assert upper.points[0, 5] > 0.0
+    assert lower.surface[:, 5] == pytest.approx(-0.1 * lower.surface[:, 2], rel=1e-9)
+
+
+def test_both_sides_of_the_contact_agree(comm):
+    """What pressure and friction say is the same on both surfaces: zz, rz and tz."""
+    lower, upper = paper_stresses(32, comm, ([[30.0, 20.0]], [[30.0, 20.0]]))
+    assert lower.surface[:, [2, 3, 5]] == pytest.approx(
+        upper.surface[:, [2, 3, 5]], rel=1e-9, abs=1e-9
+    )
+    assert lower.points[0, [2, 3, 5]] == pytest.approx(
+        upper.points[0, [2, 3, 5]], rel=1e-9, abs=1e-9
+    )
+
+
+def test_up_to_the_surface(comm):
+    """Coarse against fine at depths from a thousandth of an element on, and on the surface."""
+    r = np.concatenate([[28.6, 28.7], np.random.default_rng(1).uniform(28.6, 31.4, 30)])
+    depths = np.array([0.0, 1e-4, 3e-3, 0.02, 0.04, 0.06, 0.1, 0.3])
+    rings = [
+        np.stack(np.broadcast_arrays(r, 20.0 + side * depths[:, None]), axis=-1).reshape(-1, 2)
+        for side in (-1.0, 1.0)
+    ]
+    fine = paper_stresses(192, comm, rings)
+    for n, tolerance in ((64, 0.02), (96, 0.01)):
+        for body, exact in zip(paper_stresses(n, comm, rings), fine, strict=True):
+            assert mises(body.points) == pytest.approx(mises(exact.points), rel=tolerance)
+
+
+def test_the_largest_stress_grows_towards_an_unworn_edge(comm):
+    none = np.empty((0, 2))
+    largest = [paper_stresses(64, comm, (none, none), exclude) for exclude in (0.2, 0.1, 0.05)]
+    for body in (0, 1):
+        values = [both[body].largest.mises for both in largest]
+        assert values[0] < values[1] < values[2]
+        assert values[1] / values[0] == pytest.approx(2**0.45, rel=0.2)
+    at = largest[1][0].largest
+    edge = 28.5 if at.r < 30.0 else 31.5
+    assert np.hypot(at.r - edge, at.z - 20.0) == pytest.approx(0.1)
+
+
+def coated_stresses(n, thickness, young, comm):
+    """Stresses of the paper's lower ring under a layer, beside and on both sides of its bottom."""
+    section = Section((20.0, 40.0), 20.0, (), (thickness,))
+    bodies = Body(section, 1e4, 0.3, "clamped", (Material(young, 0.3),)), PAPER[1]
+    line = contact_line((28.5, 31.5), Mesh(n))
+    matrix = assemble_pair(bodies, line, Mesh(n), comm).compliance((1e4, 1e5)).matrix
+    pressure = np.linalg.solve(matrix, line.area)
+    pressure *= 50.0 * line.area.sum() / (line.area @ pressure)
+    r = np.array([28.7, 29.4, 30.0, 31.2])
+    depth = np.array([0.0, 0.3, 0.8, 1.0, 1.0, 1.3, 2.0]) * thickness
+    at = np.stack(np.broadcast_arrays(r, 20.0 - depth[:, None]), axis=-1).reshape(-1, 2)
+    sides = np.repeat([0.0, 0.0, 0.0, 1.0, -1.0, 0.0, 0.0], len(r))
+    none = StressPoints(np.empty((0, 2)), np.empty(0))
+    recovery = StressRecovery(
+        bodies, line, Mesh(n), (20.0, 20.0), (StressPoints(at, sides), none), 0.1, comm
+    )
+    lower, _ = recovery.stresses(pressure, 0.1)
+    return lower.points.reshape(len(depth), len(r), 6), lower.largest
+
+
+@pytest.mark.parametrize("thickness", [0.005, 0.05, 0.5])
+def test_stress_in_a_layer_and_under_it(thickness, comm):
+    coarse, fine = (coated_stresses(n, thickness, 1e5, comm) for n in (48, 96))
+    assert mises(coarse[0]) == pytest.approx(mises(fine[0]), rel=1e-2)
+    assert coarse[1].mises == pytest.approx(fine[1].mises, rel=2e-2)
+    assert coarse[1].layer == fine[1].layer == 0  # the hard one bears more
+    above, below = fine[0][3], fine[0][4]
+    assert above[:, [2, 3, 5]] == pytest.approx(below[:, [2, 3, 5]], abs=1e-9)  # tractions
+    assert (np.abs(above[:, 1] - below[:, 1]) > 2.0).all()  # not so the hoop stress
+    # the same strains along the interface, at ten times the modulus
+    strain = [(s[:, 1] - 0.3 * (s[:, 0] + s[:, 2])) / e for s, e in ((above, 1e5), (below, 1e4))]
+    assert strain[0] == pytest.approx(strain[1], rel=1e-9)
+
+
+def test_a_layer_of_the_same_material_changes_nothing(comm):
+    layered, _ = coated_stresses(64, 0.3, 1e4, comm)
+    shallow, _ = coated_stresses(64, 0.003, 1e4, comm)
+    assert mises(layered[3]) == pytest.approx(mises(layered[4]), rel=2e-3)
+    assert mises(layered[0]) == pytest.approx(mises(shallow[0]), rel=3e-3)
