@@ -10,6 +10,7 @@ import numpy as np
 
 from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.schema import FIELDS
+from ringwear_par.cases.stress import Stress
 from ringwear_par.elasticity.mesh import ContactLine, Mesh, contact_line
 from ringwear_par.elasticity.profiles import CLOSE
 from ringwear_par.elasticity.sections import Grip, Polyline, Section
@@ -121,6 +122,7 @@ class Case:
 
     Parameters
     ----------
+    stress : what stresses are stored; None: none.
     text : the TOML text as run, overrides included; "" for a case that was constructed.
     rebuild : makes a changed case of the text; None where the text does not tell this case, for it
         was constructed or changed as a dataclass.
@@ -135,6 +137,7 @@ class Case:
     time: Stepping
     mesh: Mesh
     output: Output
+    stress: Stress | None = None
     title: str = ""
     text: str = field(default="", compare=False, repr=False)
     rebuild: Callable[[str, Overrides], "Case"] | None = field(

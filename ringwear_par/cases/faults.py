@@ -184,10 +184,11 @@ def _time_faults(name: str, values: Mapping[str, Any]) -> list[str]:
         faults.append(
             f"{name}: output.times: {times[-1]:g} is after the end; must be <= {end:g} (s)"
         )
-    boundary = values.get("output.boundary")
-    late = boundary[-1] if isinstance(boundary, tuple) else 0.0
-    if end is not None and late > end * (1.0 + SAME_TIME):
-        faults.append(f"{name}: output.boundary: {late:g} is after the end; must be <= {end:g} (s)")
+    for key in ("output.boundary", "stress.times"):
+        asked = values.get(key)
+        late = asked[-1] if isinstance(asked, tuple) else 0.0
+        if end is not None and late > end * (1.0 + SAME_TIME):
+            faults.append(f"{name}: {key}: {late:g} is after the end; must be <= {end:g} (s)")
     return faults
 
 

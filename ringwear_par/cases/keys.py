@@ -26,6 +26,10 @@ _ALTERNATIVES = (
 )
 _FILES = frozenset({"wear.lower.file", "wear.upper.file"})
 _PROFILES = frozenset({"lower.profile", "upper.profile"})
+#: keys that are tables, of which a change may name an entry
+_GRID = "stress.grid"
+#: tables that say something by being there
+_NEVER_EMPTY = {"stress"}
 _FIXED_STEPS = frozenset({"time.step", "time.steps"})
 
 
@@ -139,7 +143,7 @@ def _entries(tables: Mapping[str, Any], prefix: str) -> Iterator[tuple[str, Any]
         path = f"{prefix}{name}"
         if isinstance(value, Mapping) and path not in BY_PATH:
             yield from _entries(value, f"{path}.")
-            if not value and path not in TABLES:  # unknown, and to be told so
+            if not value and path not in TABLES - _NEVER_EMPTY:  # to be told so
                 yield path, value
         else:
             yield path, _plain(value)
@@ -263,7 +267,7 @@ def _with_parameters(keys: Mapping[str, Any], changes: Mapping[str, Any]) -> dic
     So is the size of a face's shape, ``upper.profile.crown``; it takes the place of another shape.
     """
     changes = dict(changes)
-    for table in ("wear.lower.parameters", "wear.upper.parameters", *_PROFILES):
+    for table in ("wear.lower.parameters", "wear.upper.parameters", _GRID, *_PROFILES):
         named = {path: v for path, v in changes.items() if path.startswith(f"{table}.")}
         if named:
             before = None if table in _PROFILES else changes.get(table, keys.get(table))

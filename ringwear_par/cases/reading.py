@@ -5,6 +5,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
+from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.case import Case, Load, Output, Overrides, Ring, RingLayer, Stepping
 from ringwear_par.cases.faults import (
     Origin,
@@ -24,6 +27,7 @@ from ringwear_par.cases.keys import (
 from ringwear_par.cases.laws import read_law
 from ringwear_par.cases.layers import LAYERS, entries_of, expanded
 from ringwear_par.cases.schema import KEYS, LAYER_KEYS, TABLES, key_of, layer_entry
+from ringwear_par.cases.stress import Stress, check_stress
 from ringwear_par.cases.suggestions import nearest_key
 from ringwear_par.cases.text import shortened, toml_text
 from ringwear_par.cases.units import without_units
@@ -110,9 +114,46 @@ def make_case(keys: Mapping[str, Any], origin: Origin | str, text: str | None = 
     if faults:
         raise InputError(*faults)
     case = _build(values, laws, faces, layers, toml_text(keys) if text is None else text)
+    if any(path.startswith("stress.") for path in keys):
+        case = replace(case, stress=_stress(values))
     check_contact(origin.whole, case, values["load.displacement"])
+    check_stress(origin.whole, case)
     object.__setattr__(case, "rebuild", _rebuilt)  # a copy by dataclasses.replace has none
     return case
+
+
+def outlines(text: str, name: str) -> tuple[FloatArray, FloatArray]:
+    """Return the corners of the unworn sections of lower and upper. Not collective.
+
+    Unlike a case, they need no wear laws.
+
+    Parameters
+    ----------
+    text : TOML text of a case.
+    name : what messages call it.
+
+    Returns
+    -------
+    lower, upper : (m, 2) float, mm, r and z in the frame of the case, around each body; the contact
+        face from the inner to the outer radius comes first.
+
+    Raises
+    ------
+    InputError : all faults of their keys, one sentence each.
+    """
+    keys = {path: v for path, v in read_keys(text, name).items() if not path.startswith("wear.")}
+    values, faults = _read_values(expanded(in_full(keys, Path())), Origin(name))
+    faces = contact_faces(name, values, faults)
+    if faults:
+        raise InputError(*faults)
+    found = []
+    for ring, sign in (("lower", 1.0), ("upper", -1.0)):
+        r, z = values[f"{ring}.r"], values[f"{ring}.z"]
+        plane, held = (z[1], z[0]) if ring == "lower" else z
+        face = np.array(faces[ring] or [(r[0], 0.0), (r[1], 0.0)])
+        face = np.stack([face[:, 0], plane + sign * face[:, 1]], axis=1)
+        found.append(np.concatenate([face, [(r[1], held), (r[0], held)]]))
+    return found[0], found[1]
 
 
 def _rebuilt(text: str, changes: Overrides) -> Case:
@@ -163,6 +204,8 @@ def _read_values(keys: Mapping[str, Any], origin: Origin) -> tuple[dict[str, Any
             except RejectedError as reason:
                 why = f"{key.rule} ({reason})" if str(reason) else key.rule
                 faults.append(f"{origin.of(path)}{path} = {shortened(value)}: {why}")
+        elif path in TABLES and value == {}:
+            faults.append(f"{origin.of(path)}[{path}]: is empty; must have one of its keys")
         elif path in TABLES or (path.endswith(".wear") and path.startswith(LAYERS)):
             said = f"{path} = {shortened(value)}"
             must = " of a law" if path not in TABLES else f", [{path}]"
@@ -226,6 +269,13 @@ def _build(
         )
         case = replace(case, load=Load(case.load.omega, force))
     return case
+
+
+def _stress(values: Mapping[str, Any]) -> Stress:
+    points, grid, times, exclude = (
+        values[f"stress.{key}"] for key in ("points", "grid", "times", "exclude")
+    )
+    return Stress(points or (), grid, times, exclude)
 
 
 def _stepping(values: Mapping[str, Any]) -> Stepping:

@@ -16,9 +16,11 @@ from ringwear_par.cases.values import (
     Values,
     chamfer,
     choice,
+    grid,
     number,
     pair,
     parameters,
+    places,
     profile,
     quantity,
     rates,
@@ -229,6 +231,25 @@ KEYS: tuple[Key, ...] = (
         "output.boundary", *which_times("none", "last", "all"), "-",
         "stored steps at which displacement and traction of both whole boundaries are stored; "
         "times: the first stored step from each on", "none",
+    ),
+    Key(
+        "stress.points", *places("above", "below"), "mm",
+        "points at which stress is stored; no table [stress]: none is computed. On faces that "
+        "touch, the side says whose: above is upper, below lower", None,
+    ),
+    Key(
+        "stress.grid", *grid("lower", "upper", "both"), "mm",
+        "nr x nz points between two radii and two heights at which stress is stored, of one body "
+        "or both (default); those outside have none", None,
+    ),
+    Key(
+        "stress.times", *which_times("last", "all"), "s",
+        "stored steps at which stress is stored; times: the first stored step from each on", "last",
+    ),
+    Key(
+        "stress.exclude", *number(0.0, ends=True), "mm",
+        "radius round edges of contact in which the largest von Mises stress is not looked for: at "
+        "unworn edges stress is infinite", 0.1,
     ),
 )  # fmt: skip
 

@@ -8,15 +8,19 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 
 from ringwear_par.arrays import BoolArray, FloatArray
+from ringwear_par.cases.stress import Grid
 from ringwear_par.elasticity.profiles import SHAPE_UNITS, Shape
 from ringwear_par.schedules import Quantity, Table
 
 #: a schedule is a number or a table in time, a quantity these or a profile along the radius
 Kind = Literal[
     "number", "whole", "schedule", "quantity", "pair", "chamfer", "points", "times", "choice",
-    "names", "text", "parameters", "layers",
+    "names", "text", "parameters", "layers", "places", "grid",
 ]  # fmt: skip
 Reader = Callable[[Any], Any]
+#: most points of a grid along r or z
+MOST_ON_A_SIDE = 10_000
+_GRID = {"body", "r", "z", "n"}
 
 
 class RejectedError(Exception):
@@ -281,6 +285,52 @@ def tables(told: str) -> Values:
         return tuple(value)
 
     return Values("layers", read, f"a list of {told}")
+
+
+def places(*sides: str) -> Values:
+    """Return lists of points, some with a side."""
+
+    def read(value: Any) -> tuple[tuple[float, float, str], ...]:
+        if not isinstance(value, list) or not value:
+            raise RejectedError
+        found = []
+        for point in value:
+            if not isinstance(point, list) or len(point) not in (2, 3):
+                raise RejectedError
+            r, z, *side = point
+            if not (_is_finite(r) and _is_finite(z)) or not all(s in sides for s in side):
+                raise RejectedError
+            found.append((float(r), float(z), str(*side)))
+        return tuple(found)
+
+    told = " or ".join(f'"{side}"' for side in sides)
+    return Values("places", read, f"a list of points [r, z], or [r, z, side] with the side {told}")
+
+
+def grid(*bodies: str) -> Values:
+    """Return tables of a body, ranges of r and z, and how many points are in each of them."""
+    body, ranges, count = choice(*bodies), pair(-math.inf), whole(2, MOST_ON_A_SIDE)
+
+    def read(value: Any) -> Grid:
+        if not isinstance(value, dict) or not {"r", "z", "n"} <= value.keys() <= _GRID:
+            raise RejectedError
+        n = value["n"]
+        if not isinstance(n, list) or len(n) != 2:
+            raise RejectedError(f"n must be two of {count.allowed}")
+        read_as = {"body": body, "r": ranges, "z": ranges}
+        found = {}
+        for name, values in read_as.items():
+            try:
+                found[name] = values.read(value.get(name, bodies[-1]))
+            except RejectedError as error:
+                raise RejectedError(f"{name} must be {values.allowed}") from error
+        try:
+            numbers = count.read(n[0]), count.read(n[1])
+        except RejectedError as error:
+            raise RejectedError(f"each of n must be {count.allowed}") from error
+        return Grid(**found, n=numbers)
+
+    return Values("grid", read, "a table { body, r = [r1, r2], z = [z1, z2], n = [nr, nz] }")
 
 
 def choice(*names: str) -> Values:

@@ -58,6 +58,7 @@ def stays_alone(case: Case) -> bool:
     return (
         case.follows_wear
         or case.output.boundary != "none"
+        or case.stress is not None
         or case.mesh.contact_elements > MOST_ELEMENTS
     )
 

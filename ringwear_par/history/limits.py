@@ -11,6 +11,9 @@ from ringwear_par.contact.problem import REPLICATED_LIMIT
 from ringwear_par.elasticity.boundary import count_elements, zone_meshes
 from ringwear_par.errors import InputError
 
+#: about how many points of both bodies are looked at for the largest stress
+SEARCHED = 4000.0
+
 
 def memory_needed(case: Case, ranks: int) -> float:
     """Return an estimate of the bytes that a run needs on all ranks together.
@@ -33,8 +36,28 @@ def memory_needed(case: Case, ranks: int) -> float:
         # what is stored of them; an element has six coordinates, six displacements and more
         rows = 1.0 if case.output.boundary == "last" else case.stored_rows
         history += 2.0 * 15.0 * elements * rows
+    if case.stress is not None:
+        kept_at, stored_at = stress_numbers(case)
+        # responses of both bodies, as for boundaries; six components for each load at each point
+        systems_of_stress = 6.0 * n * kept_at
+        shared += 2.0 * 9.0 * n * elements + stored_at
+        history += 2.0 * stored_at
+    else:
+        systems_of_stress = 0.0
     systems = _numbers_of_systems(unknowns, n, ranks) + kept * unknowns**2
-    return 8.0 * (systems + ranks * shared + history)
+    return 8.0 * (systems + systems_of_stress + ranks * shared + history)
+
+
+def stress_numbers(case: Case) -> tuple[float, float]:
+    """Return at how many points stress is computed, and how many numbers are stored of it."""
+    assert case.stress is not None
+    rows = 1.0 if case.stress.times == "last" else case.stored_rows
+    if isinstance(case.stress.times, tuple):
+        rows = min(rows, float(len(case.stress.times)))
+    # looking for the largest stress takes some of its own
+    return case.stress.size + SEARCHED, rows * (
+        12.0 * case.stress.size + 12.0 * case.mesh.contact_elements
+    )
 
 
 def _numbers_of_systems(unknowns: float, loads: float, ranks: int) -> float:
@@ -130,6 +153,8 @@ def check_memory(case: Case, ranks: int, name: str) -> None:
     there = float(os.sysconf("SC_PAGE_SIZE")) * os.sysconf("SC_PHYS_PAGES")
     if needed > 0.9 * there:
         steps = "" if case.time.adaptive else f"time.steps = {case.time.steps}, "
+        if case.stress is not None:
+            steps += f"{case.stress.size:g} points of [stress], "
         raise InputError(
             f"{name}: mesh.contact_elements = {case.mesh.contact_elements}, {steps}"
             f"output.every = {case.output.every}: needs about "

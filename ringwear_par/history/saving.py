@@ -1,4 +1,4 @@
-"""What of a history is saved: which steps and times, and where whole boundaries are asked for."""
+"""What of a history is saved: which steps and times, and which of them are asked for."""
 
 from bisect import bisect_left, bisect_right
 
@@ -28,16 +28,16 @@ def times_within(case: Case, start: float, end: float) -> list[float]:
     return [t for t in between if not _same(t, start, end)]
 
 
-def wants_boundary(case: Case, time: float, finished: bool, before: float) -> bool:
-    """Tell whether the case asks for the boundary fields of a stored state.
+def wants(asked: str | tuple[float, ...], time: float, finished: bool, before: float) -> bool:
+    """Tell whether a stored state is asked for.
 
     Parameters
     ----------
+    asked : "none", "last", "all", or times (s) from each of which on the first stored state is.
     time : s, of the state.
     finished : whether it is the last.
     before : s, time of the stored state before it; negative: there is none.
     """
-    asked = case.output.boundary
     if isinstance(asked, str):
         return asked == "all" or (asked == "last" and finished)
     near = SAME_TIME * time

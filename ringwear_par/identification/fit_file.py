@@ -34,7 +34,7 @@ from ringwear_par.textfiles import parse_toml, read_text, refuse_depth
 _STEPPING = {"time.scheme": "adaptive"}
 _OUTPUT = {
     "output.every": 1, "output.profiles": "all", "output.fields": ["wear_lower", "wear_upper"],
-    "output.boundary": "none",
+    "output.boundary": "none", "stress": None,
 }  # fmt: skip
 _TABLES = ("case", "fit", "experiment", "compare", "design")
 INTERVALS = ("linear", "profile", "posterior")

@@ -8,6 +8,7 @@ from ringwear_par.cases.case import Case
 from ringwear_par.elasticity.mesh import ContactLine
 from ringwear_par.elasticity.pair import ContactCompliance
 from ringwear_par.elasticity.slopes import case_slopes
+from ringwear_par.elasticity.stress_fields import StressHistory
 from ringwear_par.history.balances import Balances
 from ringwear_par.history.model import WearModel
 from ringwear_par.history.stability import stable_step, stable_steps
@@ -33,6 +34,10 @@ _DENSEST = 0.025
 _MOST_OF_LAYER, _OTHER_MODULUS = 0.25, 0.1
 #: mm, and share of a Young's modulus, from which on numbers are likely in another unit
 _LARGEST, _MOST_PRESSED = 5000.0, 0.1
+
+
+#: pressure of an outermost element over that of the fourth, from which on it is infinite there
+_RISING = 1.2
 
 
 @dataclass(frozen=True)
@@ -227,6 +232,35 @@ def _asymmetric(line: ContactLine, error: float, e: int) -> list[Doubt]:
             "grading is needed",
         )
     ]
+
+
+def infinite_stress(
+    case: Case, history: StressHistory | None, line: ContactLine, state: State
+) -> tuple[Doubt, ...]:
+    """Return whether the largest stress is where it would be infinite. Not collective.
+
+    Parameters
+    ----------
+    state : the last one.
+    """
+    if history is None or not history.states:
+        return ()
+    largest, p = history.states[-1].of_both, state.contact.pressure
+    for end, further in ((0, 3), (-1, -4)):
+        r, reach = line.edges[end], history.exclude * (1.0 + 1e-6) + 3.0 * line.width[end]
+        height = max(min(abs(largest.z - z) for z in (case.lower.z[1], case.upper.z[0])), 0.0)
+        beside = np.hypot(largest.r - r, height) <= reach + state.wear.max()
+        if r > 0.0 and beside and p[end] > _RISING * p[further]:
+            return (
+                Doubt(
+                    "infinite_stress",
+                    f"the largest von Mises stress, {largest.mises:.5g} MPa, is found beside the "
+                    f"edge of contact at r = {r:.6g} mm, where it is infinite as long as no wear "
+                    "has rounded the edge: what is found grows as stress.exclude, now "
+                    f"{history.exclude:g} mm, is made smaller",
+                ),
+            )
+    return ()
 
 
 def instability(model: WearModel) -> tuple[Doubt, ...]:

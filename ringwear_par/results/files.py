@@ -18,6 +18,7 @@ from ringwear_par.results.reading import (
     reading,
 )
 from ringwear_par.results.result import Result, balance_attributes
+from ringwear_par.results.stress_variables import read_stress
 from ringwear_par.results.variables import (
     BOUNDARY_FIELDS,
     BOUNDARY_MESH,
@@ -140,7 +141,8 @@ def _read(file: h5py.File, path: Path) -> Result:
         path,
         None,
         *_read_derivatives(file, sizes),
-        _read_layers(file, sizes),
+        layers=_read_layers(file, sizes),
+        stress=read_stress(file, sizes),
     )
 
 

@@ -13,6 +13,7 @@ from ringwear_par.arrays import FloatArray, IntArray, inner
 from ringwear_par.cases.case import Case
 from ringwear_par.cases.law_trials import law_sources
 from ringwear_par.elasticity.boundary_fields import BoundaryState
+from ringwear_par.elasticity.stress_fields import StressHistory, StressState
 from ringwear_par.history.balances import Balances, WorstBalances
 from ringwear_par.history.boundaries import BoundaryObserver
 from ringwear_par.history.model import WearModel
@@ -20,10 +21,11 @@ from ringwear_par.history.saving import stores
 from ringwear_par.history.sensitivity import units_of
 from ringwear_par.history.snapshots import Snapshot
 from ringwear_par.history.state import Start, State
+from ringwear_par.history.stresses import StressObserver
 from ringwear_par.history.tangent import variables as derivatives_of
 from ringwear_par.info import versions
 from ringwear_par.results.checkpoints import restored, take
-from ringwear_par.results.doubts import Doubt, doubts, instability
+from ringwear_par.results.doubts import Doubt, doubts, infinite_stress, instability
 from ringwear_par.results.result import Result, balance_attributes
 from ringwear_par.results.variables import (
     D_HISTORIES,
@@ -214,6 +216,7 @@ class Recorder:
         }
         self._layers: dict[str, list[Any]] = {name: [] for name in layer_names_of(case)}
         self._earlier: list[BoundaryState] = []
+        self._earlier_stress: list[StressState] = []
         #: iterations of the contact solver since the last stored state
         self._pending_iterations = 0
         self._last: Snapshot | None = None
@@ -228,9 +231,12 @@ class Recorder:
         if before is not None:
             self._restore(before)
         self._boundary: BoundaryObserver | None = None
+        self._stress: StressObserver | None = None
+        stored_until = (-1.0, *self._histories["time"])[-1]
         if case.output.boundary != "none":
-            stored_until = (-1.0, *self._histories["time"])[-1]
             self._boundary = BoundaryObserver(case, comm, stored_until)
+        if case.stress is not None:
+            self._stress = StressObserver(case, comm, stored_until)
 
     def _restore(self, before: Result) -> None:
         """Put the stored rows of an interrupted run back, as far as the case still stores them."""
@@ -251,11 +257,13 @@ class Recorder:
             stored, last_only = before.layers[name], name in LAYER_PROFILES and not self._deep
             self._layers[name] = list(stored[None][keep[-1:]] if last_only else stored[keep])
         # the last state of a shorter run is not the last one of this run
-        if case.output.boundary != "last" or case.time.finished(
-            start.progress.steps, start.state.time
-        ):
-            left = set(before.histories["time"][keep].tolist())
+        left = set(before.histories["time"][keep].tolist())
+        finished = case.time.finished(start.progress.steps, start.state.time)
+        if case.output.boundary != "last" or finished:
             self._earlier = [b for b in before.boundary if b.time in left]
+        asked = "none" if case.stress is None else case.stress.times
+        if before.stress is not None and (asked != "last" or finished):
+            self._earlier_stress = [s for s in before.stress.states if s.time in left]
         self._pending_iterations = int(before.checkpoint.numbers["pending_iterations"]) + int(
             before.histories["contact_iterations"][~keep].sum()
         )
@@ -276,8 +284,9 @@ class Recorder:
         if not snapshot.passing:
             self._last = snapshot
         self._balances(snapshot)
-        if self._boundary is not None:
-            self._boundary(snapshot)
+        for observer in (self._boundary, self._stress):
+            if observer is not None:
+                observer(snapshot)
         self._pending_iterations += snapshot.iterations
         if snapshot.stored:
             self._store(snapshot)
@@ -324,7 +333,22 @@ class Recorder:
         """What makes the answer doubtful, if anything."""
         if self._last is None:
             return ()
-        return self._instability + doubts(self._last.model, self._last.state, self.balances)
+        model, state = self._last.model, self._last.state
+        return (
+            *self._instability,
+            *doubts(model, state, self.balances),
+            *infinite_stress(self._case, self.stress, model.line, state),
+        )
+
+    @property
+    def stress(self) -> StressHistory | None:
+        """The stresses so far, None where the case asks for none."""
+        if self._stress is None or self._case.stress is None:
+            return None
+        states = (*self._earlier_stress, *self._stress.states)
+        return StressHistory(
+            self._stress.points, self._stress.grid, self._case.stress.exclude, states
+        )
 
     @property
     def steps(self) -> IntArray:
@@ -397,6 +421,7 @@ class Recorder:
             parameters=units_of(case, self._parameters),
             derivatives={name: arrays[name] for name in self._derivatives},
             layers={name: arrays[name] for name in self._layers},
+            stress=self.stress,
         )
 
     def kernel_evaluations(self) -> int:

@@ -12,7 +12,9 @@ from ringwear_par.arrays import FloatArray, IntArray
 from ringwear_par.atomic import check_writable
 from ringwear_par.elasticity.boundary_fields import BoundaryState
 from ringwear_par.elasticity.mesh import ContactLine
+from ringwear_par.elasticity.stress_fields import StressHistory
 from ringwear_par.errors import ComputationError, InputError, RingwearError
+from ringwear_par.results.stress_variables import STRESS_COORDINATES, stress_variables
 from ringwear_par.results.variables import (
     COORDINATES,
     D_HISTORIES,
@@ -67,6 +69,7 @@ class Result:
         (P, n) where the last profiles are stored only.
     layers : of bodies with layers, by name, see variables.LAYERS: (s,), (s, layers + 1) and (s, n),
         or (n,) where the last profiles are stored only.
+    stress : stored stresses, None where the case asks for none.
     """
 
     line: ContactLine
@@ -82,6 +85,7 @@ class Result:
     parameters: Mapping[str, str] = field(default_factory=dict)
     derivatives: Mapping[str, FloatArray] = field(default_factory=dict)
     layers: Mapping[str, FloatArray] = field(default_factory=dict)
+    stress: StressHistory | None = None
 
     def __repr__(self) -> str:
         title = self.attributes.get("title") or "no title"
@@ -154,6 +158,8 @@ class Result:
             if name in D_PROFILES:
                 variable = D_PROFILES[name]
                 found.append((variable if values.ndim == 3 else variable.at_last_step(), values))
+        if self.stress is not None and self.stress.states:
+            found += stress_variables(self.stress)
         return found
 
     def _layer_variables(self) -> list[tuple[Variable, Any]]:
@@ -176,7 +182,11 @@ class Result:
     @property
     def coordinates(self) -> tuple[str, ...]:
         """The names of its coordinates that are no dimensions."""
-        return COORDINATES if self.parameters else COORDINATES[:-1]
+        names = COORDINATES if self.parameters else COORDINATES[:-1]
+        if self.stress is None or not self.stress.states:
+            return names
+        there = STRESS_COORDINATES if len(self.stress.points) else STRESS_COORDINATES[:1]
+        return (*names, *there)
 
     def to_xarray(self) -> "xarray.Dataset":
         """Return the dataset that xarray makes of the result's file.

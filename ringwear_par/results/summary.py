@@ -9,6 +9,7 @@ from ringwear_par.cases.case import CHANGED
 from ringwear_par.cases.keys import read_keys
 from ringwear_par.cases.schema import BY_PATH
 from ringwear_par.cases.values import is_number
+from ringwear_par.elasticity.boundary_fields import BODIES
 from ringwear_par.errors import LONGEST_SENTENCE, legible
 from ringwear_par.results.key_numbers import KeyNumbers, WornLayers, key_numbers
 
@@ -48,6 +49,7 @@ def summary(result: "Result") -> str:
         f"torque {1e-3 * last['torque']:.6g} N m, "
         f"energy dissipated {1e-3 * last['dissipated_energy']:.6g} J",
         *_pressed(result, found),
+        *_stressed(result),
         *_worn(found),
     ]
     if reached["assemblies"]:
@@ -123,6 +125,21 @@ def _pressed(result: "Result", found: KeyNumbers) -> list[str]:
             f"sliding distance {distance:.4g} m"
         )
     return lines
+
+
+def _stressed(result: "Result") -> list[str]:
+    """Return the largest stress of each body and where it is, nothing where none is stored."""
+    if result.stress is None or not result.stress.states:
+        return []
+    state, exclude = result.stress.states[-1], result.stress.exclude
+    told = "; ".join(
+        f"{body} {of.mises:.5g} MPa at r = {of.r:.6g}, z = {of.z:.6g} mm"
+        for body, of in zip(BODIES, state.largest, strict=True)
+        if np.isfinite(of.mises)
+    )
+    when = "" if state.time == result.histories["time"][-1] else f" at t = {state.time:g} s"
+    beside = f", {exclude:g} mm and more from edges" if exclude else ""
+    return [f"largest von Mises stress{when}{beside}: {told or 'none'}"]
 
 
 def _worn(found: KeyNumbers) -> list[str]:

@@ -119,6 +119,11 @@ def read_draft(source: Path | str | Mapping[str, Any]) -> Draft:
             f"{name}: output.boundary: must be absent from a study and its case; fields on whole "
             "boundaries are stored by ringwear run only"
         )
+    if any(path.startswith("stress.") for path in (*base, *names)):
+        raise InputError(
+            f"{name}: [stress]: must be absent from a study and its case; stresses are stored by "
+            "ringwear run only"
+        )
     found = tuple(  # files are relative to the study
         column.mapped(partial(_found, key, folder)) if column.numbers is None else column
         for key, column in zip(names, columns, strict=True)

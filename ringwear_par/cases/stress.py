@@ -1,0 +1,188 @@
+"""Where and when a case asks for stress: points and a grid, each in one of the bodies."""
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+
+from ringwear_par.arrays import BoolArray, FloatArray, IntArray
+from ringwear_par.elasticity.boundary_fields import BODIES
+from ringwear_par.elasticity.sections import corners
+from ringwear_par.errors import InputError
+
+if TYPE_CHECKING:
+    from ringwear_par.cases.case import Case, Ring
+
+#: of which material a point on the line between two is
+Side = Literal["", "above", "below"]
+#: share of the bodies' size within which a point lies on a face or an edge
+_ON = 1e-9
+
+
+@dataclass(frozen=True)
+class Grid:
+    """Points at ``n`` radii and heights between two each (mm), of one body or of both."""
+
+    body: Literal["lower", "upper", "both"]
+    r: tuple[float, float]
+    z: tuple[float, float]
+    n: tuple[int, int]
+
+    @property
+    def axes(self) -> tuple[FloatArray, FloatArray]:
+        """Radii and heights, mm."""
+        return np.linspace(*self.r, self.n[0]), np.linspace(*self.z, self.n[1])
+
+
+@dataclass(frozen=True)
+class Stress:
+    """What stresses are stored.
+
+    Parameters
+    ----------
+    points : r and z (mm) in the frame of the case, and the side where two bodies touch.
+    grid : further ones, of which those outside the bodies have none.
+    times : of the stored states, which; or times (s) from each of which on the first one is.
+    exclude : mm, radius round edges in which the largest stress is not looked for.
+    """
+
+    points: tuple[tuple[float, float, Side], ...] = ()
+    grid: Grid | None = None
+    times: str | tuple[float, ...] = "last"
+    exclude: float = 0.1
+
+    @property
+    def size(self) -> float:
+        """Number of points, those of the grid included."""
+        return len(self.points) + (float(self.grid.n[0]) * self.grid.n[1] if self.grid else 0.0)
+
+
+def point_bodies(case: "Case") -> list[int]:
+    """Return of which body, 0 or 1, each point of a case is. Not collective."""
+    assert case.stress is not None
+    return [_bodies_at(case, r, z, side)[0] for r, z, side in case.stress.points]
+
+
+def grid_bodies(case: "Case") -> IntArray:
+    """Return of which body each point of a case's grid is, (nr, nz); -1: of none, or on an edge."""
+    assert case.stress is not None
+    grid = case.stress.grid
+    if grid is None:
+        return np.empty((0, 0), dtype=np.int64)
+    r, z = (part.ravel() for part in np.meshgrid(*grid.axes, indexing="ij"))
+    found = np.full(r.shape, -1)
+    for i in (1, 0):  # lower has what belongs to both
+        if grid.body in ("both", BODIES[i]):
+            found[_inside(case, i, r, z)] = i
+    for edge in edges(case):
+        found[np.hypot(r - edge[0], z - edge[1]) <= _ON * _size(case)] = -1
+    return found.reshape(grid.n)
+
+
+def check_stress(name: str, case: "Case") -> None:
+    """Refuse points that are in no body, or where there is no stress. Not collective.
+
+    Parameters
+    ----------
+    name : what messages call the case.
+
+    Raises
+    ------
+    InputError : all faults, one sentence each.
+    """
+    if case.stress is None:
+        return
+    faults, around, size = [], edges(case), _size(case)
+    for i, (r, z, side) in enumerate(case.stress.points):
+        said = f"{name}: stress.points[{i}] = {[r, z, side] if side else [r, z]}"
+        if np.hypot(*(around - [r, z]).T).min() <= _ON * size:
+            faults.append(f"{said}: lies on an edge; must be beside it, as stress is not defined")
+            continue
+        without = _bodies_at(case, r, z, "")
+        bodies = _bodies_at(case, r, z, side)
+        if not without:
+            faults.append(f"{said}: lies outside both bodies; must be in one of them (mm)")
+        elif len(without) > 1 and not side:
+            faults.append(
+                f'{said}: lies on the faces of both bodies; must have its side, "below" for lower '
+                'or "above" for upper'
+            )
+        elif not bodies:
+            faults.append(f'{said}: there is no body {side} it; must be without "{side}"')
+        elif not side and _on_interface(case, bodies[0], z):
+            faults.append(
+                f'{said}: lies between two layers; must have its side, "above" or "below"'
+            )
+    grid = case.stress.grid
+    if grid is not None and not any(
+        _overlaps(grid.r, ring.r) and _overlaps(grid.z, ring.z)
+        for body, ring in zip(BODIES, case.rings, strict=True)
+        if grid.body in ("both", body)
+    ):
+        which = "both bodies" if grid.body == "both" else grid.body
+        faults.append(
+            f"{name}: stress.grid: r = {list(grid.r)}, z = {list(grid.z)} lie outside {which}; "
+            "must have a part of it"
+        )
+    if faults:
+        raise InputError(*faults)
+
+
+def _overlaps(one: tuple[float, float], other: tuple[float, float]) -> bool:
+    return one[0] <= other[1] and other[0] <= one[1]
+
+
+def _size(case: "Case") -> float:
+    return max(abs(x) for ring in case.rings for x in (*ring.r, *ring.z))
+
+
+def _bodies_at(case: "Case", r: float, z: float, side: Side) -> list[int]:
+    """Return the bodies that have a point, on a side of a face where it lies on one."""
+    at = np.array([r]), np.array([z])
+    found = [i for i in (0, 1) if _inside(case, i, *at)[0]]
+    if side and len(found) == 1:
+        body = found[0]
+        if _on_interface(case, body, z):
+            return found
+        face = float(_face(case, case.rings[body], at[0])[0])
+        return found if abs(z - face) <= _ON * _size(case) and side == _SIDES[body] else []
+    return [i for i in found if not side or side == _SIDES[i]]
+
+
+def _on_interface(case: "Case", i: int, z: float) -> bool:
+    """Tell whether a height is that of an interface between layers of lower (0) or upper (1)."""
+    ring = case.rings[i]
+    depths = np.cumsum(case.section(ring).layers)
+    levels = case.lower.z[1] - depths if i == 0 else case.upper.z[0] + depths
+    return bool((np.abs(levels - z) <= _ON * _size(case)).any())
+
+
+#: on which side of its contact face a body is
+_SIDES: tuple[Side, Side] = ("below", "above")
+
+
+def _face(case: "Case", ring: "Ring", r: FloatArray) -> FloatArray:
+    """Return the heights of a contact face in the frame of the case, mm."""
+    inside = np.clip(r, *ring.r)
+    depth = case.section(ring).depth(inside)
+    return case.lower.z[1] + depth if ring is case.lower else case.upper.z[0] - depth
+
+
+def _inside(case: "Case", i: int, r: FloatArray, z: FloatArray) -> BoolArray:
+    """Tell which points are in lower (0) or upper (1), their faces included."""
+    ring, on = case.rings[i], _ON * _size(case)
+    face = _face(case, ring, r)
+    low, high = (ring.z[0], face) if i == 0 else (face, ring.z[1])
+    return (r >= ring.r[0] - on) & (r <= ring.r[1] + on) & (z >= low - on) & (z <= high + on)
+
+
+def edges(case: "Case") -> FloatArray:
+    """Return (e, 2) mm, corners of the bodies and ends of the contact line off the axis."""
+    found = []
+    for ring in case.rings:
+        radii = np.array([*ring.r, *corners(case.section(ring)), *case.contact])
+        face = _face(case, ring, radii)
+        held = ring.z[0] if ring is case.lower else ring.z[1]
+        found += [(r, z) for r, z in zip(radii, face, strict=True) if r > 0.0]
+        found += [(r, held) for r in ring.r if r > 0.0]
+    return np.array(found)

@@ -1,0 +1,39 @@
+"""Which stored states an observer is asked for: all, the last, or those after some times."""
+
+from ringwear_par.cases.case import Case
+from ringwear_par.history.saving import times_within, wants
+from ringwear_par.history.snapshots import Snapshot
+
+
+class Asked:
+    """Tells of one state after another whether it is asked for.
+
+    Parameters
+    ----------
+    case : the case.
+    which : "none", "last", "all", or times (s) from each of which on the first stored state is.
+    last_stored : s, time of the last stored state of an interrupted history; negative: none.
+    """
+
+    def __init__(self, case: Case, which: str | tuple[float, ...], last_stored: float) -> None:
+        self._case, self._which, self._last_stored = case, which, last_stored
+
+    def __call__(self, snapshot: Snapshot) -> bool:
+        """Tell whether a state is, in the order of the history. Not collective."""
+        state, steps = snapshot.state, snapshot.progress.steps
+        if not snapshot.stored:
+            return False
+        before = self._stored_before(state.time, steps)
+        if not snapshot.passing:
+            self._last_stored = state.time
+        return wants(self._which, state.time, snapshot.finished, before)
+
+    def _stored_before(self, time: float, steps: int) -> float:
+        """Return the time of the stored state before one at a time; negative: there is none."""
+        output = self._case.output
+        if output.times:
+            return max(times_within(self._case, -1.0, time), default=0.0 if time > 0.0 else -1.0)
+        if not self._case.time.adaptive and steps > 0:
+            # a shorter run's last state, from which this one may go on, is forgotten
+            return (steps - 1) // output.every * output.every * self._case.time.step
+        return self._last_stored

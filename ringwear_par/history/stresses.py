@@ -1,0 +1,73 @@
+"""Observer that computes the stresses that a case asks for."""
+
+import numpy as np
+from mpi4py import MPI
+
+from ringwear_par.cases.case import Case
+from ringwear_par.cases.stress import Side, grid_bodies, point_bodies
+from ringwear_par.elasticity.stress_fields import StressState
+from ringwear_par.elasticity.stress_recovery import StressPoints, StressRecovery
+from ringwear_par.history.asked import Asked
+from ringwear_par.history.bodies import bodies
+from ringwear_par.history.snapshots import Snapshot
+
+_SIDES: dict[Side, float] = {"above": 1.0, "": 0.0, "below": -1.0}
+
+
+class StressObserver:
+    """Stresses in lower and upper, at the stored states that a case asks for.
+
+    Parameters
+    ----------
+    case : one with [stress].
+    comm : communicator; calls are collective.
+    last_stored : s, time of the last stored state of an interrupted history; negative: none.
+    """
+
+    def __init__(self, case: Case, comm: MPI.Comm, last_stored: float = -1.0) -> None:
+        assert case.stress is not None
+        self._case, grid = case, case.stress.grid
+        self._asked = Asked(case, case.stress.times, last_stored)
+        axes = grid.axes if grid is not None else (np.empty(0), np.empty(0))
+        #: (p, 2) mm, the points; radii and heights of the grid
+        self.points = np.array([point[:2] for point in case.stress.points]).reshape(-1, 2)
+        self.grid = axes
+        self._of_points, self._of_grid = np.array(point_bodies(case), int), grid_bodies(case)
+        on_grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
+        sides = np.array([_SIDES[point[2]] for point in case.stress.points])
+
+        def of(i: int) -> StressPoints:
+            own, grid = self._of_points == i, on_grid[self._of_grid == i]
+            return StressPoints(
+                np.concatenate([self.points[own], grid]),
+                np.concatenate([sides[own], np.zeros(len(grid))]),
+            )
+
+        self._recovery = StressRecovery(
+            bodies(case), case.line, case.mesh, (case.lower.z[1], case.upper.z[0]),
+            (of(0), of(1)), case.stress.exclude, comm,
+        )  # fmt: skip
+        #: what was asked for so far
+        self.states: list[StressState] = []
+
+    def __call__(self, snapshot: Snapshot) -> bool:
+        """Compute the stresses of a state, if the case wants them. Collective."""
+        if self._asked(snapshot):
+            state = snapshot.state
+            found = self._recovery.stresses(
+                state.contact.pressure, self._case.friction, state.shape
+            )
+            points = np.empty((len(self.points), 6))
+            grid = np.full((*self._of_grid.shape, 6), np.nan)
+            for i, body in enumerate(found):
+                own = np.count_nonzero(self._of_points == i)
+                points[self._of_points == i] = body.points[:own]
+                grid[self._of_grid == i] = body.points[own:]
+            surface, largest = (
+                (found[0].surface, found[1].surface),
+                (found[0].largest, found[1].largest),
+            )
+            self.states.append(
+                StressState(snapshot.progress.steps, state.time, points, grid, surface, largest)
+            )
+        return False

@@ -1,0 +1,150 @@
+"""The variables of stored stresses: how a result's file has them."""
+
+from dataclasses import replace
+from typing import Any
+
+import h5py
+import numpy as np
+
+from ringwear_par.elasticity.boundary_fields import BODIES
+from ringwear_par.elasticity.stress_fields import Largest, StressHistory, StressState
+from ringwear_par.elasticity.stress_measures import COMPONENTS, max_shear, mises, principal
+from ringwear_par.results.reading import read_array
+from ringwear_par.results.variables import HISTORIES, STEPS_MADE, Variable
+
+_STEP, _TENSOR = ("stress_step",), "rr, tt, zz, rz, rt, tz; tension positive, z upwards"
+STRESS_STEP = Variable(
+    "stress_step", _STEP, "1", "number of the stored state of stress", integer=True
+)
+STRESS_TIME = replace(HISTORIES["time"], name="stress_time", dimensions=_STEP)
+STRESS_STEPS_MADE = replace(STEPS_MADE, name="stress_steps_made", dimensions=_STEP)
+COMPONENT = Variable("component", ("component",), "1", "component of stress")
+POINT = Variable("point", ("point",), "1", "point of stress.points", integer=True)
+POINT_R = Variable("point_r", ("point",), "mm", "radius of the point")
+POINT_Z = Variable("point_z", ("point",), "mm", "height of the point")
+PRINCIPAL = Variable(
+    "principal_value", ("principal_value",), "1", "principal value, the largest first", integer=True
+)
+GRID_R = Variable("grid_r", ("grid_r",), "mm", "radius of the grid")
+GRID_Z = Variable("grid_z", ("grid_z",), "mm", "height of the grid")
+_GRID = (*_STEP, "grid_r", "grid_z")
+STRESS = Variable("stress", (*_STEP, "point", "component"), "MPa", f"stress {_TENSOR}")
+MISES = Variable("mises", (*_STEP, "point"), "MPa", "von Mises stress")
+MAX_SHEAR = Variable("max_shear", (*_STEP, "point"), "MPa", "largest shear stress")
+PRINCIPALS = Variable(
+    "principal", (*_STEP, "point", "principal_value"), "MPa", "principal stresses"
+)
+STRESS_GRID = Variable("stress_grid", (*_GRID, "component"), "MPa", f"stress {_TENSOR}")
+MISES_GRID = Variable("mises_grid", _GRID, "MPa", "von Mises stress")
+MAX_SHEAR_GRID = Variable("max_shear_grid", _GRID, "MPa", "largest shear stress")
+SURFACE_STRESS = tuple(
+    Variable(
+        f"surface_stress_{body}", (*_STEP, "element", "component"), "MPa",
+        f"stress of the {body} ring at its contact face {_TENSOR}",
+    )
+    for body in BODIES
+)  # fmt: skip
+EXCLUDE = Variable("stress_exclude", (), "mm", "radius round edges in which it is not looked for")
+
+
+def _largest(suffix: str, of: str) -> tuple[Variable, ...]:
+    return (
+        Variable(f"max_mises{suffix}", _STEP, "MPa", f"largest von Mises stress of {of}"),
+        Variable(f"max_mises{suffix}_r", _STEP, "mm", "radius at which it is"),
+        Variable(f"max_mises{suffix}_z", _STEP, "mm", "height at which it is"),
+        Variable(
+            f"max_mises{suffix}_layer",
+            _STEP,
+            "1",
+            "layer that it is in, from the contact face on; the last is the body itself",
+            integer=True,
+        ),
+    )
+
+
+#: of both bodies together, then of each
+MAX_MISES = _largest("", "both rings")
+MAX_MISES_OF = tuple(_largest(f"_{body}", f"the {body} ring") for body in BODIES)
+#: coordinates that are no dimensions; where there are no points the first only
+STRESS_COORDINATES = (STRESS_TIME.name, POINT_R.name, POINT_Z.name)
+
+
+def stress_variables(history: StressHistory) -> list[tuple[Variable, Any]]:
+    """Return every variable of stored stresses with its values; there is a state at least."""
+    states = history.states
+    found: list[tuple[Variable, Any]] = [
+        (STRESS_STEP, np.arange(len(states))),
+        (STRESS_TIME, np.array([state.time for state in states])),
+        (STRESS_STEPS_MADE, np.array([state.step for state in states])),
+        (COMPONENT, list(COMPONENTS)),
+        (EXCLUDE, np.array(history.exclude)),
+    ]
+    if len(history.points):
+        stress = np.array([state.points for state in states])
+        found += [
+            (POINT, np.arange(len(history.points))),
+            (POINT_R, history.points[:, 0]),
+            (POINT_Z, history.points[:, 1]),
+            (PRINCIPAL, np.arange(3)),
+            (STRESS, stress),
+            (MISES, mises(stress)),
+            (MAX_SHEAR, max_shear(stress)),
+            (PRINCIPALS, principal(stress)),
+        ]
+    if len(history.grid[0]):
+        stress = np.array([state.grid for state in states])
+        found += [
+            (GRID_R, history.grid[0]),
+            (GRID_Z, history.grid[1]),
+            (STRESS_GRID, stress),
+            (MISES_GRID, mises(stress)),
+            (MAX_SHEAR_GRID, max_shear(stress)),
+        ]
+    for i, variable in enumerate(SURFACE_STRESS):
+        found.append((variable, np.array([state.surface[i] for state in states])))
+    found += _columns(MAX_MISES, [state.of_both for state in states])
+    for i, variables in enumerate(MAX_MISES_OF):
+        found += _columns(variables, [state.largest[i] for state in states])
+    return found
+
+
+def _columns(variables: tuple[Variable, ...], places: list[Largest]) -> list[tuple[Variable, Any]]:
+    rows = zip(*((of.mises, of.r, of.z, of.layer) for of in places), strict=True)
+    return [(v, np.array(row, v.dtype)) for v, row in zip(variables, rows, strict=True)]
+
+
+def read_stress(file: h5py.File, sizes: dict[str, int]) -> StressHistory | None:
+    """Return the stored stresses, None where there are none; any exception means damage."""
+    if STRESS_TIME.name not in file:
+        return None
+    sizes = {**sizes, "component": len(COMPONENTS)}
+
+    def read(variable: Variable) -> Any:
+        return read_array(file, variable, sizes)
+
+    times, steps = read(STRESS_TIME), read(STRESS_STEPS_MADE)
+    if not (len(times) and np.isfinite(times).all() and (np.diff(times) >= 0.0).all()):
+        raise ValueError(STRESS_TIME.name)
+    count = len(times)
+    points, at_points = np.empty((0, 2)), np.empty((count, 0, 6))
+    if STRESS.name in file:
+        points = np.stack([read(POINT_R), read(POINT_Z)], axis=1)
+        at_points = read(STRESS)
+    axes, on_grid = (np.empty(0), np.empty(0)), np.empty((count, 0, 0, 6))
+    if STRESS_GRID.name in file:
+        axes = read(GRID_R), read(GRID_Z)
+        on_grid = read(STRESS_GRID)
+    surface = [read(variable) for variable in SURFACE_STRESS]
+    largest = [
+        [Largest(*row) for row in zip(*(read(v).tolist() for v in variables), strict=True)]
+        for variables in MAX_MISES_OF
+    ]
+    states = tuple(
+        StressState(
+            int(steps[t]), float(times[t]), at_points[t], on_grid[t],
+            (surface[0][t], surface[1][t]),
+            (largest[0][t], largest[1][t]),
+        )
+        for t in range(count)
+    )  # fmt: skip
+    return StressHistory(points, axes, float(read(EXCLUDE)), states)
