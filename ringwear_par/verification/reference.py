@@ -1,7 +1,7 @@
 """Exact and converged solutions, for tests and ``ringwear verify``. Units: mm, N, MPa, s."""
 
 import math
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 
 import numpy as np
 
@@ -31,6 +31,11 @@ PAPER_PRESSURE = {30.0: 34.392, 28.6: 85.388, 31.4: 84.186}
 #: the same, lower with a bonded layer of E = 100 GPa, nu = 0.3, 0.05 mm thick
 COATED_APPROACH = 0.0360214
 COATED_PRESSURE = {30.0: 33.576, 28.6: 61.120, 31.4: 60.176}
+#: stresses (MPa) of the lower one of them by kind and depth (mm) under r = 30
+PAPER_STRESS = {
+    ("von Mises", 0.05): 15.4735, ("von Mises", 0.2): 15.7083,
+    ("largest shear", 0.05): 8.7740, ("largest shear", 0.2): 9.0225,
+}  # fmt: skip
 #: other rings under the same load (see ``fine``), independent finite elements: approach (mm), p(30)
 #: and mean pressures (MPa) at the inner and the outer edge, between these distances (mm) from it
 EDGE_DISTANCES = (0.0, 0.001, 0.005, 0.02, 0.1, 0.3)
@@ -90,6 +95,67 @@ def hertz(modulus: float, radius: float, approach: float) -> tuple[float, float,
     force = 4.0 / 3.0 * modulus * math.sqrt(radius) * approach**1.5
     a = math.sqrt(radius * approach)
     return force, a, 1.5 * force / (math.pi * a * a)
+
+
+def hertz_stress(r: FloatArray, depth: FloatArray, nu: float) -> FloatArray:
+    """Return (p, 4) rr, tt, zz, rz of a half-space under sqrt(1 - r^2), z upwards (Huber)."""
+    x = r * r + depth * depth - 1.0
+    u = 0.5 * (x + np.hypot(x, 2.0 * depth))  # of the ellipsoid through the point
+    s = np.sqrt(u)
+    cosine, arc = depth / s, s * np.arctan(1.0 / s)
+    square = u / (u * u + depth * depth)
+    safe = np.where(r > 0.0, r, 1.0)
+    lateral = (1.0 - 2.0 * nu) / 3.0 * (1.0 - cosine**3) / safe**2
+    rr = lateral + cosine**3 * square
+    rr += cosine * (u * (1.0 - nu) / (1.0 + u) + (1.0 + nu) * arc - 2.0)
+    tt = -lateral - cosine * (2.0 * nu + u * (1.0 - nu) / (1.0 + u) - (1.0 + nu) * arc)
+    on_axis = -(1.0 + nu) * (1.0 - depth * np.arctan(1.0 / depth)) + 0.5 / (1.0 + depth**2)
+    rr, tt = (np.where(r > 0.0, each, on_axis) for each in (rr, tt))
+    rz = r * depth**2 / (u * u + depth * depth) * s / (1.0 + u)
+    return np.stack([rr, tt, -(cosine**3) * square, rz], axis=1)
+
+
+def hertz_largest_shear(nu: float) -> tuple[float, float]:
+    """Return the largest shear stress over p_max, and its depth over a, on the axis of Hertz."""
+    depth = np.linspace(0.3, 0.7, 40001)
+    rr, _, zz, _ = hertz_stress(np.zeros_like(depth), depth, nu).T
+    shear = 0.5 * np.abs(rr - zz)
+    return float(shear.max()), float(depth[shear.argmax()])
+
+
+def torsion_stress(
+    r: FloatArray, depth: FloatArray, transformed: Callable[[FloatArray], FloatArray]
+) -> FloatArray:
+    """Return (p, 2) rt, tz of a half-space under circumferential tractions q(r), z upwards.
+
+    Parameters
+    ----------
+    depth : > 0.05 or so, as the integrals over wave numbers are cut.
+    transformed : Int q r J1(x r) dr of wave numbers x.
+    """
+    from scipy.special import jv
+
+    nodes, weights = np.polynomial.legendre.leggauss(2000)
+    most = 40.0 / depth.min()
+    x, w = 0.5 * most * (nodes + 1.0), 0.5 * most * weights
+    values = w * x * transformed(x) * np.exp(-x * depth[:, None])
+    waves = x * r[:, None]
+    return np.stack([-(values * jv(2, waves)).sum(1), (values * jv(1, waves)).sum(1)], axis=1)
+
+
+def hertz_shear(x: FloatArray) -> FloatArray:
+    """Return Int q r J1(x r) dr of q = sqrt(1 - r^2) on r < 1."""
+    from scipy.special import jv
+
+    nodes, weights = np.polynomial.legendre.leggauss(400)
+    phi, w = 0.25 * math.pi * (nodes + 1.0), 0.25 * math.pi * weights
+    values = w * np.sin(phi) * np.cos(phi) ** 2 * jv(1, x[:, None] * np.sin(phi))
+    return values.sum(1)
+
+
+def reissner_sagoci_shear(shear: float, x: FloatArray) -> FloatArray:
+    """Return Int q r J1(x r) dr of q = 4 G r / (pi sqrt(1 - r^2)), of a disc turned by 1 rad."""
+    return 4.0 * shear / math.pi * (np.sin(x) - x * np.cos(x)) / x**2
 
 
 def cone_force(modulus: float, slope: float, approach: float) -> float:

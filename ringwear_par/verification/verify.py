@@ -17,6 +17,7 @@ from ringwear_par.verification.histories import history_checks
 from ringwear_par.verification.layers import layer_checks
 from ringwear_par.verification.paper import paper_checks
 from ringwear_par.verification.slopes import slope_checks
+from ringwear_par.verification.stress import stress_checks
 
 _WIDTH = 78
 
@@ -28,6 +29,7 @@ def checks(comm: MPI.Comm) -> Iterator[Check]:
     yield from sphere_checks(comm)
     yield from paper_checks(comm)
     yield from layer_checks(comm)
+    yield from stress_checks(comm)
     yield from edge_checks(comm)
     yield from slope_checks(comm)
     yield from history_checks(comm)
