@@ -132,8 +132,8 @@ def _parser() -> argparse.ArgumentParser:
     plot.add_argument("-o", "--output", type=_path, required=True, metavar="FIG.png")
     plot.add_argument(
         "--panels", metavar="LIST",
-        help="any of wear, pressure, section, penetration, approach, force, torque, energy, "
-        f"volume, rate, pv, in this order (default: {PANELS})",
+        help="any of wear, pressure, section, stress, depth, mises, penetration, approach, force, "
+        f"torque, energy, volume, rate, pv, in this order (default: {PANELS})",
     )  # fmt: skip
     plot.add_argument(
         "--steps", metavar="LIST",
@@ -172,6 +172,10 @@ def _parser() -> argparse.ArgumentParser:
     export.add_argument(
         "--fields", action="store_true",
         help="write the fields along the contact line to .csv instead of the histories",
+    )  # fmt: skip
+    export.add_argument(
+        "--stress", action="store_true",
+        help="write the stresses of [stress]: its grid to .vtu or .vtkhdf, its points to .csv",
     )  # fmt: skip
 
     report = command("report", "write a page of stored results that opens in any browser")
@@ -316,7 +320,9 @@ def _export(args: argparse.Namespace, comm: Any) -> None:
 
     told = on_first_rank(
         comm,
-        lambda: export(args.result, args.output, args.time, args.revolve, args.scale, args.fields),
+        lambda: export(
+            args.result, args.output, args.time, args.revolve, args.scale, args.fields, args.stress
+        ),
     )
     print(told)
 

@@ -1,12 +1,24 @@
 """The page of a run."""
 
+import io
 from collections.abc import Sequence
 
 import numpy as np
 
+from ringwear_par.elasticity.boundary_fields import BODIES
 from ringwear_par.reports import charts
-from ringwear_par.reports.blocks import Block, Lines, Page, Section, Source, Table, software
+from ringwear_par.reports.blocks import (
+    Block,
+    Lines,
+    Page,
+    Picture,
+    Section,
+    Source,
+    Table,
+    software,
+)
 from ringwear_par.reports.words import case_words
+from ringwear_par.results.figures import plot
 from ringwear_par.results.key_numbers import KeyNumbers, WornLayers, key_numbers
 from ringwear_par.results.result import Result
 from ringwear_par.results.variables import HISTORIES
@@ -53,6 +65,7 @@ def run_page(result: Result) -> Page:
         Section("Worn profiles and pressure", [Lines([told]) if drawn is None else drawn])
     )
     sections.append(Section("Histories", [charts.histories(result), _told(result)]))
+    sections += _stresses(result)
     sections.append(Section("The case", case_words(result)))
     sections.append(Section("Balances", [_balances(result)]))
     sections.append(_reproduced(result))
@@ -140,6 +153,31 @@ def _balances(result: Result) -> Table:
     ]
     caption = "Errors, the worst of all steps; relative, but for that of a time step"
     return Table(caption, ("what is held against what", "error"), rows)
+
+
+def _stresses(result: Result) -> list[Section]:
+    """Return the pictures of the stored stresses and the largest of them, nothing without."""
+    if result.stress is None or not result.stress.states:
+        return []
+    states = result.stress.states
+    panels = ["stress", "depth", "mises"] if len(result.stress.grid[0]) else ["mises"]
+    if len(states) == 1:  # which is no history
+        panels = panels[:-1]
+    blocks: list[Block] = []
+    if panels:
+        content = io.BytesIO()
+        plot(result, panels).savefig(content, format="png", dpi=150)
+        alt = "Map of von Mises stress in the section, its course along the height, its largest"
+        blocks.append(Picture("Von Mises stress", content.getvalue(), "image/png", alt))
+    rows = [
+        (f"{state.time:.6g}", body, f"{of.mises:.5g}", f"{of.r:.6g}", f"{of.z:.6g}")
+        for state in states
+        for body, of in zip(BODIES, state.largest, strict=True)
+    ]
+    header = ("time (s)", "ring", "von Mises (MPa)", "at r (mm)", "z (mm)")
+    caption = f"Largest von Mises stress, {result.stress.exclude:g} mm and more from edges"
+    blocks.append(Table(caption, header, rows, folded=len(rows) > _INSTANTS))
+    return [Section("Stress inside", blocks)]
 
 
 def _reproduced(result: Result) -> Section:

@@ -8,6 +8,8 @@ import numpy as np
 
 from ringwear_par.arrays import FloatArray, IntArray
 from ringwear_par.elasticity.boundary_fields import BoundaryFields, BoundaryState
+from ringwear_par.elasticity.stress_fields import StressHistory, StressState
+from ringwear_par.elasticity.stress_measures import COMPONENTS, max_shear, mises
 
 
 @dataclass(frozen=True)
@@ -35,6 +37,27 @@ def contours(state: BoundaryState, warp: float) -> Cells:
 def surfaces(state: BoundaryState, warp: float, segments: int) -> Cells:
     """Return the surfaces of both bodies, revolved in so many segments."""
     return _both([_revolved(body, warp, segments) for body in state.bodies])
+
+
+def stress_cells(history: StressHistory, state: StressState) -> Cells:
+    """Return the grid of stresses in the plane y = 0: a quadrangle between four known points.
+
+    Those of a first state, which others lose where wear has taken the body away.
+    """
+    r, z = history.grid
+    first = np.isfinite(history.states[0].grid).all(axis=-1)
+    number = np.where(first, np.cumsum(first).reshape(first.shape) - 1, -1)
+    corners = [number[:-1, :-1], number[1:, :-1], number[1:, 1:], number[:-1, 1:]]
+    cells = np.stack([corner.ravel() for corner in corners], axis=1)
+    at = np.stack(np.meshgrid(r, z, indexing="ij"), axis=-1)[first]
+    values = state.grid[first]
+    named = {f"stress_{name}": values[:, i].copy() for i, name in enumerate(COMPONENTS)}
+    return Cells(
+        np.stack([at[:, 0], np.zeros(len(at)), at[:, 1]], axis=1),
+        cells[(cells >= 0).all(axis=1)],
+        {**named, "mises": mises(values), "max_shear": max_shear(values)},
+        {},
+    )
 
 
 def _contour(body: BoundaryFields, warp: float) -> Cells:

@@ -11,8 +11,10 @@ import numpy as np
 from ringwear_par.atomic import atomic_write, check_writable
 from ringwear_par.cases.text import shortened
 from ringwear_par.elasticity.boundary_fields import BoundaryState
+from ringwear_par.elasticity.stress_fields import StressHistory
+from ringwear_par.elasticity.stress_measures import COMPONENTS, max_shear, mises, principal
 from ringwear_par.errors import InputError
-from ringwear_par.results.cells import Cells, contours, surfaces
+from ringwear_par.results.cells import Cells, contours, stress_cells, surfaces
 from ringwear_par.results.files import result_of
 from ringwear_par.results.result import Result
 from ringwear_par.results.variables import (
@@ -36,6 +38,7 @@ def export(
     segments: int | None = None,
     scale: float | None = None,
     fields: bool = False,
+    stress: bool = False,
 ) -> str:
     """Write a result, or that of a file, in another format; return what was written. On one rank.
 
@@ -47,13 +50,17 @@ def export(
     segments : of the revolved surface; None: 72 for .vtu, contours for .vtkhdf.
     scale : factor of the displacements that are added to the points; None: 0.
     fields : whether the table is that of the contact line rather than of the histories.
+    stress : whether the stresses are written: of the grid for ParaView, as quadrangles, or of the
+        points in a table.
 
     Raises
     ------
     InputError : a file or a choice that cannot be, fields that the run has not stored.
     """
-    check_export(output, time, segments, scale, fields)
+    check_export(output, time, segments, scale, fields, stress)
     result = result_of(run)
+    if stress:
+        return _export_stress(result, output, time)
     if output.suffix == ".csv":
         header, rows = _contact_table(result) if fields else _history_table(result)
         _write_csv(output, header, rows)
@@ -78,7 +85,12 @@ def export(
 
 
 def check_export(
-    output: Path, time: float | None, segments: int | None, scale: float | None, fields: bool
+    output: Path,
+    time: float | None,
+    segments: int | None,
+    scale: float | None,
+    fields: bool,
+    stress: bool = False,
 ) -> None:
     """Refuse what cannot be exported, before anything is read. Not collective.
 
@@ -90,6 +102,11 @@ def check_export(
     if ending not in _ENDINGS:
         raise InputError(f"{output}: its ending must be one of {', '.join(_ENDINGS)}")
     check_writable(output)
+    if stress and (ending == ".vtp" or segments is not None or scale is not None or fields):
+        raise InputError(
+            f"--stress: {output} is of the grid (.vtu, .vtkhdf) or of points (.csv); "
+            "must be without --revolve, --scale, --fields"
+        )
     if fields and ending != ".csv":
         raise InputError(f"--fields: {output} is no table; must be absent but for .csv")
     surface = ending in (".vtu", ".vtkhdf")
@@ -111,6 +128,63 @@ def check_export(
             ) from error
 
 
+def stresses(result: Result) -> StressHistory:
+    """Return the stored stresses.
+
+    Raises
+    ------
+    InputError : there are none.
+    """
+    if result.stress is None or not result.stress.states:
+        raise InputError(
+            f"{result.name}: holds no stresses; must be computed with [stress] in its case"
+        )
+    return result.stress
+
+
+def _export_stress(result: Result, output: Path, time: float | None) -> str:
+    history = stresses(result)
+    if output.suffix == ".csv":
+        _write_csv(output, *_stress_table(result))
+        return f"{output}: stress at {len(history.points)} points, {len(history.states)} states"
+    if not len(history.grid[0]):
+        raise InputError(f"{result.name}: holds no grid of stresses; must have stress.grid")
+    content = [stress_cells(history, state) for state in history.states]
+    if output.suffix == ".vtkhdf":
+        times = [state.time for state in history.states]
+        write_vtkhdf(output, times, content)
+        return f"{output}: stress, {len(times)} states from {times[0]:g} to {times[-1]:g} s"
+    chosen = len(content) - 1
+    if time is not None:
+        _check_time(result, time)
+        chosen = int(np.argmin([abs(state.time - time) for state in history.states]))
+    _write_vtk(output, content[chosen])
+    return (
+        f"{output}: stress at {history.states[chosen].time:g} s, {len(content[chosen].points)} "
+        f"points, {len(content[chosen].cells)} cells"
+    )
+
+
+def _stress_table(result: Result) -> tuple[list[str], Iterable[Sequence[Any]]]:
+    """Return the stresses at points, a row for each stored state and point."""
+    history = stresses(result)
+    if not len(history.points):
+        raise InputError(f"{result.name}: holds no stresses at points; must have stress.points")
+    header = [
+        "step", "time (s)", "r (mm)", "z (mm)", *(f"{name} (MPa)" for name in COMPONENTS),
+        "mises (MPa)", "max_shear (MPa)", *(f"principal_{i} (MPa)" for i in (1, 2, 3)),
+    ]  # fmt: skip
+    rows = (
+        [state.step, state.time, *row]
+        for state in history.states
+        for row in np.column_stack(
+            [history.points, state.points, mises(state.points), max_shear(state.points),
+             principal(state.points)]
+        ).tolist()
+    )  # fmt: skip
+    return header, rows
+
+
 def _states(result: Result) -> Sequence[BoundaryState]:
     if not result.boundary:
         raise InputError(
@@ -130,10 +204,14 @@ def choose_state(result: Result, time: float | None) -> BoundaryState:
     states = _states(result)
     if time is None:
         return states[-1]
+    _check_time(result, time)
+    return min(states, key=lambda state: abs(state.time - time))
+
+
+def _check_time(result: Result, time: float) -> None:
     end = float(result.histories["time"][-1])
     if not 0.0 <= time <= end * (1.0 + 1e-9):
         raise InputError(f"--time {time:g}: must be from 0 to {end:g} s, the end of {result.name}")
-    return min(states, key=lambda state: abs(state.time - time))
 
 
 def _columns(values: Any) -> Any:

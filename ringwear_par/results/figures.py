@@ -19,7 +19,7 @@ from ringwear_par.cases.units import seconds
 from ringwear_par.cases.values import RejectedError
 from ringwear_par.errors import InputError, legible
 from ringwear_par.results.drawing import STYLE, check_format, in_words, plain, save_figure
-from ringwear_par.results.export import choose_state
+from ringwear_par.results.export import choose_state, stresses
 from ringwear_par.results.files import result_of
 from ringwear_par.results.history_panels import HISTORY_PANELS, draw_history
 from ringwear_par.results.profile_panels import (
@@ -30,6 +30,13 @@ from ringwear_par.results.profile_panels import (
 )
 from ringwear_par.results.result import FailedResult, Result
 from ringwear_par.results.section_panel import draw_section
+from ringwear_par.results.stress_panels import (
+    draw_depth,
+    draw_largest,
+    draw_map,
+    highest,
+    stress_states,
+)
 
 log = logging.getLogger(__name__)
 
@@ -37,7 +44,9 @@ Source = Result | str | Path
 
 #: panels along the radius, one a result
 _PROFILES = {"wear": draw_wear, "pressure": draw_pressure}
-PANELS = (*_PROFILES, "section", *HISTORY_PANELS)
+#: panels of stresses in the section, one a result or more
+_STRESS_MAPS = ("stress", "depth")
+PANELS = (*_PROFILES, "section", *_STRESS_MAPS, "mises", *HISTORY_PANELS)
 #: what is drawn where nothing else is asked for
 DEFAULT = "wear,penetration"
 _MOST_COLUMNS = 3
@@ -48,6 +57,8 @@ _NEEDED: dict[str, Callable[[Result], Any]] = {
     "wear": lambda result: [stored_field(result, f"wear_{body}") for body in ("lower", "upper")],
     "pressure": lambda result: stored_field(result, "pressure"),
     "section": lambda result: choose_state(result, None),
+    **{name: lambda result: stress_states(result, ()) for name in _STRESS_MAPS},
+    "mises": stresses,
     **{name: panel.curves for name, panel in HISTORY_PANELS.items()},
 }
 
@@ -64,8 +75,10 @@ def plot(
     Profiles (``wear``, ``pressure``) and deformed sections (``section``, the last one stored) are
     drawn of every result, one panel each, profiles on one scale; the histories of all of them share
     a panel (``penetration``, ``approach``, ``force``, ``torque``, ``energy``, ``volume``, ``rate``,
-    ``pv`` and, of bodies with layers, ``through``). A panel for which a result holds nothing is
-    left out, with a warning, if there are others.
+    ``pv`` and, of bodies with layers, ``through``). Of stored stresses: ``stress``, von Mises in
+    the section, one panel each; ``depth``, it along the height in the middle of the contact;
+    ``mises``, the largest over time. A panel for which a result holds nothing is left out, with a
+    warning, if there are others.
 
     Parameters
     ----------
@@ -74,7 +87,8 @@ def plot(
     steps : comma-separated step numbers of the profiles.
     profiles_of : those of the results whose profiles and sections are drawn; () for all.
     times : comma-separated times of the profiles, s or with a unit ("1 h"), instead of steps; the
-        stored states nearest to them are drawn. Without either: the first step and four quarters.
+        stored states nearest to them are drawn. Without either: the first step and four quarters;
+        the last one of stresses.
 
     Raises
     ------
@@ -171,7 +185,7 @@ def _drawn_panels(
                 f"{', '.join(PANELS)}"
             )
     rows: list[list[int]] = []
-    if not _PROFILES.keys().isdisjoint(panels):
+    if not {*_PROFILES, *_STRESS_MAPS}.isdisjoint(panels):
         rows = [_at_times(r, times) if times else _rows(r, steps) for r, _ in profiled]
     drawings: list[tuple[str, Callable[..., None]]] = []
     left_out: list[tuple[str, str]] = []
@@ -182,6 +196,20 @@ def _drawn_panels(
                 continue
             drawn = partial(draw_history, panel=HISTORY_PANELS[panel])
             drawings.append((panel, partial(drawn, results=results, labels=labels)))
+            continue
+        if panel == "mises":
+            if faults := _not_stored(panel, results):
+                left_out += faults
+            else:
+                drawn = partial(draw_largest, results=results, labels=labels)
+                drawings.append((panel, drawn))
+            continue
+        if panel in _STRESS_MAPS:
+            faults = _not_stored(panel, (result for result, _ in profiled))
+            left_out += faults
+            if not faults:
+                chosen_rows = rows if steps or times else [[]] * len(profiled)
+                drawings += _stress_drawings(panel, profiled, chosen_rows)
             continue
         for number, (result, label) in enumerate(profiled):
             if faults := _not_stored(panel, [result]):
@@ -198,7 +226,7 @@ def _drawn_panels(
     lines = -(-len(drawings) // _MOST_COLUMNS)
     columns = -(-len(drawings) // lines)
     # sections have the same scale along both axes and leave room that constrained ones keep
-    layout: Any = "compressed" if set(panels) == {"section"} else "constrained"
+    layout: Any = "compressed" if set(panels) <= {"section", "stress"} else "constrained"
     figure = Figure(figsize=(3.6 * columns, 3.3 * lines), layout=layout)
     shared: dict[str, list[Any]] = {panel: [] for panel in _PROFILES}
     for number, (panel, draw) in enumerate(drawings):
@@ -269,6 +297,31 @@ def _at_times(result: Result, times: str) -> list[int]:
             )  # fmt: skip
         rows.add(row)
     return sorted(rows)
+
+
+def _stress_drawings(
+    panel: str, profiled: Sequence[tuple[Result, str]], rows: Sequence[Sequence[int]]
+) -> list[tuple[str, Callable[..., None]]]:
+    """Return maps, one a state and on one scale, or courses along depth, one a result.
+
+    Parameters
+    ----------
+    rows : of each result, the stored states nearest to which stresses are drawn; none: the last.
+    """
+    found: list[tuple[str, Callable[..., None]]] = []
+    states = [
+        stress_states(result, result.histories["time"][list(own)].tolist())
+        for (result, _), own in zip(profiled, rows, strict=True)
+    ]
+    top = highest([state for some in states for state in some])
+    for (result, label), some in zip(profiled, states, strict=True):
+        if panel == "depth":
+            found.append((panel, partial(draw_depth, result=result, label=label, states=some)))
+            continue
+        for state in some:
+            drawn = partial(draw_map, result=result, label=label, state=state, top=top)
+            found.append((panel, drawn))
+    return found
 
 
 def _labels(results: Sequence[Result]) -> list[str]:

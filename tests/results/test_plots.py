@@ -73,7 +73,7 @@ def test_few_points_of_a_curve_are_marked(runs):
     [
         (("wear", "3,99"), "'99' is not a stored step"),
         (("wear", "x"), "'x' is not a stored step"),
-        (("temperature", ""), "must be one of wear, pressure, section, penetration, approach"),
+        (("temperature", ""), "must be one of wear, pressure, section, stress, depth"),
         (("wear", "1", (), "5"), "--times: must be absent beside --steps"),
         (("wear", "", (), "30"), "'30' is no time of .* from 0 to 20 .s., or with a unit"),
         (("wear", "", (), "2 mm"), "'2 mm' is no time of"),

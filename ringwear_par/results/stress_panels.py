@@ -1,0 +1,169 @@
+"""Panels of stresses: a map in the section, along depth, and the largest in time."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from matplotlib.patches import Polygon
+from matplotlib.ticker import MaxNLocator
+
+from ringwear_par.arrays import BoolArray, FloatArray
+from ringwear_par.cases.reading import outlines
+from ringwear_par.elasticity.boundary_fields import BODIES
+from ringwear_par.elasticity.stress_fields import StressState
+from ringwear_par.elasticity.stress_measures import mises
+from ringwear_par.errors import InputError
+from ringwear_par.results.drawing import COLOURS, DASHES, set_legend, stage_colour, time_unit
+from ringwear_par.results.export import stresses
+from ringwear_par.results.result import Result
+
+#: colours of a map, and the share of its values that the scale holds: edges would take them all
+_LEVELS, _TICKS, _SHARE = 24, 7, 0.99
+#: share of the map's height that the deepest wear is drawn with
+_WEAR_DRAWN = 0.06
+#: mm, within which a point of the grid lies on a face
+_ON_FACE = 1e-9
+_MISES = "von Mises stress (MPa)"
+#: as many points of a curve, or fewer, are marked
+_FEW_POINTS = 20
+
+
+def stress_states(result: Result, times: Sequence[float]) -> list[StressState]:
+    """Return the stored states of stress on a grid nearest to times (s), the last one for none.
+
+    Raises
+    ------
+    InputError : there are none, or none on a grid.
+    """
+    found = stresses(result)
+    if not len(found.grid[0]):
+        raise InputError(
+            f"{result.name}: holds stresses at points only; must be computed with stress.grid"
+        )
+    there = np.array([state.time for state in found.states])
+    rows = {int(np.abs(there - time).argmin()) for time in times} or {len(there) - 1}
+    return [found.states[row] for row in sorted(rows)]
+
+
+def highest(states: Sequence[StressState]) -> float:
+    """Return what the scale of maps of some states ends with, MPa."""
+    values = np.concatenate([mises(state.grid).ravel() for state in states])
+    known = values[np.isfinite(values)]
+    return float(np.quantile(known, _SHARE)) if len(known) else 1.0
+
+
+def draw_map(axes: Any, result: Result, label: str, state: StressState, top: float) -> None:
+    """Draw von Mises' stress on the grid, the bodies and, magnified, their worn faces.
+
+    Parameters
+    ----------
+    top : MPa, end of the scale.
+    """
+    r, z = stresses(result).grid
+    values, sections = mises(state.grid), outlines(result.case, result.name)
+    levels = MaxNLocator(_LEVELS).tick_values(0.0, top or 1.0)
+    low = np.interp(r, *sections[0][:-2].T)[:, None]
+    # each body by itself, and up to its contour
+    for outline, inside in zip(sections, (z <= low + _ON_FACE, z > low + _ON_FACE), strict=True):
+        shown = _spread(values, inside & np.isfinite(values))
+        drawn = axes.contourf(r, z, shown.T, levels, cmap="viridis", extend="max")
+        drawn.set_clip_path(Polygon(outline, transform=axes.transData))
+    ticks = levels[:: -(-len(levels) // _TICKS)]
+    axes.figure.colorbar(drawn, ax=axes, label=_MISES, shrink=0.9, ticks=ticks)
+    for outline in sections:
+        axes.add_patch(Polygon(outline, fill=False, edgecolor="0.25", linewidth=0.9))
+    factor = _draw_wear(axes, result, state, sections, _WEAR_DRAWN * (z[-1] - z[0]))
+    axes.set_xlim(r[0], r[-1])
+    axes.set_ylim(z[0], z[-1])
+    axes.set_aspect("equal")
+    axes.set_xlabel("distance to axis (mm)")
+    axes.set_ylabel("height (mm)")
+    unit, seconds = time_unit(float(result.histories["time"][-1]))
+    worn = f"\nworn faces {factor:.3g}\N{MULTIPLICATION SIGN}" if factor else ""
+    axes.set_title(f"{label}: {state.time / seconds:.4g} {unit}{worn}")
+
+
+def _spread(values: FloatArray, known: BoolArray) -> FloatArray:
+    """Return values of which those that are not known are those of the nearest that are."""
+    from scipy.ndimage import distance_transform_edt
+
+    if not known.any():
+        return np.zeros_like(values)
+    nearest = distance_transform_edt(~known, return_distances=False, return_indices=True)
+    return values[tuple(nearest)]
+
+
+def _draw_wear(
+    axes: Any, result: Result, state: StressState, sections: Sequence[FloatArray], height: float
+) -> float:
+    """Draw the worn faces of a state, the deepest wear by a height; return how much more it is."""
+    row = int(np.abs(result.histories["time"] - state.time).argmin())
+    depths = []
+    for body in BODIES:
+        profile = result.profiles.get(f"wear_{body}")
+        if profile is None or (profile.ndim == 1 and row != len(result.step) - 1):
+            return 0.0
+        depths.append(profile if profile.ndim == 1 else profile[row])
+    deepest = max(float(depth.max()) for depth in depths)
+    if not deepest > 0.0:
+        return 0.0
+    factor = float(f"{height / deepest:.1g}")
+    line = result.line
+    for outline, depth, down, name in zip(sections, depths, (1.0, -1.0), BODIES, strict=True):
+        if not depth.any():
+            continue
+        face = np.interp(line.r, *outline[:-2].T)
+        axes.plot(
+            line.r, face - down * factor * depth, color=COLOURS[1], linewidth=1.2,
+            linestyle="-" if name == "lower" else "--",
+        )  # fmt: skip
+    return factor
+
+
+def draw_depth(axes: Any, result: Result, label: str, states: Sequence[StressState]) -> None:
+    """Draw von Mises' stress along the height of the grid, in the middle of the contact."""
+    found = stresses(result)
+    r, z = found.grid
+    inner, outer = result.line.edges[[0, -1]]
+    column = int(np.abs(r - 0.5 * (inner + outer)).argmin())
+    unit, seconds = time_unit(float(result.histories["time"][-1]))
+    levels = [float(np.interp(r[column], *o[:-2].T)) for o in outlines(result.case, result.name)]
+    between = np.searchsorted(z, np.array(levels) + _ON_FACE)  # curves end at faces
+    height = np.insert(z, between, np.nan)
+    for number, state in enumerate(states):
+        values = np.insert(mises(state.grid[column]), between, np.nan)
+        axes.plot(
+            values, height, color=stage_colour(number, len(states)),
+            linestyle=DASHES[number % len(DASHES)], label=f"{state.time / seconds:.3g} {unit}",
+        )  # fmt: skip
+    for level in levels:
+        axes.axhline(level, color="0.4", linewidth=0.8)
+    axes.set_xlim(left=0.0)
+    axes.set_ylim(z[0], z[-1])
+    axes.set_xlabel(_MISES)
+    axes.set_ylabel("height (mm)")
+    set_legend(axes, 3, f"{label}, r = {r[column]:.4g} mm")
+
+
+def draw_largest(axes: Any, results: Sequence[Result], labels: Sequence[str]) -> None:
+    """Draw the largest von Mises stresses of both bodies over time."""
+    unit, seconds = time_unit(max(float(result.histories["time"][-1]) for result in results))
+    for number, (result, label) in enumerate(zip(results, labels, strict=True)):
+        found = stresses(result)
+        time = np.array([state.time for state in found.states]) / seconds
+        told = [label] if len(results) > 1 else []
+        for i, body in enumerate(BODIES):
+            values = [state.largest[i].mises for state in found.states]
+            if not np.isfinite(values).any():
+                continue
+            axes.plot(
+                time, values, color=COLOURS[(number if told else i) % len(COLOURS)],
+                linestyle=DASHES[(number + i) % len(DASHES)], markersize=2.5,
+                marker="o" if len(time) <= _FEW_POINTS else "", label=", ".join([*told, body]),
+            )  # fmt: skip
+    beside = ", ".join(sorted({f"{stresses(result).exclude:g}" for result in results}))
+    axes.set_xlim(left=0.0)
+    axes.set_ylim(bottom=0.0)
+    axes.set_xlabel(f"time ({unit})")
+    axes.set_ylabel(f"largest {_MISES}")
+    set_legend(axes, 2, f"{beside} mm and more from edges")

@@ -1,0 +1,273 @@
+"""Stresses in results: files, ranks, restarts, geometry that follows the wear, the summary."""
+
+import numpy as np
+import pytest
+
+import ringwear_par as rw
+from ringwear_par.elasticity.stress_measures import COMPONENTS, max_shear, mises, principal
+from ringwear_par.history.limits import stress_numbers
+
+BASE = {
+    "mesh.contact_elements": 16, "time.steps": 6, "time.step": 30.0,
+    "stress.points": [[30.0, 19.9], [30.0, 20.0, "above"], [30.0, 22.0]],
+    "stress.grid": {"r": [28.0, 32.0], "z": [19.0, 21.0], "n": [9, 7]},
+}  # fmt: skip
+
+
+def case_of(**more):
+    changes = {key.replace("__", "."): value for key, value in more.items()}
+    return rw.read_case("scripts/cases/paper.toml", {**BASE, **changes})
+
+
+def same(one, other):
+    assert len(one.stress.states) == len(other.stress.states)
+    for a, b in zip(one.stress.states, other.stress.states, strict=True):
+        assert (a.step, a.time) == (b.step, b.time)
+        np.testing.assert_array_equal(a.points, b.points)
+        np.testing.assert_array_equal(a.grid, b.grid)
+        np.testing.assert_array_equal(a.surface, b.surface)
+        assert a.largest == b.largest
+
+
+def test_variables_and_file(tmp_path):
+    import xarray
+
+    result = rw.simulate(case_of(stress__times="all"))
+    path = tmp_path / "run.h5"
+    result.save(path)
+    same(rw.open_result(path), result)
+    data = result.to_xarray()
+    with xarray.open_dataset(path, engine="h5netcdf") as stored:
+        xarray.testing.assert_identical(
+            stored[["stress", "mises_grid"]], data[["stress", "mises_grid"]]
+        )
+        assert stored.stress.sizes == {"stress_step": 7, "point": 3, "component": 6}
+        assert stored.component.values.tolist() == list(COMPONENTS)
+        assert stored.stress_grid.dims == ("stress_step", "grid_r", "grid_z", "component")
+        assert stored.stress.units == "MPa"
+    assert data.stress_time.values.tolist() == data.time.values.tolist()
+    np.testing.assert_array_equal(data.mises, mises(data.stress.values))
+    np.testing.assert_array_equal(data.max_shear, max_shear(data.stress.values))
+    np.testing.assert_array_equal(data.principal, principal(data.stress.values))
+    assert data.point_z.values.tolist() == [19.9, 20.0, 22.0]
+    # bodies and holes of the grid, edges of contact among them
+    known = np.isfinite(data.mises_grid.values[0])
+    assert known[:, :3].all()
+    assert known[:, 3].sum() == 7
+    assert known[:, 4:].sum() == 7 * 3
+    # stress follows the pressure
+    pressure = data.pressure.values
+    for name in ("lower", "upper"):
+        zz = data[f"surface_stress_{name}"].sel(component="zz").values
+        np.testing.assert_allclose(zz, -pressure, rtol=1e-10)
+    both = np.maximum(data.max_mises_lower, data.max_mises_upper)
+    np.testing.assert_array_equal(data.max_mises, both)
+    assert (data.max_mises.values >= np.nanmax(data.mises.values[:, [0, 2]], axis=1)).all()
+
+
+def test_the_same_on_all_ranks(comm):
+    from mpi4py import MPI
+
+    case = case_of(stress__times=[0.0, 100.0])
+    shared, alone = rw.simulate(case, comm), rw.simulate(case, MPI.COMM_SELF)
+    same(shared, alone)
+    assert [state.time for state in shared.stress.states] == [0.0, 120.0]
+
+
+@pytest.mark.parametrize("times", ["last", "all", [0.0, 60.0]])
+@pytest.mark.parametrize("geometry", ["fixed", "updated"])
+def test_a_run_gone_on_with_has_the_same(times, geometry, tmp_path):
+    from ringwear_par.cli import main
+
+    more = [
+        f"mesh.contact_elements={BASE['mesh.contact_elements']}", "time.step=30",
+        f"mesh.geometry={geometry}", "stress.grid.n=[4,3]", f"stress.times={times!r}",
+    ]  # fmt: skip
+    file = tmp_path / "case.toml"
+    file.write_text(rw.read_case("scripts/cases/paper.toml", BASE).text)
+    whole, parts = tmp_path / "whole.h5", tmp_path / "parts.h5"
+
+    def run(output, *words):
+        assert main(["run", str(file), "-o", str(output), *words]) == 0
+
+    run(whole, "--set", *more, "time.steps=6")
+    run(parts, "--set", *more, "time.steps=3")
+    run(parts, "--restart", "--set", *more, "time.steps=6")
+    same(rw.open_result(parts), rw.open_result(whole))
+
+
+def test_geometry_that_follows_the_wear():
+    fixed = rw.simulate(case_of(stress__times="all"))
+    moved = rw.simulate(case_of(stress__times="all", mesh__geometry="updated"))
+    first, last = moved.stress.states[0], moved.stress.states[-1]
+    np.testing.assert_allclose(first.points, fixed.stress.states[0].points, rtol=1e-9, atol=1e-9)
+    assert mises(last.points) == pytest.approx(mises(fixed.stress.states[-1].points), rel=1e-2)
+    assert not np.array_equal(last.points, fixed.stress.states[-1].points)
+
+
+def test_points_that_wear_takes_away_have_no_stress():
+    case = case_of(
+        stress__times="all", stress__points=[[30.0, 19.9999], [30.0, 19.0]], stress__grid=None,
+        mesh__geometry="updated", mesh__geometry_tolerance=1e-4, wear__lower__p0=0.0,
+        wear__lower__k=1e-6, time__steps=3,
+    )  # fmt: skip
+    result = rw.simulate(case)
+    assert np.isfinite(result.stress.states[0].points).all()
+    assert np.isnan(result.stress.states[-1].points[0]).all()
+    assert np.isfinite(result.stress.states[-1].points[1]).all()
+
+
+def test_summary_and_doubt():
+    unworn = rw.simulate(case_of(stress__times="last", time__steps=1, time__step=1e-6))
+    (line,) = [line for line in unworn.summary().splitlines() if line.startswith("largest von")]
+    state = unworn.stress.states[-1]
+    assert f"lower {state.largest[0].mises:.5g} MPa" in line
+    assert "0.1 mm and more from edges" in line
+    assert any("stress.exclude" in doubt for doubt in unworn.doubts)
+    worn = rw.simulate(case_of(wear__lower__p0=0.0, wear__upper__law="archard", wear__upper__k=1e-7,
+                               time__steps=40, time__step=30.0, stress__exclude=0.0))  # fmt: skip
+    assert not any("stress.exclude" in doubt for doubt in worn.doubts)
+
+
+def test_hertz_like_crown_has_its_largest_stress_inside():
+    """A crowned ring: the largest von Mises lies under the contact, no edge is in doubt."""
+    result = rw.simulate(case_of(
+        upper__profile={"crown": 50.0}, load__force=2000.0, load__pressure=None, stress__grid=None,
+        stress__points=[[30.0, 19.0]], contact__friction=0.0, mesh__contact=[29.4, 30.6],
+        mesh__contact_elements=48, time__steps=1, time__step=1e-6, mesh__grading=1.0,
+    ))  # fmt: skip
+    lower, _ = result.stress.states[-1].largest
+    p = result.profiles["pressure"][-1]
+    a = 2.0 * 2000.0 / (2.0 * np.pi * 30.0) / (np.pi * p.max())
+    # a line contact: 0.558 p_max at 0.704 a for nu = 0.3
+    assert lower.mises == pytest.approx(0.558 * p.max(), rel=0.02)
+    assert 20.0 - lower.z == pytest.approx(0.704 * a, rel=0.05)
+    assert not any("stress.exclude" in doubt for doubt in result.doubts)
+
+
+def test_memory_counts_points_and_states():
+    case = case_of(stress__times="all")
+    (few, rows), (many, more) = (
+        stress_numbers(c) for c in (case, case.replace({"stress.grid.n": [100, 100]}))
+    )
+    assert many - few == 100 * 100 - 9 * 7
+    assert more > rows > 0
+    assert stress_numbers(case.replace({"stress.times": "last"}))[1] < rows
+
+
+def test_studies_refuse():
+    with pytest.raises(rw.InputError, match=r"\[stress\]: must be absent from a study"):
+        rw.read_study({
+            "case": "scripts/cases/paper.toml",
+            "vary": {"stress.exclude": {"values": [0.1, 0.2]}},
+        })  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def stored(tmp_path_factory, comm):
+    path = tmp_path_factory.mktemp("stresses") / "run.h5"
+    rw.simulate(case_of(stress__times="all", time__steps=4), comm).save(path)
+    return path
+
+
+@pytest.mark.serial
+def test_pictures_show_what_is_stored(stored, tmp_path):
+    from ringwear_par.results.figures import plot_files
+
+    result = rw.open_result(stored)
+    r, z = result.stress.grid
+    figure = rw.plot(result, ["stress", "depth", "mises"], times="0, 120")
+    first, bar, last, other, depth, largest = figure.axes
+    assert bar.get_ylabel() == other.get_ylabel() == "von Mises stress (MPa)"
+    # one scale, the sections around the maps, the worn face in the second only
+    scales = {axes.collections[0].norm.vmax for axes in (first, last)}
+    assert len(scales) == 1
+    assert [len(axes.patches) for axes in (first, last)] == [2, 2]
+    assert [len(axes.lines) for axes in (first, last)] == [0, 1]
+    assert "worn faces" in last.get_title()
+    assert first.get_xlim() == (28.0, 32.0)
+    for line, state in zip(depth.lines, (result.stress.states[i] for i in (0, -1)), strict=False):
+        values = mises(state.grid[int(np.abs(r - 30.0).argmin())])
+        drawn = line.get_xdata()
+        assert drawn[np.isfinite(drawn)] == pytest.approx(values[np.isfinite(values)])
+        assert len(line.get_ydata()) == len(z) + 2  # cut at both faces
+    lower = [state.largest[0].mises for state in result.stress.states]
+    assert largest.lines[0].get_ydata() == pytest.approx(lower)
+    plot_files([stored], tmp_path / "a.png", "stress,depth,mises,wear")
+    assert (tmp_path / "a.png").stat().st_size > 3000
+
+
+@pytest.mark.serial
+def test_pictures_of_what_is_not_stored_are_refused(tmp_path):
+    bare = rw.simulate(case_of(time__steps=1).replace({"stress": None}))
+    points = rw.simulate(case_of(stress__grid=None, time__steps=1))
+    for panel in ("stress", "depth", "mises"):
+        with pytest.raises(rw.InputError, match=r"holds no stresses; must .* \[stress\]"):
+            rw.plot(bare, panel)
+    with pytest.raises(rw.InputError, match=r"at points only; must be computed with stress.grid"):
+        rw.plot(points, "stress")
+    assert rw.plot(points, "mises").axes[0].lines
+
+
+@pytest.mark.serial
+def test_exports(stored, tmp_path):
+    import csv
+
+    import h5py
+    from test_export import read_vtk
+
+    from ringwear_par.results.export import export
+
+    result = rw.open_result(stored)
+    state = result.stress.states[-1]
+    known = np.isfinite(state.grid).all(axis=-1)
+    export(stored, tmp_path / "a.vtu", stress=True)
+    data, sizes = read_vtk(tmp_path / "a.vtu", "UnstructuredGrid")
+    assert int(sizes["NumberOfPoints"]) == known.sum()
+    assert data["mises"] == pytest.approx(mises(state.grid[known]))
+    assert data["stress_tz"] == pytest.approx(state.grid[known][:, 5])
+    # quadrangles of the grid, none across edges, where nothing is known
+    corners = data["points"][data["connectivity"].reshape(-1, 4)]
+    assert np.ptp(corners[..., 0], axis=1) == pytest.approx(0.5)
+    assert np.ptp(corners[..., 2], axis=1) == pytest.approx(1.0 / 3.0)
+    export(stored, tmp_path / "b.vtu", time=0.0, stress=True)
+    early, _ = read_vtk(tmp_path / "b.vtu", "UnstructuredGrid")
+    assert early["mises"] == pytest.approx(mises(result.stress.states[0].grid[known]))
+    assert "5 states from 0 to 120 s" in export(stored, tmp_path / "a.vtkhdf", stress=True)
+    with h5py.File(tmp_path / "a.vtkhdf") as file:
+        assert file["VTKHDF/PointData/mises"].shape == (5 * known.sum(),)
+    export(stored, tmp_path / "a.csv", stress=True)
+    with (tmp_path / "a.csv").open() as file:
+        header, *rows = csv.reader(file)
+    assert header[:5] == ["step", "time (s)", "r (mm)", "z (mm)", "rr (MPa)"]
+    assert len(rows) == 5 * 3
+    assert list(map(float, rows[-1][4:10])) == state.points[-1].tolist()
+
+
+@pytest.mark.serial
+@pytest.mark.parametrize(
+    ("name", "more", "said"),
+    [
+        ("a.vtp", {}, "--stress"),
+        ("a.vtu", {"segments": 8}, "without --revolve"),
+        ("a.csv", {"fields": True}, "without --revolve, --scale, --fields"),
+        ("a.vtu", {"time": 1e4}, "--time 10000: must be from 0 to 120 s"),
+    ],
+)
+def test_exports_that_cannot_be(stored, tmp_path, name, more, said):
+    from ringwear_par.results.export import export
+
+    with pytest.raises(rw.InputError, match=said):
+        export(stored, tmp_path / name, stress=True, **more)
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.serial
+def test_the_page_of_a_run_has_them(stored, tmp_path):
+    page = tmp_path / "run.html"
+    rw.report(stored, page)
+    text = page.read_text()
+    section = text[text.index(">Stress inside</h2>") :]
+    assert "data:image/png;base64," in section
+    state = rw.open_result(stored).stress.states[-1]
+    assert f"<td>{state.largest[0].mises:.5g}</td>" in section
