@@ -248,7 +248,7 @@ def infinite_stress(
     largest, p = history.states[-1].of_both, state.contact.pressure
     for end, further in ((0, 3), (-1, -4)):
         r, reach = line.edges[end], history.exclude * (1.0 + 1e-6) + 3.0 * line.width[end]
-        height = max(min(abs(largest.z - z) for z in (case.lower.z[1], case.upper.z[0])), 0.0)
+        height = min(abs(largest.z - z) for z in (case.lower.z[1], case.upper.z[0]))
         beside = np.hypot(largest.r - r, height) <= reach + state.wear.max()
         if r > 0.0 and beside and p[end] > _RISING * p[further]:
             return (
