@@ -30,7 +30,7 @@ _TOLERANCE = 1e-8
 
 @dataclass(frozen=True)
 class Influence:
-    """Stress at points for loads on the contact elements; it does not depend on the modulus.
+    """Stress at points for loads on the contact elements; the body's modulus does not matter.
 
     Parameters
     ----------
