@@ -130,7 +130,11 @@ def _stored(keys: Mapping[str, Any], case: Case) -> dict[str, Any]:
     Times of output stay: states between steps change what comes after them in the last digits.
     """
     own = {"output.every", "output.fields", "output.profiles", "output.boundary"}
-    kept = {path: value for path, value in keys.items() if path not in own}
+    kept = {
+        path: value
+        for path, value in keys.items()
+        if path not in own and not path.startswith("stress.")
+    }
     if not case.output.times:
         kept["output.every"] = 1 if case.time.adaptive else max(1, case.time.steps // _STATES)
     return kept
