@@ -131,6 +131,8 @@ def _completed(tables):
     """Return a whole case that has the tables of a block, each as it is."""
     base = parse_toml((ROOT / "scripts/cases/paper.toml").read_text("utf-8"), "paper.toml")
     case = {**base, **tables}
+    for ring in {"lower", "upper"} & tables.keys():
+        case[ring] = {**base[ring], **tables[ring]}
     if "upper" in tables and "lower" not in tables:  # which it must meet
         case["lower"] = {**base["lower"], "r": [0.0, 40.0], "z": [0.0, tables["upper"]["z"][0]]}
     if "wear" in tables:

@@ -11,6 +11,7 @@ from ringwear_par.cases.keys import read_keys
 from ringwear_par.cases.numbers import interval_of, with_numbers
 from ringwear_par.cases.reading import parse_case
 from ringwear_par.cases.schema import schema, unit_of
+from ringwear_par.elasticity.sections import Material
 from ringwear_par.history.bodies import bodies
 from ringwear_par.studies.identities import case_id
 from ringwear_par.studies.variations import split_key, value_of, varied_keys
@@ -28,7 +29,8 @@ def test_layers_are_read_with_their_units():
     assert case.lower.layers == (RingLayer(0.003, 1e5, 0.3, ThresholdLaw(2e-8)),)
     assert case.upper.layers == ()
     (layer,) = bodies(case)[0].layers
-    assert (layer.thickness, layer.young, layer.poisson) == (0.003, 1e5, 0.3)
+    assert layer == Material(1e5, 0.3)
+    assert case.sections[0].layers == (0.003,)
     law = case.laws[0]
     assert isinstance(law, LayeredLaw)
     assert law.laws == (ThresholdLaw(2e-8), ThresholdLaw(1e-7))
