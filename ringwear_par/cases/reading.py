@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -122,8 +122,22 @@ def make_case(keys: Mapping[str, Any], origin: Origin | str, text: str | None = 
     return case
 
 
-def outlines(text: str, name: str) -> tuple[FloatArray, FloatArray]:
-    """Return the corners of the unworn sections of lower and upper. Not collective.
+class Outline(NamedTuple):
+    """What a section looks like, in the frame of the case.
+
+    Parameters
+    ----------
+    contour : (m, 2) float, mm, r and z of the corners around the unworn body; the contact face
+        from the inner to the outer radius comes first, two corners of the held face last.
+    interfaces : (l,) float, mm, heights between layers, from the contact face on.
+    """
+
+    contour: FloatArray
+    interfaces: FloatArray
+
+
+def outlines(text: str, name: str) -> tuple[Outline, Outline]:
+    """Return what the sections of lower and upper look like. Not collective.
 
     Unlike a case, they need no wear laws.
 
@@ -132,17 +146,13 @@ def outlines(text: str, name: str) -> tuple[FloatArray, FloatArray]:
     text : TOML text of a case.
     name : what messages call it.
 
-    Returns
-    -------
-    lower, upper : (m, 2) float, mm, r and z in the frame of the case, around each body; the contact
-        face from the inner to the outer radius comes first.
-
     Raises
     ------
     InputError : all faults of their keys, one sentence each.
     """
     keys = {path: v for path, v in read_keys(text, name).items() if not path.startswith("wear.")}
-    values, faults = _read_values(expanded(in_full(keys, Path())), Origin(name))
+    keys = in_full(keys, Path())
+    values, faults = _read_values(expanded(keys), Origin(name))
     faces = contact_faces(name, values, faults)
     if faults:
         raise InputError(*faults)
@@ -152,7 +162,13 @@ def outlines(text: str, name: str) -> tuple[FloatArray, FloatArray]:
         plane, held = (z[1], z[0]) if ring == "lower" else z
         face = np.array(faces[ring] or [(r[0], 0.0), (r[1], 0.0)])
         face = np.stack([face[:, 0], plane + sign * face[:, 1]], axis=1)
-        found.append(np.concatenate([face, [(r[1], held), (r[0], held)]]))
+        thicknesses = [layer["thickness"] for layer in keys.get(f"{ring}.layers", ())]
+        found.append(
+            Outline(
+                np.concatenate([face, [(r[1], held), (r[0], held)]]),
+                plane - sign * np.cumsum(thicknesses),
+            )
+        )
     return found[0], found[1]
 
 

@@ -1,6 +1,6 @@
 """Panels of stresses: a map in the section, along depth, and the largest in time."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -8,7 +8,7 @@ from matplotlib.patches import Polygon
 from matplotlib.ticker import MaxNLocator
 
 from ringwear_par.arrays import BoolArray, FloatArray
-from ringwear_par.cases.reading import outlines
+from ringwear_par.cases.reading import Outline, outlines
 from ringwear_par.elasticity.boundary_fields import BODIES
 from ringwear_par.elasticity.stress_fields import StressState
 from ringwear_par.elasticity.stress_measures import mises
@@ -62,16 +62,20 @@ def draw_map(axes: Any, result: Result, label: str, state: StressState, top: flo
     r, z = stresses(result).grid
     values, sections = mises(state.grid), outlines(result.case, result.name)
     levels = MaxNLocator(_LEVELS).tick_values(0.0, top or 1.0)
-    low = np.interp(r, *sections[0][:-2].T)[:, None]
-    # each body by itself, and up to its contour
-    for outline, inside in zip(sections, (z <= low + _ON_FACE, z > low + _ON_FACE), strict=True):
-        shown = _spread(values, inside & np.isfinite(values))
-        drawn = axes.contourf(r, z, shown.T, levels, cmap="viridis", extend="max")
-        drawn.set_clip_path(Polygon(outline, transform=axes.transData))
-    ticks = levels[:: -(-len(levels) // _TICKS)]
-    axes.figure.colorbar(drawn, ax=axes, label=_MISES, shrink=0.9, ticks=ticks)
+    drawn = None
+    for known, band in _materials(sections, r, z):  # each by itself, and up to its contour
+        known = known & np.isfinite(values)
+        if known.any():
+            shown = _spread(values, known)
+            drawn = axes.contourf(r, z, shown.T, levels, cmap="viridis", extend="max")
+            drawn.set_clip_path(Polygon(band, transform=axes.transData))
+    if drawn is not None:
+        ticks = levels[:: -(-len(levels) // _TICKS)]
+        axes.figure.colorbar(drawn, ax=axes, label=_MISES, shrink=0.9, ticks=ticks)
     for outline in sections:
-        axes.add_patch(Polygon(outline, fill=False, edgecolor="0.25", linewidth=0.9))
+        inner, outer = outline.contour[[-1, -2], 0]
+        axes.add_patch(Polygon(outline.contour, fill=False, edgecolor="0.25", linewidth=0.9))
+        axes.hlines(outline.interfaces, inner, outer, color="0.25", linewidth=0.5)
     factor = _draw_wear(axes, result, state, sections, _WEAR_DRAWN * (z[-1] - z[0]))
     axes.set_xlim(r[0], r[-1])
     axes.set_ylim(z[0], z[-1])
@@ -83,18 +87,37 @@ def draw_map(axes: Any, result: Result, label: str, state: StressState, top: flo
     axes.set_title(f"{label}: {state.time / seconds:.4g} {unit}{worn}")
 
 
+def _materials(
+    sections: Sequence[Outline], r: FloatArray, z: FloatArray
+) -> Iterator[tuple[BoolArray, FloatArray]]:
+    """Give the points of a grid that are of each material, (nr, nz), and its contour.
+
+    Points between two are of that towards the contact; between the bodies, lower's.
+    """
+    for outline, down in zip(sections, (1.0, -1.0), strict=True):
+        face = np.interp(r, *outline.contour[:-2].T)[:, None]
+        ends = np.append(outline.interfaces, outline.contour[-1, 1])
+        for number, end in enumerate(ends):
+            of_layer = down * z >= down * end - _ON_FACE
+            if number:
+                of_layer = of_layer & (down * z < down * ends[number - 1] - _ON_FACE)
+            low, high = sorted((end, ends[number - 1] if number else down * np.inf))
+            band = outline.contour.copy()
+            band[:, 1] = np.clip(band[:, 1], low, high)
+            beside = z <= face + _ON_FACE if down > 0.0 else z > face + _ON_FACE
+            yield of_layer & beside, band
+
+
 def _spread(values: FloatArray, known: BoolArray) -> FloatArray:
     """Return values of which those that are not known are those of the nearest that are."""
     from scipy.ndimage import distance_transform_edt
 
-    if not known.any():
-        return np.zeros_like(values)
     nearest = distance_transform_edt(~known, return_distances=False, return_indices=True)
     return values[tuple(nearest)]
 
 
 def _draw_wear(
-    axes: Any, result: Result, state: StressState, sections: Sequence[FloatArray], height: float
+    axes: Any, result: Result, state: StressState, sections: Sequence[Outline], height: float
 ) -> float:
     """Draw the worn faces of a state, the deepest wear by a height; return how much more it is."""
     row = int(np.abs(result.histories["time"] - state.time).argmin())
@@ -112,7 +135,7 @@ def _draw_wear(
     for outline, depth, down, name in zip(sections, depths, (1.0, -1.0), BODIES, strict=True):
         if not depth.any():
             continue
-        face = np.interp(line.r, *outline[:-2].T)
+        face = np.interp(line.r, *outline.contour[:-2].T)
         axes.plot(
             line.r, face - down * factor * depth, color=COLOURS[1], linewidth=1.2,
             linestyle="-" if name == "lower" else "--",
@@ -127,8 +150,11 @@ def draw_depth(axes: Any, result: Result, label: str, states: Sequence[StressSta
     inner, outer = result.line.edges[[0, -1]]
     column = int(np.abs(r - 0.5 * (inner + outer)).argmin())
     unit, seconds = time_unit(float(result.histories["time"][-1]))
-    levels = [float(np.interp(r[column], *o[:-2].T)) for o in outlines(result.case, result.name)]
-    between = np.searchsorted(z, np.array(levels) + _ON_FACE)  # curves end at faces
+    lower, upper = outlines(result.case, result.name)
+    faces = [float(np.interp(r[column], *o.contour[:-2].T)) for o in (lower, upper)]
+    levels = np.concatenate([lower.interfaces - _ON_FACE, np.add(faces, _ON_FACE),
+                             upper.interfaces + _ON_FACE])  # fmt: skip
+    between = np.searchsorted(z, levels)  # where materials end, curves do
     height = np.insert(z, between, np.nan)
     for number, state in enumerate(states):
         values = np.insert(mises(state.grid[column]), between, np.nan)

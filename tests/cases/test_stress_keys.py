@@ -118,3 +118,13 @@ def test_more_than_memory_holds():
     with pytest.raises(InputError, match=r"1e\+08 points of \[stress\]"):
         check_memory(case, 1, "case.toml")
     check_memory(case.replace({"stress.grid.n": [80, 60]}), 1, "case.toml")
+
+
+def test_points_between_layers_need_a_side():
+    coated = ["lower.layers=[{thickness=0.3, young=1e5, poisson=0.3}]"]
+    (fault,) = faults("points = [[30, 19.7]]", coated)
+    assert "stress.points[0] = [30.0, 19.7]: lies between two layers" in fault
+    case = case_of('points = [[30, 19.7, "above"], [30, 19.7, "below"], [30, 19.9]]', coated)
+    assert point_bodies(case) == [0, 0, 0]
+    (fault,) = faults('points = [[30, 19.8, "above"]]', coated)
+    assert "there is no body above it" in fault

@@ -271,3 +271,23 @@ def test_the_page_of_a_run_has_them(stored, tmp_path):
     assert "data:image/png;base64," in section
     state = rw.open_result(stored).stress.states[-1]
     assert f"<td>{state.largest[0].mises:.5g}</td>" in section
+
+
+def test_stresses_of_a_coated_ring(tmp_path):
+    coated = case_of(
+        lower__layers=[{"thickness": 0.3, "young": 1e5, "poisson": 0.3}], stress__times="all",
+        stress__points=[[30.0, 19.7, "above"], [30.0, 19.7, "below"]], time__steps=2,
+    )  # fmt: skip
+    result = rw.simulate(coated)
+    result.save(tmp_path / "run.h5")
+    same(rw.open_result(tmp_path / "run.h5"), result)
+    for state in result.stress.states:
+        above, below = state.points
+        assert above[[2, 3, 5]] == pytest.approx(below[[2, 3, 5]], abs=1e-9)
+        assert abs(above[0] - below[0]) > 5.0
+        assert state.largest[0].layer == 0
+    data = result.to_xarray()
+    assert data.max_mises_lower_layer.values.tolist() == [0, 0, 0]
+    map_axes, depth = rw.plot(result, ["stress", "depth"]).axes[::2]
+    assert len(map_axes.collections) >= 3  # the layer, what is below, and upper
+    assert len(depth.lines[0].get_ydata()) == 7 + 3
