@@ -248,7 +248,7 @@ def drawn():
 
 def test_figures_hold_the_history(drawn):
     first, now = drawn
-    for menu in MENU:
+    for menu in [name for name in MENU if name != "through"]:  # of layers
         told = Drawing(now.result, first.result, now.case, 0.5, menu, []).told()
         curves = HISTORY_PANELS[menu].curves(now.result)
         lines = told["other"]["sources"]["lines"]
