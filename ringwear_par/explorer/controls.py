@@ -9,7 +9,8 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
-from ringwear_par.cases.schema import BY_PATH
+from ringwear_par.cases.layers import LAYERS, entries_of, with_entries
+from ringwear_par.cases.schema import BY_PATH, key_of
 from ringwear_par.cases.text import shortened
 from ringwear_par.cases.units import factor, has_unit, in_unit
 from ringwear_par.cases.values import Interval, RejectedError, is_number
@@ -101,7 +102,8 @@ class Control:
 def controls_of(keys: Mapping[str, Any]) -> list[Control]:
     """Return the controls of a case that is good, by its raw keys, in the order of the page."""
     return [
-        *_laws(keys), *_tests(keys), *_times(keys), *_materials(keys), *_shapes(keys)
+        *_laws(keys), *_layers(keys), *_tests(keys), *_times(keys), *_materials(keys),
+        *_shapes(keys),
     ]  # fmt: skip
 
 
@@ -160,6 +162,10 @@ def _read(control: Control, text: str) -> tuple[Any, float]:
 
 def _put(control: Control, there: Any, raw: Any) -> Any:
     """Return the raw value of a key with that of a control in it."""
+    if control.path in LAYERS and isinstance(control.entry, str):
+        known = entries_of(there) or {}
+        own = _scaled(known[control.entry], raw) if control.scales else raw
+        return with_entries(control.path, there, {control.entry: own})
     if control.scales:
         if isinstance(control.entry, str):
             return {**there, control.entry: _scaled(there[control.entry], raw)}
@@ -218,6 +224,21 @@ def _laws(keys: Mapping[str, Any]) -> Iterator[Control]:
                 yield from _quantity(
                     path, None, raw, group, name, parameter.meaning, _shown(unit), interval
                 )
+
+
+def _layers(keys: Mapping[str, Any]) -> Iterator[Control]:
+    """Return the numbers of layers, each of which is an entry of their list."""
+    for path in LAYERS:
+        for entry, raw in (entries_of(keys.get(path, [])) or {}).items():
+            key, number = key_of(f"{path}{entry}"), entry[1 : entry.index("]")]
+            if key is None or key.numbers is None:
+                continue
+            elastic = not key.path.startswith("wear.")
+            yield from _quantity(
+                path, entry, raw, f"Layer {number} of {path.partition('.')[0]}",
+                key.path.rpartition(".")[2], key.meaning.partition(" (law = ")[0],
+                _shown(key.unit), key.numbers, assembles=elastic,
+            )  # fmt: skip
 
 
 def _tests(keys: Mapping[str, Any]) -> Iterator[Control]:
@@ -360,7 +381,9 @@ def _length(
 def _name(path: str, entry: int | str | None) -> str:
     if isinstance(entry, int):
         return f"{path}[{entry}]"
-    return path if entry is None else f"{path}.{entry}"
+    if entry is None:
+        return path
+    return f"{path}{entry}" if path in LAYERS else f"{path}.{entry}"
 
 
 def _with_unit(raw: Any, unit: str) -> tuple[float, str]:

@@ -12,7 +12,7 @@ from ringwear_par.cases.numbers import interval_of, with_numbers
 from ringwear_par.cases.reading import parse_case
 from ringwear_par.cases.schema import schema, unit_of
 from ringwear_par.elasticity.sections import Material
-from ringwear_par.history.bodies import bodies
+from ringwear_par.history.bodies import bodies, operator_key
 from ringwear_par.studies.identities import case_id
 from ringwear_par.studies.variations import split_key, value_of, varied_keys
 from ringwear_par.wear.archard import ArchardLaw
@@ -28,9 +28,9 @@ def test_layers_are_read_with_their_units():
     case = rw.read_case(CASE)
     assert case.lower.layers == (RingLayer(0.003, 1e5, 0.3, ThresholdLaw(2e-8)),)
     assert case.upper.layers == ()
-    (layer,) = bodies(case)[0].layers
-    assert layer == Material(1e5, 0.3)
-    assert case.sections[0].layers == (0.003,)
+    body = bodies(case)[0]
+    assert (body.section.layers, body.layers) == ((0.003,), (Material(1e5, 0.3),))
+    assert operator_key(case) != operator_key(case.replace({"lower.layers[0].thickness": 0.004}))
     law = case.laws[0]
     assert isinstance(law, LayeredLaw)
     assert law.laws == (ThresholdLaw(2e-8), ThresholdLaw(1e-7))

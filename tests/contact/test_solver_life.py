@@ -26,7 +26,7 @@ AREA = np.ones(N)
 class _Failing:
     """Wear whose law fails where it is asked for the elements of some rank."""
 
-    local = True
+    local, bends = True, False
 
     def __init__(self, error, rank, ranks):
         self.error, self.rank, self.ranks = error, rank, ranks

@@ -118,7 +118,7 @@ def test_the_text_taken_home_gives_the_same_numbers(path, tmp_path, comm):
     case = rw.read_case(home)
     assert case == found.case
     same(found, case)
-    assert any(name.startswith("wear.") for name in moved)
+    assert any(name.startswith("wear.") or ".wear." in name for name in moved)
     assert any(name.startswith("load.") for name in moved)
     for control in exploration.controls.values():
         assert control.low <= control.value <= control.high
@@ -248,7 +248,7 @@ def drawn():
 
 def test_figures_hold_the_history(drawn):
     first, now = drawn
-    for menu in MENU:
+    for menu in [name for name in MENU if name != "through"]:  # of layers
         told = Drawing(now.result, first.result, now.case, 0.5, menu, []).told()
         curves = HISTORY_PANELS[menu].curves(now.result)
         lines = told["other"]["sources"]["lines"]
