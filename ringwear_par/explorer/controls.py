@@ -5,20 +5,20 @@ Keys are raw ones, as the user wrote them: a number in a unit of its own keeps i
 
 import math
 import re
+import sys
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
 from ringwear_par.cases.schema import BY_PATH
-from ringwear_par.cases.text import shortened
-from ringwear_par.cases.units import factor, has_unit, in_unit
+from ringwear_par.cases.units import factor, has_unit, in_unit, is_plain, number_and_unit
 from ringwear_par.cases.values import Interval, RejectedError, is_number
 from ringwear_par.elasticity.profiles import SHAPE_UNITS
 from ringwear_par.errors import InputError, legible
 from ringwear_par.wear.catalogue import LAWS
 from ringwear_par.wear.parameters import parameters_of
 
-#: what is said of controls that move both ends of a decade, and of the others
+#: numbers that matter by their order
 _LOGARITHMIC = frozenset(
     {"k", "k_start", "young", "depth", "distance", "length", "crown", "sphere"}
 )
@@ -31,7 +31,6 @@ _TIMES, _FROM_ZERO = 3.0, {"p0": 100.0, "n": 2.0, "friction": 0.5}
 _POSITIONS, _OF_A_DECADE = 200, 100
 #: tables are multiplied by up to so much
 _FACTOR = 10.0
-_NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?", re.ASCII)
 _LOADS = ("load.force", "load.pressure", "load.displacement", "load.omega")
 _ENTRY = ("inner", "outer")
 
@@ -91,7 +90,8 @@ class Control:
         if self.log:
             if value <= 0.0:  # which the case will tell to be wrong
                 return replace(self, value=value)
-            low, high = min(self.low, value / _FACTOR), max(self.high, value * _FACTOR)
+            most = min(value * _FACTOR, sys.float_info.max)
+            low, high = min(self.low, value / _FACTOR), max(self.high, most)
             return replace(self, value=value, low=low, high=high)
         low, high = min(self.low, value), max(self.high, value)
         step = _nice((high - low) / _POSITIONS)
@@ -146,7 +146,7 @@ def changed(
 def _read(control: Control, text: str) -> tuple[Any, float]:
     """Return what a text means in a case file, and how much it is in the unit of the control."""
     text = text.strip().replace("\N{MINUS SIGN}", "-")
-    if _NUMBER.fullmatch(text):
+    if is_plain(text):
         value = float(text)
         if not math.isfinite(value):
             raise RejectedError
@@ -189,9 +189,8 @@ def _times_as_much(value: Any, times: float) -> Any:
     if times == 1.0:
         return value
     if isinstance(value, str):  # with a unit
-        number = _NUMBER.match(value.strip())
-        assert number is not None
-        return f"{float(number[0]) * times:.12g}{value.strip()[number.end() :]}"
+        number, unit = number_and_unit(value)
+        return f"{number * times:.12g} {unit}"
     return float(f"{value * times:.12g}")
 
 
@@ -367,11 +366,7 @@ def _with_unit(raw: Any, unit: str) -> tuple[float, str]:
     """Return a raw number and the unit that it has of its own, "" for none."""
     if is_number(raw):
         return float(raw), ""
-    if not has_unit(raw):
-        raise ValueError(f"{shortened(raw)}: is no number of a good case")
-    number = _NUMBER.match(raw.strip())
-    assert number is not None
-    return float(number[0]), raw.strip()[number.end() :].strip()
+    return number_and_unit(raw)
 
 
 def _extreme(value: float) -> bool:
