@@ -60,6 +60,7 @@ class Exploration:
     def __init__(self, keys: Mapping[str, Any], name: str, comm: MPI.Comm) -> None:
         self._keys, self._name, self._comm = keys, name, comm
         self.title = str(keys.get("title", ""))
+        self.layered = any(keys.get(f"{body}.layers") for body in ("lower", "upper"))
         #: of the case file, in the order of the page
         self.controls = {control.name: control for control in controls_of(keys)}
         self._pair: ContactPair | None = None

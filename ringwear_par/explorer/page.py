@@ -289,7 +289,9 @@ def _variables(exploration: Exploration, title: str, hosts: Sequence[str]) -> di
             (name, name.startswith(_FOLDED), list(controls))
             for name, controls in groupby(exploration.controls.values(), group)
         ],
-        "menu": MENU, "start": _START, "largest": LARGEST,
+        "menu": {name: told for name, told in MENU.items()
+                 if name != "through" or exploration.layered},
+        "start": _START, "largest": LARGEST,
         "style": Markup(_part("page.css", "ringwear_par.reports", "page")
                         + _part("explore.css")),
         "script": Markup(_part("explore.js")),

@@ -27,7 +27,7 @@ from ringwear_par.explorer.controls import controls_of
 from ringwear_par.explorer.exploring import Exploration, raw_keys
 from ringwear_par.explorer.figures import MENU, Drawing
 from ringwear_par.explorer.measured import read_table
-from ringwear_par.explorer.page import Page
+from ringwear_par.explorer.page import Page, _variables
 from ringwear_par.explorer.server import _if_there
 from ringwear_par.results.history_panels import HISTORY_PANELS
 
@@ -253,7 +253,7 @@ def drawn():
 
 def test_figures_hold_the_history(drawn):
     first, now = drawn
-    for menu in MENU:
+    for menu in MENU.keys() - {"through"}:  # of layers
         told = Drawing(now.result, first.result, now.case, 0.5, menu, []).told()
         curves = HISTORY_PANELS[menu].curves(now.result)
         lines = told["other"]["sources"]["lines"]
@@ -271,6 +271,21 @@ def test_figures_hold_the_history(drawn):
     assert 80.0 < top < max(map(max, told["pressure"]["sources"]["lines"]["y"]))
     assert "is cut" in told["pressure"]["note"]
     json.dumps(told, allow_nan=False)
+
+
+def test_the_share_worn_through_is_drawn_of_layers(comm):
+    for name, layered in (("wear_through", True), ("paper", False)):
+        keys = raw_keys(CASES / f"{name}.toml", ["mesh.contact_elements=12"])
+        exploration = Exploration(keys, name, comm)
+        menu = _variables(exploration, name, [])["menu"]
+        assert ("through" in menu) is layered
+        assert len(menu) == len(MENU) - (not layered)
+        if layered:
+            found = exploration.compute({})
+            told = Drawing(found.result, found.result, found.case, 1.0, "through", []).told()
+            (y,) = told["other"]["sources"]["lines"]["y"]
+            assert y == (100.0 * found.result.layers["share_through_lower"]).tolist()
+            assert y[-1] > 0.0
 
 
 def test_tables_are_read_as_fits_read_them(drawn):
