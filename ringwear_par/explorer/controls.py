@@ -3,6 +3,7 @@
 Keys are raw ones, as the user wrote them: a number in a unit of its own keeps it.
 """
 
+import itertools
 import math
 import re
 import sys
@@ -10,7 +11,8 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
-from ringwear_par.cases.schema import BY_PATH
+from ringwear_par.cases.layers import changed_layers, expanded
+from ringwear_par.cases.schema import BY_PATH, Key, key_of
 from ringwear_par.cases.units import factor, has_unit, in_unit, is_plain, number_and_unit
 from ringwear_par.cases.values import Interval, RejectedError, is_number
 from ringwear_par.elasticity.profiles import SHAPE_UNITS
@@ -20,11 +22,11 @@ from ringwear_par.wear.parameters import parameters_of
 
 #: numbers that matter by their order
 _LOGARITHMIC = frozenset(
-    {"k", "k_start", "young", "depth", "distance", "length", "crown", "sphere"}
+    {"k", "k_start", "young", "thickness", "depth", "distance", "length", "crown", "sphere"}
 )
 #: factor up and down that logarithmic sliders reach; stiffness does not vary as k does
 _REACH = 100.0
-_SHORT_REACH = {"young": 10.0, "crown": 10.0, "sphere": 10.0}
+_SHORT_REACH = dict.fromkeys(("young", "thickness", "crown", "sphere"), 10.0)
 #: linear sliders reach from nothing to so many times the value, or from a zero to these
 _TIMES, _FROM_ZERO = 3.0, {"p0": 100.0, "n": 2.0, "friction": 0.5}
 #: about how many positions a linear slider has, and a decade of a logarithmic one
@@ -32,7 +34,7 @@ _POSITIONS, _OF_A_DECADE = 200, 100
 #: tables are multiplied by up to so much
 _FACTOR = 10.0
 _LOADS = ("load.force", "load.pressure", "load.displacement", "load.omega")
-_ENTRY = ("inner", "outer")
+_ENTRY, _BODIES = ("inner", "outer"), ("lower", "upper")
 
 
 @dataclass(frozen=True)
@@ -43,7 +45,7 @@ class Control:
     ----------
     name : unique, such as "lower.young", "upper.r[1]", "wear.lower.parameters.k" or, of all the
         values of a table, "load.force x".
-    path : key of the case.
+    path : key of the case, or of an entry of a layer, "lower.layers[0].thickness".
     entry : place in a pair, name in a table; None: the key is the number.
     group : what it is shown under.
     label, meaning : in words.
@@ -100,8 +102,10 @@ class Control:
 
 def controls_of(keys: Mapping[str, Any]) -> list[Control]:
     """Return the controls of a case that is good, by its raw keys, in the order of the page."""
+    keys = expanded(keys)
     return [
-        *_laws(keys), *_tests(keys), *_times(keys), *_materials(keys), *_shapes(keys)
+        *_laws(keys), *_tests(keys), *_times(keys), *_materials(keys), *_layers(keys),
+        *_shapes(keys),
     ]  # fmt: skip
 
 
@@ -120,7 +124,7 @@ def changed(
     ------
     InputError : all texts that are no numbers.
     """
-    made, moved, faults = dict(keys), dict(controls), []
+    there, made, moved, faults = expanded(keys), dict[str, Any](), dict(controls), []
     for name, text in texts.items():
         control = controls.get(name)
         if control is None:
@@ -137,10 +141,10 @@ def changed(
             )
             continue
         moved[name] = control.at(value)
-        made[control.path] = _put(control, made.get(control.path), raw)
+        made[control.path] = _put(control, made.get(control.path, there.get(control.path)), raw)
     if faults:
         raise InputError(*faults)
-    return made, moved
+    return {**keys, **changed_layers(keys, made)}, moved
 
 
 def _read(control: Control, text: str) -> tuple[Any, float]:
@@ -198,24 +202,28 @@ def _times_as_much(value: Any, times: float) -> Any:
 
 
 def _laws(keys: Mapping[str, Any]) -> Iterator[Control]:
-    for body in ("lower", "upper"):
-        table = f"wear.{body}"
+    whose = {
+        f"{layer}.wear": f"{body}, layer {number}"
+        for body in _BODIES
+        for number, layer in enumerate(_layers_of(body, keys), start=1)
+    }
+    for table, wears in {**{f"wear.{body}": body for body in _BODIES}, **whose}.items():
         if f"{table}.law" not in keys:
             continue
         law = LAWS[keys[f"{table}.law"]]
-        group = f"Wear of {body}: {law.formula}"
+        group = f"Wear of {wears}: {law.formula}"
         for name, parameter in parameters_of(law).items():
             path = f"{table}.{name}"
             raw = keys.get(path, None if parameter.default is ... else parameter.default)
             if parameter.kind == "parameters":
                 for entry, own in (raw or {}).items():
-                    meaning = f"parameter of the law of {body}"
+                    meaning = f"parameter of the law of {wears}"
                     yield from _quantity(path, entry, own, group, entry, meaning, "", None)
             elif parameter.kind != "file" and raw is not None:
-                unit = BY_PATH[path].unit.partition(" and ")[2] or parameter.unit
-                interval = BY_PATH[path].numbers
+                key = _key(path)
+                unit = key.unit.partition(" and ")[2] or parameter.unit
                 yield from _quantity(
-                    path, None, raw, group, name, parameter.meaning, _shown(unit), interval
+                    path, None, raw, group, name, parameter.meaning, _shown(unit), key.numbers
                 )
 
 
@@ -231,17 +239,42 @@ def _tests(keys: Mapping[str, Any]) -> Iterator[Control]:
 
 
 def _materials(keys: Mapping[str, Any]) -> Iterator[Control]:
-    for body in ("lower", "upper"):
+    for body in _BODIES:
+        layered = bool(_layers_of(body, keys))  # whose moduli count over that of the body
         for name in ("young", "poisson"):
             key = BY_PATH[f"{body}.{name}"]
             yield from _quantity(
                 key.path, None, keys[key.path], "Materials", f"{body} {name}", key.meaning,
-                _shown(key.unit), key.numbers, assembles=name == "poisson",
+                _shown(key.unit), key.numbers, assembles=layered or name == "poisson",
             )  # fmt: skip
 
 
+def _layers(keys: Mapping[str, Any]) -> Iterator[Control]:
+    for body in _BODIES:
+        for number, layer in enumerate(_layers_of(body, keys), start=1):
+            for name in ("thickness", "young", "poisson"):
+                key, path = _key(f"{layer}.{name}"), f"{layer}.{name}"
+                yield from _quantity(
+                    path, None, keys[path], f"Layer {number} of {body}", name, key.meaning,
+                    _shown(key.unit), key.numbers, assembles=True,
+                )  # fmt: skip
+
+
+def _layers_of(body: str, keys: Mapping[str, Any]) -> list[str]:
+    """Return how the names of entries of layers begin, from the contact face on."""
+    starts = (f"{body}.layers[{i}]" for i in itertools.count())
+    return list(itertools.takewhile(lambda start: f"{start}.thickness" in keys, starts))
+
+
+def _key(path: str) -> Key:
+    """Return the key of a number of a case."""
+    key = key_of(path)
+    assert key is not None
+    return key
+
+
 def _shapes(keys: Mapping[str, Any]) -> Iterator[Control]:
-    for body in ("lower", "upper"):
+    for body in _BODIES:
         group = f"Shape of {body}"
         r, z = (in_unit(keys[f"{body}.{name}"], "mm") for name in "rz")
         width, height = r[1] - r[0], z[1] - z[0]

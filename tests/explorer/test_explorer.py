@@ -194,6 +194,31 @@ def test_zeros_and_laws_of_users_have_sliders(tmp_path):
     assert reach["time.steps"][:2] == (1.0, 10.0)
 
 
+def test_numbers_of_layers_have_sliders(comm):
+    keys = raw_keys(CASES / "wear_through.toml", ["mesh.contact_elements=12"])
+    exploration, said = Exploration(keys, "wear_through.toml", comm), []
+    told = exploration.controls
+    layer = {name: told[f"lower.layers[0].{name}"] for name in ("thickness", "young", "poisson")}
+    assert [(c.value, c.unit, c.low, c.high) for c in layer.values()][:2] == [
+        (3.0, "um", 0.3, 30.0), (100.0, "GPa", 10.0, 1000.0),
+    ]  # fmt: skip
+    assert {c.group for c in layer.values()} == {"Layer 1 of lower"}
+    assert all(c.assembles for c in (*layer.values(), told["lower.young"]))  # ratios of moduli
+    assert not told["upper.young"].assembles
+    assert told["lower.layers[0].wear.k"].group.startswith("Wear of lower, layer 1: ")
+    for moved, times in (
+        ({}, 1), ({"lower.layers[0].wear.k": "3e-8", "wear.lower.k": "2e-7"}, 1),
+        ({"lower.layers[0].thickness": "4", "lower.young": "2e4"}, 2),
+    ):  # fmt: skip
+        found = exploration.compute(moved, lambda: said.append(1))
+        assert len(said) == times
+    assert '"thickness" = "4 um"' in found.text
+    assert found.case.lower.layers[0].thickness == pytest.approx(4e-3)
+    same(found, found.case)
+    with pytest.raises(rw.InputError, match=r"lower.layers\[0\].poisson"):
+        exploration.compute({"lower.layers[0].poisson": "0.7"})
+
+
 def test_all_that_is_wrong_is_told(comm):
     exploration = Exploration(raw_keys(PAPER, SMALL), "paper.toml", comm)
     with pytest.raises(rw.InputError) as caught:
