@@ -123,7 +123,7 @@ def test_the_text_taken_home_gives_the_same_numbers(path, tmp_path, comm):
     case = rw.read_case(home)
     assert case == found.case
     same(found, case)
-    assert any(name.startswith("wear.") for name in moved)
+    assert any("wear." in name for name in moved)  # of bodies, or of their layers
     assert any(name.startswith("load.") for name in moved)
     for control in exploration.controls.values():
         assert control.low <= control.value <= control.high
