@@ -11,21 +11,24 @@ in_browser = pytest.mark.skipif(
 )
 
 
+#: without a window, and where nothing but this machine is found
+HEADLESS = (
+    "--headless", "--no-sandbox", "--disable-gpu", "--hide-scrollbars",
+    "--host-resolver-rules=MAP * ~NOTFOUND, EXCLUDE 127.0.0.1",
+)  # fmt: skip
 #: of a page that draws itself: it is over when it has been so for ten seconds of its own
 BUDGET = "--virtual-time-budget=10000"
 
 
 def _command(address, profile, width, words):
     return [
-        CHROMIUM, "--headless", "--no-sandbox", "--disable-gpu", "--hide-scrollbars",
-        "--host-resolver-rules=MAP * ~NOTFOUND, EXCLUDE 127.0.0.1",
-        f"--user-data-dir={profile}", "--enable-logging=stderr", "--v=0",
+        CHROMIUM, *HEADLESS, f"--user-data-dir={profile}", "--enable-logging=stderr", "--v=0",
         f"--window-size={width},800", *words, address,
     ]  # fmt: skip
 
 
 def opened(address, profile, *words, width=1024):
-    """Open a page in Chromium, where nothing but this machine is found.
+    """Open a page in Chromium.
 
     Returns what it prints, and what the page has said in the console, a line each.
     """

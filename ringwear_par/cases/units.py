@@ -14,10 +14,9 @@ if TYPE_CHECKING:
 
 #: more is no unit, and slow to look at
 _LONGEST = 40
-_PLAIN = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?", re.ASCII)
-_WITH_UNIT = re.compile(
-    r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*((?:[^\W\d_]|[%°µμ(]|1\s*/).*)", re.ASCII
-)
+_NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
+_PLAIN = re.compile(_NUMBER, re.ASCII)
+_WITH_UNIT = re.compile(rf"\s*({_NUMBER})\s*((?:[^\W\d_]|[%°µμ(]|1\s*/).*)", re.ASCII)
 
 
 @cache
@@ -70,12 +69,30 @@ def seconds(text: str) -> float:
     ------
     RejectedError : it is none.
     """
-    return float(text) if _PLAIN.fullmatch(text.strip()) else number_in(text, "s")
+    return float(text) if is_plain(text) else number_in(text, "s")
+
+
+def is_plain(text: str) -> bool:
+    """Tell whether a text is a number without a unit."""
+    return _PLAIN.fullmatch(text.strip()) is not None
 
 
 def has_unit(value: Any) -> bool:
     """Tell whether a raw value is a text that begins with a number and goes on with a unit."""
     return isinstance(value, str) and _WITH_UNIT.fullmatch(value) is not None
+
+
+def number_and_unit(value: str) -> tuple[float, str]:
+    """Return the number of a text with its unit, and that unit.
+
+    Raises
+    ------
+    RejectedError : it has none.
+    """
+    match = _WITH_UNIT.fullmatch(value)
+    if match is None:
+        raise RejectedError
+    return float(match[1]), match[2].strip()
 
 
 def number_in(value: str, base: str) -> float:
@@ -85,14 +102,12 @@ def number_in(value: str, base: str) -> float:
     ------
     RejectedError : it has no unit, or that of something else.
     """
-    match = _WITH_UNIT.fullmatch(value)
-    if match is None:
-        raise RejectedError
+    number, unit = number_and_unit(value)
     try:
-        return float(f"{float(match[1]) * factor(match[2], base):.15g}")  # "0.1 mm" is 0.1
+        return float(f"{number * factor(unit, base):.15g}")  # "0.1 mm" is 0.1
     except RejectedError as error:
         hint = "; turns are rpm or turn/s" if base == "rad/s" else ""
-        raise RejectedError(f"{legible(match[2])} is no unit of {base}{hint}") from error
+        raise RejectedError(f"{legible(unit)} is no unit of {base}{hint}") from error
 
 
 def without_units(key: "Key", value: Any, entry: str | None = None) -> Any:

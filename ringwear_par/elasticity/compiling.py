@@ -68,7 +68,7 @@ def load_compiled(comm: "MPI.Comm", load: Callable[[], None]) -> None:
     """
 
     def load_or_compile() -> None:
-        untold = True
+        untold, forgotten = True, not _KEPT
         for _ in range(_COMPILATIONS):  # numba has what it compiled, before it fails to keep it
             try:
                 return load()
@@ -77,7 +77,10 @@ def load_compiled(comm: "MPI.Comm", load: Callable[[], None]) -> None:
                     log.warning("compiled code is not kept, going on: %s", error.strerror)
                 untold = False
             except (AttributeError, ImportError):
+                if forgotten:  # then it is a fault of the code
+                    raise
                 _forget()
+                forgotten = True
         return load()
 
     if comm.rank == 0:

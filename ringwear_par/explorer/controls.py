@@ -3,38 +3,38 @@
 Keys are raw ones, as the user wrote them: a number in a unit of its own keeps it.
 """
 
+import itertools
 import math
 import re
+import sys
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
-from ringwear_par.cases.layers import LAYERS, entries_of, with_entries
-from ringwear_par.cases.schema import BY_PATH, key_of
-from ringwear_par.cases.text import shortened
-from ringwear_par.cases.units import factor, has_unit, in_unit
+from ringwear_par.cases.layers import changed_layers, expanded
+from ringwear_par.cases.schema import BY_PATH, Key, key_of
+from ringwear_par.cases.units import factor, has_unit, in_unit, is_plain, number_and_unit
 from ringwear_par.cases.values import Interval, RejectedError, is_number
 from ringwear_par.elasticity.profiles import SHAPE_UNITS
 from ringwear_par.errors import InputError, legible
 from ringwear_par.wear.catalogue import LAWS
 from ringwear_par.wear.parameters import parameters_of
 
-#: what is said of controls that move both ends of a decade, and of the others
+#: numbers that matter by their order
 _LOGARITHMIC = frozenset(
-    {"k", "k_start", "young", "depth", "distance", "length", "crown", "sphere"}
+    {"k", "k_start", "young", "thickness", "depth", "distance", "length", "crown", "sphere"}
 )
 #: factor up and down that logarithmic sliders reach; stiffness does not vary as k does
 _REACH = 100.0
-_SHORT_REACH = {"young": 10.0, "crown": 10.0, "sphere": 10.0}
+_SHORT_REACH = dict.fromkeys(("young", "thickness", "crown", "sphere"), 10.0)
 #: linear sliders reach from nothing to so many times the value, or from a zero to these
 _TIMES, _FROM_ZERO = 3.0, {"p0": 100.0, "n": 2.0, "friction": 0.5}
 #: about how many positions a linear slider has, and a decade of a logarithmic one
 _POSITIONS, _OF_A_DECADE = 200, 100
 #: tables are multiplied by up to so much
 _FACTOR = 10.0
-_NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?", re.ASCII)
 _LOADS = ("load.force", "load.pressure", "load.displacement", "load.omega")
-_ENTRY = ("inner", "outer")
+_ENTRY, _BODIES = ("inner", "outer"), ("lower", "upper")
 
 
 @dataclass(frozen=True)
@@ -45,7 +45,7 @@ class Control:
     ----------
     name : unique, such as "lower.young", "upper.r[1]", "wear.lower.parameters.k" or, of all the
         values of a table, "load.force x".
-    path : key of the case.
+    path : key of the case, or of an entry of a layer, "lower.layers[0].thickness".
     entry : place in a pair, name in a table; None: the key is the number.
     group : what it is shown under.
     label, meaning : in words.
@@ -92,7 +92,8 @@ class Control:
         if self.log:
             if value <= 0.0:  # which the case will tell to be wrong
                 return replace(self, value=value)
-            low, high = min(self.low, value / _FACTOR), max(self.high, value * _FACTOR)
+            most = min(value * _FACTOR, sys.float_info.max)
+            low, high = min(self.low, value / _FACTOR), max(self.high, most)
             return replace(self, value=value, low=low, high=high)
         low, high = min(self.low, value), max(self.high, value)
         step = _nice((high - low) / _POSITIONS)
@@ -101,8 +102,9 @@ class Control:
 
 def controls_of(keys: Mapping[str, Any]) -> list[Control]:
     """Return the controls of a case that is good, by its raw keys, in the order of the page."""
+    keys = expanded(keys)
     return [
-        *_laws(keys), *_layers(keys), *_tests(keys), *_times(keys), *_materials(keys),
+        *_laws(keys), *_tests(keys), *_times(keys), *_materials(keys), *_layers(keys),
         *_shapes(keys),
     ]  # fmt: skip
 
@@ -122,7 +124,7 @@ def changed(
     ------
     InputError : all texts that are no numbers.
     """
-    made, moved, faults = dict(keys), dict(controls), []
+    there, made, moved, faults = expanded(keys), dict[str, Any](), dict(controls), []
     for name, text in texts.items():
         control = controls.get(name)
         if control is None:
@@ -139,16 +141,16 @@ def changed(
             )
             continue
         moved[name] = control.at(value)
-        made[control.path] = _put(control, made.get(control.path), raw)
+        made[control.path] = _put(control, made.get(control.path, there.get(control.path)), raw)
     if faults:
         raise InputError(*faults)
-    return made, moved
+    return {**keys, **changed_layers(keys, made)}, moved
 
 
 def _read(control: Control, text: str) -> tuple[Any, float]:
     """Return what a text means in a case file, and how much it is in the unit of the control."""
     text = text.strip().replace("\N{MINUS SIGN}", "-")
-    if _NUMBER.fullmatch(text):
+    if is_plain(text):
         value = float(text)
         if not math.isfinite(value):
             raise RejectedError
@@ -162,10 +164,6 @@ def _read(control: Control, text: str) -> tuple[Any, float]:
 
 def _put(control: Control, there: Any, raw: Any) -> Any:
     """Return the raw value of a key with that of a control in it."""
-    if control.path in LAYERS and isinstance(control.entry, str):
-        known = entries_of(there) or {}
-        own = _scaled(known[control.entry], raw) if control.scales else raw
-        return with_entries(control.path, there, {control.entry: own})
     if control.scales:
         if isinstance(control.entry, str):
             return {**there, control.entry: _scaled(there[control.entry], raw)}
@@ -195,9 +193,8 @@ def _times_as_much(value: Any, times: float) -> Any:
     if times == 1.0:
         return value
     if isinstance(value, str):  # with a unit
-        number = _NUMBER.match(value.strip())
-        assert number is not None
-        return f"{float(number[0]) * times:.12g}{value.strip()[number.end() :]}"
+        number, unit = number_and_unit(value)
+        return f"{number * times:.12g} {unit}"
     return float(f"{value * times:.12g}")
 
 
@@ -205,40 +202,29 @@ def _times_as_much(value: Any, times: float) -> Any:
 
 
 def _laws(keys: Mapping[str, Any]) -> Iterator[Control]:
-    for body in ("lower", "upper"):
-        table = f"wear.{body}"
+    whose = {
+        f"{layer}.wear": f"{body}, layer {number}"
+        for body in _BODIES
+        for number, layer in enumerate(_layers_of(body, keys), start=1)
+    }
+    for table, wears in {**{f"wear.{body}": body for body in _BODIES}, **whose}.items():
         if f"{table}.law" not in keys:
             continue
         law = LAWS[keys[f"{table}.law"]]
-        group = f"Wear of {body}: {law.formula}"
+        group = f"Wear of {wears}: {law.formula}"
         for name, parameter in parameters_of(law).items():
             path = f"{table}.{name}"
             raw = keys.get(path, None if parameter.default is ... else parameter.default)
             if parameter.kind == "parameters":
                 for entry, own in (raw or {}).items():
-                    meaning = f"parameter of the law of {body}"
+                    meaning = f"parameter of the law of {wears}"
                     yield from _quantity(path, entry, own, group, entry, meaning, "", None)
             elif parameter.kind != "file" and raw is not None:
-                unit = BY_PATH[path].unit.partition(" and ")[2] or parameter.unit
-                interval = BY_PATH[path].numbers
+                key = _key(path)
+                unit = key.unit.partition(" and ")[2] or parameter.unit
                 yield from _quantity(
-                    path, None, raw, group, name, parameter.meaning, _shown(unit), interval
+                    path, None, raw, group, name, parameter.meaning, _shown(unit), key.numbers
                 )
-
-
-def _layers(keys: Mapping[str, Any]) -> Iterator[Control]:
-    """Return the numbers of layers, each of which is an entry of their list."""
-    for path in LAYERS:
-        for entry, raw in (entries_of(keys.get(path, [])) or {}).items():
-            key, number = key_of(f"{path}{entry}"), entry[1 : entry.index("]")]
-            if key is None or key.numbers is None:
-                continue
-            elastic = not key.path.startswith("wear.")
-            yield from _quantity(
-                path, entry, raw, f"Layer {number} of {path.partition('.')[0]}",
-                key.path.rpartition(".")[2], key.meaning.partition(" (law = ")[0],
-                _shown(key.unit), key.numbers, assembles=elastic,
-            )  # fmt: skip
 
 
 def _tests(keys: Mapping[str, Any]) -> Iterator[Control]:
@@ -253,17 +239,42 @@ def _tests(keys: Mapping[str, Any]) -> Iterator[Control]:
 
 
 def _materials(keys: Mapping[str, Any]) -> Iterator[Control]:
-    for body in ("lower", "upper"):
+    for body in _BODIES:
+        layered = bool(_layers_of(body, keys))  # whose moduli count over that of the body
         for name in ("young", "poisson"):
             key = BY_PATH[f"{body}.{name}"]
             yield from _quantity(
                 key.path, None, keys[key.path], "Materials", f"{body} {name}", key.meaning,
-                _shown(key.unit), key.numbers, assembles=name == "poisson",
+                _shown(key.unit), key.numbers, assembles=layered or name == "poisson",
             )  # fmt: skip
 
 
+def _layers(keys: Mapping[str, Any]) -> Iterator[Control]:
+    for body in _BODIES:
+        for number, layer in enumerate(_layers_of(body, keys), start=1):
+            for name in ("thickness", "young", "poisson"):
+                key, path = _key(f"{layer}.{name}"), f"{layer}.{name}"
+                yield from _quantity(
+                    path, None, keys[path], f"Layer {number} of {body}", name, key.meaning,
+                    _shown(key.unit), key.numbers, assembles=True,
+                )  # fmt: skip
+
+
+def _layers_of(body: str, keys: Mapping[str, Any]) -> list[str]:
+    """Return how the names of entries of layers begin, from the contact face on."""
+    starts = (f"{body}.layers[{i}]" for i in itertools.count())
+    return list(itertools.takewhile(lambda start: f"{start}.thickness" in keys, starts))
+
+
+def _key(path: str) -> Key:
+    """Return the key of a number of a case."""
+    key = key_of(path)
+    assert key is not None
+    return key
+
+
 def _shapes(keys: Mapping[str, Any]) -> Iterator[Control]:
-    for body in ("lower", "upper"):
+    for body in _BODIES:
         group = f"Shape of {body}"
         r, z = (in_unit(keys[f"{body}.{name}"], "mm") for name in "rz")
         width, height = r[1] - r[0], z[1] - z[0]
@@ -381,20 +392,14 @@ def _length(
 def _name(path: str, entry: int | str | None) -> str:
     if isinstance(entry, int):
         return f"{path}[{entry}]"
-    if entry is None:
-        return path
-    return f"{path}{entry}" if path in LAYERS else f"{path}.{entry}"
+    return path if entry is None else f"{path}.{entry}"
 
 
 def _with_unit(raw: Any, unit: str) -> tuple[float, str]:
     """Return a raw number and the unit that it has of its own, "" for none."""
     if is_number(raw):
         return float(raw), ""
-    if not has_unit(raw):
-        raise ValueError(f"{shortened(raw)}: is no number of a good case")
-    number = _NUMBER.match(raw.strip())
-    assert number is not None
-    return float(number[0]), raw.strip()[number.end() :].strip()
+    return number_and_unit(raw)
 
 
 def _extreme(value: float) -> bool:

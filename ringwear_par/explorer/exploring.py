@@ -25,8 +25,8 @@ _STATES = 400
 #: tolerances of sketches over those of a case: of ten of scripts/cases they took a sixth to nearly
 #: all of the time, and their penetrations were off by 1e-3 at most
 _COARSER, _ROUGHER = 10.0, 5.0
-_FILES = ("wear.lower.file", "wear.upper.file")
 _PROFILES = ("lower.profile", "upper.profile")
+_FILES = ("wear.lower.file", "wear.upper.file", *(f"{table}.file" for table in _PROFILES))
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,6 +60,7 @@ class Exploration:
     def __init__(self, keys: Mapping[str, Any], name: str, comm: MPI.Comm) -> None:
         self._keys, self._name, self._comm = keys, name, comm
         self.title = str(keys.get("title", ""))
+        self.layered = any(keys.get(f"{body}.layers") for body in ("lower", "upper"))
         #: of the case file, in the order of the page
         self.controls = {control.name: control for control in controls_of(keys)}
         self._pair: ContactPair | None = None
@@ -117,7 +118,7 @@ def _files_in_full(keys: Mapping[str, Any], folder: Path) -> dict[str, Any]:
     """Return keys with the whole names of files, so that the text may be saved anywhere."""
     found = dict(keys)
     for path, value in keys.items():
-        if path in _FILES or path in tuple(f"{table}.file" for table in _PROFILES):
+        if path in _FILES:
             found[path] = str((folder / value).resolve())
         elif path in _PROFILES and isinstance(value, Mapping) and "file" in value:
             found[path] = {"file": str((folder / value["file"]).resolve())}

@@ -42,9 +42,9 @@ class Talk(DataModel):  # type: ignore[misc]
     """What a page and its server tell each other, in JSON.
 
     ``asked`` (numbers by the names of controls and whether one is moving, the time and chart
-    chosen) and ``given`` (a table
-    of measurements, or what its columns are) come from the page, ``told`` goes to it: all that is
-    seen of a history in one message, so that figures are painted once.
+    chosen) and ``given`` (a table of measurements, or what its columns are) come from the page,
+    ``told`` goes to it: all that is seen of a history in one message, so that figures are painted
+    once. The ``n`` of a wish comes back with its answer, and with nothing else.
     """
 
     asked = String(default="")
@@ -62,6 +62,7 @@ class Page:
     title : of the page.
     hosts : under which it is served, with the port.
     put : gives the main thread something to do.
+    later : gives the server's thread something to do with the document, if it is still there.
     """
 
     def __init__(
@@ -71,16 +72,19 @@ class Page:
         title: str,
         hosts: Sequence[str],
         put: Callable[[Callable[[], None]], None],
+        later: Callable[[Callable[[], None]], None],
     ) -> None:
-        self._document, self._exploration, self._put = document, exploration, put
+        self._exploration, self._put, self._later = exploration, put, later
         self._talk = Talk(name="talk")
         self._wanted: dict[str, Any] = dict(_START)
         self._busy, self._gone = False, False
-        #: what is drawn, of which numbers, and the history of the case file
+        #: what is drawn, the wish that it answers, and the history of the case file
         self._explored: Explored | None = None
         self._drawn: dict[str, Any] | None = None
-        self._sketched, self._slow = False, False
         self._first: Result | None = None
+        #: why the last wish could not be computed
+        self._faults: tuple[str, ...] = ()
+        self._sketched, self._slow = False, False
         #: by numbers that stay theirs
         self._laid: dict[int, Laid] = {}
         self._numbers = count()
@@ -107,7 +111,7 @@ class Page:
             return
         known = self._drawn is not None and wanted["values"] == self._drawn["values"]
         if known and (wanted.get("moving") or not self._sketched):
-            self._draw()
+            self._draw(wanted["n"])
         else:
             self._start()
 
@@ -133,13 +137,11 @@ class Page:
             log.exception("a history failed unexpectedly")
             outcome = (f"failed unexpectedly: {reason_of(error)}",)
         seconds = time.perf_counter() - started
-        self._document.add_next_tick_callback(
-            lambda: self._computed(wanted, outcome, seconds, sketch)
-        )
+        self._later(lambda: self._computed(wanted, outcome, seconds, sketch))
 
     def _assembling(self) -> None:
         """Say that the bodies are assembled. In the main thread."""
-        self._document.add_next_tick_callback(lambda: self._tell({"assembling": True}))
+        self._later(lambda: self._tell({"assembling": True}))
 
     def _computed(
         self,
@@ -148,17 +150,17 @@ class Page:
         seconds: float,
         sketch: bool,
     ) -> None:
-        self._busy, self._seconds, self._drawn = False, seconds, wanted
+        self._busy = False
         if isinstance(outcome, Explored):
-            self._explored, self._sketched = outcome, sketch
+            self._explored, self._drawn, self._faults = outcome, wanted, ()
+            self._sketched, self._seconds = sketch, seconds
             if not sketch:
                 self._slow = seconds > _SLOW
-            if self._first is None:
+            if self._first is None and not wanted["values"]:
                 self._first = outcome.result
-            self._draw()
         else:
-            self._drawn = None
-            self._tell({"n": wanted["n"], "faults": outcome})
+            self._drawn, self._faults = None, outcome
+        self._draw(wanted["n"])
         if self._wanted is not wanted:
             self._ask(self._wanted)
 
@@ -176,7 +178,7 @@ class Page:
                 self._laid[number] = replace(self._laid[number], quantity=given["quantity"])
         except InputError as error:
             fault = " ".join(error.faults)
-        self._draw(fault)
+        self._draw(fault=fault)
 
     def _add(self, name: str, content: str) -> str:
         if self._explored is None:
@@ -191,15 +193,21 @@ class Page:
 
     # -- what is seen ------------------------------------------------------------------------------
 
-    def _draw(self, fault: str = "") -> None:
-        """Draw what is computed, and tell its numbers."""
+    def _draw(self, n: int | None = None, fault: str = "") -> None:
+        """Draw what is computed, and tell its numbers.
+
+        Parameters
+        ----------
+        n : of the wish that is answered.
+        fault : of a table.
+        """
         found = self._explored
-        if found is None or self._first is None:
-            if fault:
-                self._tell({"laid": [], "laid_fault": fault})
+        if found is None:
+            told = {"laid": [], "laid_fault": fault}
+            self._tell({"n": n, "faults": self._faults, **(told if fault else {})})
             return
         wanted, result, faults = self._wanted, found.result, [fault] if fault else []
-        good, told = [], []
+        good, columns = [], []
         for number, one in self._laid.items():
             off = None
             try:
@@ -207,23 +215,27 @@ class Page:
                 good.append(one)
             except InputError as error:
                 faults += error.faults
-            told.append({"number": number, **_column(one, off)})
+            columns.append({"number": number, **_column(one, off)})
         menu = wanted["menu"] if wanted["menu"] in MENU else _START["menu"]
         share = float(wanted["instant"])
-        drawing = Drawing(result, self._first, found.case, share, menu, good)
+        first = result if self._first is None else self._first
+        drawing = Drawing(result, first, found.case, share, menu, good)
         numbers = key_numbers(result)
-        before = {name: value for name, value, _ in key_rows(key_numbers(self._first))}
+        known = [] if self._first is None else key_rows(key_numbers(first))
+        before = {name: value for name, value, _ in known}
         worn = worn_table(numbers)
         self._tell(
             {
-                "n": wanted["n"], "faults": [], "controls": _states(found.controls.values()),
+                "n": n, "faults": self._faults,
+                # those that cannot be computed stay as the user has them
+                "controls": {} if self._faults else _states(found.controls.values()),
                 "doubts": result.doubts, "summary": result.summary(), "case": found.text,
                 "numbers": [(name, value, before.get(name, ""), unit)
                             for name, value, unit in key_rows(numbers)],
                 "worn": [worn.header, *worn.rows] if numbers.bodies else [],
-                "chosen": drawing.chosen_time, "charts": drawing.told(), "laid": told,
+                "chosen": drawing.chosen_time, "charts": drawing.told(), "laid": columns,
                 "laid_fault": " ".join(faults), "seconds": self._seconds,
-                "sketch": self._sketched,
+                "sketch": self._sketched and not self._faults,
             }
         )  # fmt: skip
 
@@ -277,7 +289,9 @@ def _variables(exploration: Exploration, title: str, hosts: Sequence[str]) -> di
             (name, name.startswith(_FOLDED), list(controls))
             for name, controls in groupby(exploration.controls.values(), group)
         ],
-        "menu": MENU, "start": _START, "largest": LARGEST,
+        "menu": {name: told for name, told in MENU.items()
+                 if name != "through" or exploration.layered},
+        "start": _START, "largest": LARGEST,
         "style": Markup(_part("page.css", "ringwear_par.reports", "page")
                         + _part("explore.css")),
         "script": Markup(_part("explore.js")),

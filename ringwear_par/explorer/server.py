@@ -163,7 +163,10 @@ class _Server(threading.Thread):
         self._loop = IOLoop.current()
 
         def add_page(document: Any) -> None:
-            Page(document, self._exploration, self._title, self._hosts, self._put)
+            def later(callback: Callable[[], None]) -> None:
+                self._loop.add_callback(_if_there, document, callback)
+
+            Page(document, self._exploration, self._title, self._hosts, self._put, later)
 
         application = Application(FunctionHandler(add_page))
         tornado = BokehTornado(
@@ -182,3 +185,9 @@ class _Server(threading.Thread):
         if self._loop is not None:
             self._loop.add_callback(self._loop.stop)
             self.join(_END)
+
+
+def _if_there(document: Any, callback: Callable[[], None]) -> None:
+    """Call back with a document that may change, unless its page has been closed meanwhile."""
+    if document.session_context is not None:
+        document.add_next_tick_callback(callback)

@@ -245,11 +245,7 @@ class _Measured:
 
     def __init__(self, template: Experiment, case: Case) -> None:
         longer = case.time.end / template.case.time.end
-        self._last: dict[str, Series] = {}
-        for series in template.series:
-            known = self._last.get(series.quantity)
-            if series.profile and (known is None or _at(series) > _at(known)):
-                self._last[series.quantity] = series
+        self._last = last_profiles(template.series)
         self._series = [
             series if series.profile else _scaled(series, longer) for series in template.series
         ]
@@ -271,6 +267,16 @@ class _Measured:
         if key not in self._profiles:
             self._profiles[key] = replace(series, name=name, at=at)
         return self._profiles[key]
+
+
+def last_profiles(every: Sequence[Series]) -> dict[str, Series]:
+    """Return of all profiles of one body the last one, by quantity."""
+    found: dict[str, Series] = {}
+    for series in every:
+        known = found.get(series.quantity)
+        if series.profile and (known is None or _at(series) > _at(known)):
+            found[series.quantity] = series
+    return found
 
 
 def _scaled(series: Series, longer: float) -> Series:

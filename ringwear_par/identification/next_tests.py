@@ -1,7 +1,7 @@
 """The best tests of a design as tables of a fit file: readings planned, to be filled in."""
 
 import itertools
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -12,7 +12,7 @@ from ringwear_par.cases.text import toml_value
 from ringwear_par.cases.units import has_unit, in_unit
 from ringwear_par.cases.values import is_number
 from ringwear_par.errors import legible
-from ringwear_par.identification.candidates import LOADS, Candidate
+from ringwear_par.identification.candidates import LOADS, Candidate, last_profiles
 from ringwear_par.identification.inline_tables import on_one_line
 from ringwear_par.identification.problem import Series
 from ringwear_par.textfiles import parse_toml
@@ -33,6 +33,7 @@ def next_tests(found: "DesignResult", told: str) -> str:
     """
     problem, best = found.problem, found.designs[0]
     measured = _measured_as(found)
+    tables = _tables(problem.experiments[0].series, measured["data"])
     taken = {experiment.name for experiment in problem.experiments}
     names = (name for i in itertools.count(1) if (name := f"next {i}") not in taken)
     lines = [
@@ -46,14 +47,14 @@ def next_tests(found: "DesignResult", told: str) -> str:
     ]
     for place, name in zip(best.tests, names, strict=False):
         test = found.candidates[place]
-        changes = set_of(measured, test)
+        changes = _set_of(measured, test)
         lines += [
             "", "[[experiment]]", f"name = {toml_value(name)}",
             "set = " + toml_value(changes),
         ]  # fmt: skip
         for series in test.experiment.series:
-            table = next(t for t in measured["data"] if t["quantity"] == series.quantity)
-            lines += ["  [[experiment.data]]", *(f"  {line}" for line in _planned(series, table))]
+            planned = _planned(series, tables[_kept_name(series)])
+            lines += ["  [[experiment.data]]", *(f"  {line}" for line in planned)]
     return "\n".join(lines) + "\n"
 
 
@@ -64,7 +65,22 @@ def _measured_as(found: "DesignResult") -> dict[str, Any]:
     return first
 
 
-def set_of(measured: Mapping[str, Any], test: Candidate) -> dict[str, Any]:
+def _tables(every: Sequence[Series], data: Sequence[dict[str, Any]]) -> dict[str, dict[str, Any]]:
+    """Return the tables of the fit file as which readings of candidates are measured."""
+    last = last_profiles(every)
+    return {
+        _kept_name(series): table
+        for series, table in zip(every, data, strict=True)
+        if not series.profile or series is last[series.quantity]
+    }
+
+
+def _kept_name(series: Series) -> str:
+    """Return what a series and those of candidates that are measured like it have in common."""
+    return series.quantity if series.profile else series.name
+
+
+def _set_of(measured: Mapping[str, Any], test: Candidate) -> dict[str, Any]:
     """Return all case keys that an experiment of a fit file sets for a test."""
     own, changes = flatten(measured.get("set", {}), "set"), test.changes()
     loads = {*LOADS, "load.displacement"} if set(LOADS) & changes.keys() else set()

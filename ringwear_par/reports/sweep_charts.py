@@ -219,10 +219,11 @@ def _key_axis(plan: Plan) -> dict[str, Any]:
     if key.categories:
         words = [charts.shown(word) for word in key.categories]
         return charts.axis(
-            key.label, tickvals=list(range(len(words))), ticktext=words,
+            charts.shown(key.label), tickvals=list(range(len(words))), ticktext=words,
             range=[-0.6, len(words) - 0.4],
         )  # fmt: skip
-    return charts.axis(key.label, **({"type": "log"} if key.logarithmic else {}))
+    more = {"type": "log"} if key.logarithmic else {}
+    return charts.axis(charts.shown(key.label), **more)
 
 
 def indices(bars: Sequence[IndexBars]) -> Charts | None:

@@ -2,6 +2,7 @@
 
 from types import SimpleNamespace
 
+import pytest
 from mpi4py import MPI
 
 from ringwear_par.elasticity import compiling
@@ -25,3 +26,18 @@ def test_what_an_older_version_kept_is_forgotten(tmp_path, monkeypatch):
     compiling.load_compiled(MPI.COMM_SELF, load)
     assert not own.exists()
     assert other.exists()
+
+
+@pytest.mark.parametrize("kept", [False, True])
+def test_a_fault_of_the_code_is_not_taken_for_it(kept, monkeypatch):
+    calls = []
+    monkeypatch.setattr(compiling, "_KEPT", kept)
+    monkeypatch.setattr(compiling, "_functions", [])
+
+    def load():
+        calls.append(1)
+        raise AttributeError("of a fault")
+
+    with pytest.raises(AttributeError, match="of a fault"):
+        compiling.load_compiled(MPI.COMM_SELF, load)
+    assert len(calls) == 1 + kept

@@ -4,14 +4,16 @@ import asyncio
 import base64
 import itertools
 import json
-import re
 import subprocess
 import time
 from contextlib import suppress
 
-from browser import CHROMIUM
+from browser import CHROMIUM, HEADLESS
 from tornado.httpclient import HTTPRequest
 from tornado.websocket import websocket_connect
+
+#: s, limit for Chromium to start
+_START = 60.0
 
 
 class Browser:
@@ -30,24 +32,29 @@ class Browser:
         self.said, self.asked_for = [], []
         self._process = subprocess.Popen(
             [
-                CHROMIUM, "--headless", "--no-sandbox", "--disable-gpu", "--hide-scrollbars",
-                "--no-first-run", "--disable-extensions", "--disable-background-networking",
-                "--host-resolver-rules=MAP * ~NOTFOUND, EXCLUDE 127.0.0.1",
-                f"--user-data-dir={profile}", f"--window-size={width},{height}",
-                "--remote-debugging-port=0", "--remote-allow-origins=*", "about:blank",
+                CHROMIUM, *HEADLESS, "--no-first-run", "--disable-extensions",
+                "--disable-background-networking", f"--user-data-dir={profile}",
+                f"--window-size={width},{height}", "--remote-debugging-port=0",
+                "--remote-allow-origins=*", "about:blank",
             ],
-            stderr=subprocess.PIPE, text=True,
+            stderr=subprocess.DEVNULL,
         )  # fmt: skip
-        for line in self._process.stderr:
-            if found := re.search(r"DevTools listening on ws://([^/]+)/", line):
-                break
-        else:
-            raise RuntimeError("Chromium has not started")
-        self._socket = self._loop.run_until_complete(self._connect(found[1]))
+        port = self._port(profile / "DevToolsActivePort")
+        self._socket = self._loop.run_until_complete(self._connect(f"127.0.0.1:{port}"))
         for domain in ("Page", "Runtime", "Log", "Network", "DOM"):
             self.call(f"{domain}.enable")
         self.call("Emulation.setDeviceMetricsOverride", width=width, height=height,
                   deviceScaleFactor=1, mobile=False)  # fmt: skip
+
+    def _port(self, path):
+        """Wait until Chromium has written where it listens."""
+        until = time.monotonic() + _START
+        while not (path.exists() and path.read_text().count("\n")):
+            if self._process.poll() is not None or time.monotonic() > until:
+                self._process.kill()
+                raise RuntimeError("Chromium has not started")
+            time.sleep(0.02)
+        return path.read_text().partition("\n")[0]
 
     async def _connect(self, host):
         from tornado.httpclient import AsyncHTTPClient
@@ -66,7 +73,6 @@ class Browser:
         self._loop.close()
         self._process.kill()
         self._process.wait()
-        self._process.stderr.close()
 
     async def _disconnect(self):
         self._socket.close()

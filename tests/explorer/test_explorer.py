@@ -1,6 +1,7 @@
 """The explorer without a browser: sliders and their keys, histories, measurements, the server."""
 
 import asyncio
+import base64
 import json
 import re
 import signal
@@ -9,13 +10,16 @@ import subprocess
 import sys
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from bokeh.document import Document
+from bokeh.server.session import ServerSession
 from conftest import SHELL_ENVIRONMENT
 from test_cli import RINGWEAR, ringwear, sentences
 from tornado.httpclient import AsyncHTTPClient, HTTPClientError, HTTPRequest
+from tornado.ioloop import IOLoop
 from tornado.websocket import websocket_connect
 
 import ringwear_par as rw
@@ -23,7 +27,8 @@ from ringwear_par.explorer.controls import controls_of
 from ringwear_par.explorer.exploring import Exploration, raw_keys
 from ringwear_par.explorer.figures import MENU, Drawing
 from ringwear_par.explorer.measured import read_table
-from ringwear_par.explorer.page import Page
+from ringwear_par.explorer.page import Page, _variables
+from ringwear_par.explorer.server import _if_there
 from ringwear_par.results.history_panels import HISTORY_PANELS
 
 pytestmark = pytest.mark.serial
@@ -118,7 +123,7 @@ def test_the_text_taken_home_gives_the_same_numbers(path, tmp_path, comm):
     case = rw.read_case(home)
     assert case == found.case
     same(found, case)
-    assert any(name.startswith("wear.") or ".wear." in name for name in moved)
+    assert any("wear." in name for name in moved)  # of bodies, or of their layers
     assert any(name.startswith("load.") for name in moved)
     for control in exploration.controls.values():
         assert control.low <= control.value <= control.high
@@ -189,6 +194,31 @@ def test_zeros_and_laws_of_users_have_sliders(tmp_path):
     assert reach["time.steps"][:2] == (1.0, 10.0)
 
 
+def test_numbers_of_layers_have_sliders(comm):
+    keys = raw_keys(CASES / "wear_through.toml", ["mesh.contact_elements=12"])
+    exploration, said = Exploration(keys, "wear_through.toml", comm), []
+    told = exploration.controls
+    layer = {name: told[f"lower.layers[0].{name}"] for name in ("thickness", "young", "poisson")}
+    assert [(c.value, c.unit, c.low, c.high) for c in layer.values()][:2] == [
+        (3.0, "um", 0.3, 30.0), (100.0, "GPa", 10.0, 1000.0),
+    ]  # fmt: skip
+    assert {c.group for c in layer.values()} == {"Layer 1 of lower"}
+    assert all(c.assembles for c in (*layer.values(), told["lower.young"]))  # ratios of moduli
+    assert not told["upper.young"].assembles
+    assert told["lower.layers[0].wear.k"].group.startswith("Wear of lower, layer 1: ")
+    for moved, times in (
+        ({}, 1), ({"lower.layers[0].wear.k": "3e-8", "wear.lower.k": "2e-7"}, 1),
+        ({"lower.layers[0].thickness": "4", "lower.young": "2e4"}, 2),
+    ):  # fmt: skip
+        found = exploration.compute(moved, lambda: said.append(1))
+        assert len(said) == times
+    assert '"thickness" = "4 um"' in found.text
+    assert found.case.lower.layers[0].thickness == pytest.approx(4e-3)
+    same(found, found.case)
+    with pytest.raises(rw.InputError, match=r"lower.layers\[0\].poisson"):
+        exploration.compute({"lower.layers[0].poisson": "0.7"})
+
+
 def test_all_that_is_wrong_is_told(comm):
     exploration = Exploration(raw_keys(PAPER, SMALL), "paper.toml", comm)
     with pytest.raises(rw.InputError) as caught:
@@ -248,7 +278,7 @@ def drawn():
 
 def test_figures_hold_the_history(drawn):
     first, now = drawn
-    for menu in [name for name in MENU if name != "through"]:  # of layers
+    for menu in MENU.keys() - {"through"}:  # of layers
         told = Drawing(now.result, first.result, now.case, 0.5, menu, []).told()
         curves = HISTORY_PANELS[menu].curves(now.result)
         lines = told["other"]["sources"]["lines"]
@@ -266,6 +296,21 @@ def test_figures_hold_the_history(drawn):
     assert 80.0 < top < max(map(max, told["pressure"]["sources"]["lines"]["y"]))
     assert "is cut" in told["pressure"]["note"]
     json.dumps(told, allow_nan=False)
+
+
+def test_the_share_worn_through_is_drawn_of_layers(comm):
+    for name, layered in (("wear_through", True), ("paper", False)):
+        keys = raw_keys(CASES / f"{name}.toml", ["mesh.contact_elements=12"])
+        exploration = Exploration(keys, name, comm)
+        menu = _variables(exploration, name, [])["menu"]
+        assert ("through" in menu) is layered
+        assert len(menu) == len(MENU) - (not layered)
+        if layered:
+            found = exploration.compute({})
+            told = Drawing(found.result, found.result, found.case, 1.0, "through", []).told()
+            (y,) = told["other"]["sources"]["lines"]["y"]
+            assert y == (100.0 * found.result.layers["share_through_lower"]).tolist()
+            assert y[-1] > 0.0
 
 
 def test_tables_are_read_as_fits_read_them(drawn):
@@ -324,14 +369,44 @@ def test_tables_that_are_none_are_told(table, words, drawn):
         read_table(table, "a.csv", drawn[0].case)
 
 
+class Visited:
+    """A page without a browser, and what both threads are to do for it."""
+
+    def __init__(self, comm):
+        self.exploration = Exploration(raw_keys(PAPER, SMALL), "paper", comm)
+        self.tasks, self.later, document = [], [], Document()
+        self.page = Page(document, self.exploration, "paper.toml", ["127.0.0.1:1"],
+                         self.tasks.append, self.later.append)  # fmt: skip
+        self.talk = document.get_model_by_name("talk")
+
+    @property
+    def told(self):
+        """What the page was told last."""
+        return json.loads(self.talk.told)
+
+    def work(self):
+        """Do all that is to be done, and return what the page is told then."""
+        while self.tasks:
+            self.tasks.pop(0)()
+            while self.later:
+                self.later.pop(0)()
+        return self.told
+
+    def ask(self, n, **values):
+        """Ask for other numbers."""
+        wish = {"n": n, "instant": 1.0, "menu": "torque", "values": values}
+        self.talk.asked = json.dumps(wish)
+
+    def give(self, name, table):
+        """Lay a table over the history."""
+        content = base64.b64encode(table).decode()
+        self.talk.given = json.dumps({"name": name, "content": content})
+
+
 def test_a_page_computes_the_last_wish_and_goes_on_after_faults(comm):
-    exploration, tasks, document = (
-        Exploration(raw_keys(PAPER, SMALL), "paper", comm),
-        [],
-        Document(),
-    )
-    computed, compute, later = [], exploration.compute, []
-    document.add_next_tick_callback = later.append
+    visited = Visited(comm)
+    exploration, talk, work, ask = visited.exploration, visited.talk, visited.work, visited.ask
+    computed, compute = [], exploration.compute
 
     def counted(texts, assembling, sketch):
         computed.append(texts)
@@ -340,20 +415,6 @@ def test_a_page_computes_the_last_wish_and_goes_on_after_faults(comm):
         return compute(texts, assembling)
 
     exploration.compute = counted
-    page = Page(document, exploration, "paper.toml", ["127.0.0.1:1"], tasks.append)
-    talk = document.get_model_by_name("talk")
-
-    def work():
-        while tasks:
-            tasks.pop(0)()
-            while later:
-                later.pop(0)()
-        return json.loads(talk.told)
-
-    def ask(n, **values):
-        wish = {"n": n, "instant": 1.0, "menu": "torque", "values": values}
-        talk.asked = json.dumps(wish)
-
     assert work()["n"] == 0
     for n in range(1, 9):  # moves while one is computed
         ask(n, **{"wear.lower.k": f"{n}e-8"})
@@ -373,15 +434,76 @@ def test_a_page_computes_the_last_wish_and_goes_on_after_faults(comm):
     told = work()
     assert told["n"] == 12
     assert told["faults"] == []
-    page._slow, page._exploration.compute = True, compute
+    visited.page._slow, exploration.compute = True, compute
     talk.asked = json.dumps({**json.loads(talk.asked), "n": 12.5, "moving": True,
                              "values": {"wear.lower.k": "2e-7"}})  # fmt: skip
     assert work()["sketch"] is True
     talk.asked = json.dumps({**json.loads(talk.asked), "n": 12, "moving": False})
     assert work()["sketch"] is False  # the same numbers, but at rest
-    page._left(None)
+    visited.page._left(None)
     ask(13, **{"wear.lower.k": "9e-8"})
     assert work()["n"] == 12  # nobody is there to see it
+
+
+def test_faults_stay_until_numbers_can_be_computed(comm):
+    visited = Visited(comm)
+    visited.work()
+    visited.ask(1, **{"contact.friction": "x"})
+    said = ["contact.friction = x: must be a number"]
+    told = visited.work()
+    assert (told["n"], told["faults"], told["controls"]) == (1, said, {})
+    visited.give("a.csv", b"time_s,penetration_um\n1,2\n")  # is no answer, and changes no number
+    told = visited.told
+    assert (told["n"], told["faults"], told["controls"]) == (None, said, {})
+    assert [column["column"] for column in told["laid"]] == ["penetration_um"]
+    visited.ask(2)
+    told = visited.work()
+    assert (told["n"], told["faults"]) == (2, [])
+    assert told["controls"]
+    visited.ask(3, **{"lower.young": "1e308"})  # whose slider would reach infinity
+    visited.work()
+    assert "Infinity" not in visited.talk.told
+
+
+def test_only_answers_have_the_number_of_a_wish(comm):
+    visited = Visited(comm)
+    visited.work()
+    visited.ask(1, **{"wear.lower.k": "3e-8"})
+    visited.give("a.csv", b"time_s,penetration_um\n1,2\n")  # while that is computed
+    assert visited.told["n"] is None
+    assert visited.told["controls"]["wear.lower.k"]["value"] != 3e-8
+    told = visited.work()
+    assert told["n"] == 1
+    assert told["controls"]["wear.lower.k"]["value"] == 3e-8
+
+
+def test_only_the_case_file_stands_as_the_case_file(comm):
+    visited = Visited(comm)
+    visited.ask(1, **{"load.omega": "9"})  # before the first history
+    told = visited.work()
+    assert [row[2] for row in told["numbers"]] == [""] * len(told["numbers"])
+    assert "case file" not in told["charts"]["penetration"]["sources"]["lines"]["label"]
+    visited.ask(2)
+    before = {row[0]: row[1] for row in visited.work()["numbers"]}
+    visited.ask(3, **{"load.omega": "9"})
+    told = visited.work()
+    assert {row[0]: row[2] for row in told["numbers"]} == before
+    assert "case file" in told["charts"]["penetration"]["sources"]["lines"]["label"]
+
+
+def test_a_page_that_is_closed_meanwhile_ends_nothing():
+    loop, document, called = IOLoop(make_current=False), Document(), []
+    context = SimpleNamespace()
+    document._session_context = lambda: context  # as bokeh's server sets it
+    session = ServerSession("one", document, io_loop=loop)
+    _if_there(document, lambda: called.append(1))
+    loop.call_later(0.05, loop.stop)
+    loop.start()
+    assert called == [1]
+    session.destroy()
+    _if_there(document, lambda: called.append(2))
+    loop.close()
+    assert called == [1]
 
 
 # -- the server ------------------------------------------------------------------------------------
@@ -466,13 +588,13 @@ def test_a_port_and_a_signal_while_nobody_looks():
         ([CASES / "study.toml"], "is a study, not a case"),
     ],
 )
-def test_what_is_refused(words, said):
+def test_what_is_refused(words, said, tmp_path):
     done = ringwear("explore", *words, "--no-browser")
     assert done.returncode == 2
     assert len(sentences(done)) == 1
     assert said in sentences(done)[0]
     if "--port" not in words:  # in the words of run
-        run = ringwear("run", *words, "-o", "/tmp/never.h5")
+        run = ringwear("run", *words, "-o", tmp_path / "never.h5")
         assert sentences(done) == sentences(run)
 
 

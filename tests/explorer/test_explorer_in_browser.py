@@ -258,7 +258,7 @@ def test_everything_is_reached_by_keys_and_has_a_name(page):
     assert all(n["name"]["value"] for n in sliders)
 
 
-@pytest.mark.parametrize("name", ["user_law", "cycles", "updated", "sphere"])
+@pytest.mark.parametrize("name", ["user_law", "cycles", "updated", "sphere", "wear_through"])
 def test_cases_of_other_kinds(name, other, tmp_path):
     words = ["--set", "mesh.contact_elements=16"]
     with served(CASES / f"{name}.toml", *words) as (address, _):

@@ -16,6 +16,7 @@ from ringwear_par.identification.candidates import candidates
 from ringwear_par.identification.design import run_design
 from ringwear_par.identification.fit import fit, predicted
 from ringwear_par.identification.fit_file import read_fit
+from ringwear_par.identification.next_tests import next_tests
 
 VARY = {"load.pressure": [40.0, 96.0]}
 
@@ -345,3 +346,20 @@ def test_the_folder_holds_what_to_do_next(tables, laboratory, tmp_path, comm, ca
     with pytest.raises(rw.InputError, match="no outcome of ringwear fit"):
         run_design(source, tmp_path / "later", comm, after=tmp_path / "next")
     assert not (tmp_path / "later").exists()
+
+
+@pytest.mark.serial
+def test_next_tests_have_the_noise_of_the_readings_that_they_are_measured_as(tables, comm):
+    """Of two records of one quantity each its own, of profiles that of the last one."""
+    source = tables()
+    data = source["experiment"][0]["data"]
+    early = {"quantity": "profile.lower", "r": {"from": 28.0, "to": 32.0, "count": 9},
+             "unit": "mm", "at": 0.2 * END, "sd": 0.6}  # fmt: skip
+    other = {"quantity": "penetration", "times": [0.5 * END, END], "unit": "mm", "sd": 0.07}
+    source["experiment"][0]["data"] = [early, *data, other]
+    found = rw.design(source, comm)
+    for test in tomllib.loads(next_tests(found, "much"))["experiment"]:
+        told = [(one["quantity"], one["unit"], one["sd"]) for one in test["data"]]
+        assert sorted(told) == [
+            ("penetration", "mm", 0.07), ("penetration", "um", 0.2), ("profile.lower", "um", 0.08),
+        ]  # fmt: skip

@@ -72,10 +72,11 @@ find("menu").addEventListener("change", (event) => { page.menu = event.target.va
 // -- what is told
 function hear(told) {
   if (told.assembling) { say("Assembling the bodies \u2026", true); return; }
-  const faults = told.faults ?? [], rested = !page.waiting;
+  const faults = told.faults ?? [], answered = told.n === page.n;
+  const rested = !page.waiting && (answered || !page.flying);
   page.sketch = Boolean(told.sketch);
   if (page.sketch) say("A sketch in coarser steps, until the slider rests.", true);
-  if (told.n === page.n && page.flying) land(); else if (!page.flying) rest();
+  if (answered && page.flying) land(); else if (!page.flying) rest();
   page.drawn = (page.drawn ?? 0) + 1;
   if (told.faults) {
     const list = faults.map((text) => element("p", text, { className: "warning" }));
@@ -205,4 +206,5 @@ const waiting = setInterval(() => {
     find("faults").replaceChildren(element("p", "The connection is lost: ringwear explore has ended, or this page slept. If it still runs, load the page again.", { className: "warning" }));
   });
   if (talk.told) hear(JSON.parse(talk.told));
+  if (page.waiting) ask();  // moved before there was a connection
 }, 50);
