@@ -34,7 +34,8 @@ _DEFECT = np.array([_AT_START, _AT_STAGE, 1.0 - _AT_START - _AT_STAGE]) - _WEIGH
 #: what the first stage wears off counts (1 - gamma) h, the stage itself was gamma h long
 _SHARE = (1.0 - GAMMA) / GAMMA
 #: share of what rates change in a step that counts as its error where elements get through a layer:
-#: depths were within 0.015 um of converged ones, in 0.0025 um of tolerance, of 30 coatings of 3 um
+#: depths through 10 random coatings of 3 um, whose thresholds were below the mean pressure, were
+#: within 0.0092 um of converged ones with the usual tolerance of 0.0025 um
 _FIRST_ORDER = 0.25
 #: by how many times at most an error of depth in a layer counts more than one in the next, which
 #: wears so many times faster and begins to do so too late or too early
