@@ -10,13 +10,14 @@ from scipy.linalg import eigh
 
 from ringwear_par.arrays import FloatArray
 from ringwear_par.elasticity.body import Compliance, compliances
+from ringwear_par.elasticity.layer_derivatives import ComplianceChange
 from ringwear_par.elasticity.mesh import ContactLine, Mesh, pair_key
 from ringwear_par.elasticity.reciprocity import symmetric
 from ringwear_par.elasticity.sections import Body
 from ringwear_par.elasticity.slopes import obliquity, pair_slope
 from ringwear_par.errors import ComputationError
 
-#: by which a body is made softer and stiffer to see what that does to the symmetric compliance
+#: by which the compliance is changed to see what that does to the symmetric one
 _SHARE = 1e-4
 
 
@@ -115,6 +116,10 @@ class ContactPair:
     _last: dict[tuple[float, float], ContactCompliance] = field(
         default_factory=dict, init=False, repr=False, compare=False
     )
+    #: what numbers of layers do to their body, by body, layer and number, as far as asked for
+    changes: dict[tuple[int, int, str], ComplianceChange] = field(
+        default_factory=dict, init=False, repr=False, compare=False
+    )
 
     def __repr__(self) -> str:
         a, b = self.line.edges[[0, -1]]
@@ -157,21 +162,22 @@ class ContactPair:
         )
 
     def d_compliance(
-        self, young: tuple[float, float], body: int
+        self, young: tuple[float, float], change: ComplianceChange
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return the derivatives with respect to the modulus of lower (0) or upper (1).
+        """Return the derivatives with respect to a number that changes the compliance.
 
-        Of ``matrix`` (by differences, see ``symmetric``), ``collocated`` and ``twist``; over MPa.
+        Of ``matrix`` (by differences, see ``symmetric``), ``collocated`` and ``twist``; over the
+        unit of the number.
+
+        Parameters
+        ----------
+        change : derivatives of the collocated compliance, and of the area integral of the twist.
         """
-        share, line = 1.0 / young[body], self.line
+        line = self.line
         normal = sum(each / modulus for each, modulus in zip(self.normal, young, strict=True))
-        own = share * self.normal[body]
-        softer, stiffer = (symmetric(line, normal + by * own) for by in (_SHARE, -_SHARE))
-        return (
-            -share * (softer - stiffer) / (2.0 * _SHARE),
-            -share * own,
-            -share * share * self.twist[body] / line.area.sum(),
-        )
+        step = _SHARE * float(np.abs(normal).max() / np.abs(change.normal).max())
+        more, less = (symmetric(line, normal + by * change.normal) for by in (step, -step))
+        return (more - less) / (2.0 * step), change.normal, change.twist / line.area.sum()
 
 
 def assemble_pair(

@@ -15,6 +15,7 @@ from ringwear_par.elasticity.pair import ContactPair
 from ringwear_par.elasticity.slopes import obliquity
 from ringwear_par.errors import InputError, legible
 from ringwear_par.history.bodies import young
+from ringwear_par.history.elastic_numbers import compliance_change, elastic_numbers
 from ringwear_par.wear.increment import d_averaging
 from ringwear_par.wear.law import Law, LocalState
 from ringwear_par.wear.layered import LayeredLaw
@@ -47,13 +48,12 @@ def differentiable(case: Case) -> dict[str, str]:
         ("load.force", load.force),
         ("load.displacement", load.displacement),
         ("load.omega", load.omega),
-        # one modulus of a body with layers is no factor of its elasticity
-        ("lower.young", None if case.lower.layers else case.lower.young),
-        ("upper.young", None if case.upper.layers else case.upper.young),
+        ("lower.young", case.lower.young),
+        ("upper.young", case.upper.young),
     ):
         if _is_number(number):
             found[key] = UNITS[key]
-    return found
+    return found | elastic_numbers(case)
 
 
 def _key_of_number(body: str, name: str) -> str:
@@ -173,11 +173,19 @@ class Sensitivity:
                 self.load[row] = of_cases([case.area for case in cases])
             elif key in ("load.force", "load.displacement"):
                 self.load[row] = 1.0
-        self._moduli = [
-            (rows[key], _Moduli.of(cases, pair, body, several))
-            for body, key in enumerate(("lower.young", "upper.young"))
-            if key in rows
+        elastic = {"lower.young", "upper.young", *elastic_numbers(cases[0])}
+        self._elastic = [
+            (row, _Elastic.of(cases, pair, key, several))
+            for key, row in rows.items()
+            if key in elastic
         ]
+        #: of bodies with layers, (layers, P), which number is the thickness of which layer
+        self.thicknesses = {
+            i: np.array([[key == f"{body}.layers[{j}].thickness" for key in keys]
+                         for j in range(len(ring.layers))], dtype=float)
+            for i, (body, ring) in enumerate(zip(_BODIES, cases[0].rings, strict=True))
+            if ring.layers
+        }  # fmt: skip
 
     def __len__(self) -> int:
         return len(self.keys)
@@ -187,7 +195,7 @@ class Sensitivity:
         taken = copy.copy(self)
         taken._sizes = {row: size[histories] for row, size in self._sizes.items()}
         taken.load = self.load[:, histories]
-        taken._moduli = [(row, moduli.take(histories)) for row, moduli in self._moduli]
+        taken._elastic = [(row, elastic.take(histories)) for row, elastic in self._elastic]
         return taken
 
     def nothing(self, *shape: int) -> FloatArray:
@@ -224,16 +232,16 @@ class Sensitivity:
         p: FloatArray,
         at: FloatArray,
     ) -> None:
-        """Add to derivatives of the gap, (P, ..., n) mm, what moduli do at given pressures.
+        """Add to derivatives of the gap, (P, ..., n) mm, of elasticity at given pressures.
 
         Parameters
         ----------
         products : of matrices and pressures, see ``CorrectedContact.products``.
         p, at : (..., n) MPa, of a solution, and those that it was corrected at.
         """
-        for row, moduli in self._moduli:
-            gap[row] += products(moduli.symmetric, moduli.which, p - at)
-            gap[row] += products(moduli.collocated, moduli.which, at)
+        for row, elastic in self._elastic:
+            gap[row] += products(elastic.symmetric, elastic.which, p - at)
+            gap[row] += products(elastic.collocated, elastic.which, at)
 
     def torque(self, model: "WearModel", p: FloatArray, d_p: FloatArray) -> FloatArray:
         """Return derivatives of the friction torque, (P, ...) N mm."""
@@ -247,14 +255,14 @@ class Sensitivity:
         out = np.asarray(model.twist(d_p))
         if self.friction is not None:
             out[self.friction] += inner(model.twist_weights, p)
-        for row, moduli in self._moduli:
-            out[row] += model.friction * inner(moduli.twist[moduli.which], p)
+        for row, elastic in self._elastic:
+            out[row] += model.friction * inner(elastic.twist[elastic.which], p)
         return out
 
 
 @dataclass(frozen=True)
-class _Moduli:
-    """Derivatives with respect to the Young's modulus of a body, those of m pairs of moduli.
+class _Elastic:
+    """Derivatives of the compliance with respect to a number, those of m pairs of moduli.
 
     Parameters
     ----------
@@ -269,11 +277,15 @@ class _Moduli:
     which: Any
 
     @classmethod
-    def of(cls, cases: Sequence[Case], pair: ContactPair, body: int, several: bool) -> "_Moduli":
+    def of(cls, cases: Sequence[Case], pair: ContactPair, key: str, several: bool) -> "_Elastic":
         """Return those of some cases."""
         moduli = [young(case) for case in cases]
-        places = {each: place for place, each in enumerate(dict.fromkeys(moduli))}
-        every = [pair.d_compliance(each, body) for each in places]
+        firsts = dict(zip(moduli, cases, strict=True))
+        places = {each: place for place, each in enumerate(firsts)}
+        every = [
+            pair.d_compliance(each, compliance_change(case, pair, key))
+            for each, case in firsts.items()
+        ]
         return cls(
             np.array([(matrix / pair.line.area[:, None]).T for matrix, _, _ in every]),
             np.array([collocated.T for _, collocated, _ in every]),
@@ -281,6 +293,6 @@ class _Moduli:
             np.array([places[each] for each in moduli]) if several else 0,
         )
 
-    def take(self, histories: IntArray) -> "_Moduli":
+    def take(self, histories: IntArray) -> "_Elastic":
         """Return those of some of B histories."""
         return replace(self, which=self.which[histories])

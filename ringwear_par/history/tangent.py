@@ -166,7 +166,9 @@ class Along:
     ) -> VariedIncrement:
         """Return how an increment varies with the numbers."""
         numbers = self._numbers
-        return increment.varied(p, numbers.rates, self.wear, d_step, instant, numbers.averages)
+        return increment.varied(
+            p, numbers.rates, self.wear, d_step, instant, numbers.averages, numbers.thicknesses
+        )
 
     def unhindered(self) -> dict[int, FloatArray]:
         """Return derivatives of what the last stage wears off bodies all along, (P, ..., n) mm."""

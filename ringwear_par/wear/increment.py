@@ -257,6 +257,7 @@ class WearIncrement:
         d_step: FloatArray | None,
         instant: bool,
         d_averages: Mapping[int, tuple[int, FloatArray]] = MappingProxyType({}),
+        d_thickness: Mapping[int, FloatArray] = MappingProxyType({}),
     ) -> "VariedIncrement":
         """Return how the unhindered depths vary with P numbers, and with pressure.
 
@@ -268,6 +269,7 @@ class WearIncrement:
         d_step : (P, ..., n) s, those of ``step``; None: 0.
         instant : whether rates are those before the step, as in explicit steps.
         d_averages : of bodies, which number their averages depend on, and (n, n) how.
+        d_thickness : of bodies with layers, (layers, P) derivatives of their thicknesses.
         """
         bodies = []
         for i, law, at, average in self._each:

@@ -4,6 +4,7 @@ As a function of pressure it does not fall either; where little is left of a lay
 wear at a pressure at which the next one does, it almost jumps.
 """
 
+import itertools
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -300,6 +301,17 @@ class LayeredIncrement(WearIncrement):
                 total += w * width * self.depth(low + (start + width * (0.5 + x)) * span)
         return total * span
 
+    def _d_ends(self, d_thickness: FloatArray, like: FloatArray) -> FloatArray:
+        """Return derivatives of the depths between layers, (layers + 1, P, ..., n), along normals.
+
+        The first of them is that of the face, 0.
+        """
+        ends = np.cumsum(d_thickness, axis=0).reshape(*d_thickness.shape, *(1,) * (like.ndim - 1))
+        if self.obliquity is not None:
+            ends = ends / self.obliquity
+        shape = len(ends), *like.shape
+        return np.concatenate([np.zeros((1, *like.shape)), np.broadcast_to(ends, shape)])
+
     def part(self, here: slice) -> "WearIncrement":
         """Return the same for some of the elements."""
         laws = tuple(law.part(here) if isinstance(law, LayeredLaw) else law for law in self.laws)
@@ -321,16 +333,18 @@ class LayeredIncrement(WearIncrement):
         d_step: FloatArray | None,
         instant: bool,
         d_averages: Mapping[int, tuple[int, FloatArray]] = MappingProxyType({}),
+        d_thickness: Mapping[int, FloatArray] = MappingProxyType({}),
     ) -> "VariedIncrement":
-        """Return how depths vary with P numbers, and with pressure, see ``WearIncrement.varied``.
+        """Return how depths vary with P numbers, and with pressure.
 
-        Thicknesses are not among the numbers.
+        See ``WearIncrement.varied``.
         """
         q, bodies = np.maximum(p, 0.0), {}
         for i, law, at, _ in self._each:
             body = self._bodies.get(i)
             normal = d_wear[i] if self.obliquity is None else d_wear[i] / self.obliquity
             layers: list[tuple[int | None, Law, LocalState]] = [(None, law, at)]
+            ends = self._d_ends(d_thickness[i], normal) if body is not None else normal[None]
             if body is not None:
                 each = zip(body.law.laws, body.states, strict=True)
                 layers = [(number, *own) for number, own in enumerate(each)]
@@ -343,8 +357,11 @@ class LayeredIncrement(WearIncrement):
                 change[place] = numbers(i, own, q, after, layer)
                 before = own.d_rate_dbefore(q, after)
                 if before is not None:
-                    here = 1.0 if body is None else body.present == layer
-                    change[place] += here * (before * normal)
+                    if body is None:
+                        change[place] += before * normal
+                    else:  # of its own layer's wear
+                        here = body.present == layer
+                        change[place] += here * (before * (normal - ends[place]))
                 change[place] *= self.step
                 slope[place] = self.step * own.d_rate_dp(q, after)
                 if d_step is not None:
@@ -354,8 +371,10 @@ class LayeredIncrement(WearIncrement):
                     slope[place] /= 1.0 - self.step * before
             d_left = None
             if body is not None:
-                at_face = [body.present == number for number in range(len(body.left))]
-                d_left = np.array([-np.where(here, normal, 0.0) for here in at_face])
+                d_left = np.zeros((len(body.left), *normal.shape))
+                for number, (start, end) in enumerate(itertools.pairwise(ends)):
+                    untouched = np.where(body.present < number, end - start, 0.0)
+                    d_left[number] = np.where(body.present == number, end - normal, untouched)
             bodies[i] = _VariedBody(body, full, change, slope, d_left)
         return VariedLayers((), self.obliquity, self, bodies)
 

@@ -1,0 +1,82 @@
+"""What numbers of layers do to the elasticity of a pair: of these each value has its own operator.
+
+Histories have derivatives with respect to them like any other number, by differences of operators
+(``elasticity.layer_derivatives``); those at other values need another pair.
+"""
+
+from collections.abc import Sequence
+
+from mpi4py import MPI
+
+from ringwear_par.cases.case import Case
+from ringwear_par.cases.schema import key_of, layer_entry
+from ringwear_par.elasticity.boundary_fields import BODIES
+from ringwear_par.elasticity.layer_derivatives import ComplianceChange, Entry, layer_derivative
+from ringwear_par.elasticity.pair import ContactPair
+from ringwear_par.history.bodies import bodies
+
+_ENTRIES: tuple[Entry, ...] = ("thickness", "young", "poisson")
+
+
+def elastic_numbers(case: Case) -> dict[str, str]:
+    """Return the keys of numbers that each value of has its own operator, and their units."""
+    found = {}
+    for body, ring in zip(BODIES, case.rings, strict=True):
+        for i in range(len(ring.layers)):
+            for entry in _ENTRIES:
+                key = key_of(name := f"{body}.layers[{i}].{entry}")
+                assert key is not None
+                found[name] = key.unit
+        if ring.layers:
+            found[f"{body}.young"] = "MPa"
+    return found
+
+
+def is_elastic(case: Case, keys: Sequence[str]) -> bool:
+    """Tell whether any of these keys is of a number that each value of has its own operator."""
+    return not elastic_numbers(case).keys().isdisjoint(keys)
+
+
+def compliance_change(case: Case, pair: ContactPair, key: str) -> ComplianceChange:
+    """Return derivatives of the collocated compliance and of the twist. Not collective.
+
+    Parameters
+    ----------
+    pair : of the case.
+    key : one of ``elastic_numbers``, or Young's modulus of any body.
+
+    Returns
+    -------
+    (n, n) and (n,), mm/MPa and mm^3/MPa over the unit of the number, moduli counted.
+    """
+    which = BODIES.index("lower" if key.startswith("lower.") else "upper")
+    ring = case.rings[which]
+    share = 1.0 / ring.young
+    entry = layer_entry(key)
+    if entry is not None:
+        change = _of_layer(case, pair, which, int(entry[1][1:-1]), entry[2])
+        factor = share * share if entry[2] == "young" else share
+        return ComplianceChange(factor * change.normal, factor * change.twist)
+    normal = -share * share * pair.normal[which]
+    twist = -share * share * pair.twist[which]
+    for i, layer in enumerate(ring.layers):  # stiffer bodies have layers that are softer than they
+        change = _of_layer(case, pair, which, i, "young")
+        normal -= layer.young * share**3 * change.normal
+        twist -= layer.young * share**3 * change.twist
+    return ComplianceChange(normal, twist)
+
+
+def _of_layer(
+    case: Case, pair: ContactPair, which: int, layer: int, entry: str
+) -> ComplianceChange:
+    """Return what a number of a layer does to its body at modulus 1; kept by the pair."""
+    known = pair.changes
+    name = which, layer, entry
+    if name not in known:
+        (number,) = (each for each in _ENTRIES if each == entry)
+        slope = (pair.slope, -pair.slope)[which]
+        body = bodies(case)[which]
+        known[name] = layer_derivative(
+            body, layer, number, pair.line, case.mesh, slope, MPI.COMM_SELF
+        )
+    return known[name]
