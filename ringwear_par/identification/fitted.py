@@ -8,11 +8,12 @@ import numpy as np
 
 from ringwear_par.cases.case import Case
 from ringwear_par.cases.numbers import interval_of
-from ringwear_par.cases.schema import BY_PATH, unit_of
+from ringwear_par.cases.schema import BY_PATH, key_of, layer_entry, unit_of
 from ringwear_par.cases.suggestions import nearest_key
 from ringwear_par.cases.units import in_unit_where_right
 from ringwear_par.cases.values import number
-from ringwear_par.errors import legible
+from ringwear_par.errors import InputError, legible
+from ringwear_par.history.elastic_numbers import elastic_numbers
 from ringwear_par.history.sensitivity import differentiable
 from ringwear_par.identification.problem import FittedParameter, Problem
 from ringwear_par.identification.tables import TableReader
@@ -50,11 +51,14 @@ def read_parameters(said: str, table: Any, faults: list[str]) -> tuple[FittedPar
 def _parameter(said: str, key: str, table: Any, faults: list[str]) -> FittedParameter | None:
     path, entry = split_key(key)
     allowed = None if isinstance(entry, int) else interval_of((path, entry))
+    if layer_entry(key) is not None and (of_layer := key_of(key)) is not None:
+        allowed = of_layer.numbers
     if allowed is None or path.startswith("time."):
         near = "" if path in BY_PATH else nearest_key(path)
         faults.append(
             f"{said}: cannot be fitted{near}; must be a number of a wear law, "
-            "contact.friction, a load, load.omega or a modulus"
+            "contact.friction, a load, load.omega, a modulus, or a layer's thickness or "
+            "Poisson's ratio"
         )
         return None
     before = len(faults)
@@ -102,13 +106,25 @@ def refuse_fixed(
     ----------
     said : how sentences about it begin.
     """
-    allowed = differentiable(case)
+    allowed, elastic = differentiable(case), elastic_numbers(case)
     for parameter in parameters:
+        if parameter.key in elastic:
+            faults += _faults_of_bounds(said, parameter, case)
         if derivative_key(parameter.key) not in allowed:
             faults.append(
                 f"{said}: {parameter.key}: cannot be fitted here, the history does not depend on "
                 f"it smoothly; must be one of {', '.join(allowed)}"
             )
+
+
+def _faults_of_bounds(said: str, parameter: FittedParameter, case: Case) -> list[str]:
+    """Return why there is no case at a bound, as of a layer that is thicker than its body."""
+    for bound in parameter.bounds:
+        try:
+            case.replace({parameter.key: bound})
+        except InputError as error:
+            return [f"{said}: {parameter.key}: no case at its bound {bound:g}: {error.faults[0]}"]
+    return []
 
 
 def refuse_both(

@@ -13,6 +13,7 @@ from ringwear_par.contact.batch import load_batch_kernels
 from ringwear_par.elasticity.pair import ContactPair
 from ringwear_par.errors import ComputationError, reason_of
 from ringwear_par.history.bodies import operator_key
+from ringwear_par.history.elastic_numbers import is_elastic
 from ringwear_par.history.pairs import assemble
 from ringwear_par.identification.fitted import derivative_key
 from ringwear_par.identification.problem import Problem
@@ -23,6 +24,8 @@ from ringwear_par.results.result import Result
 from ringwear_par.studies.batches import computed
 from ringwear_par.studies.variations import split_key
 
+#: most operators kept of points that have some of their own
+_MOST_PAIRS = 32
 #: a point, and an experiment
 Pair = tuple[int, int]
 
@@ -47,7 +50,13 @@ class Histories:
         self._keys = problem.keys
         self._readers = [Reader(experiment) for experiment in problem.experiments]
         self._owners: list[Hashable] = [operator_key(e.case) for e in problem.experiments]
+        #: experiments of which each value of a fitted key has an operator of its own
+        self._elastic = {
+            i for i, e in enumerate(problem.experiments) if is_elastic(e.case, problem.keys)
+        }
         self._pairs: dict[Hashable, ContactPair] = {}
+        #: those of the last points
+        self._at_points: dict[Hashable, ContactPair] = {}
         for key, experiment in zip(self._owners, problem.experiments, strict=True):
             if key not in self._pairs:
                 self._pairs[key] = assemble(experiment.case, comm)
@@ -98,6 +107,8 @@ class Histories:
             path, entry = split_key(key)
             assert not isinstance(entry, int)
             numbers[path, entry] = column
+        if experiment in self._elastic:
+            return [case.replace(dict(zip(self._keys, p, strict=True))) for p in points.tolist()]
         doubts = doubtful(case, numbers)
         lists = {number: values.tolist() for number, values in numbers.items()}
         cases = with_numbers(case, lists, [case.text] * len(points))
@@ -111,17 +122,24 @@ class Histories:
         """Return the readings at some of the points, of an experiment each, or why not."""
         grids = {e: step_times(self._experiments[e], steps).tolist() for _, e in pairs}
         groups: dict[Hashable, list[int]] = defaultdict(list)
-        for number, (_, experiment) in enumerate(pairs):
-            groups[self._owners[experiment]].append(number)
         wanted: dict[int, Case] = {}
         for experiment in grids:
             own = [number for number, (_, e) in enumerate(pairs) if e == experiment]
             cases = self._cases(experiment, points[[pairs[number][0] for number in own]])
             wanted |= dict(zip(own, cases, strict=True))
+        for number, (_, experiment) in enumerate(pairs):
+            changes = experiment in self._elastic
+            owner = operator_key(wanted[number]) if changes else self._owners[experiment]
+            groups[owner].append(number)
         found: dict[int, FloatArray | ComputationError] = {}
         for key, numbers in groups.items():
+            try:
+                pair = self._pair(key, wanted[numbers[0]])
+            except ComputationError as error:
+                found |= dict.fromkeys(numbers, error)
+                continue
             parts = computed(
-                [wanted[number] for number in numbers], self._pairs[key], keep_ends=True,
+                [wanted[number] for number in numbers], pair, keep_ends=True,
                 derivatives=[derivative_key(key) for key in self._keys if derivatives],
                 step_times=[grids[pairs[number][1]] for number in numbers],
             )  # fmt: skip
@@ -135,6 +153,16 @@ class Histories:
                         found[number] = reader.read(_trajectory(result))
         self.count += len(pairs)
         return [found[number] for number in range(len(pairs))]
+
+    def _pair(self, key: Hashable, case: Case) -> ContactPair:
+        """Return the pair of a case, assembled by this rank alone where there is none yet."""
+        if key in self._pairs:
+            return self._pairs[key]
+        if key not in self._at_points:
+            while len(self._at_points) >= _MOST_PAIRS:
+                del self._at_points[next(iter(self._at_points))]
+            self._at_points[key] = assemble(case, MPI.COMM_SELF, use_kept=False)
+        return self._at_points[key]
 
 
 def _trajectory(result: Result) -> Trajectory:
