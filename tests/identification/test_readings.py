@@ -12,6 +12,7 @@ from ringwear_par.identification.histories import Histories
 from ringwear_par.identification.problem import Nuisance, Series
 from ringwear_par.identification.readings import InSteps, log_volume, nuisance_columns, whitened
 from ringwear_par.identification.steps import step_times
+from ringwear_par.textfiles import parse_toml
 
 SERIES = Series("a", "penetration", np.arange(1.0, 6.0), np.zeros(5), np.ones(5), factor=1e-3)
 
@@ -114,6 +115,38 @@ def test_readings_have_their_derivatives(problem, comm):
         up, down = histories.responses(np.array([point + step, point - step]))
         slope = (up[:, 0] - down[:, 0]) / (2 * step[j])
         assert np.abs(slope - found[:, 1 + j]).max() < 1e-5 * np.abs(slope).max()
+
+
+def coated(folder, bounds):
+    """Return a fit file of the thickness and modulus of a coating that wears through, as a dict."""
+    experiments = write_tests(folder, (60.0,), seed=None)
+    tables = fit_tables(folder, experiments)
+    layer = {"thickness": 2e-3, "young": 1e5, "poisson": 0.3, "wear": {"law": "archard", "k": 3e-9}}
+    base = parse_toml((folder / "case.toml").read_text(), "case")
+    base["lower"]["layers"] = [layer]
+    base["mesh"] = {"contact_elements": 16}
+    tables["case"] = base
+    tables["fit"]["parameters"] = {
+        "lower.layers[0].thickness": {"start": 2e-3, "bounds": bounds},
+        "lower.layers[0].young": {"start": 1e5, "bounds": [1e4, 4e5], "scale": "log"},
+    }
+    return tables
+
+
+def test_readings_have_derivatives_where_each_point_has_its_operator(tmp_path, comm):
+    problem = read_fit(coated(tmp_path, [1e-3, 5e-3]))
+    histories, point = Histories(problem, comm), np.array([2.1e-3, 1.2e5])
+    (found,) = histories.responses(point[None])
+    for j in range(2):
+        step = 1e-4 * point[j] * np.eye(2)[j]
+        up, down = histories.responses(np.array([point + step, point - step]))
+        slope = (up[:, 0] - down[:, 0]) / (2 * step[j])
+        assert np.abs(slope - found[:, 1 + j]).max() < 1e-3 * np.abs(slope).max()
+
+
+def test_a_layer_cannot_be_thicker_than_its_body(tmp_path):
+    with pytest.raises(rw.InputError, match=r"thickness: no case at its bound 30: .*together"):
+        read_fit(coated(tmp_path, [1e-3, 30.0]))
 
 
 def test_steps_end_where_schedules_bend_and_profiles_are_read(problem):
