@@ -85,4 +85,4 @@ sphinx_gallery_conf = {
     "show_signature": False,
 }
 # of sphinx_gallery's functions, which Sphinx cannot keep between two builds
-suppress_warnings = ["config.cache"]
+suppress_warnings = ["config.cache", "sphinx_gallery.space_in_filename"]

@@ -21,6 +21,8 @@ _FEW_ELEMENTS = 10
 _MOST_MOVED = 0.05
 #: largest defect of the boundary elements' own balances
 _MOST_DEFECT = 0.01
+#: likewise of the symmetry of a compliance with layers: pressures are off by about as much
+_MOST_FILM_DEFECT = 5e-3
 #: largest angle (degrees) between faces that touch, and share of the load that may exceed it
 _MOST_ANGLE, _LOAD_ASIDE = 15.0, 0.05
 #: largest error of a pressure that comes of making the compliance symmetric
@@ -156,6 +158,16 @@ def doubts_at(
                 "coarse_mesh",
                 f"the boundary elements' own balances are wrong by {defect:.2g}: a finer mesh "
                 "(mesh.contact_elements) or thicker bodies are needed",
+            )
+        )
+    elif any(ring.layers for ring in case.rings) and compliance.symmetry_defect > _MOST_FILM_DEFECT:
+        found.append(
+            Doubt(
+                "coarse_film",
+                f"the compliance of bodies with layers is asymmetric by "
+                f"{compliance.symmetry_defect:.2g}, as of thin films that are soft or nearly "
+                "incompressible: pressures may be wrong by a per cent; a finer mesh "
+                "(mesh.contact_elements) is needed",
             )
         )
     return (

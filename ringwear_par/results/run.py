@@ -232,6 +232,8 @@ def _prepare(
         faults.append("--restart, --overwrite: must be one of them, to go on or to start anew")
     try:
         check_writable(output)
+        if output.exists() and path.exists() and output.samefile(path):
+            raise InputError(f"{output}: is the case file itself; must be another name")
         if case is not None and not overwrite:
             before = _what_is_there(output, case, restart)
     except InputError as error:

@@ -137,3 +137,14 @@ def rw_tables():
 
     keys = read_keys(CASE.read_text())
     return {path: value for path, value in keys.items() if path != "time.end"}
+
+
+def test_soft_films_that_do_not_yield_to_volume_are_doubted():
+    film = {**LAYER, "thickness": 0.02, "young": 10.0}
+    light = {**SMALL, "mesh.contact_elements": 64, "load.pressure": 0.5, "time.steps": 1}
+    flags = {}
+    for poisson in (0.3, 0.499):
+        changes = {**light, "lower.layers": [{**film, "poisson": poisson}]}
+        found = rw.simulate(rw.read_case(CASE, changes), MPI.COMM_SELF)
+        flags[poisson] = "asymmetric" in str(found.doubts)
+    assert flags == {0.3: False, 0.499: True}

@@ -62,6 +62,16 @@ def test_an_interrupted_run_is_overwritten_if_that_is_said(interrupted, comm):
     assert read_status(interrupted) == ("complete", 20)
 
 
+def test_a_case_file_is_never_overwritten(shared_path, comm):
+    path = shared_path / "case.toml"
+    if comm.rank == 0:
+        path.write_text(PAPER.read_text())
+    comm.Barrier()
+    with pytest.raises(InputError, match="is the case file itself"):
+        run_case(path, path, SMALL, comm=comm, overwrite=True)
+    assert path.read_text() == PAPER.read_text()
+
+
 def test_going_on_and_starting_anew_exclude_each_other(interrupted, comm):
     with pytest.raises(InputError, match="--restart, --overwrite: must be one of them"):
         run_case(PAPER, interrupted, SMALL, comm=comm, overwrite=True, restart=True)
