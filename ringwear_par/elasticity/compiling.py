@@ -16,6 +16,8 @@ from typing import TYPE_CHECKING, Any
 
 import numba
 
+from ringwear_par.parallel import together
+
 if TYPE_CHECKING:
     from mpi4py import MPI
 
@@ -83,9 +85,9 @@ def load_compiled(comm: "MPI.Comm", load: Callable[[], None]) -> None:
                 forgotten = True
         return load()
 
-    if comm.rank == 0:
-        load_or_compile()
-    comm.Barrier()
+    with together(comm):
+        if comm.rank == 0:
+            load_or_compile()
     if comm.rank > 0:
         load_or_compile()
 
