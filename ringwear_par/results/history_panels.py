@@ -83,7 +83,7 @@ HISTORY_PANELS = {
     "energy": HistoryPanel("energy dissipated (J)", _stored("dissipated_energy", 1e-3)),
     "volume": HistoryPanel("worn volume (mm\N{SUPERSCRIPT THREE})", _volumes),
     "rate": HistoryPanel("wear rate, mean depth (\N{MICRO SIGN}m/h)", _rates),
-    "through": HistoryPanel("worn through (% of the contact area)", _through),
+    "through": HistoryPanel("worn through (% of area)", _through),
     "pv": HistoryPanel("pressure \N{MULTIPLICATION SIGN} speed, mean (MPa m/s)", _p_v),
 }
 
