@@ -1,33 +1,65 @@
 """Traces of a profilometer as contact faces."""
 
+import logging
+from functools import cache
 from pathlib import Path
 
 import numpy as np
 
-from ringwear_par.cases.units import factor, unit_of_column
+from ringwear_par.cases.units import factor, told_unit
+from ringwear_par.cases.values import RejectedError
 from ringwear_par.errors import InputError, legible
 from ringwear_par.measurements import read_measurements
+
+log = logging.getLogger(__name__)
 
 
 def read_trace(path: Path) -> list[list[float]]:
     """Return the radii and heights, mm, of a table of two columns. Not collective.
 
-    Columns are in mm unless their names end with another unit, such as ``height_um``; heights count
-    towards the other body, from anywhere. Empty cells are left out.
+    Columns are in the units that their names end with, such as ``height_um``; in mm, with a
+    warning, where they end with none. Heights count towards the other body, from anywhere. Empty
+    cells are left out.
 
     Raises
     ------
-    InputError : it cannot be read, or is no such table.
+    InputError : it cannot be read, or is no such table, or in units of something else.
     """
     table = read_measurements(path)
     if len(table.columns) != 2:
         shown = legible(", ".join(table.columns))
         raise InputError(f"{path}: has the columns {shown}; must have two, radii and heights")
+    units = [_unit(str(path), name) for name in table.columns]
     rows = table.filled(*table.columns)
     columns = [
-        factor(unit_of_column(name, "mm") or "mm", "mm") * table.numbers(name, rows)
-        for name in table.columns
+        factor(unit, "mm") * table.numbers(name, rows)
+        for unit, name in zip(units, table.columns, strict=True)
     ]
     order = np.argsort(columns[0], kind="stable")
     points: list[list[float]] = np.round(np.stack(columns, axis=1)[order], 12).tolist()
     return points
+
+
+def _unit(path: str, column: str) -> str:
+    """Return the unit of a column.
+
+    Raises
+    ------
+    InputError : it is no length.
+    """
+    try:
+        unit = told_unit(column, "mm")
+    except RejectedError as reason:
+        raise InputError(
+            f"{path}: the column {legible(column)} {reason}; must be in a unit of length, such as "
+            "um, mm or inch"
+        ) from reason
+    if unit is None:
+        _warn(path, column)
+    return unit or "mm"
+
+
+@cache
+def _warn(path: str, column: str) -> None:
+    # once, whatever the number of cases that have this face
+    log.warning("%s: no unit ends the name of the column %s; it is taken in mm", path, column)

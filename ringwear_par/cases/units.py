@@ -14,6 +14,8 @@ if TYPE_CHECKING:
 
 #: more is no unit, and slow to look at
 _LONGEST = 40
+#: units to pint (year, barn, byte, tonne, powers) that tell columns apart in their names
+_LABEL = re.compile(r"[abBt]|[A-Za-ln-z]\d+", re.ASCII)
 _NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
 _PLAIN = re.compile(_NUMBER, re.ASCII)
 _WITH_UNIT = re.compile(rf"\s*({_NUMBER})\s*((?:[^\W\d_]|[%°µμ(]|1\s*/).*)", re.ASCII)
@@ -35,9 +37,7 @@ def factor(unit: str, base: str) -> float:
     RejectedError : pint does not know it, or it is one of something else; turns and angles are no
         plain numbers here, so that Hz is no unit of an angular speed.
     """
-    text = re.sub(r"([A-Za-zµμ])(-?\d)", r"\1^\2", unit.strip())  # mm3
-    # Nm, which pint reads as 1/m
-    text = re.sub(r"\b([km]?)N\s*(m|mm|cm)\b(?![-^\d])", r"(\1N \2)", text)
+    text = _as_pint_has_it(unit)
     if not text or len(text) > _LONGEST:
         raise RejectedError
     registry = _registry()
@@ -50,16 +50,62 @@ def factor(unit: str, base: str) -> float:
         raise RejectedError from error
 
 
+def _as_pint_has_it(unit: str) -> str:
+    text = re.sub(r"([A-Za-zµμ])(-?\d)", r"\1^\2", unit.strip())  # mm3
+    # Nm, which pint reads as 1/m
+    return re.sub(r"\b([km]?)N\s*(m|mm|cm)\b(?![-^\d])", r"(\1N \2)", text)
+
+
 def unit_of_column(name: str, base: str) -> str | None:
     """Return the unit that a column's name ends with, as ``z_um`` or ``depth [um]``; or None."""
-    match = re.search(r"(?:_|\s*[\[(])\s*([^\s_\[\]()]+(?:\s[^\s_\[\]()]+)?)\s*[\])]?$", name)
-    if match is None:
-        return None
+    ending, _ = _ending(name)
     try:
-        factor(match[1], base)
+        factor(ending, base)
     except RejectedError:
         return None
-    return match[1]
+    return ending
+
+
+def told_unit(name: str, base: str) -> str | None:
+    """Return the unit that a column's name ends with; None where it ends with no unit.
+
+    Raises
+    ------
+    RejectedError : it ends with a unit of something else, or has brackets around what is no unit.
+    """
+    unit = unit_of_column(name, base)
+    ending, bracketed = _ending(name)
+    if unit is None and (_is_unit(ending) or bracketed):
+        shown = legible(ending)
+        raise RejectedError(
+            f"is in {shown} by its name" if _is_unit(ending) else f"ends with [{shown}], no unit"
+        )
+    return unit
+
+
+def unit_of_anything(name: str) -> str | None:
+    """Return the unit that a column's name ends with, of whatever it may be; or None."""
+    ending, _ = _ending(name)
+    return ending if _is_unit(ending) else None
+
+
+def _ending(name: str) -> tuple[str, bool]:
+    """Return what a name ends with that may be a unit, "" for none; whether in brackets."""
+    match = re.search(r"(_|\s*[\[(])\s*([^\s_\[\]()]+(?:\s[^\s_\[\]()]+)?)\s*[\])]?$", name)
+    return ("", False) if match is None else (match[2], match[1] != "_")
+
+
+def _is_unit(ending: str) -> bool:
+    """Tell whether the ending of a name is a unit, of whatever it may be."""
+    if not re.match(r"[^\W\d_]|[%°]", ending) or len(ending) > _LONGEST:
+        return False
+    if _LABEL.fullmatch(ending):
+        return False
+    try:
+        _registry().Unit(_as_pint_has_it(ending))
+    except Exception:  # pint has an exception for each reason
+        return False
+    return True
 
 
 def seconds(text: str) -> float:

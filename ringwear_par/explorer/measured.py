@@ -9,7 +9,8 @@ import numpy as np
 
 from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.case import Case
-from ringwear_par.cases.units import factor, unit_of_column
+from ringwear_par.cases.units import factor, told_unit, unit_of_column
+from ringwear_par.cases.values import RejectedError
 from ringwear_par.errors import InputError, legible
 from ringwear_par.identification.problem import BASE
 from ringwear_par.measurements import measurements_in
@@ -68,10 +69,11 @@ class Laid:
 
         Raises
         ------
-        InputError : the case does not tell the density of a mass.
+        InputError : its name ends with a unit of something else; or the case does not tell the
+            density of a mass.
         """
         kind, _, body = self.quantity.partition(".")
-        values = factor(self.unit, BASE[kind]) * self.raw
+        values = factor(_unit(self.file, self.column, BASE[kind]), BASE[kind]) * self.raw
         if kind != "mass":
             return cast(FloatArray, values)
         density = getattr(case, body).density
@@ -122,7 +124,7 @@ def read_table(content: bytes, name: str, case: Case) -> list[Laid]:
         )
     along = _TIME.match(first) is None
     base = BASE["r" if along else "time"]
-    share = factor(unit_of_column(first, base) or base, base)
+    share = factor(_unit(name, first, base), base)
     found = []
     for column in table.columns:
         if column == first or not column or _BESIDE.match(column):
@@ -137,6 +139,15 @@ def read_table(content: bytes, name: str, case: Case) -> list[Laid]:
     if not found:
         raise InputError(f"{name}: has no readings beside {legible(first)}; must have some")
     return found
+
+
+def _unit(file: str, column: str, base: str) -> str:
+    try:
+        return told_unit(column, base) or base
+    except RejectedError as reason:
+        raise InputError(
+            f"{file}: the column {legible(column)} {reason}; must be in a unit of {base}"
+        ) from reason
 
 
 def _quantity(column: str, along: bool, case: Case) -> str:

@@ -12,7 +12,14 @@ from scipy.ndimage import median_filter
 from ringwear_par.arrays import BoolArray, FloatArray, IntArray
 from ringwear_par.cases.case import Case
 from ringwear_par.cases.text import shortened
-from ringwear_par.cases.units import factor, has_unit, in_unit_where_right, unit_of_column
+from ringwear_par.cases.units import (
+    factor,
+    has_unit,
+    in_unit_where_right,
+    told_unit,
+    unit_of_anything,
+    unit_of_column,
+)
 from ringwear_par.cases.values import RejectedError, number, text
 from ringwear_par.errors import InputError, legible
 from ringwear_par.identification.planned import instants
@@ -293,7 +300,14 @@ def _from_file(reader: TableReader, kind: str, files: Files) -> _Readings | None
             )
             continue
         base = BASE[kind if role == "value" else role]
-        unit = units.get(role) or unit_of_column(column, base) or base
+        try:
+            unit = units.get(role) or told_unit(column, base) or base
+        except RejectedError as reason:
+            reader.fault(
+                f"{data.name}: the column {legible(column)} {reason}; must be in the unit of "
+                f"{_UNITS[base]}, or units.{role} must be given"
+            )
+            continue
         scale = _factor(reader, f"units.{role}", unit, base)
         if scale is None:
             continue
@@ -407,7 +421,10 @@ def _sd_column(reader: TableReader, column: str, found: _Readings) -> FloatArray
             "sd", f'must be a number, "fit", {{ relative = x }} or a column of {data.name}'
         )
         return unknown
-    if named := _other_unit(column, found.unit):
+    named = _other_unit(column, found.unit)
+    if not named and unit_of_column(column, found.unit) is None:
+        named = legible(unit_of_anything(column) or "")
+    if named:
         reader.wrong(
             "sd", f"the column is in {named} by its name; must be in {found.unit}, as the readings"
         )

@@ -152,6 +152,26 @@ def test_a_trace_of_a_profilometer_is_a_face(tmp_path):
     assert case.replace({}) == case  # the text has the points
 
 
+def test_heights_in_other_units_are_refused_and_in_none_are_told(tmp_path, caplog):
+    for name, said in (
+        ("z_MPa", "is in MPa by its name; must be in a unit of length"),
+        ("z_um [tip]", "ends with [tip], no unit; must be in a unit of length"),
+        ("höhe", ""),
+    ):
+        path = tmp_path / "trace.csv"
+        path.write_text(f"r_mm;{name}\n10;0\n12.5;0.005\n15;0\n", encoding="utf-8")
+        change = {"upper.profile": {"file": str(path)}}
+        if said:
+            with pytest.raises(rw.InputError) as caught:
+                rw.read_case(CROWN, change)
+            assert f"{path}: the column {name} {said}" in str(caught.value)
+        else:
+            rw.read_case(CROWN, change)
+            rw.read_case(CROWN, change)
+    told = [record.getMessage() for record in caplog.records]
+    assert told == [f"{path}: no unit ends the name of the column höhe; it is taken in mm"]
+
+
 def test_studies_vary_the_size_of_a_shape():
     study = rw.read_study(
         {"case": str(CROWN), "vary": {"upper.profile.crown": {"linear": [300, 500], "count": 2}}}

@@ -487,6 +487,32 @@ def test_the_same_readings_twice_in_one_experiment(good):
     assert len(read_fit(tables).experiments[0].series) == 3  # parts of one record
 
 
+@pytest.mark.parametrize(
+    ("quantity", "column"),
+    [("penetration", name) for name in ("p_Nm", "p_MPa", "p_s", "p_kN")]
+    + [("mass.upper", "Drehmoment_Nm")],
+)
+def test_columns_in_units_of_something_else(quantity, column, good, tmp_path):
+    write_table(tmp_path / "z.csv", ("t_s", column), (1.0, 2.0, 3.0), (1e-3, 2e-3, 3e-3))
+    tables = changed(good, (*PEN, "file"), str(tmp_path / "z.csv"))
+    table = tables["experiment"][0]["data"][0]
+    table |= {"quantity": quantity, "columns": {"time": "t_s", "value": column}}
+    with pytest.raises(InputError) as caught:
+        read_fit(tables)
+    unit = column.rpartition("_")[2]
+    said = f"z.csv: the column {column} is in {unit} by its name; must be in the unit of a "
+    assert said in str(caught.value)
+    assert "or units.value must be given" in str(caught.value)
+
+
+def test_noise_in_a_unit_of_something_else(good, tmp_path):
+    write_table(tmp_path / "z.csv", ("t_s", "z_um", "sd_N"), *[(1.0, 2.0, 3.0)] * 3)
+    tables = changed(good, (*PEN, "file"), str(tmp_path / "z.csv"))
+    tables["experiment"][0]["data"][0]["sd"] = "sd_N"
+    with pytest.raises(InputError, match="the column is in N by its name; must be in um"):
+        read_fit(tables)
+
+
 def test_units_are_named_by_columns_too(good, tmp_path):
     data = good["experiment"][0]["data"][0]
     x, y = np.genfromtxt(data["file"], delimiter=",", skip_header=1).T

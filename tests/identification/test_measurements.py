@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from ringwear_par.cases.units import factor, unit_of_column
+from ringwear_par.cases.units import factor, told_unit, unit_of_column
 from ringwear_par.cases.values import RejectedError
 from ringwear_par.errors import InputError
 from ringwear_par.measurements import read_measurements
@@ -123,3 +123,15 @@ def test_units_of_columns():
     assert unit_of_column("M_Nm", "N mm") == "Nm"
     assert unit_of_column("M [N m]", "N mm") == "N m"
     assert np.isclose(factor("Nm", "N mm"), 1e3)
+
+
+def test_endings_that_do_not_fit():
+    names = ("z_um", "z", "wear_lower", "z_2", "höhe", "z_A1")
+    assert [told_unit(name, "mm") for name in names] == ["um", *[None] * 5]
+    for name, base, said in (
+        ("z_MPa", "mm", "is in MPa by its name"), ("p_Nm", "mm", "is in Nm by its name"),
+        ("z_s", "mm", "is in s by its name"), ("F (kN)", "mm", "is in kN by its name"),
+        ("Drehmoment_Nm", "g", "is in Nm by its name"), ("z_um [tip]", "mm", r"ends with \[tip\]"),
+    ):  # fmt: skip
+        with pytest.raises(RejectedError, match=said):
+            told_unit(name, base)
