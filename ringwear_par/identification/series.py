@@ -394,6 +394,8 @@ def _sd(reader: TableReader, found: _Readings) -> tuple[FloatArray, bool]:
         if relative is None or set(given) != {"relative"}:
             reader.wrong("sd", "must be { relative = x }, a number > 0")
             return unknown, False
+        if not len(value):  # which is told of all readings
+            return unknown, False
         smooth = np.abs(median_filter(value, min(_SMOOTH, len(value)), mode="nearest"))
         small = smooth <= _NEAR_ZERO * smooth.max(initial=0.0)
         if small.any():

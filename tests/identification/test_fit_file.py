@@ -505,6 +505,16 @@ def test_columns_in_units_of_something_else(quantity, column, good, tmp_path):
     assert "or units.value must be given" in str(caught.value)
 
 
+def test_a_table_of_names_only(good, tmp_path):
+    write_table(tmp_path / "z.csv", ("t_s", "z_um"), (), ())
+    for sd in ({"relative": 0.01}, 0.1):
+        tables = changed(good, (*PEN, "file"), str(tmp_path / "z.csv"))
+        table = tables["experiment"][0]["data"][0]
+        table |= {"columns": {"time": "t_s", "value": "z_um"}, "sd": sd}
+        with pytest.raises(InputError, match="has no readings; must have one at least"):
+            read_fit(tables)
+
+
 def test_noise_in_a_unit_of_something_else(good, tmp_path):
     write_table(tmp_path / "z.csv", ("t_s", "z_um", "sd_N"), *[(1.0, 2.0, 3.0)] * 3)
     tables = changed(good, (*PEN, "file"), str(tmp_path / "z.csv"))
