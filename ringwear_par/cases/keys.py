@@ -88,12 +88,15 @@ def kinds(tables: Mapping[str, Any]) -> set[str]:
 
 
 def refuse_study(tables: Mapping[str, Any], name: str) -> None:
-    """Refuse a study where a case is to be read.
+    """Refuse a study, or a fit file, where a case is to be read.
 
     Raises
     ------
     InputError : it is one.
     """
+    names = {path.partition(".")[0] for path in tables}
+    if kinds(tables) <= {"study"} and names & {"fit", "experiment"}:
+        raise InputError(f"{name}: is a fit file, not a case; ringwear fit computes it")
     if kinds(tables) == {"study"}:
         raise InputError(f"{name}: is a study, not a case; ringwear sweep computes it")
 

@@ -43,6 +43,14 @@ def test_a_study_is_told_as_such():
         read_case({"case": "paper.toml", "vary": {}})
 
 
+def test_a_fit_file_is_told_as_such():
+    fit = PAPER.parent.parent / "fit" / "fit.toml"
+    said = ["case.toml: is a fit file, not a case; ringwear fit computes it"]
+    assert faults(fit.read_text()) == said
+    with pytest.raises(InputError, match="case: is a fit file, not a case"):
+        read_case({"case": "paper.toml", "fit": {}, "experiment": []})
+
+
 def test_overrides_enter_the_text_that_is_stored():
     case = read_case(PAPER, ["load.force=100", 'title=a "b" c', "output.fields=['pressure']"])
     assert case.load.force == 100
