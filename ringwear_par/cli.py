@@ -227,17 +227,18 @@ def _slice(text: str) -> tuple[int, int]:
     return int(first), int(last)
 
 
-def _time(text: str) -> float:
-    """Return a time, s."""
+def _time(text: str) -> str:
+    """Return a time as it is typed."""
     from ringwear_par.cases.units import seconds
     from ringwear_par.cases.values import RejectedError
 
     try:
-        return seconds(text)
+        seconds(text)
     except RejectedError as error:
         raise argparse.ArgumentTypeError(
             f'{legible(text)}: must be a time in s, or with its unit, such as "2 h"'
         ) from error
+    return text
 
 
 def _port(text: str) -> int:
@@ -315,15 +316,13 @@ def _plot(args: argparse.Namespace, comm: Any) -> None:
 
 
 def _export(args: argparse.Namespace, comm: Any) -> None:
+    from ringwear_par.cases.units import seconds
     from ringwear_par.parallel import on_first_rank
     from ringwear_par.results.export import export
 
-    told = on_first_rank(
-        comm,
-        lambda: export(
-            args.result, args.output, args.time, args.revolve, args.scale, args.fields, args.stress
-        ),
-    )
+    time = None if args.time is None else seconds(args.time)
+    chosen = time, args.revolve, args.scale, args.fields, args.stress, args.time or ""
+    told = on_first_rank(comm, lambda: export(args.result, args.output, *chosen))
     print(told)
 
 

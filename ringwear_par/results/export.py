@@ -13,7 +13,7 @@ from ringwear_par.cases.text import shortened
 from ringwear_par.elasticity.boundary_fields import BoundaryState
 from ringwear_par.elasticity.stress_fields import StressHistory
 from ringwear_par.elasticity.stress_measures import COMPONENTS, max_shear, mises, principal
-from ringwear_par.errors import InputError
+from ringwear_par.errors import InputError, legible
 from ringwear_par.results.cells import Cells, contours, stress_cells, surfaces
 from ringwear_par.results.files import result_of
 from ringwear_par.results.result import Result
@@ -39,6 +39,7 @@ def export(
     scale: float | None = None,
     fields: bool = False,
     stress: bool = False,
+    typed: str = "",
 ) -> str:
     """Write a result, or that of a file, in another format; return what was written. On one rank.
 
@@ -52,12 +53,13 @@ def export(
     fields : whether the table is that of the contact line rather than of the histories.
     stress : whether the stresses are written: of the grid for ParaView, as quadrangles, or of the
         points in a table.
+    typed : how the time was written, for messages; "": it was a number.
 
     Raises
     ------
     InputError : a file or a choice that cannot be, fields that the run has not stored.
     """
-    check_export(output, time, segments, scale, fields, stress)
+    check_export(output, time, segments, scale, fields, stress, typed)
     result = result_of(run)
     if stress:
         return _export_stress(result, output, time)
@@ -91,8 +93,13 @@ def check_export(
     scale: float | None,
     fields: bool,
     stress: bool = False,
+    typed: str = "",
 ) -> None:
     """Refuse what cannot be exported, before anything is read. Not collective.
+
+    Parameters
+    ----------
+    typed : how the time was written, for messages; "": it was a number.
 
     Raises
     ------
@@ -115,8 +122,15 @@ def check_export(
             f"--revolve {shortened(segments)}: must be from 3 to {_MOST_SEGMENTS}, and for .vtu "
             "and .vtkhdf only"
         )
-    if time is not None and not (ending in (".vtp", ".vtu") and np.isfinite(time)):
-        raise InputError(f"--time {time:g}: must be a number, and for .vtp and .vtu only")
+    shown = legible(typed) if typed or time is None else f"{time:g}"
+    if time is not None and ending not in (".vtp", ".vtu"):
+        option = "--stress " if stress else "--fields " if fields else ""
+        raise InputError(
+            f"--time {shown}: must be absent for {ending}, it is for .vtp and .vtu only; "
+            f"{option or f'{ending} '}writes all stored steps"
+        )
+    if time is not None and not np.isfinite(time):
+        raise InputError(f"--time {shown}: must be a number")
     if scale is not None and (ending == ".csv" or not np.isfinite(scale)):
         raise InputError(f"--scale {scale:g}: must be a number, and for ParaView's files only")
     if ending in (".vtp", ".vtu"):

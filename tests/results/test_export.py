@@ -189,6 +189,10 @@ def test_without_pyevtk(runs, tmp_path, monkeypatch):
         (["run.h5", "-o", "{}/a.vtp", "--time", "nan"], "nan: must be a time in s, or with its"),
         (["run.h5", "-o", "{}/a.vtp", "--time", "2 mm"], "2 mm: must be a time in s, or with its"),
         (["run.h5", "-o", "{}/a.csv", "--time", "10"], "--time 10: must be"),
+        (
+            ["run.h5", "-o", "{}/a.csv", "--fields", "--time", "2 h"],
+            "--time 2 h: must be absent for .csv, it is for .vtp and .vtu only; --fields writes",
+        ),
         (["run.h5", "-o", "{}/a.csv", "--scale", "10"], "--scale 10: must be"),
         (["run.h5", "-o", "{}/a.vtp", "--revolve", "10"], "for .vtu and .vtkhdf only"),
         (["run.h5", "-o", "{}/a.vtkhdf", "--time", "5"], "for .vtp and .vtu only"),
