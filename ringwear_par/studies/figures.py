@@ -24,7 +24,7 @@ from ringwear_par.studies.ensemble import Ensemble, read_ensemble
 from ringwear_par.studies.fan import FEW, draw_fan, draw_histories
 from ringwear_par.studies.index_bars import IndexBars, index_bars, most_important
 from ringwear_par.studies.predictions import Surrogate
-from ringwear_par.studies.sensitivity import done_cases
+from ringwear_par.studies.sensitivity import done_cases, outputs_of
 from ringwear_par.studies.surrogate import surrogate
 from ringwear_par.studies.surrogate_figures import Responses
 
@@ -101,10 +101,7 @@ def choose(ensemble: Ensemble, regressions: Surrogate | None, bars: Sequence[Ind
     InputError : no case is done.
     """
     drawn = _drawn(ensemble)
-    outputs = ["penetration", "worn_volume_lower"]
-    upper = ensemble.final["worn_volume_upper"][drawn]
-    if np.any(upper[np.isfinite(upper)] != 0.0):
-        outputs.append("worn_volume_upper")
+    outputs = outputs_of(ensemble, drawn)
     varied = [key_of(name, values[drawn]) for name, values in ensemble.varied.items()]
     varied = [key for key in varied if key.differs] or varied
     names = most_important([key.name for key in varied], bars, _MOST_KEYS)

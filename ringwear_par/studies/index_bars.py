@@ -10,7 +10,13 @@ from ringwear_par.arrays import FloatArray
 from ringwear_par.results.drawing import COLOURS, plain, set_legend
 from ringwear_par.studies.ensemble import Ensemble
 from ringwear_par.studies.predictions import COARSE, Surrogate, told_share
-from ringwear_par.studies.sensitivity import SENSITIVE, sensitivity, sobol_indices
+from ringwear_par.studies.sensitivity import (
+    SENSITIVE,
+    done_cases,
+    outputs_of,
+    sensitivity,
+    sobol_indices,
+)
 
 _FIRST = "first order S\N{SUBSCRIPT ONE}"
 
@@ -71,9 +77,10 @@ def index_bars(ensemble: Ensemble, regressions: Surrogate | None) -> tuple[Index
     it has the moment-independent delta, see ``sensitivity``.
     """
     found: dict[str, IndexBars] = {}
+    outputs = outputs_of(ensemble, done_cases(ensemble))
     if regressions is not None and len(regressions.parts[0].keys) > 1:
         part = regressions.parts[0]
-        errors = {name: part.responses[name].relative_error for name in SENSITIVE}
+        errors = {name: part.responses[name].relative_error for name in outputs}
         good = [name for name, error in errors.items() if 0.0 < error <= COARSE]
         for each in sobol_indices(part, good) if good else ():
             found[each.output] = IndexBars(
@@ -82,7 +89,7 @@ def index_bars(ensemble: Ensemble, regressions: Surrogate | None) -> tuple[Index
                 f"leave-out error {told_share(errors[each.output])}",
                 (_FIRST, "total S\N{LATIN SUBSCRIPT SMALL LETTER T}"), (each.first, each.total),
             )  # fmt: skip
-    rest = [name for name in SENSITIVE if name not in found]
+    rest = [name for name in outputs if name not in found]
     for own in sensitivity(ensemble, rest) if rest else ():
         part_of = f"{own.used} of {own.cases}" if own.used < own.cases else str(own.cases)
         found[own.output] = IndexBars(
@@ -90,7 +97,7 @@ def index_bars(ensemble: Ensemble, regressions: Surrogate | None) -> tuple[Index
             (_FIRST, "\N{GREEK SMALL LETTER DELTA}, of the whole distribution"),
             (own.s1, own.delta), (own.s1_conf, own.delta_conf), own.delta_noise,
         )  # fmt: skip
-    return tuple(found[name] for name in SENSITIVE if name in found)
+    return tuple(found[name] for name in outputs if name in found)
 
 
 def most_important(keys: Sequence[str], bars: Sequence[IndexBars], most: int) -> list[str]:

@@ -26,6 +26,7 @@ log = logging.getLogger(__name__)
 SENSITIVE = {
     "penetration": "final penetration",
     "worn_volume_lower": "final worn volume, lower",
+    "worn_volume_upper": "final worn volume, upper",
 }
 #: of all random choices: the same results give the same figure
 SEED = 1
@@ -47,7 +48,7 @@ class Sensitivity:
 
     Parameters
     ----------
-    output : "penetration" or "worn_volume_lower", at the last step.
+    output : "penetration", "worn_volume_lower" or "worn_volume_upper", at the last step.
     keys : the varied keys that are numbers.
     used, cases : number of cases that the indices follow from, of so many that are done.
     delta, delta_conf : moment-independent index, (keys,).
@@ -67,7 +68,7 @@ class Sensitivity:
 
 
 def sensitivity(
-    ensemble: Ensemble, outputs: Sequence[str] = tuple(SENSITIVE)
+    ensemble: Ensemble, outputs: Sequence[str] | None = None
 ) -> tuple[Sensitivity, ...]:
     """Return how the final values depend on the varied keys, from the cases of a sampled design.
 
@@ -76,7 +77,8 @@ def sensitivity(
     own: E. Plischke, E. Borgonovo and C. L. Smith, "Global sensitivity measures from given data",
     European Journal of Operational Research 226 (2013), 536-550. Its confidence is that of
     resampling; beside it, delta comes out up to about 0.1 too low for a key that matters, and
-    above 0 for one that does not. Always the same for the same results. Not collective.
+    above 0 for one that does not. Outputs are those of ``outputs_of``, unless said. Always the same
+    for the same results. Not collective.
     """
     if ensemble.attributes.get("method") not in SAMPLED:
         return ()
@@ -91,7 +93,7 @@ def sensitivity(
     x = np.stack(columns, axis=1)
     known = done & np.isfinite(x).all(axis=1)
     found = []
-    for output in outputs:
+    for output in outputs_of(ensemble, done) if outputs is None else outputs:
         y = ensemble.final[output]
         cases = np.flatnonzero(known & np.isfinite(y))
         if len(cases) < _FEWEST:
@@ -122,6 +124,19 @@ def sensitivity(
             )
         )
     return tuple(found)
+
+
+def outputs_of(ensemble: Ensemble, cases: BoolArray | IntArray) -> list[str]:
+    """Return the outputs of some cases: without volumes of a body that wears in none of them.
+
+    Where neither body wears that of the lower one is there.
+    """
+    worn = [
+        name
+        for name in ("worn_volume_lower", "worn_volume_upper")
+        if np.nan_to_num(ensemble.final[name][cases]).any()
+    ]
+    return ["penetration", *(worn or ["worn_volume_lower"])]
 
 
 def _delta(x: FloatArray, y: FloatArray) -> tuple[FloatArray, ...]:

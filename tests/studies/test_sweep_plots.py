@@ -14,7 +14,8 @@ from ringwear_par.results.variables import HISTORIES
 from ringwear_par.studies.blocks import Block, Record
 from ringwear_par.studies.dataset import Listing, write_ensemble
 from ringwear_par.studies.ensemble import Ensemble, read_ensemble
-from ringwear_par.studies.figures import draw_sweep, plot_sweep
+from ringwear_par.studies.figures import choose, draw_sweep, plot_sweep
+from ringwear_par.studies.index_bars import index_bars
 from ringwear_par.studies.sensitivity import sensitivity
 from ringwear_par.studies.shards import Shard, read_index
 from ringwear_par.studies.variations import column_of
@@ -124,6 +125,23 @@ def test_each_output_has_indices(tmp_path):
     assert volume.s1 == pytest.approx([1.0, 0.0, 0.0], abs=0.03)
     assert volume.delta[0] > 0.8
     assert (volume.delta[1:] < 0.1).all()
+
+
+@pytest.mark.usefixtures("few_resamples")
+def test_the_upper_body_has_indices_where_it_wears(tmp_path, caplog):
+    u = sample(KEYS, 256)
+    only = write(tmp_path / "a", KEYS, u, linear(u), "sobol", upper=u[:, 1])
+    with caplog.at_level(logging.INFO):
+        found = sensitivity(only)
+    assert [each.output for each in found] == ["penetration", "worn_volume_upper"]
+    assert found[1].s1 == pytest.approx([0.0, 1.0, 0.0], abs=0.15)
+    assert not caplog.records
+    assert choose(only, None, ()).outputs == ["penetration", "worn_volume_upper"]
+    assert [bars.output for bars in index_bars(only, None)] == ["penetration", "worn_volume_upper"]
+    both = write(tmp_path / "b", KEYS, u, linear(u), "sobol", lower=u[:, 0], upper=u[:, 1])
+    assert [each.output for each in sensitivity(both)] == [
+        "penetration", "worn_volume_lower", "worn_volume_upper",
+    ]  # fmt: skip
 
 
 @pytest.mark.usefixtures("few_resamples")
