@@ -365,10 +365,16 @@ def _quantity(
     reach = _linear
     if label.rpartition(" ")[2] in _LOGARITHMIC or (interval is None and _extreme(value)):
         reach = _logarithmic
-    low, high, step, log = reach(label.rpartition(" ")[2], share * value, interval)
-    low, high = _round(low / share), _round(high / share)
-    if not log:
-        step = _nice(step / share)
+    size = label.rpartition(" ")[2]
+    if value:  # positions are round in the unit that is shown
+        if interval is not None and own:
+            interval = Interval(interval.low / share, interval.high / share, interval.ends)
+        low, high, step, log = reach(size, value, interval)
+    else:
+        low, high, step, log = reach(size, value, interval)
+        low, high = _round(low / share), _round(high / share)
+        if not log:
+            step = _nice(step / share)
     yield Control(
         name, path, entry, group, label, meaning, own or unit, bool(own), value, min(low, value),
         max(high, value), step, log, assembles=assembles,
