@@ -10,8 +10,9 @@ from ringwear_par.cases.case import Case
 from ringwear_par.cases.numbers import interval_of
 from ringwear_par.cases.schema import BY_PATH, key_of, layer_entry, unit_of
 from ringwear_par.cases.suggestions import nearest_key
-from ringwear_par.cases.units import in_unit_where_right
-from ringwear_par.cases.values import number
+from ringwear_par.cases.text import shortened
+from ringwear_par.cases.units import in_unit
+from ringwear_par.cases.values import RejectedError, number
 from ringwear_par.errors import InputError, legible
 from ringwear_par.history.elastic_numbers import elastic_numbers
 from ringwear_par.history.sensitivity import differentiable
@@ -63,8 +64,15 @@ def _parameter(said: str, key: str, table: Any, faults: list[str]) -> FittedPara
         return None
     before = len(faults)
     if isinstance(table, Mapping):
-        unit = unit_of(key)
-        table = {name: in_unit_where_right(value, unit) for name, value in table.items()}
+        unit, made = unit_of(key), dict[str, Any]()
+        for name, value in table.items():
+            try:
+                made[name] = in_unit(value, unit)
+            except RejectedError as reason:
+                faults.append(f"{said}: {name} = {shortened(value)}: must be in {unit} ({reason})")
+        if len(made) < len(table):
+            return None
+        table = made
     reader = TableReader(said, table, faults)
     start = reader.read("start", number(-math.inf))
     bounds = reader.bounds()

@@ -158,6 +158,10 @@ K = ("fit", "parameters", "wear.lower.k")
         ((*K, "start"), None, "start is missing"),
         ((*K, "start"), "much", 'start = "much": must be a finite number'),
         ((*K, "bounds"), [1e-5, 1e-9], "bounds = [1e-05, 1e-09]: must be two increasing numbers"),
+        (
+            (*K[:-1], "wear.lower.p0", "bounds"), ["0 s", "10 s"],
+            'bounds = ["0 s", "10 s"]: must be in MPa (s is no unit of MPa)',
+        ),
         ((*K, "bounds"), [0.0, 1e-5], 'must be two increasing numbers > 0 where scale = "log"'),
         ((*K, "bounds"), [-1.0, 1.0], "must be values that wear.lower.k may have"),
         ((*K, "scale"), "ln", 'scale = "ln": must be one of linear, log'),
