@@ -151,10 +151,13 @@ def _bodies_at(case: "Case", r: float, z: float, side: Side) -> list[int]:
 
 def _on_interface(case: "Case", i: int, z: float) -> bool:
     """Tell whether a height is that of an interface between layers of lower (0) or upper (1)."""
-    ring = case.rings[i]
+    return bool((np.abs(_interfaces(case, case.rings[i]) - z) <= _ON * _size(case)).any())
+
+
+def _interfaces(case: "Case", ring: "Ring") -> FloatArray:
+    """Return the heights of the interfaces between the layers of a ring, mm."""
     depths = np.cumsum(case.section(ring).layers)
-    levels = case.lower.z[1] - depths if i == 0 else case.upper.z[0] + depths
-    return bool((np.abs(levels - z) <= _ON * _size(case)).any())
+    return case.lower.z[1] - depths if ring is case.lower else case.upper.z[0] + depths
 
 
 #: on which side of its contact face a body is
@@ -177,7 +180,7 @@ def _inside(case: "Case", i: int, r: FloatArray, z: FloatArray) -> BoolArray:
 
 
 def edges(case: "Case") -> FloatArray:
-    """Return (e, 2) mm, corners of the bodies and ends of the contact line off the axis."""
+    """Return (e, 2) mm, corners, ends of interfaces and of the contact line, off the axis."""
     found = []
     for ring in case.rings:
         radii = np.array([*ring.r, *corners(case.section(ring)), *case.contact])
@@ -185,4 +188,5 @@ def edges(case: "Case") -> FloatArray:
         held = ring.z[0] if ring is case.lower else ring.z[1]
         found += [(r, z) for r, z in zip(radii, face, strict=True) if r > 0.0]
         found += [(r, held) for r in ring.r if r > 0.0]
+        found += [(r, z) for z in _interfaces(case, ring) for r in ring.r if r > 0.0]
     return np.array(found)

@@ -249,12 +249,15 @@ def boundary_responses(
     comm: MPI.Comm,
     worn: FloatArray | None = None,
     slope: FloatArray | None = None,
+    *,
+    fine: bool = False,
 ) -> list[BoundaryResponse]:
     """Return displacements and tractions on the boundaries of all zones, in the body's own frame.
 
-    Collective on comm. ``worn`` is that of ``zone_meshes``, ``slope`` of ``boundary_conditions``.
+    Collective on comm. ``worn`` and ``fine`` are those of ``zone_meshes``, ``slope`` of
+    ``boundary_conditions``.
     """
-    zones = body_zones(body, line, mesh, worn, slope)
+    zones = body_zones(body, line, mesh, worn, slope, fine=fine)
     counts = [(len(zone.boundary.nodes), len(zone.boundary.elements)) for zone in zones]
     nodes, elements = (tuple(map(np.arange, of)) for of in zip(*counts, strict=True))
     problem = Problem(zones, mesh.quadrature_tolerance, nodes, elements)
@@ -340,12 +343,14 @@ def body_zones(
     mesh: Mesh,
     worn: FloatArray | None = None,
     slope: FloatArray | None = None,
+    *,
+    fine: bool = False,
 ) -> tuple[Zone, ...]:
     """Return the zones of a body in contact, from the contact face downwards. Not collective.
 
-    Arguments are those of ``compliance``.
+    Arguments are those of ``compliance``, and of ``zone_meshes``.
     """
-    meshes = zone_meshes(body.section, line, mesh, worn)
+    meshes = zone_meshes(body.section, line, mesh, worn, fine=fine)
     slopes = slope, *(None for _ in body.layers)  # the first zone alone has the contact
     return tuple(
         Zone(boundary, boundary_conditions(boundary, body.grip, own), material)

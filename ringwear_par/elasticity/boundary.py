@@ -22,6 +22,8 @@ CORNER_GRADING = 3.5
 _LAYERED_GRADING = 4.0, 1.5
 #: by how much more elements that face has beside the contact
 _LAYERED_SHARE = 1.5
+#: likewise where stresses beside the contact are wanted
+_FINE_SHARE = 2.0
 #: fewest elements of a free or fixed face
 _FEWEST = 4
 #: mm of a layer, or half of one that is thinner, that stays where elements follow the wear
@@ -85,14 +87,15 @@ def _between(section: Section, a: float, b: float) -> FloatArray:
 
 
 def _flats(
-    section: Section, contact: tuple[float, float], mesh: Mesh
+    section: Section, contact: tuple[float, float], mesh: Mesh, fine: bool = False
 ) -> tuple[list[tuple[float, float, int]], list[tuple[float, float, int]]]:
     """Return the free pieces of the contact face inside and outside the contact, by radius.
 
     Of each its ends and its number of elements: as many as its length asks.
     """
     (inner, outer), (a, b) = section.r, contact
-    n = 0.1 * mesh.contact_elements * (_LAYERED_SHARE if section.layers else 1.0)
+    share = _FINE_SHARE if fine else _LAYERED_SHARE if section.layers else 1.0
+    n = 0.1 * mesh.contact_elements * share
 
     def of(start: float, end: float) -> list[tuple[float, float, int]]:
         if start == end:
@@ -106,10 +109,13 @@ def _flats(
     return of(inner, a), of(b, outer)
 
 
-def _face(section: Section, line: ContactLine, mesh: Mesh) -> _Piece:
+def _face(section: Section, line: ContactLine, mesh: Mesh, fine: bool) -> _Piece:
     """Return the contact face, from its outer to its inner end."""
-    inside, outside = _flats(section, (float(line.edges[0]), float(line.edges[-1])), mesh)
-    near, far = _LAYERED_GRADING if section.layers else (CORNER_GRADING, CORNER_GRADING)
+    contact_ends = float(line.edges[0]), float(line.edges[-1])
+    inside, outside = _flats(section, contact_ends, mesh, fine)
+    near, far = CORNER_GRADING, CORNER_GRADING
+    if section.layers or fine:
+        near, far = _LAYERED_GRADING
 
     def flats(ends: list[tuple[float, float, int]]) -> list[_Piece]:
         lines = []
@@ -207,7 +213,12 @@ def boundary_mesh(
 
 
 def zone_meshes(
-    section: Section, line: ContactLine, mesh: Mesh, worn: FloatArray | None = None
+    section: Section,
+    line: ContactLine,
+    mesh: Mesh,
+    worn: FloatArray | None = None,
+    *,
+    fine: bool = False,
 ) -> tuple[BoundaryMesh, ...]:
     """Return the boundary elements of a section's zones, from the contact face downwards.
 
@@ -220,6 +231,8 @@ def zone_meshes(
         line ends inside the face, the neighbouring free element becomes the wall of the wear track;
         where it ends at a side face, that face is shortened. Interfaces give way where less than a
         residual film of a layer would stay.
+    fine : whether the contact face has more elements beside the contact than pressures need, for
+        stresses there.
 
     Raises
     ------
@@ -230,7 +243,7 @@ def zone_meshes(
     inner, outer = section.r
     if not inner <= a < b <= outer:
         raise InputError(f"section r = {section.r}: the contact line {a}, {b} must lie within")
-    top, names = _face(section, line, mesh)
+    top, names = _face(section, line, mesh, fine)
     worn_top = top.copy()
     if worn is not None:
         _lower_face(section, line, worn_top, worn)

@@ -27,6 +27,7 @@ class BoundaryRecovery:
     mesh : discretisation.
     planes : mm, height of the contact plane of lower and upper in the frame of the case.
     comm : communicator of the collective methods; every rank keeps the responses.
+    fine : of ``zone_meshes``.
     """
 
     def __init__(
@@ -36,9 +37,11 @@ class BoundaryRecovery:
         mesh: Mesh,
         planes: tuple[float, float],
         comm: MPI.Comm,
+        *,
+        fine: bool = False,
     ) -> None:
         self._bodies, self._line, self._mesh, self._planes = bodies, line, mesh, planes
-        self._comm = comm
+        self._comm, self._fine = comm, fine
         self._known: dict[Which, tuple[FloatArray, list[BoundaryResponse]]] = {}
 
     def fields(
@@ -159,7 +162,9 @@ class BoundaryRecovery:
         # the slopes and the shape are the same on all ranks, and so is the decision
         if known is None or not np.array_equal(known[0], at):
             self._known.pop(which, None)  # not two at a time
-            found = boundary_responses(self._bodies[i], line, self._mesh, self._comm, worn, slope)
+            found = boundary_responses(
+                self._bodies[i], line, self._mesh, self._comm, worn, slope, fine=self._fine
+            )
             known = self._known[which] = (at, found)
         return known[1]
 
@@ -169,7 +174,9 @@ class BoundaryRecovery:
         Mid-points of contact elements lie where gaps are taken, on the worn face.
         """
         section, line = self._bodies[i].section, self._line
-        first, *others = zone_meshes(section, line, self._mesh, node_wear(line, wear))
+        first, *others = zone_meshes(
+            section, line, self._mesh, node_wear(line, wear), fine=self._fine
+        )
         nodes = first.nodes.copy()
         middle = first.elements[first.contact, 1]
         nodes[middle, 0] = line.gap_point

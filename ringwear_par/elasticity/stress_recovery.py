@@ -110,7 +110,7 @@ class StressRecovery:
     ) -> None:
         self._bodies, self._line, self._mesh, self._planes = bodies, line, mesh, planes
         self._points, self._exclude, self._comm = points, exclude, comm
-        self._boundaries = BoundaryRecovery(bodies, line, mesh, planes, comm)
+        self._boundaries = BoundaryRecovery(bodies, line, mesh, planes, comm, fine=True)
         self._shape: FloatArray | None = None
         self._known: tuple[_Known, _Known] | None = None
 

@@ -126,5 +126,7 @@ def test_points_between_layers_need_a_side():
     assert "stress.points[0] = [30.0, 19.7]: lies between two layers" in fault
     case = case_of('points = [[30, 19.7, "above"], [30, 19.7, "below"], [30, 19.9]]', coated)
     assert point_bodies(case) == [0, 0, 0]
+    (fault,) = faults('points = [[20, 19.7, "below"]]', coated)  # where the interface ends
+    assert "lies on an edge" in fault
     (fault,) = faults('points = [[30, 19.8, "above"]]', coated)
     assert "there is no body above it" in fault

@@ -291,3 +291,14 @@ def test_stresses_of_a_coated_ring(tmp_path):
     map_axes, depth = rw.plot(result, ["stress", "depth"]).axes[::2]
     assert len(map_axes.collections) >= 3  # the layer, what is below, and upper
     assert len(depth.lines[0].get_ydata()) == 7 + 3
+
+
+def test_stresses_beside_the_contact_converge(comm):
+    """The free face has elements for them, which pressures would not need."""
+    beside = [[31.8, 19.9], [31.7, 19.95], [28.2, 19.9], [28.45, 19.95], [28.6, 19.9]]
+    found = {}
+    for n in (64, 128):
+        changes = {"mesh.contact_elements": n, "time.steps": 1, "time.step": 1e-6}
+        case = rw.read_case("scripts/cases/paper.toml", {**changes, "stress.points": beside})
+        found[n] = mises(rw.simulate(case, comm).stress.states[-1].points)
+    np.testing.assert_allclose(found[64], found[128], rtol=0.01)
