@@ -10,7 +10,6 @@ from ringwear_par.arrays import FloatArray, IntArray
 from ringwear_par.elasticity.body import BoundaryResponse, in_case_frame
 from ringwear_par.elasticity.boundary import BoundaryMesh
 from ringwear_par.elasticity.boundary_fields import BODIES
-from ringwear_par.elasticity.compiling import load_compiled
 from ringwear_par.elasticity.largest_stress import Search, edges, zones_of
 from ringwear_par.elasticity.mesh import ContactLine, Mesh
 from ringwear_par.elasticity.quadrature import quadrature
@@ -199,6 +198,7 @@ def _same(one: FloatArray | None, other: FloatArray | None) -> bool:
 
 def load_stress_kernels(comm: MPI.Comm) -> None:
     """Compile the kernels of stress, or load them from the cache. Collective on comm."""
+    from ringwear_par.elasticity.compiling import load_compiled  # numba: not without need
     from ringwear_par.elasticity.stress_rows import stress_rows
 
     nodes = np.array([[1.0, 0.0], [1.5, 0.0], [2.0, 0.0]])

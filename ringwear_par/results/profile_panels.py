@@ -9,6 +9,8 @@ from ringwear_par.errors import InputError
 from ringwear_par.results.drawing import DASHES, set_legend, stage_colour, time_unit
 from ringwear_par.results.result import Result
 
+#: how many times the deepest wear the end of layers may be below the face to be drawn
+_FAR = 1.5
 #: columns of the legend
 _COLUMNS = 3
 
@@ -54,6 +56,8 @@ def draw_wear(axes: Any, result: Result, label: str, rows: Sequence[int]) -> Non
     margin = 0.15 * (outer - inner)
     lower, upper = stored_field(result, "wear_lower"), stored_field(result, "wear_upper")
     ends = max(inner - margin, 0.0), outer + margin
+    for body, sign in (("lower", -1e3), ("upper", 1e3)):
+        _interface(axes, result, body, sign)
     if lower.any() and upper.any():
         _profiles(axes, result, rows, lambda row: -1e3 * lower[row], lambda row: 1e3 * upper[row])
         axes.set_ylabel("worn faces (\N{MICRO SIGN}m)")
@@ -70,8 +74,6 @@ def draw_wear(axes: Any, result: Result, label: str, rows: Sequence[int]) -> Non
     else:
         _profiles(axes, result, rows, lambda row: -1e3 * lower[row])
         axes.set_ylabel("wear depth (\N{MICRO SIGN}m)")
-    for body, sign in (("lower", -1e3), ("upper", 1e3)):
-        _interface(axes, result, body, sign)
     for start, end in ((ends[0], inner), (outer, ends[1])):
         axes.plot([start, end], [0, 0], color="0.4", linewidth=0.8)
     axes.set_xlim(*ends)
@@ -79,9 +81,9 @@ def draw_wear(axes: Any, result: Result, label: str, rows: Sequence[int]) -> Non
 
 
 def _interface(axes: Any, result: Result, body: str, sign: float) -> None:
-    """Draw where the layers of a body that has worn end."""
+    """Draw where the layers of a body end, unless wear is still far from there."""
     left, wear = result.layers.get(f"layer_left_{body}"), result.profiles[f"wear_{body}"]
-    if left is None or not wear.any():
+    if left is None or (wear[0] + left[0]).min() > _FAR * wear.max():
         return
     axes.plot(result.line.r, sign * (wear[0] + left[0]), color="0.4", linewidth=0.8, linestyle=":")
 
