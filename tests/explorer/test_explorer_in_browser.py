@@ -190,8 +190,8 @@ def test_measurements_are_laid_over(page):
     model = np.interp([29.0, 30.0], result.line.r, 1e3 * result.profiles["wear_lower"][-1])
     assert f"{np.sqrt(np.mean((model - [3.0, 2.0]) ** 2)):.3g} \N{MICRO SIGN}m" in told
     menu = "find('laid').querySelectorAll('select')"
-    page.run(f"{menu}[0].value = 'torque'; {menu}[0].dispatchEvent(new Event('change'))")
-    page.wait("find('menu').value === 'torque' && !page.flying")
+    page.run(f"{menu}[0].value = 'approach'; {menu}[0].dispatchEvent(new Event('change'))")
+    page.wait("find('menu').value === 'approach' && !page.flying")
     page.wait("page.talk.document.get_model_by_name('other-points').data.x.length === 150")
     assert len(shown(page, "penetration", "points")["x"]) == 0
     bad = base64.b64encode(b"a,b\n1,2\n").decode()
