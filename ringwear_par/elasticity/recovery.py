@@ -73,32 +73,34 @@ class BoundaryRecovery:
         ------
         ComputationError : the wear leaves too little of a body, or a factorisation failed.
         """
+        lower, upper = (
+            joined(
+                [
+                    self._of_zone(i, unit, shown, pressure, approach, friction, wear[i])
+                    for unit, shown in zip(units, self._worn_zones(i, wear[i]), strict=True)
+                ]
+            )
+            for i, units in enumerate(self.responses(shape))
+        )
+        return lower, upper
+
+    def responses(self, shape: FloatArray | None) -> list[list[BoundaryResponse]]:
+        """Return the responses of the zones of lower and upper, in the bodies' own frames.
+
+        Collective on comm.
+
+        Parameters
+        ----------
+        shape : (2, n) float, mm, wear that the elements have followed; None: none.
+        """
         if shape is not None and not shape.any():
             shape = None
         sections = self._bodies[0].section, self._bodies[1].section
         slope = pair_slope(sections, self._line, self._mesh, shape)
-        lower, upper = (
-            self._of_body(
-                i, pressure, approach, friction, wear[i], own, None if shape is None else shape[i]
-            )
+        return [
+            self._of_body(i, own, None if shape is None else shape[i])
             for i, own in enumerate((slope, -slope))
-        )
-        return lower, upper
-
-    def _of_body(
-        self,
-        i: int,
-        p: FloatArray,
-        approach: float,
-        friction: float,
-        wear: FloatArray,
-        slope: FloatArray,
-        shape: FloatArray | None,
-    ) -> BoundaryFields:
-        zones = zip(self.responses(i, slope, shape), self._worn_zones(i, wear), strict=True)
-        return joined(
-            [self._of_zone(i, unit, shown, p, approach, friction, wear) for unit, shown in zones]
-        )
+        ]
 
     def _of_zone(
         self,
@@ -143,18 +145,10 @@ class BoundaryRecovery:
             response.traction[..., 0], pressure, depth,
         )  # fmt: skip
 
-    def responses(
+    def _of_body(
         self, i: int, slope: FloatArray, shape: FloatArray | None
     ) -> list[BoundaryResponse]:
-        """Return the responses of the zones of lower (0) or upper (1), in the body's own frame.
-
-        Collective on comm.
-
-        Parameters
-        ----------
-        slope : (n,) float, that of ``boundary_conditions``.
-        shape : (n,) float, mm, wear that the elements have followed; None: none.
-        """
+        """Return those of lower (0) or upper (1), whose slope and wear are (n,). Collective."""
         line, which = self._line, BODIES[i]
         worn = None if shape is None or not shape.any() else node_wear(line, shape)
         at = np.concatenate([slope, np.zeros(line.n + 1) if worn is None else worn])

@@ -15,7 +15,6 @@ from ringwear_par.elasticity.mesh import ContactLine, Mesh
 from ringwear_par.elasticity.quadrature import quadrature
 from ringwear_par.elasticity.recovery import BoundaryRecovery
 from ringwear_par.elasticity.sections import Body
-from ringwear_par.elasticity.slopes import pair_slope
 from ringwear_par.elasticity.stress import Influence, surface_influence, zone_influence
 from ringwear_par.elasticity.stress_fields import Largest
 from ringwear_par.elasticity.stress_measures import mises
@@ -107,8 +106,7 @@ class StressRecovery:
         exclude: float,
         comm: MPI.Comm,
     ) -> None:
-        self._bodies, self._line, self._mesh, self._planes = bodies, line, mesh, planes
-        self._points, self._exclude, self._comm = points, exclude, comm
+        self._planes, self._points, self._exclude, self._comm = planes, points, exclude, comm
         self._boundaries = BoundaryRecovery(bodies, line, mesh, planes, comm, fine=True)
         self._shape: FloatArray | None = None
         self._known: tuple[_Known, _Known] | None = None
@@ -155,15 +153,10 @@ class StressRecovery:
 
     def _integrated(self, shape: FloatArray | None) -> tuple[_Known, _Known]:
         """Return the influences of both bodies. Collective on comm."""
-        sections = self._bodies[0].section, self._bodies[1].section
-        slope = pair_slope(sections, self._line, self._mesh, shape)
         load_stress_kernels(self._comm)
         zones = [
-            [
-                in_case_frame(unit, BODIES[i], self._planes[i])
-                for unit in self._boundaries.responses(i, own, None if shape is None else shape[i])
-            ]
-            for i, own in enumerate((slope, -slope))
+            [in_case_frame(unit, BODIES[i], self._planes[i]) for unit in units]
+            for i, units in enumerate(self._boundaries.responses(shape))
         ]
         around = np.concatenate([edges([zone.boundary for zone in body]) for body in zones])
         lower, upper = (self._of_zones(i, body, around) for i, body in enumerate(zones))
