@@ -61,13 +61,9 @@ def implausible(case: Case) -> tuple[Doubt, ...]:
 
     Its mean pressures are those of the nominal annulus.
     """
-    found = []
+    found: list[str] = []
     for name, ring in zip(("lower", "upper"), case.rings, strict=True):
-        if _PASCALS[0] < ring.young <= _PASCALS[1]:
-            found.append(
-                f"{name}.young = {ring.young:g} MPa is stiffer than any material; were it in Pa, "
-                f'"{ring.young:g} Pa" would be read too'
-            )
+        found += _in_pascals(f"{name}.young", ring.young)
         if ring.density is not None and ring.density > _DENSEST:
             found.append(
                 f"{name}.density = {ring.density:g} g/mm3 is denser than any material; were it in "
@@ -78,12 +74,8 @@ def implausible(case: Case) -> tuple[Doubt, ...]:
                 f"{name} measures {max(ring.r[1], ring.z[1] - ring.z[0]):g} mm: in um? lengths "
                 "are in mm"
             )
-        found += [
-            f"{name}.layers[{i}].young = {layer.young:g} MPa is stiffer than any material; were it "
-            f'in Pa, "{layer.young:g} Pa" would be read too'
-            for i, layer in enumerate(ring.layers)
-            if _PASCALS[0] < layer.young <= _PASCALS[1]
-        ]
+        for i, layer in enumerate(ring.layers):
+            found += _in_pascals(f"{name}.layers[{i}].young", layer.young)
     if case.load.force is not None:
         moduli = [ring.young for ring in case.rings]
         moduli += [layer.young for ring in case.rings for layer in ring.layers]
@@ -94,6 +86,16 @@ def implausible(case: Case) -> tuple[Doubt, ...]:
                 f"modulus, {young:g} MPa: no linear elasticity; are load and moduli in N and MPa?"
             )
     return tuple(Doubt("implausible_numbers", text) for text in found)
+
+
+def _in_pascals(key: str, young: float) -> list[str]:
+    """Return what is said of a modulus that is likely in Pa."""
+    if not _PASCALS[0] < young <= _PASCALS[1]:
+        return []
+    return [
+        f"{key} = {young:g} MPa is stiffer than any material; were it in Pa, "
+        f'"{young:g} Pa" would be read too'
+    ]
 
 
 def doubts(model: WearModel, state: State, balances: Balances) -> tuple[Doubt, ...]:
