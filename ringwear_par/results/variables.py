@@ -112,36 +112,34 @@ LAYER = Variable(
     integer=True,
 )  # fmt: skip
 UPPER_LAYER = replace(LAYER, name="layer_upper", dimensions=("layer_upper",))
+
+
 _BODIES = ("lower", "upper")
-#: of bodies with layers: at each stored state
-LAYER_HISTORIES = _table(
-    *(
-        Variable(
-            f"share_through_{body}", ("step",), "1",
-            f"share of the contact area where all layers of the {body} ring are worn through",
-        )
-        for body in _BODIES
+
+
+def _of_both(
+    name: str, dimensions: tuple[str, ...], units: str, meaning: str
+) -> dict[str, Variable]:
+    """Return the variables of lower and upper, whose names and meanings have the body's."""
+    return _table(
+        *(Variable(name.format(body), dimensions, units, meaning.format(body)) for body in _BODIES)
     )
+
+
+#: of bodies with layers: at each stored state
+LAYER_HISTORIES = _of_both(
+    "share_through_{}", ("step",), "1",
+    "share of the contact area where all layers of the {} ring are worn through",
 )  # fmt: skip
 #: along the contact line, as ``PROFILES``
-LAYER_PROFILES = _table(
-    *(
-        Variable(
-            f"layer_left_{body}", ("step", "element"), "mm",
-            f"thickness left of all layers of the {body} ring, along the axis",
-        )
-        for body in _BODIES
-    )
+LAYER_PROFILES = _of_both(
+    "layer_left_{}", ("step", "element"), "mm",
+    "thickness left of all layers of the {} ring, along the axis",
 )  # fmt: skip
 #: and by layer
-LAYER_VOLUMES = _table(
-    *(
-        Variable(
-            f"worn_volume_{body}_layers", ("step", "layer"), "mm3",
-            f"volume lost by each layer of the {body} ring, and by the ring itself",
-        )
-        for body in _BODIES
-    )
+LAYER_VOLUMES = _of_both(
+    "worn_volume_{}_layers", ("step", "layer"), "mm3",
+    "volume lost by each layer of the {} ring, and by the ring itself",
 )  # fmt: skip
 #: all of them
 LAYERS = {**LAYER_HISTORIES, **LAYER_VOLUMES, **LAYER_PROFILES}
