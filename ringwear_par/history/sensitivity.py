@@ -205,7 +205,7 @@ class Sensitivity:
     def rates(
         self, i: int, law: Law, p: FloatArray, at: LocalState, layer: int | None
     ) -> FloatArray:
-        """Return what the numbers do to rates, see ``RateVariation`` of increments."""
+        """Return what the numbers do to rates, see ``VaryingNumbers`` of increments."""
         out, whole = self.nothing(*p.shape), self._whole_laws[i]
         for row, name in self._laws[i]:
             if layer is not None and isinstance(whole, LayeredLaw):

@@ -165,10 +165,7 @@ class Along:
         self, increment: WearIncrement, p: FloatArray, d_step: FloatArray | None, instant: bool
     ) -> VariedIncrement:
         """Return how an increment varies with the numbers."""
-        numbers = self._numbers
-        return increment.varied(
-            p, numbers.rates, self.wear, d_step, instant, numbers.averages, numbers.thicknesses
-        )
+        return increment.varied(p, self._numbers, self.wear, d_step, instant)
 
     def unhindered(self) -> dict[int, FloatArray]:
         """Return derivatives of what the last stage wears off bodies all along, (P, ..., n) mm."""

@@ -1,9 +1,8 @@
 """The wear of one implicit step: a convex part of the contact problem, whatever the laws."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from types import MappingProxyType
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -17,9 +16,27 @@ _MEMORY_ITERATIONS = 60
 #: relative change at which the wear of a step is found, and below which it may stop falling
 _ROUND_OFF, _NOISE = 1e-15, 1e-9
 _POTENTIAL_PANELS, _BISECTIONS = 8, 60
-#: what P numbers do to the rate of a body, see ``WearIncrement.varied``
-RateVariation = Callable[[int, Law, FloatArray, LocalState, int | None], FloatArray]
 _GAUSS = tuple(0.5 * v for v in np.polynomial.legendre.leggauss(8))
+
+
+class VaryingNumbers(Protocol):
+    """P numbers with which the wear of a step varies, see ``WearIncrement.varied``."""
+
+    @property
+    def averages(self) -> Mapping[int, tuple[int, FloatArray]]:
+        """Of bodies, which number their averages depend on, and (n, n) how."""
+
+    @property
+    def thicknesses(self) -> Mapping[int, FloatArray]:
+        """Of bodies with layers, (layers, P) derivatives of their thicknesses."""
+
+    def rates(
+        self, i: int, law: Law, p: FloatArray, at: LocalState, layer: int | None
+    ) -> FloatArray:
+        """Return what the numbers themselves do to the rate of body i, (P, ..., n) mm/s.
+
+        At given pressure and wear, in one of its layers if it has any.
+        """
 
 
 def averaging(r: FloatArray, area: FloatArray, length: complex) -> FloatArray:
@@ -48,10 +65,14 @@ def d_averaging(r: FloatArray, area: FloatArray, length: float) -> FloatArray:
 
 
 def averaged(average: FloatArray, x: FloatArray) -> FloatArray:
-    """Return averages, (..., n), of x: of each history alone, as BLAS rounds many otherwise."""
-    if x.ndim == 1:
-        return average @ x
-    return np.array([averaged(average, row) for row in x])
+    """Return averages, (..., n), of x, without BLAS: its rounding may turn on where x lies.
+
+    Parameters
+    ----------
+    average : (..., n, n) float.
+    """
+    products: FloatArray = average * x[..., None, :]
+    return products.sum(axis=-1)
 
 
 def averaged_rate(
@@ -252,31 +273,26 @@ class WearIncrement:
     def varied(
         self,
         p: FloatArray,
-        numbers: RateVariation,
+        numbers: VaryingNumbers,
         d_wear: FloatArray,
         d_step: FloatArray | None,
         instant: bool,
-        d_averages: Mapping[int, tuple[int, FloatArray]] = MappingProxyType({}),
-        d_thickness: Mapping[int, FloatArray] = MappingProxyType({}),
     ) -> "VariedIncrement":
         """Return how the unhindered depths vary with P numbers, and with pressure.
 
         Parameters
         ----------
-        numbers : ``(i, law, p, at, layer) -> (P, ..., n)`` mm/s, what the numbers themselves do to
-            the rate of body i at given pressure and wear, in one of its layers if it has any.
+        numbers : they.
         d_wear : (2, P, ..., n) mm, derivatives of the wear before the step.
         d_step : (P, ..., n) s, those of ``step``; None: 0.
         instant : whether rates are those before the step, as in explicit steps.
-        d_averages : of bodies, which number their averages depend on, and (n, n) how.
-        d_thickness : of bodies with layers, (layers, P) derivatives of their thicknesses.
         """
         bodies = []
         for i, law, at, average in self._each:
             q = np.maximum(p if average is None else averaged(average, p), 0.0)
             within = law.remembers and not instant
             there = self._after(law, at, q) if within else at
-            change = numbers(i, law, q, there, None)
+            change = numbers.rates(i, law, q, there, None)
             before = law.d_rate_dbefore(q, there)
             if before is not None:
                 normal = d_wear[i] if self.obliquity is None else d_wear[i] / self.obliquity
@@ -289,7 +305,7 @@ class WearIncrement:
                 left = 1.0 - self.step * before
                 change /= left
                 slope = slope / left
-            row, d_average = d_averages.get(i, (0, None))
+            row, d_average = numbers.averages.get(i, (0, None))
             if d_average is not None:
                 change[row] += slope * averaged(d_average, p)
             depths = self._axial(change if average is None else averaged(average, change))
@@ -382,10 +398,7 @@ class WearIncrement:
         """Return what a small change of pressure does to the depth, (..., n) mm."""
         if self.local:
             return self.d_depth_dp(p) * change
-        jacobian = self.jacobian(p)
-        if p.ndim == 1:
-            return jacobian @ change
-        return np.array([averaged(j, x) for j, x in zip(jacobian, change, strict=True)])
+        return averaged(self.jacobian(p), change)
 
     def potential(self, p: FloatArray) -> FloatArray:
         """Return the integral of the depth from 0 to p, (..., n) MPa mm.

@@ -8,13 +8,12 @@ import itertools
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 
 from ringwear_par.arrays import FloatArray
-from ringwear_par.wear.increment import RateVariation, VariedIncrement, WearIncrement
+from ringwear_par.wear.increment import VariedIncrement, VaryingNumbers, WearIncrement
 from ringwear_par.wear.law import Law, LocalState
 from ringwear_par.wear.layered import LayeredLaw, Passage, d_passage, passage
 
@@ -328,12 +327,10 @@ class LayeredIncrement(WearIncrement):
     def varied(
         self,
         p: FloatArray,
-        numbers: RateVariation,
+        numbers: VaryingNumbers,
         d_wear: FloatArray,
         d_step: FloatArray | None,
         instant: bool,
-        d_averages: Mapping[int, tuple[int, FloatArray]] = MappingProxyType({}),
-        d_thickness: Mapping[int, FloatArray] = MappingProxyType({}),
     ) -> "VariedIncrement":
         """Return how depths vary with P numbers, and with pressure.
 
@@ -344,7 +341,9 @@ class LayeredIncrement(WearIncrement):
             body = self._bodies.get(i)
             normal = d_wear[i] if self.obliquity is None else d_wear[i] / self.obliquity
             layers: list[tuple[int | None, Law, LocalState]] = [(None, law, at)]
-            ends = self._d_ends(d_thickness[i], normal) if body is not None else normal[None]
+            ends = (
+                self._d_ends(numbers.thicknesses[i], normal) if body is not None else normal[None]
+            )
             if body is not None:
                 each = zip(body.law.laws, body.states, strict=True)
                 layers = [(number, *own) for number, own in enumerate(each)]
@@ -354,7 +353,7 @@ class LayeredIncrement(WearIncrement):
                 within = own.remembers and not instant
                 after = self._after(own, there, q) if within else there
                 full[place] = self.step * own.rate(q, after)
-                change[place] = numbers(i, own, q, after, layer)
+                change[place] = numbers.rates(i, own, q, after, layer)
                 before = own.d_rate_dbefore(q, after)
                 if before is not None:
                     if body is None:
