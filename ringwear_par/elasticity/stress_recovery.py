@@ -176,10 +176,10 @@ class StressRecovery:
         ]
         mine = parts[self._comm.rank :: self._comm.size]
         blocks = [(own, zone_influence(zone, points[own])) for zone, own in mine]
-        surface, contact = surface_influence(zones[0]), boundaries[0].contact
+        surface, face = surface_influence(zones[0]), boundaries[0].middle
         return _Known(
             search, points, numbers, blocks,
-            Influence(surface.normal[contact], surface.torsion[contact]),
+            Influence(surface.normal[face], surface.torsion[face]),
         )  # fmt: skip
 
 
@@ -196,7 +196,7 @@ def load_stress_kernels(comm: MPI.Comm) -> None:
 
     nodes = np.array([[1.0, 0.0], [1.5, 0.0], [2.0, 0.0]])
     none = np.empty(0, dtype=np.int64)
-    boundary = BoundaryMesh(nodes, np.array([[0, 1, 2]]), *6 * (none,))
+    boundary = BoundaryMesh(nodes, np.array([[0, 1, 2]]), *7 * (none,))
 
     def load() -> None:
         stress_rows(

@@ -18,7 +18,7 @@ from ringwear_par.elasticity.boundary import node_wear, zone_meshes
 from ringwear_par.elasticity.mesh import Mesh, contact_line
 from ringwear_par.elasticity.pair import assemble_pair
 from ringwear_par.elasticity.quadrature import quadrature
-from ringwear_par.elasticity.sections import Body, Material, Section
+from ringwear_par.elasticity.sections import Body, Material, Section, soft_film
 from ringwear_par.elasticity.slopes import pair_slope
 from ringwear_par.elasticity.updated import UpdatedGeometry, moving_parts
 
@@ -29,7 +29,9 @@ UPPER = Body(Section(CONTACT, 20.0), 1e5, 0.3, "clamped")
 
 
 def layered(body, *layers):
-    section = replace(body.section, layers=tuple(thickness for thickness, _ in layers))
+    thicknesses = tuple(thickness for thickness, _ in layers)
+    film = soft_film(thicknesses, [*(material.young for _, material in layers), body.young])
+    section = replace(body.section, layers=thicknesses, film=film)
     return replace(body, section=section, layers=tuple(material for _, material in layers))
 
 
@@ -39,8 +41,12 @@ CHAMFERED = replace(
     layered(UPPER, (0.2, SOFT)),
     section=Section(CONTACT, 20.0, ((28.5, -0.1), (28.6, 0.0), (31.4, 0.0), (31.5, -0.1)), (0.2,)),
 )
+FILM = layered(LOWER, (0.003, Material(1e2, 0.4)), (0.02, HARD))
 BODIES = [(COATED, CONTACT), (layered(UPPER, (0.3, SOFT)), CONTACT), (DISC, (0.0, 3.0)),
-          (DISC, (2.0, 3.0)), (CHAMFERED, CONTACT)]  # fmt: skip
+          (DISC, (2.0, 3.0)), (CHAMFERED, CONTACT), (FILM, CONTACT)]  # fmt: skip
+#: soft films so thin that elements are in parts
+THIN = [(thickness, Material(young, poisson)) for young, poisson, thickness in
+        [(1e3, 0.3, 0.003), (1e2, 0.3, 0.001), (1e1, 0.3, 0.01), (1e1, 0.4999, 0.003)]]  # fmt: skip
 QUANTITIES = ("normal", "torsion", "force_reaction", "torque_reaction")
 
 
@@ -131,7 +137,7 @@ def test_zones_share_their_interfaces_and_balance(body, contact, comm):
         True
     ]
     assert not base.displacement[base.boundary.elements[base.boundary.fixed].ravel(), 1:].any()
-    middle = top.boundary.elements[top.boundary.contact, 1]
+    middle = top.boundary.elements[top.boundary.middle, 1]
     assert np.array_equal(-top.displacement[middle, 1], condensed(body, mesh, comm, contact).normal)
 
 
@@ -152,6 +158,36 @@ def test_layers_of_the_same_material_are_none(layers, which, comm):
     both[which] = layered(both[which], *((thickness, own) for thickness in layers))
     found = approach(assemble_pair(tuple(both), line, mesh, comm), line)
     assert found == pytest.approx(plain, rel=1e-4)
+
+
+@pytest.mark.parametrize("film", THIN)
+def test_thin_soft_films_are_resolved(film, comm):
+    """Where each element as a whole pressed on the film, no compliance came out of it."""
+    line = contact_line(CONTACT, Mesh(64))
+    for bodies in ((layered(LOWER, film), UPPER), (LOWER, layered(UPPER, film))):
+        pair = assemble_pair(bodies, line, Mesh(64), comm)
+        matrix = pair.compliance((LOWER.young, UPPER.young)).matrix
+        assert np.linalg.eigvalsh(matrix).min() > 0.0
+
+
+def test_a_very_thin_film_is_a_winkler_foundation(comm):
+    """Its constrained modulus is all that is left of it (Johnson, Contact Mechanics, 5.8)."""
+    mesh, poisson, young = Mesh(64), 0.3, 1e2
+    line = contact_line(CONTACT, mesh)
+    modulus = young * (1.0 - poisson) / ((1.0 + poisson) * (1.0 - 2.0 * poisson))
+    bare = assemble_pair((LOWER, UPPER), line, mesh, comm).compliance((1e4, 1e5)).collocated
+
+    def approach_of(compliance):
+        p = np.linalg.solve(compliance, np.ones(line.n))
+        return 50.0 * line.area.sum() / float(line.area @ p)
+
+    off = []
+    for h in (0.001, 0.002, 0.004):
+        body = layered(LOWER, (h, Material(young, poisson)))
+        pair = assemble_pair((body, UPPER), line, mesh, comm)
+        winkler = approach_of(bare + h / modulus * np.eye(line.n))
+        off.append(approach_of(pair.compliance((1e4, 1e5)).collocated) / winkler - 1.0)
+    assert np.abs(off) == pytest.approx(np.array([1.0, 2.0, 4.0]) * 1e-4, rel=0.2)
 
 
 def test_harder_stiffer_and_thicker_more_so(comm):
