@@ -19,9 +19,9 @@ from ringwear_par.errors import ComputationError, InputError
 #: grading exponent of the free and fixed faces towards every corner and contact edge
 CORNER_GRADING = 3.5
 #: likewise on the contact face of a body with layers: towards the contact, and its outer ends
-_LAYERED_GRADING = 4.0, 1.5
+_LAYERED_GRADING = 3.0, 1.3
 #: by how much more elements that face has beside the contact
-_LAYERED_SHARE = 1.5
+_LAYERED_SHARE = 1.6
 #: likewise where stresses beside the contact are wanted
 _FINE_SHARE = 2.0
 #: fewest elements of a free or fixed face

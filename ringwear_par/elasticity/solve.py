@@ -112,18 +112,21 @@ def _solve_alone(
     for above, own in zip(parts[-2::-1], parts[:0:-1], strict=True):
         displaced = matrix[own, above]
         columns = np.flatnonzero(displaced.any(axis=0))
-        found = _solve_block(block, np.hstack([right, displaced[:, columns]]))
-        alone, per_displacement = np.hsplit(found, [right.shape[1]])
-        given.append((alone, per_displacement, columns))
-        block, right = matrix[above, above].copy(), loads[above]
+        loaded = np.flatnonzero(right.any(axis=0))  # mostly none: the contact is at the first zone
+        found = _solve_block(block, np.hstack([right[:, loaded], displaced[:, columns]]))
+        alone, per_displacement = np.hsplit(found, [len(loaded)])
+        given.append((alone, loaded, per_displacement, columns))
+        block, right = matrix[above, above].copy(), loads[above].copy()
         pulled = matrix[above, own]
         tractions = np.flatnonzero(pulled.any(axis=0))
         pulled = pulled[:, tractions]
         block[:, columns] -= pulled @ per_displacement[tractions]
-        right = right - pulled @ alone[tractions]
+        right[:, loaded] -= pulled @ alone[tractions]
     x = [_solve_block(block, right)]
-    for alone, per_displacement, columns in reversed(given):
-        x.append(alone - per_displacement @ x[-1][columns])
+    for alone, loaded, per_displacement, columns in reversed(given):
+        below = -per_displacement @ x[-1][columns]
+        below[:, loaded] += alone
+        x.append(below)
     solution = np.concatenate(x)
     return solution, _residual(matrix, loads, solution.sum(axis=1))
 
