@@ -7,6 +7,7 @@
 import copy
 import re
 from collections.abc import Mapping
+from contextlib import suppress
 from typing import Any
 
 from ringwear_par.cases.schema import LAYER_LAWS, key_of, layer_entry
@@ -90,18 +91,18 @@ def with_entries(path: str, layers: Any, changes: Mapping[str, Any]) -> Any:
 
 def layers_in_full(path: str, layers: Any) -> Any:
     """Return the raw list of layers with numbers in the units of a case; wrong ones stay."""
-    entries = entries_of(layers)
-    if entries is None:
+    if entries_of(layers) is None:
         return layers
-    changes = {}
-    for entry, value in entries.items():
-        key = key_of(f"{path}{entry}")
-        if key is not None and isinstance(value, str | list | dict):
-            try:
-                changes[entry] = without_units(key, value)
-            except RejectedError:
-                continue
-    return with_entries(path, layers, changes) if changes else layers
+    found = copy.deepcopy(list(layers))
+    for i, layer in enumerate(found):
+        wear = layer.get("wear")
+        for name, table in ((f"{path}[{i}]", layer), (f"{path}[{i}].wear", wear)):
+            for entry, value in table.items() if isinstance(table, dict) else ():
+                key = key_of(f"{name}.{entry}")
+                if key is not None and isinstance(value, str | list | dict):
+                    with suppress(RejectedError):
+                        table[entry] = without_units(key, value)
+    return found
 
 
 def changed_layers(keys: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:

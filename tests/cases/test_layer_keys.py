@@ -141,3 +141,19 @@ def test_cases_of_columns_are_those_that_are_read():
     assert len(ids) == 2
     same = case.replace({"lower.layers[0].wear.p0": 0.0})  # which is the default
     assert case_id(read_keys(same.text)) == case_id(read_keys(case.text))
+
+
+@pytest.mark.parametrize(
+    ("wear", "said"),
+    [
+        ('law = "threshold", k = 1e-7, m = 2', "wear.m: has no meaning where"),
+        ('law = "threshold", k = 1e-7, kk = 2', "wear.kk: unknown key (did you mean wear.k?)"),
+    ],
+)
+def test_no_entry_of_a_file_is_lost(wear, said, tmp_path):
+    path = tmp_path / "case.toml"
+    path.write_text(TEXT.replace('law = "threshold", k = 2e-8', wear))
+    with pytest.raises(rw.InputError) as caught:
+        rw.read_case(path)
+    (fault,) = caught.value.faults
+    assert said in fault
