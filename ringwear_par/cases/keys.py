@@ -26,10 +26,8 @@ _ALTERNATIVES = (
 )
 _FILES = frozenset({"wear.lower.file", "wear.upper.file"})
 _PROFILES = frozenset({"lower.profile", "upper.profile"})
-#: keys that are tables, of which a change may name an entry
-_GRID = "stress.grid"
 #: tables that say something by being there
-_NEVER_EMPTY = {"stress"}
+_NEVER_EMPTY = {"stress", "stress.grid"}
 _FIXED_STEPS = frozenset({"time.step", "time.steps"})
 
 
@@ -270,7 +268,7 @@ def _with_parameters(keys: Mapping[str, Any], changes: Mapping[str, Any]) -> dic
     So is the size of a face's shape, ``upper.profile.crown``; it takes the place of another shape.
     """
     changes = dict(changes)
-    for table in ("wear.lower.parameters", "wear.upper.parameters", _GRID, *_PROFILES):
+    for table in ("wear.lower.parameters", "wear.upper.parameters", *_PROFILES):
         named = {path: v for path, v in changes.items() if path.startswith(f"{table}.")}
         if named:
             before = None if table in _PROFILES else changes.get(table, keys.get(table))

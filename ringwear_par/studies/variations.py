@@ -12,7 +12,7 @@ from ringwear_par.arrays import FloatArray, IntArray
 from ringwear_par.cases.keys import override
 from ringwear_par.cases.layers import LAYERS, entries_of
 from ringwear_par.cases.schema import BY_PATH, Key, key_of, layer_entry
-from ringwear_par.cases.suggestions import nearest_key
+from ringwear_par.cases.suggestions import unknown_key
 from ringwear_par.cases.text import shortened
 from ringwear_par.cases.units import without_units
 from ringwear_par.cases.values import RejectedError, is_number
@@ -251,7 +251,7 @@ def read_variations(
         path = path_of(key)
         said = f'{name}: vary."{legible(key)}"'
         if path not in BY_PATH:
-            faults.append(f"{said}: unknown key{nearest_key(path)}")
+            faults.append(f"{said}: {unknown_key(path)}")
         elif path == "title":
             faults.append(f"{said}: a title makes no other case; must be another key")
         elif not has_entry(key):

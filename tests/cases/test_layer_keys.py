@@ -72,6 +72,14 @@ WRONG = {
     "wear.k=-1": "--set lower.layers[0].wear.k = -1: must be a finite number >= 0, or a table "
     "[[t, value], ...] in time, t in s and increasing, or a profile { r = [[r, value], ...] },"
     " r in mm and increasing (1/MPa)",
+    "wear.law='treshold'": '--set lower.layers[0].wear.law = "treshold": must be "threshold" or '
+    '"archard" or "power" or "table" or "running-in" (did you mean "threshold"?)',
+    "wear={ law = 'non-local', k = 1e-7, length = 0.1 }": "--set lower.layers[0].wear.law = "
+    '"non-local": must be "threshold" or "archard" or "power" or "table" or "running-in"',
+    "wear={ law = 'user', file = 'a.py' }": '--set lower.layers[0].wear.law = "user": must be '
+    '"threshold" or "archard" or "power" or "table" or "running-in"',
+    "wear={ law = 'threshold', K = 1e-7 }": "--set lower.layers[0].wear.K: unknown key (did you "
+    "mean wear.k?)",
     "wear.law='user'": '--set lower.layers[0].wear.law = "user": must be "threshold" or "archard" '
     'or "power" or "table" or "running-in"',
     "wear.m=2": "case.toml: lower.layers[0].wear.m: has no meaning where lower.layers[0].wear.law "
@@ -92,10 +100,13 @@ def test_sentences_for_layers_that_do_not_fit_their_body():
             parse_case(TEXT, "case.toml", settings)
         return str(caught.value)
 
-    assert "lower.layers[1].young: the case has no such layer; must be of lower.layers[0]" in told(
-        "lower.layers[1].young=1"
+    assert told("lower.layers[1].young=1") == (
+        "--set lower.layers[1].young = 1: the case has no such layer; must be of lower.layers[0]"
     )
-    assert "lower.layers = 3: must be a list of tables" in told("lower.layers=3")
+    assert "lower.layers = 3: must be a list of at most 1000 tables" in told("lower.layers=3")
+    many = told("lower.layers=[" + "{ thickness = 0.1 }, " * 1001 + "]")
+    assert "[[lower.layers]] for each of them (there are 1001 of them)" in many
+    assert "\n" not in many
     missing = told("lower.layers=[{ thickness = 0.1 }]")
     assert "lower.layers[0].young is missing: must be a finite number > 0 (MPa)" in missing
     assert "lower.layers[0].poisson is missing" in missing
