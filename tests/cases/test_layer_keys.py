@@ -13,6 +13,7 @@ from ringwear_par.cases.reading import parse_case
 from ringwear_par.cases.schema import schema, unit_of
 from ringwear_par.elasticity.sections import Material
 from ringwear_par.history.bodies import bodies, operator_key
+from ringwear_par.history.limits import check_mesh
 from ringwear_par.studies.identities import case_id
 from ringwear_par.studies.variations import split_key, value_of, varied_keys
 from ringwear_par.wear.archard import ArchardLaw
@@ -168,3 +169,18 @@ def test_no_entry_of_a_file_is_lost(wear, said, tmp_path):
         rw.read_case(path)
     (fault,) = caught.value.faults
     assert said in fault
+
+
+@pytest.mark.parametrize(
+    ("thickness", "said"),
+    [
+        (1e-9, "lower.layers[0].thickness = 1e-09: the shortest element on its side is"),
+        (19.9999999999, "lower.layers: leave 1.0e-10 mm of lower itself: the shortest element"),
+    ],
+)
+def test_layers_that_drown_in_round_off_are_refused(thickness, said):
+    case = rw.read_case(CASE, {"lower.layers[0].thickness": thickness})
+    with pytest.raises(rw.InputError) as caught:
+        check_mesh(case, "case.toml")
+    assert str(caught.value).startswith(f"case.toml: {said}")
+    assert str(caught.value).endswith("must be at least 4.0e-10 mm")
