@@ -20,6 +20,7 @@ from ringwear_par.cases.faults import (
 from ringwear_par.cases.keys import (
     flatten,
     in_full,
+    naming,
     override,
     parse_overrides,
     read_keys,
@@ -62,7 +63,9 @@ def read_case(source: str | Path | Mapping[str, Any], overrides: Overrides = ())
         path = Path(source)
         return parse_case(read_text(path), str(path), overrides, path.parent)
     refuse_study(source, "case")
-    keys = override({}, in_full(flatten(source, "case"), Path()))
+    given = flatten(source, "case")
+    with naming("case:"):
+        keys = override({}, in_full(given, Path()))
     return _changed(keys, "case", overrides, None)
 
 
@@ -76,7 +79,8 @@ def parse_case(text: str, name: str, overrides: Overrides = (), folder: Path | N
     InputError : all faults, one sentence each.
     """
     keys = read_keys(text, name)
-    found = in_full(keys, folder) if folder is not None else keys
+    with naming(f"{name}:"):
+        found = in_full(keys, folder) if folder is not None else keys
     return _changed(found, name, overrides, text if found == keys else None)
 
 
@@ -87,10 +91,8 @@ def _changed(keys: Mapping[str, Any], name: str, overrides: Overrides, text: str
         setting, changes = "--set", flatten(parse_overrides(overrides), "--set")
     if not changes:
         return make_case(keys, name, text)
-    try:
+    with naming(setting):
         merged = override(keys, in_full(changes, Path()))
-    except InputError as error:
-        raise InputError(*(f"{setting} {fault}" for fault in error.faults)) from error
     return make_case(merged, Origin(name, frozenset(changes), setting))
 
 

@@ -8,6 +8,7 @@ import numpy as np
 from ringwear_par.cases.case import Case, Ring
 from ringwear_par.cases.law_trials import refuse_bad_laws
 from ringwear_par.cases.numbers import number_faults
+from ringwear_par.cases.stress import check_stress
 from ringwear_par.contact.problem import REPLICATED_LIMIT
 from ringwear_par.elasticity.boundary import count_elements, zone_meshes
 from ringwear_par.errors import InputError
@@ -128,6 +129,7 @@ def check_case(case: Case, ranks: int, name: str, known_mesh: bool = False) -> N
     def try_numbers() -> None:
         if faults := number_faults(case, name):
             raise InputError(*faults)
+        check_stress(name, case)  # of one that was not read
 
     for check in (
         try_numbers,

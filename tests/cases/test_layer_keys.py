@@ -1,5 +1,6 @@
 """Layers in case files: what is read, set and varied of them, and a sentence for what is wrong."""
 
+import tomllib
 from pathlib import Path
 
 import numpy as np
@@ -184,3 +185,17 @@ def test_layers_that_drown_in_round_off_are_refused(thickness, said):
         check_mesh(case, "case.toml")
     assert str(caught.value).startswith(f"case.toml: {said}")
     assert str(caught.value).endswith("must be at least 4.0e-10 mm")
+
+
+def test_where_a_layer_that_is_not_there_was_named():
+    tables = {"case": {**tomllib.loads(TEXT), "upper.layers[0].young": 1}}
+    said = "upper.layers[0].young = 1: the case has no such layer; must be of one of upper.layers"
+    with pytest.raises(rw.InputError) as caught:
+        rw.read_case(tables["case"])
+    assert str(caught.value).startswith(f"case: {said}")
+    with pytest.raises(rw.InputError) as caught:
+        rw.read_case(CASE).replace({"upper.layers[0].young": 1})
+    assert str(caught.value).startswith(f"override {said}")
+    with pytest.raises(rw.InputError) as caught:
+        rw.read_study({**tables, "vary": {"load.pressure": {"values": [1.0]}}})
+    assert str(caught.value).startswith(f"study: case: {said}")
