@@ -1,5 +1,6 @@
 """A laboratory for tests: rings of few elements, what instruments read of them, and fit files."""
 
+import copy
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +19,9 @@ FITTED = {
 END = 100.0
 #: mm
 SD_PENETRATION, SD_PROFILE = 2e-4, 8e-5
+#: places in a fit file of two series of its first test, and of a parameter
+PEN, PROF = ("experiment", 0, "data", 0), ("experiment", 0, "data", 1)
+K = ("fit", "parameters", "wear.lower.k")
 
 
 def history(pressure, truth=TRUTH, end=END, **changes):
@@ -99,3 +103,17 @@ def fit_tables(folder, experiments, **fit):
         "fit": {"parameters": dict(FITTED), "starts": 2, **fit},
         "experiment": experiments,
     }
+
+
+def changed(tables, path, value):
+    """Return a fit file with one entry changed; None takes it away."""
+    found = copy.deepcopy(tables)
+    *inner, last = path
+    place = found
+    for key in inner:
+        place = place[key]
+    if value is None:
+        del place[last]
+    else:
+        place[last] = value
+    return found

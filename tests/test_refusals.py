@@ -12,7 +12,8 @@ from swept import write_study
 
 from ringwear_par.cli import main
 
-PAPER = str(Path(__file__).parents[1] / "scripts" / "cases" / "paper.toml")
+CASES = Path(__file__).parents[1] / "scripts" / "cases"
+PAPER, COATED, STRESS = (str(CASES / f"{name}.toml") for name in ("paper", "coated", "stress"))
 
 
 @pytest.fixture
@@ -47,6 +48,23 @@ def ringwear(shared_path, comm, monkeypatch, capfd):
             "output.fields",
         ),
         ([PAPER, "-o", "a.h5", "--set", "time.steps=1000000000000"], "GB of memory"),
+        (
+            [COATED, "-o", "a.h5", "--set", "lower.layers[0].thickness=25"],
+            "are 25 mm thick together; must be less than the 20 mm of lower",
+        ),
+        (
+            [COATED, "-o", "a.h5", "--set", "lower.layers[0].wear={ law = 'treshold', k = 1 }"],
+            '(did you mean "threshold"?)',
+        ),
+        (
+            [PAPER, "-o", "a.h5", "--set", "stress.points=[[30, 20]]"],
+            "lies on the faces of both bodies; must have its side",
+        ),
+        (
+            [STRESS, "-o", "a.h5", "--set", "stress.grid.n=[1, 1]"],
+            "--set stress.grid.n = [1, 1]: must be two whole numbers from 2 to 10000",
+        ),
+        ([STRESS, "-o", "a.h5", "--set", "stress.grid.n=[10000, 10000]"], "points of [stress]"),
         ([PAPER, "-o", "a.h5", "--", "-bem_nonsense", "3"], "-bem_nonsense: no solver"),
     ],
 )

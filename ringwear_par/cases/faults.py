@@ -69,7 +69,8 @@ def joint_faults(origin: Origin, keys: Mapping[str, Any], values: Mapping[str, A
     ]
     faults += _overlap_faults(origin.whole, values)
     faults += _load_faults(origin.whole, values)
-    faults += _time_faults(origin.name, values)
+    faults += _time_faults(origin, values)
+    faults += _grid_faults(origin.name, keys)
     return faults
 
 
@@ -160,7 +161,7 @@ def _load_faults(name: str, values: Mapping[str, Any]) -> list[str]:
     return faults
 
 
-def _time_faults(name: str, values: Mapping[str, Any]) -> list[str]:
+def _time_faults(origin: Origin, values: Mapping[str, Any]) -> list[str]:
     """Return the faults of the time steps and the times of output."""
     needed = {"time.scheme", "time.step", "time.steps", "time.end", "output.times"}
     if not needed <= values.keys():
@@ -171,25 +172,31 @@ def _time_faults(name: str, values: Mapping[str, Any]) -> list[str]:
     missing = [key for key, value in fixed.items() if value is None]
     if scheme == "adaptive":
         if end is None and missing:
-            faults.append(f"{name}: time.end is missing: {BY_PATH['time.end'].rule}")
+            faults.append(f"{origin.name}: time.end is missing: {BY_PATH['time.end'].rule}")
     else:
         faults += [
-            f'{name}: {key} is missing: {BY_PATH[key].rule} where time.scheme = "{scheme}"'
+            f'{origin.name}: {key} is missing: {BY_PATH[key].rule} where time.scheme = "{scheme}"'
             for key in missing
         ]
     if end is None and not missing:
         end = fixed["time.step"] * fixed["time.steps"]
-    times = values["output.times"]
-    if times and end is not None and times[-1] > end * (1.0 + SAME_TIME):
-        faults.append(
-            f"{name}: output.times: {times[-1]:g} is after the end; must be <= {end:g} (s)"
-        )
-    for key in ("output.boundary", "stress.times"):
+    for key in ("output.times", "output.boundary", "stress.times"):
         asked = values.get(key)
         late = asked[-1] if isinstance(asked, tuple) else 0.0
         if end is not None and late > end * (1.0 + SAME_TIME):
-            faults.append(f"{name}: {key}: {late:g} is after the end; must be <= {end:g} (s)")
+            faults.append(
+                f"{origin.whole}: {key}: {late:g} is after the end; must be <= {end:g} (s)"
+            )
     return faults
+
+
+def _grid_faults(name: str, keys: Mapping[str, Any]) -> list[str]:
+    """Return what is missing of a grid."""
+    table = "stress.grid."
+    if not any(path.startswith(table) for path in keys):
+        return []
+    needed = [key for key in BY_PATH.values() if key.path.startswith(table) and key.default is None]
+    return [f"{name}: {key.path} is missing: {key.rule}" for key in needed if key.path not in keys]
 
 
 def contact_faces(name: str, values: Mapping[str, Any], faults: list[str]) -> dict[str, Polyline]:

@@ -2,6 +2,7 @@
 
 import itertools
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -26,11 +27,18 @@ _ALTERNATIVES = (
 )
 _FILES = frozenset({"wear.lower.file", "wear.upper.file"})
 _PROFILES = frozenset({"lower.profile", "upper.profile"})
-#: keys that are tables, of which a change may name an entry
-_GRID = "stress.grid"
 #: tables that say something by being there
-_NEVER_EMPTY = {"stress"}
+_NEVER_EMPTY = {"stress", "stress.grid"}
 _FIXED_STEPS = frozenset({"time.step", "time.steps"})
+
+
+@contextmanager
+def naming(said: str) -> Iterator[None]:
+    """Say where faults are that do not tell: "--set", "case.toml:"."""
+    try:
+        yield
+    except InputError as error:
+        raise InputError(*(f"{said} {fault}" for fault in error.faults)) from error
 
 
 def read_keys(text: str, name: str = "case") -> dict[str, Any]:
@@ -62,7 +70,9 @@ def base_keys(
     base = tables.get("case")
     try:
         if in_python and isinstance(base, Mapping):
-            return override({}, in_full(flatten(base, f"{name}: case"), folder))
+            given = flatten(base, f"{name}: case")
+            with naming(f"{name}: case:"):
+                return override({}, in_full(given, folder))
         if isinstance(base, str):
             path = folder / base
             try:
@@ -70,7 +80,9 @@ def base_keys(
             except InputError as error:
                 faults.append(f"{name}: case = {shortened(base)}: {error}")
                 return None
-            return in_full(read_keys(text, str(path)), path.parent)
+            keys = read_keys(text, str(path))
+            with naming(f"{path}:"):
+                return in_full(keys, path.parent)
     except InputError as error:
         faults += error.faults
         return None
@@ -270,7 +282,7 @@ def _with_parameters(keys: Mapping[str, Any], changes: Mapping[str, Any]) -> dic
     So is the size of a face's shape, ``upper.profile.crown``; it takes the place of another shape.
     """
     changes = dict(changes)
-    for table in ("wear.lower.parameters", "wear.upper.parameters", _GRID, *_PROFILES):
+    for table in ("wear.lower.parameters", "wear.upper.parameters", *_PROFILES):
         named = {path: v for path, v in changes.items() if path.startswith(f"{table}.")}
         if named:
             before = None if table in _PROFILES else changes.get(table, keys.get(table))

@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from typing import Any
 
-from ringwear_par.cases.schema import Key, key_of
+from ringwear_par.cases.schema import key_of
 from ringwear_par.errors import InputError
 from ringwear_par.wear.catalogue import LAWS
 from ringwear_par.wear.law import Law
@@ -26,12 +26,13 @@ def read_law(
     ----------
     name : what messages call the case.
     table : "wear.lower", "wear.upper", or that of a layer, "lower.layers[0].wear".
-    keys, values : dotted keys as given, and as read, defaults included and wrong ones left out.
+    keys, values : dotted keys as given, and as read, defaults included; without wrong ones, and
+        without those that a misspelt one means.
     faults : what is wrong with the case.
     """
     if not any(path.startswith(f"{table}.") for path in keys):
         return None
-    if f"{table}.law" not in keys:
+    if values.get(f"{table}.law", "") is None:
         faults.append(f"{name}: {table}.law is missing: {_rule(f'{table}.law')}")
     law = values.get(f"{table}.law")
     if law is None:
@@ -40,7 +41,7 @@ def read_law(
     found = [
         f'{table}.{key} is missing: {_rule(f"{table}.{key}")} where {table}.law = "{law}"'
         for key, parameter in declared.items()
-        if parameter.needed and f"{table}.{key}" not in keys
+        if parameter.needed and values.get(f"{table}.{key}", "") is None
     ]
     known = law_keys(table, law)
     found += [
@@ -49,11 +50,7 @@ def read_law(
         for path in keys
         if path.startswith(f"{table}.") and path not in known and key_of(path) is not None
     ]
-    own = {
-        key: values.get(f"{table}.{key}", _usual(f"{table}.{key}"))
-        for key in declared
-        if f"{table}.{key}" in values or f"{table}.{key}" not in keys
-    }
+    own = {key: values[path] for key in declared if (path := f"{table}.{key}") in values}
     found += LAWS[law].faults(f"{table}.", own)
     made = None
     if not found and len(own) == len(declared):
@@ -65,19 +62,10 @@ def read_law(
     return made
 
 
-def _key(path: str) -> Key:
+def _rule(path: str) -> str:
     key = key_of(path)
     assert key is not None
-    return key
-
-
-def _rule(path: str) -> str:
-    return _key(path).rule
-
-
-def _usual(path: str) -> Any:
-    """Return the default of a key, that of layers among them."""
-    return _key(path).default
+    return key.rule
 
 
 def _owners(path: str) -> str:

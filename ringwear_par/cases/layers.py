@@ -7,12 +7,15 @@
 import copy
 import re
 from collections.abc import Mapping
+from contextlib import suppress
 from typing import Any
 
-from ringwear_par.cases.schema import LAYER_LAWS, key_of, layer_entry
+from ringwear_par.cases.schema import LAYER_LAWS, MOST_LAYERS, key_of, layer_entry
+from ringwear_par.cases.text import shortened
 from ringwear_par.cases.units import without_units
 from ringwear_par.cases.values import RejectedError
 from ringwear_par.errors import InputError, legible
+from ringwear_par.wear.catalogue import LAWS
 from ringwear_par.wear.parameters import parameters_of
 
 LAYERS = ("lower.layers", "upper.layers")
@@ -34,9 +37,35 @@ def expanded(keys: Mapping[str, Any]) -> dict[str, Any]:
     return found
 
 
+def layer_tables(keys: Mapping[str, Any]) -> list[str]:
+    """Return the names of the layers among dotted keys: "lower.layers[0]"."""
+    return [
+        f"{path}[{i}]"
+        for path in LAYERS
+        if entries_of(keys.get(path)) is not None
+        for i in range(len(keys[path]))
+    ]
+
+
+def of_refused_law(path: str, entries: Mapping[str, Any]) -> bool:
+    """Tell whether a key is a parameter of a law that layers cannot wear by.
+
+    Parameters
+    ----------
+    entries : dotted keys and raw values, layers entry by entry.
+    """
+    table, _, name = path.rpartition(".")
+    law = entries.get(f"{table}.law")
+    if layer_entry(path) is None or not isinstance(law, str) or law in LAYER_LAWS:
+        return False
+    return law in LAWS and name in parameters_of(LAWS[law])
+
+
 def entries_of(layers: Any) -> dict[str, Any] | None:
-    """Return raw values by entry, "[0].wear.k"; None where they are no list of tables."""
+    """Return raw values by entry, "[0].wear.k"; None where they are no such list."""
     if not (isinstance(layers, list | tuple) and all(isinstance(own, dict) for own in layers)):
+        return None
+    if len(layers) > MOST_LAYERS:
         return None
     found: dict[str, Any] = {}
     for i, layer in enumerate(layers):
@@ -65,8 +94,8 @@ def with_entries(path: str, layers: Any, changes: Mapping[str, Any]) -> Any:
         if i >= len(changed):
             there = ", ".join(f"{path}[{j}]" for j in range(len(changed)))
             raise InputError(
-                f"{path}[{i}].{legible(entry)}: the case has no such layer; must be of "
-                + (there or f"one of {path}, of which it has none")
+                f"{path}[{i}].{legible(entry)} = {shortened(value)}: the case has no such layer; "
+                "must be of " + (there or f"one of {path}, of which it has none")
             )
         table, last = changed[i], entry
         if entry.startswith("wear."):
@@ -90,18 +119,18 @@ def with_entries(path: str, layers: Any, changes: Mapping[str, Any]) -> Any:
 
 def layers_in_full(path: str, layers: Any) -> Any:
     """Return the raw list of layers with numbers in the units of a case; wrong ones stay."""
-    entries = entries_of(layers)
-    if entries is None:
+    if entries_of(layers) is None:
         return layers
-    changes = {}
-    for entry, value in entries.items():
-        key = key_of(f"{path}{entry}")
-        if key is not None and isinstance(value, str | list | dict):
-            try:
-                changes[entry] = without_units(key, value)
-            except RejectedError:
-                continue
-    return with_entries(path, layers, changes) if changes else layers
+    found = copy.deepcopy(list(layers))
+    for i, layer in enumerate(found):
+        wear = layer.get("wear")
+        for name, table in ((f"{path}[{i}]", layer), (f"{path}[{i}].wear", wear)):
+            for entry, value in table.items() if isinstance(table, dict) else ():
+                key = key_of(f"{name}.{entry}")
+                if key is not None and isinstance(value, str | list | dict):
+                    with suppress(RejectedError):
+                        table[entry] = without_units(key, value)
+    return found
 
 
 def changed_layers(keys: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:

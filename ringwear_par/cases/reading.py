@@ -1,5 +1,6 @@
 """Reading cases: from a text or tables to dotted keys, overrides, and from keys to a ``Case``."""
 
+import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -19,16 +20,17 @@ from ringwear_par.cases.faults import (
 from ringwear_par.cases.keys import (
     flatten,
     in_full,
+    naming,
     override,
     parse_overrides,
     read_keys,
     refuse_study,
 )
 from ringwear_par.cases.laws import read_law
-from ringwear_par.cases.layers import LAYERS, entries_of, expanded
-from ringwear_par.cases.schema import KEYS, LAYER_KEYS, TABLES, key_of, layer_entry
-from ringwear_par.cases.stress import Stress, check_stress
-from ringwear_par.cases.suggestions import nearest_key
+from ringwear_par.cases.layers import LAYERS, expanded, layer_tables, of_refused_law
+from ringwear_par.cases.schema import KEYS, TABLES, key_of, keys_of_layer
+from ringwear_par.cases.stress import Grid, Stress, check_stress
+from ringwear_par.cases.suggestions import nearest_keys, unknown_key
 from ringwear_par.cases.text import shortened, toml_text
 from ringwear_par.cases.units import without_units
 from ringwear_par.cases.values import RejectedError
@@ -61,7 +63,9 @@ def read_case(source: str | Path | Mapping[str, Any], overrides: Overrides = ())
         path = Path(source)
         return parse_case(read_text(path), str(path), overrides, path.parent)
     refuse_study(source, "case")
-    keys = override({}, in_full(flatten(source, "case"), Path()))
+    given = flatten(source, "case")
+    with naming("case:"):
+        keys = override({}, in_full(given, Path()))
     return _changed(keys, "case", overrides, None)
 
 
@@ -75,7 +79,8 @@ def parse_case(text: str, name: str, overrides: Overrides = (), folder: Path | N
     InputError : all faults, one sentence each.
     """
     keys = read_keys(text, name)
-    found = in_full(keys, folder) if folder is not None else keys
+    with naming(f"{name}:"):
+        found = in_full(keys, folder) if folder is not None else keys
     return _changed(found, name, overrides, text if found == keys else None)
 
 
@@ -86,7 +91,8 @@ def _changed(keys: Mapping[str, Any], name: str, overrides: Overrides, text: str
         setting, changes = "--set", flatten(parse_overrides(overrides), "--set")
     if not changes:
         return make_case(keys, name, text)
-    merged = override(keys, in_full(changes, Path()))
+    with naming(setting):
+        merged = override(keys, in_full(changes, Path()))
     return make_case(merged, Origin(name, frozenset(changes), setting))
 
 
@@ -104,12 +110,11 @@ def make_case(keys: Mapping[str, Any], origin: Origin | str, text: str | None = 
     InputError : all faults, one sentence each.
     """
     origin = Origin(origin) if isinstance(origin, str) else origin
-    entries = expanded(keys)
-    values, faults = _read_values(entries, origin)
+    values, faults = _read_values(keys, origin)
     faults += joint_faults(origin, keys, values)
-    laws = [read_law(origin.name, table, entries, values, faults) for table in _WEAR]
+    laws = [read_law(origin.name, table, keys, values, faults) for table in _WEAR]
     faces = contact_faces(origin.whole, values, faults)
-    layers = {path: _read_layers(origin, path, keys, entries, values, faults) for path in LAYERS}
+    layers = {path: _read_layers(origin, path, keys, values, faults) for path in LAYERS}
     faults += layer_faults(origin.whole, values, faces, layers)
     if faults:
         raise InputError(*faults)
@@ -152,7 +157,7 @@ def outlines(text: str, name: str) -> tuple[Outline, Outline]:
     """
     keys = {path: v for path, v in read_keys(text, name).items() if not path.startswith("wear.")}
     keys = in_full(keys, Path())
-    values, faults = _read_values(expanded(keys), Origin(name))
+    values, faults = _read_values(keys, Origin(name))
     faces = contact_faces(name, values, faults)
     if faults:
         raise InputError(*faults)
@@ -180,7 +185,6 @@ def _read_layers(
     origin: Origin,
     path: str,
     keys: Mapping[str, Any],
-    entries: Mapping[str, Any],
     values: Mapping[str, Any],
     faults: list[str],
 ) -> tuple[RingLayer, ...]:
@@ -188,31 +192,30 @@ def _read_layers(
 
     Parameters
     ----------
-    keys, entries : dotted keys and raw values, with layers as lists and entry by entry.
-    values : what was read of these.
+    keys, values : dotted keys as given, and as read, layers entry by entry.
     """
-    found, layers = [], keys.get(path, [])
-    for i in range(0 if entries_of(layers) is None else len(layers)):
-        table = f"{path}[{i}]"
-        law = read_law(origin.name, f"{table}.wear", entries, values, faults)
-        needed = [key.path for key in LAYER_KEYS if key.default is ...]
-        faults += [
-            f"{origin.name}: {table}.{name} is missing: {own.rule}"
-            for name in needed
-            if f"{table}.{name}" not in entries and (own := key_of(f"{table}.{name}")) is not None
-        ]
-        sizes = [values[f"{table}.{n}"] for n in needed if f"{table}.{n}" in values]
-        if len(sizes) == len(needed):
-            thickness, young, poisson = sizes
-            found.append(RingLayer(thickness, young, poisson, law))
+    found = []
+    for table in layer_tables(keys):
+        if table.startswith(path):
+            law = read_law(origin.name, f"{table}.wear", expanded(keys), values, faults)
+            names = [f"{table}.{name}" for name in ("thickness", "young", "poisson")]
+            if values.keys() >= set(names):
+                thickness, young, poisson = (values[name] for name in names)
+                found.append(RingLayer(thickness, young, poisson, law))
     return tuple(found)
 
 
 def _read_values(keys: Mapping[str, Any], origin: Origin) -> tuple[dict[str, Any], list[str]]:
-    """Return what the keys hold, with defaults, and the faults of each by itself."""
+    """Return what the keys hold, with defaults, and the faults of each by itself.
+
+    Layers are read entry by entry. Keys that are wrong have no value, nor those that a misspelt one
+    means.
+    """
     faults: list[str] = []
     values: dict[str, Any] = {}
-    for path, value in keys.items():
+    given = expanded(keys)
+    meant: set[str] = set()
+    for path, value in given.items():
         key = key_of(path)
         if key is not None:
             try:
@@ -226,11 +229,11 @@ def _read_values(keys: Mapping[str, Any], origin: Origin) -> tuple[dict[str, Any
             said = f"{path} = {shortened(value)}"
             must = " of a law" if path not in TABLES else f", [{path}]"
             faults.append(f"{origin.of(path)}{said}: must be a table{must}")
-        else:
-            faults.append(f"{origin.of(path)}{legible(path)}: unknown key{nearest_key(path)}")
-    layered = {entry[0] for path in keys if (entry := layer_entry(path)) is not None}
-    for key in KEYS:
-        if key.path not in keys and key.path not in layered:
+        elif not of_refused_law(path, given):
+            faults.append(f"{origin.of(path)}{legible(path)}: {unknown_key(path)}")
+            meant.update(nearest_keys(path))
+    for key in itertools.chain(KEYS, *map(keys_of_layer, layer_tables(keys))):
+        if key.path not in given and key.path not in meant:
             if key.default is not ...:
                 values[key.path] = key.default
             else:
@@ -288,10 +291,9 @@ def _build(
 
 
 def _stress(values: Mapping[str, Any]) -> Stress:
-    points, grid, times, exclude = (
-        values[f"stress.{key}"] for key in ("points", "grid", "times", "exclude")
-    )
-    return Stress(points or (), grid, times, exclude)
+    points, times, exclude = (values[f"stress.{key}"] for key in ("points", "times", "exclude"))
+    body, r, z, n = (values[f"stress.grid.{key}"] for key in ("body", "r", "z", "n"))
+    return Stress(points or (), Grid(body, r, z, n) if n else None, times, exclude)
 
 
 def _stepping(values: Mapping[str, Any]) -> Stepping:

@@ -5,7 +5,8 @@ import math
 import re
 import textwrap
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cache
 from typing import Any
 
 from ringwear_par.cases.text import toml_value
@@ -16,7 +17,7 @@ from ringwear_par.cases.values import (
     Values,
     chamfer,
     choice,
-    grid,
+    counts,
     number,
     pair,
     parameters,
@@ -36,6 +37,9 @@ from ringwear_par.elasticity.profiles import SHAPE_UNITS
 from ringwear_par.wear.catalogue import LAWS
 from ringwear_par.wear.law import Law
 from ringwear_par.wear.parameters import Parameter, parameters_of
+
+#: most layers of a body, and most points of a grid along r or z
+MOST_LAYERS, MOST_ON_A_SIDE = 1000, 10_000
 
 FIELDS = ("pressure", "gap", "wear_lower", "wear_upper")
 
@@ -85,7 +89,11 @@ def _ring_keys(ring: str, name: str) -> list[Key]:
         Key(f"{ring}.density", *number(0.0), "g/mm^3", "for the lost mass of summaries", None),
         Key(
             f"{ring}.layers",
-            *tables("tables { thickness, young, poisson, wear }, from the contact face inwards"),
+            *tables(
+                "{ thickness, young, poisson, wear }, from the contact face inwards, or "
+                f"[[{ring}.layers]] for each of them",
+                MOST_LAYERS,
+            ),
             "-",
             f"bonded layers of the {ring} body: thickness (mm), young (MPa) and poisson of each, "
             f"and wear, a table of its law and parameters; absent: that of [wear.{ring}]. "
@@ -228,7 +236,7 @@ KEYS: tuple[Key, ...] = (
         "store these fields as often as the histories, or at the last step only", "all",
     ),
     Key(
-        "output.boundary", *which_times("none", "last", "all"), "-",
+        "output.boundary", *which_times("none", "last", "all"), "s",
         "stored steps at which displacement and traction of both whole boundaries are stored; "
         "times: the first stored step from each on", "none",
     ),
@@ -238,9 +246,14 @@ KEYS: tuple[Key, ...] = (
         "touch, the side says whose: above is upper, below lower", None,
     ),
     Key(
-        "stress.grid", *grid("lower", "upper", "both"), "mm",
-        "nr x nz points between two radii and two heights at which stress is stored, of one body "
-        "or both (default); those outside have none", None,
+        "stress.grid.body", *choice("lower", "upper", "both"), "-",
+        "of which body stress is stored on a grid of points; points outside have none", "both",
+    ),
+    Key("stress.grid.r", *pair(0.0), "mm", "first and last radius of the grid", None),
+    Key("stress.grid.z", *pair(-math.inf), "mm", "first and last height of the grid", None),
+    Key(
+        "stress.grid.n", *counts(2, MOST_ON_A_SIDE), "-",
+        "number of radii and of heights of the grid", None,
     ),
     Key(
         "stress.times", *which_times("last", "all"), "s",
@@ -278,6 +291,12 @@ def layer_entry(name: str) -> tuple[str, str, str] | None:
     """
     match = _LAYER.fullmatch(name)
     return None if match is None else (match[1], match[2], match[3])
+
+
+@cache
+def keys_of_layer(table: str) -> list[Key]:
+    """Return the keys of a layer, "lower.layers[0]", under their whole names."""
+    return [replace(key, path=f"{table}.{key.path}") for key in LAYER_KEYS]
 
 
 def key_of(name: str) -> Key | None:

@@ -1,11 +1,13 @@
 """Where and when a case asks for stress: points and a grid, each in one of the bodies."""
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
 from ringwear_par.arrays import BoolArray, FloatArray, IntArray
+from ringwear_par.cases.text import shortened
 from ringwear_par.elasticity.boundary_fields import BODIES
 from ringwear_par.elasticity.sections import corners
 from ringwear_par.errors import InputError
@@ -92,27 +94,7 @@ def check_stress(name: str, case: "Case") -> None:
     """
     if case.stress is None:
         return
-    faults, around, size = [], edges(case), _size(case)
-    for i, (r, z, side) in enumerate(case.stress.points):
-        said = f"{name}: stress.points[{i}] = {[r, z, side] if side else [r, z]}"
-        if np.hypot(*(around - [r, z]).T).min() <= _ON * size:
-            faults.append(f"{said}: lies on an edge; must be beside it, as stress is not defined")
-            continue
-        without = _bodies_at(case, r, z, "")
-        bodies = _bodies_at(case, r, z, side)
-        if not without:
-            faults.append(f"{said}: lies outside both bodies; must be in one of them (mm)")
-        elif len(without) > 1 and not side:
-            faults.append(
-                f'{said}: lies on the faces of both bodies; must have its side, "below" for lower '
-                'or "above" for upper'
-            )
-        elif not bodies:
-            faults.append(f'{said}: there is no body {side} it; must be without "{side}"')
-        elif not side and _on_interface(case, bodies[0], z):
-            faults.append(
-                f'{said}: lies between two layers; must have its side, "above" or "below"'
-            )
+    faults = [f"{name}: {fault}" for fault in _point_faults(case, case.stress.points)]
     grid = case.stress.grid
     if grid is not None and not any(
         _overlaps(grid.r, ring.r) and _overlaps(grid.z, ring.z)
@@ -121,11 +103,42 @@ def check_stress(name: str, case: "Case") -> None:
     ):
         which = "both bodies" if grid.body == "both" else grid.body
         faults.append(
-            f"{name}: stress.grid: r = {list(grid.r)}, z = {list(grid.z)} lie outside {which}; "
-            "must have a part of it"
+            f"{name}: stress.grid.r = {list(grid.r)}, stress.grid.z = {list(grid.z)}: lie outside "
+            f"{which}; must have a part of it (mm)"
+        )
+    most = min(max(ring.r[1] - ring.r[0], ring.z[1] - ring.z[0]) for ring in case.rings)
+    if case.stress.exclude >= most:
+        faults.append(
+            f"{name}: stress.exclude = {case.stress.exclude:g}: leaves nothing of a body; must be "
+            f"less than {most:g} (mm)"
         )
     if faults:
         raise InputError(*faults)
+
+
+def _point_faults(case: "Case", points: Sequence[tuple[float, float, Side]]) -> Iterator[str]:
+    """Return what is wrong with points."""
+    around, size = edges(case), _size(case)
+    before: dict[tuple[float, float, Side], int] = {}
+    for i, (r, z, side) in enumerate(points):
+        said = f"stress.points[{i}] = {shortened([r, z, side] if side else [r, z])}"
+        first = before.setdefault((r, z, side), i)
+        without, bodies = _bodies_at(case, r, z, ""), _bodies_at(case, r, z, side)
+        if first < i:
+            yield f"{said}: is stress.points[{first}] as well; must be another point"
+        elif np.hypot(*(around - [r, z]).T).min() <= _ON * size:
+            yield f"{said}: lies on an edge; must be beside it, as stress is not defined"
+        elif not without:
+            yield f"{said}: lies outside both bodies; must be in one of them (mm)"
+        elif len(without) > 1 and not side:
+            yield (
+                f'{said}: lies on the faces of both bodies; must have its side, "below" for lower '
+                'or "above" for upper'
+            )
+        elif not bodies:
+            yield f'{said}: there is no body {side} it; must be without "{side}"'
+        elif not side and _on_interface(case, bodies[0], z):
+            yield f'{said}: lies between two layers; must have its side, "above" or "below"'
 
 
 def _overlaps(one: tuple[float, float], other: tuple[float, float]) -> bool:

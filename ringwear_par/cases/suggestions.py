@@ -1,9 +1,10 @@
 """The known key that is nearest to an unknown one."""
 
 import difflib
+import re
 from collections.abc import Iterable
 
-from ringwear_par.cases.schema import BY_PATH, LAYER_KEYS, layer_entry
+from ringwear_par.cases.schema import BY_PATH, LAYER_KEYS, TABLES, layer_entry
 
 #: what users call the last parts of keys, in small letters without "_" and "-"
 _ALIASES: dict[str, tuple[str, ...]] = {
@@ -69,30 +70,53 @@ _ALIASES: dict[str, tuple[str, ...]] = {
 _NEAR, _NEAR_SHORT, _NEAR_ELSEWHERE = 0.6, 0.5, 0.75
 #: entries of a layer
 _TOLD = ("thickness", "young", "poisson", "wear")
+#: what is meant as one
+_LIKE_A_LAYER = re.compile(r"(lower|upper)\.layers?(?:[\[.](\d{1,3})\]?|\[[^\]]*\])?\.", re.ASCII)
 #: longer than any key, and slow to compare
 _LONGEST = 100
 
 
+def unknown_key(path: str) -> str:
+    """Return what is said of an unknown key: the nearest known ones, or those of its table."""
+    found = nearest_key(path)
+    if not found:
+        table = path.rpartition(".")[0]
+        known = dict.fromkeys([*BY_PATH, *sorted(TABLES)])
+        own = [_last(name) for name in known if name.rpartition(".")[0] == table]
+        if layer_entry(path) is not None:
+            own = list(_TOLD)
+        found = f"; must be {', '.join(own)}" if table and own else ""
+    return f"unknown key{found}"
+
+
 def nearest_key(path: str) -> str:
-    """Return a hint at the known key nearest to an unknown one, "" where none is near.
+    """Return a hint at the known key nearest to an unknown one, "" where none is near."""
+    entry, near = layer_entry(path), nearest_keys(path)
+    if entry is not None:  # its own layer needs no name
+        near = [key.removeprefix(f"{entry[0]}{entry[1]}.") for key in near]
+    return f" (did you mean {' or '.join(near)}?)" if near else ""
+
+
+def nearest_keys(path: str) -> list[str]:
+    """Return the known keys nearest to an unknown one.
 
     Last parts are compared first, and those of the same table before all others.
     """
     if len(path) > _LONGEST:
-        return ""
+        return []
     entry = layer_entry(path)
     if entry is not None:
-        own = [key.path for key in LAYER_KEYS]
-        near = _near(entry[2].rpartition(".")[2], own, _NEAR_SHORT)
-        return f" (did you mean {' or '.join(near)}?)" if near else f"; must be {', '.join(_TOLD)}"
-    table, _, last = path.rpartition(".")
+        own = _near(_last(entry[2]), [key.path for key in LAYER_KEYS], _NEAR_SHORT)
+        return [f"{entry[0]}{entry[1]}.{key}" for key in own]
+    if (match := _LIKE_A_LAYER.match(path)) is not None:
+        own = _near(_last(path), [key.path for key in LAYER_KEYS], _NEAR_SHORT)
+        return [f"{match[1]}.layers[{match[2] or 0}].{key}" for key in own]
+    table, last = path.rpartition(".")[0], _last(path)
     there = [known for known in BY_PATH if known.rpartition(".")[0] == table]
     near = _near(last, there, _NEAR if len(last) > 2 else _NEAR_SHORT)
     if not near:
         near = [known for known in BY_PATH if _plain(known, ".") == _plain(path, ".")]
-    if not near:
-        near = _in_table(table, _near(last, BY_PATH, _NEAR_ELSEWHERE))
-    return f" (did you mean {' or '.join(near)}?)" if near else ""
+    return near or _in_table(table, _near(last, BY_PATH, _NEAR_ELSEWHERE))
 
 
 def _plain(name: str, more: str = "") -> str:

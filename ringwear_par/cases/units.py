@@ -169,7 +169,7 @@ def without_units(key: "Key", value: Any, entry: str | None = None) -> Any:
     """
     if entry is not None:
         return _shape(entry, value) if key.kind == "points" else value
-    if key.kind in ("number", "pair", "chamfer", "places", "grid"):
+    if key.kind in ("number", "pair", "chamfer", "places"):
         return in_unit(value, key.unit)
     if key.kind == "times":
         return in_unit(value, "s") if isinstance(value, list) else value

@@ -1,5 +1,6 @@
 """What the keys of a case file may hold: how values are read, and what messages say of them."""
 
+import difflib
 import itertools
 import math
 from collections.abc import Callable
@@ -8,19 +9,17 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 
 from ringwear_par.arrays import BoolArray, FloatArray
-from ringwear_par.cases.stress import Grid
 from ringwear_par.elasticity.profiles import SHAPE_UNITS, Shape
 from ringwear_par.schedules import Quantity, Table
 
 #: a schedule is a number or a table in time, a quantity these or a profile along the radius
 Kind = Literal[
     "number", "whole", "schedule", "quantity", "pair", "chamfer", "points", "times", "choice",
-    "names", "text", "parameters", "layers", "places", "grid",
+    "names", "text", "parameters", "layers", "places", "counts",
 ]  # fmt: skip
 Reader = Callable[[Any], Any]
-#: most points of a grid along r or z
-MOST_ON_A_SIDE = 10_000
-_GRID = {"body", "r", "z", "n"}
+#: more of a word is not compared
+_LONGEST = 40
 
 
 class RejectedError(Exception):
@@ -197,16 +196,15 @@ def times() -> Values:
 
 def which_times(*names: str) -> Values:
     """Return lists of increasing times, s, and names for some of them."""
+    one_of = choice(*names).read
 
     def read(value: Any) -> str | tuple[float, ...]:
         if isinstance(value, str):
-            if value not in names:
-                raise RejectedError
-            return value
+            return one_of(value)
         return _increasing(value, number(0.0, ends=True).read)
 
     told = ", ".join(f'"{name}"' for name in names)
-    return Values("times", read, f"{told} or a list of increasing times (s)")
+    return Values("times", read, f"{told} or a list of increasing times")
 
 
 def pair(low: float) -> Values:
@@ -271,20 +269,23 @@ def profile() -> Values:
     return Values("points", read, told)
 
 
-def tables(told: str) -> Values:
+def tables(told: str, most: int) -> Values:
     """Return lists of tables whose entries are keys themselves, read one by one elsewhere.
 
     Parameters
     ----------
     told : what each of the tables is.
+    most : how many there may be.
     """
 
     def read(value: Any) -> tuple[dict[str, Any], ...]:
         if not isinstance(value, list) or not all(isinstance(entry, dict) for entry in value):
             raise RejectedError
+        if len(value) > most:
+            raise RejectedError(f"there are {len(value)} of them")
         return tuple(value)
 
-    return Values("layers", read, f"a list of {told}")
+    return Values("layers", read, f"a list of at most {most} tables {told}")
 
 
 def places(*sides: str) -> Values:
@@ -307,30 +308,16 @@ def places(*sides: str) -> Values:
     return Values("places", read, f"a list of points [r, z], or [r, z, side] with the side {told}")
 
 
-def grid(*bodies: str) -> Values:
-    """Return tables of a body, ranges of r and z, and how many points are in each of them."""
-    body, ranges, count = choice(*bodies), pair(-math.inf), whole(2, MOST_ON_A_SIDE)
+def counts(low: int, high: int) -> Values:
+    """Return pairs of whole numbers from one to another."""
+    each = whole(low, high)
 
-    def read(value: Any) -> Grid:
-        if not isinstance(value, dict) or not {"r", "z", "n"} <= value.keys() <= _GRID:
+    def read(value: Any) -> tuple[int, int]:
+        if not isinstance(value, list) or len(value) != 2:
             raise RejectedError
-        n = value["n"]
-        if not isinstance(n, list) or len(n) != 2:
-            raise RejectedError(f"n must be two of {count.allowed}")
-        read_as = {"body": body, "r": ranges, "z": ranges}
-        found = {}
-        for name, values in read_as.items():
-            try:
-                found[name] = values.read(value.get(name, bodies[-1]))
-            except RejectedError as error:
-                raise RejectedError(f"{name} must be {values.allowed}") from error
-        try:
-            numbers = count.read(n[0]), count.read(n[1])
-        except RejectedError as error:
-            raise RejectedError(f"each of n must be {count.allowed}") from error
-        return Grid(**found, n=numbers)
+        return each.read(value[0]), each.read(value[1])
 
-    return Values("grid", read, "a table { body, r = [r1, r2], z = [z1, z2], n = [nr, nz] }")
+    return Values("counts", read, f"two whole numbers from {low} to {high:g}")
 
 
 def choice(*names: str) -> Values:
@@ -338,7 +325,8 @@ def choice(*names: str) -> Values:
 
     def read(value: Any) -> str:
         if value not in names:
-            raise RejectedError
+            near = difflib.get_close_matches(str(value)[:_LONGEST].lower(), names, n=1)
+            raise RejectedError(f'did you mean "{near[0]}"?' if near else "")
         return str(value)
 
     return Values("choice", read, " or ".join(f'"{name}"' for name in names))

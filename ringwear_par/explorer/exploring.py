@@ -12,7 +12,9 @@ from ringwear_par.cases.keys import flatten, in_full, override, parse_overrides,
 from ringwear_par.cases.reading import make_case, read_case
 from ringwear_par.cases.text import toml_text
 from ringwear_par.elasticity.pair import ContactPair
-from ringwear_par.explorer.controls import Control, changed, controls_of
+from ringwear_par.explorer.controls import controls_of
+from ringwear_par.explorer.moved import changed
+from ringwear_par.explorer.sliders import Control
 from ringwear_par.history.bodies import operator_key
 from ringwear_par.history.limits import check_case
 from ringwear_par.history.pairs import assemble

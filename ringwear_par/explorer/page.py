@@ -19,10 +19,10 @@ from markupsafe import Markup
 
 from ringwear_par import __version__
 from ringwear_par.errors import InputError, RingwearError, reason_of
-from ringwear_par.explorer.controls import Control
 from ringwear_par.explorer.exploring import Exploration, Explored
 from ringwear_par.explorer.figures import MENU, Drawing, figures
 from ringwear_par.explorer.measured import LARGEST, Laid, read_table
+from ringwear_par.explorer.sliders import Control
 from ringwear_par.reports.run_page import key_rows, worn_table
 from ringwear_par.results.key_numbers import key_numbers
 from ringwear_par.results.result import Result

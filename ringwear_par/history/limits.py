@@ -1,12 +1,14 @@
 """What a case may ask for before any of it is computed: memory, and lengths above round-off."""
 
+import math
 import os
 
 import numpy as np
 
-from ringwear_par.cases.case import Case
+from ringwear_par.cases.case import Case, Ring
 from ringwear_par.cases.law_trials import refuse_bad_laws
 from ringwear_par.cases.numbers import number_faults
+from ringwear_par.cases.stress import check_stress
 from ringwear_par.contact.problem import REPLICATED_LIMIT
 from ringwear_par.elasticity.boundary import count_elements, zone_meshes
 from ringwear_par.errors import InputError
@@ -127,6 +129,7 @@ def check_case(case: Case, ranks: int, name: str, known_mesh: bool = False) -> N
     def try_numbers() -> None:
         if faults := number_faults(case, name):
             raise InputError(*faults)
+        check_stress(name, case)  # of one that was not read
 
     for check in (
         try_numbers,
@@ -169,13 +172,29 @@ def check_mesh(case: Case, name: str) -> None:
     ------
     InputError : with the smallest length.
     """
-    for ring in case.rings:
-        zones = zone_meshes(case.section(ring), case.line, case.mesh)
-        ends = np.concatenate([zone.nodes[zone.elements] for zone in zones])
-        shortest = float(np.hypot(*(ends[:, 2] - ends[:, 0]).T).min())
-        if shortest < 1e-11 * ring.r[1]:
-            raise InputError(
-                f"{name}: mesh.grading = {case.mesh.grading:g} with mesh.contact_elements = "
-                f"{case.mesh.contact_elements}: the shortest element of this geometry is "
-                f"{shortest:.1e} mm; must be at least {1e-11 * ring.r[1]:.1e} mm"
+    for body, ring in zip(("lower", "upper"), case.rings, strict=True):
+        for i, zone in enumerate(zone_meshes(case.section(ring), case.line, case.mesh)):
+            ends = zone.nodes[zone.elements]
+            lengths = np.hypot(*(ends[:, 2] - ends[:, 0]).T)
+            shortest, least = float(lengths.min()), 1e-11 * ring.r[1]
+            if shortest >= least:
+                continue
+            said = (
+                f"mesh.grading = {case.mesh.grading:g} with mesh.contact_elements = "
+                f"{case.mesh.contact_elements}: the shortest element of this geometry"
             )
+            if ring.layers and lengths.argmin() in [*zone.inner_side, *zone.outer_side]:
+                said = _thin(body, ring, i)
+            raise InputError(
+                f"{name}: {said} is {shortest:.1e} mm; must be at least {least:.1e} mm"
+            )
+
+
+def _thin(body: str, ring: Ring, i: int) -> str:
+    """Return what is said of a layer, or of what layers leave of a body, that is too thin."""
+    if i < len(ring.layers):
+        said = f"{body}.layers[{i}].thickness = {ring.layers[i].thickness:g}"
+    else:
+        left = ring.z[1] - ring.z[0] - math.fsum(layer.thickness for layer in ring.layers)
+        said = f"{body}.layers: leave {left:.1e} mm of {body} itself"
+    return f"{said}: the shortest element on its side"

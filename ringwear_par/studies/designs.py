@@ -14,8 +14,8 @@ import numpy as np
 
 from ringwear_par.cases.case import Case
 from ringwear_par.cases.keys import base_keys, in_full, kinds
-from ringwear_par.cases.schema import BY_PATH
-from ringwear_par.cases.suggestions import nearest_key
+from ringwear_par.cases.layers import LAYERS
+from ringwear_par.cases.suggestions import unknown_key
 from ringwear_par.cases.text import shortened, toml_value
 from ringwear_par.errors import InputError, legible
 from ringwear_par.studies.variations import (
@@ -24,6 +24,7 @@ from ringwear_par.studies.variations import (
     Variation,
     column_of,
     has_entry,
+    is_known,
     is_whole,
     path_of,
     read_variations,
@@ -230,9 +231,10 @@ def listed(table: Path) -> tuple[tuple[str, ...], list[Column]]:
         raise InputError(f"{table}: columns must be separated by commas, not ;")
     faults = []
     for name in names:
-        if path_of(name) not in BY_PATH or name == "title":
-            hint = nearest_key(path_of(name))
-            faults.append(f"{table}: column {legible(name)}: unknown key{hint}")
+        if not is_known(name) or name == "title":
+            path = path_of(name)
+            said = unknown_key(name if path in LAYERS else path)
+            faults.append(f"{table}: column {legible(name)}: {said}")
         elif not has_entry(name):
             faults.append(f"{table}: column {name}: has no entries; must be the key itself")
         elif names.count(name) > 1:

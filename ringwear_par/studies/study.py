@@ -11,6 +11,7 @@ import numpy as np
 
 from ringwear_par.arrays import FloatArray, IntArray
 from ringwear_par.cases.case import Case
+from ringwear_par.cases.keys import naming
 from ringwear_par.cases.law_trials import law_sources, refuse_bad_laws
 from ringwear_par.cases.numbers import doubtful, with_numbers
 from ringwear_par.cases.reading import make_case
@@ -294,7 +295,9 @@ class _Checker:
         InputError : its faults.
         """
         name = f"{self._draft.name}: case {self._first + i + 1}"
-        case = make_case(self.rows.keys(i), name, text="")
+        with naming(f"{name}:"):
+            keys = self.rows.keys(i)
+        case = make_case(keys, name, text="")
         refuse_bad_laws(case, name)
         check_ranks(case, self._ranks, name)
         return case

@@ -12,7 +12,7 @@ from ringwear_par.arrays import FloatArray, IntArray
 from ringwear_par.cases.keys import override
 from ringwear_par.cases.layers import LAYERS, entries_of
 from ringwear_par.cases.schema import BY_PATH, Key, key_of, layer_entry
-from ringwear_par.cases.suggestions import nearest_key
+from ringwear_par.cases.suggestions import unknown_key
 from ringwear_par.cases.text import shortened
 from ringwear_par.cases.units import without_units
 from ringwear_par.cases.values import RejectedError, is_number
@@ -185,11 +185,14 @@ def path_of(name: str) -> str:
     return split_key(name)[0]
 
 
+def is_known(name: str) -> bool:
+    """Tell whether there is such a key, or such an entry of layers."""
+    return path_of(name) in BY_PATH if layer_entry(name) is None else key_of(name) is not None
+
+
 def has_entry(name: str) -> bool:
     """Tell whether a varied key that is named as an entry is one of a pair, or a shape's size."""
     path, index = split_key(name)
-    if path in LAYERS and index is not None:
-        return key_of(name) is not None
     if index in ("file", "trace") and path.endswith(".profile"):
         return False
     return not isinstance(index, int) or BY_PATH[path].kind == "pair"
@@ -250,8 +253,8 @@ def read_variations(
     for key, entry in _unnested(vary).items():
         path = path_of(key)
         said = f'{name}: vary."{legible(key)}"'
-        if path not in BY_PATH:
-            faults.append(f"{said}: unknown key{nearest_key(path)}")
+        if not is_known(key):
+            faults.append(f"{said}: {unknown_key(key if path in LAYERS else path)}")
         elif path == "title":
             faults.append(f"{said}: a title makes no other case; must be another key")
         elif not has_entry(key):

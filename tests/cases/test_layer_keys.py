@@ -1,5 +1,6 @@
 """Layers in case files: what is read, set and varied of them, and a sentence for what is wrong."""
 
+import tomllib
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +14,7 @@ from ringwear_par.cases.reading import parse_case
 from ringwear_par.cases.schema import schema, unit_of
 from ringwear_par.elasticity.sections import Material
 from ringwear_par.history.bodies import bodies, operator_key
+from ringwear_par.history.limits import check_mesh
 from ringwear_par.studies.identities import case_id
 from ringwear_par.studies.variations import split_key, value_of, varied_keys
 from ringwear_par.wear.archard import ArchardLaw
@@ -72,6 +74,14 @@ WRONG = {
     "wear.k=-1": "--set lower.layers[0].wear.k = -1: must be a finite number >= 0, or a table "
     "[[t, value], ...] in time, t in s and increasing, or a profile { r = [[r, value], ...] },"
     " r in mm and increasing (1/MPa)",
+    "wear.law='treshold'": '--set lower.layers[0].wear.law = "treshold": must be "threshold" or '
+    '"archard" or "power" or "table" or "running-in" (did you mean "threshold"?)',
+    "wear={ law = 'non-local', k = 1e-7, length = 0.1 }": "--set lower.layers[0].wear.law = "
+    '"non-local": must be "threshold" or "archard" or "power" or "table" or "running-in"',
+    "wear={ law = 'user', file = 'a.py' }": '--set lower.layers[0].wear.law = "user": must be '
+    '"threshold" or "archard" or "power" or "table" or "running-in"',
+    "wear={ law = 'threshold', K = 1e-7 }": "--set lower.layers[0].wear.K: unknown key (did you "
+    "mean wear.k?)",
     "wear.law='user'": '--set lower.layers[0].wear.law = "user": must be "threshold" or "archard" '
     'or "power" or "table" or "running-in"',
     "wear.m=2": "case.toml: lower.layers[0].wear.m: has no meaning where lower.layers[0].wear.law "
@@ -92,10 +102,13 @@ def test_sentences_for_layers_that_do_not_fit_their_body():
             parse_case(TEXT, "case.toml", settings)
         return str(caught.value)
 
-    assert "lower.layers[1].young: the case has no such layer; must be of lower.layers[0]" in told(
-        "lower.layers[1].young=1"
+    assert told("lower.layers[1].young=1") == (
+        "--set lower.layers[1].young = 1: the case has no such layer; must be of lower.layers[0]"
     )
-    assert "lower.layers = 3: must be a list of tables" in told("lower.layers=3")
+    assert "lower.layers = 3: must be a list of at most 1000 tables" in told("lower.layers=3")
+    many = told("lower.layers=[" + "{ thickness = 0.1 }, " * 1001 + "]")
+    assert "[[lower.layers]] for each of them (there are 1001 of them)" in many
+    assert "\n" not in many
     missing = told("lower.layers=[{ thickness = 0.1 }]")
     assert "lower.layers[0].young is missing: must be a finite number > 0 (MPa)" in missing
     assert "lower.layers[0].poisson is missing" in missing
@@ -141,3 +154,48 @@ def test_cases_of_columns_are_those_that_are_read():
     assert len(ids) == 2
     same = case.replace({"lower.layers[0].wear.p0": 0.0})  # which is the default
     assert case_id(read_keys(same.text)) == case_id(read_keys(case.text))
+
+
+@pytest.mark.parametrize(
+    ("wear", "said"),
+    [
+        ('law = "threshold", k = 1e-7, m = 2', "wear.m: has no meaning where"),
+        ('law = "threshold", k = 1e-7, kk = 2', "wear.kk: unknown key (did you mean wear.k?)"),
+    ],
+)
+def test_no_entry_of_a_file_is_lost(wear, said, tmp_path):
+    path = tmp_path / "case.toml"
+    path.write_text(TEXT.replace('law = "threshold", k = 2e-8', wear))
+    with pytest.raises(rw.InputError) as caught:
+        rw.read_case(path)
+    (fault,) = caught.value.faults
+    assert said in fault
+
+
+@pytest.mark.parametrize(
+    ("thickness", "said"),
+    [
+        (1e-9, "lower.layers[0].thickness = 1e-09: the shortest element on its side is"),
+        (19.9999999999, "lower.layers: leave 1.0e-10 mm of lower itself: the shortest element"),
+    ],
+)
+def test_layers_that_drown_in_round_off_are_refused(thickness, said):
+    case = rw.read_case(CASE, {"lower.layers[0].thickness": thickness})
+    with pytest.raises(rw.InputError) as caught:
+        check_mesh(case, "case.toml")
+    assert str(caught.value).startswith(f"case.toml: {said}")
+    assert str(caught.value).endswith("must be at least 4.0e-10 mm")
+
+
+def test_where_a_layer_that_is_not_there_was_named():
+    tables = {"case": {**tomllib.loads(TEXT), "upper.layers[0].young": 1}}
+    said = "upper.layers[0].young = 1: the case has no such layer; must be of one of upper.layers"
+    with pytest.raises(rw.InputError) as caught:
+        rw.read_case(tables["case"])
+    assert str(caught.value).startswith(f"case: {said}")
+    with pytest.raises(rw.InputError) as caught:
+        rw.read_case(CASE).replace({"upper.layers[0].young": 1})
+    assert str(caught.value).startswith(f"override {said}")
+    with pytest.raises(rw.InputError) as caught:
+        rw.read_study({**tables, "vary": {"load.pressure": {"values": [1.0]}}})
+    assert str(caught.value).startswith(f"study: case: {said}")

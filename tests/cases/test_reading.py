@@ -238,3 +238,31 @@ print([name for name in heavy[:-1] if name in sys.modules])
     result = subprocess.run([sys.executable, "-c", program], env=SHELL_ENVIRONMENT,
                             capture_output=True, text=True, timeout=100, check=False)  # fmt: skip
     assert result.stdout == "[]\n[]\n", result.stderr
+
+
+@pytest.mark.parametrize(
+    ("key", "misspelt"),
+    [("young = 10e3", "E = 10e3"), ("k = 1e-7", "K = 1e-7"), ("omega = ", "omgea = ")],
+)
+def test_what_a_misspelt_key_means_is_not_missing_as_well(key, misspelt):
+    with pytest.raises(InputError) as caught:
+        parse_case(TEXT.replace(key, misspelt, 1), "case.toml")
+    (fault,) = caught.value.faults
+    assert "unknown key (did you mean" in fault
+
+
+def test_a_trace_that_is_not_there_is_told_with_where_it_was_named(tmp_path):
+    path, shape = tmp_path / "case.toml", '{ file = "no.csv" }'
+    path.write_text(TEXT.replace("[contact]", f"profile = {shape}\n[contact]"))
+    (fault,) = faults_of(path)
+    assert fault.startswith(f"{path}: upper.profile: ")
+    (fault,) = faults_of(PAPER, [f"upper.profile={shape}"])
+    assert fault.startswith("--set upper.profile: ")
+    (fault,) = faults_of({**TABLES, "upper.profile": {"file": "no.csv"}})
+    assert fault.startswith("case: upper.profile: ")
+
+
+def faults_of(source, overrides=()):
+    with pytest.raises(InputError) as caught:
+        read_case(source, overrides)
+    return caught.value.faults

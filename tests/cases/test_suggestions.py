@@ -4,7 +4,7 @@ import pytest
 
 from ringwear_par.cases import suggestions
 from ringwear_par.cases.schema import KEYS
-from ringwear_par.cases.suggestions import nearest_key
+from ringwear_par.cases.suggestions import nearest_key, unknown_key
 
 
 @pytest.mark.parametrize(
@@ -34,6 +34,14 @@ from ringwear_par.cases.suggestions import nearest_key
         ("contact.pressure", "load.pressure"),
         ("load_pressure", "load.pressure"),
         ("young", "lower.young or upper.young"),
+        ("lower.layers.0.thickness", "lower.layers[0].thickness"),
+        ("lower.layers[-1].thickness", "lower.layers[0].thickness"),
+        ("lower.layers[1000].thickness", "lower.layers[0].thickness"),
+        ("upper.layer[1].E", "upper.layers[1].young"),
+        ("lower.layers.wear.k", "lower.layers[0].wear.k"),
+        ("lower.layers[2].E", "young"),
+        ("stress.grid.N", "stress.grid.n"),
+        ("stress.body", "stress.grid.body"),
     ],
 )
 def test_near_keys(path, near):
@@ -43,6 +51,19 @@ def test_near_keys(path, near):
 @pytest.mark.parametrize("path", ["lower.material", "wear.lower.q", "oops.x", "lower.colour", "a"])
 def test_nothing_is_near(path):
     assert nearest_key(path) == ""
+
+
+@pytest.mark.parametrize(
+    ("path", "told"),
+    [
+        ("contact.oil", "must be friction"),
+        ("stress.colour", "must be points, times, exclude, grid"),
+        ("lower.layers[0].colour", "must be thickness, young, poisson, wear"),
+    ],
+)
+def test_where_none_is_near_those_of_the_table_are_told(path, told):
+    assert unknown_key(path) == f"unknown key; {told}"
+    assert unknown_key("oops.x") == "unknown key"
 
 
 def test_other_names_are_of_keys():

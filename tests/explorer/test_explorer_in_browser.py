@@ -10,7 +10,8 @@ import pytest
 from browser import in_browser
 from chromium import Browser
 from test_cli import ringwear
-from test_explorer import CASES, FIT, PAPER, served
+from test_explorer import CASES, FIT, PAPER
+from test_explorer_server import served
 
 import ringwear_par as rw
 

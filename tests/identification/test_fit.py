@@ -1,18 +1,12 @@
 """Fits: the truth is found, and what the readings do not tell is said."""
 
 import copy
-import json
 import re
-import signal
-import sys
-import tomllib
 from dataclasses import replace
 from pathlib import Path
 
-import h5py
 import numpy as np
 import pytest
-import xarray
 from laboratory import (
     CASE,
     END,
@@ -27,15 +21,11 @@ from laboratory import (
     write_tests,
 )
 
-import ringwear_par as rw
-from ringwear_par.cases.text import toml_value
-from ringwear_par.errors import ComputationError, InputError
-from ringwear_par.identification import fit as fit_room
+from ringwear_par.errors import InputError
 from ringwear_par.identification import starts as starts_room
-from ringwear_par.identification.fit import fit, fitted, predicted, run_fit
+from ringwear_par.identification.fit import fit, fitted, predicted
 from ringwear_par.identification.fit_file import read_fit
 from ringwear_par.identification.starts import Started
-from ringwear_par.stopping import StopSignals
 
 SCRIPTS = Path(__file__).parents[2] / "scripts"
 
@@ -342,22 +332,6 @@ def test_other_laws_are_told_not_to_fit(tables, comm):
 
 
 @pytest.mark.serial
-def test_a_dry_run_tells_what_is_not_installed(tables, tmp_path, comm, capsys, monkeypatch):
-    """And does not need it, as the fit does."""
-    given = tables(intervals=["posterior"])
-    path = tmp_path / "fit.toml"
-    path.write_text("".join(f"{key} = {toml_value(value)}\n" for key, value in given.items()))
-    monkeypatch.setitem(sys.modules, "emcee", None)  # as if it were not there
-    run_fit(path, tmp_path / "out", comm, dry_run=True)
-    assert 'missing: fit.intervals: "posterior" needs emcee: pip install' in capsys.readouterr().out
-    with pytest.raises(InputError, match=r'fit.toml: fit.intervals: "posterior" needs emcee'):
-        run_fit(path, tmp_path / "out", comm)
-    monkeypatch.undo()
-    run_fit(path, tmp_path / "out", comm, dry_run=True)
-    assert "missing" not in capsys.readouterr().out
-
-
-@pytest.mark.serial
 def test_a_law_that_fails_leaves_the_fit(tables, comm, monkeypatch):
     given = tables(starts=1, intervals=["profile"])
     sought = {"wear.lower.k": FITTED["wear.lower.k"]}
@@ -383,21 +357,6 @@ def test_a_law_that_fails_leaves_the_fit(tables, comm, monkeypatch):
 
 
 @pytest.mark.serial
-def test_only_a_fit_that_keeps_its_starts_can_go_on(tables, written, comm, monkeypatch):
-    class Signals(StopSignals):
-        def __enter__(self):
-            self.received = signal.SIGTERM
-            return self
-
-    monkeypatch.setattr(fit_room, "StopSignals", Signals)
-    with pytest.raises(ComputationError, match="stopped by SIGTERM") as caught:
-        fit(tables(), comm)
-    assert "--restart" not in str(caught.value)
-    with pytest.raises(ComputationError, match="with --restart goes on"):
-        run_fit(*written, comm)
-
-
-@pytest.mark.serial
 def test_a_prediction_before_any_fit_is_the_later_interval(tables, comm):
     given = tables(starts=1)
     for key, value in TRUTH.items():
@@ -405,125 +364,6 @@ def test_a_prediction_before_any_fit_is_the_later_interval(tables, comm):
     expected, found = predicted(read_fit(given), comm), fit(given, comm)
     for before, after in zip(expected.parameters, found.parameters, strict=True):
         assert before.sd == pytest.approx(after.sd, rel=0.1)
-
-
-@pytest.fixture
-def written(tables, tmp_path):
-    """A fit file of two starts, and the folder of its results."""
-    given = tables()
-    path = tmp_path / "fit.toml"
-    path.write_text("".join(f"{key} = {toml_value(value)}\n" for key, value in given.items()))
-    return path, tmp_path / "out"
-
-
-@pytest.mark.serial
-def test_what_is_written(written, comm, capsys):
-    path, folder = written
-    run_fit(path, folder, comm)
-    said = capsys.readouterr().out
-    assert "wear.lower.p0" in said
-    assert "chi2" in said
-    assert sorted(p.name for p in folder.iterdir()) == [
-        "fit.json", "fit.png", "parameters.png", "results.h5",
-    ]  # fmt: skip
-    told = json.loads((folder / "fit.json").read_text())
-    names = "parameters covariance chi2 n_data aic bic experiments nuisance histories alternatives "
-    assert set(f"{names}starts versions data".split()) <= told.keys()
-    low, high = told["parameters"]["wear.lower.k"]["interval"]
-    assert low < TRUTH["wear.lower.k"] < high
-    with h5py.File(folder / "results.h5") as file:
-        groups = [group for group in file.values() if "experiment" in group.attrs]
-        assert len(groups) == 4
-        chi2 = sum((group["residual"][:] ** 2).sum() for group in groups)
-        assert chi2 == pytest.approx(told["chi2"])
-        sensitivity = groups[0]["sensitivity"]
-        assert sensitivity.shape == (len(groups[0]["time"]), 2)
-        names = list(file)
-    units = {"wear.lower.k": "1/MPa", "wear.lower.p0": "MPa"}
-    assert {key: one["unit"] for key, one in told["parameters"].items()} == units
-    for name in names:
-        opened = xarray.open_dataset(folder / "results.h5", group=name, engine="h5netcdf")
-        with opened as stored:
-            assert stored["parameter"].values.tolist() == list(units)
-            assert stored["parameter_unit"].values.tolist() == list(units.values())
-            to_k = stored["sensitivity"].sel(parameter="wear.lower.k")
-            assert to_k.dims == ("reading",)
-            assert stored["data"].attrs["units"] == "mm"
-
-
-@pytest.mark.serial
-def test_doubts_are_said_once(tables, tmp_path, comm, capfd):
-    given = tables(starts=1)
-    for series in given["experiment"][0]["data"]:
-        series["sd"] *= 0.1
-    path = tmp_path / "fit.toml"
-    path.write_text("".join(f"{key} = {toml_value(value)}\n" for key, value in given.items()))
-    run_fit(path, tmp_path / "out", comm)
-    out, err = capfd.readouterr()
-    assert out.count("warning: the model does not fit") == 1
-    assert "does not fit" not in err
-
-
-@pytest.mark.serial
-def test_a_complete_fit_is_left_as_it_is(written, comm, monkeypatch):
-    path, folder = written
-    text = path.read_text()
-    path.write_text(
-        text.replace("starts = 2", "starts = 1")
-        + 'compare.fixed.set = {}\ncompare.fixed.parameters."wear.lower.k" = '
-        + toml_value(FITTED["wear.lower.k"])
-    )
-    folder = folder.parent / "not" / "there"
-    run_fit(path, folder, comm)
-    run_fit(path, folder, comm, restart=True, compare=True)
-    whole = (folder / "fit.json").read_text()
-    assert list(json.loads(whole)["alternatives"]) == ["fixed"]
-
-    def never(*args, **kwargs):
-        raise AssertionError("fitted again")
-
-    monkeypatch.setattr(fit_room, "fitted", never)
-    run_fit(path, folder, comm, restart=True)
-    assert (folder / "fit.json").read_text() == whole
-    path.write_text(path.read_text() + "\n# another\n")
-    with pytest.raises(AssertionError, match="fitted again"):
-        run_fit(path, folder, comm, restart=True)
-
-
-@pytest.mark.serial
-def test_a_dry_run_writes_nothing(written, comm, capsys):
-    path, folder = written
-    run_fit(path, folder, comm, dry_run=True)
-    assert "to be expected" in capsys.readouterr().out
-    assert not folder.exists()
-
-
-@pytest.mark.serial
-def test_a_fit_goes_on_with_the_starts_that_are_kept(written, comm, monkeypatch):
-    path, folder = written
-    whole = fitted(read_fit(path), comm)
-    calls = []
-
-    def stopping(*args):
-        calls.append(args)
-        if len(calls) == 2:
-            raise ComputationError("the power failed")
-        return solved(*args)
-
-    solved = starts_room._solved
-    with monkeypatch.context() as patch:
-        patch.setattr(starts_room, "_solved", stopping)
-        with pytest.raises(ComputationError, match="the power failed"):
-            run_fit(path, folder, comm)
-    assert len(list((folder / "progress").iterdir())) == 1
-    with pytest.raises(InputError, match="interrupted; --restart goes on with it"):
-        run_fit(path, folder, comm)
-    run_fit(path, folder, comm, restart=True)
-    told = json.loads((folder / "fit.json").read_text())
-    assert not (folder / "progress").exists()
-    assert told["parameters"]["wear.lower.k"]["estimate"] == whole.parameters[0].estimate
-    assert told["starts"] == whole.to_dict()["starts"]
-    assert told["histories"] < whole.histories
 
 
 @pytest.mark.serial
@@ -536,28 +376,6 @@ def test_names_of_laws_are_no_names_of_files(tables, comm, tmp_path):
     assert [len(other.parameters) for other in found.alternatives.values()] == [1, 1]
     kept = sorted(str(p.relative_to(tmp_path)) for p in tmp_path.rglob("*.json"))
     assert kept == [f"deep/out/progress/{law}-0.json" for law in range(3)]
-
-
-def test_another_case_is_another_problem(written):
-    path, _ = written
-    case = Path(tomllib.loads(path.read_text())["case"])
-    before = read_fit(path).key
-    text = case.read_text()
-    try:
-        case.write_text(text.replace("contact_elements = 12", "contact_elements = 10"))
-        assert read_fit(path).key != before
-    finally:
-        case.write_text(text)
-    assert read_fit(path).key == before
-
-
-@pytest.mark.serial
-def test_the_front_door(tables):
-    found = rw.fit(tables(starts=1))
-    assert isinstance(found, rw.FitResult)
-    assert "wear.lower.k" in repr(found)
-    assert found.plot().axes
-    assert "identified" in found.summary()
 
 
 @pytest.mark.serial

@@ -1,20 +1,15 @@
 """Fit files: what they may say, and every fault of theirs, told together before any work."""
 
 import copy
-import math
 import tomllib
 
 import numpy as np
 import pytest
-from laboratory import CASE, FITTED, fit_tables, write_table, write_tests
+from laboratory import CASE, FITTED, PEN, PROF, K, changed, fit_tables, write_tests
 
 from ringwear_par.errors import InputError
-from ringwear_par.identification.fit import fit, predicted
 from ringwear_par.identification.fit_file import read_fit
-from ringwear_par.identification.histories import Histories
 from ringwear_par.identification.inline_tables import on_one_line
-from ringwear_par.identification.least_squares import LeastSquares
-from ringwear_par.identification.plausible import refuse_reversed
 from ringwear_par.identification.problem import FittedParameter
 
 #: every key that a fit file may have
@@ -111,24 +106,6 @@ def good(tmp_path_factory):
     return fit_tables(folder, write_tests(folder), starts=1)
 
 
-def changed(good, path, value):
-    """Return the fit file with one entry changed; None takes it away."""
-    tables = copy.deepcopy(good)
-    *inner, last = path
-    place = tables
-    for key in inner:
-        place = place[key]
-    if value is None:
-        del place[last]
-    else:
-        place[last] = value
-    return tables
-
-
-PEN, PROF = ("experiment", 0, "data", 0), ("experiment", 0, "data", 1)
-K = ("fit", "parameters", "wear.lower.k")
-
-
 @pytest.mark.parametrize(
     ("path", "value", "said"),
     [
@@ -217,131 +194,6 @@ def test_faults(path, value, said, good):
 
 
 @pytest.mark.parametrize(
-    ("rows", "said"),
-    [
-        ([(1, 1), (2, 1), (2, 1)], "line 4: time 2 s after 2 s: times must increase"),
-        ([(1, 1), (3, 1), (2, 1)], "line 4: time 2 s after 3 s: times must increase"),
-        ([(5, 1), (4, 1), (3, 1), (9, 1)], "line 3: time 4 s after 5 s (and 1 more reading)"),
-        (
-            [(1, 1), (101, 1), (102, 1), (103, 1)],
-            "line 3: time 101 s (and 2 more readings): must be within the test",
-        ),
-        ([(1, 1), (99, 1), (101, 1)], "line 4: time 101 s: must be within the test, from 0 to 100"),
-        ([(-1, 1), (99, 1)], "line 2: time -1 s: must be within the test"),
-        ([(1, 1), (2, 3e7)], "line 3: 30000 mm: must be less than the height of a body"),
-        ([(1, 1), (2, math.nan)], "has 1 reading; must have more than nuisances"),
-    ],
-)
-def test_faulty_times(rows, said, good, tmp_path):
-    write_table(tmp_path / "z.csv", ("t_s", "z_um"), *np.array(rows).T)
-    tables = changed(good, (*PEN, "file"), str(tmp_path / "z.csv"))
-    tables["experiment"] = tables["experiment"][:1]
-    del tables["experiment"][0]["data"][1]
-    with pytest.raises(InputError) as caught:
-        read_fit(tables)
-    assert said in str(caught.value)
-
-
-def test_a_fault_of_many_readings_is_told_once(good, tmp_path):
-    """In hours what was meant in seconds: all readings but a few are beyond the end."""
-    write_table(tmp_path / "z.csv", ("time", "z_um"), range(1, 50), range(1, 50))
-    tables = changed(good, (*PEN, "file"), str(tmp_path / "z.csv"))
-    tables["experiment"][0]["data"][0] |= {
-        "columns": {"value": "z_um"}, "units": {"time": "h"}, "sd": 0.2,
-    }  # fmt: skip
-    with pytest.raises(InputError) as caught:
-        read_fit(tables)
-    (fault,) = caught.value.faults
-    assert "time 3600 s (and 48 more readings): must be within the test" in fault
-
-
-def test_radii_in_another_unit(good, tmp_path):
-    write_table(tmp_path / "d.csv", ("r", "d_um"), (28.0, 30.0, 32.0), (0.0, 1.0, 0.0))
-    tables = changed(good, (*PROF, "file"), str(tmp_path / "d.csv"))
-    tables["experiment"][0]["data"][1] |= {
-        "columns": {"value": "d_um"}, "units": {"r": "m"}
-    }  # fmt: skip
-    with pytest.raises(InputError) as caught:
-        read_fit(tables)
-    first, _ = caught.value.faults
-    assert "r = 28000 mm (and 2 more readings): must be on the lower body" in first
-    assert "a thousand times too large" in first
-
-
-def test_noise_in_another_unit_than_its_readings(good, tmp_path):
-    columns = (1.0, 2.0, 3.0), (1.0, 2.0, 3.0), (2e-4, 2e-4, 2e-4)
-    write_table(tmp_path / "z.csv", ("t_s", "z_um", "noise_mm"), *columns)
-    tables = changed(good, (*PEN, "file"), str(tmp_path / "z.csv"))
-    tables["experiment"][0]["data"][0]["sd"] = "noise_mm"
-    with pytest.raises(InputError, match=r'sd = "noise_mm": .* in mm by its name; must be in um'):
-        read_fit(tables)
-
-
-def test_records_of_a_spreadsheet(good, tmp_path):
-    """With its first line, decimal commas and clock times."""
-    rows = "".join(f"0:{t // 60:02d}:{t % 60:02d};{t / 10:g}\n" for t in range(2, 99, 2))
-    (tmp_path / "z.csv").write_text("sep=;\ntime;z_um\n" + rows.replace(".", ","))
-    tables = changed(good, (*PEN, "file"), str(tmp_path / "z.csv"))
-    tables["experiment"][0]["data"][0]["columns"] = {"value": "z_um"}
-    record = read_fit(tables).experiments[0].series[0]
-    assert record.x == pytest.approx(np.arange(2.0, 99.0, 2.0))
-    assert record.value == pytest.approx(1e-4 * record.x)
-
-
-@pytest.mark.parametrize(
-    ("density", "said"),
-    [
-        (
-            1.9,
-            "must be from 1e-05 to 0.03 g/mm3, as of foams and metals; 1.9 g/cm3 would be 0.0019",
-        ),
-        (1900.0, "1900 kg/m3 would be 0.0019"),
-        (7.8e-9, "7.8e-09 t/mm3 would be 0.0078"),
-        (1e30, "as of foams and metals"),
-    ],
-)
-def test_densities_that_nothing_has(density, said, plan):
-    tables = copy.deepcopy(plan)
-    weighing = {"quantity": "mass.lower", "value": 3.0, "unit": "mg", "sd": 0.1}
-    tables["experiment"][0]["data"].append({**weighing, "density": density})
-    with pytest.raises(InputError) as caught:
-        read_fit(tables, plans=True)
-    (fault,) = caught.value.faults
-    assert said in fault
-
-
-def test_numbers_with_units(plan):
-    """As in case files."""
-    tables = copy.deepcopy(plan)
-    weighing = {"quantity": "mass.lower", "value": 3.0, "unit": "mg", "sd": "100 ug"}
-    tables["experiment"][0]["data"].append({**weighing, "density": "1.9 g/cm^3", "at": "1.5 min"})
-    tables["experiment"][0]["data"][0] |= {"sd": "0.0002 mm", "correlation_time": "0.1 min"}
-    record, _, mass = read_fit(tables, plans=True).experiments[0].series
-    assert mass.density == pytest.approx(0.0019)
-    assert mass.x == pytest.approx([90.0])
-    assert mass.sd == pytest.approx([1e-4])
-    assert record.sd == pytest.approx(2e-4)
-    assert record.correlation_time == pytest.approx(6.0)
-    tables["experiment"][0]["data"][0]["sd"] = "2 s"
-    with pytest.raises(InputError, match=r'sd = "2 s": must be .*s is no unit of um'):
-        read_fit(tables, plans=True)
-
-
-def test_a_mass_has_the_density_of_its_body(plan):
-    tables = copy.deepcopy(plan)
-    weighing = {"quantity": "mass.lower", "value": 5.0, "unit": "mg", "sd": 0.1}
-    tables["experiment"][0]["data"].append(weighing)
-    with pytest.raises(InputError, match=r"density is missing: must be"):
-        read_fit(tables, plans=True)
-    tables["experiment"][0]["set"]["lower.density"] = "7.8 g/cm3"
-    mass = read_fit(tables, plans=True).experiments[0].series[-1]
-    assert mass.density == pytest.approx(0.0078)
-    weighing["density"] = 0.0019
-    mass = read_fit(tables, plans=True).experiments[0].series[-1]
-    assert mass.density == pytest.approx(0.0019)
-
-
-@pytest.mark.parametrize(
     ("line", "said"),
     [
         ("sd = 0,2", "(at line 2, column 7): sd = 0,2; decimals have a point, as 0.2"),
@@ -358,114 +210,6 @@ def test_what_is_no_toml_is_shown(line, said, tmp_path):
     assert ("point" in str(caught.value)) == ("point" in said)
 
 
-def test_series_tell_more_than_their_nuisances(plan):
-    tables = copy.deepcopy(plan)
-    data = tables["experiment"][0]["data"]
-    data[1]["r"] = [29.0, 30.0]
-    data[0]["times"] = [50.0, 100.0]  # its drift has a prior
-    with pytest.raises(InputError) as caught:
-        read_fit(tables, plans=True)
-    (fault,) = caught.value.faults
-    assert "data 2 (profile.lower): has 2 readings; must have more than nuisances" in fault
-
-
-@pytest.fixture(scope="module")
-def plan(good):
-    """The fit file before any readings are there."""
-    tables = copy.deepcopy(good)
-    for experiment in tables["experiment"]:
-        record, profile = experiment["data"]
-        for series in (record, profile):
-            del series["file"], series["columns"]
-            series["unit"] = "um"
-        record["times"] = {"from": 2.0, "to": 100.0, "count": 50}
-        r = np.concatenate([np.linspace(28.0, 28.4, 15), np.linspace(28.6, 31.4, 60),
-                            np.linspace(31.6, 32.0, 15)])  # fmt: skip
-        profile["r"] = r.tolist()
-    return tables
-
-
-def test_readings_may_be_planned(plan, good, comm):
-    """A dry run tells the same as with readings, whatever these are."""
-    found = read_fit(plan, plans=True)
-    record, profile = found.experiments[1].series
-    assert record.x == pytest.approx(np.linspace(2.0, 100.0, 50))
-    assert (profile.n, profile.at, profile.unit) == (90, 100.0, "um")
-    assert profile.sd == pytest.approx(8e-5)
-    assert record.planned
-    assert profile.planned
-    for start in (0.0, 25.0):  # at a bound and within
-        spreads = []
-        for tables in (plan, good):
-            own = changed(tables, ("fit", "parameters", "wear.lower.p0", "start"), start)
-            told = predicted(read_fit(own, plans=True), comm)
-            spreads.append([p.sd for p in told.parameters])
-        assert spreads[0] == pytest.approx(spreads[1], rel=1e-5)
-    assert predicted(found, comm).chi2 < 1e-12
-
-
-def test_a_weighing_may_be_planned(plan):
-    tables = copy.deepcopy(plan)
-    tables["experiment"][0]["data"] += [
-        {"quantity": "mass.lower", "unit": "mg", "density": 0.0019, "sd": 0.1, **when}
-        for when in ({}, {"at": 50.0}, {"times": [10.0, 20.0]})
-    ]
-    series = read_fit(tables, plans=True).experiments[0].series[2:]
-    assert [one.x.tolist() for one in series] == [[100.0], [50.0], [10.0, 20.0]]
-
-
-def test_a_fit_needs_readings(plan):
-    with pytest.raises(InputError) as caught:
-        read_fit(plan)
-    assert len(caught.value.faults) == 4
-    assert caught.value.faults[0] == (
-        'fit: experiment "test 1": data 1 (penetration): file is missing: must be the name of a '
-        "table; planned readings are for --dry-run and ringwear design only"
-    )
-
-
-@pytest.mark.parametrize(
-    ("path", "value", "said"),
-    [
-        ((*PEN, "times"), [1.0, 1.0], "times = [1.0, 1.0]: must be { from = a, to = b, count"),
-        ((*PEN, "times"), {"from": 1.0, "to": 9.0}, "must be { from = a, to = b, count = n }"),
-        ((*PEN, "times"), {"from": 9.0, "to": 1.0, "count": 5}, "with a < b"),
-        ((*PEN, "times"), {"from": 1.0, "to": 9.0, "count": 1e9}, "n from 2 to 100000"),
-        ((*PEN, "times"), [1.0, 101.0], "time 101 s: must be within the test, from 0 to 100 s"),
-        ((*PEN, "times"), None, "file is missing: must be the name of a table; or times"),
-        ((*PEN, "r"), [29.0], "r: unknown key"),
-        ((*PEN, "value"), 1.0, "must be absent beside value; it is for readings that are planned"),
-        ((*PEN, "at"), 9.0, "at = 9.0: must be absent beside times"),
-        ((*PEN, "columns"), {"time": "t"}, "file is missing: must be the name of a table"),
-        ((*PEN, "sd"), "fit", 'sd = "fit": must be a number > 0, in unit, of readings that are'),
-        ((*PEN, "sd"), "z_sd", "must be a number > 0, in unit, of readings that are planned"),
-        ((*PEN, "sd"), {"relative": 0.1}, "must be a number > 0, in unit, of readings that are"),
-        ((*PEN, "sd"), None, "sd is missing"),
-        ((*PEN, "unit"), None, "unit is missing: must be the unit of a length"),
-        ((*PEN, "unit"), "s", 'unit = "s": must be the unit of a length'),
-        ((*PROF, "r"), [10.0, 30.0], "r = 10 mm: must be on the lower body, from 20 to 40 mm"),
-        ((*PROF, "r"), [21.0, 22.0], "has no reading within the contact, 28.5 to 31.5 mm"),
-        ((*PROF, "r"), [28000.0, 30000.0], "r = 28000 mm (and 1 more reading): must be on the l"),
-        ((*PROF, "r"), None, "file is missing: must be the name of a table of depths over radii"),
-        ((*PROF, "at"), 100.1, "at = 100.1: must be within the test, which ends at 100 s"),
-        ((*PROF, "exclude"), [[20, 40]], "has no readings"),
-    ],
-)  # fmt: skip
-def test_faults_of_plans(path, value, said, plan):
-    with pytest.raises(InputError) as caught:
-        read_fit(changed(plan, path, value), plans=True)
-    assert said in str(caught.value)
-
-
-def test_fewer_readings_than_parameters(plan):
-    tables = copy.deepcopy(plan)
-    tables["experiment"] = tables["experiment"][:1]
-    del tables["experiment"][0]["data"][1], tables["experiment"][0]["data"][0]["nuisance"]
-    tables["experiment"][0]["data"][0]["times"] = [50.0]
-    with pytest.raises(InputError, match="1 readings: must be at least as many as are sought, 2 "):
-        read_fit(tables, plans=True)
-
-
 def test_all_faults_are_told_together(good):
     tables = changed(good, (*PEN, "sd"), 0)
     tables["fit"]["starts"] = -1
@@ -475,138 +219,11 @@ def test_all_faults_are_told_together(good):
     assert len(caught.value.faults) == 3
 
 
-def test_the_same_readings_twice(good):
-    path = good["experiment"][0]["data"][0]["file"]
-    with pytest.raises(InputError, match="has the readings of experiment"):
-        read_fit(changed(good, ("experiment", 1, "data", 0, "file"), path))
-
-
-def test_the_same_readings_twice_in_one_experiment(good):
-    tables = copy.deepcopy(good)
-    data = tables["experiment"][0]["data"]
-    data.append({**data[0], "sd": 0.3, "exclude": [[0, 50]]})
-    with pytest.raises(InputError, match=r'"test 1": data 3 \(penetration\): .* is there twice'):
-        read_fit(tables)
-    data[0]["exclude"] = [[50, 100]]
-    assert len(read_fit(tables).experiments[0].series) == 3  # parts of one record
-
-
-@pytest.mark.parametrize(
-    ("quantity", "column"),
-    [("penetration", name) for name in ("p_Nm", "p_MPa", "p_s", "p_kN")]
-    + [("mass.upper", "Drehmoment_Nm")],
-)
-def test_columns_in_units_of_something_else(quantity, column, good, tmp_path):
-    write_table(tmp_path / "z.csv", ("t_s", column), (1.0, 2.0, 3.0), (1e-3, 2e-3, 3e-3))
-    tables = changed(good, (*PEN, "file"), str(tmp_path / "z.csv"))
-    table = tables["experiment"][0]["data"][0]
-    table |= {"quantity": quantity, "columns": {"time": "t_s", "value": column}}
-    with pytest.raises(InputError) as caught:
-        read_fit(tables)
-    unit = column.rpartition("_")[2]
-    said = f"z.csv: the column {column} is in {unit} by its name; must be in the unit of a "
-    assert said in str(caught.value)
-    assert "or units.value must be given" in str(caught.value)
-
-
-def test_a_table_of_names_only(good, tmp_path):
-    write_table(tmp_path / "z.csv", ("t_s", "z_um"), (), ())
-    for sd in ({"relative": 0.01}, 0.1):
-        tables = changed(good, (*PEN, "file"), str(tmp_path / "z.csv"))
-        table = tables["experiment"][0]["data"][0]
-        table |= {"columns": {"time": "t_s", "value": "z_um"}, "sd": sd}
-        with pytest.raises(InputError, match="has no readings; must have one at least"):
-            read_fit(tables)
-
-
-def test_noise_in_a_unit_of_something_else(good, tmp_path):
-    write_table(tmp_path / "z.csv", ("t_s", "z_um", "sd_N"), *[(1.0, 2.0, 3.0)] * 3)
-    tables = changed(good, (*PEN, "file"), str(tmp_path / "z.csv"))
-    tables["experiment"][0]["data"][0]["sd"] = "sd_N"
-    with pytest.raises(InputError, match="the column is in N by its name; must be in um"):
-        read_fit(tables)
-
-
-def test_units_are_named_by_columns_too(good, tmp_path):
-    data = good["experiment"][0]["data"][0]
-    x, y = np.genfromtxt(data["file"], delimiter=",", skip_header=1).T
-    for name, told in (("z_mm", True), ("z", False)):
-        write_table(tmp_path / "z.csv", ("t_s", name), x, 1e-3 * y)
-        tables = changed(good, (*PEN, "file"), str(tmp_path / "z.csv"))
-        tables["experiment"][0]["data"][0]["columns"] = {"time": "t_s", "value": name}
-        assert read_fit(tables).experiments[0].series[0].unit_told is told
-
-
 def test_values_stay_within_bounds_without_overflow():
     parameter = FittedParameter("wear.lower.k", 1e-7, (1e-9, 1e-5), log=True)
     with np.errstate(all="raise"):
         assert [parameter.value(u) for u in (-1e6, 1e6)] == [1e-9, 1e-5]
     assert parameter.value(parameter.unknown(3e-7)) == pytest.approx(3e-7, rel=1e-12)
-
-
-@pytest.mark.parametrize("entry", [PEN, PROF])
-def test_wrong_signs(entry, good, tmp_path, comm):
-    data = good["experiment"][0]["data"][entry[-1]]
-    names = tuple(data["columns"].values())
-    x, y = np.genfromtxt(data["file"], delimiter=",", skip_header=1).T
-    write_table(tmp_path / "a.csv", names, x, -y)
-    with pytest.raises(InputError, match="has the wrong sign"):
-        fit(changed(good, (*entry, "file"), str(tmp_path / "a.csv")), comm)
-
-
-def test_a_key_to_which_nothing_responds(good, comm):
-    """But for the pressure at the edges, which exceeds every threshold a little."""
-    tables = copy.deepcopy(good)
-    tables["experiment"] = tables["experiment"][:1]
-    tables["experiment"][0]["set"]["wear.lower.p0"] = 300.0
-    del tables["fit"]["parameters"]["wear.lower.p0"]
-    with pytest.raises(InputError, match=r"nothing that was read responds to wear.lower.k"):
-        fit(tables, comm)
-    tables["experiment"][0]["set"]["wear.lower.p0"] = 25.0
-    start = {"start": 1e-11, "bounds": [1e-12, 1e-5], "scale": "log"}
-    tables["fit"]["parameters"]["wear.lower.k"] = start
-    found = predicted(read_fit(tables), comm)  # hardly at the start, but elsewhere
-    assert found.parameters[0].sd > 0
-
-
-def test_a_drift_that_outweighs_the_wear_is_no_wrong_sign(good, tmp_path, comm):
-    data = good["experiment"][0]["data"][0]
-    t, z = np.genfromtxt(data["file"], delimiter=",", skip_header=1).T
-    write_table(tmp_path / "z.csv", tuple(data["columns"].values()), t, z - 4.0 * z.max() * t / 100)
-    tables = changed(good, (*PEN, "file"), str(tmp_path / "z.csv"))
-    prior = {"prior": {"normal": [-4.0 * z.max(), z.max()]}}
-    tables["experiment"][0]["data"][0]["nuisance"]["drift"] = prior
-    for known in (prior, {}):
-        tables["experiment"][0]["data"][0]["nuisance"]["drift"] = known
-        problem = read_fit(tables)
-        squares = LeastSquares(problem, Histories(problem, comm))
-        refuse_reversed(squares, squares.started(list(problem.start.values())))
-
-
-def test_a_torque_that_falls_is_no_wrong_sign(good, tmp_path, comm):
-    t = np.linspace(1.0, 100.0, 50)
-    write_table(tmp_path / "m.csv", ("time", "value"), t, -10.0 - np.sin(t))
-    tables = copy.deepcopy(good)
-    tables["experiment"][0]["data"].append(
-        {
-            "quantity": "torque",
-            "file": str(tmp_path / "m.csv"),
-            "units": {"value": "N m"},
-            "sd": 0.1,
-        }
-    )
-    problem = read_fit(tables)
-    squares = LeastSquares(problem, Histories(problem, comm))
-    refuse_reversed(squares, squares.started(list(problem.start.values())))
-
-
-def test_a_quantity_that_does_not_respond(good, comm):
-    tables = copy.deepcopy(good)
-    tables["experiment"][0]["data"].append(
-        {"quantity": "mass.upper", "value": 0.0, "unit": "mg", "density": 7.8e-3, "sd": 0.1}
-    )
-    with pytest.raises(InputError, match=r"mass.upper: does not respond to any parameter"):
-        fit(tables, comm)
 
 
 def test_other_files_are_told(tmp_path):

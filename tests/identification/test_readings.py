@@ -106,15 +106,20 @@ def test_readings_are_those_of_the_history(problem, comm):
     assert approach[0] == pytest.approx(result.histories["approach"][middle], abs=2e-5)
 
 
-def test_readings_have_their_derivatives(problem, comm):
-    """Central differences over the same steps."""
-    histories, point = Histories(problem, comm), np.array([1.3e-7, 25.0])
+def derivatives_defect(histories, point):
+    """Return how far derivatives are from central differences, over the largest; the worst."""
     (found,) = histories.responses(point[None])
-    for j in range(2):
-        step = 1e-4 * point[j] * np.eye(2)[j]
+    worst = 0.0
+    for j, step in enumerate(np.diag(1e-4 * point)):
         up, down = histories.responses(np.array([point + step, point - step]))
         slope = (up[:, 0] - down[:, 0]) / (2 * step[j])
-        assert np.abs(slope - found[:, 1 + j]).max() < 1e-5 * np.abs(slope).max()
+        worst = max(worst, np.abs(slope - found[:, 1 + j]).max() / np.abs(slope).max())
+    return worst
+
+
+def test_readings_have_their_derivatives(problem, comm):
+    """Central differences over the same steps."""
+    assert derivatives_defect(Histories(problem, comm), np.array([1.3e-7, 25.0])) < 1e-5
 
 
 def coated(folder, bounds):
@@ -135,13 +140,7 @@ def coated(folder, bounds):
 
 def test_readings_have_derivatives_where_each_point_has_its_operator(tmp_path, comm):
     problem = read_fit(coated(tmp_path, [1e-3, 5e-3]))
-    histories, point = Histories(problem, comm), np.array([2.1e-3, 1.2e5])
-    (found,) = histories.responses(point[None])
-    for j in range(2):
-        step = 1e-4 * point[j] * np.eye(2)[j]
-        up, down = histories.responses(np.array([point + step, point - step]))
-        slope = (up[:, 0] - down[:, 0]) / (2 * step[j])
-        assert np.abs(slope - found[:, 1 + j]).max() < 1e-3 * np.abs(slope).max()
+    assert derivatives_defect(Histories(problem, comm), np.array([2.1e-3, 1.2e5])) < 1e-3
 
 
 def test_a_layer_cannot_be_thicker_than_its_body(tmp_path):

@@ -1,9 +1,12 @@
 """Stresses in results: files, ranks, restarts, geometry that follows the wear, the summary."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 import ringwear_par as rw
+from ringwear_par.cases.stress import Stress
 from ringwear_par.elasticity.stress_measures import COMPONENTS, max_shear, mises, principal
 from ringwear_par.history.limits import stress_numbers
 
@@ -302,3 +305,9 @@ def test_stresses_beside_the_contact_converge(comm):
         case = rw.read_case("scripts/cases/paper.toml", {**changes, "stress.points": beside})
         found[n] = mises(rw.simulate(case, comm).stress.states[-1].points)
     np.testing.assert_allclose(found[64], found[128], rtol=0.01)
+
+
+def test_points_of_a_case_that_was_not_read_are_checked():
+    case = replace(case_of(), stress=Stress(points=((50.0, 1.0, ""),)))
+    with pytest.raises(rw.InputError, match=r"stress\.points\[0\] = \[50\.0, 1\.0\]: lies outside"):
+        rw.simulate(case)

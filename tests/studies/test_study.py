@@ -196,6 +196,18 @@ method = "grid"
         ('[vary]\n"contact.friction[0]" = { values = [1] }', ["no entries"]),
         ('[vary]\n"load.pressure" = { values = [-5, 80] }', ["load.pressure = -5", "case 1"]),
         ('[vary]\n"upper.r[0]" = { values = [50] }', ["upper.r", "two increasing"]),
+        (
+            '[vary]\n"lower.layers[0].young" = { values = [1e4] }',
+            ["case 1: lower.layers[0].young = 10000.0: the case has no such layer"],
+        ),
+        (
+            '[vary]\n"lower.layers[0].thick" = { values = [1] }',
+            ['"lower.layers[0].thick": unknown key (did you mean thickness?)'],
+        ),
+        (
+            '[vary]\n"lower.layers.0.thickness" = { values = [1] }',
+            ["unknown key (did you mean lower.layers[0].thickness?)"],
+        ),
         (GRID.replace("grid", "gird"), ["gird", "grid, sobol"]),
         (GRID.replace('"grid"', '"sobol"'), ["design.count is missing", "must be absent"]),
         (GRID + "count = 3", ["design.count = 3", "must be absent"]),

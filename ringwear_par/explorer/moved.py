@@ -1,0 +1,100 @@
+"""The keys that moved sliders make: raw ones, in the units that the user wrote them in."""
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+from ringwear_par.cases.layers import changed_layers, expanded
+from ringwear_par.cases.units import has_unit, in_unit, is_plain, number_and_unit
+from ringwear_par.cases.values import RejectedError
+from ringwear_par.errors import InputError, legible
+from ringwear_par.explorer.sliders import Control
+
+
+def changed(
+    keys: Mapping[str, Any], controls: Mapping[str, Control], texts: Mapping[str, str]
+) -> tuple[dict[str, Any], dict[str, Control]]:
+    """Return keys with other numbers, and the controls as they then stand.
+
+    Parameters
+    ----------
+    keys : raw ones.
+    controls : of these keys, by name.
+    texts : numbers by the names of controls, perhaps with units, as in a case file.
+
+    Raises
+    ------
+    InputError : all texts that are no numbers.
+    """
+    there, made, moved, faults = expanded(keys), dict[str, Any](), dict(controls), []
+    for name, text in texts.items():
+        control = controls.get(name)
+        if control is None:
+            faults.append(f"{legible(name)}: is no number of this case that can be moved")
+            continue
+        try:
+            raw, value = _read(control, text)
+        except RejectedError as reason:
+            why = f" ({reason})" if str(reason) else ""
+            unit = f" in {control.unit}" if control.unit else ""
+            hint = ", or one with its unit" if control.unit and not control.scales else ""
+            faults.append(
+                f"{control.name} = {legible(text) or '(empty)'}: must be a number{unit}{hint}{why}"
+            )
+            continue
+        moved[name] = control.at(value)
+        made[control.path] = _put(control, made.get(control.path, there.get(control.path)), raw)
+    if faults:
+        raise InputError(*faults)
+    return {**keys, **changed_layers(keys, made)}, moved
+
+
+def _read(control: Control, text: str) -> tuple[Any, float]:
+    """Return what a text means in a case file, and how much it is in the unit of the control."""
+    text = text.strip().replace("\N{MINUS SIGN}", "-")
+    if is_plain(text):
+        value = float(text)
+        if not math.isfinite(value):
+            raise RejectedError
+        if control.whole and value.is_integer() and abs(value) < 1e15:
+            return int(value), value
+        return (f"{text} {control.unit}" if control.written else value), value
+    if control.scales or not has_unit(text) or not control.unit:
+        raise RejectedError
+    return text, float(in_unit(text, control.unit))
+
+
+def _put(control: Control, there: Any, raw: Any) -> Any:
+    """Return the raw value of a key with that of a control in it."""
+    if control.scales:
+        if isinstance(control.entry, str):
+            return {**there, control.entry: _scaled(there[control.entry], raw)}
+        return _scaled(there, raw)
+    if isinstance(control.entry, int):
+        entries = list(there)
+        entries[control.entry] = raw
+        return entries
+    if isinstance(control.entry, str):
+        shape, _, place = control.entry.partition("[")
+        if place:  # one of the two fillets
+            entries = list(there[shape])
+            entries[int(place[:-1])] = raw
+            return {**there, shape: entries}
+        return {**there, control.entry: raw}
+    return raw
+
+
+def _scaled(table: Any, times: float) -> Any:
+    """Return a table [[x, value], ...], or { r = such a table }, its values multiplied."""
+    if isinstance(table, Mapping):
+        return {axis: _scaled(points, times) for axis, points in table.items()}
+    return [[x, _times_as_much(value, times)] for x, value in table]
+
+
+def _times_as_much(value: Any, times: float) -> Any:
+    if times == 1.0:
+        return value
+    if isinstance(value, str):  # with a unit
+        number, unit = number_and_unit(value)
+        return f"{number * times:.12g} {unit}"
+    return float(f"{value * times:.12g}")

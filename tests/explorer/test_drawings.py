@@ -1,0 +1,119 @@
+"""What the explorer draws: figures of histories, and measurements laid over them."""
+
+import json
+import re
+
+import numpy as np
+import pytest
+from test_explorer import CASES, FIT
+
+import ringwear_par as rw
+from ringwear_par.explorer.exploring import Exploration, raw_keys
+from ringwear_par.explorer.figures import MENU, Drawing
+from ringwear_par.explorer.measured import read_table
+from ringwear_par.explorer.page import _variables
+from ringwear_par.results.history_panels import HISTORY_PANELS
+
+pytestmark = pytest.mark.serial
+
+
+@pytest.fixture(scope="module")
+def drawn():
+    from mpi4py import MPI
+
+    keys = raw_keys(CASES / "archard.toml", ["mesh.contact_elements=12", "lower.density=0.0019"])
+    exploration = Exploration(keys, "archard.toml", MPI.COMM_WORLD)
+    return exploration.compute({}), exploration.compute({"wear.lower.k": "3e-8"})
+
+
+def test_figures_hold_the_history(drawn):
+    first, now = drawn
+    for menu in MENU.keys() - {"through"}:  # of layers
+        told = Drawing(now.result, first.result, now.case, 0.5, menu, []).told()
+        curves = HISTORY_PANELS[menu].curves(now.result)
+        lines = told["other"]["sources"]["lines"]
+        assert len(lines["x"]) == 2 * len(curves)  # and those of the case file
+        for y, values in zip(lines["y"][len(curves) :], curves.values(), strict=True):
+            assert np.array_equal(np.unique(y), np.unique(values))
+    lines = told["wear"]["sources"]["lines"]
+    assert np.array_equal(lines["y"][-2], -1e3 * now.result.profiles["wear_lower"][
+        np.abs(now.result.histories["time"] - 100.0).argmin()])  # fmt: skip
+    ends = [lines["y"][lines["label"].index(label)] for label in ("case file, end", "200 s")]
+    wear = (-1e3 * one.result.profiles["wear_lower"][-1] for one in drawn)
+    assert all(np.array_equal(*both) for both in zip(ends, wear, strict=True))
+    assert told["wear"]["note"] == "lower below 0, upper above"
+    top = told["pressure"]["ranges"][1][1]
+    assert 80.0 < top < max(map(max, told["pressure"]["sources"]["lines"]["y"]))
+    assert "is cut" in told["pressure"]["note"]
+    json.dumps(told, allow_nan=False)
+
+
+def test_the_share_worn_through_is_drawn_of_layers(comm):
+    for name, layered in (("wear_through", True), ("paper", False)):
+        keys = raw_keys(CASES / f"{name}.toml", ["mesh.contact_elements=12"])
+        exploration = Exploration(keys, name, comm)
+        menu = _variables(exploration, name, [])["menu"]
+        assert ("through" in menu) is layered
+        assert len(menu) == len(MENU) - (not layered)
+        if layered:
+            found = exploration.compute({})
+            told = Drawing(found.result, found.result, found.case, 1.0, "through", []).told()
+            (y,) = told["other"]["sources"]["lines"]["y"]
+            assert y == (100.0 * found.result.layers["share_through_lower"]).tolist()
+            assert y[-1] > 0.0
+
+
+def test_tables_are_read_as_fits_read_them(drawn):
+    case = drawn[0].case
+    (depth,) = read_table((FIT / "test1_penetration.csv").read_bytes(), "a.csv", case)
+    rows = np.loadtxt(FIT / "test1_penetration.csv", delimiter=",", skiprows=2)
+    assert (depth.quantity, depth.unit) == ("penetration", "um")
+    assert np.allclose(depth.x, rows[:, 0])
+    assert np.allclose(depth.values(case), 1e-3 * rows[:, 1])
+    (profile,) = read_table((FIT / "test1_profile_lower.csv").read_bytes(), "b.csv", case)
+    assert (profile.quantity, profile.along) == ("profile.lower", True)
+    many = (
+        b"t [h];sd;torque_Nm;mass_lower_mg;depth (mm);other_N m;note\n"
+        b"0,5;1;2,5;3;0,001;7;1\n0,25;1;1,5;2;0,002;6;\n"
+    )
+    found = read_table(many, "c.csv", case)
+    assert [one.quantity for one in found] == [
+        "torque", "mass.lower", "penetration", "torque", "penetration",
+    ]  # fmt: skip
+    assert np.allclose(found[0].x, [900.0, 1800.0])  # in order
+    assert np.allclose(found[0].values(case), [1500.0, 2500.0])
+    assert np.allclose(found[1].values(case), np.array([2e-3, 3e-3]) / 0.0019)
+    assert len(found[-1].x) == 1
+
+
+def test_how_far_readings_are_from_the_curve(drawn):
+    now = drawn[1]
+    time, depth = (now.result.histories[name] for name in ("time", "penetration"))
+    rows = "\n".join(f"{t!r},{1e3 * d + 2.0!r}" for t, d in zip(time, depth, strict=True))
+    table = f"time_s,penetration_um\n{rows}\n1e9,5\n".encode()
+    (one,) = read_table(table, "a.csv", now.case)
+    assert one.off(now.result, one.values(now.case)) == pytest.approx(2e-3)
+    table = b"r_mm,wear_upper_um\n10,1\n50,-1\n"  # unworn there
+    (one,) = read_table(table, "a.csv", now.case)
+    assert one.quantity == "profile.upper"
+    assert one.off(now.result, one.values(now.case)) == pytest.approx(1e-3)
+    (one,) = read_table(b"time_s,mass_upper_mg\n10,1\n", "a.csv", now.case)
+    with pytest.raises(rw.InputError, match=r"must have upper.density \(g/mm"):
+        one.values(now.case)
+
+
+@pytest.mark.parametrize(
+    ("table", "words"),
+    [
+        (b"", "a.csv: is empty"),
+        (b"\0\1\2\n", "a.csv: is not a text file"),
+        (b"x,y\n1,2\n", "a.csv: has the columns x, y; must have one of times, such as time_s"),
+        (b"torque,radial\n1,2\n", "must have one of times"),
+        (b"time_s,y\n1,two\n", "a.csv: line 2: y = two: must be a number, or empty"),
+        (b"time_s,y\n1,\n", "a.csv: has no readings beside time_s"),
+        (b"time_s,y\n" + b"1,1\n" * 1_300_000, "must have at most 5000000"),
+    ],
+)
+def test_tables_that_are_none_are_told(table, words, drawn):
+    with pytest.raises(rw.InputError, match=re.escape(words)):
+        read_table(table, "a.csv", drawn[0].case)

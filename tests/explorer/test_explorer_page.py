@@ -1,0 +1,154 @@
+"""The explorer's page without a browser: wishes, faults, answers."""
+
+import base64
+import json
+from types import SimpleNamespace
+
+import pytest
+from bokeh.document import Document
+from bokeh.server.session import ServerSession
+from test_explorer import PAPER, SMALL
+from tornado.ioloop import IOLoop
+
+from ringwear_par.explorer.exploring import Exploration, raw_keys
+from ringwear_par.explorer.page import Page
+from ringwear_par.explorer.server import _if_there
+
+pytestmark = pytest.mark.serial
+
+
+class Visited:
+    """A page without a browser, and what both threads are to do for it."""
+
+    def __init__(self, comm):
+        self.exploration = Exploration(raw_keys(PAPER, SMALL), "paper", comm)
+        self.tasks, self.later, document = [], [], Document()
+        self.page = Page(document, self.exploration, "paper.toml", ["127.0.0.1:1"],
+                         self.tasks.append, self.later.append)  # fmt: skip
+        self.talk = document.get_model_by_name("talk")
+
+    @property
+    def told(self):
+        """What the page was told last."""
+        return json.loads(self.talk.told)
+
+    def work(self):
+        """Do all that is to be done, and return what the page is told then."""
+        while self.tasks:
+            self.tasks.pop(0)()
+            while self.later:
+                self.later.pop(0)()
+        return self.told
+
+    def ask(self, n, **values):
+        """Ask for other numbers."""
+        wish = {"n": n, "instant": 1.0, "menu": "torque", "values": values}
+        self.talk.asked = json.dumps(wish)
+
+    def give(self, name, table):
+        """Lay a table over the history."""
+        content = base64.b64encode(table).decode()
+        self.talk.given = json.dumps({"name": name, "content": content})
+
+
+def test_a_page_computes_the_last_wish_and_goes_on_after_faults(comm):
+    visited = Visited(comm)
+    exploration, talk, work, ask = visited.exploration, visited.talk, visited.work, visited.ask
+    computed, compute = [], exploration.compute
+
+    def counted(texts, assembling, sketch):
+        computed.append(texts)
+        if texts == {"wear.lower.k": "5"}:
+            raise ZeroDivisionError("of a fault in the code")
+        return compute(texts, assembling)
+
+    exploration.compute = counted
+    assert work()["n"] == 0
+    for n in range(1, 9):  # moves while one is computed
+        ask(n, **{"wear.lower.k": f"{n}e-8"})
+    told = work()
+    assert told["n"] == 8
+    assert [t["wear.lower.k"] for t in computed if t] == ["8e-8"]
+    assert told["controls"]["wear.lower.k"]["value"] == 8e-8
+    ask(9, **{"wear.lower.k": "8e-8"})  # nothing to compute
+    assert json.loads(talk.told)["n"] == 9
+    ask(10, **{"wear.lower.k": "0", "contact.friction": "x"})
+    assert work()["faults"] == ["contact.friction = x: must be a number"]
+    ask(11, **{"wear.lower.k": "5"})
+    assert work()["faults"] == [
+        "failed unexpectedly: ZeroDivisionError('of a fault in the code')"
+    ]  # fmt: skip
+    ask(12)
+    told = work()
+    assert told["n"] == 12
+    assert told["faults"] == []
+    visited.page._slow, exploration.compute = True, compute
+    talk.asked = json.dumps({**json.loads(talk.asked), "n": 12.5, "moving": True,
+                             "values": {"wear.lower.k": "2e-7"}})  # fmt: skip
+    assert work()["sketch"] is True
+    talk.asked = json.dumps({**json.loads(talk.asked), "n": 12, "moving": False})
+    assert work()["sketch"] is False  # the same numbers, but at rest
+    visited.page._left(None)
+    ask(13, **{"wear.lower.k": "9e-8"})
+    assert work()["n"] == 12  # nobody is there to see it
+
+
+def test_faults_stay_until_numbers_can_be_computed(comm):
+    visited = Visited(comm)
+    visited.work()
+    visited.ask(1, **{"contact.friction": "x"})
+    said = ["contact.friction = x: must be a number"]
+    told = visited.work()
+    assert (told["n"], told["faults"], told["controls"]) == (1, said, {})
+    visited.give("a.csv", b"time_s,penetration_um\n1,2\n")  # is no answer, and changes no number
+    told = visited.told
+    assert (told["n"], told["faults"], told["controls"]) == (None, said, {})
+    assert [column["column"] for column in told["laid"]] == ["penetration_um"]
+    visited.ask(2)
+    told = visited.work()
+    assert (told["n"], told["faults"]) == (2, [])
+    assert told["controls"]
+    visited.ask(3, **{"lower.young": "1e308"})  # whose slider would reach infinity
+    visited.work()
+    assert "Infinity" not in visited.talk.told
+
+
+def test_only_answers_have_the_number_of_a_wish(comm):
+    visited = Visited(comm)
+    visited.work()
+    visited.ask(1, **{"wear.lower.k": "3e-8"})
+    visited.give("a.csv", b"time_s,penetration_um\n1,2\n")  # while that is computed
+    assert visited.told["n"] is None
+    assert visited.told["controls"]["wear.lower.k"]["value"] != 3e-8
+    told = visited.work()
+    assert told["n"] == 1
+    assert told["controls"]["wear.lower.k"]["value"] == 3e-8
+
+
+def test_only_the_case_file_stands_as_the_case_file(comm):
+    visited = Visited(comm)
+    visited.ask(1, **{"load.omega": "9"})  # before the first history
+    told = visited.work()
+    assert [row[2] for row in told["numbers"]] == [""] * len(told["numbers"])
+    assert "case file" not in told["charts"]["penetration"]["sources"]["lines"]["label"]
+    visited.ask(2)
+    before = {row[0]: row[1] for row in visited.work()["numbers"]}
+    visited.ask(3, **{"load.omega": "9"})
+    told = visited.work()
+    assert {row[0]: row[2] for row in told["numbers"]} == before
+    assert "case file" in told["charts"]["penetration"]["sources"]["lines"]["label"]
+
+
+def test_a_page_that_is_closed_meanwhile_ends_nothing():
+    loop, document, called = IOLoop(make_current=False), Document(), []
+    context = SimpleNamespace()
+    document._session_context = lambda: context  # as bokeh's server sets it
+    session = ServerSession("one", document, io_loop=loop)
+    _if_there(document, lambda: called.append(1))
+    loop.call_later(0.05, loop.stop)
+    loop.start()
+    assert called == [1]
+    session.destroy()
+    _if_there(document, lambda: called.append(2))
+    loop.close()
+    assert called == [1]

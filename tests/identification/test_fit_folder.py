@@ -1,0 +1,207 @@
+"""The folder of a fit: what is written, dry runs, starts that are kept, fits that go on."""
+
+import copy
+import json
+import signal
+import sys
+import tomllib
+from pathlib import Path
+
+import h5py
+import pytest
+import xarray
+from laboratory import (
+    FITTED,
+    TRUTH,
+    fit_tables,
+    write_tests,
+)
+
+import ringwear_par as rw
+from ringwear_par.cases.text import toml_value
+from ringwear_par.errors import ComputationError, InputError
+from ringwear_par.identification import fit as fit_room
+from ringwear_par.identification import starts as starts_room
+from ringwear_par.identification.fit import fit, fitted, run_fit
+from ringwear_par.identification.fit_file import read_fit
+from ringwear_par.stopping import StopSignals
+
+
+@pytest.fixture(scope="module")
+def tables(tmp_path_factory):
+    """A function that makes a fit file of two tests of the laboratory, with noise."""
+    folder = tmp_path_factory.mktemp("laboratory")
+    written = write_tests(folder)
+    return lambda **settings: fit_tables(folder, copy.deepcopy(written), **settings)
+
+
+@pytest.mark.serial
+def test_a_dry_run_tells_what_is_not_installed(tables, tmp_path, comm, capsys, monkeypatch):
+    """And does not need it, as the fit does."""
+    given = tables(intervals=["posterior"])
+    path = tmp_path / "fit.toml"
+    path.write_text("".join(f"{key} = {toml_value(value)}\n" for key, value in given.items()))
+    monkeypatch.setitem(sys.modules, "emcee", None)  # as if it were not there
+    run_fit(path, tmp_path / "out", comm, dry_run=True)
+    assert 'missing: fit.intervals: "posterior" needs emcee: pip install' in capsys.readouterr().out
+    with pytest.raises(InputError, match=r'fit.toml: fit.intervals: "posterior" needs emcee'):
+        run_fit(path, tmp_path / "out", comm)
+    monkeypatch.undo()
+    run_fit(path, tmp_path / "out", comm, dry_run=True)
+    assert "missing" not in capsys.readouterr().out
+
+
+@pytest.mark.serial
+def test_only_a_fit_that_keeps_its_starts_can_go_on(tables, written, comm, monkeypatch):
+    class Signals(StopSignals):
+        def __enter__(self):
+            self.received = signal.SIGTERM
+            return self
+
+    monkeypatch.setattr(fit_room, "StopSignals", Signals)
+    with pytest.raises(ComputationError, match="stopped by SIGTERM") as caught:
+        fit(tables(), comm)
+    assert "--restart" not in str(caught.value)
+    with pytest.raises(ComputationError, match="with --restart goes on"):
+        run_fit(*written, comm)
+
+
+@pytest.fixture
+def written(tables, tmp_path):
+    """A fit file of two starts, and the folder of its results."""
+    given = tables()
+    path = tmp_path / "fit.toml"
+    path.write_text("".join(f"{key} = {toml_value(value)}\n" for key, value in given.items()))
+    return path, tmp_path / "out"
+
+
+@pytest.mark.serial
+def test_what_is_written(written, comm, capsys):
+    path, folder = written
+    run_fit(path, folder, comm)
+    said = capsys.readouterr().out
+    assert "wear.lower.p0" in said
+    assert "chi2" in said
+    assert sorted(p.name for p in folder.iterdir()) == [
+        "fit.json", "fit.png", "parameters.png", "results.h5",
+    ]  # fmt: skip
+    told = json.loads((folder / "fit.json").read_text())
+    names = "parameters covariance chi2 n_data aic bic experiments nuisance histories alternatives "
+    assert set(f"{names}starts versions data".split()) <= told.keys()
+    low, high = told["parameters"]["wear.lower.k"]["interval"]
+    assert low < TRUTH["wear.lower.k"] < high
+    with h5py.File(folder / "results.h5") as file:
+        groups = [group for group in file.values() if "experiment" in group.attrs]
+        assert len(groups) == 4
+        chi2 = sum((group["residual"][:] ** 2).sum() for group in groups)
+        assert chi2 == pytest.approx(told["chi2"])
+        sensitivity = groups[0]["sensitivity"]
+        assert sensitivity.shape == (len(groups[0]["time"]), 2)
+        names = list(file)
+    units = {"wear.lower.k": "1/MPa", "wear.lower.p0": "MPa"}
+    assert {key: one["unit"] for key, one in told["parameters"].items()} == units
+    for name in names:
+        opened = xarray.open_dataset(folder / "results.h5", group=name, engine="h5netcdf")
+        with opened as stored:
+            assert stored["parameter"].values.tolist() == list(units)
+            assert stored["parameter_unit"].values.tolist() == list(units.values())
+            to_k = stored["sensitivity"].sel(parameter="wear.lower.k")
+            assert to_k.dims == ("reading",)
+            assert stored["data"].attrs["units"] == "mm"
+
+
+@pytest.mark.serial
+def test_doubts_are_said_once(tables, tmp_path, comm, capfd):
+    given = tables(starts=1)
+    for series in given["experiment"][0]["data"]:
+        series["sd"] *= 0.1
+    path = tmp_path / "fit.toml"
+    path.write_text("".join(f"{key} = {toml_value(value)}\n" for key, value in given.items()))
+    run_fit(path, tmp_path / "out", comm)
+    out, err = capfd.readouterr()
+    assert out.count("warning: the model does not fit") == 1
+    assert "does not fit" not in err
+
+
+@pytest.mark.serial
+def test_a_complete_fit_is_left_as_it_is(written, comm, monkeypatch):
+    path, folder = written
+    text = path.read_text()
+    path.write_text(
+        text.replace("starts = 2", "starts = 1")
+        + 'compare.fixed.set = {}\ncompare.fixed.parameters."wear.lower.k" = '
+        + toml_value(FITTED["wear.lower.k"])
+    )
+    folder = folder.parent / "not" / "there"
+    run_fit(path, folder, comm)
+    run_fit(path, folder, comm, restart=True, compare=True)
+    whole = (folder / "fit.json").read_text()
+    assert list(json.loads(whole)["alternatives"]) == ["fixed"]
+
+    def never(*args, **kwargs):
+        raise AssertionError("fitted again")
+
+    monkeypatch.setattr(fit_room, "fitted", never)
+    run_fit(path, folder, comm, restart=True)
+    assert (folder / "fit.json").read_text() == whole
+    path.write_text(path.read_text() + "\n# another\n")
+    with pytest.raises(AssertionError, match="fitted again"):
+        run_fit(path, folder, comm, restart=True)
+
+
+@pytest.mark.serial
+def test_a_dry_run_writes_nothing(written, comm, capsys):
+    path, folder = written
+    run_fit(path, folder, comm, dry_run=True)
+    assert "to be expected" in capsys.readouterr().out
+    assert not folder.exists()
+
+
+@pytest.mark.serial
+def test_a_fit_goes_on_with_the_starts_that_are_kept(written, comm, monkeypatch):
+    path, folder = written
+    whole = fitted(read_fit(path), comm)
+    calls = []
+
+    def stopping(*args):
+        calls.append(args)
+        if len(calls) == 2:
+            raise ComputationError("the power failed")
+        return solved(*args)
+
+    solved = starts_room._solved
+    with monkeypatch.context() as patch:
+        patch.setattr(starts_room, "_solved", stopping)
+        with pytest.raises(ComputationError, match="the power failed"):
+            run_fit(path, folder, comm)
+    assert len(list((folder / "progress").iterdir())) == 1
+    with pytest.raises(InputError, match="interrupted; --restart goes on with it"):
+        run_fit(path, folder, comm)
+    run_fit(path, folder, comm, restart=True)
+    told = json.loads((folder / "fit.json").read_text())
+    assert not (folder / "progress").exists()
+    assert told["parameters"]["wear.lower.k"]["estimate"] == whole.parameters[0].estimate
+    assert told["starts"] == whole.to_dict()["starts"]
+    assert told["histories"] < whole.histories
+
+
+def test_another_case_is_another_problem(written):
+    path, _ = written
+    case = Path(tomllib.loads(path.read_text())["case"])
+    before = read_fit(path).key
+    text = case.read_text()
+    try:
+        case.write_text(text.replace("contact_elements = 12", "contact_elements = 10"))
+        assert read_fit(path).key != before
+    finally:
+        case.write_text(text)
+    assert read_fit(path).key == before
+
+
+@pytest.mark.serial
+def test_the_front_door(tables):
+    found = rw.fit(tables(starts=1))
+    assert isinstance(found, rw.FitResult)
+    assert "wear.lower.k" in repr(found)
+    assert found.plot().axes
+    assert "identified" in found.summary()

@@ -1,0 +1,221 @@
+"""Readings that a fit file names: columns and units, times, noise, and signs that cannot be."""
+
+import copy
+import math
+
+import numpy as np
+import pytest
+from laboratory import PEN, PROF, changed, fit_tables, write_table, write_tests
+
+from ringwear_par.errors import InputError
+from ringwear_par.identification.fit import fit, predicted
+from ringwear_par.identification.fit_file import read_fit
+from ringwear_par.identification.histories import Histories
+from ringwear_par.identification.least_squares import LeastSquares
+from ringwear_par.identification.plausible import refuse_reversed
+
+
+@pytest.fixture(scope="module")
+def good(tmp_path_factory):
+    """A folder of measurements, and the fit file as a dict."""
+    folder = tmp_path_factory.mktemp("laboratory")
+    return fit_tables(folder, write_tests(folder), starts=1)
+
+
+@pytest.mark.parametrize(
+    ("rows", "said"),
+    [
+        ([(1, 1), (2, 1), (2, 1)], "line 4: time 2 s after 2 s: times must increase"),
+        ([(1, 1), (3, 1), (2, 1)], "line 4: time 2 s after 3 s: times must increase"),
+        ([(5, 1), (4, 1), (3, 1), (9, 1)], "line 3: time 4 s after 5 s (and 1 more reading)"),
+        (
+            [(1, 1), (101, 1), (102, 1), (103, 1)],
+            "line 3: time 101 s (and 2 more readings): must be within the test",
+        ),
+        ([(1, 1), (99, 1), (101, 1)], "line 4: time 101 s: must be within the test, from 0 to 100"),
+        ([(-1, 1), (99, 1)], "line 2: time -1 s: must be within the test"),
+        ([(1, 1), (2, 3e7)], "line 3: 30000 mm: must be less than the height of a body"),
+        ([(1, 1), (2, math.nan)], "has 1 reading; must have more than nuisances"),
+    ],
+)
+def test_faulty_times(rows, said, good, tmp_path):
+    write_table(tmp_path / "z.csv", ("t_s", "z_um"), *np.array(rows).T)
+    tables = changed(good, (*PEN, "file"), str(tmp_path / "z.csv"))
+    tables["experiment"] = tables["experiment"][:1]
+    del tables["experiment"][0]["data"][1]
+    with pytest.raises(InputError) as caught:
+        read_fit(tables)
+    assert said in str(caught.value)
+
+
+def test_a_fault_of_many_readings_is_told_once(good, tmp_path):
+    """In hours what was meant in seconds: all readings but a few are beyond the end."""
+    write_table(tmp_path / "z.csv", ("time", "z_um"), range(1, 50), range(1, 50))
+    tables = changed(good, (*PEN, "file"), str(tmp_path / "z.csv"))
+    tables["experiment"][0]["data"][0] |= {
+        "columns": {"value": "z_um"}, "units": {"time": "h"}, "sd": 0.2,
+    }  # fmt: skip
+    with pytest.raises(InputError) as caught:
+        read_fit(tables)
+    (fault,) = caught.value.faults
+    assert "time 3600 s (and 48 more readings): must be within the test" in fault
+
+
+def test_radii_in_another_unit(good, tmp_path):
+    write_table(tmp_path / "d.csv", ("r", "d_um"), (28.0, 30.0, 32.0), (0.0, 1.0, 0.0))
+    tables = changed(good, (*PROF, "file"), str(tmp_path / "d.csv"))
+    tables["experiment"][0]["data"][1] |= {
+        "columns": {"value": "d_um"}, "units": {"r": "m"}
+    }  # fmt: skip
+    with pytest.raises(InputError) as caught:
+        read_fit(tables)
+    first, _ = caught.value.faults
+    assert "r = 28000 mm (and 2 more readings): must be on the lower body" in first
+    assert "a thousand times too large" in first
+
+
+def test_noise_in_another_unit_than_its_readings(good, tmp_path):
+    columns = (1.0, 2.0, 3.0), (1.0, 2.0, 3.0), (2e-4, 2e-4, 2e-4)
+    write_table(tmp_path / "z.csv", ("t_s", "z_um", "noise_mm"), *columns)
+    tables = changed(good, (*PEN, "file"), str(tmp_path / "z.csv"))
+    tables["experiment"][0]["data"][0]["sd"] = "noise_mm"
+    with pytest.raises(InputError, match=r'sd = "noise_mm": .* in mm by its name; must be in um'):
+        read_fit(tables)
+
+
+def test_records_of_a_spreadsheet(good, tmp_path):
+    """With its first line, decimal commas and clock times."""
+    rows = "".join(f"0:{t // 60:02d}:{t % 60:02d};{t / 10:g}\n" for t in range(2, 99, 2))
+    (tmp_path / "z.csv").write_text("sep=;\ntime;z_um\n" + rows.replace(".", ","))
+    tables = changed(good, (*PEN, "file"), str(tmp_path / "z.csv"))
+    tables["experiment"][0]["data"][0]["columns"] = {"value": "z_um"}
+    record = read_fit(tables).experiments[0].series[0]
+    assert record.x == pytest.approx(np.arange(2.0, 99.0, 2.0))
+    assert record.value == pytest.approx(1e-4 * record.x)
+
+
+def test_the_same_readings_twice(good):
+    path = good["experiment"][0]["data"][0]["file"]
+    with pytest.raises(InputError, match="has the readings of experiment"):
+        read_fit(changed(good, ("experiment", 1, "data", 0, "file"), path))
+
+
+def test_the_same_readings_twice_in_one_experiment(good):
+    tables = copy.deepcopy(good)
+    data = tables["experiment"][0]["data"]
+    data.append({**data[0], "sd": 0.3, "exclude": [[0, 50]]})
+    with pytest.raises(InputError, match=r'"test 1": data 3 \(penetration\): .* is there twice'):
+        read_fit(tables)
+    data[0]["exclude"] = [[50, 100]]
+    assert len(read_fit(tables).experiments[0].series) == 3  # parts of one record
+
+
+@pytest.mark.parametrize(
+    ("quantity", "column"),
+    [("penetration", name) for name in ("p_Nm", "p_MPa", "p_s", "p_kN")]
+    + [("mass.upper", "Drehmoment_Nm")],
+)
+def test_columns_in_units_of_something_else(quantity, column, good, tmp_path):
+    write_table(tmp_path / "z.csv", ("t_s", column), (1.0, 2.0, 3.0), (1e-3, 2e-3, 3e-3))
+    tables = changed(good, (*PEN, "file"), str(tmp_path / "z.csv"))
+    table = tables["experiment"][0]["data"][0]
+    table |= {"quantity": quantity, "columns": {"time": "t_s", "value": column}}
+    with pytest.raises(InputError) as caught:
+        read_fit(tables)
+    unit = column.rpartition("_")[2]
+    said = f"z.csv: the column {column} is in {unit} by its name; must be in the unit of a "
+    assert said in str(caught.value)
+    assert "or units.value must be given" in str(caught.value)
+
+
+def test_a_table_of_names_only(good, tmp_path):
+    write_table(tmp_path / "z.csv", ("t_s", "z_um"), (), ())
+    for sd in ({"relative": 0.01}, 0.1):
+        tables = changed(good, (*PEN, "file"), str(tmp_path / "z.csv"))
+        table = tables["experiment"][0]["data"][0]
+        table |= {"columns": {"time": "t_s", "value": "z_um"}, "sd": sd}
+        with pytest.raises(InputError, match="has no readings; must have one at least"):
+            read_fit(tables)
+
+
+def test_noise_in_a_unit_of_something_else(good, tmp_path):
+    write_table(tmp_path / "z.csv", ("t_s", "z_um", "sd_N"), *[(1.0, 2.0, 3.0)] * 3)
+    tables = changed(good, (*PEN, "file"), str(tmp_path / "z.csv"))
+    tables["experiment"][0]["data"][0]["sd"] = "sd_N"
+    with pytest.raises(InputError, match="the column is in N by its name; must be in um"):
+        read_fit(tables)
+
+
+def test_units_are_named_by_columns_too(good, tmp_path):
+    data = good["experiment"][0]["data"][0]
+    x, y = np.genfromtxt(data["file"], delimiter=",", skip_header=1).T
+    for name, told in (("z_mm", True), ("z", False)):
+        write_table(tmp_path / "z.csv", ("t_s", name), x, 1e-3 * y)
+        tables = changed(good, (*PEN, "file"), str(tmp_path / "z.csv"))
+        tables["experiment"][0]["data"][0]["columns"] = {"time": "t_s", "value": name}
+        assert read_fit(tables).experiments[0].series[0].unit_told is told
+
+
+@pytest.mark.parametrize("entry", [PEN, PROF])
+def test_wrong_signs(entry, good, tmp_path, comm):
+    data = good["experiment"][0]["data"][entry[-1]]
+    names = tuple(data["columns"].values())
+    x, y = np.genfromtxt(data["file"], delimiter=",", skip_header=1).T
+    write_table(tmp_path / "a.csv", names, x, -y)
+    with pytest.raises(InputError, match="has the wrong sign"):
+        fit(changed(good, (*entry, "file"), str(tmp_path / "a.csv")), comm)
+
+
+def test_a_key_to_which_nothing_responds(good, comm):
+    """But for the pressure at the edges, which exceeds every threshold a little."""
+    tables = copy.deepcopy(good)
+    tables["experiment"] = tables["experiment"][:1]
+    tables["experiment"][0]["set"]["wear.lower.p0"] = 300.0
+    del tables["fit"]["parameters"]["wear.lower.p0"]
+    with pytest.raises(InputError, match=r"nothing that was read responds to wear.lower.k"):
+        fit(tables, comm)
+    tables["experiment"][0]["set"]["wear.lower.p0"] = 25.0
+    start = {"start": 1e-11, "bounds": [1e-12, 1e-5], "scale": "log"}
+    tables["fit"]["parameters"]["wear.lower.k"] = start
+    found = predicted(read_fit(tables), comm)  # hardly at the start, but elsewhere
+    assert found.parameters[0].sd > 0
+
+
+def test_a_drift_that_outweighs_the_wear_is_no_wrong_sign(good, tmp_path, comm):
+    data = good["experiment"][0]["data"][0]
+    t, z = np.genfromtxt(data["file"], delimiter=",", skip_header=1).T
+    write_table(tmp_path / "z.csv", tuple(data["columns"].values()), t, z - 4.0 * z.max() * t / 100)
+    tables = changed(good, (*PEN, "file"), str(tmp_path / "z.csv"))
+    prior = {"prior": {"normal": [-4.0 * z.max(), z.max()]}}
+    tables["experiment"][0]["data"][0]["nuisance"]["drift"] = prior
+    for known in (prior, {}):
+        tables["experiment"][0]["data"][0]["nuisance"]["drift"] = known
+        problem = read_fit(tables)
+        squares = LeastSquares(problem, Histories(problem, comm))
+        refuse_reversed(squares, squares.started(list(problem.start.values())))
+
+
+def test_a_torque_that_falls_is_no_wrong_sign(good, tmp_path, comm):
+    t = np.linspace(1.0, 100.0, 50)
+    write_table(tmp_path / "m.csv", ("time", "value"), t, -10.0 - np.sin(t))
+    tables = copy.deepcopy(good)
+    tables["experiment"][0]["data"].append(
+        {
+            "quantity": "torque",
+            "file": str(tmp_path / "m.csv"),
+            "units": {"value": "N m"},
+            "sd": 0.1,
+        }
+    )
+    problem = read_fit(tables)
+    squares = LeastSquares(problem, Histories(problem, comm))
+    refuse_reversed(squares, squares.started(list(problem.start.values())))
+
+
+def test_a_quantity_that_does_not_respond(good, comm):
+    tables = copy.deepcopy(good)
+    tables["experiment"][0]["data"].append(
+        {"quantity": "mass.upper", "value": 0.0, "unit": "mg", "density": 7.8e-3, "sd": 0.1}
+    )
+    with pytest.raises(InputError, match=r"mass.upper: does not respond to any parameter"):
+        fit(tables, comm)

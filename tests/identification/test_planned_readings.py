@@ -1,0 +1,179 @@
+"""Fit files before any readings are there: times and radii, densities, numbers with units."""
+
+import copy
+
+import numpy as np
+import pytest
+from laboratory import PEN, PROF, changed, fit_tables, write_tests
+
+from ringwear_par.errors import InputError
+from ringwear_par.identification.fit import predicted
+from ringwear_par.identification.fit_file import read_fit
+
+
+@pytest.fixture(scope="module")
+def good(tmp_path_factory):
+    """A folder of measurements, and the fit file as a dict."""
+    folder = tmp_path_factory.mktemp("laboratory")
+    return fit_tables(folder, write_tests(folder), starts=1)
+
+
+@pytest.mark.parametrize(
+    ("density", "said"),
+    [
+        (
+            1.9,
+            "must be from 1e-05 to 0.03 g/mm3, as of foams and metals; 1.9 g/cm3 would be 0.0019",
+        ),
+        (1900.0, "1900 kg/m3 would be 0.0019"),
+        (7.8e-9, "7.8e-09 t/mm3 would be 0.0078"),
+        (1e30, "as of foams and metals"),
+    ],
+)
+def test_densities_that_nothing_has(density, said, plan):
+    tables = copy.deepcopy(plan)
+    weighing = {"quantity": "mass.lower", "value": 3.0, "unit": "mg", "sd": 0.1}
+    tables["experiment"][0]["data"].append({**weighing, "density": density})
+    with pytest.raises(InputError) as caught:
+        read_fit(tables, plans=True)
+    (fault,) = caught.value.faults
+    assert said in fault
+
+
+def test_numbers_with_units(plan):
+    """As in case files."""
+    tables = copy.deepcopy(plan)
+    weighing = {"quantity": "mass.lower", "value": 3.0, "unit": "mg", "sd": "100 ug"}
+    tables["experiment"][0]["data"].append({**weighing, "density": "1.9 g/cm^3", "at": "1.5 min"})
+    tables["experiment"][0]["data"][0] |= {"sd": "0.0002 mm", "correlation_time": "0.1 min"}
+    record, _, mass = read_fit(tables, plans=True).experiments[0].series
+    assert mass.density == pytest.approx(0.0019)
+    assert mass.x == pytest.approx([90.0])
+    assert mass.sd == pytest.approx([1e-4])
+    assert record.sd == pytest.approx(2e-4)
+    assert record.correlation_time == pytest.approx(6.0)
+    tables["experiment"][0]["data"][0]["sd"] = "2 s"
+    with pytest.raises(InputError, match=r'sd = "2 s": must be .*s is no unit of um'):
+        read_fit(tables, plans=True)
+
+
+def test_a_mass_has_the_density_of_its_body(plan):
+    tables = copy.deepcopy(plan)
+    weighing = {"quantity": "mass.lower", "value": 5.0, "unit": "mg", "sd": 0.1}
+    tables["experiment"][0]["data"].append(weighing)
+    with pytest.raises(InputError, match=r"density is missing: must be"):
+        read_fit(tables, plans=True)
+    tables["experiment"][0]["set"]["lower.density"] = "7.8 g/cm3"
+    mass = read_fit(tables, plans=True).experiments[0].series[-1]
+    assert mass.density == pytest.approx(0.0078)
+    weighing["density"] = 0.0019
+    mass = read_fit(tables, plans=True).experiments[0].series[-1]
+    assert mass.density == pytest.approx(0.0019)
+
+
+def test_series_tell_more_than_their_nuisances(plan):
+    tables = copy.deepcopy(plan)
+    data = tables["experiment"][0]["data"]
+    data[1]["r"] = [29.0, 30.0]
+    data[0]["times"] = [50.0, 100.0]  # its drift has a prior
+    with pytest.raises(InputError) as caught:
+        read_fit(tables, plans=True)
+    (fault,) = caught.value.faults
+    assert "data 2 (profile.lower): has 2 readings; must have more than nuisances" in fault
+
+
+@pytest.fixture(scope="module")
+def plan(good):
+    """The fit file before any readings are there."""
+    tables = copy.deepcopy(good)
+    for experiment in tables["experiment"]:
+        record, profile = experiment["data"]
+        for series in (record, profile):
+            del series["file"], series["columns"]
+            series["unit"] = "um"
+        record["times"] = {"from": 2.0, "to": 100.0, "count": 50}
+        r = np.concatenate([np.linspace(28.0, 28.4, 15), np.linspace(28.6, 31.4, 60),
+                            np.linspace(31.6, 32.0, 15)])  # fmt: skip
+        profile["r"] = r.tolist()
+    return tables
+
+
+def test_readings_may_be_planned(plan, good, comm):
+    """A dry run tells the same as with readings, whatever these are."""
+    found = read_fit(plan, plans=True)
+    record, profile = found.experiments[1].series
+    assert record.x == pytest.approx(np.linspace(2.0, 100.0, 50))
+    assert (profile.n, profile.at, profile.unit) == (90, 100.0, "um")
+    assert profile.sd == pytest.approx(8e-5)
+    assert record.planned
+    assert profile.planned
+    for start in (0.0, 25.0):  # at a bound and within
+        spreads = []
+        for tables in (plan, good):
+            own = changed(tables, ("fit", "parameters", "wear.lower.p0", "start"), start)
+            told = predicted(read_fit(own, plans=True), comm)
+            spreads.append([p.sd for p in told.parameters])
+        assert spreads[0] == pytest.approx(spreads[1], rel=1e-5)
+    assert predicted(found, comm).chi2 < 1e-12
+
+
+def test_a_weighing_may_be_planned(plan):
+    tables = copy.deepcopy(plan)
+    tables["experiment"][0]["data"] += [
+        {"quantity": "mass.lower", "unit": "mg", "density": 0.0019, "sd": 0.1, **when}
+        for when in ({}, {"at": 50.0}, {"times": [10.0, 20.0]})
+    ]
+    series = read_fit(tables, plans=True).experiments[0].series[2:]
+    assert [one.x.tolist() for one in series] == [[100.0], [50.0], [10.0, 20.0]]
+
+
+def test_a_fit_needs_readings(plan):
+    with pytest.raises(InputError) as caught:
+        read_fit(plan)
+    assert len(caught.value.faults) == 4
+    assert caught.value.faults[0] == (
+        'fit: experiment "test 1": data 1 (penetration): file is missing: must be the name of a '
+        "table; planned readings are for --dry-run and ringwear design only"
+    )
+
+
+@pytest.mark.parametrize(
+    ("path", "value", "said"),
+    [
+        ((*PEN, "times"), [1.0, 1.0], "times = [1.0, 1.0]: must be { from = a, to = b, count"),
+        ((*PEN, "times"), {"from": 1.0, "to": 9.0}, "must be { from = a, to = b, count = n }"),
+        ((*PEN, "times"), {"from": 9.0, "to": 1.0, "count": 5}, "with a < b"),
+        ((*PEN, "times"), {"from": 1.0, "to": 9.0, "count": 1e9}, "n from 2 to 100000"),
+        ((*PEN, "times"), [1.0, 101.0], "time 101 s: must be within the test, from 0 to 100 s"),
+        ((*PEN, "times"), None, "file is missing: must be the name of a table; or times"),
+        ((*PEN, "r"), [29.0], "r: unknown key"),
+        ((*PEN, "value"), 1.0, "must be absent beside value; it is for readings that are planned"),
+        ((*PEN, "at"), 9.0, "at = 9.0: must be absent beside times"),
+        ((*PEN, "columns"), {"time": "t"}, "file is missing: must be the name of a table"),
+        ((*PEN, "sd"), "fit", 'sd = "fit": must be a number > 0, in unit, of readings that are'),
+        ((*PEN, "sd"), "z_sd", "must be a number > 0, in unit, of readings that are planned"),
+        ((*PEN, "sd"), {"relative": 0.1}, "must be a number > 0, in unit, of readings that are"),
+        ((*PEN, "sd"), None, "sd is missing"),
+        ((*PEN, "unit"), None, "unit is missing: must be the unit of a length"),
+        ((*PEN, "unit"), "s", 'unit = "s": must be the unit of a length'),
+        ((*PROF, "r"), [10.0, 30.0], "r = 10 mm: must be on the lower body, from 20 to 40 mm"),
+        ((*PROF, "r"), [21.0, 22.0], "has no reading within the contact, 28.5 to 31.5 mm"),
+        ((*PROF, "r"), [28000.0, 30000.0], "r = 28000 mm (and 1 more reading): must be on the l"),
+        ((*PROF, "r"), None, "file is missing: must be the name of a table of depths over radii"),
+        ((*PROF, "at"), 100.1, "at = 100.1: must be within the test, which ends at 100 s"),
+        ((*PROF, "exclude"), [[20, 40]], "has no readings"),
+    ],
+)  # fmt: skip
+def test_faults_of_plans(path, value, said, plan):
+    with pytest.raises(InputError) as caught:
+        read_fit(changed(plan, path, value), plans=True)
+    assert said in str(caught.value)
+
+
+def test_fewer_readings_than_parameters(plan):
+    tables = copy.deepcopy(plan)
+    tables["experiment"] = tables["experiment"][:1]
+    del tables["experiment"][0]["data"][1], tables["experiment"][0]["data"][0]["nuisance"]
+    tables["experiment"][0]["data"][0]["times"] = [50.0]
+    with pytest.raises(InputError, match="1 readings: must be at least as many as are sought, 2 "):
+        read_fit(tables, plans=True)
