@@ -132,8 +132,8 @@ def _parser() -> argparse.ArgumentParser:
     plot.add_argument("-o", "--output", type=_path, required=True, metavar="FIG.png")
     plot.add_argument(
         "--panels", metavar="LIST",
-        help="any of wear, pressure, section, stress, depth, mises, penetration, approach, force, "
-        f"torque, energy, volume, rate, pv, in this order (default: {PANELS})",
+        help="any of wear, pressure, section, stress, depth, interfaces, mises, penetration, "
+        f"approach, force, torque, energy, volume, rate, pv, in this order (default: {PANELS})",
     )  # fmt: skip
     plot.add_argument(
         "--steps", metavar="LIST",
@@ -176,6 +176,10 @@ def _parser() -> argparse.ArgumentParser:
     export.add_argument(
         "--stress", action="store_true",
         help="write the stresses of [stress]: its grid to .vtu or .vtkhdf, its points to .csv",
+    )  # fmt: skip
+    export.add_argument(
+        "--interfaces", action="store_true",
+        help="write the stresses along the interfaces between layers to .csv or .vtp",
     )  # fmt: skip
 
     report = command("report", "write a page of stored results that opens in any browser")
@@ -322,7 +326,9 @@ def _export(args: argparse.Namespace, comm: Any) -> None:
 
     time = None if args.time is None else seconds(args.time)
     chosen = time, args.revolve, args.scale, args.fields, args.stress, args.time or ""
-    told = on_first_rank(comm, lambda: export(args.result, args.output, *chosen))
+    told = on_first_rank(
+        comm, lambda: export(args.result, args.output, *chosen, interfaces=args.interfaces)
+    )
     print(told)
 
 

@@ -180,13 +180,20 @@ def _side_elements(section: Section, at_contact_edge: bool, height: float, mesh:
     return max(_FEWEST, math.ceil(whole * (height / section.height) ** (1.0 / CORNER_GRADING)))
 
 
+def face_elements(
+    section: Section, contact: tuple[float, float], mesh: Mesh, *, fine: bool = False
+) -> int:
+    """Return how many elements the contact face has, and each side of an interface."""
+    count = mesh.contact_elements
+    if math.isfinite(section.film):
+        count = len(_parted(section, contact_line(contact, mesh, section).edges)[1])
+    return count + sum(n for of in _flats(section, contact, mesh, fine) for *_, n in of)
+
+
 def count_elements(section: Section, contact: tuple[float, float], mesh: Mesh) -> int:
     """Return the number of boundary elements that ``zone_meshes`` would make."""
     (inner, outer), (a, b) = section.r, contact
-    face = mesh.contact_elements + sum(n for of in _flats(section, contact, mesh) for *_, n in of)
-    if math.isfinite(section.film):
-        face += len(_parted(section, contact_line(contact, mesh, section).edges)[1])
-        face -= mesh.contact_elements
+    face = face_elements(section, contact, mesh)
     sides = [outer == b, *([] if inner == 0 else [inner == a])]
     count = _fixed_elements(mesh) + (1 + 2 * len(section.layers)) * face
     for top, bottom in itertools.pairwise(_levels(section)):

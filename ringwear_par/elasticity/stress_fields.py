@@ -21,6 +21,20 @@ class Largest:
 
 
 @dataclass(frozen=True)
+class Interfaces:
+    """Where the interfaces of a body are, from the contact face on; none of a body without layers.
+
+    Parameters
+    ----------
+    r : (m,) float, mm, mid-points of their elements, the same for all, increasing.
+    z : (i,) float, mm, their heights in the frame of the case, unworn.
+    """
+
+    r: FloatArray
+    z: FloatArray
+
+
+@dataclass(frozen=True)
 class StressState:
     """Stresses after ``step`` steps, at ``time`` (s).
 
@@ -32,6 +46,8 @@ class StressState:
     grid : (nr, nz, 6) float, NaN outside the bodies.
     surface : of the contact elements of lower and upper, (n, 6) float each.
     largest : of lower and upper.
+    interfaces : of lower and upper, (i, 2, m, 6) float each, above and below every interface; NaN
+        where wear has come through to it.
     """
 
     step: int
@@ -40,6 +56,7 @@ class StressState:
     grid: FloatArray
     surface: tuple[FloatArray, FloatArray]
     largest: tuple[Largest, Largest]
+    interfaces: tuple[FloatArray, FloatArray]
 
     @property
     def of_both(self) -> Largest:
@@ -56,10 +73,12 @@ class StressHistory:
     points : (p, 2) float, mm, r and z in the frame of the case.
     grid : radii and heights of the grid, mm; none of each where there is no grid.
     exclude : mm, radius round edges in which the largest stress was not looked for.
+    interfaces : of lower and upper.
     states : those that were asked for.
     """
 
     points: FloatArray
     grid: tuple[FloatArray, FloatArray]
     exclude: float
+    interfaces: tuple[Interfaces, Interfaces]
     states: tuple[StressState, ...]

@@ -6,6 +6,8 @@ from ringwear_par.arrays import FloatArray
 
 #: in the order of the last axis of stresses; tension is positive, z points upwards
 COMPONENTS = ("rr", "tt", "zz", "rz", "rt", "tz")
+#: of an interface, in the order of the axis of stresses there
+SIDES = ("above", "below")
 
 
 def mises(stress: FloatArray) -> FloatArray:

@@ -1,5 +1,7 @@
 """Stress at points of both bodies, on their contact faces and where it is largest."""
 
+import itertools
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -8,15 +10,15 @@ from mpi4py import MPI
 
 from ringwear_par.arrays import FloatArray, IntArray
 from ringwear_par.elasticity.body import BoundaryResponse, in_case_frame
-from ringwear_par.elasticity.boundary import BoundaryMesh
-from ringwear_par.elasticity.boundary_fields import BODIES
+from ringwear_par.elasticity.boundary import BoundaryMesh, zone_meshes
+from ringwear_par.elasticity.boundary_fields import BODIES, Which
 from ringwear_par.elasticity.largest_stress import Search, edges, zones_of
 from ringwear_par.elasticity.mesh import ContactLine, Mesh
 from ringwear_par.elasticity.quadrature import quadrature
 from ringwear_par.elasticity.recovery import BoundaryRecovery
 from ringwear_par.elasticity.sections import Body
 from ringwear_par.elasticity.stress import Influence, surface_influence, zone_influence
-from ringwear_par.elasticity.stress_fields import Largest
+from ringwear_par.elasticity.stress_fields import Interfaces, Largest
 from ringwear_par.elasticity.stress_measures import mises
 
 #: points that a rank does in one go; the same whatever the ranks, and so the digits
@@ -32,11 +34,13 @@ class BodyStress(NamedTuple):
         left none of the body.
     surface : (n, 6) float, MPa, likewise on the contact elements.
     largest : the largest von Mises stress outside the radius round edges.
+    interfaces : (i, 2, m, 6) float, MPa, above and below each interface, see ``Interfaces``.
     """
 
     points: FloatArray
     surface: FloatArray
     largest: Largest
+    interfaces: FloatArray
 
 
 class StressPoints(NamedTuple):
@@ -62,6 +66,7 @@ class _Known:
     search : its points come first.
     blocks : numbers of points and their influences; those that are this rank's.
     surface : of the contact elements.
+    interfaces : of the elements above and below each interface.
     """
 
     search: Search
@@ -69,6 +74,7 @@ class _Known:
     zones: IntArray
     blocks: list[tuple[IntArray, Influence]]
     surface: Influence
+    interfaces: list[tuple[Influence, Influence]]
 
     def stress(self, pressure: FloatArray, shear: FloatArray, comm: MPI.Comm) -> FloatArray:
         """Return (p, 6) MPa at all points. Collective on comm."""
@@ -145,10 +151,12 @@ class StressRecovery:
         asked = len(known.search.points)
         values = mises(stress)
         values[asked:][~known.search.allows(known.points[asked:])] = np.nan
+        interfaces = [[s.stress(pressure, shear) for s in sides] for sides in known.interfaces]
         return BodyStress(
             stress[asked:],
             known.surface.stress(pressure, shear),
             known.search.largest(known.points, known.zones, values),
+            np.array(interfaces) if interfaces else np.empty((0, 2, 0, 6)),
         )
 
     def _integrated(self, shape: FloatArray | None) -> tuple[_Known, _Known]:
@@ -176,11 +184,40 @@ class StressRecovery:
         ]
         mine = parts[self._comm.rank :: self._comm.size]
         blocks = [(own, zone_influence(zone, points[own])) for zone, own in mine]
-        surface, face = surface_influence(zones[0]), boundaries[0].middle
+        faces = [surface_influence(zone) for zone in zones]
         return _Known(
-            search, points, numbers, blocks,
-            Influence(surface.normal[face], surface.torsion[face]),
+            search, points, numbers, blocks, _at(faces[0], boundaries[0].middle),
+            _beside_interfaces(boundaries, faces, BODIES[i]),
         )  # fmt: skip
+
+
+def interfaces(body: Body, line: ContactLine, mesh: Mesh, which: Which, plane: float) -> Interfaces:
+    """Return where the stresses along the interfaces of a body are. Not collective.
+
+    Parameters
+    ----------
+    plane : mm, height of the contact plane of the body in the frame of the case.
+    """
+    zones = zone_meshes(body.section, line, mesh, fine=True)
+    middles = [zone.nodes[zone.elements[zone.below, 1]] for zone in zones[:-1]]
+    upward = 1.0 if which == "lower" else -1.0
+    heights = [plane + upward * middle[0, 1] for middle in middles]
+    return Interfaces(middles[0][:, 0] if middles else np.empty(0), np.array(heights))
+
+
+def _at(influence: Influence, elements: IntArray) -> Influence:
+    return Influence(influence.normal[elements], influence.torsion[elements])
+
+
+def _beside_interfaces(
+    boundaries: Sequence[BoundaryMesh], faces: Sequence[Influence], which: Which
+) -> list[tuple[Influence, Influence]]:
+    """Return the stress above and below each interface, from those on the zones' boundaries."""
+    found = []
+    for i, (outer, inner) in enumerate(itertools.pairwise(boundaries)):
+        towards, away = _at(faces[i], outer.below), _at(faces[i + 1], inner.above)
+        found.append((towards, away) if which == "lower" else (away, towards))
+    return found
 
 
 def _same(one: FloatArray | None, other: FloatArray | None) -> bool:

@@ -10,7 +10,7 @@ from ringwear_par.cases.law_trials import refuse_bad_laws
 from ringwear_par.cases.numbers import number_faults
 from ringwear_par.cases.stress import check_stress
 from ringwear_par.contact.problem import REPLICATED_LIMIT
-from ringwear_par.elasticity.boundary import count_elements, zone_meshes
+from ringwear_par.elasticity.boundary import count_elements, face_elements, zone_meshes
 from ringwear_par.errors import InputError
 
 #: about how many points of both bodies are looked at for the largest stress
@@ -56,9 +56,14 @@ def stress_numbers(case: Case) -> tuple[float, float]:
     rows = 1.0 if case.stress.times == "last" else case.stored_rows
     if isinstance(case.stress.times, tuple):
         rows = min(rows, float(len(case.stress.times)))
+    along = sum(
+        2.0 * len(ring.layers)
+        * face_elements(case.section(ring), case.contact, case.mesh, fine=True)
+        for ring in case.rings
+    )  # fmt: skip
     # looking for the largest stress takes some of its own
     return case.stress.size + SEARCHED, rows * (
-        12.0 * case.stress.size + 12.0 * case.mesh.contact_elements
+        12.0 * case.stress.size + 12.0 * case.mesh.contact_elements + 7.0 * along
     )
 
 

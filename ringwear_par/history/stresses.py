@@ -3,10 +3,11 @@
 import numpy as np
 from mpi4py import MPI
 
+from ringwear_par.arrays import BoolArray, FloatArray
 from ringwear_par.cases.case import Case
 from ringwear_par.cases.stress import Side, grid_bodies, point_bodies
 from ringwear_par.elasticity.stress_fields import StressState
-from ringwear_par.elasticity.stress_recovery import StressPoints, StressRecovery
+from ringwear_par.elasticity.stress_recovery import StressPoints, StressRecovery, interfaces
 from ringwear_par.history.asked import Asked
 from ringwear_par.history.bodies import bodies
 from ringwear_par.history.snapshots import Snapshot
@@ -43,10 +44,15 @@ class StressObserver:
                 np.concatenate([sides[own], np.zeros(len(grid))]),
             )
 
+        both, planes = bodies(case), (case.lower.z[1], case.upper.z[0])
         self._recovery = StressRecovery(
-            bodies(case), case.line, case.mesh, (case.lower.z[1], case.upper.z[0]),
-            (of(0), of(1)), case.stress.exclude, comm,
-        )  # fmt: skip
+            both, case.line, case.mesh, planes, (of(0), of(1)), case.stress.exclude, comm
+        )
+        #: of lower and upper
+        self.interfaces = (
+            interfaces(both[0], case.line, case.mesh, "lower", planes[0]),
+            interfaces(both[1], case.line, case.mesh, "upper", planes[1]),
+        )
         #: what was asked for so far
         self.states: list[StressState] = []
 
@@ -67,7 +73,27 @@ class StressObserver:
                 (found[0].surface, found[1].surface),
                 (found[0].largest, found[1].largest),
             )
+            for i, body in enumerate(found):
+                body.interfaces[self._worn_away(i, state.wear[i])] = np.nan
             self.states.append(
-                StressState(snapshot.progress.steps, state.time, points, grid, surface, largest)
-            )
+                StressState(
+                    snapshot.progress.steps, state.time, points, grid, surface, largest,
+                    (found[0].interfaces, found[1].interfaces),
+                )
+            )  # fmt: skip
         return False
+
+    def _worn_away(self, i: int, wear: FloatArray) -> BoolArray:
+        """Tell which elements wear has reached, of the interfaces of a body, on both their sides.
+
+        Parameters
+        ----------
+        wear : (n,) float, mm, of the contact elements, under which interfaces have elements of the
+            same radii, or parts of them.
+        """
+        r, line = self.interfaces[i].r, self._case.line
+        element = np.searchsorted(line.edges, r) - 1
+        under = (element >= 0) & (element < line.n)
+        worn = np.zeros((len(self.interfaces[i].z), 2, len(r)), dtype=bool)
+        worn[:, :, under] = (wear >= self._case.layer_ends(i))[:, None, element[under]]
+        return worn

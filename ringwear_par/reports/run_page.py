@@ -36,6 +36,13 @@ _BALANCES = {
 _TOLD = [v for name, v in HISTORIES.items() if name not in ("twist", "contact_iterations")]
 #: units of those that pages, as pictures do, tell in others than files, and what these are of them
 _UNITS = {"torque": ("N m", 1e-3), "dissipated_energy": ("J", 1e-3)}
+#: panels of stresses, in words for those who do not see them
+_STRESS_PANELS = {
+    "stress": "map of von Mises stress in the section",
+    "depth": "its course along the height",
+    "mises": "the largest over time",
+    "interfaces": "tractions along interfaces, von Mises stress on both sides",
+}
 #: instants of the table of histories
 _INSTANTS = 21
 
@@ -160,15 +167,19 @@ def _stresses(result: Result) -> list[Section]:
     if result.stress is None or not result.stress.states:
         return []
     states = result.stress.states
-    panels = ["stress", "depth", "mises"] if len(result.stress.grid[0]) else ["mises"]
-    if len(states) == 1:  # which is no history
-        panels = panels[:-1]
+    there = {
+        "stress": len(result.stress.grid[0]) > 0,
+        "depth": len(result.stress.grid[0]) > 0,
+        "mises": len(states) > 1,  # one is no history
+        "interfaces": any(len(of.z) for of in result.stress.interfaces),
+    }
+    panels = [name for name in _STRESS_PANELS if there[name]]
     blocks: list[Block] = []
     if panels:
         content = io.BytesIO()
         plot(result, panels).savefig(content, format="png", dpi=150)
-        alt = "Map of von Mises stress in the section, its course along the height, its largest"
-        blocks.append(Picture("Von Mises stress", content.getvalue(), "image/png", alt))
+        alt = ", ".join(words for name, words in _STRESS_PANELS.items() if name in panels)
+        blocks.append(Picture("Stress inside", content.getvalue(), "image/png", alt))
     rows = [
         (f"{state.time:.6g}", body, f"{of.mises:.5g}", f"{of.r:.6g}", f"{of.z:.6g}")
         for state in states

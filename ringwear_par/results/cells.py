@@ -10,6 +10,7 @@ from ringwear_par.arrays import FloatArray, IntArray
 from ringwear_par.elasticity.boundary_fields import BoundaryFields, BoundaryState
 from ringwear_par.elasticity.stress_fields import StressHistory, StressState
 from ringwear_par.elasticity.stress_measures import COMPONENTS, max_shear, mises
+from ringwear_par.results.stored_stresses import Interface
 
 
 @dataclass(frozen=True)
@@ -57,6 +58,31 @@ def stress_cells(history: StressHistory, state: StressState) -> Cells:
         cells[(cells >= 0).all(axis=1)],
         {**named, "mises": mises(values), "max_shear": max_shear(values)},
         {},
+    )
+
+
+def interface_cells(interfaces: Sequence[Interface], state: StressState) -> Cells:
+    """Return interfaces in the plane y = 0, a line for each side: pieces between mid-points."""
+    lines, at = [], 0
+    for of in interfaces:
+        for side, stress in zip((1, -1), of.stress(state), strict=True):
+            m = len(of.r)
+            points = np.stack([of.r, np.zeros(m), np.full(m, of.z)], axis=1)
+            first = at + np.arange(m - 1)
+            named = {f"stress_{name}": stress[:, i].copy() for i, name in enumerate(COMPONENTS)}
+            told = {"body": of.body, "layer": of.layer, "side": side}
+            lines.append(
+                Cells(
+                    points, np.stack([first, first + 1], axis=1), {**named, "mises": mises(stress)},
+                    {name: np.full(m - 1, value) for name, value in told.items()},
+                )
+            )  # fmt: skip
+            at += m
+    return Cells(
+        np.concatenate([line.points for line in lines]),
+        np.concatenate([line.cells for line in lines]),
+        _joined([line.point_data for line in lines]),
+        _joined([line.cell_data for line in lines]),
     )
 
 
@@ -117,18 +143,21 @@ def _cartesian(vectors: FloatArray, angles: FloatArray) -> FloatArray:
     return np.stack(turned, axis=-1).reshape(-1, 3)
 
 
+def _joined(fields: Sequence[dict[str, Any]]) -> dict[str, Any]:
+    """Return fields of several parts, which all have them, one after another."""
+    return {name: np.concatenate([part[name] for part in fields]) for name in fields[0]}
+
+
 def _both(bodies: Sequence[Cells]) -> Cells:
     """Return both bodies as one, with their numbers (0 lower, 1 upper) as a field."""
     shift = np.cumsum([0, *(len(body.points) for body in bodies)])
-
-    def joined(name: str, datum: str) -> Any:
-        return np.concatenate([getattr(body, name)[datum] for body in bodies])
-
-    cell_data = {datum: joined("cell_data", datum) for datum in bodies[0].cell_data}
     counts = [len(body.cells) for body in bodies]
     return Cells(
         np.concatenate([body.points for body in bodies]),
         np.concatenate([body.cells + s for body, s in zip(bodies, shift[:-1], strict=True)]),
-        {datum: joined("point_data", datum) for datum in bodies[0].point_data},
-        {**cell_data, "body": np.repeat(np.arange(len(bodies)), counts)},
+        _joined([body.point_data for body in bodies]),
+        {
+            **_joined([body.cell_data for body in bodies]),
+            "body": np.repeat(np.arange(len(bodies)), counts),
+        },
     )

@@ -1,14 +1,17 @@
 """What makes an answer doubtful though it was computed: said by ``run``, flagged by ``sweep``."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 
 from ringwear_par.cases.case import Case
+from ringwear_par.elasticity.boundary_fields import BODIES
 from ringwear_par.elasticity.mesh import ContactLine
 from ringwear_par.elasticity.pair import ContactCompliance
 from ringwear_par.elasticity.slopes import case_slopes
 from ringwear_par.elasticity.stress_fields import StressHistory
+from ringwear_par.elasticity.stress_measures import mises
 from ringwear_par.history.balances import Balances
 from ringwear_par.history.model import WearModel
 from ringwear_par.history.stability import stable_step, stable_steps
@@ -38,7 +41,8 @@ _MOST_OF_LAYER, _OTHER_MODULUS = 0.25, 0.1
 _LARGEST, _MOST_PRESSED = 5000.0, 0.1
 
 
-#: pressure of an outermost element over that of the fourth, from which on it is infinite there
+#: pressure, or stress, of an outermost element over that of the fourth, from which on it is
+#: infinite there
 _RISING = 1.2
 
 
@@ -275,6 +279,42 @@ def infinite_stress(
                 ),
             )
     return ()
+
+
+def infinite_at_interfaces(case: Case, history: StressHistory | None) -> tuple[Doubt, ...]:
+    """Return which bodies' largest stress is beside the end of an interface. Not collective."""
+    if history is None or not history.states:
+        return ()
+    state = history.states[-1]
+    found = [
+        Doubt(
+            "infinite_stress_at_interface",
+            f"the largest von Mises stress of {body}, {largest.mises:.5g} MPa, is found beside the "
+            f"free edge of the interface under {body}.layers[{number}], at r = {r:.6g}, "
+            f"z = {z:.6g} mm, where stress between two materials is infinite: what is found grows "
+            f"as stress.exclude, now {history.exclude:g} mm, is made smaller",
+        )
+        for i, (body, largest) in enumerate(zip(BODIES, state.largest, strict=True))
+        for number, r, z, reach in _infinite_ends(case, history, i)
+        if np.hypot(largest.r - r, largest.z - z) <= reach
+    ]
+    return tuple(found)
+
+
+def _infinite_ends(
+    case: Case, history: StressHistory, body: int
+) -> Iterator[tuple[int, float, float, float]]:
+    """Give the layer over each interface's free end where stresses rise, its place, and how near.
+
+    All in mm; beyond ``stress.exclude`` a few elements are near.
+    """
+    middles, stress = history.interfaces[body].r, history.states[-1].interfaces[body]
+    for number, z in enumerate(history.interfaces[body].z):
+        values = mises(stress[number]).max(axis=0)
+        for r, end, further in zip(case.rings[body].r, (0, -1), (3, -4), strict=True):
+            if r > 0.0 and values[end] > _RISING * values[further]:
+                reach = history.exclude * (1.0 + 1e-6) + 6.0 * abs(middles[end] - r)
+                yield number, r, float(z), reach
 
 
 def instability(model: WearModel) -> tuple[Doubt, ...]:

@@ -10,13 +10,25 @@ import numpy as np
 
 from ringwear_par.atomic import atomic_write, check_writable
 from ringwear_par.cases.text import shortened
-from ringwear_par.elasticity.boundary_fields import BoundaryState
-from ringwear_par.elasticity.stress_fields import StressHistory
-from ringwear_par.elasticity.stress_measures import COMPONENTS, max_shear, mises, principal
+from ringwear_par.elasticity.boundary_fields import BODIES, BoundaryState
+from ringwear_par.elasticity.stress_fields import StressState
+from ringwear_par.elasticity.stress_measures import COMPONENTS, SIDES, max_shear, mises, principal
 from ringwear_par.errors import InputError, legible
-from ringwear_par.results.cells import Cells, contours, stress_cells, surfaces
+from ringwear_par.results.cells import (
+    Cells,
+    contours,
+    interface_cells,
+    stress_cells,
+    surfaces,
+)
 from ringwear_par.results.files import result_of
 from ringwear_par.results.result import Result
+from ringwear_par.results.stored_stresses import (
+    Interface,
+    interfaces_of,
+    nearest_states,
+    stresses,
+)
 from ringwear_par.results.variables import (
     HISTORIES,
     LAYER_HISTORIES,
@@ -40,6 +52,7 @@ def export(
     fields: bool = False,
     stress: bool = False,
     typed: str = "",
+    interfaces: bool = False,
 ) -> str:
     """Write a result, or that of a file, in another format; return what was written. On one rank.
 
@@ -54,13 +67,16 @@ def export(
     stress : whether the stresses are written: of the grid for ParaView, as quadrangles, or of the
         points in a table.
     typed : how the time was written, for messages; "": it was a number.
+    interfaces : whether the stresses along interfaces are written, as lines or in a table.
 
     Raises
     ------
     InputError : a file or a choice that cannot be, fields that the run has not stored.
     """
-    check_export(output, time, segments, scale, fields, stress, typed)
+    check_export(output, time, segments, scale, fields, stress, typed, interfaces)
     result = result_of(run)
+    if interfaces:
+        return _export_interfaces(result, output, time)
     if stress:
         return _export_stress(result, output, time)
     if output.suffix == ".csv":
@@ -94,6 +110,7 @@ def check_export(
     fields: bool,
     stress: bool = False,
     typed: str = "",
+    interfaces: bool = False,
 ) -> None:
     """Refuse what cannot be exported, before anything is read. Not collective.
 
@@ -109,6 +126,14 @@ def check_export(
     if ending not in _ENDINGS:
         raise InputError(f"{output}: its ending must be one of {', '.join(_ENDINGS)}")
     check_writable(output)
+    if interfaces and (
+        ending not in (".vtp", ".csv") or segments is not None or scale is not None or fields
+        or stress
+    ):  # fmt: skip
+        raise InputError(
+            f"--interfaces: {output} is of lines (.vtp) or a table (.csv); "
+            "must be without --revolve, --scale, --fields, --stress"
+        )
     if stress and (ending == ".vtp" or segments is not None or scale is not None or fields):
         raise InputError(
             f"--stress: {output} is of the grid (.vtu, .vtkhdf) or of points (.csv); "
@@ -124,7 +149,8 @@ def check_export(
         )
     shown = legible(typed) if typed or time is None else f"{time:g}"
     if time is not None and ending not in (".vtp", ".vtu"):
-        option = "--stress " if stress else "--fields " if fields else ""
+        options = {"--stress ": stress, "--interfaces ": interfaces, "--fields ": fields}
+        option = next((option for option, there in options.items() if there), "")
         raise InputError(
             f"--time {shown}: must be absent for {ending}, it is for .vtp and .vtu only; "
             f"{option or f'{ending} '}writes all stored steps"
@@ -140,20 +166,6 @@ def check_export(
             raise InputError(
                 f"{output}: needs the Python package pyevtk; pip install 'ringwear-par[export]'"
             ) from error
-
-
-def stresses(result: Result) -> StressHistory:
-    """Return the stored stresses.
-
-    Raises
-    ------
-    InputError : there are none.
-    """
-    if result.stress is None or not result.stress.states:
-        raise InputError(
-            f"{result.name}: holds no stresses; must be computed with [stress] in its case"
-        )
-    return result.stress
 
 
 def _export_stress(result: Result, output: Path, time: float | None) -> str:
@@ -177,6 +189,38 @@ def _export_stress(result: Result, output: Path, time: float | None) -> str:
         f"{output}: stress at {history.states[chosen].time:g} s, {len(content[chosen].points)} "
         f"points, {len(content[chosen].cells)} cells"
     )
+
+
+def _export_interfaces(result: Result, output: Path, time: float | None) -> str:
+    interfaces, states = interfaces_of(result), stresses(result).states
+    if output.suffix == ".csv":
+        _write_csv(output, *_interface_table(interfaces, states))
+        return f"{output}: stress along the interfaces, {len(states)} states"
+    if time is not None:
+        _check_time(result, time)
+    (state,) = nearest_states(states, () if time is None else (time,))
+    _write_vtk(output, interface_cells(interfaces, state))
+    return f"{output}: stress along the interfaces at {state.time:g} s"
+
+
+def _interface_table(
+    interfaces: Sequence[Interface], states: Sequence[StressState]
+) -> tuple[list[str], Iterable[Sequence[Any]]]:
+    """Return the stresses along interfaces, a row for each state, interface, side and element."""
+    header = [
+        "step", "time (s)", "body", "layer", "side", "r (mm)", "z (mm)",
+        *(f"{name} (MPa)" for name in COMPONENTS), "mises (MPa)",
+    ]  # fmt: skip
+    rows = (
+        [state.step, state.time, BODIES[of.body], of.layer, side, r, of.z, *row]
+        for state in states
+        for of in interfaces
+        for side, stress in zip(SIDES, of.stress(state), strict=True)
+        for r, row in zip(
+            of.r.tolist(), np.column_stack([stress, mises(stress)]).tolist(), strict=True
+        )
+    )
+    return header, rows
 
 
 def _stress_table(result: Result) -> tuple[list[str], Iterable[Sequence[Any]]]:

@@ -19,9 +19,10 @@ from ringwear_par.cases.units import seconds
 from ringwear_par.cases.values import RejectedError
 from ringwear_par.errors import InputError, legible
 from ringwear_par.results.drawing import STYLE, check_format, in_words, plain, save_figure
-from ringwear_par.results.export import choose_state, stresses
+from ringwear_par.results.export import choose_state
 from ringwear_par.results.files import result_of
 from ringwear_par.results.history_panels import HISTORY_PANELS, draw_history
+from ringwear_par.results.interface_panels import interface_drawings
 from ringwear_par.results.profile_panels import (
     draw_pressure,
     draw_wear,
@@ -30,12 +31,17 @@ from ringwear_par.results.profile_panels import (
 )
 from ringwear_par.results.result import FailedResult, Result
 from ringwear_par.results.section_panel import draw_section
+from ringwear_par.results.stored_stresses import (
+    interfaces_of,
+    nearest_states,
+    stress_states,
+    stresses,
+)
 from ringwear_par.results.stress_panels import (
     draw_depth,
     draw_largest,
     draw_map,
     highest,
-    stress_states,
 )
 
 log = logging.getLogger(__name__)
@@ -46,7 +52,9 @@ Source = Result | str | Path
 _PROFILES = {"wear": draw_wear, "pressure": draw_pressure}
 #: panels of stresses in the section, one a result or more
 _STRESS_MAPS = ("stress", "depth")
-PANELS = (*_PROFILES, "section", *_STRESS_MAPS, "mises", *HISTORY_PANELS)
+#: and along interfaces, two or more a result
+_INTERFACES = "interfaces"
+PANELS = (*_PROFILES, "section", *_STRESS_MAPS, _INTERFACES, "mises", *HISTORY_PANELS)
 #: what is drawn where nothing else is asked for
 DEFAULT = "wear,penetration"
 _MOST_COLUMNS = 3
@@ -58,6 +66,7 @@ _NEEDED: dict[str, Callable[[Result], Any]] = {
     "pressure": lambda result: stored_field(result, "pressure"),
     "section": lambda result: choose_state(result, None),
     **{name: lambda result: stress_states(result, ()) for name in _STRESS_MAPS},
+    _INTERFACES: interfaces_of,
     "mises": stresses,
     **{name: panel.curves for name, panel in HISTORY_PANELS.items()},
 }
@@ -77,6 +86,7 @@ def plot(
     a panel (``penetration``, ``approach``, ``force``, ``torque``, ``energy``, ``volume``, ``rate``,
     ``pv`` and, of bodies with layers, ``through``). Of stored stresses: ``stress``, von Mises in
     the section, one panel each; ``depth``, it along the height in the middle of the contact;
+    ``interfaces``, along each of them the tractions and von Mises on both sides, two panels each;
     ``mises``, the largest over time. A panel for which a result holds nothing is left out, with a
     warning, if there are others.
 
@@ -185,7 +195,7 @@ def _drawn_panels(
                 f"{', '.join(PANELS)}"
             )
     rows: list[list[int]] = []
-    if not {*_PROFILES, *_STRESS_MAPS}.isdisjoint(panels):
+    if not {*_PROFILES, *_STRESS_MAPS, _INTERFACES}.isdisjoint(panels):
         rows = [_at_times(r, times) if times else _rows(r, steps) for r, _ in profiled]
     drawings: list[tuple[str, Callable[..., None]]] = []
     left_out: list[tuple[str, str]] = []
@@ -204,7 +214,7 @@ def _drawn_panels(
                 drawn = partial(draw_largest, results=results, labels=labels)
                 drawings.append((panel, drawn))
             continue
-        if panel in _STRESS_MAPS:
+        if panel in (*_STRESS_MAPS, _INTERFACES):
             faults = _not_stored(panel, (result for result, _ in profiled))
             left_out += faults
             if not faults:
@@ -302,19 +312,25 @@ def _at_times(result: Result, times: str) -> list[int]:
 def _stress_drawings(
     panel: str, profiled: Sequence[tuple[Result, str]], rows: Sequence[Sequence[int]]
 ) -> list[tuple[str, Callable[..., None]]]:
-    """Return maps, one a state and on one scale, or courses along depth, one a result.
+    """Return maps, one a state and on one scale, courses along depth, one a result, or interfaces.
 
     Parameters
     ----------
     rows : of each result, the stored states nearest to which stresses are drawn; none: the last.
     """
     found: list[tuple[str, Callable[..., None]]] = []
-    states = [
-        stress_states(result, result.histories["time"][list(own)].tolist())
+    times = [
+        result.histories["time"][list(own)].tolist()
         for (result, _), own in zip(profiled, rows, strict=True)
     ]
-    top = highest([state for some in states for state in some])
-    for (result, label), some in zip(profiled, states, strict=True):
+    if panel == _INTERFACES:
+        for (result, label), wished in zip(profiled, times, strict=True):
+            states = nearest_states(stresses(result).states, wished)
+            found += [(panel, draw) for draw in interface_drawings(result, label, states)]
+        return found
+    drawn_at = [stress_states(r, wished) for (r, _), wished in zip(profiled, times, strict=True)]
+    top = highest([state for some in drawn_at for state in some])
+    for (result, label), some in zip(profiled, drawn_at, strict=True):
         if panel == "depth":
             found.append((panel, partial(draw_depth, result=result, label=label, states=some)))
             continue

@@ -25,7 +25,13 @@ from ringwear_par.history.stresses import StressObserver
 from ringwear_par.history.tangent import variables as derivatives_of
 from ringwear_par.info import versions
 from ringwear_par.results.checkpoints import restored, take
-from ringwear_par.results.doubts import Doubt, doubts, infinite_stress, instability
+from ringwear_par.results.doubts import (
+    Doubt,
+    doubts,
+    infinite_at_interfaces,
+    infinite_stress,
+    instability,
+)
 from ringwear_par.results.result import Result, balance_attributes
 from ringwear_par.results.variables import (
     D_HISTORIES,
@@ -338,6 +344,7 @@ class Recorder:
             *self._instability,
             *doubts(model, state, self.balances),
             *infinite_stress(self._case, self.stress, model.line, state),
+            *infinite_at_interfaces(self._case, self.stress),
         )
 
     @property
@@ -347,8 +354,9 @@ class Recorder:
             return None
         states = (*self._earlier_stress, *self._stress.states)
         return StressHistory(
-            self._stress.points, self._stress.grid, self._case.stress.exclude, states
-        )
+            self._stress.points, self._stress.grid, self._case.stress.exclude,
+            self._stress.interfaces, states,
+        )  # fmt: skip
 
     @property
     def steps(self) -> IntArray:

@@ -14,7 +14,7 @@ from ringwear_par.elasticity.boundary_fields import BoundaryState
 from ringwear_par.elasticity.mesh import ContactLine
 from ringwear_par.elasticity.stress_fields import StressHistory
 from ringwear_par.errors import ComputationError, InputError, RingwearError
-from ringwear_par.results.stress_variables import STRESS_COORDINATES, stress_variables
+from ringwear_par.results.stress_variables import stress_coordinates, stress_variables
 from ringwear_par.results.variables import (
     COORDINATES,
     D_HISTORIES,
@@ -185,8 +185,7 @@ class Result:
         names = COORDINATES if self.parameters else COORDINATES[:-1]
         if self.stress is None or not self.stress.states:
             return names
-        there = STRESS_COORDINATES if len(self.stress.points) else STRESS_COORDINATES[:1]
-        return (*names, *there)
+        return (*names, *stress_coordinates(self.stress))
 
     def to_xarray(self) -> "xarray.Dataset":
         """Return the dataset that xarray makes of the result's file.

@@ -12,10 +12,9 @@ from ringwear_par.cases.reading import Outline, outlines
 from ringwear_par.elasticity.boundary_fields import BODIES
 from ringwear_par.elasticity.stress_fields import StressState
 from ringwear_par.elasticity.stress_measures import mises
-from ringwear_par.errors import InputError
 from ringwear_par.results.drawing import COLOURS, DASHES, set_legend, stage_colour, time_unit
-from ringwear_par.results.export import stresses
 from ringwear_par.results.result import Result
+from ringwear_par.results.stored_stresses import stresses
 
 #: colours of a map, and the share of its values that the scale holds: edges would take them all
 _LEVELS, _TICKS, _SHARE = 24, 7, 0.99
@@ -26,23 +25,6 @@ _ON_FACE = 1e-9
 _MISES = "von Mises stress (MPa)"
 #: as many points of a curve, or fewer, are marked
 _FEW_POINTS = 20
-
-
-def stress_states(result: Result, times: Sequence[float]) -> list[StressState]:
-    """Return the stored states of stress on a grid nearest to times (s), the last one for none.
-
-    Raises
-    ------
-    InputError : there are none, or none on a grid.
-    """
-    found = stresses(result)
-    if not len(found.grid[0]):
-        raise InputError(
-            f"{result.name}: holds stresses at points only; must be computed with stress.grid"
-        )
-    there = np.array([state.time for state in found.states])
-    rows = {int(np.abs(there - time).argmin()) for time in times} or {len(there) - 1}
-    return [found.states[row] for row in sorted(rows)]
 
 
 def highest(states: Sequence[StressState]) -> float:

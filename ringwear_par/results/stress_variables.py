@@ -1,14 +1,14 @@
 """The variables of stored stresses: how a result's file has them."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import h5py
 import numpy as np
 
 from ringwear_par.elasticity.boundary_fields import BODIES
-from ringwear_par.elasticity.stress_fields import Largest, StressHistory, StressState
-from ringwear_par.elasticity.stress_measures import COMPONENTS, max_shear, mises, principal
+from ringwear_par.elasticity.stress_fields import Interfaces, Largest, StressHistory, StressState
+from ringwear_par.elasticity.stress_measures import COMPONENTS, SIDES, max_shear, mises, principal
 from ringwear_par.results.reading import read_array
 from ringwear_par.results.variables import HISTORIES, STEPS_MADE, Variable
 
@@ -44,6 +44,44 @@ SURFACE_STRESS = tuple(
     )
     for body in BODIES
 )  # fmt: skip
+SIDE = Variable("side", ("side",), "1", "side of an interface")
+
+
+@dataclass(frozen=True)
+class _OfInterfaces:
+    """The variables of the interfaces of a body."""
+
+    number: Variable
+    element: Variable
+    r: Variable
+    z: Variable
+    stress: Variable
+    mises: Variable
+
+
+def _of_interfaces(body: str) -> _OfInterfaces:
+    number, element = f"interface_{body}", f"interface_element_{body}"
+    fields = *_STEP, number, SIDE.name, element
+    on = f"on both sides of the interfaces of the {body} ring"
+    return _OfInterfaces(
+        Variable(
+            number, (number,), "1",
+            f"interface of the {body} ring: the layer that it is under", integer=True,
+        ),
+        Variable(
+            element, (element,), "1",
+            "element of the interfaces, from the inner edge outwards", integer=True,
+        ),
+        Variable(f"interface_r_{body}", (element,), "mm", "radius of the element's mid-point"),
+        Variable(f"interface_z_{body}", (number,), "mm", "height of the interface, unworn"),
+        Variable(
+            f"interface_stress_{body}", (*fields, "component"), "MPa", f"stress {on} {_TENSOR}"
+        ),
+        Variable(f"interface_mises_{body}", fields, "MPa", f"von Mises stress {on}"),
+    )  # fmt: skip
+
+
+INTERFACES = tuple(map(_of_interfaces, BODIES))
 EXCLUDE = Variable("stress_exclude", (), "mm", "radius round edges in which it is not looked for")
 
 
@@ -65,8 +103,18 @@ def _largest(suffix: str, of: str) -> tuple[Variable, ...]:
 #: of both bodies together, then of each
 MAX_MISES = _largest("", "both rings")
 MAX_MISES_OF = tuple(_largest(f"_{body}", f"the {body} ring") for body in BODIES)
-#: coordinates that are no dimensions; where there are no points the first only
-STRESS_COORDINATES = (STRESS_TIME.name, POINT_R.name, POINT_Z.name)
+
+
+def stress_coordinates(history: StressHistory) -> tuple[str, ...]:
+    """Return the names of the coordinates that are no dimensions; there is a state at least."""
+    of_points = (POINT_R.name, POINT_Z.name) if len(history.points) else ()
+    of_interfaces = (
+        names
+        for of, v in zip(history.interfaces, INTERFACES, strict=True)
+        if len(of.z)
+        for names in (v.r.name, v.z.name)
+    )
+    return (STRESS_TIME.name, *of_points, *of_interfaces)
 
 
 def stress_variables(history: StressHistory) -> list[tuple[Variable, Any]]:
@@ -102,6 +150,19 @@ def stress_variables(history: StressHistory) -> list[tuple[Variable, Any]]:
         ]
     for i, variable in enumerate(SURFACE_STRESS):
         found.append((variable, np.array([state.surface[i] for state in states])))
+    if any(len(of.z) for of in history.interfaces):
+        found.append((SIDE, list(SIDES)))
+    for i, (of, names) in enumerate(zip(history.interfaces, INTERFACES, strict=True)):
+        if len(of.z):
+            stress = np.array([state.interfaces[i] for state in states])
+            found += [
+                (names.number, np.arange(len(of.z))),
+                (names.element, np.arange(len(of.r))),
+                (names.r, of.r),
+                (names.z, of.z),
+                (names.stress, stress),
+                (names.mises, mises(stress)),
+            ]
     found += _columns(MAX_MISES, [state.of_both for state in states])
     for i, variables in enumerate(MAX_MISES_OF):
         found += _columns(variables, [state.largest[i] for state in states])
@@ -117,7 +178,7 @@ def read_stress(file: h5py.File, sizes: dict[str, int]) -> StressHistory | None:
     """Return the stored stresses, None where there are none; any exception means damage."""
     if STRESS_TIME.name not in file:
         return None
-    sizes = {**sizes, "component": len(COMPONENTS)}
+    sizes = {**sizes, "component": len(COMPONENTS), SIDE.name: len(SIDES)}
 
     def read(variable: Variable) -> Any:
         return read_array(file, variable, sizes)
@@ -135,6 +196,11 @@ def read_stress(file: h5py.File, sizes: dict[str, int]) -> StressHistory | None:
         axes = read(GRID_R), read(GRID_Z)
         on_grid = read(STRESS_GRID)
     surface = [read(variable) for variable in SURFACE_STRESS]
+    none = Interfaces(np.empty(0), np.empty(0)), np.empty((count, 0, len(SIDES), 0, 6))
+    lower, upper = (
+        (Interfaces(read(of.r), read(of.z)), read(of.stress)) if of.stress.name in file else none
+        for of in INTERFACES
+    )
     largest = [
         [Largest(*row) for row in zip(*(read(v).tolist() for v in variables), strict=True)]
         for variables in MAX_MISES_OF
@@ -144,7 +210,8 @@ def read_stress(file: h5py.File, sizes: dict[str, int]) -> StressHistory | None:
             int(steps[t]), float(times[t]), at_points[t], on_grid[t],
             (surface[0][t], surface[1][t]),
             (largest[0][t], largest[1][t]),
+            (lower[1][t], upper[1][t]),
         )
         for t in range(count)
     )  # fmt: skip
-    return StressHistory(points, axes, float(read(EXCLUDE)), states)
+    return StressHistory(points, axes, float(read(EXCLUDE)), (lower[0], upper[0]), states)

@@ -30,6 +30,8 @@ def same(one, other):
         np.testing.assert_array_equal(a.grid, b.grid)
         np.testing.assert_array_equal(a.surface, b.surface)
         assert a.largest == b.largest
+        for one_body, other_body in zip(a.interfaces, b.interfaces, strict=True):
+            np.testing.assert_array_equal(one_body, other_body)
 
 
 def test_variables_and_file(tmp_path):

@@ -1,0 +1,94 @@
+"""What a result holds of stresses: taken, or refused where it holds none."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ringwear_par.arrays import FloatArray
+from ringwear_par.elasticity.boundary_fields import BODIES
+from ringwear_par.elasticity.stress_fields import StressHistory, StressState
+from ringwear_par.errors import InputError
+from ringwear_par.results.result import Result
+
+
+def stresses(result: Result) -> StressHistory:
+    """Return the stored stresses.
+
+    Raises
+    ------
+    InputError : there are none.
+    """
+    if result.stress is None or not result.stress.states:
+        raise InputError(
+            f"{result.name}: holds no stresses; must be computed with [stress] in its case"
+        )
+    return result.stress
+
+
+def stress_states(result: Result, times: Sequence[float]) -> list[StressState]:
+    """Return the stored states of stress on a grid nearest to times (s), the last one for none.
+
+    Raises
+    ------
+    InputError : there are none, or none on a grid.
+    """
+    found = stresses(result)
+    if not len(found.grid[0]):
+        raise InputError(
+            f"{result.name}: holds stresses at points only; must be computed with stress.grid"
+        )
+    return nearest_states(found.states, times)
+
+
+def nearest_states(states: Sequence[StressState], times: Sequence[float]) -> list[StressState]:
+    """Return the states nearest to times (s), the last one for none."""
+    there = np.array([state.time for state in states])
+    rows = {int(np.abs(there - time).argmin()) for time in times} or {len(there) - 1}
+    return [states[row] for row in sorted(rows)]
+
+
+@dataclass(frozen=True)
+class Interface:
+    """An interface of a result's bodies.
+
+    Parameters
+    ----------
+    body : 0 for lower, 1 for upper.
+    layer : number of the layer over it, towards the contact.
+    r : (m,) float, mm, mid-points of its elements.
+    z : mm, its height, unworn.
+    """
+
+    body: int
+    layer: int
+    r: FloatArray
+    z: float
+
+    @property
+    def name(self) -> str:
+        """What it is called in pictures."""
+        return f"under {BODIES[self.body]}.layers[{self.layer}], z = {self.z:.6g} mm"
+
+    def stress(self, state: StressState) -> FloatArray:
+        """Return (2, m, 6) MPa, above and below."""
+        return state.interfaces[self.body][self.layer]
+
+
+def interfaces_of(result: Result) -> list[Interface]:
+    """Return the interfaces along which a result has stresses.
+
+    Raises
+    ------
+    InputError : there are none.
+    """
+    found = [
+        Interface(body, layer, of.r, float(z))
+        for body, of in enumerate(stresses(result).interfaces)
+        for layer, z in enumerate(of.z)
+    ]
+    if not found:
+        raise InputError(
+            f"{result.name}: holds no stresses along interfaces; must be of a body with layers"
+        )
+    return found

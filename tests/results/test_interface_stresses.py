@@ -1,0 +1,229 @@
+"""Stresses along interfaces: balances, neighbours inside, files, ranks, wear, doubts, pictures."""
+
+import csv
+
+import numpy as np
+import pytest
+
+import ringwear_par as rw
+from ringwear_par.elasticity.stress_measures import SIDES, mises
+
+HARD = {"thickness": 0.05, "young": 1e5, "poisson": 0.3}
+SOFT = {"thickness": 0.2, "young": 2e3, "poisson": 0.4}
+ALIKE = {"thickness": 0.3, "young": 1e4, "poisson": 0.3}
+
+
+def case_of(**more):
+    changes = {key.replace("__", "."): value for key, value in more.items()}
+    base = {
+        "mesh.contact_elements": 24, "time.steps": 2, "time.step": 30.0, "contact.friction": 0.3,
+        "stress.points": [[30.0, 19.0]],
+    }  # fmt: skip
+    return rw.read_case("scripts/cases/paper.toml", {**base, **changes})
+
+
+def both_bodies(**more):
+    return case_of(lower__layers=[HARD, {**SOFT, "young": 5e4}], upper__layers=[SOFT], **more)
+
+
+@pytest.fixture(scope="module")
+def result(comm):
+    return rw.simulate(both_bodies(stress__times="all"), comm)
+
+
+def areas(interface, inner):
+    """Areas of elements whose mid-points are known, from the inner end on."""
+    ends = [inner]
+    for r in interface.r:
+        ends.append(2.0 * r - ends[-1])
+    return np.pi * np.diff(np.square(ends))
+
+
+def test_force_and_torque_go_through_every_interface(result):
+    """Layers are free at their sides: what the contact bears must go on, however often."""
+    last = result.stress.states[-1]
+    force, torque = (result.histories[name][-1] for name in ("force", "torque"))
+    for body, (interface, inner) in enumerate(
+        zip(result.stress.interfaces, (20.0, 28.5), strict=True)
+    ):
+        area = areas(interface, inner)
+        for sides in last.interfaces[body]:
+            for stress in sides:
+                assert -(stress[:, 2] @ area) == pytest.approx(force, rel=2e-3)
+                assert stress[:, 5] @ (area * interface.r) == pytest.approx(torque, rel=2e-3)
+                assert abs(stress[:, 3] @ area) < force
+
+
+def test_both_sides_share_tractions_only(result):
+    for sides in (s for body in result.stress.states[-1].interfaces for s in body):
+        above, below = sides
+        np.testing.assert_allclose(above[:, [2, 3, 5]], below[:, [2, 3, 5]], atol=1e-9)
+        assert np.abs(above[:, 0] - below[:, 0]).max() > 5.0
+
+
+def test_points_on_a_side_have_the_same(comm):
+    plain = both_bodies()
+    known = rw.simulate(plain, comm).stress
+    asked = [
+        (body, number, k, side)
+        for body, of in enumerate(known.interfaces)
+        for number in range(len(of.z))
+        for k in (3, len(of.r) // 2)
+        for side in (0, 1)
+    ]
+    points = [
+        [known.interfaces[b].r[k], known.interfaces[b].z[i], SIDES[side]] for b, i, k, side in asked
+    ]
+    found = rw.simulate(plain.replace({"stress.points": points}), comm).stress.states[-1].points
+    last = known.states[-1]
+    for (b, i, k, side), stress in zip(asked, found, strict=True):
+        np.testing.assert_allclose(stress, last.interfaces[b][i, side, k], rtol=1e-9, atol=1e-9)
+
+
+def test_an_interface_within_one_material_is_like_the_inside(comm):
+    layered = rw.simulate(case_of(lower__layers=[ALIKE], mesh__contact_elements=48), comm)
+    history = layered.stress
+    r, (z,) = history.interfaces[0].r, history.interfaces[0].z
+    near = np.flatnonzero((r > 27.5) & (r < 32.5))[::5]
+    points = [[at, z] for at in r[near].tolist()]
+    plain = case_of(stress__points=points, mesh__contact_elements=48)
+    inside = rw.simulate(plain, comm).stress.states[-1].points
+    above, below = history.states[-1].interfaces[0][0]
+    scale = np.abs(inside).max()
+    np.testing.assert_allclose(above[near], inside, atol=0.01 * scale)
+    np.testing.assert_allclose(below[near], inside, atol=0.01 * scale)
+
+
+def test_file_and_dataset(result, tmp_path, comm):
+    if comm.rank == 0:
+        path = tmp_path / "run.h5"
+        result.save(path)
+        again = rw.open_result(path)
+        for one, other in zip(again.stress.states, result.stress.states, strict=True):
+            for i in (0, 1):
+                np.testing.assert_array_equal(one.interfaces[i], other.interfaces[i])
+        data = again.to_xarray()
+        assert data.interface_stress_lower.dims == (
+            "stress_step", "interface_lower", "side", "interface_element_lower", "component",
+        )  # fmt: skip
+        assert data.side.values.tolist() == ["above", "below"]
+        assert data.interface_z_lower.values == pytest.approx([19.95, 19.75])
+        assert data.interface_z_upper.values == pytest.approx([20.2])
+        assert {"interface_r_lower", "interface_z_upper"} <= set(data.coords)
+        np.testing.assert_array_equal(
+            data.interface_mises_upper, mises(data.interface_stress_upper.values)
+        )
+        assert data.interface_stress_upper.units == data.interface_mises_lower.units == "MPa"
+        bare = rw.simulate(case_of(), comm_self()).to_xarray()
+        assert not [name for name in bare.variables if "interface" in name or name == "side"]
+
+
+def comm_self():
+    from mpi4py import MPI
+
+    return MPI.COMM_SELF
+
+
+def test_the_same_on_all_ranks(result):
+    alone = rw.simulate(both_bodies(stress__times="all"), comm_self())
+    for one, other in zip(alone.stress.states, result.stress.states, strict=True):
+        for i in (0, 1):
+            np.testing.assert_array_equal(one.interfaces[i], other.interfaces[i])
+
+
+@pytest.mark.parametrize("geometry", ["fixed", "updated"])
+def test_none_where_wear_has_come_through(geometry):
+    thin = {**HARD, "thickness": 0.003, "wear": {"law": "archard", "k": 5e-9}}
+    found = rw.simulate(
+        case_of(lower__layers=[thin], mesh__geometry=geometry, stress__times="all",
+                time__steps=6, time__step=10.0), comm_self()
+    )  # fmt: skip
+    left = found.layers["layer_left_lower"]
+    assert 0 < np.count_nonzero(left[-1] == 0.0) < found.line.n
+    r = found.stress.interfaces[0].r
+    under = [int(np.abs(r - at).argmin()) for at in found.line.r]
+    for state, there in zip(found.stress.states, left > 0.0, strict=True):
+        known = np.isfinite(state.interfaces[0][0]).all(axis=(0, 2))
+        np.testing.assert_array_equal(known[under], there)
+        assert np.delete(known, under).all()
+
+
+def test_the_largest_stress_beside_a_free_edge_of_an_interface_is_doubted(result):
+    def doubted(of):
+        return [text for text in of.doubts if "free edge of the interface" in text]
+
+    (text,) = doubted(result)
+    assert "largest von Mises stress of upper" in text
+    assert "under upper.layers[0], at r = 28.5, z = 20.2 mm" in text
+    largest = result.stress.states[-1].largest[1]
+    closer = rw.simulate(both_bodies(stress__exclude=0.02), comm_self()).stress.states[-1]
+    assert closer.largest[1].mises > 1.2 * largest.mises
+    assert not doubted(rw.simulate(case_of(lower__layers=[HARD]), comm_self()))
+    alike = {**ALIKE, "young": 1e5}  # as the upper ring
+    assert not doubted(rw.simulate(case_of(upper__layers=[alike]), comm_self()))
+
+
+@pytest.mark.serial
+def test_pictures_show_what_is_stored(result):
+    figure = rw.plot(result, "interfaces", times="0, 60")
+    assert len(figure.axes) == 3 * 2 * 2  # interfaces, times, tractions and both sides
+    states = [result.stress.states[0], result.stress.states[-1]]
+    tractions, sides = figure.axes[:6], figure.axes[6:]
+    for number, (axes, other) in enumerate(zip(tractions, sides, strict=True)):
+        body, layer = ((0, 0), (0, 1), (1, 0))[number // 2]
+        stress = states[number % 2].interfaces[body][layer]
+        drawn = {line.get_label(): line.get_ydata() for line in axes.lines}
+        for told, component in (("normal", 2), ("shear", 3), ("friction", 5)):
+            (curve,) = [values for label, values in drawn.items() if label.startswith(told)]
+            np.testing.assert_array_equal(curve, stress[0, :, component])
+        for line, values in zip(other.lines, mises(stress), strict=False):
+            np.testing.assert_array_equal(line.get_ydata(), values)
+        assert f"under {('lower', 'upper')[body]}.layers[{layer}]" in title(axes)
+        # free edges are infinite: where they are drawn they are shaded, and not what the scale has
+        assert ("shaded: 0.1 mm" in title(other)) == (body == 1)
+        assert (mises(stress).max() > 1.5 * other.get_ylim()[1]) == (body == 1)
+    assert tractions[0].get_ylim() == tractions[1].get_ylim()
+    plain = rw.simulate(case_of(), comm_self())
+    with pytest.raises(rw.InputError, match="no stresses along interfaces; must be of a body with"):
+        rw.plot(plain, "interfaces")
+
+
+def title(axes):
+    return axes.get_legend().get_title().get_text()
+
+
+@pytest.mark.serial
+def test_exports(result, tmp_path):
+    from test_export import read_vtk
+
+    from ringwear_par.results.export import export
+
+    last, of = result.stress.states[-1], result.stress.interfaces
+    export(result, tmp_path / "a.csv", interfaces=True)
+    with (tmp_path / "a.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert len(rows) == 3 * 2 * (2 * len(of[0].r) + len(of[1].r))
+    final = rows[-1]
+    assert (final["body"], final["layer"], final["side"]) == ("upper", "0", "below")
+    assert float(final["zz (MPa)"]) == last.interfaces[1][0, 1, -1, 2]
+    assert float(final["mises (MPa)"]) == mises(last.interfaces[1][0, 1, -1])
+    assert "at 0 s" in export(result, tmp_path / "a.vtp", time=0.0, interfaces=True)
+    data, _ = read_vtk(tmp_path / "a.vtp", "PolyData")
+    first = result.stress.states[0].interfaces
+    stress = np.concatenate([first[0].reshape(-1, 6), first[1].reshape(-1, 6)])
+    np.testing.assert_array_equal(data["stress_zz"], stress[:, 2])
+    np.testing.assert_array_equal(data["mises"], mises(stress))
+    corners = data["points"][data["connectivity"].reshape(-1, 2)]
+    assert (np.diff(corners[..., 0], axis=1) > 0.0).all()
+    assert (corners[:, 0, 2] == corners[:, 1, 2]).all()
+    for name, more in (("a.vtu", {}), ("a.csv", {"fields": True}), ("a.vtp", {"stress": True})):
+        with pytest.raises(rw.InputError, match="--interfaces"):
+            export(result, tmp_path / name, interfaces=True, **more)
+
+
+@pytest.mark.serial
+def test_the_page_of_a_run_has_them(result, tmp_path):
+    result.save(tmp_path / "run.h5")
+    rw.report(tmp_path / "run.h5", tmp_path / "run.html")
+    text = (tmp_path / "run.html").read_text()
+    assert "tractions along interfaces" in text[text.index(">Stress inside</h2>") :]
