@@ -11,6 +11,7 @@ from ringwear_par.elasticity.stress_recovery import StressPoints, StressRecovery
 from ringwear_par.history.asked import Asked
 from ringwear_par.history.bodies import bodies
 from ringwear_par.history.snapshots import Snapshot
+from ringwear_par.wear.layered import ROUND_OFF
 
 _SIDES: dict[Side, float] = {"above": 1.0, "": 0.0, "below": -1.0}
 
@@ -95,5 +96,6 @@ class StressObserver:
         element = np.searchsorted(line.edges, r) - 1
         under = (element >= 0) & (element < line.n)
         worn = np.zeros((len(self.interfaces[i].z), 2, len(r)), dtype=bool)
-        worn[:, :, under] = (wear >= self._case.layer_ends(i))[:, None, element[under]]
+        gone = wear >= self._case.layer_ends(i) * (1.0 - ROUND_OFF)
+        worn[:, :, under] = gone[:, None, element[under]]
         return worn

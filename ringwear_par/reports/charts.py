@@ -8,10 +8,12 @@ import numpy as np
 from matplotlib.colors import to_hex
 
 from ringwear_par.arrays import IntArray
+from ringwear_par.elasticity.boundary_fields import BODIES, Which
 from ringwear_par.errors import InputError
 from ringwear_par.reports.blocks import Chart, Charts
 from ringwear_par.results.drawing import COLOURS, stage_colour, time_unit
 from ringwear_par.results.history_panels import HISTORY_PANELS
+from ringwear_par.results.layer_ends import ends_near
 from ringwear_par.results.result import Result
 
 #: as matplotlib's in ``drawing``
@@ -109,12 +111,14 @@ def histories(result: Result) -> Charts:
             else:
                 mode = "lines+markers" if len(time) <= _FEW_POINTS else "lines"
                 data.append(line(time / seconds, values, told, number, mode=mode))
+        nothing = not any(values.any() for values in curves.values())
+        y = {"range": [0.0, panel.whole]} if nothing else {"rangemode": "tozero"}
         charts.append(
             Chart(
                 name, panel.label, f"Line chart: {panel.label} over time ({unit})", data,
                 layout(
                     axis(f"time ({unit})", rangemode="tozero"),
-                    axis(panel.label, rangemode="tozero"), showlegend=len(curves) > 1,
+                    axis(panel.label, **y), showlegend=len(curves) > 1,
                 ),
             )
         )  # fmt: skip
@@ -125,11 +129,11 @@ def profiles(result: Result) -> Charts | None:
     """Return worn faces and pressure at five instants and at that of a slider; None: not stored."""
     there = {name: values for name, values in result.profiles.items() if values.ndim == 2}
     faces = [
-        (name, sign * 1e3 * there[f"wear_{name}"])
-        for name, sign in (("lower", -1.0), ("upper", 1.0))
+        (name, sign, there[f"wear_{name}"])
+        for name, sign in zip(BODIES, (-1.0, 1.0), strict=True)
         if f"wear_{name}" in there
     ]
-    faces = [(name, depth) for name, depth in faces if depth.any()] or faces[:1]
+    faces = [face for face in faces if face[2].any()] or faces[:1]
     if not faces and "pressure" not in there:
         return None
     time = result.histories["time"]
@@ -140,10 +144,10 @@ def profiles(result: Result) -> Charts | None:
     told = [f"{time[row] / seconds:.4g} {unit}" for row in stages]
     charts = [
         _profile(
-            result, f"wear-{name}", f"Worn face of {name} (\N{MICRO SIGN}m)", depth, stages, told,
-            instants,
+            result, f"wear-{name}", f"Worn face of {name} (\N{MICRO SIGN}m)", sign * 1e3 * wear,
+            stages, told, instants, _ends(result, name, sign),
         )
-        for name, depth in faces
+        for name, sign, wear in faces
     ]  # fmt: skip
     if "pressure" in there:
         charts.append(_pressure(result, there["pressure"], stages, told, instants))
@@ -154,11 +158,18 @@ def profiles(result: Result) -> Charts | None:
 
 def _profile(
     result: Result, name: str, label: str, values: Any, stages: IntArray, told: Sequence[str],
-    instants: IntArray, **y: Any,
+    instants: IntArray, beside: Sequence[dict[str, Any]] = (), **y: Any,
 ) -> Chart:  # fmt: skip
-    """Return curves along the radius: some that stay, and that of the slider, the last."""
+    """Return curves along the radius: some that stay, and that of the slider, the last.
+
+    Parameters
+    ----------
+    beside : other curves that stay.
+    """
     r = numbers(result.line.r)
     data: list[dict[str, Any]] = [
+        *beside,
+        *(
         {
             "x": r, "y": numbers(values[row]), "name": word, "mode": "lines",
             "line": {
@@ -167,6 +178,7 @@ def _profile(
             },
         }
         for number, (row, word) in enumerate(zip(stages, told, strict=True))
+        ),
     ]  # fmt: skip
     frames = [numbers(values[row]) for row in instants]
     data.append(
@@ -180,11 +192,21 @@ def _profile(
     return Chart(name, label, words, data, layout(x, axis(label, **y)), 400, frames)
 
 
+def _ends(result: Result, body: Which, sign: float) -> list[dict[str, Any]]:
+    """Return the curves at which layers end that wear comes near."""
+    style = {"color": "#666", "dash": "dot", "width": 1}
+    return [
+        line(result.line.r, sign * 1e3 * end.depth, f"end of layer {end.layer}", 0, line=style)
+        for end in ends_near(result, body)
+    ]
+
+
 def _pressure(
     result: Result, pressure: Any, stages: IntArray, told: Sequence[str], instants: IntArray
 ) -> Chart:
     """Return pressures; singular edges of the first instant are cut, as in the other figures."""
-    label, y = "contact pressure (MPa)", {}
+    label = "contact pressure (MPa)"
+    y: dict[str, Any] = {}
     touched = (pressure[stages] > 0.0) @ result.line.area
     force = result.histories["force"][stages]
     top = 3.0 * float((force / np.where(touched > 0.0, touched, np.inf)).max())

@@ -126,8 +126,17 @@ def _through(body: str, layers: WornLayers) -> Table:
         (f"volume lost by {name}", f"{volume:.6g}", _CUBIC)
         for name, volume in zip(names, layers.volumes, strict=True)
     ]
+    for one in layers.each:
+        if one.layer < len(layers.volumes) - 2:
+            through = f"layer {one.layer} worn through"
+            rows.append((f"share of the contact area with {through}", f"{one.share:.4g}", ""))
+            rows.append((f"{through} first at the radius", f"{one.r:.6g}", "mm"))
+            rows.append((f"{through} there by", f"{one.time:.6g}", "s"))
     rows.append(("share of the contact area worn through", f"{layers.share:.4g}", ""))
     rows.append(("first worn through at", _or_dash(layers.time, 6), "s"))
+    for one in layers.each:
+        if one.layer == len(layers.volumes) - 2:
+            rows.append(("first worn through at the radius", f"{one.r:.6g}", "mm"))
     rows.append(("least thickness left", f"{layers.thinnest:.4g}", _MICRO))
     rows.append(("largest thickness left", f"{layers.thickest:.4g}", _MICRO))
     return Table(f"Layers of {body}, at the end", ("quantity", "value", "unit"), rows)

@@ -27,10 +27,12 @@ class HistoryPanel:
     label : of the axis, with the unit.
     curves : returns the curves of a result by their names, "" where there is one; (stored states,)
         or, between these, one fewer.
+    whole : the end of the axis where all is 0.
     """
 
     label: str
     curves: Callable[[Result], dict[str, FloatArray]]
+    whole: float = 1.0
 
 
 def _stored(name: str, factor: float) -> Callable[[Result], dict[str, FloatArray]]:
@@ -83,7 +85,7 @@ HISTORY_PANELS = {
     "energy": HistoryPanel("energy dissipated (J)", _stored("dissipated_energy", 1e-3)),
     "volume": HistoryPanel("worn volume (mm\N{SUPERSCRIPT THREE})", _volumes),
     "rate": HistoryPanel("wear rate, mean depth (\N{MICRO SIGN}m/h)", _rates),
-    "through": HistoryPanel("worn through (% of area)", _through),
+    "through": HistoryPanel("worn through (% of area)", _through, whole=100.0),
     "pv": HistoryPanel("pressure \N{MULTIPLICATION SIGN} speed, mean (MPa m/s)", _p_v),
 }
 
@@ -115,8 +117,8 @@ def draw_history(
             lowest = min(lowest, float(values.min(initial=0.0)))
             highest = max(highest, float(values.max(initial=0.0)))
     axes.set_xlim(left=0.0)
-    if lowest >= 0.0 and highest > 0.0:
-        axes.set_ylim(0.0, 1.05 * highest)
+    if lowest >= 0.0:
+        axes.set_ylim(0.0, 1.05 * highest or panel.whole)
     axes.set_xlabel(f"time ({unit})")
     axes.set_ylabel(panel.label)
     words = [text for text in axes.get_legend_handles_labels()[1] if text]

@@ -5,7 +5,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ringwear_par.elasticity.boundary_fields import BODIES, Which
 from ringwear_par.errors import InputError
+from ringwear_par.results.layer_ends import WornThrough, worn_through
 
 if TYPE_CHECKING:
     from ringwear_par.results.result import Result
@@ -46,6 +48,7 @@ class WornLayers:
     share : of the contact area where all of them are worn through.
     time : s, when that began; None: not yet.
     thinnest, thickest : um, least and most that is left of all of them.
+    each : of them, those that are worn through somewhere.
     """
 
     volumes: tuple[float, ...]
@@ -53,6 +56,7 @@ class WornLayers:
     time: float | None
     thinnest: float
     thickest: float
+    each: tuple[WornThrough, ...]
 
 
 @dataclass(frozen=True)
@@ -106,13 +110,12 @@ def key_numbers(result: "Result") -> KeyNumbers:
     if not {"face_lower", "face_upper"} & about.keys() and load.sum() > 0:
         worn = 1e3 * float(load @ state["wear"].sum(axis=0) / load.sum())
         elastic = penetration - worn
-    bodies = ("lower", "upper")
     return KeyNumbers(
         mean, p.max(), line.r[p.argmax()], p.min(), int(np.count_nonzero(p > 0.0)), sliding,
         penetration, worn, elastic,
         tuple(
             _worn(result, number, body)
-            for number, body in enumerate(bodies)
+            for number, body in enumerate(BODIES)
             if about.get(f"law_{body}", last[f"worn_volume_{body}"])
         ),
     )  # fmt: skip
@@ -123,7 +126,7 @@ def nominal_area(result: "Result") -> float:
     return float(result.attributes.get("nominal_area", result.line.area.sum()))
 
 
-def _worn(result: "Result", number: int, body: str) -> Worn:
+def _worn(result: "Result", number: int, body: Which) -> Worn:
     assert result.checkpoint is not None
     state, about, line = result.checkpoint.arrays, result.attributes, result.line
     volume = float(result.histories[f"worn_volume_{body}"][-1])
@@ -142,7 +145,7 @@ def _worn(result: "Result", number: int, body: str) -> Worn:
     return Worn(body, deepest, volume, mass, rate, now, specific, _layers(result, body))
 
 
-def _layers(result: "Result", body: str) -> WornLayers | None:
+def _layers(result: "Result", body: Which) -> WornLayers | None:
     """Return what has become of the layers of a body; None where it has none."""
     if f"share_through_{body}" not in result.layers:
         return None
@@ -154,4 +157,5 @@ def _layers(result: "Result", body: str) -> WornLayers | None:
         None if np.isnan(time) else time,
         1e3 * float(left.min()),
         1e3 * float(left.max()),
+        tuple(worn_through(result, body)),
     )

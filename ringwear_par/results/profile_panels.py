@@ -5,12 +5,12 @@ from typing import Any
 
 import numpy as np
 
+from ringwear_par.elasticity.boundary_fields import BODIES
 from ringwear_par.errors import InputError
 from ringwear_par.results.drawing import DASHES, set_legend, stage_colour, time_unit
+from ringwear_par.results.layer_ends import ends_near
 from ringwear_par.results.result import Result
 
-#: how many times the deepest wear the end of layers may be below the face to be drawn
-_FAR = 1.5
 #: columns of the legend
 _COLUMNS = 3
 
@@ -45,7 +45,7 @@ def _profiles(
             axes.plot(
                 result.line.r, curve(row), color=stage_colour(number, len(rows)),
                 linestyle=DASHES[number % len(DASHES)],
-                label=None if place else f"{time[row] / seconds:.3g} {unit}",
+                label=None if place else f"{time[row] / seconds:.4g} {unit}",
             )  # fmt: skip
     axes.set_xlabel("distance to axis (mm)")
 
@@ -56,36 +56,44 @@ def draw_wear(axes: Any, result: Result, label: str, rows: Sequence[int]) -> Non
     margin = 0.15 * (outer - inner)
     lower, upper = stored_field(result, "wear_lower"), stored_field(result, "wear_upper")
     ends = max(inner - margin, 0.0), outer + margin
-    for body, sign in (("lower", -1e3), ("upper", 1e3)):
-        _interface(axes, result, body, sign)
-    if lower.any() and upper.any():
+    both = lower.any() and upper.any()
+    if both:
         _profiles(axes, result, rows, lambda row: -1e3 * lower[row], lambda row: 1e3 * upper[row])
         axes.set_ylabel("worn faces (\N{MICRO SIGN}m)")
         for name, place, where in (("upper", 0.98, "top"), ("lower", 0.02, "bottom")):
             axes.text(
                 0.5, place, f"face of {name}", ha="center", va=where, transform=axes.transAxes
             )
-        low, high = axes.get_ylim()
-        room = 0.1 * (high - low)
-        axes.set_ylim(low - room, high + room)
     elif upper.any():
         _profiles(axes, result, rows, lambda row: 1e3 * upper[row])
         axes.set_ylabel("wear depth, upwards (\N{MICRO SIGN}m)")
     else:
         _profiles(axes, result, rows, lambda row: -1e3 * lower[row])
         axes.set_ylabel("wear depth (\N{MICRO SIGN}m)")
+    _draw_ends(axes, result)
+    if both:
+        low, high = axes.get_ylim()
+        room = 0.1 * (high - low)
+        axes.set_ylim(low - room, high + room)
     for start, end in ((ends[0], inner), (outer, ends[1])):
         axes.plot([start, end], [0, 0], color="0.4", linewidth=0.8)
     axes.set_xlim(*ends)
     set_legend(axes, _COLUMNS, label)
 
 
-def _interface(axes: Any, result: Result, body: str, sign: float) -> None:
-    """Draw where the layers of a body end, unless wear is still far from there."""
-    left, wear = result.layers.get(f"layer_left_{body}"), result.profiles[f"wear_{body}"]
-    if left is None or (wear[0] + left[0]).min() > _FAR * wear.max():
-        return
-    axes.plot(result.line.r, sign * (wear[0] + left[0]), color="0.4", linewidth=0.8, linestyle=":")
+def _draw_ends(axes: Any, result: Result) -> None:
+    """Draw where layers end that wear comes near, each with its number beside it."""
+    ends = [end for body in BODIES for end in ends_near(result, body)]
+    for number, end in enumerate(ends):
+        depth = (-1e3 if end.body == "lower" else 1e3) * end.depth
+        axes.plot(
+            result.line.r, depth, color="0.4", linewidth=0.8, linestyle=":",
+            label=None if number else "end of layer",
+        )  # fmt: skip
+        axes.text(
+            result.line.edges[-1], depth[-1], f" layer {end.layer}", color="0.3", fontsize=7.0,
+            va="center",
+        )  # fmt: skip
 
 
 def draw_pressure(axes: Any, result: Result, label: str, rows: Sequence[int]) -> None:

@@ -142,7 +142,7 @@ def draw_depth(axes: Any, result: Result, label: str, states: Sequence[StressSta
         values = np.insert(mises(state.grid[column]), between, np.nan)
         axes.plot(
             values, height, color=stage_colour(number, len(states)),
-            linestyle=DASHES[number % len(DASHES)], label=f"{state.time / seconds:.3g} {unit}",
+            linestyle=DASHES[number % len(DASHES)], label=f"{state.time / seconds:.4g} {unit}",
         )  # fmt: skip
     for level in levels:
         axes.axhline(level, color="0.4", linewidth=0.8)

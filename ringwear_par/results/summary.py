@@ -170,12 +170,22 @@ def _through(body: str, layers: WornLayers) -> str:
     told = (
         f"{several} of {body}: {' + '.join(of_layers)} mm3 worn, of the body itself {itself} mm3; "
     )
+    innermost = len(of_layers) - 1
+    for one in layers.each:
+        if one.layer < innermost:
+            told += (
+                f"layer {one.layer} worn through over {100.0 * one.share:.4g} % of the contact "
+                f"area, first at r = {one.r:.6g} mm, by t = {one.time:.4g} s; "
+            )
+    together = "all " if innermost else ""
     if layers.time is None:
-        return f"{told}nowhere worn through, {layers.thinnest:.4g} um left at least"
+        nowhere = f"nowhere worn through {together}".rstrip()
+        return f"{told}{nowhere}, {layers.thinnest:.4g} um left at least"
     left = f", {layers.thickest:.4g} um left at most" if layers.thickest > 0.0 else ""
+    at = "".join(f", at r = {one.r:.6g} mm" for one in layers.each if one.layer == innermost)
     return (
-        f"{told}worn through over {100.0 * layers.share:.4g} % of the contact area, first at t = "
-        f"{layers.time:.4g} s{left}"
+        f"{told}{together}worn through over {100.0 * layers.share:.4g} % of the contact area, "
+        f"first at t = {layers.time:.4g} s{at}{left}"
     )
 
 

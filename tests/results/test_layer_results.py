@@ -8,6 +8,7 @@ import pytest
 from mpi4py import MPI
 
 import ringwear_par as rw
+from ringwear_par.reports.charts import profiles
 from ringwear_par.results.export import export
 from ringwear_par.results.figures import plot
 
@@ -75,6 +76,17 @@ def test_the_summary_says_what_has_become_of_layers(result):
     time = result.attributes["time_through_lower"]
     assert f"worn through over {share:.4g} % of the contact area, first at t = {time:.4g} s" in told
     assert "of the body itself 0 mm3; nowhere worn through" in told  # upper
+    # and of the first layer by itself, when and where as far as stored states tell
+    wear = result.profiles["wear_lower"]
+    gone = wear >= 5e-4 * (1.0 - 1e-12)
+    first = int(gone.any(axis=1).argmax())
+    share = 100.0 * (result.line.area @ gone[-1]) / result.line.area.sum()
+    assert (
+        f"layer 0 worn through over {share:.4g} % of the contact area, first at "
+        f"r = {result.line.r[wear[first].argmax()]:.6g} mm, by "
+        f"t = {result.histories['time'][first]:.4g} s; all worn through over"
+    ) in told
+    assert "layer 1 worn" not in told
     assert "worn volume by layer against energy" in told
 
 
@@ -101,8 +113,17 @@ def test_layers_in_tables_and_pictures(result, tmp_path):
     np.testing.assert_allclose(drawn[0], 100.0 * result.layers["share_through_lower"])
     grey = [line for line in wear.lines if line.get_color() == "0.4"]
     interface = [line for line in grey if line.get_linestyle() == ":"]
-    np.testing.assert_allclose(interface[0].get_ydata(), -3.5)  # um, of lower
+    # um, both of lower, the coating of upper is far from worn
+    np.testing.assert_allclose([line.get_ydata()[0] for line in interface], [-0.5, -3.5])
+    assert [text.get_text().strip() for text in wear.texts[-2:]] == ["layer 0", "layer 1"]
+    assert "end of layer" in [text.get_text() for text in wear.get_legend().get_texts()]
     plain = rw.simulate(rw.read_case(CASE, {**SMALL, "lower.layers": None}), MPI.COMM_SELF)
+    (face, _, _) = profiles(result).charts
+    ends = [curve for curve in face.data if curve["name"].startswith("end of layer")]
+    assert [(curve["name"][-1], curve["y"][0]) for curve in ends] == [("0", -0.5), ("1", -3.5)]
+    assert face.data[-1]["name"] == "time chosen"  # which the slider moves
+    light = rw.simulate(rw.read_case(CASE, {**SMALL, "time.steps": 1}), MPI.COMM_SELF)
+    assert plot(light, "through").axes[0].get_ylim() == (0.0, 100.0)
     with pytest.raises(rw.InputError, match="through needs a body with layers"):
         plot(plain, "through")
 

@@ -1,0 +1,101 @@
+"""Where the layers of a result's bodies end, and which of them wear has got through."""
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ringwear_par.arrays import FloatArray
+from ringwear_par.cases.case import CHANGED
+from ringwear_par.cases.reading import outlines
+from ringwear_par.elasticity.boundary_fields import BODIES, Which
+
+if TYPE_CHECKING:
+    from ringwear_par.results.result import Result
+
+#: how many times the deepest wear the end of a layer may be below the face to be drawn
+_FAR = 1.5
+#: share of its depth within which wear has reached the end of a layer
+_ON = 1e-9
+
+
+@dataclass(frozen=True)
+class LayerEnd:
+    """The end of a layer.
+
+    Parameters
+    ----------
+    body : of the layer.
+    layer : its number, 0 at the contact face.
+    depth : (n,) float, mm, below the unworn face, along the axis, under the contact elements.
+    """
+
+    body: Which
+    layer: int
+    depth: FloatArray
+
+
+@dataclass(frozen=True)
+class WornThrough:
+    """A layer that wear has got through.
+
+    Parameters
+    ----------
+    layer : its number, 0 at the contact face.
+    share : of the contact area where nothing is left of it, at the end.
+    r : mm, where wear was deepest in the first stored state that shows it.
+    time : s, of that state.
+    """
+
+    layer: int
+    share: float
+    r: float
+    time: float
+
+
+def layer_ends(result: "Result", body: Which) -> list[LayerEnd]:
+    """Return where the layers of a body end, none where it has none. Not collective.
+
+    Of a case that was changed after it was read only the innermost is known, if at all.
+    """
+    left = result.layers.get(f"layer_left_{body}")
+    if left is None:
+        return []
+    if result.case.startswith(CHANGED):
+        innermost = result.layers[f"worn_volume_{body}_layers"].shape[1] - 2
+        return [LayerEnd(body, innermost, left[0])] if left.ndim == 2 else []
+    outline = outlines(result.case, result.name)[BODIES.index(body)]
+    face = np.interp(result.line.gap_point, *outline.contour[:-2].T)
+    return [
+        LayerEnd(body, number, np.abs(face - height))
+        for number, height in enumerate(outline.interfaces)
+    ]
+
+
+def ends_near(result: "Result", body: Which) -> list[LayerEnd]:
+    """Return the ends of layers that wear, of which a profile is stored, comes near somewhere."""
+    deepest = float(result.profiles[f"wear_{body}"].max())
+    return [end for end in layer_ends(result, body) if end.depth.min() <= _FAR * deepest]
+
+
+def worn_through(result: "Result", body: Which) -> list[WornThrough]:
+    """Return the layers of a body that wear has got through, as far as stored states tell.
+
+    The result has its last state.
+    """
+    assert result.checkpoint is not None
+    wear, times = result.profiles.get(f"wear_{body}"), result.histories["time"]
+    if wear is None or wear.ndim == 1:
+        last = result.checkpoint
+        wear = last.arrays["wear"][BODIES.index(body)][None]
+        times = np.array([last.numbers["time"]])
+    found, area = [], result.line.area
+    for end in layer_ends(result, body):
+        gone = wear >= end.depth * (1.0 - _ON)
+        if gone.any():
+            first = int(gone.any(axis=1).argmax())
+            deepest = int(np.where(gone[first], wear[first] - end.depth, -np.inf).argmax())
+            share = float(area @ gone[-1] / area.sum())
+            r = float(result.line.r[deepest])
+            found.append(WornThrough(end.layer, share, r, float(times[first])))
+    return found
