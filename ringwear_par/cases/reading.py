@@ -135,10 +135,12 @@ class Outline(NamedTuple):
     contour : (m, 2) float, mm, r and z of the corners around the unworn body; the contact face
         from the inner to the outer radius comes first, two corners of the held face last.
     interfaces : (l,) float, mm, heights between layers, from the contact face on.
+    plane : mm, height of the contact plane, which depths of the face count from.
     """
 
     contour: FloatArray
     interfaces: FloatArray
+    plane: float
 
 
 def outlines(text: str, name: str) -> tuple[Outline, Outline]:
@@ -172,6 +174,7 @@ def outlines(text: str, name: str) -> tuple[Outline, Outline]:
             Outline(
                 np.concatenate([face, [(r[1], held), (r[0], held)]]),
                 plane - sign * np.cumsum(thicknesses),
+                plane,
             )
         )
     return found[0], found[1]

@@ -1,6 +1,7 @@
 """The panel of deformed meridian sections, magnified."""
 
 import math
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -8,44 +9,65 @@ from matplotlib.collections import LineCollection
 from matplotlib.patches import Polygon
 
 from ringwear_par.arrays import FloatArray, IntArray
-from ringwear_par.elasticity.boundary import node_wear
+from ringwear_par.cases.reading import outlines
 from ringwear_par.elasticity.boundary_fields import FACES, BoundaryFields
-from ringwear_par.elasticity.mesh import ContactLine
 from ringwear_par.results.drawing import COLOURS, time_unit
 from ringwear_par.results.export import choose_state
 from ringwear_par.results.result import Result
 
+#: what the largest displacement is drawn as, over the size of both bodies; and how deep faces and
+#: their wear at most, over the lower one's height
+_MOVED, _DEEPEST = 0.1, 0.4
 
-def magnification(displacement: float, size: float) -> float:
-    """Return the round factor that makes the largest displacement about a tenth of a size."""
-    if not displacement > 0.0:
+
+def magnification(most: float) -> float:
+    """Return the round factor nearest to one, in logarithms."""
+    if not np.isfinite(most):
         return 1.0
-    exact = 0.1 * size / displacement
-    power = 10.0 ** math.floor(math.log10(exact))
-    return float(power * min((1.0, 2.0, 5.0, 10.0), key=lambda x: abs(math.log(exact / power / x))))
+    power = 10.0 ** math.floor(math.log10(most))
+    return float(power * min((1.0, 2.0, 5.0, 10.0), key=lambda x: abs(math.log(most / power / x))))
 
 
-def _drawn(body: BoundaryFields, line: ContactLine, upward: float, factor: float) -> FloatArray:
-    """Return (m, 2) mm, nodes along a contour moved by magnified displacement and wear.
+def _factor(bodies: Sequence[BoundaryFields], planes: Sequence[float]) -> float:
+    """Return by how much displacements, wear and shapes of faces are magnified, all alike."""
+    size = float(np.ptp(np.concatenate([body.nodes for body in bodies]), axis=0).max())
+    height = min(float(np.ptp(body.nodes[:, 1])) for body in bodies)
+    moved = max(float(np.hypot(*body.displacement[:, :2].T).max()) for body in bodies)
+    deepest = max(
+        float(np.abs(body.nodes[_face_nodes(body), 1] - plane).max())
+        for body, plane in zip(bodies, planes, strict=True)
+    )
+    most = [
+        share * whole / part
+        for share, whole, part in ((_MOVED, size, moved), (_DEEPEST, height, deepest))
+        if part > 0.0
+    ]
+    return magnification(min(most, default=math.inf))
 
-    Wear as well, or faces that touch would not do so in the picture. Sides end where the face does.
+
+def _face_nodes(body: BoundaryFields) -> IntArray:
+    """Return the nodes of the face that looks to the other body, the contact line and beside it."""
+    of_face = [FACES.index(name) for name in ("contact", "free")]
+    return np.unique(body.elements[np.isin(body.face, of_face)])
+
+
+def _drawn(body: BoundaryFields, plane: float, upward: float, factor: float) -> FloatArray:
+    """Return (m, 2) mm, nodes along a contour moved by magnified displacement, wear and shape.
+
+    All of them, or faces that touch would not do so in the picture. What is under the face gives
+    way to it, sides and interfaces.
 
     Parameters
     ----------
+    plane : mm, height of the contact plane.
     upward : 1 where the contact face looks up, -1 where it looks down.
     """
-    at = body.nodes.copy()
-    elements, corners = _contact_elements(body)
-    ends = corners[:, [0, 2]]
-    ends = np.take_along_axis(ends, body.nodes[ends, 0].argsort(axis=1), axis=1)
-    depth, more = body.wear[elements], upward * (factor - 1.0)
-    at[corners[:, 1], 1] -= more * depth
-    along = np.append(ends[:, 0], ends[-1, 1])
-    at[along, 1] -= more * node_wear(line, depth)
-    for name, end in (("inner_side", along[0]), ("outer_side", along[-1])):
-        side = np.unique(body.elements[body.face == FACES.index(name)])
-        if end in side:
-            at[side, 1] = upward * np.minimum(upward * at[side, 1], upward * at[end, 1])
+    at, face = body.nodes.copy(), _face_nodes(body)
+    at[face, 1] = plane + factor * (at[face, 1] - plane)
+    rest = np.setdiff1d(np.arange(len(at)), face)
+    along = face[at[face, 0].argsort(kind="stable")]
+    most = np.interp(at[rest, 0], at[along, 0], upward * at[along, 1])
+    at[rest, 1] = upward * np.minimum(upward * at[rest, 1], most)
     return at + factor * body.displacement[:, :2]
 
 
@@ -57,30 +79,24 @@ def _contact_elements(body: BoundaryFields) -> tuple[IntArray, IntArray]:
 
 
 def draw_section(axes: Any, result: Result, label: str) -> None:
-    """Deformed meridian sections, magnified, with the contact pressure as colour.
-
-    Where faces are not flat, magnified displacements make bodies overlap whose gap is not
-    magnified; the upper one is then raised in the picture until they only touch.
-    """
+    """Deformed meridian sections, magnified, with the contact pressure as colour."""
     state = choose_state(result, None)
-    size = float(np.ptp(np.concatenate([body.nodes for body in state.bodies]), axis=0).max())
-    moved = max(float(np.hypot(*body.displacement[:, :2].T).max()) for body in state.bodies)
-    factor = magnification(moved, size)
+    sections = outlines(result.case, result.name)
+    planes = [outline.plane for outline in sections]
+    factor = _factor(state.bodies, planes)
     lower, upper = (
-        _drawn(body, result.line, upward, factor)
-        for body, upward in zip(state.bodies, (1.0, -1.0), strict=True)
+        _drawn(body, plane, upward, factor)
+        for body, plane, upward in zip(state.bodies, planes, (1.0, -1.0), strict=True)
     )
     elements, faces = (
         list(both) for both in zip(*(_contact_elements(body) for body in state.bodies), strict=True)
     )
-    overlap = float((lower[faces[0][:, 1], 1] - upper[faces[1][:, 1], 1]).max())
-    upper[:, 1] += max(overlap, 0.0)
     for number, body in enumerate(state.bodies):
         for zone, at in enumerate(body.contours):
             axes.add_patch(
                 Polygon(
                     body.nodes[at], fill=False, edgecolor="0.75", linewidth=0.8,
-                    label=None if number or zone else "undeformed",
+                    label=None if number or zone else "undeformed, 1\N{MULTIPLICATION SIGN}",
                 )
             )  # fmt: skip
     for number, (outline, name) in enumerate(((lower, "lower"), (upper, "upper"))):
@@ -111,10 +127,14 @@ def draw_section(axes: Any, result: Result, label: str) -> None:
     axes.set_xlabel("distance to axis (mm)")
     axes.set_ylabel("height (mm)")
     unit, seconds = time_unit(float(result.histories["time"][-1]))
-    raised = "\nupper raised until they touch" if overlap > 0.005 * size else ""
+    shaped = any(np.ptp(outline.contour[:-2, 1]) > 0.0 for outline in sections)
+    magnified = "displacement, wear, faces' shape" if shaped else "displacement and wear"
+    layers = any(len(outline.interfaces) for outline in sections)
     axes.set_title(
         f"{label}: {state.time / seconds:.4g} {unit}\n"
-        f"displacement and wear {factor:g}\N{MULTIPLICATION SIGN}{raised}"
+        f"{magnified} {factor:g}\N{MULTIPLICATION SIGN}"
+        + "\nlayers 1\N{MULTIPLICATION SIGN}"
+        * layers
     )
     axes.legend(
         frameon=False, loc="upper center", bbox_to_anchor=(0.5, 0.0), borderaxespad=4.0, ncols=3,

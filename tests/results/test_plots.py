@@ -101,14 +101,17 @@ def test_wrong_files(runs, tmp_path):
     assert not list(tmp_path.iterdir())
 
 
-@pytest.mark.parametrize("case", ["fields", "sphere"])
+@pytest.mark.parametrize("case", ["fields", "sphere", "crown", "coated"])
 def test_deformed_sections(tmp_path, comm, case):
     from ringwear_par.results.figures import plot, plot_files
     from ringwear_par.results.files import open_result
 
     run = tmp_path / "run.h5"
     words = ["mesh.contact_elements=16", "output.boundary=last"]
-    words += ["wear.upper={law='threshold', k=1e-8}"] if case == "fields" else ["time.steps=2"]
+    words += {
+        "fields": ["wear.upper={law='threshold', k=1e-8}"], "coated": ["time.end=50"],
+        "crown": ["time.end=20"],
+    }.get(case, ["time.steps=2"])  # fmt: skip
     run_case(PAPER.with_name(f"{case}.toml"), run, words, comm=comm)
     plot_files([run], tmp_path / "a.png", "section,pressure")
     assert (tmp_path / "a.png").stat().st_size > 3000
@@ -117,18 +120,24 @@ def test_deformed_sections(tmp_path, comm, case):
     assert "mm" in axes.get_xlabel()
     shown = [patch.get_xy()[:-1] for patch in axes.patches]
     state = open_result(run).boundary[-1]
-    for drawn, body in zip(shown, state.bodies, strict=False):
-        assert drawn == pytest.approx(body.nodes)
-    # magnified, they touch under pressure and overlap nowhere on the contact line
+    zones = [(body, at) for body in state.bodies for at in body.contours]
+    for drawn, (body, at) in zip(shown, zones, strict=False):
+        assert drawn == pytest.approx(body.nodes[at])
+    # displacement, wear and shape are magnified alike: so are gaps, and what touches does
     height = []
-    for outline, body in zip(shown[2:], state.bodies, strict=True):
+    first = [shown[len(zones)], shown[len(zones) + len(state.bodies[0].contours)]]
+    for outline, body in zip(first, state.bodies, strict=True):
         middle = body.elements[body.face == 1, 1]
         height.append(outline[middle[body.nodes[middle, 0].argsort()], 1])
-    gap = height[1] - height[0]
-    size = 40.0 if case == "fields" else 16.0
-    assert abs(gap.min()) < 1e-12
-    if case == "fields":
-        assert np.abs(gap).max() < 2e-3 * size
+    result = open_result(run)
+    size = float(np.ptp(np.concatenate([body.nodes for body in state.bodies]), axis=0).max())
+    factor = float(axes.get_title().splitlines()[1].split()[-1][:-1])
+    gap = factor * result.profiles["gap"][-1]
+    assert height[1] - height[0] == pytest.approx(gap, abs=3e-3 * size)
+    assert (gap.max() > 0.01 * size) == (case in ("sphere", "crown"))
+    told = axes.get_title()
+    assert ("shape" in told) == (case in ("sphere", "crown"))
+    assert ("layers 1\N{MULTIPLICATION SIGN}" in told) == (case == "coated")
     (colours,) = axes.collections
     p = state.bodies[0].pressure[state.bodies[0].face == 1]
     assert np.array_equal(np.sort(np.asarray(colours.get_array())), np.sort(p))
@@ -137,11 +146,11 @@ def test_deformed_sections(tmp_path, comm, case):
 def test_magnification_is_round():
     from ringwear_par.results.section_panel import magnification
 
-    assert magnification(0.0, 40.0) == 1.0
-    assert magnification(0.04, 40.0) == 100.0
-    assert magnification(0.013, 40.0) == 200.0  # nearest to 308 in logarithms
-    assert magnification(5.0, 40.0) == 1.0
-    assert magnification(20.0, 40.0) == pytest.approx(0.2)
+    assert magnification(np.inf) == 1.0
+    assert magnification(100.0) == 100.0
+    assert magnification(308.0) == 200.0  # nearest in logarithms
+    assert magnification(0.8) == 1.0
+    assert magnification(0.2) == pytest.approx(0.2)
 
 
 def test_sections_need_boundary_fields(runs, tmp_path):
