@@ -32,9 +32,9 @@ from ringwear_par.results.profile_panels import (
 from ringwear_par.results.result import FailedResult, Result
 from ringwear_par.results.section_panel import draw_section
 from ringwear_par.results.stored_stresses import (
+    check_grid,
     interfaces_of,
     nearest_states,
-    stress_states,
     stresses,
 )
 from ringwear_par.results.stress_panels import (
@@ -47,14 +47,18 @@ from ringwear_par.results.stress_panels import (
 log = logging.getLogger(__name__)
 
 Source = Result | str | Path
+#: the name of a panel, and what draws it
+Drawing = tuple[str, Callable[..., None]]
 
 #: panels along the radius, one a result
 _PROFILES = {"wear": draw_wear, "pressure": draw_pressure}
-#: panels of stresses in the section, one a result or more
-_STRESS_MAPS = ("stress", "depth")
-#: and along interfaces, two or more a result
-_INTERFACES = "interfaces"
-PANELS = (*_PROFILES, "section", *_STRESS_MAPS, _INTERFACES, "mises", *HISTORY_PANELS)
+#: panels of stresses, one a result or more
+_STRESSES = ("stress", "depth", "interfaces")
+#: panels that all results share
+_OF_ALL = ("mises", *HISTORY_PANELS)
+PANELS = (*_PROFILES, "section", *_STRESSES, *_OF_ALL)
+#: panels with the same scale along both axes and a bar of colours, and how much larger they are
+_SECTIONS, _LARGER = {"section", "stress"}, 1.15
 #: what is drawn where nothing else is asked for
 DEFAULT = "wear,penetration"
 _MOST_COLUMNS = 3
@@ -65,8 +69,9 @@ _NEEDED: dict[str, Callable[[Result], Any]] = {
     "wear": lambda result: [stored_field(result, f"wear_{body}") for body in ("lower", "upper")],
     "pressure": lambda result: stored_field(result, "pressure"),
     "section": lambda result: choose_state(result, None),
-    **{name: lambda result: stress_states(result, ()) for name in _STRESS_MAPS},
-    _INTERFACES: interfaces_of,
+    "stress": check_grid,
+    "depth": check_grid,
+    "interfaces": interfaces_of,
     "mises": stresses,
     **{name: panel.curves for name, panel in HISTORY_PANELS.items()},
 }
@@ -182,11 +187,9 @@ def _drawn_panels(
         if source not in sources:
             name = source.name if isinstance(source, Result) else source
             raise InputError(f"--profiles-of {name}: must be one of the result files to be drawn")
-    labels = _labels(results)
+    told = list(zip(results, _labels(results), strict=True))
     profiled = [
-        (result, label)
-        for source, result, label in zip(sources, results, labels, strict=True)
-        if not chosen or source in chosen
+        both for source, both in zip(sources, told, strict=True) if not chosen or source in chosen
     ]
     for panel in panels:
         if panel not in PANELS:
@@ -195,52 +198,49 @@ def _drawn_panels(
                 f"{', '.join(PANELS)}"
             )
     rows: list[list[int]] = []
-    if not {*_PROFILES, *_STRESS_MAPS, _INTERFACES}.isdisjoint(panels):
+    if not {*_PROFILES, *_STRESSES}.isdisjoint(panels):
         rows = [_at_times(r, times) if times else _rows(r, steps) for r, _ in profiled]
-    drawings: list[tuple[str, Callable[..., None]]] = []
+    drawings: list[Drawing] = []
     left_out: list[tuple[str, str]] = []
     for panel in panels:
-        if panel in HISTORY_PANELS:
-            if faults := _not_stored(panel, results):
-                left_out += faults
-                continue
-            drawn = partial(draw_history, panel=HISTORY_PANELS[panel])
-            drawings.append((panel, partial(drawn, results=results, labels=labels)))
-            continue
-        if panel == "mises":
-            if faults := _not_stored(panel, results):
-                left_out += faults
-            else:
-                drawn = partial(draw_largest, results=results, labels=labels)
-                drawings.append((panel, drawn))
-            continue
-        if panel in (*_STRESS_MAPS, _INTERFACES):
-            faults = _not_stored(panel, (result for result, _ in profiled))
-            left_out += faults
-            if not faults:
-                chosen_rows = rows if steps or times else [[]] * len(profiled)
-                drawings += _stress_drawings(panel, profiled, chosen_rows)
-            continue
-        for number, (result, label) in enumerate(profiled):
-            if faults := _not_stored(panel, [result]):
-                left_out += faults
-            elif panel == "section":
-                drawings.append((panel, partial(draw_section, result=result, label=label)))
-            else:
-                profile = partial(_PROFILES[panel], result=result, label=label, rows=rows[number])
-                drawings.append((panel, profile))
+        if panel in _OF_ALL:
+            found, faults = _of_all(panel, told)
+        elif panel in _STRESSES:
+            wished = rows if steps or times else [[]] * len(profiled)
+            found, faults = _of_stresses(panel, profiled, wished)
+        else:
+            found, faults = _of_each(panel, profiled, rows)
+        drawings += [(panel, draw) for draw in found]
+        left_out += [(panel, fault) for fault in faults]
     if not drawings:
         raise InputError(*(fault for _, fault in left_out))
     for panel, fault in left_out:
         log.warning("%s is not drawn: %s", panel, fault)
+    figure = _laid_out(drawings)
+    titles = {str(result.attributes["title"]) for result in results} - {""}
+    if len(titles) == 1:
+        figure.suptitle(plain(titles.pop()), fontsize=8.0)
+    return figure
+
+
+def _laid_out(drawings: Sequence[Drawing]) -> Figure:
+    """Return a figure of panels, which are named, and drawn side by side."""
     lines = -(-len(drawings) // _MOST_COLUMNS)
     columns = -(-len(drawings) // lines)
+    names = [panel for panel, _ in drawings]
+
+    def size(of: Sequence[str]) -> float:
+        return 1.0 if _SECTIONS.isdisjoint(of) else _LARGER
+
+    widths = [size(names[column::columns]) for column in range(columns)]
+    heights = [size(names[line * columns : (line + 1) * columns]) for line in range(lines)]
     # sections have the same scale along both axes and leave room that constrained ones keep
-    layout: Any = "compressed" if set(panels) <= {"section", "stress"} else "constrained"
-    figure = Figure(figsize=(3.6 * columns, 3.3 * lines), layout=layout)
+    layout: Any = "compressed" if set(names) <= _SECTIONS else "constrained"
+    figure = Figure(figsize=(3.6 * sum(widths), 3.3 * sum(heights)), layout=layout)
+    grid = figure.add_gridspec(lines, columns, width_ratios=widths, height_ratios=heights)
     shared: dict[str, list[Any]] = {panel: [] for panel in _PROFILES}
     for number, (panel, draw) in enumerate(drawings):
-        axes = figure.add_subplot(lines, columns, number + 1)
+        axes = figure.add_subplot(grid[number // columns, number % columns])
         # else taken when the figure is drawn, where another style may hold
         axes.tick_params(labelsize=STYLE["font.size"])
         draw(axes)
@@ -251,21 +251,53 @@ def _drawn_panels(
             for axes in alike:
                 axes.set_ylim(min(low), max(high))
                 tell_cut(axes)
-    titles = {str(result.attributes["title"]) for result in results} - {""}
-    if len(titles) == 1:
-        figure.suptitle(plain(titles.pop()), fontsize=8.0)
     return figure
 
 
-def _not_stored(panel: str, results: Iterable[Result]) -> list[tuple[str, str]]:
-    """Return the panel and what results do not hold of what it needs, a sentence each."""
-    faults: list[tuple[str, str]] = []
+def _not_stored(panel: str, results: Iterable[Result]) -> list[str]:
+    """Return what results do not hold of what a panel needs, a sentence each."""
+    faults: list[str] = []
     for result in results:
         try:
             _NEEDED[panel](result)
         except InputError as error:
-            faults += [(panel, fault) for fault in error.faults]
+            faults += error.faults
     return faults
+
+
+def _of_all(
+    panel: str, told: Sequence[tuple[Result, str]]
+) -> tuple[list[Callable[..., None]], list[str]]:
+    """Return the panel that results with their labels share, and why there is none."""
+    results, labels = [result for result, _ in told], [label for _, label in told]
+    if faults := _not_stored(panel, results):
+        return [], faults
+    draw: Callable[..., None] = draw_largest
+    if panel in HISTORY_PANELS:
+        draw = partial(draw_history, panel=HISTORY_PANELS[panel])
+    return [partial(draw, results=results, labels=labels)], []
+
+
+def _of_each(
+    panel: str, profiled: Sequence[tuple[Result, str]], rows: Sequence[Sequence[int]]
+) -> tuple[list[Callable[..., None]], list[str]]:
+    """Return a profile or section of each result, and why some have none.
+
+    Parameters
+    ----------
+    rows : of each result, the stored states whose profiles are drawn.
+    """
+    drawn: list[Callable[..., None]] = []
+    left_out: list[str] = []
+    for number, (result, label) in enumerate(profiled):
+        if faults := _not_stored(panel, [result]):
+            left_out += faults
+        elif panel == "section":
+            drawn.append(partial(draw_section, result=result, label=label))
+        else:
+            own = rows[number]
+            drawn.append(partial(_PROFILES[panel], result=result, label=label, rows=own))
+    return drawn, left_out
 
 
 def _rows(result: Result, steps: str) -> list[int]:
@@ -309,35 +341,34 @@ def _at_times(result: Result, times: str) -> list[int]:
     return sorted(rows)
 
 
-def _stress_drawings(
+def _of_stresses(
     panel: str, profiled: Sequence[tuple[Result, str]], rows: Sequence[Sequence[int]]
-) -> list[tuple[str, Callable[..., None]]]:
-    """Return maps, one a state and on one scale, courses along depth, one a result, or interfaces.
+) -> tuple[list[Callable[..., None]], list[str]]:
+    """Return maps, one a state and on one scale, courses along depth, or interfaces of results.
+
+    And why there are none.
 
     Parameters
     ----------
     rows : of each result, the stored states nearest to which stresses are drawn; none: the last.
     """
-    found: list[tuple[str, Callable[..., None]]] = []
-    times = [
-        result.histories["time"][list(own)].tolist()
+    if faults := _not_stored(panel, (result for result, _ in profiled)):
+        return [], faults
+    states = [
+        nearest_states(stresses(result).states, result.histories["time"][list(own)].tolist())
         for (result, _), own in zip(profiled, rows, strict=True)
     ]
-    if panel == _INTERFACES:
-        for (result, label), wished in zip(profiled, times, strict=True):
-            states = nearest_states(stresses(result).states, wished)
-            found += [(panel, draw) for draw in interface_drawings(result, label, states)]
-        return found
-    drawn_at = [stress_states(r, wished) for (r, _), wished in zip(profiled, times, strict=True)]
-    top = highest([state for some in drawn_at for state in some])
-    for (result, label), some in zip(profiled, drawn_at, strict=True):
-        if panel == "depth":
-            found.append((panel, partial(draw_depth, result=result, label=label, states=some)))
-            continue
-        for state in some:
-            drawn = partial(draw_map, result=result, label=label, state=state, top=top)
-            found.append((panel, drawn))
-    return found
+    top = highest([state for some in states for state in some]) if panel == "stress" else 0.0
+    drawn: list[Callable[..., None]] = []
+    for (result, label), some in zip(profiled, states, strict=True):
+        if panel == "interfaces":
+            drawn += interface_drawings(result, label, some)
+        elif panel == "depth":
+            drawn.append(partial(draw_depth, result=result, label=label, states=some))
+        else:
+            of = partial(draw_map, result=result, label=label, top=top)
+            drawn += [partial(of, state=state) for state in some]
+    return drawn, []
 
 
 def _labels(results: Sequence[Result]) -> list[str]:

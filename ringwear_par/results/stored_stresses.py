@@ -26,19 +26,17 @@ def stresses(result: Result) -> StressHistory:
     return result.stress
 
 
-def stress_states(result: Result, times: Sequence[float]) -> list[StressState]:
-    """Return the stored states of stress on a grid nearest to times (s), the last one for none.
+def check_grid(result: Result) -> None:
+    """Refuse a result without stresses on a grid.
 
     Raises
     ------
     InputError : there are none, or none on a grid.
     """
-    found = stresses(result)
-    if not len(found.grid[0]):
+    if not len(stresses(result).grid[0]):
         raise InputError(
             f"{result.name}: holds stresses at points only; must be computed with stress.grid"
         )
-    return nearest_states(found.states, times)
 
 
 def nearest_states(states: Sequence[StressState], times: Sequence[float]) -> list[StressState]:

@@ -198,6 +198,11 @@ def test_pictures_show_what_is_stored(stored, tmp_path):
         assert len(line.get_ydata()) == len(z) + 2  # cut at both faces
     lower = [state.largest[0].mises for state in result.stress.states]
     assert largest.lines[0].get_ydata() == pytest.approx(lower)
+    # side by side, a map with its bar of colours is about as wide as the others
+    figure = rw.plot(result, "stress,depth,mises")
+    figure.draw_without_rendering()
+    widths = [figure.axes[i].get_position().width for i in (0, 2, 3)]
+    assert min(widths) > 0.8 * max(widths)
     plot_files([stored], tmp_path / "a.png", "stress,depth,mises,wear")
     assert (tmp_path / "a.png").stat().st_size > 3000
 
