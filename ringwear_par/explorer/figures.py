@@ -14,9 +14,10 @@ from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.case import Case
 from ringwear_par.errors import InputError
 from ringwear_par.explorer.measured import Laid
-from ringwear_par.results.drawing import COLOURS, stage_colour, time_unit
+from ringwear_par.results.drawing import COLOURS, highest_shown, stage_colour, time_unit
 from ringwear_par.results.history_panels import HISTORY_PANELS
 from ringwear_par.results.result import Result
+from ringwear_par.results.variables import DISPLAY_UNITS
 
 #: in the order of those of other figures
 _DASHES = ("solid", "dashed", "dashdot", "dotted", "dotdash")
@@ -31,7 +32,7 @@ _ROOM = 0.04
 _MICRO = "\N{MICRO SIGN}m"
 #: readings by their kinds: name of the chart over time, and what they are times as much there
 _OVER_TIME = {
-    "penetration": ("penetration", 1e3), "approach": ("approach", 1e3), "torque": ("torque", 1e-3),
+    **{name: (name, DISPLAY_UNITS[name][1]) for name in ("penetration", "approach", "torque")},
     "volume": ("volume", 1.0), "mass": ("volume", 1.0),
 }  # fmt: skip
 #: labels of the charts that the second one over time may be; the first is that of penetration
@@ -216,9 +217,7 @@ class Drawing:
         result, shown = self.result, [*self.stages, self.chosen]
         told = _told(self._stages(_pressures), (), _RADIUS, "contact pressure (MPa)")
         pressure = result.profiles["pressure"][shown]
-        touched = (pressure > 0.0) @ result.line.area
-        force = result.histories["force"][shown]
-        top = 3.0 * float((force / np.where(touched > 0.0, touched, np.inf)).max())
+        top = highest_shown(result.line.area, pressure, result.histories["force"][shown])
         highest = float(pressure.max())
         told["ranges"][1] = [0.0, min(top, 1.1 * highest) if highest > 0.0 else 1.0]
         told["note"] = f"its peak of {highest:.0f} MPa is cut" if highest > top > 0.0 else ""

@@ -26,6 +26,7 @@ from ringwear_par.explorer.sliders import Control
 from ringwear_par.reports.run_page import key_rows, worn_table
 from ringwear_par.results.key_numbers import key_numbers
 from ringwear_par.results.result import Result
+from ringwear_par.results.variables import DISPLAY_UNITS
 
 log = logging.getLogger(__name__)
 
@@ -248,9 +249,9 @@ def _column(one: Laid, off: float | None) -> dict[str, Any]:
     far = ""
     if off is not None:
         kind = one.quantity.partition(".")[0]
-        told = {"torque": (1e-3, "N m"), "volume": (1.0, "mm\N{SUPERSCRIPT THREE}"),
-                "mass": (1.0, "mm\N{SUPERSCRIPT THREE}")}  # fmt: skip
-        factor, unit = told.get(kind, (1e3, "\N{MICRO SIGN}m"))
+        cubic = "mm\N{SUPERSCRIPT THREE}", 1.0
+        told = {**DISPLAY_UNITS, "volume": cubic, "mass": cubic}
+        unit, factor = told.get(kind, ("\N{MICRO SIGN}m", 1e3))
         far = f"{factor * off:.3g} {unit}"
     return {
         "file": one.file, "column": one.column, "quantity": one.quantity, "unit": one.unit,

@@ -11,7 +11,7 @@ from ringwear_par.arrays import IntArray
 from ringwear_par.elasticity.boundary_fields import BODIES, Which
 from ringwear_par.errors import InputError
 from ringwear_par.reports.blocks import Chart, Charts
-from ringwear_par.results.drawing import COLOURS, stage_colour, time_unit
+from ringwear_par.results.drawing import COLOURS, highest_shown, stage_colour, time_unit
 from ringwear_par.results.history_panels import HISTORY_PANELS
 from ringwear_par.results.layer_ends import ends_near
 from ringwear_par.results.result import Result
@@ -207,9 +207,7 @@ def _pressure(
     """Return pressures; singular edges of the first instant are cut, as in the other figures."""
     label = "contact pressure (MPa)"
     y: dict[str, Any] = {}
-    touched = (pressure[stages] > 0.0) @ result.line.area
-    force = result.histories["force"][stages]
-    top = 3.0 * float((force / np.where(touched > 0.0, touched, np.inf)).max())
+    top = highest_shown(result.line.area, pressure[stages], result.histories["force"][stages])
     highest = float(pressure[np.union1d(stages, instants)].max())
     if highest > 0.0:
         y["range"] = [0.0, min(top, 1.1 * highest)]

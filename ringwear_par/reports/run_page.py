@@ -21,7 +21,7 @@ from ringwear_par.reports.words import case_words
 from ringwear_par.results.figures import plot
 from ringwear_par.results.key_numbers import KeyNumbers, WornLayers, key_numbers
 from ringwear_par.results.result import Result
-from ringwear_par.results.variables import HISTORIES
+from ringwear_par.results.variables import DISPLAY_UNITS, HISTORIES
 
 _MICRO, _CUBIC = "\N{MICRO SIGN}m", "mm\N{SUPERSCRIPT THREE}"
 _BALANCES = {
@@ -34,8 +34,6 @@ _BALANCES = {
     "step_error": "estimated error of wear of a time step, mm",
 }
 _TOLD = [v for name, v in HISTORIES.items() if name not in ("twist", "contact_iterations")]
-#: units of those that pages, as pictures do, tell in others than files, and what these are of them
-_UNITS = {"torque": ("N m", 1e-3), "dissipated_energy": ("J", 1e-3)}
 #: panels of stresses, in words for those who do not see them
 _STRESS_PANELS = {
     "stress": "map of von Mises stress in the section",
@@ -146,7 +144,7 @@ def _told(result: Result) -> Table:
     """Return the histories at some instants, for those who do not see charts."""
     count = len(result.step)
     rows = np.unique(np.linspace(0, count - 1, _INSTANTS).round().astype(int)).tolist()
-    units = [_UNITS.get(v.name, (v.unit, 1.0)) for v in _TOLD]
+    units = [DISPLAY_UNITS.get(v.name, (v.unit, 1.0)) for v in _TOLD]
     both = list(zip(_TOLD, units, strict=True))
     header = [f"{v.name.replace('_', ' ')} ({unit})" for v, (unit, _) in both]
     table = [

@@ -8,6 +8,7 @@ import matplotlib
 import numpy as np
 from matplotlib.figure import Figure
 
+from ringwear_par.arrays import FloatArray
 from ringwear_par.atomic import atomic_write, check_writable
 from ringwear_par.cases.text import shortened
 from ringwear_par.cases.values import is_number
@@ -42,6 +43,20 @@ def stage_colour(number: int, count: int) -> Any:
 def time_unit(end: float) -> tuple[str, float]:
     """Return the unit in which times up to an end, s, are told, and its seconds."""
     return next((name, seconds) for most, name, seconds in _UNITS_OF_TIME if end <= most)
+
+
+def highest_shown(area: FloatArray, pressure: FloatArray, force: FloatArray) -> float:
+    """Return the pressure, MPa, that scales of some states end with at most.
+
+    Edges of the first instant are infinite: three times the highest mean over what touches.
+
+    Parameters
+    ----------
+    area : (n,) float, mm2, of the contact elements.
+    pressure : (s, n) float, MPa; force : (s,) float, N.
+    """
+    touched = (pressure > 0.0) @ area
+    return 3.0 * float((force / np.where(touched > 0.0, touched, np.inf)).max())
 
 
 def plain(text: str) -> str:

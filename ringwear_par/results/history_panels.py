@@ -11,6 +11,7 @@ from ringwear_par.errors import InputError
 from ringwear_par.results.drawing import COLOURS, DASHES, set_legend, time_unit
 from ringwear_par.results.key_numbers import nominal_area
 from ringwear_par.results.result import Result
+from ringwear_par.results.variables import DISPLAY_UNITS, HISTORIES
 
 #: as many points of a curve, or fewer, are marked
 _FEW_POINTS = 20
@@ -35,8 +36,10 @@ class HistoryPanel:
     whole: float = 1.0
 
 
-def _stored(name: str, factor: float) -> Callable[[Result], dict[str, FloatArray]]:
-    return lambda result: {"": factor * result.histories[name]}
+def _stored(name: str, words: str) -> HistoryPanel:
+    """Return the panel of a history that is stored."""
+    unit, factor = DISPLAY_UNITS.get(name, (HISTORIES[name].unit, 1.0))
+    return HistoryPanel(f"{words} ({unit})", lambda result: {"": factor * result.histories[name]})
 
 
 def _volumes(result: Result) -> dict[str, FloatArray]:
@@ -78,11 +81,11 @@ def _through(result: Result) -> dict[str, FloatArray]:
 
 #: by name, as ``--panels`` has it
 HISTORY_PANELS = {
-    "penetration": HistoryPanel("penetration depth (\N{MICRO SIGN}m)", _stored("penetration", 1e3)),
-    "approach": HistoryPanel("approach (\N{MICRO SIGN}m)", _stored("approach", 1e3)),
-    "force": HistoryPanel("axial force (N)", _stored("force", 1.0)),
-    "torque": HistoryPanel("friction torque (N m)", _stored("torque", 1e-3)),
-    "energy": HistoryPanel("energy dissipated (J)", _stored("dissipated_energy", 1e-3)),
+    "penetration": _stored("penetration", "penetration depth"),
+    "approach": _stored("approach", "approach"),
+    "force": _stored("force", "axial force"),
+    "torque": _stored("torque", "friction torque"),
+    "energy": _stored("dissipated_energy", "energy dissipated"),
     "volume": HistoryPanel("worn volume (mm\N{SUPERSCRIPT THREE})", _volumes),
     "rate": HistoryPanel("wear rate, mean depth (\N{MICRO SIGN}m/h)", _rates),
     "through": HistoryPanel("worn through (% of area)", _through, whole=100.0),

@@ -7,7 +7,7 @@ import numpy as np
 
 from ringwear_par.elasticity.boundary_fields import BODIES
 from ringwear_par.errors import InputError
-from ringwear_par.results.drawing import DASHES, set_legend, stage_colour, time_unit
+from ringwear_par.results.drawing import DASHES, highest_shown, set_legend, stage_colour, time_unit
 from ringwear_par.results.layer_ends import ends_near
 from ringwear_par.results.result import Result
 
@@ -99,10 +99,8 @@ def _draw_ends(axes: Any, result: Result) -> None:
 def draw_pressure(axes: Any, result: Result, label: str, rows: Sequence[int]) -> None:
     """Draw contact pressures; the singular edges of the first instant are cut."""
     pressure = stored_field(result, "pressure")
-    highest = float(pressure[list(rows)].max())
-    touched = (pressure[list(rows)] > 0.0) @ result.line.area  # mm^2
-    mean = result.histories["force"][list(rows)] / np.where(touched > 0.0, touched, np.inf)
-    top = 3.0 * float(mean.max())
+    drawn, force = pressure[list(rows)], result.histories["force"][list(rows)]
+    highest, top = float(drawn.max()), highest_shown(result.line.area, drawn, force)
     _profiles(axes, result, rows, lambda row: pressure[row])
     if highest > 0.0:
         axes.set_ylim(0.0, min(top, 1.1 * highest))

@@ -11,7 +11,7 @@ from matplotlib.patches import Polygon
 from ringwear_par.arrays import FloatArray, IntArray
 from ringwear_par.cases.reading import outlines
 from ringwear_par.elasticity.boundary_fields import FACES, BoundaryFields
-from ringwear_par.results.drawing import COLOURS, time_unit
+from ringwear_par.results.drawing import COLOURS, highest_shown, time_unit
 from ringwear_par.results.export import choose_state
 from ringwear_par.results.result import Result
 
@@ -109,8 +109,8 @@ def draw_section(axes: Any, result: Result, label: str) -> None:
             )  # fmt: skip
     p = state.bodies[0].pressure[elements[0]]
     # singular edges of the first instant would take all the colours
-    area = result.line.area[p > 0.0].sum()
-    top = 3.0 * float(result.line.area @ p / area) if area else 0.0
+    area = result.line.area
+    top = highest_shown(area, p[None], np.array([area @ p]))
     pressure = LineCollection(
         list(lower[faces[0]]), cmap="plasma", linewidth=2.5, capstyle="round", zorder=3
     )

@@ -92,6 +92,13 @@ HISTORIES = _table(
         "iterations of the contact solver since the last stored step", integer=True,
     ),
 )  # fmt: skip
+#: those that pictures and pages tell in another unit, and how many of it are one of the file's
+DISPLAY_UNITS = {
+    "approach": ("\N{MICRO SIGN}m", 1e3),
+    "penetration": ("\N{MICRO SIGN}m", 1e3),
+    "torque": ("N m", 1e-3),
+    "dissipated_energy": ("J", 1e-3),
+}
 #: fields along the contact line at each stored state, or at the last one (``at_last_step``)
 PROFILES = _table(
     Variable("pressure", ("step", "element"), "MPa", "contact pressure, normal to the faces"),

@@ -141,9 +141,10 @@ def test_a_run_is_told_in_the_numbers_of_its_summary(folder, pages):
     assert lower == list(re.search(pattern, summary).groups())
     assert page.rows("body")["upper"][2] == "\N{EN DASH}"  # its density is not given
     (stored,) = (table for table in page.tables if "time (s)" in table[0])
-    for name, unit in (("torque", "N m"), ("dissipated_energy", "J")):
+    told = (("torque", "N m", 1e-3), ("dissipated_energy", "J", 1e-3))
+    for name, unit, factor in (*told, ("penetration", "\N{MICRO SIGN}m", 1e3), ("force", "N", 1.0)):
         column = stored[0].index(f"{name.replace('_', ' ')} ({unit})")
-        assert stored[-1][column] == f"{1e-3 * result.histories[name][-1]:.6g}"
+        assert stored[-1][column] == f"{factor * result.histories[name][-1]:.6g}"
     errors = page.rows("what is held against what")
     held = errors["contact pressure against the applied force"]
     assert held == [f"{result.balances['force']:.1e}"]
