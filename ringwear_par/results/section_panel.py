@@ -109,7 +109,8 @@ def draw_section(axes: Any, result: Result, label: str) -> None:
             )  # fmt: skip
     p = state.bodies[0].pressure[elements[0]]
     # singular edges of the first instant would take all the colours
-    area = result.line.area
+    ends = np.sort(state.bodies[0].nodes[faces[0]][:, [0, 2], 0], axis=1)
+    area = math.pi * np.diff(np.square(ends), axis=1)[:, 0]  # of elements, or of parts of them
     top = highest_shown(area, p[None], np.array([area @ p]))
     pressure = LineCollection(
         list(lower[faces[0]]), cmap="plasma", linewidth=2.5, capstyle="round", zorder=3
