@@ -157,7 +157,8 @@ def doubts_at(
                 "mesh.contact = [r1, r2] puts them where contact is",
             )
         )
-    defect = max(balances.torque, balances.reaction, compliance.symmetry_defect)
+    layered, symmetry_defect = any(ring.layers for ring in case.rings), compliance.symmetry_defect
+    defect = max(balances.torque, balances.reaction, 0.0 if layered else symmetry_defect)
     if defect > _MOST_DEFECT:
         found.append(
             Doubt(
@@ -166,12 +167,12 @@ def doubts_at(
                 "(mesh.contact_elements) or thicker bodies are needed",
             )
         )
-    elif any(ring.layers for ring in case.rings) and compliance.symmetry_defect > _MOST_FILM_DEFECT:
+    elif layered and symmetry_defect > _MOST_FILM_DEFECT:
         found.append(
             Doubt(
                 "coarse_film",
                 f"the compliance of bodies with layers is asymmetric by "
-                f"{compliance.symmetry_defect:.2g}, as of thin films that are soft or nearly "
+                f"{symmetry_defect:.2g}, as of thin films that are soft or nearly "
                 "incompressible: pressures may be wrong by a per cent; a finer mesh "
                 "(mesh.contact_elements) is needed",
             )
