@@ -8,6 +8,7 @@ where the body is thinner than that, the one on its other side.
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -15,7 +16,7 @@ from ringwear_par.arrays import BoolArray, FloatArray, IntArray
 from ringwear_par.elasticity.body import BoundaryResponse
 from ringwear_par.elasticity.boundary import BoundaryMesh
 from ringwear_par.elasticity.quadrature import quadrature
-from ringwear_par.elasticity.surface_stress import faces, mid_stress
+from ringwear_par.elasticity.surface_stress import Faces, faces, mid_stress
 
 #: depth, in element lengths, from which on the integrals are right
 _DEEP = 0.6
@@ -91,12 +92,13 @@ class _Recipe:
 
     Parameters
     ----------
-    boundary : of the body.
+    boundary : of the zone.
+    along : its faces.
     points : (p, 2) float, mm.
     """
 
-    def __init__(self, boundary: BoundaryMesh, points: FloatArray) -> None:
-        self._boundary, self._faces = boundary, faces(boundary)
+    def __init__(self, boundary: BoundaryMesh, along: Faces, points: FloatArray) -> None:
+        self._boundary, self._faces = boundary, along
         #: where integrals are taken, for which point, and what they count there
         self.samples: list[FloatArray] = []
         self.of_point: list[int] = []
@@ -188,68 +190,85 @@ class _Recipe:
         return float(far[e]), e, float(t[e])
 
 
-def zone_influence(zone: BoundaryResponse, points: FloatArray) -> Influence:
-    """Return the stress at points of a zone, for all loads of its body. Not collective.
+@dataclass(frozen=True)
+class ZoneStress:
+    """The stress in a zone and on its boundary, for all loads of its body. Not collective.
 
     Parameters
     ----------
-    points : (p, 2) float, mm, r and z in the frame of the zone's boundary.
+    zone : displacements and tractions on the boundary, for each load.
     """
-    n, p = zone.displacement.shape[2], len(points)
-    recipe = _Recipe(zone.boundary, points)
-    normal, torsion = np.zeros((p, 4, n)), np.zeros((p, 2, n))
-    if recipe.surface:
-        surface = surface_influence(zone)
+
+    zone: BoundaryResponse
+
+    @cached_property
+    def surface(self) -> Influence:
+        """The stress at the mid-points of the elements."""
+        zone = self.zone
+        displacement = zone.material.young * zone.displacement
+        return Influence(
+            *mid_stress(zone.boundary, zone.material.poisson, displacement, zone.traction)
+        )
+
+    @cached_property
+    def _faces(self) -> Faces:
+        return faces(self.zone.boundary)
+
+    @cached_property
+    def _values(self) -> tuple[FloatArray, FloatArray]:
+        """Boundary values in the order of ``stress_rows``, (2 m + 2 k, n), (m + k, n).
+
+        Displacements are those at Young's modulus 1 of the zone.
+        """
+        n = self.zone.displacement.shape[2]
+        values = self.zone.material.young * self.zone.displacement, self.zone.traction
+        return (
+            np.concatenate([v[:, :2].reshape(-1, n) for v in values]),
+            np.concatenate([v[:, 2] for v in values]),
+        )
+
+    def at(self, points: FloatArray) -> Influence:
+        """Return the stress at points.
+
+        Parameters
+        ----------
+        points : (p, 2) float, mm, r and z in the frame of the zone's boundary.
+        """
+        n, p = self.zone.displacement.shape[2], len(points)
+        recipe = _Recipe(self.zone.boundary, self._faces, points)
+        normal, torsion = np.zeros((p, 4, n)), np.zeros((p, 2, n))
         for point, elements, weights in recipe.surface:
-            normal[point] += np.tensordot(weights, surface.normal[elements], 1)
-            torsion[point] += np.tensordot(weights, surface.torsion[elements], 1)
-    if recipe.samples:
-        _add_integrals(zone, recipe, normal, torsion)
-    normal[recipe.outside] = torsion[recipe.outside] = np.nan
-    return Influence(normal, torsion)
+            normal[point] += np.tensordot(weights, self.surface.normal[elements], 1)
+            torsion[point] += np.tensordot(weights, self.surface.torsion[elements], 1)
+        if recipe.samples:
+            self._add_integrals(recipe, normal, torsion)
+        normal[recipe.outside] = torsion[recipe.outside] = np.nan
+        return Influence(normal, torsion)
 
+    def _add_integrals(self, recipe: _Recipe, normal: FloatArray, torsion: FloatArray) -> None:
+        """Add the integrals at samples to the influences of their points."""
+        from ringwear_par.elasticity.stress_rows import stress_rows  # numba: not without need
 
-def surface_influence(zone: BoundaryResponse) -> Influence:
-    """Return the stress at the mid-points of a zone's elements. Not collective."""
-    displacement = zone.material.young * zone.displacement
-    return Influence(*mid_stress(zone.boundary, zone.material.poisson, displacement, zone.traction))
-
-
-def _columns(zone: BoundaryResponse) -> tuple[FloatArray, FloatArray]:
-    """Return boundary values in the order of ``stress_rows``, (2 m + 2 k, n), (m + k, n).
-
-    Displacements are those at Young's modulus 1 of the zone.
-    """
-    n = zone.displacement.shape[2]
-    values = zone.material.young * zone.displacement, zone.traction
-    return (
-        np.concatenate([v[:, :2].reshape(-1, n) for v in values]),
-        np.concatenate([v[:, 2] for v in values]),
-    )
-
-
-def _add_integrals(
-    zone: BoundaryResponse, recipe: _Recipe, normal: FloatArray, torsion: FloatArray
-) -> None:
-    """Add the integrals at samples to the influences of their points."""
-    from ringwear_par.elasticity.stress_rows import stress_rows  # numba: not without need
-
-    boundary, rules = zone.boundary, quadrature(_TOLERANCE)
-    normal_values, torsion_values = _columns(zone)
-    samples, count = np.array(recipe.samples), min(_BATCH, len(recipe.samples))
-    normal_rows = np.empty((count, 4, len(normal_values)))
-    torsion_rows = np.empty((count, 2, len(torsion_values)))
-    for first in range(0, len(samples), count):
-        batch = samples[first : first + count]
-        away = batch[:, None] - boundary.nodes
-        nearest = (away**2).sum(2).argmin(1)
-        rows = normal_rows[: len(batch)], torsion_rows[: len(batch)]
-        stress_rows(batch, nearest, boundary, zone.material.poisson, rules, *rows)
-        for target, of_batch, values in zip(
-            (normal, torsion), rows, (normal_values, torsion_values), strict=True
-        ):
-            product = (of_batch.reshape(-1, len(values)) @ values).reshape(
-                len(batch), -1, values.shape[1]
-            )
-            for i in range(len(batch)):
-                target[recipe.of_point[first + i]] += recipe.weights[first + i] * product[i]
+        boundary, rules = self.zone.boundary, quadrature(_TOLERANCE)
+        samples, count = np.array(recipe.samples), min(_BATCH, len(recipe.samples))
+        all_rows = [
+            np.empty((count, components, len(values)))
+            for components, values in zip((4, 2), self._values, strict=True)
+        ]
+        for first in range(0, len(samples), count):
+            batch = samples[first : first + count]
+            away = batch[:, None] - boundary.nodes
+            nearest = (away**2).sum(2).argmin(1)
+            normal_rows, torsion_rows = (rows[: len(batch)] for rows in all_rows)
+            stress_rows(
+                batch, nearest, boundary, self.zone.material.poisson, rules,
+                normal_rows, torsion_rows,
+            )  # fmt: skip
+            for target, rows, values in zip(
+                (normal, torsion), (normal_rows, torsion_rows), self._values, strict=True
+            ):
+                product = (rows.reshape(-1, len(values)) @ values).reshape(
+                    len(batch), -1, values.shape[1]
+                )
+                for i in range(len(batch)):
+                    target[recipe.of_point[first + i]] += recipe.weights[first + i] * product[i]

@@ -17,7 +17,7 @@ from ringwear_par.elasticity.mesh import ContactLine, Mesh
 from ringwear_par.elasticity.quadrature import quadrature
 from ringwear_par.elasticity.recovery import BoundaryRecovery
 from ringwear_par.elasticity.sections import Body
-from ringwear_par.elasticity.stress import Influence, surface_influence, zone_influence
+from ringwear_par.elasticity.stress import Influence, ZoneStress
 from ringwear_par.elasticity.stress_fields import Interfaces, Largest
 from ringwear_par.elasticity.stress_measures import mises
 
@@ -171,20 +171,20 @@ class StressRecovery:
         return lower, upper
 
     def _of_zones(self, i: int, zones: list[BoundaryResponse], around: FloatArray) -> _Known:
-        boundaries = [zone.boundary for zone in zones]
+        boundaries, stresses = [zone.boundary for zone in zones], list(map(ZoneStress, zones))
         search = Search(boundaries, around, self._exclude)
         asked, sides = self._points[i]
         points = np.concatenate([search.points, asked])
         numbers = np.concatenate([search.zones, zones_of(boundaries, asked, sides)])
         parts = [
             (zone, own[first : first + _BLOCK])
-            for k, zone in enumerate(zones)
+            for k, zone in enumerate(stresses)
             for own in [np.flatnonzero(numbers == k)]
             for first in range(0, len(own), _BLOCK)
         ]
         mine = parts[self._comm.rank :: self._comm.size]
-        blocks = [(own, zone_influence(zone, points[own])) for zone, own in mine]
-        faces = [surface_influence(zone) for zone in zones]
+        blocks = [(own, zone.at(points[own])) for zone, own in mine]
+        faces = [zone.surface for zone in stresses]
         return _Known(
             search, points, numbers, blocks, _at(faces[0], boundaries[0].middle),
             _beside_interfaces(boundaries, faces, BODIES[i]),

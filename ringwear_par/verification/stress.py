@@ -16,7 +16,7 @@ from ringwear_par.arrays import FloatArray
 from ringwear_par.elasticity.body import boundary_responses
 from ringwear_par.elasticity.mesh import Mesh, contact_line
 from ringwear_par.elasticity.sections import Body, Section
-from ringwear_par.elasticity.stress import zone_influence
+from ringwear_par.elasticity.stress import ZoneStress
 from ringwear_par.elasticity.stress_measures import max_shear, mises
 from ringwear_par.elasticity.stress_recovery import (
     StressPoints,
@@ -68,7 +68,7 @@ def _under_a_disc(n: int, comm: MPI.Comm) -> tuple[float, ...]:
     body = Body(Section((0.0, _BIG), _BIG), 1.0, NU, "clamped")
     (unit,) = boundary_responses(body, line, mesh, comm)
     r, depth = _FIELD.T
-    at = partial(zone_influence, unit)
+    at = ZoneStress(unit).at
     field = at(np.stack([r, -depth], axis=1))
     # what loads are on the elements: means over their areas
     hertz = -np.diff((1.0 - line.edges**2) ** 1.5) / 1.5 / np.diff(line.edges**2)

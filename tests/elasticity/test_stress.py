@@ -10,7 +10,7 @@ from ringwear_par.elasticity.largest_stress import Search, edges
 from ringwear_par.elasticity.mesh import Mesh, contact_line
 from ringwear_par.elasticity.pair import assemble_pair
 from ringwear_par.elasticity.sections import Body, Material, Section
-from ringwear_par.elasticity.stress import locate, surface_influence, zone_influence
+from ringwear_par.elasticity.stress import ZoneStress, locate
 from ringwear_par.elasticity.stress_measures import max_shear, mises, principal
 from ringwear_par.elasticity.stress_recovery import StressPoints, StressRecovery
 from ringwear_par.elasticity.surface_stress import faces
@@ -61,7 +61,7 @@ def exact_zone(section, n=16):
 
 
 def at_points(zone, points):
-    influence = zone_influence(zone, np.array(points))
+    influence = ZoneStress(zone).at(np.array(points))
     return np.concatenate([influence.normal, influence.torsion], axis=1)
 
 
@@ -86,7 +86,7 @@ def test_torsion_converges():
 def test_the_surface_has_linear_fields_too(section):
     zone = exact_zone(section)
     middle = zone.boundary.nodes[zone.boundary.elements[:, 1]]
-    influence = surface_influence(zone)
+    influence = ZoneStress(zone).surface
     got = np.concatenate([influence.normal, influence.torsion], axis=1)
     _, exact = linear_fields(*middle.T)
     assert got[..., :3] == pytest.approx(exact[..., :3], abs=1e-9)
