@@ -18,12 +18,12 @@ from ringwear_par.errors import ComputationError, InputError
 
 #: grading exponent of the free and fixed faces towards every corner and contact edge
 CORNER_GRADING = 3.5
-#: likewise on the contact face of a body with layers: towards the contact, and its outer ends
-_LAYERED_GRADING = 3.0, 1.3
-#: by how much more elements that face has beside the contact
-_LAYERED_SHARE = 1.6
-#: likewise where stresses beside the contact are wanted
-_FINE_SHARE = 2.0
+#: elements of the contact face beside the contact: how many times as many as on a body without
+#: layers, and grading towards the contact and towards the face's ends
+_PLAIN = 1.0, CORNER_GRADING, CORNER_GRADING
+_LAYERED = 1.6, 3.0, 1.3
+#: where stresses beside the contact are wanted
+_FINE = 3.0, 4.0, 1.3
 #: fewest elements of a free or fixed face
 _FEWEST = 4
 #: contact elements that are longer, in thicknesses of a soft film, are in parts
@@ -96,6 +96,10 @@ def _between(section: Section, a: float, b: float) -> FloatArray:
     return np.stack([r, section.depth(r)], axis=1)
 
 
+def _beside(section: Section, fine: bool) -> tuple[float, float, float]:
+    return _FINE if fine else _LAYERED if section.layers else _PLAIN
+
+
 def _flats(
     section: Section, contact: tuple[float, float], mesh: Mesh, fine: bool = False
 ) -> tuple[list[tuple[float, float, int]], list[tuple[float, float, int]]]:
@@ -104,8 +108,8 @@ def _flats(
     Of each its ends and its number of elements: as many as its length asks.
     """
     (inner, outer), (a, b) = section.r, contact
-    share = _FINE_SHARE if fine else _LAYERED_SHARE if section.layers else 1.0
-    n = 0.1 * mesh.contact_elements * share
+    times, *_ = _beside(section, fine)
+    n = 0.1 * mesh.contact_elements * times
 
     def of(start: float, end: float) -> list[tuple[float, float, int]]:
         if start == end:
@@ -138,9 +142,7 @@ def _face(section: Section, line: ContactLine, at: FloatArray, mesh: Mesh, fine:
     """Return the contact face, from its outer to its inner end; contact elements end at radii."""
     contact_ends = float(line.edges[0]), float(line.edges[-1])
     inside, outside = _flats(section, contact_ends, mesh, fine)
-    near, far = CORNER_GRADING, CORNER_GRADING
-    if section.layers or fine:
-        near, far = _LAYERED_GRADING
+    _, near, far = _beside(section, fine)
 
     def flats(ends: list[tuple[float, float, int]]) -> list[_Piece]:
         lines = []
