@@ -1,7 +1,9 @@
 """What is known of stresses in the bodies, after they have been computed or read."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+
+import numpy as np
 
 from ringwear_par.arrays import FloatArray
 
@@ -57,6 +59,11 @@ class StressState:
     surface: tuple[FloatArray, FloatArray]
     largest: tuple[Largest, Largest]
     interfaces: tuple[FloatArray, FloatArray]
+
+    def without_fields(self) -> "StressState":
+        """Return the state without its grid and its faces."""
+        nothing = np.empty((0, 6))
+        return replace(self, grid=np.empty((0, 0, 6)), surface=(nothing, nothing))
 
     @property
     def of_both(self) -> Largest:

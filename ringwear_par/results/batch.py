@@ -1,7 +1,7 @@
 """Records histories in lock step by column, and makes their results."""
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
@@ -15,12 +15,19 @@ from ringwear_par.elasticity.pair import ContactPair
 from ringwear_par.errors import reason_of
 from ringwear_par.history.balances import TO_ROUND_OFF, Balances, balances
 from ringwear_par.history.sensitivity import units_of
-from ringwear_par.history.snapshots import BatchSnapshot
+from ringwear_par.history.snapshots import BatchSnapshot, Snapshot
 from ringwear_par.history.state import Progress, State
+from ringwear_par.history.stresses import CaseStresses, StressObserver
 from ringwear_par.history.tangent import variables as derivatives_of
 from ringwear_par.results.checkpoints import take
 from ringwear_par.results.columns import HistoryColumns
-from ringwear_par.results.doubts import Doubt, doubts_at, unstable
+from ringwear_par.results.doubts import (
+    Doubt,
+    doubts_at,
+    infinite_at_interfaces,
+    infinite_stress,
+    unstable,
+)
 from ringwear_par.results.recorder import (
     Recorder,
     attributes,
@@ -93,6 +100,8 @@ class BatchRecorder:
     pair : their contact pair.
     keep_ends : whether there are to be results, which hold what it takes to go on.
     derivatives : keys that the histories have derivatives with respect to.
+    stresses : returns what has the stresses of a case, None where it asks for none; without it all
+        cases are computed alone.
     """
 
     def __init__(
@@ -101,6 +110,7 @@ class BatchRecorder:
         pair: ContactPair,
         keep_ends: bool = False,
         derivatives: Sequence[str] = (),
+        stresses: Callable[[Case], CaseStresses | None] = lambda case: None,
     ) -> None:
         self._cases, self._pair, self._keep_ends = cases, pair, keep_ends
         output, count = cases[0].output, len(cases)
@@ -124,6 +134,12 @@ class BatchRecorder:
         self._step_error_time = np.zeros(count)
         self._doubts: list[tuple[Doubt, ...]] = [()] * count
         self._ends: list[_End] = []
+        #: of cases that ask for stress; grids and faces are for results alone
+        self._stress = {
+            number: StressObserver(case, own, points_only=not keep_ends)
+            for number, case in enumerate(cases)
+            if (own := stresses(case)) is not None
+        }
         self._begun = time.perf_counter()
         self._seconds = 0.0
 
@@ -146,6 +162,8 @@ class BatchRecorder:
             self._judge(snapshot, shown)
         if snapshot.stored.any():
             self._store(snapshot, np.flatnonzero(snapshot.stored))
+            if self._stress:
+                self._add_stresses(snapshot)
         if snapshot.finished.any():
             self._end(snapshot, np.flatnonzero(snapshot.finished))
         self._seconds = time.perf_counter() - self._begun
@@ -180,6 +198,20 @@ class BatchRecorder:
             last[_at(name, snapshot.numbers[ended])] = values[name][_at(name, ended)]
         self._pending[numbers] = 0
 
+    def _add_stresses(self, snapshot: BatchSnapshot) -> None:
+        """Compute the stresses of new stored states that cases ask for."""
+        for place in np.flatnonzero(snapshot.stored).tolist():
+            number, finished = int(snapshot.numbers[place]), bool(snapshot.finished[place])
+            asked = self._cases[number].stress
+            if asked is not None and (finished or asked.times != "last"):
+                self._stress[number](
+                    Snapshot(
+                        snapshot.model, snapshot.state.history(place), None,
+                        Progress(int(snapshot.progress.steps[place])), 0, True, snapshot.passing,
+                        finished,
+                    )
+                )  # fmt: skip
+
     def _end(self, snapshot: BatchSnapshot, ended: IntArray) -> None:
         """Take the last states of histories."""
         numbers, model = snapshot.numbers[ended], snapshot.model
@@ -187,11 +219,15 @@ class BatchRecorder:
         errors, elements = (values[ended] for values in model.asymmetry)
         for place, number in enumerate(numbers.tolist()):
             case = self._cases[number]
+            last = state.history(place)
             self._doubts[number] += doubts_at(
                 case, self._pair.line, model.compliance_of(int(ended[place])),
-                state.history(place), self.balances(number),
-                (float(errors[place]), int(elements[place])),
+                last, self.balances(number), (float(errors[place]), int(elements[place])),
             )  # fmt: skip
+            if number in self._stress:
+                found = self._stress[number].history()
+                self._doubts[number] += infinite_stress(case, found, self._pair.line, last)
+                self._doubts[number] += infinite_at_interfaces(case, found)
         if self._keep_ends:
             solver = model.batch.solver
             self._ends.append(
@@ -377,4 +413,5 @@ class BatchRecorder:
                 name: values[rows] if name in self._rows else values[number]
                 for name, values in columns.layers.items()
             },
+            stress=self._stress[number].history() if number in self._stress else None,
         )  # fmt: skip

@@ -21,7 +21,7 @@ from ringwear_par.history.saving import stores
 from ringwear_par.history.sensitivity import units_of
 from ringwear_par.history.snapshots import Snapshot
 from ringwear_par.history.state import Start, State
-from ringwear_par.history.stresses import StressObserver
+from ringwear_par.history.stresses import CaseStresses, StressObserver
 from ringwear_par.history.tangent import variables as derivatives_of
 from ringwear_par.info import versions
 from ringwear_par.results.checkpoints import restored, take
@@ -199,6 +199,7 @@ class Recorder:
     comm : communicator of its history.
     before : result of the interrupted history that goes on; None: it starts.
     derivatives : keys that the history has derivatives with respect to.
+    stresses : of cases that the history shares them with; None: its own.
     """
 
     def __init__(
@@ -207,6 +208,7 @@ class Recorder:
         comm: MPI.Comm,
         before: Result | None = None,
         derivatives: Sequence[str] = (),
+        stresses: CaseStresses | None = None,
     ) -> None:
         self._case, self._comm = case, comm
         #: where the history goes on, None where it starts
@@ -242,7 +244,8 @@ class Recorder:
         if case.output.boundary != "none":
             self._boundary = BoundaryObserver(case, comm, stored_until)
         if case.stress is not None:
-            self._stress = StressObserver(case, comm, stored_until)
+            own = stresses or CaseStresses(case, comm)
+            self._stress = StressObserver(case, own, stored_until)
 
     def _restore(self, before: Result) -> None:
         """Put the stored rows of an interrupted run back, as far as the case still stores them."""
@@ -350,13 +353,9 @@ class Recorder:
     @property
     def stress(self) -> StressHistory | None:
         """The stresses so far, None where the case asks for none."""
-        if self._stress is None or self._case.stress is None:
+        if self._stress is None:
             return None
-        states = (*self._earlier_stress, *self._stress.states)
-        return StressHistory(
-            self._stress.points, self._stress.grid, self._case.stress.exclude,
-            self._stress.interfaces, states,
-        )  # fmt: skip
+        return self._stress.history(tuple(self._earlier_stress))
 
     @property
     def steps(self) -> IntArray:

@@ -8,6 +8,7 @@ import pytest
 import ringwear_par as rw
 from ringwear_par.cases.stress import Stress
 from ringwear_par.elasticity.stress_measures import COMPONENTS, max_shear, mises, principal
+from ringwear_par.elasticity.stress_recovery import StressRecovery
 from ringwear_par.history.limits import stress_numbers
 
 BASE = {
@@ -77,6 +78,31 @@ def test_the_same_on_all_ranks(comm):
     shared, alone = rw.simulate(case, comm), rw.simulate(case, MPI.COMM_SELF)
     same(shared, alone)
     assert [state.time for state in shared.stress.states] == [0.0, 120.0]
+
+
+@pytest.mark.parametrize("times", ["last", "all", [0.0, 60.0]])
+def test_many_cases_share_what_is_integrated(times, comm, monkeypatch):
+    """Same bits in whatever company; those of single runs to round-off; one of them stays alone."""
+    made, integrated = [], StressRecovery._integrated
+    monkeypatch.setattr(
+        StressRecovery, "_integrated", lambda *words: made.append(1) or integrated(*words)
+    )
+    case = case_of(stress__times=times, output__times=[10.0, 60.0], contact__friction=0.2)
+    changes = [{"load.pressure": 50.0}, {"wear.lower.k": 2e-7}, {"upper.young": 5e4},
+               {"mesh.geometry": "updated", "mesh.geometry_tolerance": 1.0}]  # fmt: skip
+    cases = [case.replace(change) for change in changes]
+    found = rw.simulate_all(cases, comm)
+    assert len(made) <= 2  # the mesh of one follows the wear
+    for mine, other in zip(found, rw.simulate_all(cases, comm, batch=1), strict=True):
+        same(mine, other)
+        assert mine.doubts == other.doubts
+    for each, mine in zip(cases, found, strict=True):
+        single = rw.simulate(each, comm)
+        assert mine.doubts == single.doubts
+        for a, b in zip(mine.stress.states, single.stress.states, strict=True):
+            assert (a.step, a.time) == (b.step, pytest.approx(b.time, rel=1e-12))
+            np.testing.assert_allclose(a.points, b.points, rtol=1e-8, atol=1e-8)
+            np.testing.assert_allclose(a.grid, b.grid, rtol=1e-8, atol=1e-8)
 
 
 @pytest.mark.parametrize("times", ["last", "all", [0.0, 60.0]])
