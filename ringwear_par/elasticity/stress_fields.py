@@ -89,3 +89,8 @@ class StressHistory:
     exclude: float
     interfaces: tuple[Interfaces, Interfaces]
     states: tuple[StressState, ...]
+
+    @property
+    def none(self) -> "StressHistory":
+        """The same places without any state."""
+        return replace(self, states=())

@@ -34,8 +34,10 @@ from ringwear_par.results.recorder import (
     derivative_names,
     layer_names_of,
     row,
+    times_through,
 )
 from ringwear_par.results.result import Result
+from ringwear_par.results.stress_variables import point_columns, stress_rows
 from ringwear_par.results.variables import (
     D_PROFILES,
     HISTORIES,
@@ -140,6 +142,7 @@ class BatchRecorder:
             for number, case in enumerate(cases)
             if (own := stresses(case)) is not None
         }
+        self._through = np.full((2, count), np.inf)
         self._begun = time.perf_counter()
         self._seconds = 0.0
 
@@ -216,6 +219,8 @@ class BatchRecorder:
         """Take the last states of histories."""
         numbers, model = snapshot.numbers[ended], snapshot.model
         state = replace(snapshot.state, tangent=None).take(ended)  # derivatives are stored by now
+        if state.through is not None:
+            self._through[:, numbers] = state.through
         errors, elements = (values[ended] for values in model.asymmetry)
         for place, number in enumerate(numbers.tolist()):
             case = self._cases[number]
@@ -276,7 +281,35 @@ class BatchRecorder:
             tuple(alone[i].reason if bad else "" for i, bad in enumerate(failed)),
             {name: values for name, values in found.items() if name.startswith("d_")},
             {name: found[name] for name in self._layers},
+            self._stress_columns(alone, offsets, found["time"]),
+            self._each(alone),
         )
+
+    def _stress_columns(
+        self, alone: Mapping[int, Alone], offsets: IntArray, times: FloatArray
+    ) -> dict[str, FloatArray]:
+        """Return what is stored of stresses of all rows; cases ask for the same, or for none."""
+        parts = []
+        for number, observer in self._stress.items():
+            one = alone.get(number)
+            own = times[offsets[number] : offsets[number + 1]]
+            history = observer.history() if one is None else None
+            if one is not None and one.recorder is not None:
+                history = one.recorder.stress
+            parts.append(stress_rows(history or observer.history().none, own))
+        return {name: np.concatenate([part[name] for part in parts]) for name in (parts or [{}])[0]}
+
+    def _each(self, alone: Mapping[int, Alone]) -> dict[str, FloatArray]:
+        """Return what histories have one of."""
+        found = times_through(self._cases[0], self._through.copy())
+        for number, one in alone.items():
+            arrays = {} if one.recorder is None else one.recorder.arrays()
+            for name, values in found.items():
+                values[number] = arrays.get(name, np.nan)
+        if self._stress:
+            points = point_columns(self._stress[0].history())
+            found |= {name: np.tile(at, (len(self._cases), 1)) for name, at in points.items()}
+        return found
 
     def _sorted(self, alone: Mapping[int, Alone]) -> tuple[IntArray, IntArray, dict[str, Any]]:
         """Return number, steps and variables of all rows, by history."""

@@ -33,11 +33,13 @@ from ringwear_par.results.doubts import (
     instability,
 )
 from ringwear_par.results.result import Result, balance_attributes
+from ringwear_par.results.stress_variables import point_columns, stress_rows
 from ringwear_par.results.variables import (
     D_HISTORIES,
     D_PROFILES,
     HISTORIES,
     LAYER_PROFILES,
+    TIMES_THROUGH,
     layer_names,
 )
 from ringwear_par.schedules import in_time, integral
@@ -163,16 +165,30 @@ def attributes(
 def _layer_attributes(case: Case, through: FloatArray | None) -> dict[str, Any]:
     """Return what is told of layers: what they are, and when wear first got through, s or NaN."""
     found: dict[str, Any] = {}
-    for i, (body, ring) in enumerate(zip(("lower", "upper"), case.rings, strict=True)):
+    for body, ring in zip(("lower", "upper"), case.rings, strict=True):
         if ring.layers:
             found[f"layers_{body}"] = ", then ".join(
                 f"{1e3 * layer.thickness:.6g} um of E = {layer.young:.6g} MPa, "
                 f"nu = {layer.poisson:.6g}"
                 for layer in ring.layers
             )
-            time = np.inf if through is None else float(through[i])
-            found[f"time_through_{body}"] = time if np.isfinite(time) else np.nan
-    return found
+    times = times_through(case, through)
+    return found | {name: float(time) for name, time in times.items()}
+
+
+def times_through(case: Case, through: FloatArray | None) -> dict[str, FloatArray]:
+    """Return when wear first got through the layers of each body that has some, s or NaN.
+
+    Parameters
+    ----------
+    through : (2, ...) s, see ``State``.
+    """
+    times = np.full(2, np.inf) if through is None else through
+    return {
+        name: np.where(np.isfinite(time), time, np.nan)
+        for name, time, ring in zip(TIMES_THROUGH, times, case.rings, strict=True)
+        if ring.layers
+    }
 
 
 def _sliding(case: Case, time: float) -> dict[str, Any]:
@@ -389,7 +405,18 @@ class Recorder:
                 for name, rows in self._derivatives.items()
                 if rows
             },
+            **self._of_sweeps(),
         }
+
+    def _of_sweeps(self) -> dict[str, Any]:
+        """Return what sweeps alone store as arrays."""
+        found: dict[str, Any] = {}
+        if self._last is not None:
+            found |= times_through(self._case, self._last.state.through)
+        if (stress := self.stress) is not None:
+            found |= stress_rows(stress, np.array(self._histories["time"]))
+            found |= point_columns(stress)
+        return found
 
     def result(self, error: str = "") -> Result:
         """Return what is stored so far, and what it takes to go on. Collective on comm.

@@ -6,6 +6,7 @@ from typing import Any
 import h5py
 import numpy as np
 
+from ringwear_par.arrays import FloatArray
 from ringwear_par.elasticity.boundary_fields import BODIES
 from ringwear_par.elasticity.stress_fields import Interfaces, Largest, StressHistory, StressState
 from ringwear_par.elasticity.stress_measures import COMPONENTS, SIDES, max_shear, mises, principal
@@ -103,6 +104,10 @@ def _largest(suffix: str, of: str) -> tuple[Variable, ...]:
 #: of both bodies together, then of each
 MAX_MISES = _largest("", "both rings")
 MAX_MISES_OF = tuple(_largest(f"_{body}", f"the {body} ring") for body in BODIES)
+#: what sweeps store, at the stored states that stress is asked for of: the largest, and points
+LARGEST_STRESS = {v.name: replace(v, dimensions=("step",)) for v in MAX_MISES}
+POINT_STRESS = {v.name: replace(v, dimensions=("step", "point")) for v in (MISES, MAX_SHEAR)}
+POINTS = {v.name: v for v in (POINT_R, POINT_Z)}
 
 
 def stress_coordinates(history: StressHistory) -> tuple[str, ...]:
@@ -167,6 +172,33 @@ def stress_variables(history: StressHistory) -> list[tuple[Variable, Any]]:
     for i, variables in enumerate(MAX_MISES_OF):
         found += _columns(variables, [state.largest[i] for state in states])
     return found
+
+
+def stress_rows(history: StressHistory, times: FloatArray) -> dict[str, FloatArray]:
+    """Return what sweeps store of a history, NaN where stress was not asked for.
+
+    Parameters
+    ----------
+    times : (rows,) float, s, of all stored states.
+    """
+    row = {time: i for i, time in enumerate(times.tolist())}
+    found = {name: np.full(len(row), np.nan) for name in LARGEST_STRESS}
+    found |= {name: np.full((len(row), len(history.points)), np.nan) for name in POINT_STRESS}
+    for state in history.states:
+        largest = state.of_both
+        of = largest.mises, largest.r, largest.z, largest.layer
+        values = *of, mises(state.points), max_shear(state.points)
+        for name, value in zip(found, values, strict=True):
+            found[name][row[state.time]] = value
+    if not len(history.points):
+        return {name: found[name] for name in LARGEST_STRESS}
+    return found
+
+
+def point_columns(history: StressHistory) -> dict[str, FloatArray]:
+    """Return radii and heights of the points, if there are any."""
+    points = zip(POINTS, history.points.T, strict=True)
+    return dict(points) if len(history.points) else {}
 
 
 def _columns(variables: tuple[Variable, ...], places: list[Largest]) -> list[tuple[Variable, Any]]:

@@ -11,12 +11,6 @@ from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.schema import unit_of
 from ringwear_par.results.drawing import plain
 
-#: of the values in results.h5, what is drawn of them: factor and label
-OUTPUTS = {
-    "penetration": (1e3, "penetration (\N{MICRO SIGN}m)"),
-    "worn_volume_lower": (1.0, "worn volume, lower (mm\N{SUPERSCRIPT THREE})"),
-    "worn_volume_upper": (1.0, "worn volume, upper (mm\N{SUPERSCRIPT THREE})"),
-}
 GREY = "0.45"
 #: values beside each other span so much before their axis is logarithmic
 LOG_VALUE = 100.0

@@ -120,10 +120,9 @@ def read_draft(source: Path | str | Mapping[str, Any]) -> Draft:
             f"{name}: output.boundary: must be absent from a study and its case; fields on whole "
             "boundaries are stored by ringwear run only"
         )
-    if any(path.startswith("stress.") for path in (*base, *names)):
+    if varied := [key for key in names if key.startswith("stress.")]:
         raise InputError(
-            f"{name}: [stress]: must be absent from a study and its case; stresses are stored by "
-            "ringwear run only"
+            f"{name}: {varied[0]}: must not vary; what [stress] asks for is that of the base case"
         )
     found = tuple(  # files are relative to the study
         column.mapped(partial(_found, key, folder)) if column.numbers is None else column

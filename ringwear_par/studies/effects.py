@@ -12,13 +12,13 @@ from ringwear_par.results.drawing import COLOURS, DASHES, in_words, plain, set_l
 from ringwear_par.studies.axes import (
     GREY,
     LOG_VALUE,
-    OUTPUTS,
     labelled,
     number_text,
     set_decades,
     spans,
 )
 from ringwear_par.studies.designs import SAMPLED
+from ringwear_par.studies.finals import shown
 from ringwear_par.studies.sensitivity import SEED
 from ringwear_par.textfiles import parse_value
 
@@ -169,8 +169,7 @@ def draw_effects(
     panels = part.subplots(*shape, squeeze=False, sharex=share[0], sharey=share[1])
     panels = panels.T if transposed else panels
     for row, (output, final) in enumerate(finals.items()):
-        factor, label = OUTPUTS[output]
-        values = factor * final
+        values, label = shown(output).factor * final, shown(output).label
         for column, plan in enumerate(plans):
             axes = panels[row, column]
             _draw_panel(axes, plan, values, legend=row == 0)

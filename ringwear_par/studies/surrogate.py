@@ -16,6 +16,7 @@ from ringwear_par.arrays import FloatArray, IntArray
 from ringwear_par.errors import InputError, RingwearError, legible
 from ringwear_par.results.reading import read_text
 from ringwear_par.studies.ensemble import Ensemble, read_ensemble
+from ringwear_par.studies.finals import FINAL
 from ringwear_par.studies.predictions import COARSE, Surrogate
 from ringwear_par.studies.regression import Part, fitted, places_between
 from ringwear_par.studies.responses import read_responses
@@ -44,12 +45,14 @@ def surrogate(
 ) -> Surrogate:
     """Return regressions of a sweep's responses over its varied keys. Not collective.
 
-    Responses are ``penetration``, ``worn_volume_lower``, ``worn_volume_upper`` and, where profiles
-    are stored, the largest depths of wear ``largest_wear_lower``, ``largest_wear_upper`` and, where
-    all cases have the same contact elements, the profiles ``wear_lower``, ``wear_upper``. At times
-    these four need profiles of all stored steps (``output.profiles = "all"``). Cases that are not
-    done are left out; of many, 1,000 are chosen at random. The surrogate is kept beside the
-    results, as ``surrogate.h5``, and is made again once these have changed.
+    Responses are ``penetration``, ``worn_volume_lower``, ``worn_volume_upper``, the numbers of
+    layers and of stress that all cases have, at times those that are stored at all steps, and,
+    where profiles are stored, the largest depths of wear ``largest_wear_lower``,
+    ``largest_wear_upper`` and, where all cases have the same contact elements, the profiles
+    ``wear_lower``, ``wear_upper``. At times these four need profiles of all stored steps
+    (``output.profiles = "all"``). Cases that are not done are left out; of many, 1,000 are chosen
+    at random. The surrogate is kept beside the results, as ``surrogate.h5``, and is made again once
+    these have changed.
 
     Keys that are no numbers get a surrogate for each combination of their values. Ranges are those
     of each key alone: where keys of a list vary together, what no case is near is not told.
@@ -142,7 +145,7 @@ def _identity(ensemble: Ensemble, times: FloatArray | None) -> str:
 
 def _made(ensemble: Ensemble, times: FloatArray | None) -> Surrogate:
     done = done_cases(ensemble) & (ensemble.steps_stored > 1)
-    done &= np.isfinite(list(ensemble.final.values())).all(axis=0)
+    done &= np.isfinite([ensemble.final[name] for name in FINAL]).all(axis=0)
     logarithmic = _spacings(ensemble)
     texts: list[str] = []
     numbers: list[str] = []

@@ -13,11 +13,11 @@ from ringwear_par.results.drawing import COLOURS, plain, set_legend
 from ringwear_par.studies.axes import (
     GREY,
     LOG_VALUE,
-    OUTPUTS,
     labelled,
     set_decades,
     spans,
 )
+from ringwear_par.studies.finals import shown
 from ringwear_par.studies.predictions import Surrogate, told_share
 from ringwear_par.studies.regression import Part
 from ringwear_par.studies.sensitivity import SEED
@@ -48,7 +48,8 @@ class Responses:
     ) -> "Responses | None":
         """Return what is drawn of some outputs over some keys; None if nothing varies."""
         part = surrogate.parts[0]
-        names = tuple(n for n in outputs if part.responses[n].relative_error > 0.0)
+        there = [name for name in outputs if name in part.responses]
+        names = tuple(name for name in there if part.responses[name].relative_error > 0.0)
         over = tuple(i for i, key in enumerate(part.keys) if key in keys)
         return cls(surrogate, names, over) if names and over else None
 
@@ -97,8 +98,7 @@ class Responses:
             texts = zip(self.surrogate.text_keys, part.texts, strict=True)
             said += " with " + ", ".join(f"{key} = {shortened(text)}" for key, text in texts)
         errors = "; ".join(
-            f"{OUTPUTS[name][1].rpartition(' (')[0]} "
-            f"{told_share(part.responses[name].relative_error)}"
+            f"{shown(name).name} {told_share(part.responses[name].relative_error)}"
             for name in self.names
         )
         said += "; keys vary evenly over their ranges"
@@ -112,7 +112,7 @@ class Responses:
             len(self.names), len(keys), squeeze=False, sharex="col", sharey="row"
         )
         for row, name in enumerate(self.names):
-            factor, label = OUTPUTS[name]
+            factor, label = shown(name).factor, shown(name).label
             values = factor * part.responses[name].values[:, 0]
             logarithmic = spans(values, LOG_VALUE)
             for axes, key in zip(panels[row], keys, strict=True):

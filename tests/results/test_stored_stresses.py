@@ -186,8 +186,8 @@ def test_memory_counts_points_and_states():
     assert stress_numbers(case.replace({"stress.times": "last"}))[1] < rows
 
 
-def test_studies_refuse():
-    with pytest.raises(rw.InputError, match=r"\[stress\]: must be absent from a study"):
+def test_keys_of_stress_do_not_vary():
+    with pytest.raises(rw.InputError, match=r"study: stress.exclude: must not vary; what"):
         rw.read_study({
             "case": "scripts/cases/paper.toml",
             "vary": {"stress.exclude": {"values": [0.1, 0.2]}},
