@@ -5,7 +5,7 @@ import re
 from typing import Any
 
 import numpy as np
-from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
+from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullLocator
 
 from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.schema import unit_of
@@ -38,6 +38,8 @@ def set_decades(axis: Any, values: FloatArray) -> None:
     finite = values[np.isfinite(values)]
     decades = math.log10(float(finite.max()) / float(finite.min()))
     if decades < 2.5:
-        axis.set_major_locator(LogLocator(subs=(1.0, 3.0)))
+        few = MaxNLocator(4, steps=[1, 2, 5, 10])
+        subs = (1.0, 2.0, 5.0) if decades < 1.2 else (1.0, 3.0)
+        axis.set_major_locator(few if decades < 0.7 else LogLocator(subs=subs))
         axis.set_major_formatter(FuncFormatter(lambda value, _: number_text(value, 6)))
         axis.set_minor_locator(NullLocator())

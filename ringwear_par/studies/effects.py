@@ -34,11 +34,20 @@ _SHARE = 0.25
 
 @dataclass(frozen=True)
 class Key:
-    """A varied key of the cases drawn: numbers, or codes of categories; NaN where there is none."""
+    """A varied key of the cases drawn.
+
+    Parameters
+    ----------
+    name : of the key.
+    values : (cases,) numbers, or codes of categories; NaN where there is none.
+    categories : in words.
+    by_log : whether the design spaces it by logarithms; None: it has no spacing.
+    """
 
     name: str
     values: FloatArray
     categories: tuple[str, ...]
+    by_log: bool | None = None
 
     @property
     def label(self) -> str:
@@ -53,6 +62,8 @@ class Key:
     @property
     def logarithmic(self) -> bool:
         """Whether its axis is."""
+        if self.by_log is not None and self.differs and spans(self.values, 1.0):
+            return self.by_log
         if self.categories or not spans(self.values, _LOG_KEY):
             return False
         known = self.values[np.isfinite(self.values)]  # spread evenly, they stay on a plain axis
@@ -96,10 +107,10 @@ class Plan:
         return -(-len(self.labels) // self.columns) + len(self.title.splitlines())
 
 
-def key_of(name: str, column: Any) -> Key:
+def key_of(name: str, column: Any, by_log: bool | None = None) -> Key:
     """Return a varied key of some cases."""
     if column.dtype.kind == "f":
-        return Key(name, column, ())
+        return Key(name, column, (), by_log)
     words = list(dict.fromkeys(column))
     codes = {word: float(i) for i, word in enumerate(words)}
     values = np.array([codes[word] for word in column])

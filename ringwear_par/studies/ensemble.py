@@ -1,6 +1,7 @@
 """The results of a sweep, to be looked at: with xarray, or variable by variable."""
 
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -29,7 +30,8 @@ from ringwear_par.studies.results_file import (
     over_cases,
 )
 from ringwear_par.studies.swept import FIELDS, ROWS
-from ringwear_par.studies.variations import path_of
+from ringwear_par.studies.variations import path_of, read_variations
+from ringwear_par.textfiles import parse_toml
 
 if TYPE_CHECKING:
     import xarray
@@ -63,6 +65,23 @@ class Ensemble:
     final: dict[str, FloatArray]
     attributes: dict[str, Any]
     flags: tuple[tuple[str, ...], ...] = ()
+
+    @cached_property
+    def spacings(self) -> dict[str, tuple[bool, tuple[float, float]]]:
+        """Of the keys that the design varies by ranges: whether by logarithms, and the ends."""
+        try:
+            tables = parse_toml(read_text(self.attributes["study"]), "study")
+        except (InputError, KeyError, ValueError):
+            return {}
+        vary, design = tables.get("vary"), tables.get("design", {})
+        if not isinstance(vary, dict) or not isinstance(design, dict):
+            return {}
+        varied = read_variations("study", vary, str(design.get("method", "grid")), [])
+        return {
+            each.name: (each.spacing == "log", (each.values[0], each.values[1]))
+            for each in varied
+            if each.spacing != "values"
+        }
 
     def histories(self, name: str, cases: IntArray) -> FloatArray:
         """Read the histories of some cases (increasing numbers), (len(cases), steps, ...).

@@ -102,7 +102,10 @@ def choose(ensemble: Ensemble, regressions: Surrogate | None, bars: Sequence[Ind
     """
     drawn = _drawn(ensemble)
     outputs = outputs_of(ensemble, drawn)
-    varied = [key_of(name, values[drawn]) for name, values in ensemble.varied.items()]
+    varied = [
+        key_of(name, values[drawn], ensemble.spacings.get(name, (None,))[0])
+        for name, values in ensemble.varied.items()
+    ]
     varied = [key for key in varied if key.differs] or varied
     names = most_important([key.name for key in varied], bars, _MOST_KEYS)
     keys = [key for key in varied if key.name in names]

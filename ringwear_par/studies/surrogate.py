@@ -14,7 +14,6 @@ import numpy as np
 
 from ringwear_par.arrays import FloatArray, IntArray
 from ringwear_par.errors import InputError, RingwearError, legible
-from ringwear_par.results.reading import read_text
 from ringwear_par.studies.ensemble import Ensemble, read_ensemble
 from ringwear_par.studies.finals import FINAL
 from ringwear_par.studies.predictions import COARSE, Surrogate
@@ -22,8 +21,6 @@ from ringwear_par.studies.regression import Part, fitted, places_between
 from ringwear_par.studies.responses import read_responses
 from ringwear_par.studies.sensitivity import chosen_cases, done_cases
 from ringwear_par.studies.surrogate_file import SURROGATE, read_surrogate, write_surrogate
-from ringwear_par.studies.variations import read_variations
-from ringwear_par.textfiles import parse_toml
 
 if TYPE_CHECKING:
     import xarray
@@ -146,7 +143,7 @@ def _identity(ensemble: Ensemble, times: FloatArray | None) -> str:
 def _made(ensemble: Ensemble, times: FloatArray | None) -> Surrogate:
     done = done_cases(ensemble) & (ensemble.steps_stored > 1)
     done &= np.isfinite([ensemble.final[name] for name in FINAL]).all(axis=0)
-    logarithmic = _spacings(ensemble)
+    designed = ensemble.spacings
     texts: list[str] = []
     numbers: list[str] = []
     for name, values in ensemble.varied.items():
@@ -171,7 +168,7 @@ def _made(ensemble: Ensemble, times: FloatArray | None) -> Surrogate:
             )  # fmt: skip
             continue
         chosen = chosen_cases(cases, max(_MOST // len(groups), needed))
-        parts.append(_part(ensemble, combination, keys, logarithmic, chosen, times))
+        parts.append(_part(ensemble, combination, keys, designed, chosen, times))
     if not parts:
         raise InputError(few or f"{ensemble.path}: no case is done; a surrogate needs some")
     return Surrogate(texts, parts, int(ensemble.in_study.sum()), int(done.sum()))
@@ -183,23 +180,6 @@ def _needed(keys: Sequence[str]) -> int:
 
 def _known(values: FloatArray) -> FloatArray:
     return values[np.isfinite(values)]
-
-
-def _spacings(ensemble: Ensemble) -> dict[str, tuple[bool, tuple[float, float]]]:
-    """Return of the keys that the design varies by ranges: whether by logarithms, and the ends."""
-    try:
-        tables = parse_toml(read_text(ensemble.attributes["study"]), "study")
-    except (InputError, KeyError, ValueError):
-        return {}
-    vary, design = tables.get("vary"), tables.get("design", {})
-    if not isinstance(vary, dict) or not isinstance(design, dict):
-        return {}
-    varied = read_variations("study", vary, str(design.get("method", "grid")), [])
-    return {
-        each.name: (each.spacing == "log", (each.values[0], each.values[1]))
-        for each in varied
-        if each.spacing != "values"
-    }
 
 
 def _part(

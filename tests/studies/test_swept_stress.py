@@ -10,8 +10,10 @@ from swept import CASE, table, variables, write_study
 import ringwear_par as rw
 from ringwear_par.elasticity.stress_recovery import StressRecovery
 from ringwear_par.errors import ComputationError
+from ringwear_par.reports import sweep_charts
 from ringwear_par.studies import workers
 from ringwear_par.studies.ensemble import read_ensemble
+from ringwear_par.studies.figures import choose
 from ringwear_par.studies.sensitivity import outputs_of
 from ringwear_par.studies.store import Store
 from ringwear_par.studies.surrogate import surrogate
@@ -186,3 +188,24 @@ def test_figures_and_pages_show_them(swept, tmp_path):
     page = (tmp_path / "page.html").read_text()
     for words in ("von Mises stress, point 0 (MPa)", "time through lower (s)", "; layer 1"):
         assert words in page
+
+
+@pytest.mark.serial
+def test_keys_that_are_spaced_by_logarithms_are_drawn_so(swept, tmp_path):
+    """Though they span little, and on the page too; evenly spaced ones are not."""
+    scales = {}
+    for axes in rw.plot(swept).axes:
+        if axes.get_xlabel():
+            scales.setdefault(axes.get_xlabel().partition(" ")[0], set()).add(axes.get_xscale())
+    assert scales["lower.layers[0].thickness"] == {"log"}
+    assert scales["load.pressure"] == {"linear"}
+    chosen = choose(read_ensemble(swept), None, ())
+    drawn = sweep_charts.effects(read_ensemble(swept), chosen)
+    types = {
+        (
+            chart.layout["xaxis"]["title"]["text"].partition(" ")[0],
+            chart.layout["xaxis"].get("type"),
+        )
+        for chart in drawn.charts
+    }
+    assert types == {("lower.layers[0].thickness", "log"), ("load.pressure", None)}
