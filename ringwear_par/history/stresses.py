@@ -82,7 +82,8 @@ class CaseStresses:
         for i, body in enumerate(found):
             body.interfaces[self._worn_away(i, state.wear[i])] = np.nan
         along = found[0].interfaces, found[1].interfaces
-        return StressState(step, float(state.time), points, grid, surface, largest, along)
+        layers = found[0].layers, found[1].layers
+        return StressState(step, float(state.time), points, grid, surface, largest, along, layers)
 
     def history(self, states: tuple[StressState, ...]) -> StressHistory:
         """Return the stresses of some states, and where they are."""

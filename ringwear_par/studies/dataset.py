@@ -24,7 +24,6 @@ from ringwear_par.cases.text import toml_value
 from ringwear_par.cases.values import is_number
 from ringwear_par.errors import InputError
 from ringwear_par.results.hdf5 import atomic_hdf5
-from ringwear_par.results.stress_variables import LARGEST_STRESS, POINT_STRESS
 from ringwear_par.results.variables import HISTORIES, LINE, Variable
 from ringwear_par.studies.case_variables import (
     WINDOW,
@@ -62,7 +61,7 @@ from ringwear_par.studies.results_file import (
     cases_at_once,
     over_cases,
 )
-from ringwear_par.studies.swept import EACH, FIELDS, ROWS
+from ringwear_par.studies.swept import EACH, FIELDS, ROWS, STRESS
 from ringwear_par.studies.variations import Column, own_key, value_of
 
 #: of the table, before and after the last values
@@ -249,10 +248,8 @@ class _Writer:
                 if name == STRESS_ASKED:
                     asked = last_asked(table)
                 if name in BY_SOURCE:
-                    of_stress = name in LARGEST_STRESS or name in POINT_STRESS
-                    self._take_last(
-                        name, start, table, asked if of_stress else self._rows[start:stop] - 1
-                    )
+                    last = asked if name in STRESS else self._rows[start:stop] - 1
+                    self._take_last(name, start, table, last)
                 if not start:
                     own = over_cases(variable)
                     columns[name] = ColumnWriter(

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ringwear_par.arrays import FloatArray, IntArray
-from ringwear_par.results.stress_variables import LARGEST_STRESS, MAX_MISES, POINT_STRESS
+from ringwear_par.results.stress_variables import LAYER_STRESS, MAX_MISES
 from ringwear_par.results.variables import (
     HISTORIES,
     LAYER_HISTORIES,
@@ -17,7 +17,7 @@ from ringwear_par.results.variables import (
     TIMES_THROUGH,
     Variable,
 )
-from ringwear_par.studies.swept import EACH, FIELDS, axis_of
+from ringwear_par.studies.swept import EACH, FIELDS, STRESS, axis_of
 
 #: those that all cases have
 FINAL = ("penetration", "worn_volume_lower", "worn_volume_upper")
@@ -92,7 +92,7 @@ FINALS = {
     for final in (
         *(_final(name, HISTORIES[name]) for name in FINAL),
         *_of_layers(),
-        *map(_stress, (*LARGEST_STRESS.values(), *POINT_STRESS.values())),
+        *map(_stress, STRESS.values()),
     )
 }
 #: of each stored variable, what it tells
@@ -159,8 +159,12 @@ _SHOWN = {
         for body in ("lower", "upper")
     },
     **{
-        name: Shown(1.0, f"worn volume, {body}", _MM3)
-        for name, body in zip(LAYER_VOLUMES, ("lower", "upper"), strict=True)
+        name: told._replace(name=f"{told.name}, {body}")
+        for table, told in (
+            (LAYER_VOLUMES, Shown(1.0, "worn volume", _MM3)),
+            (LAYER_STRESS, Shown(1.0, "largest von Mises stress", "MPa")),
+        )
+        for name, body in zip(table, ("lower", "upper"), strict=True)
     },
 }
 
@@ -181,9 +185,10 @@ def drawn(final: Mapping[str, Any], cases: Any) -> list[str]:
     """Return which numbers of some cases figures show.
 
     Volumes of bodies that wear in some of them, or of the lower one; shares worn through, where
-    there are some; the largest stress, and stresses at points.
+    there are some; the largest stress, that of each layer, and stresses at points.
     """
     worn = [name for name in FINAL[1:] if np.nan_to_num(final[name][cases]).any()]
     through = [name for name in LAYER_HISTORIES if np.nan_to_num(final.get(name, [])).any()]
-    stress = [name for name in final if name == "max_mises" or name.startswith("mises[")]
+    sources = ("max_mises", *LAYER_STRESS, "mises")
+    stress = [name for name in final if entry_of(name)[0].name in sources]
     return ["penetration", *(worn or ["worn_volume_lower"]), *through, *stress]

@@ -6,7 +6,7 @@ Beside what every case has, there is what cases with layers have, and those with
 from collections.abc import Mapping
 from typing import Any
 
-from ringwear_par.results.stress_variables import LARGEST_STRESS, POINT_STRESS, POINTS
+from ringwear_par.results.stress_variables import LARGEST_STRESS, LAYER_STRESS, POINT_STRESS, POINTS
 from ringwear_par.results.variables import (
     HISTORIES,
     LAYER,
@@ -20,7 +20,8 @@ from ringwear_par.results.variables import (
 )
 
 #: at each stored state a number, or one a layer or point: padded with NaN where cases have others
-ROWS = {**HISTORIES, **LAYER_HISTORIES, **LAYER_VOLUMES, **LARGEST_STRESS, **POINT_STRESS}
+STRESS = {**LARGEST_STRESS, **LAYER_STRESS, **POINT_STRESS}
+ROWS = {**HISTORIES, **LAYER_HISTORIES, **LAYER_VOLUMES, **STRESS}
 #: along the contact line, at each stored state or at the last one
 FIELDS = {**PROFILES, **LAYER_PROFILES}
 #: a number of each case, or one a point

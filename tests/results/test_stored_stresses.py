@@ -33,6 +33,7 @@ def same(one, other):
         assert a.largest == b.largest
         for one_body, other_body in zip(a.interfaces, b.interfaces, strict=True):
             np.testing.assert_array_equal(one_body, other_body)
+        np.testing.assert_array_equal(np.concatenate(a.layers), np.concatenate(b.layers))
 
 
 def test_variables_and_file(tmp_path):
@@ -344,3 +345,24 @@ def test_points_of_a_case_that_was_not_read_are_checked():
     case = replace(case_of(), stress=Stress(points=((50.0, 1.0, ""),)))
     with pytest.raises(rw.InputError, match=r"stress\.points\[0\] = \[50\.0, 1\.0\]: lies outside"):
         rw.simulate(case)
+
+
+@pytest.mark.serial
+def test_the_largest_of_each_layer(tmp_path):
+    """That of the layer that has the largest is the body's; layers of both bodies are apart."""
+    layer = {"thickness": 0.05, "young": 2e5, "poisson": 0.3}
+    soft = {"thickness": 0.1, "young": 5e4, "poisson": 0.3}
+    result = rw.simulate(
+        case_of(stress__times="all", lower__layers=[layer, soft], upper__layers=[soft])
+    )
+    for state in result.stress.states:
+        for own, largest in zip(state.layers, state.largest, strict=True):
+            assert own.max() == own[largest.layer] == largest.mises
+    result.save(tmp_path / "run.h5")
+    read, data = rw.open_result(tmp_path / "run.h5"), result.to_xarray()
+    same(read, result)
+    assert read.stress.layers == result.stress.layers == (3, 2)
+    assert data.max_mises_lower_layers.dims == ("stress_step", "layer")
+    assert data.max_mises_upper_layers.dims == ("stress_step", "layer_upper")
+    values = ", ".join(f"{value:.5g}" for value in result.stress.states[-1].layers[0])
+    assert f"lower by layer {values} MPa" in result.summary()

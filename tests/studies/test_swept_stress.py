@@ -62,7 +62,7 @@ def test_stresses_and_layers_are_those_of_single_runs(times, comm, tmp_path):
         count = int(mine.steps_stored)
         asked = np.zeros(count, dtype=bool)
         asked[at] = True
-        for name in (*ROWS, "mises", "max_shear"):
+        for name in (*ROWS, "max_mises_lower_layers", "mises", "max_shear"):
             stored = mine[name].values[:count]
             np.testing.assert_allclose(stored[at], own[name].values, rtol=1e-8)
             assert np.isnan(stored[~asked]).all()
@@ -72,6 +72,8 @@ def test_stresses_and_layers_are_those_of_single_runs(times, comm, tmp_path):
                 column = name if name in ROWS else f"{name}[{i}]"
                 assert float(row[column]) == pytest.approx(value, rel=1e-8)
         np.testing.assert_array_equal(mine.point_z, own.point_z)
+        layers = own.max_mises_lower_layers
+        np.testing.assert_array_equal(layers.max("layer"), own.max_mises_lower)
         np.testing.assert_allclose(
             mine.worn_volume_lower_layers[:count], own.worn_volume_lower_layers, rtol=1e-8
         )
@@ -178,8 +180,8 @@ def test_figures_and_pages_show_them(swept, tmp_path):
     ensemble = read_ensemble(swept)
     done = np.ones(len(ensemble.ids), dtype=bool)
     assert outputs_of(ensemble, done) == [
-        "penetration", "worn_volume_lower", "share_through_lower", "max_mises", "mises[0]",
-        "mises[1]",
+        "penetration", "worn_volume_lower", "share_through_lower", "max_mises",
+        "max_mises_lower_layers[0]", "max_mises_lower_layers[1]", "mises[0]", "mises[1]",
     ]  # fmt: skip
     labels = [axes.get_ylabel() for axes in rw.plot(swept).axes]
     for label in ("largest von Mises stress (MPa)", "von Mises stress, point 1 (MPa)"):
