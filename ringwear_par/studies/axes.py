@@ -2,6 +2,7 @@
 
 import math
 import re
+import textwrap
 from typing import Any
 
 import numpy as np
@@ -12,6 +13,8 @@ from ringwear_par.cases.schema import unit_of
 from ringwear_par.results.drawing import plain
 
 GREY = "0.45"
+#: of a label along the height of a panel
+_LETTERS = 26
 #: values beside each other span so much before their axis is logarithmic
 LOG_VALUE = 100.0
 
@@ -26,6 +29,11 @@ def labelled(name: str) -> str:
     """Return a key with its unit."""
     unit = unit_of(name)
     return plain(f"{name} ({unit})" if unit else name)
+
+
+def upright(label: str) -> str:
+    """Return a label in lines that are no longer than a panel is high."""
+    return textwrap.fill(label, _LETTERS)
 
 
 def number_text(value: float, digits: int) -> str:

@@ -16,6 +16,7 @@ from ringwear_par.studies.axes import (
     number_text,
     set_decades,
     spans,
+    upright,
 )
 from ringwear_par.studies.designs import SAMPLED
 from ringwear_par.studies.finals import shown
@@ -187,7 +188,7 @@ def draw_effects(
             if row == len(panels) - 1 or transposed:
                 axes.set_xlabel(plan.key.label)
             if column == 0:
-                axes.set_ylabel(f"final {label}" if output == "penetration" else label)
+                axes.set_ylabel(upright(f"final {label}" if output == "penetration" else label))
         if spans(values, LOG_VALUE):
             for axes in panels[row]:
                 axes.set_yscale("log")

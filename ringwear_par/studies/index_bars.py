@@ -8,6 +8,7 @@ import numpy as np
 
 from ringwear_par.arrays import FloatArray
 from ringwear_par.results.drawing import COLOURS, plain, set_legend
+from ringwear_par.studies.axes import upright
 from ringwear_par.studies.ensemble import Ensemble
 from ringwear_par.studies.finals import final_name
 from ringwear_par.studies.predictions import COARSE, Surrogate, told_share
@@ -67,7 +68,7 @@ class IndexBars:
         axes.grid(axis="x", linewidth=0.4, color="0.85")
         axes.set_axisbelow(True)
         axes.set_xlabel("sensitivity index")
-        set_legend(axes, 1, f"{final_name(self.output)}:\n{self.source}")
+        set_legend(axes, 1, upright(f"{final_name(self.output)}:") + f"\n{self.source}")
 
 
 def index_bars(ensemble: Ensemble, regressions: Surrogate | None) -> tuple[IndexBars, ...]:

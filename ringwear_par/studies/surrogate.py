@@ -87,12 +87,13 @@ def surrogate(
 
 
 def _tell(made: Surrogate) -> None:
-    for name, relative in made.relative_error.items():
-        if relative > COARSE:
-            log.warning(
-                "surrogate: the leave-out error of %s is %.0f %% of its spread; more cases would "
-                "make it smaller", name, 100.0 * relative,
-            )  # fmt: skip
+    coarse = {name: error for name, error in made.relative_error.items() if error > COARSE}
+    if coarse:
+        first, *others = (f"{name} is {100.0 * error:.0f} %" for name, error in coarse.items())
+        log.warning(
+            "surrogate: the leave-out error of %s of its spread%s; more cases would make it "
+            "smaller", first, "".join(f", that of {other}" for other in others),
+        )  # fmt: skip
 
 
 def _ensemble(ensemble: Any) -> Ensemble:

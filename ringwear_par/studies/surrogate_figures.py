@@ -1,5 +1,6 @@
 """What a surrogate tells, drawn: responses over each key with their error."""
 
+import textwrap
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -16,6 +17,7 @@ from ringwear_par.studies.axes import (
     labelled,
     set_decades,
     spans,
+    upright,
 )
 from ringwear_par.studies.finals import shown
 from ringwear_par.studies.predictions import Surrogate, told_share
@@ -25,6 +27,8 @@ from ringwear_par.studies.sensitivity import SEED
 #: panels beside each other, places along a key, and points over the other keys at each
 _COLUMNS, _PLACES, _OTHERS = 4, 41, 2**8
 _ROW = 1.9
+#: of a title: inches of a line, and its letters
+_LINE, _LETTERS = 0.15, 100
 
 
 @dataclass(frozen=True)
@@ -70,7 +74,13 @@ class Responses:
     @property
     def heights(self) -> list[float]:
         """Inches of the rows that it takes."""
-        return [_ROW * len(self.names) + 1.1 for _ in self._blocks]
+        rows = [_ROW * len(self.names) + 1.1 for _ in self._blocks]
+        return [rows[0] + _LINE * (len(self._title) - 2), *rows[1:]]
+
+    @property
+    def _title(self) -> list[str]:
+        """What is said, in lines."""
+        return [plain(line) for told in self.said for line in textwrap.wrap(told, _LETTERS)]
 
     @property
     def _part(self) -> Part:
@@ -85,7 +95,7 @@ class Responses:
 
     def draw(self, parts: Sequence[Any]) -> None:
         """Draw into parts of a figure, one a row."""
-        parts[0].suptitle("\n".join(map(plain, self.said)), fontsize=8.0)
+        parts[0].suptitle("\n".join(self._title), fontsize=8.0)
         for number, (part, block) in enumerate(zip(parts, self._blocks, strict=True)):
             self._draw_curves(part, block, legend=not number)
 
@@ -142,7 +152,7 @@ class Responses:
                     axes.set_ylim(0.5 * values.min(), 2.0 * values.max())
             if logarithmic:
                 set_decades(panels[row, 0].yaxis, values)
-            panels[row, 0].set_ylabel(f"final {label}" if name == "penetration" else label)
+            panels[row, 0].set_ylabel(upright(f"final {label}" if name == "penetration" else label))
         if legend:
             set_legend(panels[0, 0], 1, "")
         figure.align_ylabels(panels[:, 0])

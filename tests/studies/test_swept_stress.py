@@ -183,7 +183,7 @@ def test_figures_and_pages_show_them(swept, tmp_path):
         "penetration", "worn_volume_lower", "share_through_lower", "max_mises",
         "max_mises_lower_layers[0]", "max_mises_lower_layers[1]", "mises[0]", "mises[1]",
     ]  # fmt: skip
-    labels = [axes.get_ylabel() for axes in rw.plot(swept).axes]
+    labels = [" ".join(axes.get_ylabel().split()) for axes in rw.plot(swept).axes]
     for label in ("largest von Mises stress (MPa)", "von Mises stress, point 1 (MPa)"):
         assert label in labels
     rw.report(swept, tmp_path / "page.html")
