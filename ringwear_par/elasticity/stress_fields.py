@@ -1,7 +1,9 @@
 """What is known of stresses in the bodies, after they have been computed or read."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+
+import numpy as np
 
 from ringwear_par.arrays import FloatArray
 
@@ -48,6 +50,8 @@ class StressState:
     largest : of lower and upper.
     interfaces : of lower and upper, (i, 2, m, 6) float each, above and below every interface; NaN
         where wear has come through to it.
+    layers : of lower and upper, (layers + 1,) float, the largest von Mises stress of each layer
+        and of the body itself; (0,) of one without.
     """
 
     step: int
@@ -57,6 +61,12 @@ class StressState:
     surface: tuple[FloatArray, FloatArray]
     largest: tuple[Largest, Largest]
     interfaces: tuple[FloatArray, FloatArray]
+    layers: tuple[FloatArray, FloatArray]
+
+    def without_fields(self) -> "StressState":
+        """Return the state without its grid and its faces."""
+        nothing = np.empty((0, 6))
+        return replace(self, grid=np.empty((0, 0, 6)), surface=(nothing, nothing))
 
     @property
     def of_both(self) -> Largest:
@@ -82,3 +92,14 @@ class StressHistory:
     exclude: float
     interfaces: tuple[Interfaces, Interfaces]
     states: tuple[StressState, ...]
+
+    @property
+    def layers(self) -> tuple[int, int]:
+        """Number of layers of lower and upper, the body itself included; 0 of one without."""
+        lower, upper = (len(of.z) + 1 if len(of.z) else 0 for of in self.interfaces)
+        return lower, upper
+
+    @property
+    def none(self) -> "StressHistory":
+        """The same places without any state."""
+        return replace(self, states=())

@@ -35,12 +35,14 @@ class BodyStress(NamedTuple):
     surface : (n, 6) float, MPa, likewise on the contact elements.
     largest : the largest von Mises stress outside the radius round edges.
     interfaces : (i, 2, m, 6) float, MPa, above and below each interface, see ``Interfaces``.
+    layers : (layers + 1,) float, MPa, that in each layer and in the body itself; (0,) without.
     """
 
     points: FloatArray
     surface: FloatArray
     largest: Largest
     interfaces: FloatArray
+    layers: FloatArray
 
 
 class StressPoints(NamedTuple):
@@ -67,6 +69,7 @@ class _Known:
     blocks : numbers of points and their influences; those that are this rank's.
     surface : of the contact elements.
     interfaces : of the elements above and below each interface.
+    layers : number of zones.
     """
 
     search: Search
@@ -75,6 +78,7 @@ class _Known:
     blocks: list[tuple[IntArray, Influence]]
     surface: Influence
     interfaces: list[tuple[Influence, Influence]]
+    layers: int
 
     def stress(self, pressure: FloatArray, shear: FloatArray, comm: MPI.Comm) -> FloatArray:
         """Return (p, 6) MPa at all points. Collective on comm."""
@@ -83,6 +87,13 @@ class _Known:
             found[numbers] = influence.stress(pressure, shear)
         comm.Allreduce(MPI.IN_PLACE, found, MPI.SUM)  # each is known to one rank: it is exact
         return found
+
+    def largest_of_zones(self, values: FloatArray) -> FloatArray:
+        """Return the largest of von Mises stresses in each zone; (0,) where there is one."""
+        if self.layers == 1:
+            return np.empty(0)
+        own = [np.where(self.zones == k, values, np.nan) for k in range(self.layers)]
+        return np.array([self.search.largest(self.points, self.zones, v).mises for v in own])
 
 
 class StressRecovery:
@@ -157,6 +168,7 @@ class StressRecovery:
             known.surface.stress(pressure, shear),
             known.search.largest(known.points, known.zones, values),
             np.array(interfaces) if interfaces else np.empty((0, 2, 0, 6)),
+            known.largest_of_zones(values),
         )
 
     def _integrated(self, shape: FloatArray | None) -> tuple[_Known, _Known]:
@@ -187,7 +199,7 @@ class StressRecovery:
         faces = [zone.surface for zone in stresses]
         return _Known(
             search, points, numbers, blocks, _at(faces[0], boundaries[0].middle),
-            _beside_interfaces(boundaries, faces, BODIES[i]),
+            _beside_interfaces(boundaries, faces, BODIES[i]), len(zones),
         )  # fmt: skip
 
 

@@ -58,7 +58,6 @@ def stays_alone(case: Case) -> bool:
     return (
         case.follows_wear
         or case.output.boundary != "none"
-        or case.stress is not None
         or case.mesh.contact_elements > MOST_ELEMENTS
     )
 
@@ -73,7 +72,8 @@ def batch_key(case: Case) -> Hashable | None:
     output = case.output
     kinds = tuple(None if law is None else _kind(law) for law in case.laws)
     force = case.load.force is not None
-    return case.time.scheme, force, kinds, output.fields, output.profiles, bool(output.times)
+    stored = output.fields, output.profiles, bool(output.times), case.stress
+    return case.time.scheme, force, kinds, *stored
 
 
 def can_share(case: Case) -> bool:

@@ -1,4 +1,6 @@
-"""Observer that computes the stresses that a case asks for."""
+"""The stresses that a case asks for, at any of its states, and the observer that keeps them."""
+
+from collections.abc import Hashable
 
 import numpy as np
 from mpi4py import MPI
@@ -6,34 +8,38 @@ from mpi4py import MPI
 from ringwear_par.arrays import BoolArray, FloatArray
 from ringwear_par.cases.case import Case
 from ringwear_par.cases.stress import Side, grid_bodies, point_bodies
-from ringwear_par.elasticity.stress_fields import StressState
+from ringwear_par.elasticity.stress_fields import StressHistory, StressState
 from ringwear_par.elasticity.stress_recovery import StressPoints, StressRecovery, interfaces
 from ringwear_par.history.asked import Asked
-from ringwear_par.history.bodies import bodies
+from ringwear_par.history.bodies import bodies, operator_key
 from ringwear_par.history.snapshots import Snapshot
+from ringwear_par.history.state import State
 from ringwear_par.wear.layered import ROUND_OFF
 
 _SIDES: dict[Side, float] = {"above": 1.0, "": 0.0, "below": -1.0}
 
 
-class StressObserver:
-    """Stresses in lower and upper, at the stored states that a case asks for.
+def stress_key(case: Case) -> Hashable:
+    """Return what the stresses of unit loads depend on; equal for cases that can share them."""
+    return operator_key(case), case.mesh, case.lower.z[1], case.upper.z[0], case.stress
+
+
+class CaseStresses:
+    """Stresses in lower and upper where a case asks for them, for it and all of its ``stress_key``.
 
     Parameters
     ----------
     case : one with [stress].
-    comm : communicator; calls are collective.
-    last_stored : s, time of the last stored state of an interrupted history; negative: none.
+    comm : communicator; ``at`` is collective.
     """
 
-    def __init__(self, case: Case, comm: MPI.Comm, last_stored: float = -1.0) -> None:
+    def __init__(self, case: Case, comm: MPI.Comm) -> None:
         assert case.stress is not None
-        self._case, grid = case, case.stress.grid
-        self._asked = Asked(case, case.stress.times, last_stored)
+        grid = case.stress.grid
         axes = grid.axes if grid is not None else (np.empty(0), np.empty(0))
         #: (p, 2) mm, the points; radii and heights of the grid
         self.points = np.array([point[:2] for point in case.stress.points]).reshape(-1, 2)
-        self.grid = axes
+        self.grid, self._case, self._exclude = axes, case, case.stress.exclude
         self._of_points, self._of_grid = np.array(point_bodies(case), int), grid_bodies(case)
         on_grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
         sides = np.array([_SIDES[point[2]] for point in case.stress.points])
@@ -54,35 +60,34 @@ class StressObserver:
             interfaces(both[0], case.line, case.mesh, "lower", planes[0]),
             interfaces(both[1], case.line, case.mesh, "upper", planes[1]),
         )
-        #: what was asked for so far
-        self.states: list[StressState] = []
 
-    def __call__(self, snapshot: Snapshot) -> bool:
-        """Compute the stresses of a state, if the case wants them. Collective."""
-        if self._asked(snapshot):
-            state = snapshot.state
-            found = self._recovery.stresses(
-                state.contact.pressure, self._case.friction, state.shape
-            )
-            points = np.empty((len(self.points), 6))
-            grid = np.full((*self._of_grid.shape, 6), np.nan)
-            for i, body in enumerate(found):
-                own = np.count_nonzero(self._of_points == i)
-                points[self._of_points == i] = body.points[:own]
-                grid[self._of_grid == i] = body.points[own:]
-            surface, largest = (
-                (found[0].surface, found[1].surface),
-                (found[0].largest, found[1].largest),
-            )
-            for i, body in enumerate(found):
-                body.interfaces[self._worn_away(i, state.wear[i])] = np.nan
-            self.states.append(
-                StressState(
-                    snapshot.progress.steps, state.time, points, grid, surface, largest,
-                    (found[0].interfaces, found[1].interfaces),
-                )
-            )  # fmt: skip
-        return False
+    def at(self, case: Case, step: int, state: State) -> StressState:
+        """Return the stresses of a state after so many steps. Collective on comm.
+
+        Raises
+        ------
+        ComputationError : the wear leaves too little of a body, or a factorisation failed.
+        """
+        found = self._recovery.stresses(state.contact.pressure, case.friction, state.shape)
+        points = np.empty((len(self.points), 6))
+        grid = np.full((*self._of_grid.shape, 6), np.nan)
+        for i, body in enumerate(found):
+            own = np.count_nonzero(self._of_points == i)
+            points[self._of_points == i] = body.points[:own]
+            grid[self._of_grid == i] = body.points[own:]
+        surface, largest = (
+            (found[0].surface, found[1].surface),
+            (found[0].largest, found[1].largest),
+        )
+        for i, body in enumerate(found):
+            body.interfaces[self._worn_away(i, state.wear[i])] = np.nan
+        along = found[0].interfaces, found[1].interfaces
+        layers = found[0].layers, found[1].layers
+        return StressState(step, float(state.time), points, grid, surface, largest, along, layers)
+
+    def history(self, states: tuple[StressState, ...]) -> StressHistory:
+        """Return the stresses of some states, and where they are."""
+        return StressHistory(self.points, self.grid, self._exclude, self.interfaces, states)
 
     def _worn_away(self, i: int, wear: FloatArray) -> BoolArray:
         """Tell which elements wear has reached, of the interfaces of a body, on both their sides.
@@ -99,3 +104,40 @@ class StressObserver:
         gone = wear >= self._case.layer_ends(i) * (1.0 - ROUND_OFF)
         worn[:, :, under] = gone[:, None, element[under]]
         return worn
+
+
+class StressObserver:
+    """Keeps the stresses of the stored states that a case asks for.
+
+    Parameters
+    ----------
+    case : one with [stress].
+    stresses : of it; calls are collective on their communicator.
+    last_stored : s, time of the last stored state of an interrupted history; negative: none.
+    points_only : keep no grids and no faces.
+    """
+
+    def __init__(
+        self,
+        case: Case,
+        stresses: CaseStresses,
+        last_stored: float = -1.0,
+        *,
+        points_only: bool = False,
+    ) -> None:
+        assert case.stress is not None
+        self._case, self._stresses, self._points_only = case, stresses, points_only
+        self._asked = Asked(case, case.stress.times, last_stored)
+        #: what was asked for so far
+        self.states: list[StressState] = []
+
+    def __call__(self, snapshot: Snapshot) -> bool:
+        """Compute the stresses of a state, if the case wants them. Collective."""
+        if self._asked(snapshot):
+            state = self._stresses.at(self._case, int(snapshot.progress.steps), snapshot.state)
+            self.states.append(state.without_fields() if self._points_only else state)
+        return False
+
+    def history(self, earlier: tuple[StressState, ...] = ()) -> StressHistory:
+        """Return what was asked for so far, after what an interrupted history had."""
+        return self._stresses.history((*earlier, *self.states))

@@ -12,9 +12,9 @@ import numpy as np
 from matplotlib.figure import Figure
 from scipy.stats import norm
 
-from ringwear_par.arrays import IntArray
+from ringwear_par.arrays import FloatArray, IntArray
 from ringwear_par.identification.problem import Experiment, Series
-from ringwear_par.results.drawing import COLOURS
+from ringwear_par.results.drawing import COLOURS, time_unit
 
 if TYPE_CHECKING:
     from ringwear_par.identification.outcome import FitResult
@@ -152,6 +152,14 @@ def _draw_single(
                     ncols=4)  # fmt: skip
 
 
+def _axis(series: Series) -> tuple[FloatArray, str]:
+    """Return where the readings are, and what that is called."""
+    if series.profile:
+        return series.x, "radius (mm)"
+    unit, seconds = time_unit(float(series.x.max()))
+    return series.x / seconds, f"time ({unit})"
+
+
 def _draw(above: Any, below: Any, found: "FitResult", one: _Drawn, quantile: float) -> None:
     experiment, series, part = one.experiment, one.series, one.part
     scale = 1.0 / series.factor
@@ -160,21 +168,22 @@ def _draw(above: Any, below: Any, found: "FitResult", one: _Drawn, quantile: flo
     band = quantile * scale * found.band[part]
     predicted = np.hypot(band, quantile * sd)
     level = f"{100 * found.squares.problem.settings.level:g} %"
-    above.plot(series.x, data, ".", color=_DATA, ms=3, label="data")
+    x, along = _axis(series)
+    above.plot(x, data, ".", color=_DATA, ms=3, label="data")
     for number, own in enumerate(pieces(series, experiment.case.contact)):
         named = number == 0
         for values, shade, what in ((predicted, 0.15, "of readings"), (band, 0.5, "of the model")):
             above.fill_between(
-                series.x[own], (model - values)[own], (model + values)[own], color=_BAND,
+                x[own], (model - values)[own], (model + values)[own], color=_BAND,
                 alpha=shade, lw=0, label=f"{level} {what}" if named else None,
             )  # fmt: skip
-        above.plot(series.x[own], model[own], color=_MODEL, lw=1, label="model" if named else None)
+        above.plot(x[own], model[own], color=_MODEL, lw=1, label="model" if named else None)
     if series.profile:
         above.invert_yaxis()  # downwards is into the body
     below.axhspan(-quantile, quantile, color=_BAND, alpha=0.15, lw=0)
-    below.plot(series.x, residuals, ".", color=_DATA, ms=3)
+    below.plot(x, residuals, ".", color=_DATA, ms=3)
     below.set_ylabel(_RESIDUAL, fontsize=7)
-    below.set_xlabel("radius (mm)" if series.profile else "time (s)", fontsize=8)
+    below.set_xlabel(along, fontsize=8)
     reach = max(4.0, 1.1 * float(np.abs(residuals).max()))
     below.set_ylim(-reach, reach)
     # ticks that change with the height of a panel would leave no room for its label

@@ -24,7 +24,7 @@ from ringwear_par.reports.blocks import (
     Table,
     software,
 )
-from ringwear_par.results.drawing import COLOURS, in_words
+from ringwear_par.results.drawing import COLOURS, in_words, time_unit
 from ringwear_par.results.reading import read_text, reading
 from ringwear_par.results.variables import SOFTWARE
 from ringwear_par.textfiles import read_text as read_file
@@ -247,6 +247,8 @@ def _charts(
     factor: float, quantile: float, profile: bool,
 ) -> list[Chart]:  # fmt: skip
     """Return the charts of a series: readings with the model, and residuals."""
+    unit_of_x, length = ("mm", 1.0) if profile else time_unit(float(np.max(x)))
+    x = x / length
     order = np.argsort(x, kind="stable")
     own, steps = x[order], np.diff(x[order])
     usual = float(np.median(steps[steps > 0])) if (steps > 0).any() else np.inf
@@ -278,7 +280,7 @@ def _charts(
         data += charts.band(broken(own), low, high, told, (f"{told}, from", f"{told}, to"), *style)
     line = charts.line(broken(own), broken(model), "model", 1, line={"color": COLOURS[1]})
     data += [readings, line]
-    below = charts.axis("radius (mm)" if profile else "time (s)")
+    below = charts.axis(f"{'radius' if profile else 'time'} ({unit_of_x})")
     series, unit = label
     upwards = {"autorange": "reversed"} if profile else {}
     whole = f"{experiment}: {series}"

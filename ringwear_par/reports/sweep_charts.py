@@ -14,13 +14,14 @@ from ringwear_par.arrays import FloatArray, IntArray
 from ringwear_par.reports import charts
 from ringwear_par.reports.blocks import Chart, Charts
 from ringwear_par.results.drawing import COLOURS, time_unit
-from ringwear_par.studies.axes import LOG_VALUE, OUTPUTS, spans
+from ringwear_par.studies.axes import LOG_VALUE, spans
 from ringwear_par.studies.effects import Plan, running_median, values_told
 from ringwear_par.studies.ensemble import Ensemble
 from ringwear_par.studies.fan import FEW, Fan, fan_of, labels_of
 from ringwear_par.studies.figures import Choice
+from ringwear_par.studies.finals import final_name, shown
 from ringwear_par.studies.index_bars import IndexBars
-from ringwear_par.studies.sensitivity import SENSITIVE, chosen_cases
+from ringwear_par.studies.sensitivity import chosen_cases
 
 #: cases with a line of their own beside quantiles, and points against a key
 _LINES, _POINTS = 40, 1000
@@ -90,7 +91,7 @@ def _fan(ensemble: Ensemble, chosen: Choice, fan: Fan) -> Chart:
 def _penetration(
     ensemble: Ensemble, cases: IntArray, data: list[dict[str, Any]], unit: str, caption: str
 ) -> Chart:
-    label = OUTPUTS["penetration"][1]
+    label = shown("penetration").label
     y: dict[str, Any] = {"rangemode": "tozero"}
     ends = 1e3 * ensemble.final["penetration"][cases]
     if len(cases) > FEW and spans(ends, LOG_VALUE):
@@ -137,7 +138,7 @@ def _effect(
     ensemble: Ensemble, chosen: Choice, plan: Plan, output: str, rows: IntArray
 ) -> Chart:  # fmt: skip
     key = plan.key
-    factor, label = OUTPUTS[output]
+    factor, label = shown(output).factor, shown(output).label
     if output == "penetration":
         label = f"final {label}"
     values = factor * ensemble.final[output][chosen.cases]
@@ -242,7 +243,7 @@ def _bars(each: IndexBars) -> Chart:
         })  # fmt: skip
         if widths is not None:
             data[-1]["error_x"] = {"type": "data", "array": charts.numbers(widths), "thickness": 1}
-    caption = f"Indices of the {SENSITIVE[each.output]}"
+    caption = f"Indices of the {final_name(each.output)}"
     lines = []
     if each.noise:
         caption += "; dotted: \N{GREEK SMALL LETTER DELTA} of a key without influence"
@@ -251,6 +252,6 @@ def _bars(each: IndexBars) -> Chart:
                   "x1": each.noise, "line": style}]  # fmt: skip
     keys = charts.axis("", autorange="reversed", type="category")
     layout = charts.layout(charts.axis("index", range=[0, 1.05]), keys, shapes=lines)
-    words = f"Bar chart: indices of the {SENSITIVE[each.output]} by key; the table has them"
+    words = f"Bar chart: indices of the {final_name(each.output)} by key; the table has them"
     height = 160 + 55 * len(each.keys)
     return Chart(f"indices-{each.output}".replace("_", "-"), caption, words, data, layout, height)

@@ -19,13 +19,14 @@ from ringwear_par.reports.blocks import (
     software,
 )
 from ringwear_par.results.drawing import in_words
-from ringwear_par.results.variables import HISTORIES
 from ringwear_par.studies.ensemble import Ensemble, read_ensemble
 from ringwear_par.studies.figures import Choice, choose
+from ringwear_par.studies.finals import entry_of, final_name
 from ringwear_par.studies.index_bars import IndexBars, index_bars
-from ringwear_par.studies.results_file import FINAL, told_flags
-from ringwear_par.studies.sensitivity import SENSITIVE, done_cases
+from ringwear_par.studies.results_file import told_flags
+from ringwear_par.studies.sensitivity import done_cases
 from ringwear_par.studies.surrogate import surrogate
+from ringwear_par.studies.swept import axis_of
 from ringwear_par.studies.variations import own_key
 from ringwear_par.textfiles import parse_value
 
@@ -80,12 +81,19 @@ def _summary(ensemble: Ensemble) -> list[Block]:
     done = done_cases(ensemble)
     if done.any():
         rows = [
-            (HISTORIES[name].meaning, HISTORIES[name].unit, *_quantiles(values[done]))
+            (_meaning(name), entry_of(name)[0].stored.unit, *_quantiles(values[done]))
             for name, values in ensemble.final.items()
+            if np.isfinite(values[done]).any()
         ]
         header = ("at the end", "unit", "least", "median", "largest")
         blocks.append(Table("What the cases come to", header, rows))
     return blocks
+
+
+def _meaning(name: str) -> str:
+    final, entry = entry_of(name)
+    which = "" if entry is None else f"; {axis_of(final.stored)} {entry}"
+    return f"{final.stored.meaning.removesuffix(', at the last stored step')}{which}"
 
 
 def _quantiles(values: Any) -> list[str]:
@@ -135,7 +143,7 @@ def _indices(bars: IndexBars) -> Table:
     rows = [(key, *(f"{column[i]:.3f}" for column in columns)) for i, key in enumerate(bars.keys)]
     source = " ".join(bars.source.split())
     noise = f"; of a key without influence {bars.noise:.3f}" if bars.noise else ""
-    return Table(f"Sensitivity of {SENSITIVE[bars.output]}: {source}{noise}", header, rows)
+    return Table(f"Sensitivity of {final_name(bars.output)}: {source}{noise}", header, rows)
 
 
 def _cases(ensemble: Ensemble) -> Table:
@@ -146,7 +154,8 @@ def _cases(ensemble: Ensemble) -> Table:
     if len(shown) < len(here):
         told = f"The first {len(shown)} of {len(here)} cases; cases.csv has all"
     header = ["case", "status", *ensemble.varied]
-    header += [f"{name.replace('_', ' ')} ({HISTORIES[name].unit})" for name in FINAL]
+    finals = ensemble.final
+    header += [f"{name.replace('_', ' ')} ({entry_of(name)[0].stored.unit})" for name in finals]
     remarks = {
         "flags": [", ".join(flags).replace("_", " ") for flags in ensemble.flags],
         "error": ensemble.error,
@@ -159,9 +168,9 @@ def _cases(ensemble: Ensemble) -> Table:
             _number(column[i]) if column.dtype.kind == "f" else in_words(parse_value(column[i]))
             for column in ensemble.varied.values()
         ]
-        finals = [_number(ensemble.final[name][i]) for name in FINAL]
+        ends = [_number(values[i]) for values in finals.values()]
         words = [told[i] for told in remarks.values()]
-        rows.append((ensemble.ids[i], ensemble.status[i], *keys, *finals, *words))
+        rows.append((ensemble.ids[i], ensemble.status[i], *keys, *ends, *words))
     return Table(f"{told}; headers sort", header, rows, sortable=True)
 
 

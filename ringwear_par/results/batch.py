@@ -1,7 +1,7 @@
 """Records histories in lock step by column, and makes their results."""
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
@@ -15,20 +15,29 @@ from ringwear_par.elasticity.pair import ContactPair
 from ringwear_par.errors import reason_of
 from ringwear_par.history.balances import TO_ROUND_OFF, Balances, balances
 from ringwear_par.history.sensitivity import units_of
-from ringwear_par.history.snapshots import BatchSnapshot
+from ringwear_par.history.snapshots import BatchSnapshot, Snapshot
 from ringwear_par.history.state import Progress, State
+from ringwear_par.history.stresses import CaseStresses, StressObserver
 from ringwear_par.history.tangent import variables as derivatives_of
 from ringwear_par.results.checkpoints import take
 from ringwear_par.results.columns import HistoryColumns
-from ringwear_par.results.doubts import Doubt, doubts_at, unstable
+from ringwear_par.results.doubts import (
+    Doubt,
+    doubts_at,
+    infinite_at_interfaces,
+    infinite_stress,
+    unstable,
+)
 from ringwear_par.results.recorder import (
     Recorder,
     attributes,
     derivative_names,
     layer_names_of,
     row,
+    times_through,
 )
 from ringwear_par.results.result import Result
+from ringwear_par.results.stress_variables import point_columns, stress_rows
 from ringwear_par.results.variables import (
     D_PROFILES,
     HISTORIES,
@@ -93,6 +102,8 @@ class BatchRecorder:
     pair : their contact pair.
     keep_ends : whether there are to be results, which hold what it takes to go on.
     derivatives : keys that the histories have derivatives with respect to.
+    stresses : returns what has the stresses of a case, None where it asks for none; without it all
+        cases are computed alone.
     """
 
     def __init__(
@@ -101,6 +112,7 @@ class BatchRecorder:
         pair: ContactPair,
         keep_ends: bool = False,
         derivatives: Sequence[str] = (),
+        stresses: Callable[[Case], CaseStresses | None] = lambda case: None,
     ) -> None:
         self._cases, self._pair, self._keep_ends = cases, pair, keep_ends
         output, count = cases[0].output, len(cases)
@@ -124,6 +136,13 @@ class BatchRecorder:
         self._step_error_time = np.zeros(count)
         self._doubts: list[tuple[Doubt, ...]] = [()] * count
         self._ends: list[_End] = []
+        #: of cases that ask for stress; grids and faces are for results alone
+        self._stress = {
+            number: StressObserver(case, own, points_only=not keep_ends)
+            for number, case in enumerate(cases)
+            if (own := stresses(case)) is not None
+        }
+        self._through = np.full((2, count), np.inf)
         self._begun = time.perf_counter()
         self._seconds = 0.0
 
@@ -146,6 +165,8 @@ class BatchRecorder:
             self._judge(snapshot, shown)
         if snapshot.stored.any():
             self._store(snapshot, np.flatnonzero(snapshot.stored))
+            if self._stress:
+                self._add_stresses(snapshot)
         if snapshot.finished.any():
             self._end(snapshot, np.flatnonzero(snapshot.finished))
         self._seconds = time.perf_counter() - self._begun
@@ -180,18 +201,38 @@ class BatchRecorder:
             last[_at(name, snapshot.numbers[ended])] = values[name][_at(name, ended)]
         self._pending[numbers] = 0
 
+    def _add_stresses(self, snapshot: BatchSnapshot) -> None:
+        """Compute the stresses of new stored states that cases ask for."""
+        for place in np.flatnonzero(snapshot.stored).tolist():
+            number, finished = int(snapshot.numbers[place]), bool(snapshot.finished[place])
+            asked = self._cases[number].stress
+            if asked is not None and (finished or asked.times != "last"):
+                self._stress[number](
+                    Snapshot(
+                        snapshot.model, snapshot.state.history(place), None,
+                        Progress(int(snapshot.progress.steps[place])), 0, True, snapshot.passing,
+                        finished,
+                    )
+                )  # fmt: skip
+
     def _end(self, snapshot: BatchSnapshot, ended: IntArray) -> None:
         """Take the last states of histories."""
         numbers, model = snapshot.numbers[ended], snapshot.model
         state = replace(snapshot.state, tangent=None).take(ended)  # derivatives are stored by now
+        if state.through is not None:
+            self._through[:, numbers] = state.through
         errors, elements = (values[ended] for values in model.asymmetry)
         for place, number in enumerate(numbers.tolist()):
             case = self._cases[number]
+            last = state.history(place)
             self._doubts[number] += doubts_at(
                 case, self._pair.line, model.compliance_of(int(ended[place])),
-                state.history(place), self.balances(number),
-                (float(errors[place]), int(elements[place])),
+                last, self.balances(number), (float(errors[place]), int(elements[place])),
             )  # fmt: skip
+            if number in self._stress:
+                found = self._stress[number].history()
+                self._doubts[number] += infinite_stress(case, found, self._pair.line, last)
+                self._doubts[number] += infinite_at_interfaces(case, found)
         if self._keep_ends:
             solver = model.batch.solver
             self._ends.append(
@@ -240,7 +281,35 @@ class BatchRecorder:
             tuple(alone[i].reason if bad else "" for i, bad in enumerate(failed)),
             {name: values for name, values in found.items() if name.startswith("d_")},
             {name: found[name] for name in self._layers},
+            self._stress_columns(alone, offsets, found["time"]),
+            self._each(alone),
         )
+
+    def _stress_columns(
+        self, alone: Mapping[int, Alone], offsets: IntArray, times: FloatArray
+    ) -> dict[str, FloatArray]:
+        """Return what is stored of stresses of all rows; cases ask for the same, or for none."""
+        parts = []
+        for number, observer in self._stress.items():
+            one = alone.get(number)
+            own = times[offsets[number] : offsets[number + 1]]
+            history = observer.history() if one is None else None
+            if one is not None and one.recorder is not None:
+                history = one.recorder.stress
+            parts.append(stress_rows(history or observer.history().none, own))
+        return {name: np.concatenate([part[name] for part in parts]) for name in (parts or [{}])[0]}
+
+    def _each(self, alone: Mapping[int, Alone]) -> dict[str, FloatArray]:
+        """Return what histories have one of."""
+        found = times_through(self._cases[0], self._through.copy())
+        for number, one in alone.items():
+            arrays = {} if one.recorder is None else one.recorder.arrays()
+            for name, values in found.items():
+                values[number] = arrays.get(name, np.nan)
+        if self._stress:
+            points = point_columns(self._stress[0].history())
+            found |= {name: np.tile(at, (len(self._cases), 1)) for name, at in points.items()}
+        return found
 
     def _sorted(self, alone: Mapping[int, Alone]) -> tuple[IntArray, IntArray, dict[str, Any]]:
         """Return number, steps and variables of all rows, by history."""
@@ -377,4 +446,5 @@ class BatchRecorder:
                 name: values[rows] if name in self._rows else values[number]
                 for name, values in columns.layers.items()
             },
+            stress=self._stress[number].history() if number in self._stress else None,
         )  # fmt: skip

@@ -30,6 +30,8 @@ class HistoryColumns:
         ``variables.D_HISTORIES`` and ``D_PROFILES``.
     layers : (rows,), (rows, layers + 1), (rows, n) or (B, n) each, by name, see
         ``variables.LAYERS``.
+    stress : (rows,) or (rows, points) each, by name, see ``stress_variables.stress_rows``.
+    each : (B,) or (B, points) each, by name: when wear got through layers, where points are.
     """
 
     offsets: IntArray
@@ -43,6 +45,8 @@ class HistoryColumns:
     reason: tuple[str, ...]
     derivatives: Mapping[str, FloatArray] = field(default_factory=dict)
     layers: Mapping[str, FloatArray] = field(default_factory=dict)
+    stress: Mapping[str, FloatArray] = field(default_factory=dict)
+    each: Mapping[str, FloatArray] = field(default_factory=dict)
 
     @property
     def count(self) -> int:

@@ -21,7 +21,7 @@ from ringwear_par.history.saving import stores
 from ringwear_par.history.sensitivity import units_of
 from ringwear_par.history.snapshots import Snapshot
 from ringwear_par.history.state import Start, State
-from ringwear_par.history.stresses import StressObserver
+from ringwear_par.history.stresses import CaseStresses, StressObserver
 from ringwear_par.history.tangent import variables as derivatives_of
 from ringwear_par.info import versions
 from ringwear_par.results.checkpoints import restored, take
@@ -33,11 +33,13 @@ from ringwear_par.results.doubts import (
     instability,
 )
 from ringwear_par.results.result import Result, balance_attributes
+from ringwear_par.results.stress_variables import point_columns, stress_rows
 from ringwear_par.results.variables import (
     D_HISTORIES,
     D_PROFILES,
     HISTORIES,
     LAYER_PROFILES,
+    TIMES_THROUGH,
     layer_names,
 )
 from ringwear_par.schedules import in_time, integral
@@ -163,16 +165,30 @@ def attributes(
 def _layer_attributes(case: Case, through: FloatArray | None) -> dict[str, Any]:
     """Return what is told of layers: what they are, and when wear first got through, s or NaN."""
     found: dict[str, Any] = {}
-    for i, (body, ring) in enumerate(zip(("lower", "upper"), case.rings, strict=True)):
+    for body, ring in zip(("lower", "upper"), case.rings, strict=True):
         if ring.layers:
             found[f"layers_{body}"] = ", then ".join(
                 f"{1e3 * layer.thickness:.6g} um of E = {layer.young:.6g} MPa, "
                 f"nu = {layer.poisson:.6g}"
                 for layer in ring.layers
             )
-            time = np.inf if through is None else float(through[i])
-            found[f"time_through_{body}"] = time if np.isfinite(time) else np.nan
-    return found
+    times = times_through(case, through)
+    return found | {name: float(time) for name, time in times.items()}
+
+
+def times_through(case: Case, through: FloatArray | None) -> dict[str, FloatArray]:
+    """Return when wear first got through the layers of each body that has some, s or NaN.
+
+    Parameters
+    ----------
+    through : (2, ...) s, see ``State``.
+    """
+    times = np.full(2, np.inf) if through is None else through
+    return {
+        name: np.where(np.isfinite(time), time, np.nan)
+        for name, time, ring in zip(TIMES_THROUGH, times, case.rings, strict=True)
+        if ring.layers
+    }
 
 
 def _sliding(case: Case, time: float) -> dict[str, Any]:
@@ -199,6 +215,7 @@ class Recorder:
     comm : communicator of its history.
     before : result of the interrupted history that goes on; None: it starts.
     derivatives : keys that the history has derivatives with respect to.
+    stresses : of cases that the history shares them with; None: its own.
     """
 
     def __init__(
@@ -207,6 +224,7 @@ class Recorder:
         comm: MPI.Comm,
         before: Result | None = None,
         derivatives: Sequence[str] = (),
+        stresses: CaseStresses | None = None,
     ) -> None:
         self._case, self._comm = case, comm
         #: where the history goes on, None where it starts
@@ -242,7 +260,8 @@ class Recorder:
         if case.output.boundary != "none":
             self._boundary = BoundaryObserver(case, comm, stored_until)
         if case.stress is not None:
-            self._stress = StressObserver(case, comm, stored_until)
+            own = stresses or CaseStresses(case, comm)
+            self._stress = StressObserver(case, own, stored_until)
 
     def _restore(self, before: Result) -> None:
         """Put the stored rows of an interrupted run back, as far as the case still stores them."""
@@ -350,13 +369,9 @@ class Recorder:
     @property
     def stress(self) -> StressHistory | None:
         """The stresses so far, None where the case asks for none."""
-        if self._stress is None or self._case.stress is None:
+        if self._stress is None:
             return None
-        states = (*self._earlier_stress, *self._stress.states)
-        return StressHistory(
-            self._stress.points, self._stress.grid, self._case.stress.exclude,
-            self._stress.interfaces, states,
-        )  # fmt: skip
+        return self._stress.history(tuple(self._earlier_stress))
 
     @property
     def steps(self) -> IntArray:
@@ -390,7 +405,18 @@ class Recorder:
                 for name, rows in self._derivatives.items()
                 if rows
             },
+            **self._of_sweeps(),
         }
+
+    def _of_sweeps(self) -> dict[str, Any]:
+        """Return what sweeps alone store as arrays."""
+        found: dict[str, Any] = {}
+        if self._last is not None:
+            found |= times_through(self._case, self._last.state.through)
+        if (stress := self.stress) is not None:
+            found |= stress_rows(stress, np.array(self._histories["time"]))
+            found |= point_columns(stress)
+        return found
 
     def result(self, error: str = "") -> Result:
         """Return what is stored so far, and what it takes to go on. Collective on comm.

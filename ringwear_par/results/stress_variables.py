@@ -1,16 +1,24 @@
 """The variables of stored stresses: how a result's file has them."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import h5py
 import numpy as np
 
+from ringwear_par.arrays import FloatArray
 from ringwear_par.elasticity.boundary_fields import BODIES
 from ringwear_par.elasticity.stress_fields import Interfaces, Largest, StressHistory, StressState
 from ringwear_par.elasticity.stress_measures import COMPONENTS, SIDES, max_shear, mises, principal
 from ringwear_par.results.reading import read_array
-from ringwear_par.results.variables import HISTORIES, STEPS_MADE, Variable
+from ringwear_par.results.variables import (
+    HISTORIES,
+    LAYER,
+    STEPS_MADE,
+    UPPER_LAYER,
+    Variable,
+)
 
 _STEP, _TENSOR = ("stress_step",), "rr, tt, zz, rz, rt, tz; tension positive, z upwards"
 STRESS_STEP = Variable(
@@ -103,6 +111,19 @@ def _largest(suffix: str, of: str) -> tuple[Variable, ...]:
 #: of both bodies together, then of each
 MAX_MISES = _largest("", "both rings")
 MAX_MISES_OF = tuple(_largest(f"_{body}", f"the {body} ring") for body in BODIES)
+#: of bodies with layers
+MAX_MISES_LAYERS = tuple(
+    Variable(
+        f"max_mises_{body}_layers", (*_STEP, "layer"), "MPa",
+        f"largest von Mises stress in each layer of the {body} ring, and in the ring itself",
+    )
+    for body in BODIES
+)  # fmt: skip
+#: what sweeps store, at the stored states that stress is asked for of: the largest, and points
+LARGEST_STRESS = {v.name: replace(v, dimensions=("step",)) for v in MAX_MISES}
+LAYER_STRESS = {v.name: replace(v, dimensions=("step", "layer")) for v in MAX_MISES_LAYERS}
+POINT_STRESS = {v.name: replace(v, dimensions=("step", "point")) for v in (MISES, MAX_SHEAR)}
+POINTS = {v.name: v for v in (POINT_R, POINT_Z)}
 
 
 def stress_coordinates(history: StressHistory) -> tuple[str, ...]:
@@ -166,7 +187,53 @@ def stress_variables(history: StressHistory) -> list[tuple[Variable, Any]]:
     found += _columns(MAX_MISES, [state.of_both for state in states])
     for i, variables in enumerate(MAX_MISES_OF):
         found += _columns(variables, [state.largest[i] for state in states])
+    for i, (variable, count) in enumerate(zip(MAX_MISES_LAYERS, history.layers, strict=True)):
+        if count:
+            apart = i == 1 and history.layers[0] not in (0, count)  # as volumes have it
+            axes = (*_STEP, UPPER_LAYER.name if apart else LAYER.name)
+            values = np.array([state.layers[i] for state in states])
+            found.append((replace(variable, dimensions=axes), values))
     return found
+
+
+def stress_rows(history: StressHistory, times: FloatArray) -> dict[str, FloatArray]:
+    """Return what sweeps store of a history, NaN where stress was not asked for.
+
+    Parameters
+    ----------
+    times : (rows,) float, s, of all stored states.
+    """
+    row = {time: i for i, time in enumerate(times.tolist())}
+
+    def kept(of_bodies: Sequence[Any]) -> list[Any]:
+        """Those of bodies with layers."""
+        return [one for one, count in zip(of_bodies, history.layers, strict=True) if count]
+
+    def points(state: StressState) -> tuple[FloatArray, ...]:
+        at = state.points
+        return (mises(at), max_shear(at)) if len(history.points) else ()
+
+    shapes: dict[str, tuple[int, ...]] = dict.fromkeys(LARGEST_STRESS, ())
+    shapes |= {
+        name: (size,)
+        for name, size in zip(kept(list(LAYER_STRESS)), kept(history.layers), strict=True)
+    }
+    if len(history.points):
+        shapes |= dict.fromkeys(POINT_STRESS, (len(history.points),))
+    found = {name: np.full((len(row), *shape), np.nan) for name, shape in shapes.items()}
+    for state in history.states:
+        largest = state.of_both
+        of = largest.mises, largest.r, largest.z, largest.layer
+        values = *of, *kept(state.layers), *points(state)
+        for name, value in zip(found, values, strict=True):
+            found[name][row[state.time]] = value
+    return found
+
+
+def point_columns(history: StressHistory) -> dict[str, FloatArray]:
+    """Return radii and heights of the points, if there are any."""
+    points = zip(POINTS, history.points.T, strict=True)
+    return dict(points) if len(history.points) else {}
 
 
 def _columns(variables: tuple[Variable, ...], places: list[Largest]) -> list[tuple[Variable, Any]]:
@@ -205,12 +272,19 @@ def read_stress(file: h5py.File, sizes: dict[str, int]) -> StressHistory | None:
         [Largest(*row) for row in zip(*(read(v).tolist() for v in variables), strict=True)]
         for variables in MAX_MISES_OF
     ]
+    layers = [  # which may have a dimension of their own
+        read_array(file, variable, {"stress_step": count})
+        if variable.name in file
+        else np.empty((count, 0))
+        for variable in MAX_MISES_LAYERS
+    ]
     states = tuple(
         StressState(
             int(steps[t]), float(times[t]), at_points[t], on_grid[t],
             (surface[0][t], surface[1][t]),
             (largest[0][t], largest[1][t]),
             (lower[1][t], upper[1][t]),
+            (layers[0][t], layers[1][t]),
         )
         for t in range(count)
     )  # fmt: skip

@@ -139,7 +139,12 @@ def _stressed(result: "Result") -> list[str]:
     )
     when = "" if state.time == result.histories["time"][-1] else f" at t = {state.time:g} s"
     beside = f", {exclude:g} mm and more from edges" if exclude else ""
-    return [f"largest von Mises stress{when}{beside}: {told or 'none'}"]
+    by_layer = "".join(
+        f"; {body} by layer {', '.join(f'{value:.5g}' for value in values)} MPa"
+        for body, values in zip(BODIES, state.layers, strict=True)
+        if len(values)
+    )
+    return [f"largest von Mises stress{when}{beside}: {told or 'none'}{by_layer}"]
 
 
 def _worn(found: KeyNumbers) -> list[str]:

@@ -148,11 +148,18 @@ LAYER_VOLUMES = _of_both(
     "worn_volume_{}_layers", ("step", "layer"), "mm3",
     "volume lost by each layer of the {} ring, and by the ring itself",
 )  # fmt: skip
+#: of a history, s; an attribute of its file
+TIMES_THROUGH = _table(
+    *(
+        Variable(
+            f"time_through_{body}", (), "s",
+            f"when wear first got through all layers of the {body} ring; none if it has not",
+        )
+        for body in _BODIES
+    )
+)  # fmt: skip
 #: all of them
 LAYERS = {**LAYER_HISTORIES, **LAYER_VOLUMES, **LAYER_PROFILES}
-#: what sweeps store: cases may have other numbers of layers each
-SWEPT_HISTORIES = {**HISTORIES, **LAYER_HISTORIES}
-SWEPT_PROFILES = {**PROFILES, **LAYER_PROFILES}
 
 # -- derivatives -----------------------------------------------------------------------------------
 

@@ -2,22 +2,19 @@
 
 import math
 import re
+import textwrap
 from typing import Any
 
 import numpy as np
-from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
+from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullLocator
 
 from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.schema import unit_of
 from ringwear_par.results.drawing import plain
 
-#: of the values in results.h5, what is drawn of them: factor and label
-OUTPUTS = {
-    "penetration": (1e3, "penetration (\N{MICRO SIGN}m)"),
-    "worn_volume_lower": (1.0, "worn volume, lower (mm\N{SUPERSCRIPT THREE})"),
-    "worn_volume_upper": (1.0, "worn volume, upper (mm\N{SUPERSCRIPT THREE})"),
-}
 GREY = "0.45"
+#: of a label along the height of a panel
+_LETTERS = 26
 #: values beside each other span so much before their axis is logarithmic
 LOG_VALUE = 100.0
 
@@ -34,6 +31,11 @@ def labelled(name: str) -> str:
     return plain(f"{name} ({unit})" if unit else name)
 
 
+def upright(label: str) -> str:
+    """Return a label in lines that are no longer than a panel is high."""
+    return textwrap.fill(label, _LETTERS)
+
+
 def number_text(value: float, digits: int) -> str:
     """Return a number in so many digits, its exponent short."""
     return re.sub(r"e([+-])0*", lambda e: "e" + e[1].strip("+"), f"{value:.{digits}g}")
@@ -44,6 +46,8 @@ def set_decades(axis: Any, values: FloatArray) -> None:
     finite = values[np.isfinite(values)]
     decades = math.log10(float(finite.max()) / float(finite.min()))
     if decades < 2.5:
-        axis.set_major_locator(LogLocator(subs=(1.0, 3.0)))
+        few = MaxNLocator(4, steps=[1, 2, 5, 10])
+        subs = (1.0, 2.0, 5.0) if decades < 1.2 else (1.0, 3.0)
+        axis.set_major_locator(few if decades < 0.7 else LogLocator(subs=subs))
         axis.set_major_formatter(FuncFormatter(lambda value, _: number_text(value, 6)))
         axis.set_minor_locator(NullLocator())

@@ -3,6 +3,7 @@
 import time
 from collections import defaultdict
 from collections.abc import Callable, Hashable, Iterator, Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass, replace
 
 from mpi4py import MPI
@@ -12,6 +13,7 @@ from ringwear_par.contact.batch import has_own_options
 from ringwear_par.elasticity.pair import ContactPair
 from ringwear_par.history.batch import batch_key, can_share, simulate_batch
 from ringwear_par.history.bodies import young
+from ringwear_par.history.limits import stress_numbers
 from ringwear_par.history.simulate import simulate
 from ringwear_par.history.snapshots import Snapshot
 from ringwear_par.results.batch import Alone, BatchRecorder
@@ -19,7 +21,7 @@ from ringwear_par.results.columns import HistoryColumns
 from ringwear_par.results.recorder import Recorder
 from ringwear_par.results.result import Result
 from ringwear_par.results.variables import HISTORIES
-from ringwear_par.studies.lending import SolverLender
+from ringwear_par.studies.lending import Lender
 
 #: numbers of a batch's Hessians, and most histories of it: see ``default_batch``
 _NUMBERS, _MOST = 2**21, 512
@@ -44,6 +46,8 @@ def _block(case: Case, most: int) -> int:
     profiles = case.stored_rows if case.output.profiles == "all" else 1.0
     each = 8.0 * profiles * case.mesh.contact_elements * len(case.output.fields)
     each += 8.0 * case.stored_rows * (len(HISTORIES) + 2)  # with their numbers and steps
+    if case.stress is not None:
+        each += 8.0 * stress_numbers(case)[1]
     return max(min(_BATCHES * most, int(_BLOCK_BYTES / each)), 1)
 
 
@@ -87,6 +91,7 @@ def computed(
     cases: Sequence[Case],
     pair: ContactPair,
     *,
+    lender: Lender | None = None,
     batch: int | None = None,
     stop: Callable[[], bool] = lambda: False,
     keep_ends: bool = False,
@@ -101,6 +106,7 @@ def computed(
     Parameters
     ----------
     cases : that share a contact pair.
+    lender : of the pair, to one rank; None: there is one for these cases alone.
     batch : most histories that step at a time; a block has some times as many.
     stop : asked between two steps, and may answer others meanwhile.
     keep_ends : whether there are to be results.
@@ -116,7 +122,7 @@ def computed(
     for key, numbers in list(together.items()):
         if not can_share(cases[numbers[0]]):
             singles += together.pop(key)
-    with SolverLender(pair, MPI.COMM_SELF) as lender:
+    with nullcontext(lender) if lender else Lender(pair, MPI.COMM_SELF) as lent:
         for numbers in together.values():
             numbers.sort(key=lambda n: young(cases[n]))  # those of the same moduli share a matrix
             most = batch or default_batch(cases[numbers[0]])
@@ -126,28 +132,30 @@ def computed(
                 part = numbers[first : first + size]
                 own = [cases[number] for number in part]
                 times = None if step_times is None else [step_times[n] for n in part]
-                recorder = BatchRecorder(own, pair, keep_ends, derivatives)
+                recorder = BatchRecorder(own, pair, keep_ends, derivatives, lent.stresses)
                 left = simulate_batch(own, pair, recorder, stop, most, derivatives, times)
                 if left is None:
                     return
                 alone = {}
                 for place in sorted(left, key=lambda i: young(own[i])):
                     grid = None if times is None else times[place]
-                    if (one := _alone(own[place], lender, stop, derivatives, grid)) is None:
+                    if (one := _alone(own[place], lent, stop, derivatives, grid)) is None:
                         return
                     alone[place] = one
                 yield Computed(tuple(part), recorder, alone)
         for number in sorted(singles, key=lambda n: young(cases[n])):
             grid = None if step_times is None else step_times[number]
-            if (one := _alone(cases[number], lender, stop, derivatives, grid)) is None:
+            if (one := _alone(cases[number], lent, stop, derivatives, grid)) is None:
                 return
-            recorder = BatchRecorder([cases[number]], pair, derivatives=derivatives)
+            recorder = BatchRecorder(
+                [cases[number]], pair, derivatives=derivatives, stresses=lent.stresses
+            )
             yield Computed((number,), recorder, {0: one})
 
 
 def _alone(
     case: Case,
-    lender: SolverLender,
+    lender: Lender,
     stop: Callable[[], bool],
     derivatives: Sequence[str],
     step_times: Sequence[float] | None,
@@ -163,9 +171,11 @@ def _alone(
 
     error: Exception | None = None
     try:
-        recorder = Recorder(case, MPI.COMM_SELF, derivatives=derivatives)
+        recorder = Recorder(
+            case, MPI.COMM_SELF, derivatives=derivatives, stresses=lender.stresses(case)
+        )
         simulate(
-            case, MPI.COMM_SELF, pair=lender.pair, solver=lender.lend(case),
+            case, MPI.COMM_SELF, pair=lender.pair, solver=lender.solver(case),
             observers=[recorder, asked], derivatives=derivatives, step_times=step_times,
         )  # fmt: skip
     except Exception as failure:  # of the solver, or of a law that is not ours

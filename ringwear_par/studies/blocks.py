@@ -9,14 +9,9 @@ import numpy as np
 from ringwear_par.arrays import FloatArray, IntArray
 from ringwear_par.cases.case import Case
 from ringwear_par.results.columns import HistoryColumns
-from ringwear_par.results.variables import (
-    LAYER_HISTORIES,
-    LAYER_PROFILES,
-    LINE,
-    SWEPT_HISTORIES,
-    SWEPT_PROFILES,
-)
+from ringwear_par.results.variables import LAYER_PROFILES, LINE
 from ringwear_par.studies.index import STATUS, Index, Kind, Piece, Source, index_of
+from ringwear_par.studies.swept import EACH, FIELDS, OPTIONAL, ROWS, sizes_of
 from ringwear_par.studies.texts import Texts
 
 
@@ -32,8 +27,9 @@ class Record:
     error : reason of a failure, "" without one.
     seconds : wall time of the case, assembly excluded.
     imbalance : worst balance or KKT residual of its steps (0 where it has no history).
-    arrays : variables by name: histories (steps,), fields (steps, elements) or (elements,), ``r``
-        and ``width`` (elements,), ``step`` (steps,).
+    arrays : variables by name: histories (steps,) or (steps, layers or points), fields
+        (steps, elements) or (elements,), ``r`` and ``width`` (elements,), ``step`` (steps,), what
+        there is one of () or (points,).
     version : of ringwear-par that computed it.
     flags : short names of what makes the answer doubtful.
     """
@@ -55,14 +51,13 @@ class Record:
 
     @property
     def fields(self) -> tuple[str, ...]:
-        """Fields along the contact line that are stored, and what is of bodies with layers."""
-        known = (*SWEPT_PROFILES, *LAYER_HISTORIES)
-        return tuple(name for name in known if name in self.arrays)
+        """What is stored of what not all cases have."""
+        return tuple(name for name in OPTIONAL if name in self.arrays)
 
     @property
     def deep(self) -> bool:
         """Whether they are stored at every stored step."""
-        return any(self.arrays[name].ndim == 2 for name in self.fields)
+        return any(self.arrays[name].ndim == 2 for name in self.fields if name in FIELDS)
 
 
 def piece_of(record: Record, name: str) -> Piece | None:
@@ -70,7 +65,7 @@ def piece_of(record: Record, name: str) -> Piece | None:
     values = record.arrays.get(name)
     if values is None:
         return None
-    if name in LINE or (name in SWEPT_PROFILES and values.ndim == 1):
+    if name in LINE or name in EACH or (name in FIELDS and values.ndim == 1):
         return Piece(values[None])
     return Piece(values, np.array([0, len(values)]))
 
@@ -81,7 +76,10 @@ def index_record(record: Record, source: Source, block: int) -> Index:
         source, block, np.array([record.id.encode()]), np.array([STATUS.index(record.status)]),
         np.array([record.rows]), np.array([len(record.arrays.get("r", ()))]),
         np.array([record.seconds]), np.array([record.imbalance]),
-        [Kind(record.version, record.flags, record.fields, record.deep)],
+        [
+            Kind(record.version, record.flags, record.fields, record.deep,
+                 tuple(sizes_of(record.arrays).items()))
+        ],
         errors={0: record.error} if record.error else {}, longest=len(record.toml.encode()),
     )  # fmt: skip
 
@@ -119,27 +117,25 @@ class Block:
         full = [record for record in records if record.rows]
         deep = any(record.deep for record in full)
         first: dict[str, Any] = full[0].arrays if full else {}
-        n = len(first.get("r", ()))
 
         def rows(name: str) -> Any:
             return np.concatenate([record.arrays[name] for record in full]) if full else np.zeros(0)
 
         def last(name: str) -> FloatArray:
-            nothing = np.full(n, np.nan)
+            nothing = np.full_like(first[name], np.nan)
             return np.array([record.arrays.get(name, nothing) for record in records])
 
         columns = HistoryColumns(
             offsets=np.cumsum([0, *(record.rows for record in records)]),
             steps=rows("step").astype(np.int64),
-            histories={name: rows(name) for name in SWEPT_HISTORIES if name in first},
-            profiles={
-                name: rows(name) if deep else last(name) for name in SWEPT_PROFILES if name in first
-            },
+            histories={name: rows(name) for name in ROWS if name in first},
+            profiles={name: rows(name) if deep else last(name) for name in FIELDS if name in first},
             imbalance=np.array([record.imbalance for record in records]),
             flags=tuple(record.flags for record in records),
             seconds=np.array([record.seconds for record in records]),
             status=tuple(record.status for record in records),
             reason=tuple(record.error for record in records),
+            each={name: last(name) for name in EACH if name in first},
         )
         return cls(
             tuple(record.id for record in records),
@@ -167,13 +163,13 @@ class Block:
         if case.output.times:
             first = columns.offsets[:-1]
             step = np.arange(len(step)) - np.repeat(first, np.diff(columns.offsets))
-        if columns.layers:
+        if columns.layers or columns.stress:
             there = columns.layers.items()
-            share = {name: values for name, values in there if name in LAYER_HISTORIES}
             left = {name: values for name, values in there if name in LAYER_PROFILES}
+            rest = {name: values for name, values in there if name not in left}
             columns = replace(
                 columns,
-                histories={**columns.histories, **share},
+                histories={**columns.histories, **rest, **columns.stress},
                 profiles={**columns.profiles, **left},
             )
         line = {"r": case.line.r, "width": case.line.width}

@@ -2,6 +2,7 @@
 
 import math
 import zlib
+from collections.abc import Mapping
 from typing import Any
 
 import h5py
@@ -9,6 +10,7 @@ import numpy as np
 
 from ringwear_par.results.variables import ELEMENT, Variable
 from ringwear_par.studies.results_file import SAME_STEPS, cases_at_once, power_of_2
+from ringwear_par.studies.swept import AXES
 
 #: of a chunk in the file
 _CHUNK_BYTES = 256e3
@@ -30,8 +32,15 @@ def text_window(kind: Any) -> int:
     return min(WINDOW, cases_at_once(kind.itemsize))
 
 
-def make_scales(file: h5py.File, ids: Any, steps: int, elements: int) -> None:
-    """Make the dimensions; ``step`` is numbered, until it is known to be the same in all cases."""
+def make_scales(
+    file: h5py.File, ids: Any, steps: int, elements: int, axes: Mapping[str, int]
+) -> None:
+    """Make the dimensions; ``step`` is numbered, until it is known to be the same in all cases.
+
+    Parameters
+    ----------
+    axes : sizes of those beside cases, steps and elements.
+    """
     kind = text_dtype(ids.dtype.itemsize)
     file.create_dataset("case", data=ids.astype(kind), dtype=kind)
     meaning = "case, by its content"
@@ -41,7 +50,10 @@ def make_scales(file: h5py.File, ids: Any, steps: int, elements: int) -> None:
     file["step"].attrs.update({"units": "1", "long_name": meaning, SAME_STEPS: 0})
     file.create_dataset("element", data=np.arange(elements))
     file["element"].attrs.update(ELEMENT.attributes)
-    for name in ("case", "step", "element"):
+    for name, size in axes.items():
+        file.create_dataset(name, data=np.arange(size))
+        file[name].attrs.update(AXES[name].attributes)
+    for name in ("case", "step", "element", *axes):
         file[name].make_scale(name)
 
 

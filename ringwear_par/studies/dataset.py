@@ -24,13 +24,7 @@ from ringwear_par.cases.text import toml_value
 from ringwear_par.cases.values import is_number
 from ringwear_par.errors import InputError
 from ringwear_par.results.hdf5 import atomic_hdf5
-from ringwear_par.results.variables import (
-    HISTORIES,
-    LAYER_HISTORIES,
-    LINE,
-    SWEPT_PROFILES,
-    Variable,
-)
+from ringwear_par.results.variables import HISTORIES, LINE, Variable
 from ringwear_par.studies.case_variables import (
     WINDOW,
     ColumnWriter,
@@ -38,6 +32,14 @@ from ringwear_par.studies.case_variables import (
     make_variable,
     text_dtype,
     text_window,
+)
+from ringwear_par.studies.finals import (
+    BY_SOURCE,
+    FINALS,
+    STRESS_ASKED,
+    entries,
+    entry_of,
+    last_asked,
 )
 from ringwear_par.studies.index import (
     STATUS,
@@ -50,7 +52,6 @@ from ringwear_par.studies.index import (
     telling_damage,
 )
 from ringwear_par.studies.results_file import (
-    FINAL,
     OF_CASES,
     RESULTS,
     SAME_STEPS,
@@ -60,9 +61,11 @@ from ringwear_par.studies.results_file import (
     cases_at_once,
     over_cases,
 )
+from ringwear_par.studies.swept import EACH, FIELDS, ROWS, STRESS
 from ringwear_par.studies.variations import Column, own_key, value_of
 
-_COLUMNS = ("status", "error", *FINAL, "seconds", "in_study", "version", "flags")
+#: of the table, before and after the last values
+_BEFORE, _AFTER = ("status", "error"), ("seconds", "in_study", "version", "flags")
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,22 +115,22 @@ def write_ensemble(folder: Path, listing: Listing, attributes: Mapping[str, Any]
         file.attrs.update({"software": SOFTWARE, **attributes})
         with listed.open("w", newline="", encoding="utf-8") as handle:
             table = csv.writer(handle)
-            table.writerow(("case", *listing.names, *_COLUMNS))
+            table.writerow(("case", *listing.names, *_BEFORE, *writer.finals, *_AFTER))
             for rows in writer.rows():
                 table.writerows(rows)
-        meanings.write_text(_meanings(listing.names), encoding="utf-8")
+        meanings.write_text(_meanings(listing.names, list(writer.finals)), encoding="utf-8")
 
 
-def _meanings(names: Sequence[str]) -> str:
+def _meanings(names: Sequence[str], finals: Sequence[str]) -> str:
     """Return units and meanings of the table's columns (W3C, Metadata for Tabular Data)."""
-    finals = {name: OF_CASES[f"final_{name}"] for name in FINAL}
+    told = {name: entry_of(name)[0].stored for name in finals}
     columns = [{"titles": "case", "dc:description": "id of the case, of its content"}]
     for name in names:
         key = own_key(name)
         unit = {"schema:unitText": unit_of(name)} if unit_of(name) else {}
         columns.append({"titles": name, "dc:description": key.meaning, **unit})
-    for name in _COLUMNS:
-        variable = finals.get(name) or OF_CASES[name]
+    for name in (*_BEFORE, *finals, *_AFTER):
+        variable = told.get(name) or OF_CASES[name]
         unit = {} if variable.unit == "1" else {"schema:unitText": variable.unit}
         columns.append({"titles": name, "dc:description": variable.meaning, **unit})
     table = {
@@ -157,7 +160,8 @@ class _Writer:
         self._deep = any(kind.deep for kind in self._kinds)
         self._rows = self._of_cases(index.rows, 0)
         self._elements = self._of_cases(index.elements, 0)
-        self._final = {name: np.full(len(entry), np.nan) for name in FINAL}
+        #: by name, (cases,) or (cases, layers or points)
+        self._final: dict[str, FloatArray] = {}
         #: raw values of the varied keys of the cases that the columns do not have
         self._looked_up: list[tuple[Any, ...]] = []
         # cases that are stored together are read together
@@ -165,8 +169,26 @@ class _Writer:
         self._block = self._of_cases(np.unique(stored, return_inverse=True)[1], -1)
         make_scales(
             file, listing.ids, int(self._rows.max(initial=0)) or 1,
-            int(self._elements.max(initial=0)) or 1,
+            int(self._elements.max(initial=0)) or 1, self._axes,
         )  # fmt: skip
+
+    @property
+    def finals(self) -> dict[str, FloatArray]:
+        """The last values of cases by the names of the table's columns."""
+        found: dict[str, FloatArray] = {}
+        for name in FINALS:
+            if name in self._final:
+                found |= entries(FINALS[name], self._final[name])
+        return found
+
+    @property
+    def _axes(self) -> dict[str, int]:
+        """Sizes of the axes beside steps and elements."""
+        found: dict[str, int] = {}
+        for kind in self._kinds:
+            for axis, size in kind.sizes:
+                found[axis] = max(size, found.get(axis, 0))
+        return found
 
     def _of_cases(self, values: Any, otherwise: Any) -> Any:
         """Return what the index has of each case."""
@@ -195,12 +217,12 @@ class _Writer:
         file, entry, place = self._file, self._listing.entry, self._listing.index.place
         fields = {name for kind in self._kinds for name in kind.fields}
         variables = [
-            *HISTORIES.values(),
-            *(variable for name, variable in LAYER_HISTORIES.items() if name in fields),
+            *(v for name, v in ROWS.items() if name in HISTORIES or name in fields),
             *LINE.values(),
+            *(variable for name, variable in EACH.items() if name in fields),
             *(
                 variable if self._deep else variable.at_last_step()
-                for name, variable in SWEPT_PROFILES.items()
+                for name, variable in FIELDS.items()
                 if name in fields
             ),
         ]
@@ -210,6 +232,7 @@ class _Writer:
         common = _CommonSteps()
         for start in range(0, max(len(entry), 1), window):
             stop = min(start + window, len(entry))
+            asked = self._rows[start:stop] - 1
             blocks = list(self._blocks(start, stop, full=True))
             for source, block, cases in blocks:
                 piece = read_stored(source, block, "step")
@@ -222,10 +245,11 @@ class _Writer:
                     if piece is not None:
                         places = place[entry[cases]]
                         put(table, cases - start, piece, places, self._rows[cases])
-                if name in FINAL:
-                    some = np.flatnonzero(self._rows[start:stop])
-                    last = self._rows[start + some] - 1
-                    self._final[name][start + some] = table[some, last]
+                if name == STRESS_ASKED:
+                    asked = last_asked(table)
+                if name in BY_SOURCE:
+                    last = asked if name in STRESS else self._rows[start:stop] - 1
+                    self._take_last(name, start, table, last)
                 if not start:
                     own = over_cases(variable)
                     columns[name] = ColumnWriter(
@@ -238,6 +262,14 @@ class _Writer:
             file["step"].attrs["long_name"] = "number of time steps made"
             file["step"].attrs[SAME_STEPS] = 1
 
+    def _take_last(self, source: str, start: int, table: FloatArray, last: IntArray) -> None:
+        """Take the last values of a window of cases."""
+        final = BY_SOURCE[source]
+        values = final.of(table, last)
+        if not start:
+            self._final[final.name] = np.full((len(self._there), *values.shape[1:]), np.nan)
+        self._final[final.name][start : start + len(values)] = values
+
     def write_cases(self) -> None:
         """Write what cases have one of each, and the varied keys."""
         self._write_texts()
@@ -249,9 +281,11 @@ class _Writer:
             ("imbalance", self._of_cases(index.imbalance, np.nan)),
             ("steps_stored", self._rows),
             ("elements", self._elements),
-            *((f"final_{name}", values) for name, values in self._final.items()),
         ):
             make_variable(file, OF_CASES[name], values.dtype, WINDOW)[:] = values
+        for name, values in self._final.items():
+            if FINALS[name].stored.name not in file:
+                make_variable(file, FINALS[name].stored, float, WINDOW)[:] = values
         self._write_varied()
 
     @cached_property
@@ -347,7 +381,7 @@ class _Writer:
                 + [_shown(row[i]) for row in more]
                 for i, column in enumerate(listing.columns)
             ]
-            finals = [self._final[name][here].tolist() for name in FINAL]
+            finals = [values[here].tolist() for values in self.finals.values()]
             yield zip(
                 _texts(listing.ids[here]),
                 *varied,

@@ -115,15 +115,17 @@ def read_draft(source: Path | str | Mapping[str, Any]) -> Draft:
     else:
         names = tuple(v.name for v in variations)
         columns = drawn(name, variations, method, design)
-    if base.get("output.boundary", "none") != "none" or "output.boundary" in names:
+    asked = dict(zip(names, (column.there for column in columns), strict=True))
+    boundary = asked.get("output.boundary", [base.get("output.boundary", "none")])
+    if unknown := [value for value in boundary if value != "none"]:
         raise InputError(
-            f"{name}: output.boundary: must be absent from a study and its case; fields on whole "
-            "boundaries are stored by ringwear run only"
+            f"{name}: output.boundary = {shortened(unknown[0])}: fields on whole boundaries are "
+            'stored by ringwear run only; must be absent from the case, or "output.boundary" = '
+            '{ values = ["none"] } in [vary]'
         )
-    if any(path.startswith("stress.") for path in (*base, *names)):
+    if varied := [key for key in names if key.startswith("stress.")]:
         raise InputError(
-            f"{name}: [stress]: must be absent from a study and its case; stresses are stored by "
-            "ringwear run only"
+            f"{name}: {varied[0]}: must not vary; what [stress] asks for is that of the base case"
         )
     found = tuple(  # files are relative to the study
         column.mapped(partial(_found, key, folder)) if column.numbers is None else column

@@ -9,12 +9,7 @@ from functools import lru_cache
 import numpy as np
 
 from ringwear_par.arrays import FloatArray
-from ringwear_par.results.variables import (
-    LAYER_HISTORIES,
-    LINE,
-    SWEPT_HISTORIES,
-    SWEPT_PROFILES,
-)
+from ringwear_par.results.variables import HISTORIES, LAYER_HISTORIES, LINE
 from ringwear_par.studies.blocks import Record, piece_of
 from ringwear_par.studies.connections import ReadFile, columns_there
 from ringwear_par.studies.index import (
@@ -26,6 +21,7 @@ from ringwear_par.studies.index import (
     index_of,
     split_flags,
 )
+from ringwear_par.studies.swept import FIELDS, OPTIONAL
 
 COLUMNS = (
     "id", "toml", "status", "error", "seconds", "imbalance", "layout", "data", "version", "flags",
@@ -82,9 +78,9 @@ def _layout(text: str) -> dict[str, tuple[int, ...]]:
         steps, elements = (shapes.get(name, (0,)) for name in ("time", "r"))
         flat = len(steps) == len(elements) == 1
         allowed = {
-            **dict.fromkeys(("step", *SWEPT_HISTORIES), (steps,)),
+            **dict.fromkeys(("step", *HISTORIES, *LAYER_HISTORIES), (steps,)),
             **dict.fromkeys(LINE, (elements,)),
-            **dict.fromkeys(SWEPT_PROFILES, (elements, steps + elements)),
+            **dict.fromkeys(FIELDS, (elements, steps + elements)),
         }
         fit = flat and all(shape in allowed[name] for name, shape in shapes.items())
         whole = all(isinstance(n, int) and n >= 0 for shape in shapes.values() for n in shape)
@@ -135,7 +131,7 @@ def read_cases(
         except ValueError:
             bad.append(row)
             continue
-        fields = tuple(n for n in (*SWEPT_PROFILES, *LAYER_HISTORIES) if n in shapes)
+        fields = tuple(name for name in OPTIONAL if name in shapes)
         deep = any(len(shapes[name]) == 2 for name in fields)
         steps, elements = (shapes.get(name, (0,))[0] for name in ("time", "r"))
         parts.append(

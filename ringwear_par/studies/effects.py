@@ -12,13 +12,14 @@ from ringwear_par.results.drawing import COLOURS, DASHES, in_words, plain, set_l
 from ringwear_par.studies.axes import (
     GREY,
     LOG_VALUE,
-    OUTPUTS,
     labelled,
     number_text,
     set_decades,
     spans,
+    upright,
 )
 from ringwear_par.studies.designs import SAMPLED
+from ringwear_par.studies.finals import shown
 from ringwear_par.studies.sensitivity import SEED
 from ringwear_par.textfiles import parse_value
 
@@ -34,11 +35,20 @@ _SHARE = 0.25
 
 @dataclass(frozen=True)
 class Key:
-    """A varied key of the cases drawn: numbers, or codes of categories; NaN where there is none."""
+    """A varied key of the cases drawn.
+
+    Parameters
+    ----------
+    name : of the key.
+    values : (cases,) numbers, or codes of categories; NaN where there is none.
+    categories : in words.
+    by_log : whether the design spaces it by logarithms; None: it has no spacing.
+    """
 
     name: str
     values: FloatArray
     categories: tuple[str, ...]
+    by_log: bool | None = None
 
     @property
     def label(self) -> str:
@@ -53,6 +63,8 @@ class Key:
     @property
     def logarithmic(self) -> bool:
         """Whether its axis is."""
+        if self.by_log is not None and self.differs and spans(self.values, 1.0):
+            return self.by_log
         if self.categories or not spans(self.values, _LOG_KEY):
             return False
         known = self.values[np.isfinite(self.values)]  # spread evenly, they stay on a plain axis
@@ -96,10 +108,10 @@ class Plan:
         return -(-len(self.labels) // self.columns) + len(self.title.splitlines())
 
 
-def key_of(name: str, column: Any) -> Key:
+def key_of(name: str, column: Any, by_log: bool | None = None) -> Key:
     """Return a varied key of some cases."""
     if column.dtype.kind == "f":
-        return Key(name, column, ())
+        return Key(name, column, (), by_log)
     words = list(dict.fromkeys(column))
     codes = {word: float(i) for i, word in enumerate(words)}
     values = np.array([codes[word] for word in column])
@@ -169,15 +181,14 @@ def draw_effects(
     panels = part.subplots(*shape, squeeze=False, sharex=share[0], sharey=share[1])
     panels = panels.T if transposed else panels
     for row, (output, final) in enumerate(finals.items()):
-        factor, label = OUTPUTS[output]
-        values = factor * final
+        values, label = shown(output).factor * final, shown(output).label
         for column, plan in enumerate(plans):
             axes = panels[row, column]
             _draw_panel(axes, plan, values, legend=row == 0)
             if row == len(panels) - 1 or transposed:
                 axes.set_xlabel(plan.key.label)
             if column == 0:
-                axes.set_ylabel(f"final {label}" if output == "penetration" else label)
+                axes.set_ylabel(upright(f"final {label}" if output == "penetration" else label))
         if spans(values, LOG_VALUE):
             for axes in panels[row]:
                 axes.set_yscale("log")

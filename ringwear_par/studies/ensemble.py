@@ -1,6 +1,7 @@
 """The results of a sweep, to be looked at: with xarray, or variable by variable."""
 
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -18,17 +19,19 @@ from ringwear_par.results.reading import (
     read_text,
     reading,
 )
-from ringwear_par.results.variables import HISTORIES, LINE, SWEPT_PROFILES, Variable
+from ringwear_par.results.variables import HISTORIES, LINE, Variable
+from ringwear_par.studies.finals import FINAL, FINALS, entries
 from ringwear_par.studies.index import split_flags
 from ringwear_par.studies.results_file import (
-    FINAL,
     OF_CASES,
     RESULTS,
     SOFTWARE,
     WHAT,
     over_cases,
 )
-from ringwear_par.studies.variations import path_of
+from ringwear_par.studies.swept import FIELDS, ROWS
+from ringwear_par.studies.variations import path_of, read_variations
+from ringwear_par.textfiles import parse_toml
 
 if TYPE_CHECKING:
     import xarray
@@ -46,7 +49,7 @@ class Ensemble:
     seconds : (cases,) float.
     steps_stored : (cases,) int.
     varied : values by varied key, (cases,) float, or str where they are not numbers.
-    final : last stored values of FINAL, (cases,) float, NaN where nothing is stored.
+    final : last stored values by name, (cases,) float, see ``finals``; NaN where nothing is stored.
     attributes : of the file: ``method`` of the design, ``study``, ``status``, versions.
     flags : what makes the answer of a case doubtful, (cases,).
     """
@@ -63,8 +66,25 @@ class Ensemble:
     attributes: dict[str, Any]
     flags: tuple[tuple[str, ...], ...] = ()
 
+    @cached_property
+    def spacings(self) -> dict[str, tuple[bool, tuple[float, float]]]:
+        """Of the keys that the design varies by ranges: whether by logarithms, and the ends."""
+        try:
+            tables = parse_toml(read_text(self.attributes["study"]), "study")
+        except (InputError, KeyError, ValueError):
+            return {}
+        vary, design = tables.get("vary"), tables.get("design", {})
+        if not isinstance(vary, dict) or not isinstance(design, dict):
+            return {}
+        varied = read_variations("study", vary, str(design.get("method", "grid")), [])
+        return {
+            each.name: (each.spacing == "log", (each.values[0], each.values[1]))
+            for each in varied
+            if each.spacing != "values"
+        }
+
     def histories(self, name: str, cases: IntArray) -> FloatArray:
-        """Read the histories of some cases (increasing numbers), (len(cases), steps).
+        """Read the histories of some cases (increasing numbers), (len(cases), steps, ...).
 
         Raises
         ------
@@ -72,7 +92,7 @@ class Ensemble:
         """
         with reading(self.path, SOFTWARE, WHAT) as file:
             sizes = {"case": len(self.ids)}
-            return find_array(file, over_cases(HISTORIES[name]), sizes)[cases]
+            return find_array(file, over_cases(ROWS[name]), sizes)[cases]
 
     def text(self, case: int) -> str:
         """Read a case as a case file.
@@ -94,11 +114,11 @@ class Ensemble:
         ------
         InputError : the file is damaged.
         """
-        variable = {**LINE, **SWEPT_PROFILES}[name]
+        variable = {**LINE, **FIELDS}[name]
         with reading(self.path, SOFTWARE, WHAT) as file:
             if name not in file:
                 return None
-            if name in SWEPT_PROFILES and file[name].ndim == 2:
+            if name in FIELDS and file[name].ndim == 2:
                 variable = variable.at_last_step()
             return find_array(file, over_cases(variable), {"case": len(self.ids)})[cases]
 
@@ -138,9 +158,17 @@ def read_ensemble(folder: Path) -> Ensemble:
             path, ids, status, error, np.array([word == "yes" for word in in_study]),
             read_array(file, OF_CASES["seconds"], sizes), stored,
             {name: _varied(file, name, sizes) for name in attributes["coordinates"].split()},
-            {name: read_array(file, OF_CASES[f"final_{name}"], sizes) for name in FINAL},
-            attributes, _flags(file, sizes),
+            _final(file, sizes), attributes, _flags(file, sizes),
         )  # fmt: skip
+
+
+def _final(file: h5py.File, sizes: dict[str, int]) -> dict[str, FloatArray]:
+    """Return the last values that all cases have, and those others that are stored."""
+    found: dict[str, FloatArray] = {}
+    for final in FINALS.values():
+        if final.name in FINAL or final.stored.name in file:
+            found |= entries(final, read_array(file, final.stored, sizes))
+    return found
 
 
 def _flags(file: h5py.File, sizes: dict[str, int]) -> tuple[tuple[str, ...], ...]:

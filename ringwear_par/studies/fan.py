@@ -8,9 +8,10 @@ import numpy as np
 
 from ringwear_par.arrays import FloatArray, IntArray
 from ringwear_par.results.drawing import COLOURS, DASHES, plain, set_legend, time_unit
-from ringwear_par.studies.axes import GREY, LOG_VALUE, OUTPUTS, spans
+from ringwear_par.studies.axes import GREY, LOG_VALUE, spans
 from ringwear_par.studies.effects import Key, values_told
 from ringwear_par.studies.ensemble import Ensemble
+from ringwear_par.studies.finals import shown
 from ringwear_par.studies.sensitivity import chosen_cases
 
 #: so few cases are drawn one by one
@@ -121,7 +122,7 @@ def _finish_fan(axes: Any, unit: str) -> None:
     axes.set_xlim(0.0, axes.dataLim.x1)
     axes.set_ylim(bottom=min(0.0, axes.dataLim.y0))
     axes.set_xlabel(f"time ({unit})")
-    axes.set_ylabel(OUTPUTS["penetration"][1])
+    axes.set_ylabel(shown("penetration").label)
 
 
 def _fan_table(ensemble: Ensemble, cases: IntArray) -> tuple[FloatArray, FloatArray, bool]:

@@ -33,6 +33,8 @@ log = logging.getLogger(__name__)
 #: keys that are drawn: with more of them the figure is of no use
 _MOST_KEYS = 8
 _COLUMNS, _PANEL, _WIDTH = 4, (2.3, 2.1), 7.2
+#: indices beside the histories where there are more than a row of them, which has one more
+_BARS = 2
 #: inches of a line of a legend
 _LINE = 0.18
 
@@ -102,7 +104,10 @@ def choose(ensemble: Ensemble, regressions: Surrogate | None, bars: Sequence[Ind
     """
     drawn = _drawn(ensemble)
     outputs = outputs_of(ensemble, drawn)
-    varied = [key_of(name, values[drawn]) for name, values in ensemble.varied.items()]
+    varied = [
+        key_of(name, values[drawn], ensemble.spacings.get(name, (None,))[0])
+        for name, values in ensemble.varied.items()
+    ]
     varied = [key for key in varied if key.differs] or varied
     names = most_important([key.name for key in varied], bars, _MOST_KEYS)
     keys = [key for key in varied if key.name in names]
@@ -135,7 +140,8 @@ def draw_sweep(ensemble: Ensemble, regressions: Surrogate | None = None) -> Figu
         (len(outputs), len(block)) if len(keys) > 1 else (1, len(outputs)) for block in blocks
     ]
     with matplotlib.rc_context(STYLE):
-        heights = [max(2.6, 1.8 + 0.3 * len(keys)) if bars else 2.6]
+        top, *more = _bars_by_row(bars)
+        heights = [max(2.6, 1.8 + 0.3 * len(keys)) if bars else 2.6] * (1 + len(more))
         for block, (rows, _) in zip(blocks, shapes, strict=True):
             heights.append(_PANEL[1] * rows + 0.3 + _LINE * max(plan.lines for plan in block))
         if below is not None:
@@ -147,12 +153,18 @@ def draw_sweep(ensemble: Ensemble, regressions: Surrogate | None = None) -> Figu
         figure = Figure(figsize=(width, sum(heights) + 0.3), layout="constrained")
         figure.suptitle(chosen.told, fontsize=9.0)
         parts: Any = figure.subfigures(len(heights), 1, height_ratios=heights, squeeze=False)[:, 0]
-        _draw_top(parts[0], ensemble, drawn, keys, bars)
-        for part, block, shape in zip(parts[1 : 1 + len(blocks)], blocks, shapes, strict=True):
+        _draw_top(parts[0], ensemble, drawn, keys, top)
+        for part, row in zip(parts[1:], more, strict=False):
+            panels = part.subplots(1, _BARS + 1)
+            _draw_bars(panels[: len(row)], row, keys)
+            for axes in panels[len(row) :]:
+                axes.remove()
+        parts = parts[1 + len(more) :]
+        for part, block, shape in zip(parts[: len(blocks)], blocks, shapes, strict=True):
             values = {name: ensemble.final[name][drawn] for name in outputs}
             draw_effects(part, block, values, shape, transposed=len(keys) == 1)
         if below is not None:
-            below.draw(parts[1 + len(blocks) :])
+            below.draw(parts[len(blocks) :])
     return figure
 
 
@@ -196,7 +208,19 @@ def _draw_top(
         draw_fan(panels[0], ensemble, drawn, 2 if bars else 4)
     else:
         draw_histories(panels[0], ensemble, drawn, keys)
-    for number, (axes, each) in enumerate(zip(panels[1:], bars, strict=True)):
+    _draw_bars(panels[1:], bars, keys)
+
+
+def _bars_by_row(bars: Sequence[IndexBars]) -> list[Sequence[IndexBars]]:
+    """Return those beside the histories, and rows of the rest."""
+    if len(bars) <= _BARS + 1:
+        return [bars]
+    rest = range(_BARS, len(bars), _BARS + 1)
+    return [bars[:_BARS], *(bars[start : start + _BARS + 1] for start in rest)]
+
+
+def _draw_bars(panels: Any, bars: Sequence[IndexBars], keys: Sequence[Key]) -> None:
+    for number, (axes, each) in enumerate(zip(panels, bars, strict=True)):
         each.draw(axes, [key.name for key in keys])
         if number and each.keys == bars[0].keys:
             axes.tick_params(labelleft=False)

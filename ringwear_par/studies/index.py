@@ -125,14 +125,16 @@ class Kind(NamedTuple):
     ----------
     version : of ringwear-par that computed them.
     flags : short names of what makes their answers doubtful.
-    fields : the fields along the contact line that are stored.
+    fields : what is stored of what not all cases have.
     deep : whether they are stored at every stored step.
+    sizes : of the axes beside steps and elements that what is stored has.
     """
 
     version: str
     flags: tuple[str, ...] = ()
     fields: tuple[str, ...] = ()
     deep: bool = False
+    sizes: tuple[tuple[str, int], ...] = ()
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,10 +8,11 @@ import numpy as np
 
 from ringwear_par.arrays import FloatArray
 from ringwear_par.results.drawing import COLOURS, plain, set_legend
+from ringwear_par.studies.axes import upright
 from ringwear_par.studies.ensemble import Ensemble
+from ringwear_par.studies.finals import final_name
 from ringwear_par.studies.predictions import COARSE, Surrogate, told_share
 from ringwear_par.studies.sensitivity import (
-    SENSITIVE,
     done_cases,
     outputs_of,
     sensitivity,
@@ -67,7 +68,7 @@ class IndexBars:
         axes.grid(axis="x", linewidth=0.4, color="0.85")
         axes.set_axisbelow(True)
         axes.set_xlabel("sensitivity index")
-        set_legend(axes, 1, f"{SENSITIVE[self.output]}:\n{self.source}")
+        set_legend(axes, 1, upright(f"{final_name(self.output)}:") + f"\n{self.source}")
 
 
 def index_bars(ensemble: Ensemble, regressions: Surrogate | None) -> tuple[IndexBars, ...]:
@@ -80,7 +81,8 @@ def index_bars(ensemble: Ensemble, regressions: Surrogate | None) -> tuple[Index
     outputs = outputs_of(ensemble, done_cases(ensemble))
     if regressions is not None and len(regressions.parts[0].keys) > 1:
         part = regressions.parts[0]
-        errors = {name: part.responses[name].relative_error for name in outputs}
+        there = [name for name in outputs if name in part.responses]
+        errors = {name: part.responses[name].relative_error for name in there}
         good = [name for name, error in errors.items() if 0.0 < error <= COARSE]
         for each in sobol_indices(part, good) if good else ():
             found[each.output] = IndexBars(

@@ -10,6 +10,7 @@ from mpi4py import MPI
 from ringwear_par.cases.case import Case, need_case
 from ringwear_par.contact.batch import load_batch_kernels
 from ringwear_par.elasticity.pair import ContactPair
+from ringwear_par.elasticity.stress_recovery import load_stress_kernels
 from ringwear_par.errors import InputError
 from ringwear_par.history.bodies import operator_key
 from ringwear_par.history.limits import check_case
@@ -67,6 +68,8 @@ def simulate_all(
             groups[checked].append(number)
     if groups:
         load_batch_kernels(comm)
+        if any(case.stress is not None for case in cases):
+            load_stress_kernels(comm)
     dealt: list[int] = []  # in turn to all ranks, whatever the groups
     waiting: list[tuple[ContactPair, list[int]]] = []
     for numbers in groups.values():

@@ -8,7 +8,7 @@ import numpy as np
 from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.text import shortened, toml_value
 from ringwear_par.errors import InputError, legible
-from ringwear_par.results.variables import HISTORIES
+from ringwear_par.studies.finals import entry_of
 from ringwear_par.studies.regression import Part
 from ringwear_par.studies.responses import DEPTHS, LARGEST
 
@@ -207,4 +207,4 @@ def _as_text(value: Any) -> str:
 
 def unit_of(name: str) -> str:
     """Return the unit of a response."""
-    return HISTORIES[name].unit if name in HISTORIES else "mm"
+    return "mm" if name in (*DEPTHS, *LARGEST) else entry_of(name)[0].stored.unit

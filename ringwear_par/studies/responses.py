@@ -7,7 +7,8 @@ import numpy as np
 from ringwear_par.arrays import FloatArray, IntArray
 from ringwear_par.errors import InputError
 from ringwear_par.studies.ensemble import Ensemble
-from ringwear_par.studies.results_file import FINAL
+from ringwear_par.studies.finals import FINAL, entries, entry_of
+from ringwear_par.studies.swept import ROWS
 
 #: profiles of wear, and their largest values
 DEPTHS = ("wear_lower", "wear_upper")
@@ -24,6 +25,9 @@ def read_responses(
     parts = [cases[start : start + block] for start in range(0, len(cases), block)]
     read = [dict(_read_responses(ensemble, part, times)) for part in parts]
     values = {name: np.concatenate([each[name] for each in read]) for name in read[0]}
+    for name in [name for name in values if name not in (*FINAL, *DEPTHS)]:
+        if not (entry_of(name)[0].smooth and np.isfinite(values[name]).all()):
+            del values[name]
     mid_points = ensemble.profiles("r", cases)
     same = mid_points is not None and np.ptp(mid_points, axis=0).max() <= 1e-9
     for name, largest in zip(DEPTHS, LARGEST, strict=True):
@@ -42,12 +46,14 @@ def _read_responses(
     stored = ensemble.steps_stored[cases]
     if times is None:
         states = None
-        for name in FINAL:
-            yield name, ensemble.final[name][cases]
+        for name, final in ensemble.final.items():
+            yield name, final[cases]
     else:
         states = _States(ensemble.histories("time", cases), stored, times)
-        for name in FINAL:
-            yield name, states.of(ensemble.histories(name, cases))
+        for each in dict.fromkeys(entry_of(name)[0] for name in ensemble.final):
+            if each.source in ROWS:
+                values = states.of(ensemble.histories(each.source, cases))
+                yield from entries(each, values).items()
     for name in DEPTHS:
         table = ensemble.profiles(name, cases)
         if table is None or (table.ndim == 2 and states is not None):

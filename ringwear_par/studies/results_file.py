@@ -17,17 +17,10 @@ from ringwear_par.results.reading import (
     read_words,
     reading,
 )
-from ringwear_par.results.variables import (
-    HISTORIES,
-    LAYER_HISTORIES,
-    LINE,
-    STEP,
-    SWEPT_HISTORIES,
-    SWEPT_PROFILES,
-    Variable,
-)
+from ringwear_par.results.variables import LINE, STEP, Variable
 from ringwear_par.studies.earlier import UNKNOWN_VERSION
 from ringwear_par.studies.index import STATUS, Index, Kind, Piece, index_of, split_flags
+from ringwear_par.studies.swept import AXES, EACH, FIELDS, OPTIONAL, ROWS
 
 SOFTWARE = "ringwear-par sweep"
 #: what messages call the file
@@ -35,8 +28,6 @@ WHAT = "a results file of ringwear sweep"
 RESULTS, TABLE = "results.h5", "cases.csv"
 #: what the columns of the table mean, named as CSV on the Web has it
 TABLE_MEANINGS = "cases.csv-metadata.json"
-#: the last values that cases.csv shows
-FINAL = ("penetration", "worn_volume_lower", "worn_volume_upper")
 #: of what is read or written at once
 _WINDOW_BYTES = 24e6
 #: attribute of ``step``: whether all histories begin with the same numbers of steps made
@@ -60,13 +51,6 @@ OF_CASES = {
         ),
         Variable("steps_stored", ("case",), "1", "number of stored steps", integer=True),
         Variable("elements", ("case",), "1", "number of contact elements", integer=True),
-        *(
-            Variable(
-                f"final_{name}", ("case",), HISTORIES[name].unit,
-                f"{HISTORIES[name].meaning}, at the last stored step",
-            )
-            for name in FINAL
-        ),
     )
 }  # fmt: skip
 
@@ -119,8 +103,8 @@ def _index(path: Path, file: h5py.File) -> Index:
         read_array(file, OF_CASES[name], sizes)
         for name in ("steps_stored", "elements", "seconds", "imbalance")
     )
-    fields = tuple(name for name in (*SWEPT_PROFILES, *LAYER_HISTORIES) if name in file)
-    deep = any(file[name].ndim == 3 for name in fields)
+    fields = tuple(name for name in OPTIONAL if name in file)
+    deep = any(file[name].ndim == 3 for name in fields if name in FIELDS)
     version, flags = (
         read_words(file, name, sizes)
         if name in file
@@ -136,7 +120,10 @@ def _index(path: Path, file: h5py.File) -> Index:
     _, first, which = np.unique(
         np.char.add(np.char.add(version, b"\0x"), flags), return_index=True, return_inverse=True
     )
-    kinds = [Kind(version[i].decode(), split_flags(flags[i].decode()), fields, deep) for i in first]
+    axes = tuple((axis, sizes[axis]) for axis in AXES if axis in sizes)
+    kinds = [
+        Kind(version[i].decode(), split_flags(flags[i].decode()), fields, deep, axes) for i in first
+    ]
     longest = _longest(file["case_toml"])
     each = [math.prod(table.shape[1:]) * table.dtype.itemsize for table in tables.values()]
     stretch = cases_at_once(max(longest, 1, *each))
@@ -167,7 +154,7 @@ class Results:
     Parameters
     ----------
     path : of the file.
-    names : variables that it has over steps and elements.
+    names : variables of a case that it has.
     stretch : number of cases that are read at once.
     """
 
@@ -210,11 +197,11 @@ class Results:
 
 
 def _tables(file: h5py.File, sizes: dict[str, int]) -> dict[str, h5py.Dataset]:
-    """Return the variables over cases and steps or elements."""
+    """Return the variables of a case over all of them."""
     found = {}
-    for name, variable in {**SWEPT_HISTORIES, **LINE, **SWEPT_PROFILES}.items():
+    for name, variable in {**ROWS, **LINE, **FIELDS, **EACH}.items():
         if name in file:
-            last = name in SWEPT_PROFILES and file[name].ndim == 2
+            last = name in FIELDS and file[name].ndim == 2
             own = over_cases(variable.at_last_step() if last else variable)
             found[name] = find_array(file, own, sizes)
     return found

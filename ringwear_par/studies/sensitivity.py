@@ -16,18 +16,13 @@ from scipy.stats import rankdata
 from ringwear_par.arrays import BoolArray, FloatArray, IntArray
 from ringwear_par.studies.designs import SAMPLED
 from ringwear_par.studies.ensemble import Ensemble
+from ringwear_par.studies.finals import drawn, final_name
 
 if TYPE_CHECKING:
     from ringwear_par.studies.regression import Part
 
 log = logging.getLogger(__name__)
 
-#: outputs that have indices
-SENSITIVE = {
-    "penetration": "final penetration",
-    "worn_volume_lower": "final worn volume, lower",
-    "worn_volume_upper": "final worn volume, upper",
-}
 #: of all random choices: the same results give the same figure
 SEED = 1
 #: fewest and most cases, 95 % confidence from so many resamples
@@ -48,7 +43,7 @@ class Sensitivity:
 
     Parameters
     ----------
-    output : "penetration", "worn_volume_lower" or "worn_volume_upper", at the last step.
+    output : name of a final value.
     keys : the varied keys that are numbers.
     used, cases : number of cases that the indices follow from, of so many that are done.
     delta, delta_conf : moment-independent index, (keys,).
@@ -99,13 +94,13 @@ def sensitivity(
         if len(cases) < _FEWEST:
             log.info(
                 "no sensitivity indices of the %s: %d cases are done, at least %d are needed",
-                SENSITIVE[output], len(cases), _FEWEST,
+                final_name(output), len(cases), _FEWEST,
             )  # fmt: skip
             continue
         if _differing(y[cases]) < _FEWEST_DIFFERING:
             log.info(
                 "no sensitivity indices of the %s: it is the same in all cases, or in nearly all",
-                SENSITIVE[output],
+                final_name(output),
             )
             continue
         chosen = chosen_cases(cases, _MOST)
@@ -127,16 +122,8 @@ def sensitivity(
 
 
 def outputs_of(ensemble: Ensemble, cases: BoolArray | IntArray) -> list[str]:
-    """Return the outputs of some cases: without volumes of a body that wears in none of them.
-
-    Where neither body wears that of the lower one is there.
-    """
-    worn = [
-        name
-        for name in ("worn_volume_lower", "worn_volume_upper")
-        if np.nan_to_num(ensemble.final[name][cases]).any()
-    ]
-    return ["penetration", *(worn or ["worn_volume_lower"])]
+    """Return the outputs of some cases, see ``drawn``."""
+    return drawn(ensemble.final, cases)
 
 
 def _delta(x: FloatArray, y: FloatArray) -> tuple[FloatArray, ...]:

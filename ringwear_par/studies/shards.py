@@ -18,7 +18,6 @@ import numpy as np
 
 from ringwear_par.arrays import IntArray
 from ringwear_par.errors import ComputationError
-from ringwear_par.results.variables import LAYER_HISTORIES, LINE, SWEPT_PROFILES
 from ringwear_par.studies.blocks import Block
 from ringwear_par.studies.connections import ReadFile, columns_there, connect
 from ringwear_par.studies.earlier import read_cases
@@ -34,6 +33,7 @@ from ringwear_par.studies.index import (
     is_damage,
     join,
 )
+from ringwear_par.studies.swept import FIELDS, OPTIONAL, is_wide, sizes_of, width
 from ringwear_par.studies.texts import Texts
 
 _SYNC_SECONDS = 1.0
@@ -102,11 +102,14 @@ class Shard:
         layout.update(dict.fromkeys(columns.profiles, _ROWS if block.deep else _EACH))
         arrays.update(block.line)
         layout.update(dict.fromkeys(block.line, _ONCE))
+        arrays.update(columns.each)
+        layout.update(dict.fromkeys(columns.each, _EACH))
         texts = block.texts
         about = {
             "version": block.version,
             "elements": len(block.line.get("r", ())),
             "layout": layout,
+            "sizes": sizes_of(arrays),
             "errors": {i: reason for i, reason in enumerate(columns.reason) if reason},
             "flags": {i: flags for i, flags in enumerate(columns.flags) if flags},
             "longest": texts.longest,
@@ -172,13 +175,13 @@ class _Blocks:
 
     def __init__(self, file: ReadFile) -> None:
         self.path, self._file = file.path, file
-        #: by block: number of elements, layout of the arrays
-        self.layouts: dict[int, tuple[int, dict[str, str]]] = {}
+        #: by block: number of elements, layout of the arrays, sizes of their other axes
+        self.layouts: dict[int, tuple[int, dict[str, str], dict[str, int]]] = {}
         self.offsets: dict[int, IntArray] = {}
 
     def read(self, block: int, name: str) -> Piece | None:
         """Return a variable of the cases of a block; None where it is not stored."""
-        elements, layout = self.layouts[block]
+        elements, layout, sizes = self.layouts[block]
         if name not in layout:
             return None
         query = "SELECT data, crc FROM arrays WHERE block = ? AND name = ?"
@@ -186,8 +189,8 @@ class _Blocks:
         if _checksum([data]) != crc:
             raise ValueError(name)
         values = np.frombuffer(data, dtype=_dtype(name))
-        if name in SWEPT_PROFILES or name in LINE:
-            values = values.reshape(-1, elements)
+        if is_wide(name):
+            values = values.reshape(-1, width(name, elements, sizes))
         return Piece(values, self.offsets[block] if layout[name] == _ROWS else None)
 
     def texts(self, block: int, places: Sequence[int]) -> list[str]:
@@ -286,6 +289,7 @@ def _index_block(
     seconds, imbalance = (np.frombuffer(data) for data in numbers[1:])
     about = json.loads(text)
     elements, layout = about["elements"], about["layout"]
+    axes = about.get("sizes", {})  # which older blocks do not have
     names = np.array(ids.encode().split(b"\n"))
     states = np.frombuffer(status, dtype=np.uint8).astype(np.int64)
     version, longest = about["version"], about["longest"]
@@ -296,17 +300,16 @@ def _index_block(
         raise ValueError(status)
     count = {_ROWS: int(rows.sum()), _EACH: len(names), _ONCE: 1}
     for name, how in layout.items():
-        wide = elements if name in SWEPT_PROFILES or name in LINE else 1
-        if sizes[name] != 8 * wide * count[how]:
+        if sizes[name] != 8 * width(name, elements, axes) * count[how]:
             raise ValueError(name)
     flags = {int(i): tuple(own) for i, own in about["flags"].items()}
-    fields = tuple(name for name in (*SWEPT_PROFILES, *LAYER_HISTORIES) if name in layout)
-    deep = any(layout[name] == _ROWS for name in fields if name in SWEPT_PROFILES)
-    plain = Kind(version, (), fields, deep)
+    fields = tuple(name for name in OPTIONAL if name in layout)
+    deep = any(layout[name] == _ROWS for name in fields if name in FIELDS)
+    plain = Kind(version, (), fields, deep, tuple(axes.items()))
     kinds = [plain] if not flags else [
         plain._replace(flags=flags.get(i, ())) for i in range(len(names))
     ]  # fmt: skip
-    source.layouts[number] = elements, layout
+    source.layouts[number] = elements, layout, axes
     source.offsets[number] = np.concatenate([[0], np.cumsum(rows)])
     return index_of(
         source, number, names, states, rows, np.where(rows > 0, elements, 0), seconds, imbalance,

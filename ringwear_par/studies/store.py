@@ -24,7 +24,8 @@ from ringwear_par.history.balances import Balances
 from ringwear_par.results.checkpoints import restored
 from ringwear_par.results.files import open_result
 from ringwear_par.results.reading import UnreadableError
-from ringwear_par.results.variables import LAYER_VOLUMES
+from ringwear_par.results.stress_variables import point_columns, stress_rows
+from ringwear_par.results.variables import TIMES_THROUGH
 from ringwear_par.studies import results_file, shards
 from ringwear_par.studies.blocks import Record, index_record, piece_of
 from ringwear_par.studies.identities import case_id
@@ -252,8 +253,11 @@ def _interrupted(path: Path) -> Record:
             "r": result.line.r,
             "width": result.line.width,
             **result.profiles,
-            **{name: v for name, v in result.layers.items() if name not in LAYER_VOLUMES},
+            **result.layers,
+            **{name: np.array(about[name]) for name in TIMES_THROUGH if name in about},
         }
+        if result.stress is not None:
+            arrays |= stress_rows(result.stress, arrays["time"]) | point_columns(result.stress)
     except DAMAGE as error:
         raise InputError(f"{path}: is damaged") from error
     return Record(path.stem, result.case, "incomplete", "", seconds, worst, arrays, version)

@@ -14,15 +14,13 @@ import numpy as np
 
 from ringwear_par.arrays import FloatArray, IntArray
 from ringwear_par.errors import InputError, RingwearError, legible
-from ringwear_par.results.reading import read_text
 from ringwear_par.studies.ensemble import Ensemble, read_ensemble
+from ringwear_par.studies.finals import FINAL
 from ringwear_par.studies.predictions import COARSE, Surrogate
 from ringwear_par.studies.regression import Part, fitted, places_between
 from ringwear_par.studies.responses import read_responses
 from ringwear_par.studies.sensitivity import chosen_cases, done_cases
 from ringwear_par.studies.surrogate_file import SURROGATE, read_surrogate, write_surrogate
-from ringwear_par.studies.variations import read_variations
-from ringwear_par.textfiles import parse_toml
 
 if TYPE_CHECKING:
     import xarray
@@ -44,12 +42,14 @@ def surrogate(
 ) -> Surrogate:
     """Return regressions of a sweep's responses over its varied keys. Not collective.
 
-    Responses are ``penetration``, ``worn_volume_lower``, ``worn_volume_upper`` and, where profiles
-    are stored, the largest depths of wear ``largest_wear_lower``, ``largest_wear_upper`` and, where
-    all cases have the same contact elements, the profiles ``wear_lower``, ``wear_upper``. At times
-    these four need profiles of all stored steps (``output.profiles = "all"``). Cases that are not
-    done are left out; of many, 1,000 are chosen at random. The surrogate is kept beside the
-    results, as ``surrogate.h5``, and is made again once these have changed.
+    Responses are ``penetration``, ``worn_volume_lower``, ``worn_volume_upper``, the numbers of
+    layers and of stress that all cases have, at times those that are stored at all steps, and,
+    where profiles are stored, the largest depths of wear ``largest_wear_lower``,
+    ``largest_wear_upper`` and, where all cases have the same contact elements, the profiles
+    ``wear_lower``, ``wear_upper``. At times these four need profiles of all stored steps
+    (``output.profiles = "all"``). Cases that are not done are left out; of many, 1,000 are chosen
+    at random. The surrogate is kept beside the results, as ``surrogate.h5``, and is made again once
+    these have changed.
 
     Keys that are no numbers get a surrogate for each combination of their values. Ranges are those
     of each key alone: where keys of a list vary together, what no case is near is not told.
@@ -87,12 +87,13 @@ def surrogate(
 
 
 def _tell(made: Surrogate) -> None:
-    for name, relative in made.relative_error.items():
-        if relative > COARSE:
-            log.warning(
-                "surrogate: the leave-out error of %s is %.0f %% of its spread; more cases would "
-                "make it smaller", name, 100.0 * relative,
-            )  # fmt: skip
+    coarse = {name: error for name, error in made.relative_error.items() if error > COARSE}
+    if coarse:
+        first, *others = (f"{name} is {100.0 * error:.0f} %" for name, error in coarse.items())
+        log.warning(
+            "surrogate: the leave-out error of %s of its spread%s; more cases would make it "
+            "smaller", first, "".join(f", that of {other}" for other in others),
+        )  # fmt: skip
 
 
 def _ensemble(ensemble: Any) -> Ensemble:
@@ -142,8 +143,8 @@ def _identity(ensemble: Ensemble, times: FloatArray | None) -> str:
 
 def _made(ensemble: Ensemble, times: FloatArray | None) -> Surrogate:
     done = done_cases(ensemble) & (ensemble.steps_stored > 1)
-    done &= np.isfinite(list(ensemble.final.values())).all(axis=0)
-    logarithmic = _spacings(ensemble)
+    done &= np.isfinite([ensemble.final[name] for name in FINAL]).all(axis=0)
+    designed = ensemble.spacings
     texts: list[str] = []
     numbers: list[str] = []
     for name, values in ensemble.varied.items():
@@ -168,7 +169,7 @@ def _made(ensemble: Ensemble, times: FloatArray | None) -> Surrogate:
             )  # fmt: skip
             continue
         chosen = chosen_cases(cases, max(_MOST // len(groups), needed))
-        parts.append(_part(ensemble, combination, keys, logarithmic, chosen, times))
+        parts.append(_part(ensemble, combination, keys, designed, chosen, times))
     if not parts:
         raise InputError(few or f"{ensemble.path}: no case is done; a surrogate needs some")
     return Surrogate(texts, parts, int(ensemble.in_study.sum()), int(done.sum()))
@@ -180,23 +181,6 @@ def _needed(keys: Sequence[str]) -> int:
 
 def _known(values: FloatArray) -> FloatArray:
     return values[np.isfinite(values)]
-
-
-def _spacings(ensemble: Ensemble) -> dict[str, tuple[bool, tuple[float, float]]]:
-    """Return of the keys that the design varies by ranges: whether by logarithms, and the ends."""
-    try:
-        tables = parse_toml(read_text(ensemble.attributes["study"]), "study")
-    except (InputError, KeyError, ValueError):
-        return {}
-    vary, design = tables.get("vary"), tables.get("design", {})
-    if not isinstance(vary, dict) or not isinstance(design, dict):
-        return {}
-    varied = read_variations("study", vary, str(design.get("method", "grid")), [])
-    return {
-        each.name: (each.spacing == "log", (each.values[0], each.values[1]))
-        for each in varied
-        if each.spacing != "values"
-    }
 
 
 def _part(

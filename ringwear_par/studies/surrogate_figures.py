@@ -1,5 +1,6 @@
 """What a surrogate tells, drawn: responses over each key with their error."""
 
+import textwrap
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -13,11 +14,12 @@ from ringwear_par.results.drawing import COLOURS, plain, set_legend
 from ringwear_par.studies.axes import (
     GREY,
     LOG_VALUE,
-    OUTPUTS,
     labelled,
     set_decades,
     spans,
+    upright,
 )
+from ringwear_par.studies.finals import shown
 from ringwear_par.studies.predictions import Surrogate, told_share
 from ringwear_par.studies.regression import Part
 from ringwear_par.studies.sensitivity import SEED
@@ -25,6 +27,8 @@ from ringwear_par.studies.sensitivity import SEED
 #: panels beside each other, places along a key, and points over the other keys at each
 _COLUMNS, _PLACES, _OTHERS = 4, 41, 2**8
 _ROW = 1.9
+#: of a title: inches of a line, and its letters
+_LINE, _LETTERS = 0.15, 100
 
 
 @dataclass(frozen=True)
@@ -48,7 +52,8 @@ class Responses:
     ) -> "Responses | None":
         """Return what is drawn of some outputs over some keys; None if nothing varies."""
         part = surrogate.parts[0]
-        names = tuple(n for n in outputs if part.responses[n].relative_error > 0.0)
+        there = [name for name in outputs if name in part.responses]
+        names = tuple(name for name in there if part.responses[name].relative_error > 0.0)
         over = tuple(i for i, key in enumerate(part.keys) if key in keys)
         return cls(surrogate, names, over) if names and over else None
 
@@ -69,7 +74,13 @@ class Responses:
     @property
     def heights(self) -> list[float]:
         """Inches of the rows that it takes."""
-        return [_ROW * len(self.names) + 1.1 for _ in self._blocks]
+        rows = [_ROW * len(self.names) + 1.1 for _ in self._blocks]
+        return [rows[0] + _LINE * (len(self._title) - 2), *rows[1:]]
+
+    @property
+    def _title(self) -> list[str]:
+        """What is said, in lines."""
+        return [plain(line) for told in self.said for line in textwrap.wrap(told, _LETTERS)]
 
     @property
     def _part(self) -> Part:
@@ -84,7 +95,7 @@ class Responses:
 
     def draw(self, parts: Sequence[Any]) -> None:
         """Draw into parts of a figure, one a row."""
-        parts[0].suptitle("\n".join(map(plain, self.said)), fontsize=8.0)
+        parts[0].suptitle("\n".join(self._title), fontsize=8.0)
         for number, (part, block) in enumerate(zip(parts, self._blocks, strict=True)):
             self._draw_curves(part, block, legend=not number)
 
@@ -97,8 +108,7 @@ class Responses:
             texts = zip(self.surrogate.text_keys, part.texts, strict=True)
             said += " with " + ", ".join(f"{key} = {shortened(text)}" for key, text in texts)
         errors = "; ".join(
-            f"{OUTPUTS[name][1].rpartition(' (')[0]} "
-            f"{told_share(part.responses[name].relative_error)}"
+            f"{shown(name).name} {told_share(part.responses[name].relative_error)}"
             for name in self.names
         )
         said += "; keys vary evenly over their ranges"
@@ -112,7 +122,7 @@ class Responses:
             len(self.names), len(keys), squeeze=False, sharex="col", sharey="row"
         )
         for row, name in enumerate(self.names):
-            factor, label = OUTPUTS[name]
+            factor, label = shown(name).factor, shown(name).label
             values = factor * part.responses[name].values[:, 0]
             logarithmic = spans(values, LOG_VALUE)
             for axes, key in zip(panels[row], keys, strict=True):
@@ -142,7 +152,7 @@ class Responses:
                     axes.set_ylim(0.5 * values.min(), 2.0 * values.max())
             if logarithmic:
                 set_decades(panels[row, 0].yaxis, values)
-            panels[row, 0].set_ylabel(f"final {label}" if name == "penetration" else label)
+            panels[row, 0].set_ylabel(upright(f"final {label}" if name == "penetration" else label))
         if legend:
             set_legend(panels[0, 0], 1, "")
         figure.align_ylabels(panels[:, 0])

@@ -19,6 +19,7 @@ from mpi4py import MPI
 
 from ringwear_par.contact.batch import load_batch_kernels
 from ringwear_par.elasticity.assembly import load_kernels
+from ringwear_par.elasticity.stress_recovery import load_stress_kernels
 from ringwear_par.errors import ComputationError, InputError, RingwearError
 from ringwear_par.history.limits import check_ranks
 from ringwear_par.info import versions
@@ -160,6 +161,8 @@ def _compute(
 ) -> tuple[Summary, RingwearError | None]:
     load_kernels(comm)
     load_batch_kernels(comm)
+    if plan.cases_left and plan.study.case(int(plan.todo.cases[0])).stress is not None:
+        load_stress_kernels(comm)
     timings = Timings()
     if plan.all_assemble:
         _assemble_all(plan, comm, timings)

@@ -35,7 +35,7 @@ from ringwear_par.results.writing import write_result
 from ringwear_par.stopping import StopSignals
 from ringwear_par.studies.batches import computed
 from ringwear_par.studies.blocks import Block, Record
-from ringwear_par.studies.lending import SolverLender
+from ringwear_par.studies.lending import Lender
 from ringwear_par.studies.operators import (
     StorageError,
     map_operator,
@@ -109,7 +109,7 @@ class Worker:
         self._options_checked = False
         self._saved: set[str] = set()  # cases that have left a checkpoint
         self._group = -1
-        self._lender: SolverLender | None = None
+        self._lender: Lender | None = None
 
     def __enter__(self) -> "Worker":
         return self
@@ -164,19 +164,19 @@ class Worker:
             going_on = self._plan.interrupted
             both = [i for i in left if ids[i] not in going_on and goes_with_others(cases[i])]
             try:
-                pair = self._pair_of(group, first, cases[0]) if both else None
+                lender = self._lent(group, first, cases[0]) if both else None
             except _StoppedError:
                 return False
-            if pair is not None:
+            if lender is not None:
                 left = sorted(set(left) - set(both))
-                if not self._work_in_lock_step(pair, both, cases, ids, texts):
+                if not self._work_in_lock_step(lender, both, cases, ids, texts):
                     return False
         return self._work_one_by_one(group, first, left, cases, ids, texts)
 
-    def _pair_of(self, group: int, place: int, case: Case) -> ContactPair | None:
-        """Return the pair of a group; None where there is none, as each of its cases will tell."""
+    def _lent(self, group: int, place: int, case: Case) -> Lender | None:
+        """Return the lender of a group; None where there is none, as its cases will tell."""
         try:
-            return self._lender_of(group, place, case).pair
+            return self._lender_of(group, place, case)
         except StorageError:
             raise
         except ComputationError:
@@ -184,7 +184,7 @@ class Worker:
 
     def _work_in_lock_step(
         self,
-        pair: ContactPair,
+        lender: Lender,
         places: Sequence[int],
         cases: Sequence[Case],
         ids: Sequence[str],
@@ -194,6 +194,7 @@ class Worker:
 
         Parameters
         ----------
+        lender : of their pair.
         places : which.
         """
         self._check_options()
@@ -205,7 +206,8 @@ class Worker:
             return bool(self._signals.received)
 
         before, ended = time.perf_counter(), 0
-        for found in computed([cases[i] for i in places], pair, stop=stop):
+        own_cases = [cases[i] for i in places]
+        for found in computed(own_cases, lender.pair, lender=lender, stop=stop):
             self._timings.stepping += time.perf_counter() - before
             own = [places[number] for number in found.numbers]
             block = Block.of_columns(
@@ -293,10 +295,11 @@ class Worker:
         recorder: Recorder | None = None
         try:
             lender = self._lender_of(group, place, case)
-            solver = lender.lend(case)
+            solver = lender.solver(case)
             if solver is not None:
                 self._check_options()  # by now everything has looked for its own
-            recorder = Recorder(case, self._team, self._stored(identity))
+            stored, stresses = self._stored(identity), lender.stresses(case)
+            recorder = Recorder(case, self._team, stored, stresses=stresses)
             begun = time.perf_counter()
             try:
                 self._step(identity, case, lender.pair, solver, recorder)
@@ -362,11 +365,11 @@ class Worker:
 
         return on_first_rank(self._team, read)
 
-    def _lender_of(self, group: int, place: int, case: Case) -> SolverLender:
+    def _lender_of(self, group: int, place: int, case: Case) -> Lender:
         """Return who has the pair of a group, and lends solvers for it."""
         if self._lender is None or group != self._group:
             self._close_lender()
-            self._lender = SolverLender(self._find_operator(group, place, case), self._team)
+            self._lender = Lender(self._find_operator(group, place, case), self._team)
             self._group = group
         return self._lender
 

@@ -155,3 +155,20 @@ def test_points_between_layers_need_a_side():
     assert "lies on an edge" in fault
     (fault,) = faults('points = [[30, 19.8, "above"]]', coated)
     assert "there is no body above it" in fault
+
+
+@pytest.mark.parametrize(
+    ("setting", "told"),
+    {
+        "stress.grid.n=5": "--set stress.grid.n = 5: must be two whole numbers",
+        "stress.times=[1e9]": "case.toml with --set: stress.times: 1e+09 is after the end",
+        "time.steps=1": "case.toml with --set: stress.times: ",
+    }.items(),
+)
+def test_what_was_set_is_told_as_such(setting, told):
+    """The file is not to blame, or not alone."""
+    stress = 'grid = { body = "lower", r = [28, 32], z = [18, 20], n = [3, 3] }\ntimes = [1, 60]'
+    with pytest.raises(InputError) as raised:
+        case_of(stress, [setting])
+    (fault,) = raised.value.faults
+    assert fault.startswith(told)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from laboratory import FITTED, fit_tables, write_tests
 
-from ringwear_par.identification.figures import label, pieces
+from ringwear_par.identification.figures import _axis, label, pieces
 from ringwear_par.identification.fit import predicted
 from ringwear_par.identification.fit_file import read_fit
 from ringwear_par.identification.problem import Series
@@ -113,3 +113,14 @@ def test_what_is_not_identified_has_neither_curve_nor_ellipse(found):
     assert pair == []
     assert second == ["best fit"]
     assert "not identified" in [text.get_text() for axes in chart.axes for text in axes.texts]
+
+
+def test_long_tests_are_drawn_in_hours(found):
+    """As results are; the numbers are those of the file, in s."""
+    (test,) = found.squares.problem.experiments
+    series = test.series[0]
+    assert not series.profile
+    long = replace(series, x=series.x * (2e4 / series.x.max()))
+    assert _axis(long) == (pytest.approx(long.x / 3600.0), "time (h)")
+    assert _axis(series) == (pytest.approx(series.x), "time (s)")
+    assert _axis(test.series[1])[1] == "radius (mm)"

@@ -8,6 +8,7 @@ import pytest
 import ringwear_par as rw
 from ringwear_par.cases.stress import Stress
 from ringwear_par.elasticity.stress_measures import COMPONENTS, max_shear, mises, principal
+from ringwear_par.elasticity.stress_recovery import StressRecovery
 from ringwear_par.history.limits import stress_numbers
 
 BASE = {
@@ -32,6 +33,7 @@ def same(one, other):
         assert a.largest == b.largest
         for one_body, other_body in zip(a.interfaces, b.interfaces, strict=True):
             np.testing.assert_array_equal(one_body, other_body)
+        np.testing.assert_array_equal(np.concatenate(a.layers), np.concatenate(b.layers))
 
 
 def test_variables_and_file(tmp_path):
@@ -77,6 +79,31 @@ def test_the_same_on_all_ranks(comm):
     shared, alone = rw.simulate(case, comm), rw.simulate(case, MPI.COMM_SELF)
     same(shared, alone)
     assert [state.time for state in shared.stress.states] == [0.0, 120.0]
+
+
+@pytest.mark.parametrize("times", ["last", "all", [0.0, 60.0]])
+def test_many_cases_share_what_is_integrated(times, comm, monkeypatch):
+    """Same bits in whatever company; those of single runs to round-off; one of them stays alone."""
+    made, integrated = [], StressRecovery._integrated
+    monkeypatch.setattr(
+        StressRecovery, "_integrated", lambda *words: made.append(1) or integrated(*words)
+    )
+    case = case_of(stress__times=times, output__times=[10.0, 60.0], contact__friction=0.2)
+    changes = [{"load.pressure": 50.0}, {"wear.lower.k": 2e-7}, {"upper.young": 5e4},
+               {"mesh.geometry": "updated", "mesh.geometry_tolerance": 1.0}]  # fmt: skip
+    cases = [case.replace(change) for change in changes]
+    found = rw.simulate_all(cases, comm)
+    assert len(made) <= 2  # the mesh of one follows the wear
+    for mine, other in zip(found, rw.simulate_all(cases, comm, batch=1), strict=True):
+        same(mine, other)
+        assert mine.doubts == other.doubts
+    for each, mine in zip(cases, found, strict=True):
+        single = rw.simulate(each, comm)
+        assert mine.doubts == single.doubts
+        for a, b in zip(mine.stress.states, single.stress.states, strict=True):
+            assert (a.step, a.time) == (b.step, pytest.approx(b.time, rel=1e-12))
+            np.testing.assert_allclose(a.points, b.points, rtol=1e-8, atol=1e-8)
+            np.testing.assert_allclose(a.grid, b.grid, rtol=1e-8, atol=1e-8)
 
 
 @pytest.mark.parametrize("times", ["last", "all", [0.0, 60.0]])
@@ -160,8 +187,8 @@ def test_memory_counts_points_and_states():
     assert stress_numbers(case.replace({"stress.times": "last"}))[1] < rows
 
 
-def test_studies_refuse():
-    with pytest.raises(rw.InputError, match=r"\[stress\]: must be absent from a study"):
+def test_keys_of_stress_do_not_vary():
+    with pytest.raises(rw.InputError, match=r"study: stress.exclude: must not vary; what"):
         rw.read_study({
             "case": "scripts/cases/paper.toml",
             "vary": {"stress.exclude": {"values": [0.1, 0.2]}},
@@ -318,3 +345,24 @@ def test_points_of_a_case_that_was_not_read_are_checked():
     case = replace(case_of(), stress=Stress(points=((50.0, 1.0, ""),)))
     with pytest.raises(rw.InputError, match=r"stress\.points\[0\] = \[50\.0, 1\.0\]: lies outside"):
         rw.simulate(case)
+
+
+@pytest.mark.serial
+def test_the_largest_of_each_layer(tmp_path):
+    """That of the layer that has the largest is the body's; layers of both bodies are apart."""
+    layer = {"thickness": 0.05, "young": 2e5, "poisson": 0.3}
+    soft = {"thickness": 0.1, "young": 5e4, "poisson": 0.3}
+    result = rw.simulate(
+        case_of(stress__times="all", lower__layers=[layer, soft], upper__layers=[soft])
+    )
+    for state in result.stress.states:
+        for own, largest in zip(state.layers, state.largest, strict=True):
+            assert own.max() == own[largest.layer] == largest.mises
+    result.save(tmp_path / "run.h5")
+    read, data = rw.open_result(tmp_path / "run.h5"), result.to_xarray()
+    same(read, result)
+    assert read.stress.layers == result.stress.layers == (3, 2)
+    assert data.max_mises_lower_layers.dims == ("stress_step", "layer")
+    assert data.max_mises_upper_layers.dims == ("stress_step", "layer_upper")
+    values = ", ".join(f"{value:.5g}" for value in result.stress.states[-1].layers[0])
+    assert f"lower by layer {values} MPa" in result.summary()

@@ -9,7 +9,7 @@ from ringwear_par.errors import ComputationError, InputError
 from ringwear_par.history.pairs import assemble
 from ringwear_par.petsc import PETSc
 from ringwear_par.studies import batches, lending
-from ringwear_par.studies.lending import SolverLender
+from ringwear_par.studies.lending import Lender
 from ringwear_par.studies.many import simulate_all
 from ringwear_par.studies.sweep import sweep
 
@@ -35,14 +35,14 @@ def made(monkeypatch):
 
 
 def test_a_solver_serves_cases_of_the_same_moduli(case, comm, made):
-    with SolverLender(assemble(case, comm), comm) as lender:
-        first = lender.lend(case)
-        assert lender.lend(case.replace({"wear.lower.k": 1e-8})) is first
-        second = lender.lend(case.replace({"lower.young": 2e4}))
+    with Lender(assemble(case, comm), comm) as lender:
+        first = lender.solver(case)
+        assert lender.solver(case.replace({"wear.lower.k": 1e-8})) is first
+        second = lender.solver(case.replace({"lower.young": 2e4}))
         assert second is not first
-        assert lender.lend(case.replace(FOLLOWS)) is None
+        assert lender.solver(case.replace(FOLLOWS)) is None
         lender.drop()
-        third = lender.lend(case.replace({"lower.young": 2e4}))
+        third = lender.solver(case.replace({"lower.young": 2e4}))
     assert made == [first, second, third]
     assert all(not each._owned for each in made)
 

@@ -192,7 +192,10 @@ method = "grid"
         ('[vary]\n"wear.lower.k" = { linear = [1, 2] }', ["count is missing", "from 2"]),
         ('[vary]\n"wear.lower.k" = { linear = [1, 2], count = 2, seed = 1 }', ["seed"]),
         ('[vary]\n"title" = { values = ["a"] }', ["title"]),
-        ('[vary]\n"output.boundary" = { values = ["all"] }', ["output.boundary", "ringwear run"]),
+        (
+            '[vary]\n"output.boundary" = { values = ["all"] }',
+            ['output.boundary = "all"', "ringwear run"],
+        ),
         ('[vary]\n"contact.friction[0]" = { values = [1] }', ["no entries"]),
         ('[vary]\n"load.pressure" = { values = [-5, 80] }', ["load.pressure = -5", "case 1"]),
         ('[vary]\n"upper.r[0]" = { values = [50] }', ["upper.r", "two increasing"]),
@@ -222,6 +225,18 @@ def test_each_fault_has_its_sentence(write, text, words):
         read_study(write(text))
     for word in words:
         assert word in str(raised.value)
+
+
+def test_a_study_leaves_the_boundary_output_of_its_case_out(tmp_path):
+    """Where it says so; or else it is told how."""
+    tables = {
+        "case": {**tomllib.loads(CASE), "output": {"boundary": "last"}},
+        "vary": {"load.pressure": {"values": [50, 60]}},
+    }
+    with pytest.raises(InputError, match=r'must be absent from the case, or "output.boundary" = '):
+        read_study(tables)
+    tables["vary"]["output.boundary"] = {"values": ["none"]}
+    assert len(read_study(tables).cases.columns[0]) == 2
 
 
 def test_a_range_that_reaches_too_far_is_one_fault(write):

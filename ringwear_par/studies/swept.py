@@ -1,0 +1,63 @@
+"""What a sweep stores of each case, by the axes that it runs over.
+
+Beside what every case has, there is what cases with layers have, and those with [stress].
+"""
+
+from collections.abc import Mapping
+from typing import Any
+
+from ringwear_par.results.stress_variables import LARGEST_STRESS, LAYER_STRESS, POINT_STRESS, POINTS
+from ringwear_par.results.variables import (
+    HISTORIES,
+    LAYER,
+    LAYER_HISTORIES,
+    LAYER_PROFILES,
+    LAYER_VOLUMES,
+    LINE,
+    PROFILES,
+    TIMES_THROUGH,
+    Variable,
+)
+
+#: at each stored state a number, or one a layer or point: padded with NaN where cases have others
+STRESS = {**LARGEST_STRESS, **LAYER_STRESS, **POINT_STRESS}
+ROWS = {**HISTORIES, **LAYER_HISTORIES, **LAYER_VOLUMES, **STRESS}
+#: along the contact line, at each stored state or at the last one
+FIELDS = {**PROFILES, **LAYER_PROFILES}
+#: a number of each case, or one a point
+EACH = {**TIMES_THROUGH, **POINTS}
+#: what not all cases have
+OPTIONAL = tuple(name for name in (*FIELDS, *ROWS, *EACH) if name not in HISTORIES)
+#: axes beside those of steps and elements, and their coordinates
+AXES = {
+    "layer": LAYER,
+    "point": Variable("point", ("point",), "1", "point of stress.points", integer=True),
+}
+
+
+def axis_of(variable: Variable) -> str:
+    """Return the axis of a variable beside steps and elements, "" where it has none."""
+    return next((name for name in variable.dimensions if name in AXES), "")
+
+
+def sizes_of(arrays: Mapping[str, Any]) -> dict[str, int]:
+    """Return the sizes of such axes of a case's arrays, or of those of cases of one pair."""
+    known = {**ROWS, **EACH}
+    return {
+        axis: int(values.shape[-1])
+        for name, values in arrays.items()
+        if name in known and (axis := axis_of(known[name]))
+    }
+
+
+def is_wide(name: str) -> bool:
+    """Tell whether a variable has more than a number at each state, or of each case."""
+    variable = {**ROWS, **EACH}.get(name)
+    return name in FIELDS or name in LINE or (variable is not None and bool(axis_of(variable)))
+
+
+def width(name: str, elements: int, sizes: Mapping[str, int]) -> int:
+    """Return how many numbers a variable has at each state, or of each case."""
+    if not is_wide(name):
+        return 1
+    return elements if name in FIELDS or name in LINE else sizes[axis_of({**ROWS, **EACH}[name])]

@@ -1,0 +1,213 @@
+"""Sweeps of coated rings and of cases with [stress]: what is stored is that of single runs."""
+
+import signal
+
+import numpy as np
+import pytest
+from mpi4py import MPI
+from swept import CASE, table, variables, write_study
+
+import ringwear_par as rw
+from ringwear_par.elasticity.stress_recovery import StressRecovery
+from ringwear_par.errors import ComputationError
+from ringwear_par.reports import sweep_charts
+from ringwear_par.studies import workers
+from ringwear_par.studies.ensemble import read_ensemble
+from ringwear_par.studies.figures import choose
+from ringwear_par.studies.sensitivity import outputs_of
+from ringwear_par.studies.store import Store
+from ringwear_par.studies.surrogate import surrogate
+from ringwear_par.studies.sweep import sweep
+
+LAYER = """
+[[lower.layers]]
+thickness = 0.004
+young = 50e3
+poisson = 0.3
+wear = { law = "threshold", k = 4e-6 }
+
+[stress]
+points = [[30.0, 19.95], [29.0, 20.0, "above"]]
+grid = { body = "lower", r = [29.0, 31.0], z = [19.8, 19.95], n = [3, 2] }
+"""
+COATED = CASE.replace("steps = 20", "steps = 8").replace("p0 = 40.0", "p0 = 4.0") + LAYER
+STUDY = """
+[vary]
+"lower.layers[0].thickness" = { values = [0.002, 0.03] }
+"contact.friction" = { values = [0.1, 0.2] }
+"load.pressure" = { values = [60, 80] }
+[design]
+method = "grid"
+"""
+ROWS = ("max_mises", "max_mises_r", "max_mises_z", "max_mises_layer")
+
+
+def singles(folder):
+    """Each case of a sweep by its text, computed alone."""
+    with rw.open_ensemble(folder) as data:
+        for i, text in enumerate(data.case_toml.values.tolist()):
+            (folder / "one.toml").write_text(text)
+            result = rw.simulate(rw.read_case(folder / "one.toml"), MPI.COMM_SELF)
+            yield data.isel(case=i), result.to_xarray(), result
+
+
+@pytest.mark.parametrize("times", ["last", "all", "[0.0, 5.0]"])
+@pytest.mark.serial
+def test_stresses_and_layers_are_those_of_single_runs(times, comm, tmp_path):
+    case = COATED + f"times = {times if times[0] == '[' else repr(times)}\n"
+    sweep(write_study(tmp_path, comm, STUDY, case), tmp_path / "out", comm)
+    rows, through = table(tmp_path / "out"), set()
+    for row, (mine, own, result) in zip(rows, singles(tmp_path / "out"), strict=True):
+        at = np.searchsorted(own.time.values, own.stress_time.values)
+        count = int(mine.steps_stored)
+        asked = np.zeros(count, dtype=bool)
+        asked[at] = True
+        for name in (*ROWS, "max_mises_lower_layers", "mises", "max_shear"):
+            stored = mine[name].values[:count]
+            np.testing.assert_allclose(stored[at], own[name].values, rtol=1e-8)
+            assert np.isnan(stored[~asked]).all()
+            last = own[name].values[-1]
+            np.testing.assert_allclose(mine[f"final_{name}"].values, last, rtol=1e-8)
+            for i, value in enumerate(np.atleast_1d(last)):
+                column = name if name in ROWS else f"{name}[{i}]"
+                assert float(row[column]) == pytest.approx(value, rel=1e-8)
+        np.testing.assert_array_equal(mine.point_z, own.point_z)
+        layers = own.max_mises_lower_layers
+        np.testing.assert_array_equal(layers.max("layer"), own.max_mises_lower)
+        np.testing.assert_allclose(
+            mine.worn_volume_lower_layers[:count], own.worn_volume_lower_layers, rtol=1e-8
+        )
+        volumes = [float(row[f"worn_volume_lower_layers[{i}]"]) for i in (0, 1)]
+        assert sum(volumes) == pytest.approx(float(row["worn_volume_lower"]), rel=1e-12)
+        share = float(own.share_through_lower[-1])
+        assert float(row["share_through_lower"]) == pytest.approx(share, rel=1e-12)
+        least = float(row["least_layer_left_lower"])
+        assert least == pytest.approx(float(own.layer_left_lower[-1].min()), abs=1e-12)
+        time = result.attributes["time_through_lower"]
+        assert float(row["time_through_lower"] or "nan") == pytest.approx(time, nan_ok=True)
+        through.add(bool(np.isfinite(time)))
+    assert through == {True, False}
+
+
+def test_the_same_bits_on_all_ranks(comm, shared_path):
+    """Whatever is drawn by which team; each team integrates once for all cases of a thickness."""
+    study = write_study(shared_path, comm, STUDY, COATED)
+    made, integrated = [], StressRecovery._integrated
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(StressRecovery, "_integrated", lambda *a: made.append(1) or integrated(*a))
+        sweep(study, shared_path / "all", comm)
+    assert len(made) <= 2
+    if comm.rank == 0:
+        sweep(study, shared_path / "one", MPI.COMM_SELF)
+        one, every = variables(shared_path / "one"), variables(shared_path / "all")
+        assert one.keys() == every.keys()
+        for name, values in one.items():
+            assert np.array_equal(values, every[name], equal_nan=values.dtype.kind == "f"), name
+    comm.Barrier()
+
+
+def test_ranks_that_share_a_case_have_the_same(comm, shared_path):
+    study = write_study(shared_path, comm, STUDY, COATED)
+    sweep(study, shared_path / "out", comm, ranks_per_case=comm.size)
+    if comm.rank == 0:
+        for mine, own, _ in singles(shared_path / "out"):
+            np.testing.assert_allclose(mine.final_mises, own.mises[-1], rtol=1e-7)
+    comm.Barrier()
+
+
+@pytest.mark.serial
+def test_an_interrupted_case_keeps_its_stresses(comm, tmp_path, monkeypatch):
+    """Alone, with a checkpoint: its stresses so far are in the incomplete file and in the whole."""
+    case = COATED.replace("contact_elements = 16", 'contact_elements = 16\ngeometry = "updated"')
+    study = write_study(tmp_path, comm, STUDY, case + 'times = "all"\n')
+    sweep(study, tmp_path / "whole", comm)
+    step, made = workers.Worker._check_options, []
+
+    def interrupting(self, snapshot=None):
+        if snapshot is not None:
+            made.append(1)
+            if len(made) == 13:
+                signal.raise_signal(signal.SIGTERM)
+        return step(self, snapshot)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(workers.Worker, "_check_options", interrupting)
+        with pytest.raises(ComputationError, match="stopped by SIGTERM"):
+            sweep(study, tmp_path / "parts", comm)
+    with rw.open_ensemble(tmp_path / "parts") as data:
+        (going,) = np.flatnonzero(data.status == "incomplete")[:1]
+        assert len(Store(tmp_path / "parts", "").interrupted()) == 1
+        begun = data.isel(case=int(going))
+        assert np.isfinite(begun.max_mises[: int(begun.steps_stored)]).any()
+    sweep(study, tmp_path / "parts", comm)
+    whole, parts = variables(tmp_path / "whole"), variables(tmp_path / "parts")
+    for name, values in whole.items():
+        assert np.array_equal(values, parts[name], equal_nan=values.dtype.kind == "f"), name
+
+
+@pytest.fixture(scope="module")
+def swept(tmp_path_factory):
+    """The folder of a sweep of 24 cases over thickness and pressure."""
+    folder = tmp_path_factory.mktemp("swept")
+    text = """
+    [vary]
+    "lower.layers[0].thickness" = { log = [0.002, 0.04], count = 4 }
+    "load.pressure" = { linear = [40, 80], count = 6 }
+    [design]
+    method = "grid"
+    """
+    sweep(write_study(folder, MPI.COMM_SELF, text, COATED), folder / "out", MPI.COMM_SELF)
+    return folder / "out"
+
+
+@pytest.mark.serial
+def test_surrogates_answer_for_stresses(swept):
+    made = surrogate(swept)
+    assert {"max_mises", "mises[0]", "worn_volume_lower_layers[1]"} <= set(made.names)
+    assert "max_mises_z" not in made.names  # which jumps from place to place
+    assert "time_through_lower" not in made.names  # which not all cases have
+    assert made.relative_error["mises[0]"] < 0.1
+    with rw.open_ensemble(swept) as data:
+        at = {name: data[name].values for name in ("lower.layers[0].thickness", "load.pressure")}
+        np.testing.assert_allclose(made.predict(at)["mises[0]"], data.final_mises[:, 0], rtol=1e-6)
+    # without its state of stress at all steps
+    assert "max_mises" not in surrogate(swept, times=[5.0]).names
+    assert "share_through_lower" in surrogate(swept, times=[5.0]).names
+
+
+@pytest.mark.serial
+def test_figures_and_pages_show_them(swept, tmp_path):
+    ensemble = read_ensemble(swept)
+    done = np.ones(len(ensemble.ids), dtype=bool)
+    assert outputs_of(ensemble, done) == [
+        "penetration", "worn_volume_lower", "share_through_lower", "max_mises",
+        "max_mises_lower_layers[0]", "max_mises_lower_layers[1]", "mises[0]", "mises[1]",
+    ]  # fmt: skip
+    labels = [" ".join(axes.get_ylabel().split()) for axes in rw.plot(swept).axes]
+    for label in ("largest von Mises stress (MPa)", "von Mises stress, point 1 (MPa)"):
+        assert label in labels
+    rw.report(swept, tmp_path / "page.html")
+    page = (tmp_path / "page.html").read_text()
+    for words in ("von Mises stress, point 0 (MPa)", "time through lower (s)", "; layer 1"):
+        assert words in page
+
+
+@pytest.mark.serial
+def test_keys_that_are_spaced_by_logarithms_are_drawn_so(swept, tmp_path):
+    """Though they span little, and on the page too; evenly spaced ones are not."""
+    scales = {}
+    for axes in rw.plot(swept).axes:
+        if axes.get_xlabel():
+            scales.setdefault(axes.get_xlabel().partition(" ")[0], set()).add(axes.get_xscale())
+    assert scales["lower.layers[0].thickness"] == {"log"}
+    assert scales["load.pressure"] == {"linear"}
+    chosen = choose(read_ensemble(swept), None, ())
+    drawn = sweep_charts.effects(read_ensemble(swept), chosen)
+    types = {
+        (
+            chart.layout["xaxis"]["title"]["text"].partition(" ")[0],
+            chart.layout["xaxis"].get("type"),
+        )
+        for chart in drawn.charts
+    }
+    assert types == {("lower.layers[0].thickness", "log"), ("load.pressure", None)}
