@@ -324,7 +324,9 @@ method = "grid"
     found = re.search(r"([\d.]+) s for its adaptive steps, ([\d.]+) ms more", told)
     alone, each = map(float, found.groups())
     seconds = float(re.search(r"about ([\d.]+) s,", told)[1])
-    assert 400 * each < 1e3 * seconds < 0.5 * 1e3 * 400 * alone
+    # start and merging come on top of the cases' own
+    assert 400 * each < 1e3 * seconds
+    assert each < 0.5 * 1e3 * alone
 
 
 def test_a_dry_run_whose_first_case_fails_ends_on_all_ranks(write, shared_path, comm, monkeypatch):
