@@ -38,8 +38,11 @@ _SHARE = (1.0 - GAMMA) / GAMMA
 #: within 0.0092 um of converged ones with the usual tolerance of 0.0025 um
 _FIRST_ORDER = 0.25
 #: by how many times at most an error of depth in a layer counts more than one in the next, which
-#: wears so many times faster and begins to do so too late or too early
-_FASTER = 20.0
+#: wears so many times faster and begins to do so too late or too early: near the threshold of a
+#: layer there is no bound. Of the 22 random coatings of 3 um (of 160) that were off most with 20,
+#: by 0.42 um, the worst was off by 0.24 with 100, 0.056 with 1000 and 0.029 with 3000, which takes
+#: 2.5 times the steps of 20
+_FASTER = 3000.0
 
 
 def step(model: WearModel, state: State, end: Numbers) -> Step:
@@ -123,7 +126,7 @@ def step(model: WearModel, state: State, end: Numbers) -> Step:
         off = np.maximum(off, np.abs(relief))
         defect = defect + last.linear(contact.pressure, relief)
     if isinstance(last, LayeredIncrement):
-        defect = defect * last.faster(contact.pressure, _FASTER)
+        defect = defect * last.faster(contact.pressure, _mean_pressure(model, contact), _FASTER)
     return Step(
         after,
         np.abs(defect).max(axis=-1),
@@ -218,6 +221,11 @@ def _scale(model: WearModel, before: ContactState, after: ContactState) -> Float
     The pressure at the start of the step or the mean pressure at its end, whichever is larger; but
     not less than what an approach as small as the tolerance of wear presses.
     """
-    touching = inner(model.area, (after.pressure > 0.0).astype(float))
-    mean = after.force / np.maximum(touching, model.area.min())
-    return np.maximum(before.pressure, columns(np.maximum(mean, model.slight_pressure)))
+    least = columns(model.slight_pressure)
+    return np.maximum(before.pressure, np.maximum(_mean_pressure(model, after), least))
+
+
+def _mean_pressure(model: WearModel, contact: ContactState) -> Numbers:
+    """Return the force over the area in contact, MPa, a number or (B, 1)."""
+    touching = inner(model.area, (contact.pressure > 0.0).astype(float))
+    return columns(contact.force / np.maximum(touching, model.area.min()))

@@ -180,19 +180,27 @@ class LayeredIncrement(WearIncrement):
             found = np.where(ends, np.divide(c, a, out=np.ones_like(a), where=ends), found)
         return found
 
-    def faster(self, p: FloatArray, most: float) -> FloatArray:
+    def faster(self, p: FloatArray, usual: Any, most: float) -> FloatArray:
         """Return how many times faster elements may wear under the layer that is worn, (..., n).
 
         Which is what an error of depth in this layer becomes, by then of time; from 1 to ``most``.
+        At the pressure, or at one that it may have fallen to when the layer is through: near a
+        threshold of the layer hardly anything is worn off it.
+
+        Parameters
+        ----------
+        usual : MPa, (..., n) or a number, such a pressure.
         """
         found = np.ones_like(p)
         for body in self._bodies.values():
-            full = self._depths(body, p)
-            here, below = self._present(body, full), np.zeros_like(p)
-            for number in range(1, len(full)):
-                below = np.where(number > body.present, np.maximum(below, full[number]), below)
-            times = np.divide(below, here, out=np.ones_like(p), where=here > 0.0)
-            found = np.maximum(found, np.minimum(times, most))
+            wears = self._present(body, self._depths(body, p)) > 0.0
+            for q in (p, np.minimum(p, usual)):
+                full = self._depths(body, q)
+                here, below = self._present(body, full), np.zeros_like(p)
+                for number in range(1, len(full)):
+                    below = np.where(number > body.present, np.maximum(below, full[number]), below)
+                times = np.divide(below, here, out=np.full_like(p, most), where=here * most > below)
+                found = np.maximum(found, np.where(wears & (below > 0.0), times, 1.0))
         return found
 
     def explicit(self, p: FloatArray) -> FloatArray:

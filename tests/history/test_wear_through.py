@@ -72,12 +72,20 @@ def test_a_layer_that_wears_as_the_body_is_none(pair, scheme):
     assert layered.last.energy == pytest.approx(plain.last.energy, rel=1e-5)
 
 
-@pytest.mark.parametrize("p0", [0.0, 85.0])
-def test_adaptive_steps_find_when_elements_get_through(pair, p0):
+@pytest.mark.parametrize(
+    ("p0", "k", "of_body", "end"),
+    [
+        (0.0, 2e-8, 1e-7, 160.0),
+        (85.0, 2e-8, 1e-7, 160.0),
+        (110.0, 4e-8, 1e-6, 160.0),  # islands near their threshold, and what is under them at once
+        (120.0, 3e-8, 5e-7, 400.0),
+    ],
+)
+def test_adaptive_steps_find_when_elements_get_through(pair, p0, k, of_body, end):
     """Within 0.02 um of a converged history at any time, the mean pressure being 80 MPa."""
-    times = np.linspace(4.0, 160.0, 40).tolist()
-    wear = {"wear": {**SOFT, "k": 2e-8, "p0": p0}}
-    case = case_of(wear, **{"time.end": 160.0, "output.times": times})
+    times = np.linspace(end / 80, end, 80).tolist()
+    wear = {"wear": {**SOFT, "k": k, "p0": p0}}
+    case = case_of(wear, **{"time.end": end, "output.times": times, "wear.lower.k": of_body})
 
     def depths(tolerance):
         history = trace(case.replace({"time.tolerance": tolerance}), ALONE, pair=pair)
