@@ -423,9 +423,28 @@ class WearModel:
         if self._geometry is None or np.array_equal(shape, self._followed):
             return
         pair = self._geometry.update(shape)
-        self._take(pair)
+        try:
+            self._take(pair)
+        except ComputationError as error:
+            raise ComputationError(self._slivers(shape) or str(error)) from error
         self.solver.set_compliance(self.compliance.matrix)
         self._followed, self.following = shape, self.following + pair.cost
+
+    def _slivers(self, shape: FloatArray) -> str:
+        """Return where a worn face stands out by more than elements are wide; "" for nowhere."""
+        line, rises = self.line, np.abs(np.diff(shape, axis=-1))
+        steep = rises / np.minimum(line.width[1:], line.width[:-1])
+        body, e = np.unravel_index(steep.argmax(), steep.shape)
+        if steep[body, e] <= 1.0:
+            return ""
+        less, more = sorted((e, e + 1), key=lambda place: shape[body, place])
+        return (
+            f"elements that follow the wear: {('lower', 'upper')[body]} is worn by "
+            f"{shape[body, more]:.4g} mm at r = {self._r[more]:.6g} mm and by "
+            f"{shape[body, less]:.4g} mm at r = {self._r[less]:.6g} mm beside it; what stands out "
+            f"by {steep[body, e]:.2g} times the width of an element is no face that can be computed"
+            ': mesh.geometry = "fixed", or laws of wear that differ less, must be used'
+        )
 
     # -- contact, eq. (3) --------------------------------------------------------------------------
 
