@@ -15,8 +15,8 @@ import numpy as np
 from ringwear_par.arrays import BoolArray, FloatArray
 from ringwear_par.cases.case import Case, Ring
 from ringwear_par.cases.layers import LAYERS
-from ringwear_par.cases.schema import BY_PATH, LAYER_KEYS, key_of
-from ringwear_par.cases.values import Interval
+from ringwear_par.cases.schema import BY_PATH, LAYER_KEYS, Key, key_of
+from ringwear_par.cases.values import Interval, magnitude_fault
 from ringwear_par.schedules import largest, smallest
 from ringwear_par.wear.law import Law
 from ringwear_par.wear.parameters import parameters_of
@@ -78,14 +78,20 @@ def number_faults(case: Case, name: str) -> list[str]:
         if other or not isinstance(value, float | int) or key.numbers is None:
             continue
         if not key.numbers.holds(np.array(float(value))):
-            faults.append(f"{name}: {path} = {value:g}: {key.rule}")
+            faults.append(f"{name}: {path} = {value:g}: {_rule(key, value)}")
     return faults
+
+
+def _rule(key: Key, value: float) -> str:
+    """Return what is allowed, with the reason where it is the magnitude."""
+    fault = magnitude_fault(value)
+    return f"{key.rule} ({fault})" if fault else key.rule
 
 
 def _layer_faults(case: Case, name: str) -> list[str]:
     """Return the same of layers."""
     return [
-        f"{name}: {body}.layers[{i}].{key.path} = {value:g}: {key.rule}"
+        f"{name}: {body}.layers[{i}].{key.path} = {value:g}: {_rule(key, value)}"
         for body, ring in zip(("lower", "upper"), case.rings, strict=True)
         for i, layer in enumerate(ring.layers)
         for key in LAYER_KEYS

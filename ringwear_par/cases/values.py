@@ -20,6 +20,8 @@ Kind = Literal[
 Reader = Callable[[Any], Any]
 #: more of a word is not compared
 _LONGEST = 40
+#: magnitudes of all numbers but 0: far beyond any, and products of many of them are finite
+LEAST, MOST = 1e-60, 1e30
 
 
 class RejectedError(Exception):
@@ -27,7 +29,7 @@ class RejectedError(Exception):
 
 
 class Interval(NamedTuple):
-    """The finite numbers between two, perhaps themselves included."""
+    """The numbers between two, perhaps themselves included, of the magnitudes allowed."""
 
     low: float
     high: float = math.inf
@@ -38,7 +40,8 @@ class Interval(NamedTuple):
         inside = (self.low < numbers) & (numbers < self.high)
         if self.ends:
             inside |= (numbers == self.low) | (numbers == self.high)
-        return inside & np.isfinite(numbers)
+        size = np.abs(numbers)
+        return inside & (size <= MOST) & ((size >= LEAST) | (size == 0.0))
 
 
 class Values(NamedTuple):
@@ -65,7 +68,24 @@ def is_number(value: Any) -> bool:
 
 
 def _is_finite(value: Any) -> bool:
-    return is_number(value) and math.isfinite(value)
+    """Tell whether a value is a finite number.
+
+    Raises
+    ------
+    RejectedError : it is, but of a magnitude that nothing can be computed with.
+    """
+    if not (is_number(value) and math.isfinite(value)):
+        return False
+    if fault := magnitude_fault(value):
+        raise RejectedError(fault)
+    return True
+
+
+def magnitude_fault(value: float) -> str:
+    """Return what is wrong with the magnitude of a number; "" for nothing."""
+    if value == 0 or LEAST <= abs(value) <= MOST:
+        return ""
+    return f"numbers other than 0 must be from {LEAST:g} to {MOST:g} in magnitude"
 
 
 def number(low: float, high: float = math.inf, *, ends: bool = False) -> Values:

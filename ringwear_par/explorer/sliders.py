@@ -2,14 +2,13 @@
 
 import math
 import re
-import sys
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
 from ringwear_par.cases.schema import BY_PATH
 from ringwear_par.cases.units import factor, number_and_unit
-from ringwear_par.cases.values import Interval, is_number
+from ringwear_par.cases.values import LEAST, MOST, Interval, is_number
 
 #: numbers that matter by their order
 _LOGARITHMIC = frozenset(
@@ -81,8 +80,8 @@ class Control:
         if self.log:
             if value <= 0.0:  # which the case will tell to be wrong
                 return replace(self, value=value)
-            most = min(value * _FACTOR, sys.float_info.max)
-            low, high = min(self.low, value / _FACTOR), max(self.high, most)
+            least, most = max(value / _FACTOR, LEAST), min(value * _FACTOR, MOST)
+            low, high = min(self.low, least), max(self.high, most)
             return replace(self, value=value, low=low, high=high)
         low, high = min(self.low, value), max(self.high, value)
         step = nice((high - low) / POSITIONS)

@@ -178,6 +178,11 @@ def check_mesh(case: Case, name: str) -> None:
     InputError : with the smallest length.
     """
     for body, ring in zip(("lower", "upper"), case.rings, strict=True):
+        if 0.0 < ring.r[0] < 1e-13 * ring.r[1]:
+            raise InputError(
+                f"{name}: {body}.r = [{ring.r[0]:g}, {ring.r[1]:g}]: the inner radius must be 0 or "
+                f"at least {1e-13 * ring.r[1]:.1e} mm"
+            )
         for i, zone in enumerate(zone_meshes(case.section(ring), case.line, case.mesh)):
             ends = zone.nodes[zone.elements]
             lengths = np.hypot(*(ends[:, 2] - ends[:, 0]).T)

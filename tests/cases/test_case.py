@@ -120,6 +120,10 @@ def test_toml_text_reads_back():
         ("wear.lower.law=power", ["wear.lower.m is missing", 'wear.lower.law = "power"']),
         ("wear.lower.law=table", ["wear.lower.table is missing"]),
         ("wear.lower.law=user", ["wear.lower.file is missing"]),
+        ("lower.young=1e308", ["lower.young = 1e+308", "from 1e-60 to 1e+30 in magnitude"]),
+        ("wear.lower.k=1e-300", ["wear.lower.k = 1e-300", "from 1e-60 to 1e+30"]),
+        ("lower.z=[-1e300, 20]", ["lower.z", "from 1e-60 to 1e+30"]),
+        ("load.force=[[0, 1], [5, 1e40]]", ["load.force", "from 1e-60 to 1e+30"]),
         ("nonsense", ["--set nonsense", "KEY=VALUE"]),
     ],
 )

@@ -108,7 +108,7 @@ def test_faults_stay_until_numbers_can_be_computed(comm):
     told = visited.work()
     assert (told["n"], told["faults"]) == (2, [])
     assert told["controls"]
-    visited.ask(3, **{"lower.young": "1e308"})  # whose slider would reach infinity
+    visited.ask(3, **{"lower.young": "1e30"})  # whose slider would reach further
     visited.work()
     assert "Infinity" not in visited.talk.told
 

@@ -8,9 +8,12 @@ import h5py
 import numpy as np
 import pytest
 
+import ringwear_par as rw
 from ringwear_par.cases.case import Load, Ring, Stepping
 from ringwear_par.elasticity.mesh import Mesh
 from ringwear_par.errors import ComputationError, InputError
+from ringwear_par.history.limits import check_mesh
+from ringwear_par.history.model import WearModel
 from ringwear_par.history.trace import trace
 from ringwear_par.verification.histories import round_face
 from ringwear_par.verification.paper import paper_case
@@ -130,3 +133,22 @@ def test_contact_that_reaches_an_open_end_is_told(comm):
     mesh = Mesh(16, contact=(29.0, 31.5))
     with pytest.raises(ComputationError, match=r"reached the end of mesh.contact at r = 29 mm"):
         states(replace(paper_case(mesh), time=Stepping("implicit", 1.0, 1)), comm)
+
+
+def test_places_that_stand_out_are_told_with_where(comm):
+    """As where a layer hardly wears and what is under it does."""
+    wear = np.zeros((2, 24))
+    wear[0] = 8.0
+    wear[0, ::2] = 0.01
+    case = paper_case(UPDATED, p0=(0.0, None), stepping=Stepping("implicit", 5.0, 40))
+    with WearModel(case, comm) as model:
+        state = replace(model.initial(), wear=wear)
+        told = r"lower is worn by 8 mm at r = .* and by 0\.01 mm at r = .* beside it"
+        with pytest.raises(ComputationError, match=told):
+            model.update_geometry(state)
+
+
+def test_a_hole_that_drowns_in_round_off_is_refused():
+    case = rw.read_case(PAPER, {"lower.r": [1e-15, 40.0]})
+    with pytest.raises(InputError, match=r"inner radius must be 0 or at least 4\.0e-12 mm"):
+        check_mesh(case, "a.toml")

@@ -49,7 +49,7 @@ GOOD = {
     "wear.lower.depth": [1e-3, 2e-3],
     "wear.lower.length": [0.1, 0.25],
     "contact.friction": [0.1, 0, 0.30000000000000004],
-    "load.omega": [3.5, 0, 1e-300],
+    "load.omega": [3.5, 0, 1e-50],
     "load.pressure": [50, 60.5, 1e2],
     "load.force": [1e4, 12000],
     "load.displacement": [0.1, 0.02],
