@@ -21,7 +21,7 @@ CORNER_GRADING = 3.5
 #: elements of the contact face beside the contact: how many times as many as on a body without
 #: layers, and grading towards the contact and towards the face's ends
 _PLAIN = 1.0, CORNER_GRADING, CORNER_GRADING
-_LAYERED = 1.6, 3.0, 1.3
+_LAYERED = 1.6, 3.5, 1.3
 #: where stresses beside the contact are wanted
 _FINE = 3.0, 4.0, 1.3
 #: fewest elements of a free or fixed face
