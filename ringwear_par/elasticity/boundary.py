@@ -27,7 +27,7 @@ _FINE = 3.0, 4.0, 1.3
 #: fewest elements of a free or fixed face
 _FEWEST = 4
 #: contact elements that are longer, in thicknesses of a soft film, are in parts
-_LONG = 3.0
+_LONG = 8.0
 #: mm of a layer, or half of one that is thinner, that stays where elements follow the wear
 _RESIDUAL = 1e-3
 

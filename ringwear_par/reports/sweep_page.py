@@ -26,7 +26,7 @@ from ringwear_par.studies.index_bars import IndexBars, index_bars
 from ringwear_par.studies.results_file import told_flags
 from ringwear_par.studies.sensitivity import done_cases
 from ringwear_par.studies.surrogate import surrogate
-from ringwear_par.studies.swept import axis_of
+from ringwear_par.studies.swept import told_entry
 from ringwear_par.studies.variations import own_key
 from ringwear_par.textfiles import parse_value
 
@@ -92,7 +92,7 @@ def _summary(ensemble: Ensemble) -> list[Block]:
 
 def _meaning(name: str) -> str:
     final, entry = entry_of(name)
-    which = "" if entry is None else f"; {axis_of(final.stored)} {entry}"
+    which = "" if entry is None else f"; {told_entry(final.stored, entry)}"
     return f"{final.stored.meaning.removesuffix(', at the last stored step')}{which}"
 
 

@@ -25,7 +25,7 @@ _MOST_MOVED = 0.05
 #: largest defect of the boundary elements' own balances
 _MOST_DEFECT = 0.01
 #: likewise of the symmetry of a compliance with layers: pressures are off by about as much
-_MOST_FILM_DEFECT = 6e-3
+_MOST_FILM_DEFECT = 5e-3
 #: largest angle (degrees) between faces that touch, and share of the load that may exceed it
 _MOST_ANGLE, _LOAD_ASIDE = 15.0, 0.05
 #: largest error of a pressure that comes of making the compliance symmetric

@@ -114,14 +114,14 @@ MAX_MISES_OF = tuple(_largest(f"_{body}", f"the {body} ring") for body in BODIES
 #: of bodies with layers
 MAX_MISES_LAYERS = tuple(
     Variable(
-        f"max_mises_{body}_layers", (*_STEP, "layer"), "MPa",
+        f"max_mises_{body}_layers", (*_STEP, layer.name), "MPa",
         f"largest von Mises stress in each layer of the {body} ring, and in the ring itself",
     )
-    for body in BODIES
+    for body, layer in zip(BODIES, (LAYER, UPPER_LAYER), strict=True)
 )  # fmt: skip
 #: what sweeps store, at the stored states that stress is asked for of: the largest, and points
 LARGEST_STRESS = {v.name: replace(v, dimensions=("step",)) for v in MAX_MISES}
-LAYER_STRESS = {v.name: replace(v, dimensions=("step", "layer")) for v in MAX_MISES_LAYERS}
+LAYER_STRESS = {v.name: replace(v, dimensions=("step", v.dimensions[-1])) for v in MAX_MISES_LAYERS}
 POINT_STRESS = {v.name: replace(v, dimensions=("step", "point")) for v in (MISES, MAX_SHEAR)}
 POINTS = {v.name: v for v in (POINT_R, POINT_Z)}
 

@@ -128,8 +128,12 @@ def _of_both(
     name: str, dimensions: tuple[str, ...], units: str, meaning: str
 ) -> dict[str, Variable]:
     """Return the variables of lower and upper, whose names and meanings have the body's."""
+    each = (dimensions, tuple("layer_upper" if of == "layer" else of for of in dimensions))
     return _table(
-        *(Variable(name.format(body), dimensions, units, meaning.format(body)) for body in _BODIES)
+        *(
+            Variable(name.format(body), own, units, meaning.format(body))
+            for body, own in zip(_BODIES, each, strict=True)
+        )
     )
 
 

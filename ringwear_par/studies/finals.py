@@ -17,7 +17,7 @@ from ringwear_par.results.variables import (
     TIMES_THROUGH,
     Variable,
 )
-from ringwear_par.studies.swept import EACH, FIELDS, STRESS, axis_of
+from ringwear_par.studies.swept import EACH, FIELDS, STRESS, axis_of, told_entry
 
 #: those that all cases have
 FINAL = ("penetration", "worn_volume_lower", "worn_volume_upper")
@@ -172,8 +172,10 @@ _SHOWN = {
 def shown(name: str) -> Shown:
     """Return how a number is drawn."""
     final, entry = entry_of(name)
-    found, axis = _SHOWN[final.name], axis_of(final.stored)
-    return found if entry is None else found._replace(name=f"{found.name}, {axis} {entry}")
+    found = _SHOWN[final.name]
+    if entry is None:
+        return found
+    return found._replace(name=f"{found.name}, {told_entry(final.stored, entry)}")
 
 
 def final_name(name: str) -> str:

@@ -16,6 +16,7 @@ from ringwear_par.results.variables import (
     LINE,
     PROFILES,
     TIMES_THROUGH,
+    UPPER_LAYER,
     Variable,
 )
 
@@ -26,11 +27,13 @@ ROWS = {**HISTORIES, **LAYER_HISTORIES, **LAYER_VOLUMES, **STRESS}
 FIELDS = {**PROFILES, **LAYER_PROFILES}
 #: a number of each case, or one a point
 EACH = {**TIMES_THROUGH, **POINTS}
+_NUMBERS = {**ROWS, **EACH}
 #: what not all cases have
 OPTIONAL = tuple(name for name in (*FIELDS, *ROWS, *EACH) if name not in HISTORIES)
 #: axes beside those of steps and elements, and their coordinates
 AXES = {
-    "layer": LAYER,
+    LAYER.name: LAYER,
+    UPPER_LAYER.name: UPPER_LAYER,
     "point": Variable("point", ("point",), "1", "point of stress.points", integer=True),
 }
 
@@ -40,19 +43,23 @@ def axis_of(variable: Variable) -> str:
     return next((name for name in variable.dimensions if name in AXES), "")
 
 
+def told_entry(variable: Variable, entry: int) -> str:
+    """Return what one of the numbers of a variable with such an axis is called."""
+    return f"{axis_of(variable).removesuffix('_upper')} {entry}"
+
+
 def sizes_of(arrays: Mapping[str, Any]) -> dict[str, int]:
     """Return the sizes of such axes of a case's arrays, or of those of cases of one pair."""
-    known = {**ROWS, **EACH}
     return {
         axis: int(values.shape[-1])
         for name, values in arrays.items()
-        if name in known and (axis := axis_of(known[name]))
+        if name in _NUMBERS and (axis := axis_of(_NUMBERS[name]))
     }
 
 
 def is_wide(name: str) -> bool:
     """Tell whether a variable has more than a number at each state, or of each case."""
-    variable = {**ROWS, **EACH}.get(name)
+    variable = _NUMBERS.get(name)
     return name in FIELDS or name in LINE or (variable is not None and bool(axis_of(variable)))
 
 
@@ -60,4 +67,4 @@ def width(name: str, elements: int, sizes: Mapping[str, int]) -> int:
     """Return how many numbers a variable has at each state, or of each case."""
     if not is_wide(name):
         return 1
-    return elements if name in FIELDS or name in LINE else sizes[axis_of({**ROWS, **EACH}[name])]
+    return elements if name in FIELDS or name in LINE else sizes[axis_of(_NUMBERS[name])]

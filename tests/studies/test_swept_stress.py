@@ -89,6 +89,37 @@ def test_stresses_and_layers_are_those_of_single_runs(times, comm, tmp_path):
     assert through == {True, False}
 
 
+UPPER = """
+[[upper.layers]]
+thickness = 0.01
+young = 50e3
+poisson = 0.3
+[[upper.layers]]
+thickness = 0.02
+young = 80e3
+poisson = 0.3
+"""
+
+
+@pytest.mark.parametrize("stress", [True, False])
+@pytest.mark.serial
+def test_rings_may_have_different_numbers_of_layers(stress, comm, tmp_path):
+    case = COATED.replace("[stress]", UPPER + "[stress]")
+    case = case.replace("[time]", '[wear.upper]\nlaw = "threshold"\nk = 1e-7\n[time]', 1)
+    if not stress:
+        case = case[: case.index("[stress]")]
+    told = sweep(write_study(tmp_path, comm, STUDY, case), tmp_path / "out", comm)
+    assert (told.done, told.failed) == (8, 0)
+    names = ["worn_volume_{}_layers"] + ["max_mises_{}_layers"] * stress
+    for mine, own, _ in singles(tmp_path / "out"):
+        count = int(mine.steps_stored)
+        for name in (name.format(body) for name in names for body in ("lower", "upper")):
+            stored = mine[name].values[:count]
+            at = slice(None) if name.startswith("worn") else slice(-1, None)
+            np.testing.assert_allclose(stored[at], own[name].values, rtol=1e-8)
+            assert own[name].shape[1] == (3 if "upper" in name else 2)
+
+
 def test_the_same_bits_on_all_ranks(comm, shared_path):
     """Whatever is drawn by which team; each team integrates once for all cases of a thickness."""
     study = write_study(shared_path, comm, STUDY, COATED)
