@@ -13,7 +13,7 @@ from ringwear_par.cases.schema import FIELDS
 from ringwear_par.cases.stress import Stress
 from ringwear_par.elasticity.mesh import ContactLine, Mesh, contact_line
 from ringwear_par.elasticity.profiles import CLOSE
-from ringwear_par.elasticity.sections import Grip, Polyline, Section, soft_film
+from ringwear_par.elasticity.sections import Grip, Polyline, Section
 from ringwear_par.errors import InputError
 from ringwear_par.schedules import Quantity, breakpoints
 from ringwear_par.wear.law import Law, WearLaw, complete
@@ -262,8 +262,7 @@ class Case:
     def section(self, ring: Ring) -> Section:
         """Return the meridian section of one of the two rings, in its own frame."""
         layers = tuple(layer.thickness for layer in ring.layers)
-        film = soft_film(layers, [*(layer.young for layer in ring.layers), ring.young])
-        return Section(ring.r, ring.z[1] - ring.z[0], ring.face, layers, film)
+        return Section(ring.r, ring.z[1] - ring.z[0], ring.face, layers)
 
     @property
     def sections(self) -> tuple[Section, Section]:

@@ -6,11 +6,13 @@ for its traction. The traction kernel acts on u(y) - u*(y), where u* is the rigi
 constant-strain field that agrees with u at the collocation point, so every integrand is bounded.
 
 Bonded zones share the displacements of an interface's nodes and the tractions of its elements,
-opposite on both sides. The zone towards the contact face is collocated at all nodes there, the
-other at the mid-points, so that there are as many equations as unknowns. Tractions are scaled with
+opposite on both sides. The stiffer zone is collocated at all nodes there, the other at the
+mid-points, so that there are as many equations as unknowns, and displacements are as smooth as the
+stiffer zone wants them. Tractions are scaled with
 the modulus of the body itself, the zone at the fixed face.
 """
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -133,28 +135,38 @@ def number_dofs(zones: Sequence[Zone]) -> list[DofMap]:
         of_zone[np.ix_(boundary.nodes[:, 0] == 0.0, [0, 2])] = True
         rows = ~of_zone
         rows[elements[:, 1]] |= fixed
-        # at their ends, the zone above is
-        rows[np.setdiff1d(elements[boundary.above], elements[boundary.above, 1])] = False
         known.append(of_zone)
         collocated.append(rows)
+    pairs = list(itertools.pairwise(range(len(zones))))
+    # of each interface the stiffer zone, which is collocated at the ends of elements too
+    stiffer = [max(pair, key=lambda i: (zones[i].material.young, -i)) for pair in pairs]
+    for (outer, inner), stiff in zip(pairs, stiffer, strict=True):
+        softer, name = (inner, "above") if stiff == outer else (outer, "below")
+        of_interface = zones[softer].boundary.elements[getattr(zones[softer].boundary, name)]
+        collocated[softer][np.setdiff1d(of_interface, of_interface[:, 1])] = False
     first = np.cumsum([0, *(len(rows) for rows in collocated)])
-    numbers = _numbers(np.concatenate(collocated))
-    found: list[DofMap] = []
-    for zone, of_zone, start, stop in zip(zones, known, first[:-1], first[1:], strict=True):
-        elements, above = zone.boundary.elements, zone.boundary.above
-        equation = numbers[start:stop]
-        displacement = np.where(of_zone, -1, equation)
-        unknown = zone.conditions.fixed.copy()
-        unknown[above] = True
-        traction, sign = np.where(unknown, equation[elements[:, 1]], -1), np.ones(len(elements))
-        if found:
-            outer, before = found[-1], zones[len(found) - 1].boundary
-            bonded = before.elements[before.below, ::-1]  # the other way round
-            displacement[elements[above]] = outer.displacement[bonded]
-            outer.traction[before.below] = traction[above]
-            outer.sign[before.below] = -1.0
-        found.append(DofMap(equation, displacement, traction, sign))
-    return found
+    numbers = np.split(_numbers(np.concatenate(collocated)), first[1:-1])
+    dofs = [
+        DofMap(
+            equation, np.where(of_zone, -1, equation),
+            np.where(zone.conditions.fixed, equation[zone.boundary.elements[:, 1]], -1),
+            np.ones(len(zone.boundary.elements)),
+        )
+        for zone, of_zone, equation in zip(zones, known, numbers, strict=True)
+    ]  # fmt: skip
+    for (outer, inner), stiff in zip(pairs, stiffer, strict=True):
+        of_outer, of_inner = zones[outer].boundary, zones[inner].boundary
+        nodes = of_outer.elements[of_outer.below, ::-1]  # the other way round
+        bonded = of_inner.elements[of_inner.above]
+        if stiff == outer:
+            dofs[inner].displacement[bonded] = dofs[outer].displacement[nodes]
+            traction = dofs[inner].equation[bonded[:, 1]]
+        else:
+            dofs[outer].displacement[nodes] = dofs[inner].displacement[bonded]
+            traction = dofs[outer].equation[nodes[:, 1]]
+        dofs[inner].traction[of_inner.above] = dofs[outer].traction[of_outer.below] = traction
+        dofs[outer].sign[of_outer.below] = -1.0
+    return dofs
 
 
 def _numbers(collocated: BoolArray) -> IntArray:

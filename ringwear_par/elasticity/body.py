@@ -87,18 +87,17 @@ def boundary_conditions(
     slope : (n,) float, tan alpha of the common normal in the body's own frame, see ``slopes``;
         None: none.
     """
-    k, parts = len(boundary.elements), boundary.part_of
-    n = len(np.unique(parts))
-    slope = np.zeros(len(parts)) if slope is None else slope[parts]
+    k, n = len(boundary.elements), len(boundary.contact)
+    slope = np.zeros(n) if slope is None else slope
     fixed = np.zeros((k, 3), dtype=bool)
     fixed[boundary.fixed] = [grip == "clamped", True, True]
     load = np.full((k, 3), -1)
     traction = np.zeros((k, 3))
-    load[boundary.contact] = parts[:, None]
+    load[boundary.contact] = np.arange(n)[:, None]
     ends = boundary.nodes[boundary.elements[boundary.contact]]
     along = ends[:, 2] - ends[:, 0]
     projected = np.abs(along[:, 0]) / np.hypot(*along.T)
-    directions = np.stack([slope, -np.ones(len(parts)), obliquity(slope)], axis=1)
+    directions = np.stack([slope, -np.ones(n), obliquity(slope)], axis=1)
     traction[boundary.contact] = projected[:, None] * directions
     return BoundaryConditions(fixed, load, traction, n)
 
@@ -372,7 +371,7 @@ def contact_problem(
     return Problem(
         zones,
         mesh.quadrature_tolerance,
-        tuple(boundary.elements[boundary.middle, 1] for boundary in boundaries),
+        tuple(boundary.elements[boundary.contact, 1] for boundary in boundaries),
         tuple(boundary.fixed for boundary in boundaries),
     )
 

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ringwear_par.arrays import FloatArray, IntArray
-from ringwear_par.elasticity.mesh import ContactLine, Mesh, contact_line, graded, pieces
+from ringwear_par.elasticity.mesh import ContactLine, Mesh, graded, pieces
 from ringwear_par.elasticity.sections import Section, corners
 from ringwear_par.errors import ComputationError, InputError
 
@@ -26,8 +26,6 @@ _LAYERED = 1.6, 3.5, 1.3
 _FINE = 3.0, 4.0, 1.3
 #: fewest elements of a free or fixed face
 _FEWEST = 4
-#: contact elements that are longer, in thicknesses of a soft film, are in parts
-_LONG = 8.0
 #: mm of a layer, or half of one that is thinner, that stays where elements follow the wear
 _RESIDUAL = 1e-3
 
@@ -42,9 +40,8 @@ class BoundaryMesh(NamedTuple):
     nodes : (m, 2) float, mm, radius and height of element ends and mid-points.
     elements : (k, 3) int, first, middle and last node of each element; the outward normal lies to
         the right of the direction of travel.
-    contact : (q,) int, elements of the contact line, by increasing radius; none but in the zone at
+    contact : (n,) int, elements of the contact line, by increasing radius; none but in the zone at
         the contact face.
-    part_of : (q,) int, of each the number of the line's element that it is, or is a part of.
     fixed : (h,) int, elements of the fixed face; none but in the zone there.
     inner_side, outer_side : int arrays, elements of the free cylindrical faces.
     above, below : (q,) int, elements of the interfaces to the zones towards the contact face and
@@ -54,18 +51,11 @@ class BoundaryMesh(NamedTuple):
     nodes: FloatArray
     elements: IntArray
     contact: IntArray
-    part_of: IntArray
     fixed: IntArray
     inner_side: IntArray
     outer_side: IntArray
     above: IntArray
     below: IntArray
-
-    @property
-    def middle(self) -> IntArray:
-        """(n,) int, elements in the middle of which the contact line's gaps are taken."""
-        _, first, parts = np.unique(self.part_of, return_index=True, return_counts=True)
-        return self.contact[first + parts // 2]
 
 
 class _Piece(NamedTuple):
@@ -123,23 +113,8 @@ def _flats(
     return of(inner, a), of(b, outer)
 
 
-def _parted(section: Section, edges: FloatArray) -> tuple[FloatArray, IntArray]:
-    """Return the radii of the ends of contact elements, (q+1,), and what each is part of, (q,).
-
-    On soft films long elements are in three parts, of which the outer two resolve what the film
-    gives way near a jump of pressure.
-    """
-    width = np.diff(edges)
-    parts = np.where(width > _LONG * section.film, 3, 1)
-    part_of = np.repeat(np.arange(len(width)), parts)
-    number = np.arange(len(part_of)) - np.repeat(np.cumsum(parts) - parts, parts)
-    starts = edges[part_of] + np.where(number == 1, section.film, 0.0)
-    starts = np.where(number == 2, edges[part_of + 1] - section.film, starts)
-    return np.append(starts, edges[-1]), part_of
-
-
-def _face(section: Section, line: ContactLine, at: FloatArray, mesh: Mesh, fine: bool) -> _Piece:
-    """Return the contact face, from its outer to its inner end; contact elements end at radii."""
+def _face(section: Section, line: ContactLine, mesh: Mesh, fine: bool) -> _Piece:
+    """Return the contact face, from its outer to its inner end."""
     contact_ends = float(line.edges[0]), float(line.edges[-1])
     inside, outside = _flats(section, contact_ends, mesh, fine)
     _, near, far = _beside(section, fine)
@@ -152,7 +127,7 @@ def _face(section: Section, line: ContactLine, at: FloatArray, mesh: Mesh, fine:
             lines.append(_named("flat", _along(_between(section, a, b)[::-1], n, grading)))
         return lines
 
-    contact = np.stack([at, np.interp(at, line.edges, section.depth(line.edges))], axis=1)[::-1]
+    contact = np.stack([line.edges, section.depth(line.edges)], axis=1)[::-1]
     return _joined([*flats(outside), _named("contact", contact), *flats(inside)])
 
 
@@ -186,10 +161,8 @@ def face_elements(
     section: Section, contact: tuple[float, float], mesh: Mesh, *, fine: bool = False
 ) -> int:
     """Return how many elements the contact face has, and each side of an interface."""
-    count = mesh.contact_elements
-    if math.isfinite(section.film):
-        count = len(_parted(section, contact_line(contact, mesh, section).edges)[1])
-    return count + sum(n for of in _flats(section, contact, mesh, fine) for *_, n in of)
+    flats = sum(n for of in _flats(section, contact, mesh, fine) for *_, n in of)
+    return mesh.contact_elements + flats
 
 
 def count_elements(section: Section, contact: tuple[float, float], mesh: Mesh) -> int:
@@ -230,15 +203,15 @@ def _lower_face(section: Section, line: ContactLine, face: FloatArray, worn: Flo
     ------
     ComputationError : more is worn than half of the body's height.
     """
-    radii = face[:, 0]
-    contact = (radii >= line.edges[0]) & (radii <= line.edges[-1])
-    thinnest = section.height + face[contact, 1].min()
+    first = int(np.flatnonzero(face[:, 0] == line.edges[-1])[0])
+    contact = face[first : first + line.n + 1]
+    thinnest = section.height + contact[:, 1].min()
     if not worn.max() < 0.5 * thinnest:
         raise ComputationError(
             f"wear of {worn.max():.3g} mm is more than half of the height of its body, "
             f"{thinnest:g} mm: the elements cannot follow it"
         )
-    face[contact, 1] -= np.interp(radii[contact], line.edges, worn)
+    contact[:, 1] -= worn[::-1]
 
 
 def boundary_mesh(
@@ -280,8 +253,7 @@ def zone_meshes(
     inner, outer = section.r
     if not inner <= a < b <= outer:
         raise InputError(f"section r = {section.r}: the contact line {a}, {b} must lie within")
-    at, part_of = _parted(section, line.edges)
-    top, names = _face(section, line, at, mesh, fine)
+    top, names = _face(section, line, mesh, fine)
     worn_top = top.copy()
     if worn is not None:
         _lower_face(section, line, worn_top, worn)
@@ -309,13 +281,12 @@ def zone_meshes(
         contour.append(_Piece(worn_top, names))
         if inner > 0:  # otherwise the contour runs from axis to axis
             contour.append(_named("inner_side", down[::-1]))
-        zones.append(_closed(contour, part_of))
-        part_of = part_of[:0]
+        zones.append(_closed(contour))
         top, worn_top, names = base, worn_base, ["above"] * (len(base) - 1)
     return tuple(zones)
 
 
-def _closed(contour: Sequence[_Piece], part_of: IntArray) -> BoundaryMesh:
+def _closed(contour: Sequence[_Piece]) -> BoundaryMesh:
     """Return the elements of pieces one after another, counter-clockwise."""
     ends, labels = _joined(contour)
     k, names = len(labels), np.array(labels)
@@ -331,8 +302,7 @@ def _closed(contour: Sequence[_Piece], part_of: IntArray) -> BoundaryMesh:
         inwards = name in ("contact", "above")
         return found[::-1].copy() if inwards else found
 
-    others = (of(name) for name in BoundaryMesh._fields[4:])
-    return BoundaryMesh(nodes, elements, of("contact"), part_of, *others)
+    return BoundaryMesh(nodes, elements, *(of(name) for name in BoundaryMesh._fields[2:]))
 
 
 def node_wear(line: ContactLine, worn: FloatArray) -> FloatArray:

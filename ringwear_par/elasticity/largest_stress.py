@@ -91,7 +91,7 @@ class Search:
         self._around = np.concatenate([around, held])
         grip = _AT_GRIP * np.ptp(nodes, axis=0).min()
         self._reach = np.repeat([exclude, max(exclude, grip)], [len(around), len(held)])
-        contact = top.elements[top.middle]
+        contact = top.elements[top.contact]
         width = np.hypot(*(top.nodes[contact[0, 0]] - top.nodes[contact[-1, 2]]))
         chosen = np.unique(np.linspace(0, len(contact) - 1, _COLUMNS).round().astype(int))
         along = top.nodes[contact[chosen, 2]] - top.nodes[contact[chosen, 0]]

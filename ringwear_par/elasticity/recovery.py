@@ -135,7 +135,7 @@ class BoundaryRecovery:
         elements = len(shown.elements)
         pressure, depth = np.zeros(elements), np.zeros(elements)
         if len(shown.contact):
-            pressure[shown.contact], depth[shown.contact] = p[shown.part_of], wear[shown.part_of]
+            pressure[shown.contact], depth[shown.contact] = p, wear
         face = np.zeros(elements, dtype=np.int64)
         for name in ("contact", "fixed", "inner_side", "outer_side", "above", "below"):
             number = "interface" if name in ("above", "below") else name
@@ -172,7 +172,7 @@ class BoundaryRecovery:
             section, line, self._mesh, node_wear(line, wear), fine=self._fine
         )
         nodes = first.nodes.copy()
-        middle = first.elements[first.middle, 1]
+        middle = first.elements[first.contact, 1]
         nodes[middle, 0] = line.gap_point
         nodes[middle, 1] = section.depth(line.gap_point) - wear
         return [first._replace(nodes=nodes), *others]

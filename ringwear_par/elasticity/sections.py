@@ -7,7 +7,6 @@ with the same compliance, so one description serves both.
 
 import itertools
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import TYPE_CHECKING, Literal
@@ -28,8 +27,6 @@ Grip = Literal["clamped", "platen"]
 CORNER_ANGLE = math.radians(5.0)
 #: fewest vertices of about the same curvature that are samples of a smooth face
 _DENSE = 6
-#: ratio of moduli below which a layer is much softer than what is under it
-_SOFT = 0.1
 
 
 @dataclass(frozen=True)
@@ -44,15 +41,12 @@ class Section:
         the flat face.
     layers : thicknesses of bonded layers of other materials, from the contact plane downwards; the
         face lies within the first.
-    film : depth to which soft layers at the contact face reach, infinite without any. Long contact
-        elements have ends of that length: what it gives way near a jump of pressure needs them.
     """
 
     r: tuple[float, float]
     height: float
     face: Polyline = ()
     layers: tuple[float, ...] = ()
-    film: float = math.inf
 
     def __post_init__(self) -> None:
         inner, outer = self.r
@@ -151,27 +145,6 @@ class Material:
 
     young: float
     poisson: float
-
-
-def soft_film(thicknesses: Sequence[float], young: Sequence[float]) -> float:
-    """Return the depth to the first layer's end under which there is much stiffer material, mm.
-
-    Parameters
-    ----------
-    thicknesses : mm, of layers from the contact plane downwards.
-    young : MPa, of them and of the body under them.
-
-    Returns
-    -------
-    Infinite where there is none.
-    """
-    depths = itertools.accumulate(thicknesses)
-    soft = (
-        depth
-        for depth, (own, under) in zip(depths, itertools.pairwise(young), strict=True)
-        if own < _SOFT * under
-    )
-    return next(soft, math.inf)
 
 
 @dataclass(frozen=True)

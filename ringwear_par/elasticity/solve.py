@@ -100,7 +100,7 @@ def _solve_alone(
     """Return the solution of a system and its residual. Not collective.
 
     Zones are coupled to their neighbours alone. They are eliminated one after another, from the one
-    at the fixed face on: what it does at given displacements of the interface above is known.
+    at the fixed face on: what it does at given unknowns of the zone above is known.
 
     Parameters
     ----------
@@ -108,23 +108,23 @@ def _solve_alone(
     """
     parts = [slice(*ends) for ends in itertools.pairwise([*zones, len(matrix)])]
     block, right = matrix[parts[-1], parts[-1]].copy(), loads[parts[-1]]
-    given = []  # of each zone, from the last on: at no displacement above, per displacement there
+    given = []  # of each zone, from the last on: under its own loads, and per unknown above
     for above, own in zip(parts[-2::-1], parts[:0:-1], strict=True):
-        displaced = matrix[own, above]
-        columns = np.flatnonzero(displaced.any(axis=0))
+        acts = matrix[own, above]
+        columns = np.flatnonzero(acts.any(axis=0))
         loaded = np.flatnonzero(right.any(axis=0))  # mostly none: the contact is at the first zone
-        found = _solve_block(block, np.hstack([right[:, loaded], displaced[:, columns]]))
-        alone, per_displacement = np.hsplit(found, [len(loaded)])
-        given.append((alone, loaded, per_displacement, columns))
+        found = _solve_block(block, np.hstack([right[:, loaded], acts[:, columns]]))
+        alone, per_unknown = np.hsplit(found, [len(loaded)])
+        given.append((alone, loaded, per_unknown, columns))
         block, right = matrix[above, above].copy(), loads[above].copy()
-        pulled = matrix[above, own]
-        tractions = np.flatnonzero(pulled.any(axis=0))
-        pulled = pulled[:, tractions]
-        block[:, columns] -= pulled @ per_displacement[tractions]
-        right[:, loaded] -= pulled @ alone[tractions]
+        reacts = matrix[above, own]
+        rows = np.flatnonzero(reacts.any(axis=0))
+        reacts = reacts[:, rows]
+        block[:, columns] -= reacts @ per_unknown[rows]
+        right[:, loaded] -= reacts @ alone[rows]
     x = [_solve_block(block, right)]
-    for alone, loaded, per_displacement, columns in reversed(given):
-        below = -per_displacement @ x[-1][columns]
+    for alone, loaded, per_unknown, columns in reversed(given):
+        below = -per_unknown @ x[-1][columns]
         below[:, loaded] += alone
         x.append(below)
     solution = np.concatenate(x)

@@ -198,7 +198,7 @@ class StressRecovery:
         blocks = [(own, zone.at(points[own])) for zone, own in mine]
         faces = [zone.surface for zone in stresses]
         return _Known(
-            search, points, numbers, blocks, _at(faces[0], boundaries[0].middle),
+            search, points, numbers, blocks, _at(faces[0], boundaries[0].contact),
             _beside_interfaces(boundaries, faces, BODIES[i]), len(zones),
         )  # fmt: skip
 
@@ -245,7 +245,7 @@ def load_stress_kernels(comm: MPI.Comm) -> None:
 
     nodes = np.array([[1.0, 0.0], [1.5, 0.0], [2.0, 0.0]])
     none = np.empty(0, dtype=np.int64)
-    boundary = BoundaryMesh(nodes, np.array([[0, 1, 2]]), *7 * (none,))
+    boundary = BoundaryMesh(nodes, np.array([[0, 1, 2]]), *6 * (none,))
 
     def load() -> None:
         stress_rows(

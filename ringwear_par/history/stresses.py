@@ -95,7 +95,7 @@ class CaseStresses:
         Parameters
         ----------
         wear : (n,) float, mm, of the contact elements, under which interfaces have elements of the
-            same radii, or parts of them.
+            same radii.
         """
         r, line = self.interfaces[i].r, self._case.line
         element = np.searchsorted(line.edges, r) - 1

@@ -268,6 +268,13 @@ def test_stress_in_a_layer_and_under_it(thickness, comm):
     assert strain[0] == pytest.approx(strain[1], rel=1e-9)
 
 
+@pytest.mark.parametrize(("thickness", "young"), [(0.02, 30.0), (0.005, 3.0), (0.001, 100.0)])
+def test_stress_under_a_soft_film_is_that_of_the_body(thickness, young, comm):
+    """Tangential strains times the stiff side's modulus are no noise of the film's."""
+    coarse, fine = (coated_stresses(n, thickness, young, comm) for n in (48, 96))
+    assert mises(coarse[0][4]) == pytest.approx(mises(fine[0][4]), rel=1e-2)
+
+
 def test_a_layer_of_the_same_material_changes_nothing(comm):
     layered, _ = coated_stresses(64, 0.3, 1e4, comm)
     shallow, _ = coated_stresses(64, 0.003, 1e4, comm)
