@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from mpi4py import MPI
 
-from ringwear_par.arrays import FloatArray, IntArray
+from ringwear_par.arrays import BoolArray, FloatArray, IntArray
 from ringwear_par.elasticity.body import BoundaryResponse, in_case_frame
 from ringwear_par.elasticity.boundary import BoundaryMesh, zone_meshes
 from ringwear_par.elasticity.boundary_fields import BODIES, Which
@@ -124,12 +124,17 @@ class StressRecovery:
         comm: MPI.Comm,
     ) -> None:
         self._planes, self._points, self._exclude, self._comm = planes, points, exclude, comm
+        self._line = line
         self._boundaries = BoundaryRecovery(bodies, line, mesh, planes, comm, fine=True)
         self._shape: FloatArray | None = None
         self._known: tuple[_Known, _Known] | None = None
 
     def stresses(
-        self, pressure: FloatArray, friction: float, shape: FloatArray | None = None
+        self,
+        pressure: FloatArray,
+        friction: float,
+        shape: FloatArray | None = None,
+        gone: tuple[BoolArray, BoolArray] | None = None,
     ) -> tuple[BodyStress, BodyStress]:
         """Return the stresses of lower and upper. Collective on comm, the same on all ranks.
 
@@ -138,6 +143,8 @@ class StressRecovery:
         pressure : (n,) float, MPa, of the contact solution.
         friction : mu; all of the contact slides.
         shape : (2, n) float, mm, wear that the elastic bodies have followed; None: none.
+        gone : of lower and upper, (layers, n) bool, where their layers are worn through: of these
+            nothing counts as the largest; None: nowhere.
 
         Raises
         ------
@@ -151,17 +158,20 @@ class StressRecovery:
             self._shape = None if shape is None else shape.copy()
         shear = friction * pressure
         lower, upper = (
-            self._of_body(i, known, pressure, shear) for i, known in enumerate(self._known)
+            self._of_body(known, pressure, shear, None if gone is None else gone[i])
+            for i, known in enumerate(self._known)
         )
         return lower, upper
 
     def _of_body(
-        self, i: int, known: _Known, pressure: FloatArray, shear: FloatArray
+        self, known: _Known, pressure: FloatArray, shear: FloatArray, gone: BoolArray | None
     ) -> BodyStress:
         stress = known.stress(pressure, shear, self._comm)
         asked = len(known.search.points)
         values = mises(stress)
         values[asked:][~known.search.allows(known.points[asked:])] = np.nan
+        if gone is not None and gone.any():
+            values[self._in_gone(known, gone)] = np.nan
         interfaces = [[s.stress(pressure, shear) for s in sides] for sides in known.interfaces]
         return BodyStress(
             stress[asked:],
@@ -170,6 +180,15 @@ class StressRecovery:
             np.array(interfaces) if interfaces else np.empty((0, 2, 0, 6)),
             known.largest_of_zones(values),
         )
+
+    def _in_gone(self, known: _Known, gone: BoolArray) -> BoolArray:
+        """Tell which points lie in layers that are worn through above or below them."""
+        element = np.searchsorted(self._line.edges, known.points[:, 0]) - 1
+        under = (element >= 0) & (element < self._line.n)
+        layer = np.flatnonzero(under & (known.zones < len(gone)))
+        found = np.zeros(len(element), dtype=bool)
+        found[layer] = gone[known.zones[layer], element[layer]]
+        return found
 
     def _integrated(self, shape: FloatArray | None) -> tuple[_Known, _Known]:
         """Return the influences of both bodies. Collective on comm."""

@@ -23,7 +23,7 @@ from ringwear_par.history.state import State
 from ringwear_par.history.tangent import Along
 from ringwear_par.schedules import in_time
 from ringwear_par.wear.increment import WearIncrement
-from ringwear_par.wear.layered import ROUND_OFF
+from ringwear_par.wear.layered import worn_through
 from ringwear_par.wear.layered_increment import LayeredIncrement
 
 GAMMA = 1.0 - 1.0 / math.sqrt(2.0)
@@ -201,7 +201,7 @@ def _through_defect(
     now = np.zeros(model.shape, dtype=bool)
     for ends, *worn in zip(model.layer_ends, before.wear, after.wear, strict=True):
         for end in () if ends is None else ends:
-            was, is_ = (each >= end * (1.0 - ROUND_OFF) for each in worn)
+            was, is_ = (worn_through(end, each) for each in worn)
             now |= is_ & ~was
     some = now.any(axis=-1, keepdims=True)
     if not some.any():

@@ -5,7 +5,7 @@ from collections.abc import Hashable
 import numpy as np
 from mpi4py import MPI
 
-from ringwear_par.arrays import BoolArray, FloatArray
+from ringwear_par.arrays import BoolArray
 from ringwear_par.cases.case import Case
 from ringwear_par.cases.stress import Side, grid_bodies, point_bodies
 from ringwear_par.elasticity.stress_fields import StressHistory, StressState
@@ -14,7 +14,7 @@ from ringwear_par.history.asked import Asked
 from ringwear_par.history.bodies import bodies, operator_key
 from ringwear_par.history.snapshots import Snapshot
 from ringwear_par.history.state import State
-from ringwear_par.wear.layered import ROUND_OFF
+from ringwear_par.wear.layered import worn_through
 
 _SIDES: dict[Side, float] = {"above": 1.0, "": 0.0, "below": -1.0}
 
@@ -68,7 +68,9 @@ class CaseStresses:
         ------
         ComputationError : the wear leaves too little of a body, or a factorisation failed.
         """
-        found = self._recovery.stresses(state.contact.pressure, case.friction, state.shape)
+        lower, upper = (worn_through(case.layer_ends(i), wear) for i, wear in enumerate(state.wear))
+        gone = lower, upper
+        found = self._recovery.stresses(state.contact.pressure, case.friction, state.shape, gone)
         points = np.empty((len(self.points), 6))
         grid = np.full((*self._of_grid.shape, 6), np.nan)
         for i, body in enumerate(found):
@@ -80,7 +82,7 @@ class CaseStresses:
             (found[0].largest, found[1].largest),
         )
         for i, body in enumerate(found):
-            body.interfaces[self._worn_away(i, state.wear[i])] = np.nan
+            body.interfaces[self._worn_away(i, gone[i])] = np.nan
         along = found[0].interfaces, found[1].interfaces
         layers = found[0].layers, found[1].layers
         return StressState(step, float(state.time), points, grid, surface, largest, along, layers)
@@ -89,19 +91,17 @@ class CaseStresses:
         """Return the stresses of some states, and where they are."""
         return StressHistory(self.points, self.grid, self._exclude, self.interfaces, states)
 
-    def _worn_away(self, i: int, wear: FloatArray) -> BoolArray:
+    def _worn_away(self, i: int, gone: BoolArray) -> BoolArray:
         """Tell which elements wear has reached, of the interfaces of a body, on both their sides.
 
         Parameters
         ----------
-        wear : (n,) float, mm, of the contact elements, under which interfaces have elements of the
-            same radii.
+        gone : (layers, n) bool, where on the contact line layers are worn through.
         """
         r, line = self.interfaces[i].r, self._case.line
         element = np.searchsorted(line.edges, r) - 1
         under = (element >= 0) & (element < line.n)
         worn = np.zeros((len(self.interfaces[i].z), 2, len(r)), dtype=bool)
-        gone = wear >= self._case.layer_ends(i) * (1.0 - ROUND_OFF)
         worn[:, :, under] = gone[:, None, element[under]]
         return worn
 

@@ -6,12 +6,24 @@ from typing import Any, Self
 
 import numpy as np
 
-from ringwear_par.arrays import FloatArray, IntArray
+from ringwear_par.arrays import BoolArray, FloatArray, IntArray
 from ringwear_par.schedules import Quantity
 from ringwear_par.wear.law import Law, LocalState, stack_laws
 
 #: share of its thickness below which what is left of a layer is round-off
 ROUND_OFF = 1e-13
+
+
+def worn_through(ends: FloatArray, wear: FloatArray) -> BoolArray:
+    """Tell where wear has come to the ends of layers, but for round-off.
+
+    Parameters
+    ----------
+    ends : (layers, n) or (n,) float, mm, depths of the layers' ends.
+    wear : (..., n) float, mm.
+    """
+    through: BoolArray = wear >= ends * (1.0 - ROUND_OFF)
+    return through
 
 
 @dataclass(frozen=True)
