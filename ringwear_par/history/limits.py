@@ -183,7 +183,9 @@ def check_mesh(case: Case, name: str) -> None:
                 f"{name}: {body}.r = [{ring.r[0]:g}, {ring.r[1]:g}]: the inner radius must be 0 or "
                 f"at least {1e-13 * ring.r[1]:.1e} mm"
             )
-        for i, zone in enumerate(zone_meshes(case.section(ring), case.line, case.mesh)):
+        for i, zone in enumerate(
+            zone_meshes(case.section(ring), case.line, case.mesh, fine=case.stress is not None)
+        ):
             ends = zone.nodes[zone.elements]
             lengths = np.hypot(*(ends[:, 2] - ends[:, 0]).T)
             shortest, least = float(lengths.min()), 1e-11 * ring.r[1]

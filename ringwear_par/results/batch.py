@@ -100,19 +100,18 @@ class BatchRecorder:
     ----------
     cases : of one ``batch_key``.
     pair : their contact pair.
+    stresses : returns what has the stresses of a case, None where it asks for none.
     keep_ends : whether there are to be results, which hold what it takes to go on.
     derivatives : keys that the histories have derivatives with respect to.
-    stresses : returns what has the stresses of a case, None where it asks for none; without it all
-        cases are computed alone.
     """
 
     def __init__(
         self,
         cases: Sequence[Case],
         pair: ContactPair,
+        stresses: Callable[[Case], CaseStresses | None],
         keep_ends: bool = False,
         derivatives: Sequence[str] = (),
-        stresses: Callable[[Case], CaseStresses | None] = lambda case: None,
     ) -> None:
         self._cases, self._pair, self._keep_ends = cases, pair, keep_ends
         output, count = cases[0].output, len(cases)

@@ -132,7 +132,7 @@ def computed(
                 part = numbers[first : first + size]
                 own = [cases[number] for number in part]
                 times = None if step_times is None else [step_times[n] for n in part]
-                recorder = BatchRecorder(own, pair, keep_ends, derivatives, lent.stresses)
+                recorder = BatchRecorder(own, pair, lent.stresses, keep_ends, derivatives)
                 left = simulate_batch(own, pair, recorder, stop, most, derivatives, times)
                 if left is None:
                     return
@@ -147,9 +147,7 @@ def computed(
             grid = None if step_times is None else step_times[number]
             if (one := _alone(cases[number], lent, stop, derivatives, grid)) is None:
                 return
-            recorder = BatchRecorder(
-                [cases[number]], pair, derivatives=derivatives, stresses=lent.stresses
-            )
+            recorder = BatchRecorder([cases[number]], pair, lent.stresses, derivatives=derivatives)
             yield Computed((number,), recorder, {0: one})
 
 
