@@ -4,6 +4,10 @@ Each response is interpolated by cubic radial functions and a linear polynomial 
 ``RBFInterpolator``) over the keys, stretched such that cases that are left out are met best. Of the
 response itself, its roots or its logarithm that is taken with which they are met best: wear grows
 with powers of the keys, and stays near zero where pressures hardly pass a threshold.
+
+Of grids, cases left out by lot tell nothing of what is between the values of a key: there, whole
+values are left out, too. Where a key has few values, cubic functions swing between them by the
+distance of these over the range of another key: stretches keep that below one.
 """
 
 import math
@@ -14,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ringwear_par.arrays import BoolArray, FloatArray
+from ringwear_par.arrays import BoolArray, FloatArray, IntArray
 from ringwear_par.studies.sensitivity import SEED
 
 if TYPE_CHECKING:
@@ -22,6 +26,8 @@ if TYPE_CHECKING:
 
 #: most cases that stretches of the keys are found from
 _MOST_STRETCHED = 150
+#: of places of keys, by which their values are told apart
+_DIGITS = 6
 #: parts that are left out in turn, of the errors told and of the search for stretches
 _FOLDS, _FEW_FOLDS = 10, 4
 
@@ -153,19 +159,47 @@ def _interpolator(points: FloatArray, table: FloatArray) -> "RBFInterpolator":
     return RBFInterpolator(points, table, kernel="cubic", degree=1)
 
 
-def _left_out(points: FloatArray, table: FloatArray) -> FloatArray:
-    """Return a table (cases, columns) as it is found where a part of the cases is left out."""
-    found = np.empty(table.shape)
-    for out in _parts_of(len(points), _FEW_FOLDS):
-        found[out] = _interpolator(points[~out], table[~out])(points[out])
-    return found
+def _left_out(
+    points: FloatArray, table: FloatArray, folds: Sequence[BoolArray]
+) -> tuple[FloatArray, IntArray]:
+    """Return rows of a table as they are found where their fold is left out, and their cases."""
+    found = [_interpolator(points[~out], table[~out])(points[out]) for out in folds]
+    return np.concatenate(found), np.concatenate([np.flatnonzero(out) for out in folds])
 
 
-def _parts_of(count: int, parts: int) -> list[BoolArray]:
+def _by_lot(count: int, parts: int) -> list[BoolArray]:
     """Return which cases are left out, in turn."""
     parts = min(parts, count)
     of_part = np.random.default_rng(SEED).permutation(count) % parts
     return [of_part == part for part in range(parts)]
+
+
+def _by_value(points: FloatArray, parts: int) -> list[list[BoolArray]]:
+    """Return, for each key whose values repeat, which of those between its ends are left out."""
+    found = []
+    for column in np.round(points, _DIGITS).T:
+        values = np.unique(column)
+        if 2 * len(values) > len(points):
+            continue
+        inner = values[1:-1]
+        each = [np.isin(column, inner[i::parts]) for i in range(min(parts, len(inner)))]
+        each = [out for out in each if _suffice(points[~out])]
+        if each:
+            found.append(each)
+    return found
+
+
+def _suffice(points: FloatArray) -> bool:
+    """Tell whether points tell a linear polynomial, and more."""
+    count, keys = points.shape
+    return count > keys + 1 and bool(
+        np.linalg.matrix_rank(np.insert(points, 0, 1.0, axis=1), tol=1e-6) > keys
+    )
+
+
+def untested(points: FloatArray) -> list[int]:
+    """Return the keys that have two values only: no case tells what is between them."""
+    return [i for i, column in enumerate(np.round(points, _DIGITS).T) if len(set(column)) < 3]
 
 
 def fitted(
@@ -173,37 +207,60 @@ def fitted(
 ) -> tuple[FloatArray, dict[str, Response]]:
     """Return the stretches of the keys, and the responses with their leave-out errors.
 
-    Few cases are left out of the choice of stretches and forms, too. That of many hardly depends on
-    the tenth that is left out, and would take long.
+    These are the largest of those of cases left out by lot, and of values of each key. Few cases
+    are left out of the choice of stretches and forms, too. That of many hardly depends on the tenth
+    that is left out, and would take long; so would it for values of keys.
     """
     flat = {name: array.reshape(len(array), -1) for name, array in values.items()}
-    stretches, forms = _chosen(points, flat)
-    found = {name: np.empty_like(array) for name, array in flat.items()}
-    for out in _parts_of(len(points), _FOLDS):
-        rest = {name: array[~out] for name, array in flat.items()}
-        few = len(points) <= _MOST_STRETCHED
-        its_stretches, its_forms = _chosen(points[~out], rest) if few else (stretches, forms)
+    chosen = _chosen(points, flat)
+    errors = dict.fromkeys(flat, (0.0, 0.0))
+    sets = [_by_lot(len(points), _FOLDS), *_by_value(points, _FOLDS)]
+    for number, folds in enumerate(sets):
+        anew = not number and len(points) <= _MOST_STRETCHED
+        for name, found in _errors(points, flat, folds, None if anew else chosen).items():
+            errors[name] = max(errors[name], found)
+    stretches, forms = chosen
+    return stretches, {
+        name: Response(array, forms[name], *errors[name], values[name].shape[1:])
+        for name, array in flat.items()
+    }
+
+
+def _errors(
+    points: FloatArray, values: Mapping[str, FloatArray], folds: Sequence[BoolArray],
+    chosen: tuple[FloatArray, dict[str, str]] | None,
+) -> dict[str, tuple[float, float]]:  # fmt: skip
+    """Return the errors of what is left out in turn, and those of its form, of each response.
+
+    Parameters
+    ----------
+    chosen : stretches and forms; None to choose them without each fold.
+    """
+    apart: dict[str, list[FloatArray]] = {name: [] for name in values}
+    of_form: dict[str, list[FloatArray]] = {name: [] for name in values}
+    for out in folds:
+        rest = {name: array[~out] for name, array in values.items()}
+        stretches, forms = chosen or _chosen(points[~out], rest)
+        stretches = _held(stretches, points[~out])
         for name, array in rest.items():
-            there, _ = _FORMS[its_forms[name]]
-            interpolator = _interpolator(points[~out] * its_stretches, there(array))
-            left_out = interpolator(points[out] * its_stretches)
-            found[name][out] = _back(left_out, its_forms[name], array)
-    responses = {}
-    for name, array in flat.items():
-        there, _ = _FORMS[forms[name]]
-        with np.errstate(divide="ignore"):  # logarithms, where others were chosen meanwhile
-            differences = there(found[name]) - there(array)
-        form_error = _rms(differences[np.isfinite(differences)])
-        error = _rms(found[name] - array)
-        shape = values[name].shape[1:]
-        responses[name] = Response(array, forms[name], error, form_error, shape)
-    return stretches, responses
+            there, _ = _FORMS[forms[name]]
+            interpolator = _interpolator(points[~out] * stretches, there(array))
+            found = _back(interpolator(points[out] * stretches), forms[name], array)
+            expected = values[name][out]
+            apart[name].append(found - expected)
+            with np.errstate(divide="ignore"):  # logarithms, where others were chosen meanwhile
+                differences = there(found) - there(expected)
+            of_form[name].append(differences[np.isfinite(differences)])
+    return {
+        name: (_rms(np.concatenate(apart[name])), _rms(np.concatenate(list(map(np.ravel, each)))))
+        for name, each in of_form.items()
+    }
 
 
 def _chosen(
     points: FloatArray, values: Mapping[str, FloatArray]
 ) -> tuple[FloatArray, dict[str, str]]:
-    """Return the stretches of the keys, and the forms, with which cases left out are met best."""
+    """Return the stretches of the keys, and the forms, with which what is left out is met best."""
     stretches = np.ones(points.shape[1])
     if len(stretches) > 1:
         from scipy.optimize import minimize  # slow to import
@@ -214,21 +271,41 @@ def _chosen(
             [_evened(_FORMS[form][0](few[name])) for name, form in _best_forms(at, few).items()],
             axis=1,
         )
+        folds = _folds(at)
+
+        def error(logarithms: FloatArray) -> float:
+            found, cases = _left_out(at * _stretched(logarithms, at), table, folds)
+            return _rms(found - table[cases])
+
         found = minimize(
-            lambda x: _rms(_left_out(at * _stretched(x), table) - table),
-            np.zeros_like(stretches), method="Nelder-Mead",
+            error, np.zeros_like(stretches), method="Nelder-Mead",
             options={
                 "initial_simplex": np.vstack([0.0 * stretches, np.eye(len(stretches))]),
                 "maxfev": 25 * len(stretches), "xatol": 0.05,
             },
         )  # fmt: skip
-        stretches = _stretched(found.x)
+        stretches = _stretched(found.x, points)
     return stretches, _best_forms(points * stretches, values)
 
 
-def _stretched(logarithms: FloatArray) -> FloatArray:
-    """Return stretches whose product is 1: cubic functions know no length."""
-    return np.exp(np.clip(logarithms - logarithms.mean(), -4.0, 4.0))
+def _folds(points: FloatArray) -> list[BoolArray]:
+    """Return which cases are left out in turn by a search."""
+    by_value = _by_value(points, _FEW_FOLDS)
+    return [*_by_lot(len(points), _FEW_FOLDS), *(out for each in by_value for out in each)]
+
+
+def _stretched(logarithms: FloatArray, points: FloatArray) -> FloatArray:
+    """Return stretches of points whose product is about 1: cubic functions know no length."""
+    stretches: FloatArray = np.exp(np.clip(logarithms - logarithms.mean(), -4.0, 4.0))
+    return _held(stretches, points)
+
+
+def _held(stretches: FloatArray, points: FloatArray) -> FloatArray:
+    """Return stretches with which no hole in a key is wider than the range of another one."""
+    values = [np.unique(column) for column in points.T]
+    holes = [np.diff(v).max() / np.ptp(v) if len(v) > 1 else 1.0 for v in values]
+    held: FloatArray = np.minimum(stretches, stretches.min() / np.array(holes))
+    return held
 
 
 def _evened(table: FloatArray) -> FloatArray:
@@ -241,12 +318,12 @@ def _evened(table: FloatArray) -> FloatArray:
 def _best_forms(points: FloatArray, values: Mapping[str, FloatArray]) -> dict[str, str]:
     tried = [(name, form) for name, array in values.items() for form in forms_for(array)]
     tables = [_FORMS[form][0](values[name]) for name, form in tried]
-    found = _left_out(points, np.concatenate(tables, axis=1))
+    found, cases = _left_out(points, np.concatenate(tables, axis=1), _folds(points))
     best: dict[str, tuple[float, str]] = {}
     start = 0
     for (name, form), table in zip(tried, tables, strict=True):
         stop = start + table.shape[1]
-        error = _rms(_back(found[:, start:stop], form, values[name]) - values[name])
+        error = _rms(_back(found[:, start:stop], form, values[name]) - values[name][cases])
         best[name] = min(best.get(name, (math.inf, form)), (error, form))
         start = stop
     return {name: form for name, (_, form) in best.items()}

@@ -13,7 +13,7 @@ from ringwear_par.studies.predictions import Surrogate, unit_of
 from ringwear_par.studies.regression import Part, Response, forms_for
 
 SURROGATE = "surrogate.h5"
-_SOFTWARE, _WHAT = "ringwear-par surrogate 1", "a surrogate of a sweep"
+_SOFTWARE, _WHAT = "ringwear-par surrogate 2", "a surrogate of a sweep"
 #: arrays (keys,) of a part
 _OF_KEYS = ("low", "high", "logarithmic", "stretches")
 

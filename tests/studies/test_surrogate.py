@@ -1,5 +1,6 @@
 """Surrogates: closed forms met, errors told that fresh cases confirm, nothing extrapolated."""
 
+import itertools
 import logging
 import shutil
 from dataclasses import replace
@@ -84,6 +85,51 @@ def test_the_error_told_is_that_of_fresh_cases(tmp_path, count):
     error = float(np.sqrt(np.mean((found - threshold(fresh)) ** 2)))
     assert error / 3.0 < made.error["penetration"] < 3.0 * error
     assert made.relative_error["penetration"] < (0.3 if count == 64 else 0.1)
+
+
+GRID = ("lower.layers[0].thickness", "lower.layers[0].wear.k", "wear.lower.k")
+
+
+def through(x):
+    """A body that wears by another factor once its layer is worn through."""
+    h, slow, fast = x.T
+    return np.where(3e7 * slow < h, 3e7 * slow, h + 3e7 * fast * (1.0 - h / (3e7 * slow)))
+
+
+def grid_of_layers(folder, counts):
+    values = [
+        np.geomspace(*ends, count)
+        for ends, count in zip(((2e-3, 0.1), (1e-10, 1e-9), (2e-9, 1e-8)), counts, strict=True)
+    ]
+    x = np.array(list(itertools.product(*values)))
+    # stress in the layer that is nearly worn through: far above that of all other cases
+    stress = np.where(np.arange(len(x)) == 0, 110.0, 44.0 - 80.0 * x[:, 0])
+    return write(folder, GRID, x, through(x), lower=stress)
+
+
+@pytest.mark.parametrize("counts", [(6, 3, 2), (8, 1, 2), (3, 3, 3), (6, 4, 4)])
+def test_between_the_values_of_a_grid_nothing_leaves_the_range_of_its_cases(tmp_path, counts):
+    ensemble = grid_of_layers(tmp_path, counts)
+    made = rw.surrogate(tmp_path)
+    (part,) = made.parts
+    u = np.random.default_rng(7).random((3000, len(part.keys)))
+    for name, found in part.at(u, ["penetration", "worn_volume_lower"]).items():
+        values = ensemble.final[name]
+        width = np.ptp(values)
+        assert found.min() > values.min() - 0.25 * width
+        assert found.max() < values.max() + 0.25 * width
+
+
+def test_the_error_of_a_grid_is_not_below_that_between_its_values(tmp_path):
+    grid_of_layers(tmp_path, (6, 3, 3))
+    made = rw.surrogate(tmp_path)
+    u = np.random.default_rng(5).random((3000, 3))
+    ends = np.log([made.ranges[key] for key in GRID])
+    fresh = np.exp(ends[:, 0] + u * (ends[:, 1] - ends[:, 0]))
+    inside = np.clip(fresh, *np.transpose([made.ranges[key] for key in GRID]))
+    found = made.predict(dict(zip(GRID, inside.T, strict=True)))["penetration"]
+    error = float(np.sqrt(np.mean((found - through(fresh)) ** 2)))
+    assert error / 1.5 < made.error["penetration"] < 10.0 * error
 
 
 def test_more_keys_than_matter_hardly_harm(tmp_path):
