@@ -33,8 +33,8 @@ log = logging.getLogger(__name__)
 #: keys that are drawn: with more of them the figure is of no use
 _MOST_KEYS = 8
 _COLUMNS, _PANEL, _WIDTH = 4, (2.3, 2.1), 7.2
-#: indices beside the histories where there are more than a row of them, which has one more
-_BARS = 2
+#: indices of outputs in a row, below the histories where there are more than one
+_BARS = 3
 #: inches of a line of a legend
 _LINE = 0.18
 
@@ -134,14 +134,15 @@ def draw_sweep(ensemble: Ensemble, regressions: Surrogate | None = None) -> Figu
     drawn, outputs, keys = chosen.cases, chosen.outputs, chosen.keys
     plans, below = chosen.plans, chosen.responses
     if below is not None:  # which has the cases, too
-        plans = [plan for plan in plans if plan.kind != "scatter" or not below.shows(plan.key.name)]
+        plans = [plan for plan in plans if plan.kind == "curves" or not below.shows(plan.key.name)]
     blocks = _blocks(plans)
     shapes = [
         (len(outputs), len(block)) if len(keys) > 1 else (1, len(outputs)) for block in blocks
     ]
     with matplotlib.rc_context(STYLE):
         top, *more = _bars_by_row(bars)
-        heights = [max(2.6, 1.8 + 0.3 * len(keys)) if bars else 2.6] * (1 + len(more))
+        of_bars = max(2.6, 1.8 + 0.3 * len(keys))
+        heights = [of_bars if top else 2.6] + [of_bars] * len(more)
         for block, (rows, _) in zip(blocks, shapes, strict=True):
             heights.append(_PANEL[1] * rows + 0.3 + _LINE * max(plan.lines for plan in block))
         if below is not None:
@@ -155,7 +156,7 @@ def draw_sweep(ensemble: Ensemble, regressions: Surrogate | None = None) -> Figu
         parts: Any = figure.subfigures(len(heights), 1, height_ratios=heights, squeeze=False)[:, 0]
         _draw_top(parts[0], ensemble, drawn, keys, top)
         for part, row in zip(parts[1:], more, strict=False):
-            panels = part.subplots(1, _BARS + 1)
+            panels = part.subplots(1, _BARS)
             _draw_bars(panels[: len(row)], row, keys)
             for axes in panels[len(row) :]:
                 axes.remove()
@@ -212,11 +213,10 @@ def _draw_top(
 
 
 def _bars_by_row(bars: Sequence[IndexBars]) -> list[Sequence[IndexBars]]:
-    """Return those beside the histories, and rows of the rest."""
-    if len(bars) <= _BARS + 1:
+    """Return those beside the histories, whose legend needs room, and rows of the rest."""
+    if len(bars) < 2:
         return [bars]
-    rest = range(_BARS, len(bars), _BARS + 1)
-    return [bars[:_BARS], *(bars[start : start + _BARS + 1] for start in rest)]
+    return [(), *(bars[start : start + _BARS] for start in range(0, len(bars), _BARS))]
 
 
 def _draw_bars(panels: Any, bars: Sequence[IndexBars], keys: Sequence[Key]) -> None:

@@ -187,10 +187,10 @@ def drawn(final: Mapping[str, Any], cases: Any) -> list[str]:
     """Return which numbers of some cases figures show.
 
     Volumes of bodies that wear in some of them, or of the lower one; shares worn through, where
-    there are some; the largest stress, that of each layer, and stresses at points.
+    there are some; the largest stress. Numbers of each layer and point would make figures that
+    nobody reads.
     """
     worn = [name for name in FINAL[1:] if np.nan_to_num(final[name][cases]).any()]
     through = [name for name in LAYER_HISTORIES if np.nan_to_num(final.get(name, [])).any()]
-    sources = ("max_mises", *LAYER_STRESS, "mises")
-    stress = [name for name in final if entry_of(name)[0].name in sources]
+    stress = [name for name in ("max_mises",) if name in final]
     return ["penetration", *(worn or ["worn_volume_lower"]), *through, *stress]

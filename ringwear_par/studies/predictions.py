@@ -14,6 +14,8 @@ from ringwear_par.studies.responses import DEPTHS, LARGEST
 
 #: leave-out errors above this part of a response's spread are called coarse
 COARSE = 0.1
+#: and above this part responses are not drawn
+USELESS = 0.2
 _ROUNDING = 1e-9
 #: %, below which errors are those of rounding
 _EXACT = 1e-6

@@ -28,6 +28,9 @@ if TYPE_CHECKING:
 _MOST_STRETCHED = 150
 #: of places of keys, by which their values are told apart
 _DIGITS = 6
+#: of what values left out of a key are off by, what is told: they leave a hole twice as wide as
+#: those of the design, and where a response has kinks errors go by the width
+_HOLE = 0.5
 #: parts that are left out in turn, of the errors told and of the search for stretches
 _FOLDS, _FEW_FOLDS = 10, 4
 
@@ -207,9 +210,9 @@ def fitted(
 ) -> tuple[FloatArray, dict[str, Response]]:
     """Return the stretches of the keys, and the responses with their leave-out errors.
 
-    These are the largest of those of cases left out by lot, and of values of each key. Few cases
-    are left out of the choice of stretches and forms, too. That of many hardly depends on the tenth
-    that is left out, and would take long; so would it for values of keys.
+    These are the largest of those of cases left out by lot, and half of those of values of each
+    key. Few cases are left out of the choice of stretches and forms, too. That of many hardly
+    depends on the tenth that is left out, and would take long; so would it for values of keys.
     """
     flat = {name: array.reshape(len(array), -1) for name, array in values.items()}
     chosen = _chosen(points, flat)
@@ -217,8 +220,9 @@ def fitted(
     sets = [_by_lot(len(points), _FOLDS), *_by_value(points, _FOLDS)]
     for number, folds in enumerate(sets):
         anew = not number and len(points) <= _MOST_STRETCHED
-        for name, found in _errors(points, flat, folds, None if anew else chosen).items():
-            errors[name] = max(errors[name], found)
+        for name, found in _errors(points, flat, folds, chosen, anew=anew).items():
+            share = _HOLE if number else 1.0
+            errors[name] = max(errors[name], (share * found[0], share * found[1]))
     stretches, forms = chosen
     return stretches, {
         name: Response(array, forms[name], *errors[name], values[name].shape[1:])
@@ -228,32 +232,33 @@ def fitted(
 
 def _errors(
     points: FloatArray, values: Mapping[str, FloatArray], folds: Sequence[BoolArray],
-    chosen: tuple[FloatArray, dict[str, str]] | None,
+    chosen: tuple[FloatArray, dict[str, str]], *, anew: bool,
 ) -> dict[str, tuple[float, float]]:  # fmt: skip
     """Return the errors of what is left out in turn, and those of its form, of each response.
 
     Parameters
     ----------
-    chosen : stretches and forms; None to choose them without each fold.
+    chosen : stretches and forms.
+    anew : whether to choose others without each fold; errors of forms are of those above.
     """
     apart: dict[str, list[FloatArray]] = {name: [] for name in values}
     of_form: dict[str, list[FloatArray]] = {name: [] for name in values}
     for out in folds:
         rest = {name: array[~out] for name, array in values.items()}
-        stretches, forms = chosen or _chosen(points[~out], rest)
+        stretches, forms = _chosen(points[~out], rest) if anew else chosen
         stretches = _held(stretches, points[~out])
         for name, array in rest.items():
-            there, _ = _FORMS[forms[name]]
-            interpolator = _interpolator(points[~out] * stretches, there(array))
+            interpolator = _interpolator(points[~out] * stretches, _FORMS[forms[name]][0](array))
             found = _back(interpolator(points[out] * stretches), forms[name], array)
             expected = values[name][out]
             apart[name].append(found - expected)
+            there, _ = _FORMS[chosen[1][name]]
             with np.errstate(divide="ignore"):  # logarithms, where others were chosen meanwhile
                 differences = there(found) - there(expected)
             of_form[name].append(differences[np.isfinite(differences)])
     return {
-        name: (_rms(np.concatenate(apart[name])), _rms(np.concatenate(list(map(np.ravel, each)))))
-        for name, each in of_form.items()
+        name: (_rms(np.concatenate(apart[name])), _rms(np.concatenate(of_form[name])))
+        for name in values
     }
 
 

@@ -20,8 +20,8 @@ from ringwear_par.studies.axes import (
     upright,
 )
 from ringwear_par.studies.finals import shown
-from ringwear_par.studies.predictions import Surrogate, told_share
-from ringwear_par.studies.regression import Part
+from ringwear_par.studies.predictions import USELESS, Surrogate, told_share
+from ringwear_par.studies.regression import Part, untested
 from ringwear_par.studies.sensitivity import SEED
 
 #: panels beside each other, places along a key, and points over the other keys at each
@@ -38,12 +38,14 @@ class Responses:
     Parameters
     ----------
     surrogate : whose part of most cases is drawn.
-    names : responses that vary, final values.
+    names : responses that vary and are told well enough, final values.
+    coarse : those that vary and are not.
     keys : numbers of the part's keys over which they are drawn.
     """
 
     surrogate: Surrogate
     names: tuple[str, ...]
+    coarse: tuple[str, ...]
     keys: tuple[int, ...]
 
     @classmethod
@@ -53,13 +55,16 @@ class Responses:
         """Return what is drawn of some outputs over some keys; None if nothing varies."""
         part = surrogate.parts[0]
         there = [name for name in outputs if name in part.responses]
-        names = tuple(name for name in there if part.responses[name].relative_error > 0.0)
+        errors = {name: part.responses[name].relative_error for name in there}
+        names = tuple(name for name, error in errors.items() if 0.0 < error <= USELESS)
+        coarse = tuple(name for name, error in errors.items() if error > USELESS)
         over = tuple(i for i, key in enumerate(part.keys) if key in keys)
-        return cls(surrogate, names, over) if names and over else None
+        return cls(surrogate, names, coarse, over) if (names or coarse) and over else None
 
     def shows(self, key: str) -> bool:
         """Tell whether all cases are shown over a key, but for those that are left out by lot."""
-        return len(self.surrogate.parts) == 1 and key in self._part.keys
+        whole = bool(self.names) and not self.coarse and len(self.surrogate.parts) == 1
+        return whole and key in self._part.keys
 
     @property
     def over(self) -> dict[str, int]:
@@ -69,11 +74,13 @@ class Responses:
     @property
     def columns(self) -> int:
         """Number of panels beside each other."""
-        return max(map(len, self._blocks))
+        return max(map(len, self._blocks)) if self.names else 0
 
     @property
     def heights(self) -> list[float]:
         """Inches of the rows that it takes."""
+        if not self.names:
+            return [0.1 + _LINE * len(self._title)]
         rows = [_ROW * len(self.names) + 1.1 for _ in self._blocks]
         return [rows[0] + _LINE * (len(self._title) - 2), *rows[1:]]
 
@@ -96,23 +103,39 @@ class Responses:
     def draw(self, parts: Sequence[Any]) -> None:
         """Draw into parts of a figure, one a row."""
         parts[0].suptitle("\n".join(self._title), fontsize=8.0)
+        if not self.names:
+            return
         for number, (part, block) in enumerate(zip(parts, self._blocks, strict=True)):
             self._draw_curves(part, block, legend=not number)
 
     @property
-    def said(self) -> tuple[str, str]:
-        """What the surrogate is of, and how good it is."""
+    def said(self) -> tuple[str, ...]:
+        """What the surrogate is of, how good it is, and what is not drawn for its errors."""
         part = self._part
         said = f"surrogate of {len(part.points)} cases"
         if part.texts:
             texts = zip(self.surrogate.text_keys, part.texts, strict=True)
             said += " with " + ", ".join(f"{key} = {shortened(text)}" for key, text in texts)
-        errors = "; ".join(
-            f"{shown(name).name} {told_share(part.responses[name].relative_error)}"
-            for name in self.names
+        told = [said]
+        if self.names:
+            told = [f"{said}; keys vary evenly over their ranges"]
+            told.append(f"leave-out errors, of the spread: {self._errors(self.names)}")
+        if self.coarse:
+            told.append(
+                f"not drawn, for leave-out errors above {100.0 * USELESS:.0f} % of the spread: "
+                f"{self._errors(self.coarse)}; more cases, or more values of keys that have few, "
+                "make these smaller"
+            )
+        two = [part.keys[i] for i in untested(part.points)]
+        if two and self.names:
+            told.append(f"no case tests it between the two values of {', '.join(two)}")
+        return tuple(told)
+
+    def _errors(self, names: Sequence[str]) -> str:
+        responses = self._part.responses
+        return "; ".join(
+            f"{shown(name).name} {told_share(responses[name].relative_error)}" for name in names
         )
-        said += "; keys vary evenly over their ranges"
-        return said, f"leave-out errors, of the spread: {errors}"
 
     def _draw_curves(self, figure: Any, keys: Sequence[int], *, legend: bool) -> None:
         """Draw one row an output and one column a key."""

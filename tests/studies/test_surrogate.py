@@ -96,28 +96,33 @@ def through(x):
     return np.where(3e7 * slow < h, 3e7 * slow, h + 3e7 * fast * (1.0 - h / (3e7 * slow)))
 
 
-def grid_of_layers(folder, counts):
+def spike(x):
+    """Stress in the layer that is nearly worn through: far above that of all other cases."""
+    return np.where(np.arange(len(x)) == 0, 110.0, 44.0 - 80.0 * x[:, 0])
+
+
+def grid_of_layers(folder, counts, model=through):
     values = [
         np.geomspace(*ends, count)
         for ends, count in zip(((2e-3, 0.1), (1e-10, 1e-9), (2e-9, 1e-8)), counts, strict=True)
     ]
     x = np.array(list(itertools.product(*values)))
-    # stress in the layer that is nearly worn through: far above that of all other cases
-    stress = np.where(np.arange(len(x)) == 0, 110.0, 44.0 - 80.0 * x[:, 0])
-    return write(folder, GRID, x, through(x), lower=stress)
+    return write(folder, GRID, x, model(x))
 
 
+@pytest.mark.parametrize("model", [through, spike])
 @pytest.mark.parametrize("counts", [(6, 3, 2), (8, 1, 2), (3, 3, 3), (6, 4, 4)])
-def test_between_the_values_of_a_grid_nothing_leaves_the_range_of_its_cases(tmp_path, counts):
-    ensemble = grid_of_layers(tmp_path, counts)
-    made = rw.surrogate(tmp_path)
-    (part,) = made.parts
+def test_between_the_values_of_a_grid_nothing_leaves_the_range_of_its_cases(
+    tmp_path, counts, model
+):
+    """Cases left out by lot were met best by stretches that let it swing between few values."""
+    values = grid_of_layers(tmp_path, counts, model).final["penetration"]
+    (part,) = rw.surrogate(tmp_path).parts
     u = np.random.default_rng(7).random((3000, len(part.keys)))
-    for name, found in part.at(u, ["penetration", "worn_volume_lower"]).items():
-        values = ensemble.final[name]
-        width = np.ptp(values)
-        assert found.min() > values.min() - 0.25 * width
-        assert found.max() < values.max() + 0.25 * width
+    found = part.at(u, ["penetration"])["penetration"]
+    width = np.ptp(values)
+    assert found.min() > values.min() - 0.25 * width
+    assert found.max() < values.max() + 0.25 * width
 
 
 def test_the_error_of_a_grid_is_not_below_that_between_its_values(tmp_path):
@@ -129,7 +134,25 @@ def test_the_error_of_a_grid_is_not_below_that_between_its_values(tmp_path):
     inside = np.clip(fresh, *np.transpose([made.ranges[key] for key in GRID]))
     found = made.predict(dict(zip(GRID, inside.T, strict=True)))["penetration"]
     error = float(np.sqrt(np.mean((found - through(fresh)) ** 2)))
-    assert error / 1.5 < made.error["penetration"] < 10.0 * error
+    assert error / 1.5 < made.error["penetration"] < 4.0 * error
+
+
+def test_what_is_told_too_coarsely_is_not_drawn_but_said(tmp_path):
+    ensemble = grid_of_layers(tmp_path, (6, 3, 2))
+    made = rw.surrogate(tmp_path)
+    assert made.relative_error["penetration"] > 0.2
+    figure = draw_sweep_and_surrogate(ensemble)
+    assert len(figure.axes) == 1 + 2 * 3  # histories, penetrations and volumes against the keys
+    said = " ".join(figure.subfigs[-1].get_suptitle().split())
+    assert said.startswith("surrogate of 36 cases not drawn, for leave-out errors above 20 % of")
+    assert "more values of keys that have few" in said
+
+
+def test_what_no_case_tests_is_said(tmp_path):
+    x = np.array(list(itertools.product(np.geomspace(1e-8, 1e-6, 8), (30.0, 50.0))))
+    ensemble = write(tmp_path, KEYS[:2], x, power(x))
+    title = draw_sweep_and_surrogate(ensemble).subfigs[-1].get_suptitle()
+    assert title.endswith("no case tests it between the two values of load.pressure")
 
 
 def test_more_keys_than_matter_hardly_harm(tmp_path):
