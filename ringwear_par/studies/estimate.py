@@ -28,6 +28,8 @@ _BARE_BYTES = 250e6
 _TRIAL_SECONDS = 20.0
 #: most cases of a trial side by side, and the part of them that tells what any number costs
 _TRIED, _FEW = 64, 8
+#: and of all that are to be computed: a look is to be short beside them
+_TRIED_OF = 1 / 12
 #: s, of loading what is needed and writing the files, and of a case in both: about
 _START_SECONDS, _CASE_SECONDS = 0.7, 1e-4
 
@@ -114,7 +116,8 @@ def _stepping(plan: Plan, group: int, pair: ContactPair, alone: float) -> _Stepp
     alone : s, of the first one.
     """
     numbers = plan.todo[group]
-    tried = min(len(numbers), _TRIED, int(_FEW * _TRIAL_SECONDS / alone))
+    most = min(_TRIED, max(2, int(_TRIED_OF * plan.cases_left)))
+    tried = min(len(numbers), most, int(_FEW * _TRIAL_SECONDS / alone))
     case = plan.study.case(int(numbers[0]))
     if plan.request.ranks_per_case > 1 or has_own_options() or not goes_with_others(case):
         tried = 1
