@@ -39,7 +39,7 @@ def step_times(experiment: Experiment, steps: int = STEPS) -> FloatArray:
     end = case.time.end
     cuts = list(itertools.pairwise((0.0, *case.breakpoints, end)))
     long = sum(high - low > _SHORT * end for low, high in cuts)
-    layered = any(isinstance(law, LayeredLaw) for law in case.laws)
+    layered = bends_within(experiment)
     pieces = []
     for low, high in cuts:
         length = high - low
@@ -61,6 +61,11 @@ def step_times(experiment: Experiment, steps: int = STEPS) -> FloatArray:
             times.append(time)
     times[-1] = end
     return np.array(times)
+
+
+def bends_within(experiment: Experiment) -> bool:
+    """Tell whether layers may be worn through: readings then bend where a step's end meets that."""
+    return any(isinstance(law, LayeredLaw) for law in experiment.case.laws)
 
 
 def _limited(grown: FloatArray, count: int) -> FloatArray:
