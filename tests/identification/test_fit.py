@@ -430,7 +430,9 @@ def test_steps_resolve_how_a_layer_is_worn_through(tmp_path, comm):
     case["lower"]["layers"] = [layer]
     layer["wear"]["k"], case["wear"]["lower"]["k"] = truth.values()
     case["time"] = {"scheme": "adaptive", "end": END, "tolerance": 1e-7}
-    t, z = penetration(rw.simulate(case, comm), np.random.default_rng(1), offset=0.0, drift=0.0)
+    t, z = penetration(
+        rw.simulate(rw.read_case(case), comm), np.random.default_rng(1), offset=0.0, drift=0.0
+    )
     write_table(tmp_path / "z.csv", ("t_s", "z_um"), t, 1e3 * z)
     data = {"quantity": "penetration", "file": str(tmp_path / "z.csv"), "sd": 0.2}
     data["columns"] = {"time": "t_s", "value": "z_um"}
