@@ -133,7 +133,8 @@ def _parser() -> argparse.ArgumentParser:
     plot.add_argument(
         "--panels", metavar="LIST",
         help="any of wear, pressure, section, stress, depth, interfaces, mises, penetration, "
-        f"approach, force, torque, energy, volume, rate, pv, in this order (default: {PANELS})",
+        "approach, force, torque, energy, volume, rate, pv, through, in this order "
+        f"(default: {PANELS})",
     )  # fmt: skip
     plot.add_argument(
         "--steps", metavar="LIST",

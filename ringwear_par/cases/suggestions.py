@@ -83,8 +83,9 @@ def unknown_key(path: str) -> str:
         table = path.rpartition(".")[0]
         known = dict.fromkeys([*BY_PATH, *sorted(TABLES)])
         own = [_last(name) for name in known if name.rpartition(".")[0] == table]
-        if layer_entry(path) is not None:
-            own = list(_TOLD)
+        if (entry := layer_entry(path)) is not None:
+            inner = [key.path.partition("wear.")[2] for key in LAYER_KEYS]
+            own = list(filter(None, inner)) if entry[2].startswith("wear.") else list(_TOLD)
         found = f"; must be {', '.join(own)}" if table and own else ""
     return f"unknown key{found}"
 

@@ -24,6 +24,7 @@ from ringwear_par.identification.problem import Problem
 from ringwear_par.identification.profile import likelihood_profiles
 from ringwear_par.identification.rounds import Rounds
 from ringwear_par.identification.starts import Progress, Started, solve_from, solve_starts
+from ringwear_par.identification.steps import ENOUGH, STEPS
 from ringwear_par.info import versions
 from ringwear_par.options import reject_unused_options
 from ringwear_par.parallel import on_first_rank, together, warn_of_threads
@@ -35,6 +36,8 @@ Source = Path | str | Mapping[str, Any]
 
 #: relative change of a fitted noise at which it is found, and most rounds to get there
 _SAME_NOISE, _MOST_ROUNDS = 1e-4, 20
+#: how often steps are halved
+_HALVINGS = 3
 
 
 def fit(source: Source, comm: MPI.Intracomm | None = None, *, compare: bool = False) -> FitResult:
@@ -130,9 +133,10 @@ class _Posed:
         def told() -> tuple[Any, ...]:
             found = job()
             squares.keep(found["x"])
-            return found, squares.data, squares.noise_scale, squares.known
+            return found, squares.data, squares.noise_scale, squares.steps, squares.known
 
-        found, squares.data, squares.noise_scale, squares.known = self._rounds.lead(told)
+        found, *kept = self._rounds.lead(told)
+        squares.data, squares.noise_scale, squares.steps, squares.known = kept
         return FitResult(squares, **found, alternatives={}, versions=versions(), comm=self._comm)
 
     def _begin(self) -> FloatArray:
@@ -152,6 +156,11 @@ class _Posed:
         while True:
             optimum = self._with_noise(x)
             told, covariance = estimates(squares, optimum.x, optimum.evaluation)
+            moved = squares.moved(optimum.x, optimum.evaluation, covariance)
+            if np.abs(moved).max() > ENOUGH and squares.steps < STEPS << _HALVINGS:
+                self._refine(moved)
+                x = optimum.x
+                continue
             before = histories.count
             profiles = likelihood_profiles(squares, optimum, told, covariance)
             of_profiles += histories.count - before
@@ -180,7 +189,17 @@ class _Posed:
             "posterior": posterior,
             "histories_of_profiles": of_profiles,
             "unsure": profiles.unsure,
+            "moved": dict(zip(self._problem.keys, moved.tolist(), strict=True)),
         }
+
+    def _refine(self, moved: FloatArray) -> None:
+        """Halve the steps, and say why."""
+        most = int(np.abs(moved).argmax())
+        self._squares.refine()
+        log.info(
+            "steps half as long move %s by %.2g sd; the fit goes on with %d instead of %d a test",
+            self._problem.keys[most], moved[most], self._squares.steps, self._squares.steps // 2,
+        )  # fmt: skip
 
     def _predict(self) -> dict[str, Any]:
         squares = self._squares

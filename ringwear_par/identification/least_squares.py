@@ -15,6 +15,7 @@ from ringwear_par.arrays import BoolArray, FloatArray
 from ringwear_par.identification.histories import Histories
 from ringwear_par.identification.problem import Prior, Problem
 from ringwear_par.identification.readings import log_volume, nuisance_columns, whitened
+from ringwear_par.identification.steps import STEPS
 
 #: degrees of freedom of the loss "student"
 NU = 4.0
@@ -62,6 +63,7 @@ class LeastSquares:
     nuisance_columns : (n, u - m) what nuisances add to the readings, by their units.
     lower, upper : (u,) bounds.
     noise_scale : of each series, by which its sd is multiplied.
+    steps : about how many a history makes.
     known : what histories gave, or failed with, by the bytes of the fitted keys' values.
     """
 
@@ -74,6 +76,7 @@ class LeastSquares:
         self.n = int(ends[-1])
         self.data = np.concatenate([series.value for _, series in self.series])
         self.noise_scale = np.ones(len(self.series))
+        self.steps = STEPS
         self.known: dict[bytes, FloatArray | Exception] = {}
         self._pose()
 
@@ -140,8 +143,37 @@ class LeastSquares:
         values = [self.values(x) for x in points]
         new = {v.tobytes(): v for v in values if v.tobytes() not in self.known}
         if new:
-            found = self._histories.responses(np.array(list(new.values())))
+            found = self._histories.responses(np.array(list(new.values())), self.steps)
             self.known.update(zip(new, found, strict=True))
+
+    def refine(self) -> None:
+        """Have histories make twice as many steps from now on."""
+        self.steps *= 2
+        self.known = {}
+
+    def moved(self, x: FloatArray, found: Evaluation, covariance: FloatArray) -> FloatArray:
+        """Return by how many sd (m,) steps half as long would move the fitted keys' unknowns.
+
+        To the first order, and 0 of those of which nothing is known. Not collective.
+
+        Parameters
+        ----------
+        x, found, covariance : the optimum, the residuals there, (u, u) of the unknowns.
+
+        Raises
+        ------
+        ComputationError : a history.
+        """
+        values = self.values(x)
+        (finer,) = self._histories.responses(values[None], 2 * self.steps, derivatives=False)
+        if isinstance(finer, Exception):
+            raise finer
+        change = self.whitened(finer[:, 0] - self.bare(x))
+        growth = self._loss(found.noise + change)[0] - found.residuals[: self.n]
+        known = np.where(np.isfinite(covariance), covariance, 0.0)[: self._m]
+        sd = np.sqrt(np.diag(known))
+        shift = known @ (found.jacobian[: self.n].T @ growth)
+        return np.divide(-shift, sd, out=np.zeros(self._m), where=sd > 0.0)
 
     def _response(self, x: FloatArray) -> FloatArray:
         self.look_up([x])

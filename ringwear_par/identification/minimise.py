@@ -10,6 +10,7 @@ from ringwear_par.contact.tao import Guard
 from ringwear_par.errors import ComputationError, LawError
 from ringwear_par.identification.least_squares import Evaluation, LeastSquares
 from ringwear_par.identification.lockstep import Meet, StoppedError
+from ringwear_par.identification.steps import bends_within
 from ringwear_par.options import FIT_PREFIX, set_from_options
 from ringwear_par.petsc import PETSc
 
@@ -23,6 +24,9 @@ _GOOD_GRADIENT = 1e-2
 _ITERATIONS, _SCALES = 8, 10
 #: decrease of half the sum of squares on one scale that is none: 0.01 sd along the valley
 _NO_GAIN = 1e-4
+#: trials one after another without such a decrease that end the search where readings bend, and
+#: what may be between them
+_STILL, _NEAR = 4, 1e-2
 #: how much larger residuals are where there is no history
 _FAR = 1e3
 #: singular values of nuisances below it, over the largest: they are one
@@ -82,7 +86,8 @@ def minimise(
     if held is not None:
         free[held] = False
     sought, projected = free & ~squares.linear, free & squares.linear
-    x, iterations = start, 0
+    bent = any(bends_within(experiment) for experiment in squares.problem.experiments)
+    x, iterations, still = start, 0, False
     solve = _brgn if squares.problem.settings.method == "brgn" else _scipy
     for _ in range(_SCALES):
         problem = _Reduced(evaluate, x, bounds, sought, projected)
@@ -90,14 +95,19 @@ def minimise(
             x = problem.whole(x[sought])
             break
         before = problem.residuals(problem.start)
-        part, more = solve(problem)
+        problem.patience = _STILL if bent else None
+        try:
+            part, more = solve(problem)
+        except _StillError:
+            x, still = problem.best, True
+            break
         x, iterations = problem.whole(part), iterations + more
         gain = 0.5 * float(before @ before) - evaluate(x).objective
         if more < _ITERATIONS or not gain > _NO_GAIN:
             break
     found = evaluate(x)
     squares.forget(asked, x)
-    good = _gradient(found, x, bounds, free) <= _GOOD_GRADIENT
+    good = still or _gradient(found, x, bounds, free) <= _GOOD_GRADIENT
     return Optimum(x, found, good, iterations, len(asked))
 
 
@@ -111,6 +121,10 @@ def _gradient(
     return float(np.linalg.norm(np.where(out, 0.0, slope)))
 
 
+class _StillError(Exception):
+    """No trial of late was better by as much as counts."""
+
+
 class _Reduced:
     """A problem over the unknowns sought, in units of their scale where it starts.
 
@@ -120,6 +134,11 @@ class _Reduced:
     ----------
     x : (u,) where it starts.
     sought, projected : (u,) bool.
+
+    Attributes
+    ----------
+    patience : trials in vain after which it raises ``_StillError``; None: it never does.
+    best : (u,) the unknowns of the best trial since then.
     """
 
     def __init__(
@@ -133,6 +152,8 @@ class _Reduced:
         self._evaluate, self._x, self._sought, self._projected = evaluate, x, sought, projected
         self._low, self._high = (bound[sought] for bound in bounds)
         self._scale = np.ones(int(sought.sum()))
+        self.patience: int | None = None
+        self.best, self._least, self._vain = x, np.inf, 0
         self._last: tuple[bytes, FloatArray, FloatArray, FloatArray] | None = None
         sizes = np.linalg.norm(self._at(x[sought])[2], axis=0)
         widths = np.where(np.isfinite(self._high - self._low), self._high - self._low, 1.0)
@@ -171,7 +192,19 @@ class _Reduced:
                 residuals = residuals - left @ part
                 jacobian = jacobian - left @ (left.T @ jacobian)
             self._last = y.tobytes(), residuals, jacobian, x
+            self._judge(x, 0.5 * float(residuals @ residuals))
         return self._last
+
+    def _judge(self, x: FloatArray, objective: float) -> None:
+        """Count trials near the best one that are in vain: gradients jump where readings bend."""
+        if objective < self._least - _NO_GAIN:
+            self._vain = 0
+        elif objective < self._least + _NEAR:
+            self._vain += 1
+        if objective < self._least:
+            self.best, self._least = x, objective
+        if self.patience is not None and self._vain >= self.patience:
+            raise _StillError
 
     def residuals(self, y: FloatArray) -> FloatArray:
         """Return the residuals with the best of what is projected."""

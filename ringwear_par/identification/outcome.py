@@ -48,6 +48,7 @@ class FitResult:
     failed : why there is no outcome under some other laws, by name.
     histories_of_profiles : how many of them were for likelihood profiles.
     unsure : keys of which a profile's limit is not known as closely as it should be.
+    moved : sd by which steps half as long would move what is sought, by key.
     """
 
     squares: LeastSquares
@@ -65,6 +66,7 @@ class FitResult:
     failed: Mapping[str, str] = field(default_factory=dict)
     histories_of_profiles: int = 0
     unsure: tuple[str, ...] = ()
+    moved: Mapping[str, float] = field(default_factory=dict)
 
     def __repr__(self) -> str:
         found = ", ".join(f"{p.key} = {p.estimate:.4g} ({p.verdict})" for p in self.parameters)
@@ -223,6 +225,8 @@ class FitResult:
             "nuisance": self.nuisances,
             "histories": self.histories,
             "histories_of_profiles": self.histories_of_profiles,
+            "steps": self.squares.steps,
+            "moved_by_shorter_steps": dict(self.moved),
             "warnings": list(self.warnings),
             "starts": [_started(one, problem.keys) for one in self.starts],
             "profiles": {key: _finite(table) for key, table in self.profiles.items()},

@@ -94,7 +94,7 @@ def sample_posterior(
         scores = np.full(len(points), -np.inf)
         inside = np.flatnonzero(((points >= low) & (points <= high)).all(axis=1))
         values = np.array([squares.values(point) for point in points[inside]]).reshape(-1, m)
-        found = histories.responses(values, derivatives=False)
+        found = histories.responses(values, squares.steps, derivatives=False)
         for i, value, readings in zip(inside, values, found, strict=True):
             if not isinstance(readings, Exception):
                 scores[i] = marginal(value, readings[:, 0])

@@ -9,6 +9,7 @@ from ringwear_par.identification.intervals import ParameterEstimate
 from ringwear_par.identification.posterior import FEW, missing_for
 from ringwear_par.identification.problem import Problem
 from ringwear_par.identification.starts import Started
+from ringwear_par.identification.steps import ENOUGH
 
 if TYPE_CHECKING:
     from ringwear_par.identification.outcome import FitResult
@@ -55,6 +56,11 @@ def warnings(found: "FitResult") -> tuple[str, ...]:
             sentences.append(
                 f"{len(failed)} of {len(found.starts)} starts failed: {failed[0].error}"
             )
+    sentences += [
+        f"{key}: steps half as long would move it by {moved:.2g} sd"
+        for key, moved in found.moved.items()
+        if abs(moved) > ENOUGH
+    ]
     sentences += [
         f"{key}: a limit of its likelihood profile is but near the level" for key in found.unsure
     ]
@@ -127,6 +133,9 @@ def summary(found: "FitResult") -> str:
         lines.append(f"{found.at_best} of {_count(len(found.starts), 'start')} end {where}")
     if found.alternatives or found.failed:
         lines += _alternative_lines(found)
+    if found.moved:
+        most = max(found.moved, key=lambda key: abs(found.moved[key]))
+        lines.append(f"steps half as long would move {most} by {found.moved[most]:.2g} sd")
     return "\n".join(lines)
 
 

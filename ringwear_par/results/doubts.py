@@ -205,7 +205,8 @@ def _other_stack(case: Case, line: ContactLine, state: State) -> list[Doubt]:
                         "worn_layer",
                         f"{100.0 * share:.0f} % of {body}.layers[{number}] is worn off where it "
                         f"bears load, and its modulus, {layer.young:g} MPa, is not the "
-                        f"{below:g} MPa under it: elasticity is that of the unworn layers",
+                        f"{below:g} MPa under it: elasticity is that of the unworn layers, "
+                        'with mesh.geometry = "updated" that of what is left of them',
                     )
                 )
     return found

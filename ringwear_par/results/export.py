@@ -126,13 +126,13 @@ def check_export(
     if ending not in _ENDINGS:
         raise InputError(f"{output}: its ending must be one of {', '.join(_ENDINGS)}")
     check_writable(output)
-    if interfaces and (
-        ending not in (".vtp", ".csv") or segments is not None or scale is not None or fields
-        or stress
-    ):  # fmt: skip
+    if interfaces and ending not in (".vtp", ".csv"):
         raise InputError(
-            f"--interfaces: {output} is of lines (.vtp) or a table (.csv); "
-            "must be without --revolve, --scale, --fields, --stress"
+            f"--interfaces: {output}: its ending must be .vtp (lines) or .csv (a table)"
+        )
+    if interfaces and (segments is not None or scale is not None or fields or stress):
+        raise InputError(
+            f"--interfaces: {output}: must be without --revolve, --scale, --fields, --stress"
         )
     if stress and (ending == ".vtp" or segments is not None or scale is not None or fields):
         raise InputError(

@@ -21,11 +21,13 @@ from laboratory import (
     write_tests,
 )
 
+import ringwear_par as rw
 from ringwear_par.errors import InputError
 from ringwear_par.identification import starts as starts_room
 from ringwear_par.identification.fit import fit, fitted, predicted
 from ringwear_par.identification.fit_file import read_fit
 from ringwear_par.identification.starts import Started
+from ringwear_par.textfiles import parse_toml
 
 SCRIPTS = Path(__file__).parents[2] / "scripts"
 
@@ -417,3 +419,32 @@ def test_starts_bounds_and_priors_have_units(tables):
     given["fit"]["parameters"]["wear.lower.p0"]["start"] = "1 mm"
     with pytest.raises(InputError, match=r"must be in MPa \(mm is no unit of MPa\)"):
         read_fit(given)
+
+
+@pytest.mark.serial
+def test_steps_resolve_how_a_layer_is_worn_through(tmp_path, comm):
+    """Long steps there made k of the layer and of the body under it wrong by several sd."""
+    truth = {"lower.layers[0].wear.k": 4e-8, "wear.lower.k": 4e-7}
+    layer = {"thickness": 6e-3, "young": 1e5, "poisson": 0.3, "wear": {"law": "archard"}}
+    case = {**parse_toml(CASE, "case"), "wear": {"lower": {"law": "archard"}}}
+    case["lower"]["layers"] = [layer]
+    layer["wear"]["k"], case["wear"]["lower"]["k"] = truth.values()
+    case["time"] = {"scheme": "adaptive", "end": END, "tolerance": 1e-7}
+    t, z = penetration(
+        rw.simulate(rw.read_case(case), comm), np.random.default_rng(1), offset=0.0, drift=0.0
+    )
+    write_table(tmp_path / "z.csv", ("t_s", "z_um"), t, 1e3 * z)
+    data = {"quantity": "penetration", "file": str(tmp_path / "z.csv"), "sd": 0.2}
+    data["columns"] = {"time": "t_s", "value": "z_um"}
+    keys = {
+        key: {"start": 0.7 * k, "bounds": [0.1 * k, 10.0 * k], "scale": "log"}
+        for key, k in truth.items()
+    }
+    tables = {
+        "case": case, "fit": {"parameters": keys, "starts": 1},
+        "experiment": [{"name": "A", "data": [data]}],
+    }  # fmt: skip
+    found = fit(tables, comm)
+    assert near(found, truth)
+    assert not found.flagged
+    assert all(abs(moved) < 0.2 for moved in found.moved.values())

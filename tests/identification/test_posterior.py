@@ -38,7 +38,7 @@ class LinearHistories:
         self._problem, self._response = problem, response
         self._start = np.array([p.start for p in problem.parameters])
 
-    def responses(self, points, derivatives=True):
+    def responses(self, points, steps=None, derivatives=True):
         """Return readings at points, with derivatives."""
         parameters = self._problem.parameters
         slopes = np.array([p.slope(v) for p, v in zip(parameters, self._start, strict=True)])
