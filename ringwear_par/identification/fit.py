@@ -157,7 +157,8 @@ class _Posed:
             optimum = self._with_noise(x)
             told, covariance = estimates(squares, optimum.x, optimum.evaluation)
             moved = squares.moved(optimum.x, optimum.evaluation, covariance)
-            if np.abs(moved).max() > ENOUGH and squares.steps < STEPS << _HALVINGS:
+            may_halve = squares.steps < STEPS << _HALVINGS
+            if moved is not None and may_halve and np.abs(moved).max() > ENOUGH:
                 self._refine(moved)
                 x = optimum.x
                 continue
@@ -189,7 +190,9 @@ class _Posed:
             "posterior": posterior,
             "histories_of_profiles": of_profiles,
             "unsure": profiles.unsure,
-            "moved": dict(zip(self._problem.keys, moved.tolist(), strict=True)),
+            "moved": {}
+            if moved is None
+            else dict(zip(self._problem.keys, moved.tolist(), strict=True)),
         }
 
     def _refine(self, moved: FloatArray) -> None:

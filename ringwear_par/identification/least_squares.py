@@ -5,6 +5,7 @@ readings, in units of their noise, then those of all priors. Nuisances are linea
 no histories.
 """
 
+import logging
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -16,6 +17,8 @@ from ringwear_par.identification.histories import Histories
 from ringwear_par.identification.problem import Prior, Problem
 from ringwear_par.identification.readings import log_volume, nuisance_columns, whitened
 from ringwear_par.identification.steps import STEPS
+
+log = logging.getLogger(__name__)
 
 #: degrees of freedom of the loss "student"
 NU = 4.0
@@ -151,23 +154,21 @@ class LeastSquares:
         self.steps *= 2
         self.known = {}
 
-    def moved(self, x: FloatArray, found: Evaluation, covariance: FloatArray) -> FloatArray:
+    def moved(self, x: FloatArray, found: Evaluation, covariance: FloatArray) -> FloatArray | None:
         """Return by how many sd (m,) steps half as long would move the fitted keys' unknowns.
 
-        To the first order, and 0 of those of which nothing is known. Not collective.
+        To the first order, and 0 of those of which nothing is known; None, and a warning, where no
+        history comes of such steps. Not collective.
 
         Parameters
         ----------
         x, found, covariance : the optimum, the residuals there, (u, u) of the unknowns.
-
-        Raises
-        ------
-        ComputationError : a history.
         """
         values = self.values(x)
         (finer,) = self._histories.responses(values[None], 2 * self.steps, derivatives=False)
         if isinstance(finer, Exception):
-            raise finer
+            log.warning("what shorter steps would change is not known: %s", finer)
+            return None
         change = self.whitened(finer[:, 0] - self.bare(x))
         growth = self._loss(found.noise + change)[0] - found.residuals[: self.n]
         known = np.where(np.isfinite(covariance), covariance, 0.0)[: self._m]
