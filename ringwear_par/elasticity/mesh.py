@@ -11,7 +11,7 @@ from typing import Literal
 
 import numpy as np
 
-from ringwear_par.arrays import FloatArray
+from ringwear_par.arrays import FloatArray, IntArray
 from ringwear_par.elasticity.sections import Body, Section, corners
 from ringwear_par.errors import InputError
 
@@ -90,6 +90,11 @@ class ContactLine:
     def n(self) -> int:
         """Number of elements."""
         return len(self.edges) - 1
+
+    def element_at(self, r: FloatArray) -> IntArray:
+        """Return the elements in which radii (mm) lie, -1 off the line."""
+        found: IntArray = np.searchsorted(self.edges, r) - 1
+        return np.where(found < self.n, found, -1)
 
 
 def graded(start: float, end: float, n: int, first: float, last: float) -> FloatArray:

@@ -66,18 +66,22 @@ class _Known:
     Parameters
     ----------
     search : its points come first.
+    under : of the points, elements of the contact line over or under them, -1 for none.
     blocks : numbers of points and their influences; those that are this rank's.
     surface : of the contact elements.
     interfaces : of the elements above and below each interface.
+    under_interfaces : of these elements, as ``under``.
     layers : number of zones.
     """
 
     search: Search
     points: FloatArray
     zones: IntArray
+    under: IntArray
     blocks: list[tuple[IntArray, Influence]]
     surface: Influence
     interfaces: list[tuple[Influence, Influence]]
+    under_interfaces: IntArray
     layers: int
 
     def stress(self, pressure: FloatArray, shear: FloatArray, comm: MPI.Comm) -> FloatArray:
@@ -144,7 +148,7 @@ class StressRecovery:
         friction : mu; all of the contact slides.
         shape : (2, n) float, mm, wear that the elastic bodies have followed; None: none.
         gone : of lower and upper, (layers, n) bool, where their layers are worn through: of these
-            nothing counts as the largest; None: nowhere.
+            nothing counts as the largest, and interfaces there have no stress; None: nowhere.
 
         Raises
         ------
@@ -170,25 +174,21 @@ class StressRecovery:
         asked = len(known.search.points)
         values = mises(stress)
         values[asked:][~known.search.allows(known.points[asked:])] = np.nan
+        along = np.array(
+            [[s.stress(pressure, shear) for s in sides] for sides in known.interfaces]
+        ).reshape(len(known.interfaces), 2, len(known.under_interfaces), 6)
         if gone is not None and gone.any():
-            values[self._in_gone(known, gone)] = np.nan
-        interfaces = [[s.stress(pressure, shear) for s in sides] for sides in known.interfaces]
+            lost = np.zeros((known.layers, gone.shape[1] + 1), dtype=bool)
+            lost[:-1, :-1] = gone  # nothing of the body itself, nothing beside the contact (-1)
+            values[lost[known.zones, known.under]] = np.nan
+            along[np.repeat(lost[:-1, None, known.under_interfaces], 2, axis=1)] = np.nan
         return BodyStress(
             stress[asked:],
             known.surface.stress(pressure, shear),
             known.search.largest(known.points, known.zones, values),
-            np.array(interfaces) if interfaces else np.empty((0, 2, 0, 6)),
+            along,
             known.largest_of_zones(values),
         )
-
-    def _in_gone(self, known: _Known, gone: BoolArray) -> BoolArray:
-        """Tell which points lie in layers that are worn through above or below them."""
-        element = np.searchsorted(self._line.edges, known.points[:, 0]) - 1
-        under = (element >= 0) & (element < self._line.n)
-        layer = np.flatnonzero(under & (known.zones < len(gone)))
-        found = np.zeros(len(element), dtype=bool)
-        found[layer] = gone[known.zones[layer], element[layer]]
-        return found
 
     def _integrated(self, shape: FloatArray | None) -> tuple[_Known, _Known]:
         """Return the influences of both bodies. Collective on comm."""
@@ -216,9 +216,12 @@ class StressRecovery:
         mine = parts[self._comm.rank :: self._comm.size]
         blocks = [(own, zone.at(points[own])) for zone, own in mine]
         faces = [zone.surface for zone in stresses]
+        middles = boundaries[0].nodes[boundaries[0].elements[boundaries[0].below, 1], 0]
         return _Known(
-            search, points, numbers, blocks, _at(faces[0], boundaries[0].contact),
-            _beside_interfaces(boundaries, faces, BODIES[i]), len(zones),
+            search, points, numbers, self._line.element_at(points[:, 0]), blocks,
+            _at(faces[0], boundaries[0].contact),
+            _beside_interfaces(boundaries, faces, BODIES[i]), self._line.element_at(middles),
+            len(zones),
         )  # fmt: skip
 
 

@@ -5,7 +5,6 @@ from collections.abc import Hashable
 import numpy as np
 from mpi4py import MPI
 
-from ringwear_par.arrays import BoolArray
 from ringwear_par.cases.case import Case
 from ringwear_par.cases.stress import Side, grid_bodies, point_bodies
 from ringwear_par.elasticity.stress_fields import StressHistory, StressState
@@ -39,7 +38,7 @@ class CaseStresses:
         axes = grid.axes if grid is not None else (np.empty(0), np.empty(0))
         #: (p, 2) mm, the points; radii and heights of the grid
         self.points = np.array([point[:2] for point in case.stress.points]).reshape(-1, 2)
-        self.grid, self._case, self._exclude = axes, case, case.stress.exclude
+        self.grid, self._exclude = axes, case.stress.exclude
         self._of_points, self._of_grid = np.array(point_bodies(case), int), grid_bodies(case)
         on_grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
         sides = np.array([_SIDES[point[2]] for point in case.stress.points])
@@ -81,8 +80,6 @@ class CaseStresses:
             (found[0].surface, found[1].surface),
             (found[0].largest, found[1].largest),
         )
-        for i, body in enumerate(found):
-            body.interfaces[self._worn_away(i, gone[i])] = np.nan
         along = found[0].interfaces, found[1].interfaces
         layers = found[0].layers, found[1].layers
         return StressState(step, float(state.time), points, grid, surface, largest, along, layers)
@@ -90,20 +87,6 @@ class CaseStresses:
     def history(self, states: tuple[StressState, ...]) -> StressHistory:
         """Return the stresses of some states, and where they are."""
         return StressHistory(self.points, self.grid, self._exclude, self.interfaces, states)
-
-    def _worn_away(self, i: int, gone: BoolArray) -> BoolArray:
-        """Tell which elements wear has reached, of the interfaces of a body, on both their sides.
-
-        Parameters
-        ----------
-        gone : (layers, n) bool, where on the contact line layers are worn through.
-        """
-        r, line = self.interfaces[i].r, self._case.line
-        element = np.searchsorted(line.edges, r) - 1
-        under = (element >= 0) & (element < line.n)
-        worn = np.zeros((len(self.interfaces[i].z), 2, len(r)), dtype=bool)
-        worn[:, :, under] = gone[:, None, element[under]]
-        return worn
 
 
 class StressObserver:

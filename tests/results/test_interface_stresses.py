@@ -153,13 +153,18 @@ def test_the_same_on_all_ranks(result):
             np.testing.assert_array_equal(one.interfaces[i], other.interfaces[i])
 
 
+def worn_through(geometry, step):
+    """A thin hard coating after six steps."""
+    thin = {**HARD, "thickness": 0.003, "wear": {"law": "archard", "k": 5e-9}}
+    return rw.simulate(
+        case_of(lower__layers=[thin], mesh__geometry=geometry, stress__times="all",
+                time__steps=6, time__step=step), comm_self()
+    )  # fmt: skip
+
+
 @pytest.mark.parametrize("geometry", ["fixed", "updated"])
 def test_none_where_wear_has_come_through(geometry):
-    thin = {**HARD, "thickness": 0.003, "wear": {"law": "archard", "k": 5e-9}}
-    found = rw.simulate(
-        case_of(lower__layers=[thin], mesh__geometry=geometry, stress__times="all",
-                time__steps=6, time__step=10.0), comm_self()
-    )  # fmt: skip
+    found = worn_through(geometry, 10.0)
     left = found.layers["layer_left_lower"]
     assert 0 < np.count_nonzero(left[-1] == 0.0) < found.line.n
     r = found.stress.interfaces[0].r
@@ -173,11 +178,7 @@ def test_none_where_wear_has_come_through(geometry):
 @pytest.mark.parametrize("geometry", ["fixed", "updated"])
 def test_the_largest_stress_is_of_what_is_left(geometry):
     """A hard coating bears most until it is gone; the film that stays on elements is none."""
-    thin = {**HARD, "thickness": 0.003, "wear": {"law": "archard", "k": 5e-9}}
-    found = rw.simulate(
-        case_of(lower__layers=[thin], mesh__geometry=geometry, stress__times="all",
-                time__steps=6, time__step=30.0), comm_self()
-    )  # fmt: skip
+    found = worn_through(geometry, 30.0)
     left = found.layers["layer_left_lower"]
     assert left[0].min() > 0.0
     assert left[-1].max() == 0.0
