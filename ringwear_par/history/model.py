@@ -39,7 +39,7 @@ from ringwear_par.history.tangent import Along
 from ringwear_par.schedules import Quantity, in_time, integral, largest, stack, take
 from ringwear_par.wear.increment import Closing, WearIncrement, averaged_rate, averaging
 from ringwear_par.wear.law import LocalState, stack_laws
-from ringwear_par.wear.layered import ROUND_OFF, LayeredLaw
+from ringwear_par.wear.layered import LayeredLaw, worn_through
 from ringwear_par.wear.layered_increment import LayeredIncrement
 
 if TYPE_CHECKING:
@@ -303,8 +303,7 @@ class WearModel:
         """Return what is left of all layers of a body, (..., n) mm, worn by (..., n) mm."""
         ends = self.layer_ends[body]
         assert ends is not None
-        left = ends[-1] - wear
-        return np.where(left <= ROUND_OFF * ends[-1], 0.0, left)
+        return np.where(worn_through(ends[-1], wear), 0.0, ends[-1] - wear)
 
     def layer_volumes(self, body: int, wear: FloatArray) -> FloatArray:
         """Return what is worn off each layer and the body itself, (..., layers + 1) mm3."""

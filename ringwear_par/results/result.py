@@ -21,7 +21,6 @@ from ringwear_par.results.variables import (
     D_PROFILES,
     ELEMENT,
     HISTORIES,
-    LAYER,
     LAYER_PROFILES,
     LAYER_VOLUMES,
     LAYERS,
@@ -33,8 +32,8 @@ from ringwear_par.results.variables import (
     STATE_NUMBER,
     STEP,
     STEPS_MADE,
-    UPPER_LAYER,
     Variable,
+    layer_axis,
 )
 from ringwear_par.textfiles import parse_toml
 
@@ -165,12 +164,11 @@ class Result:
     def _layer_variables(self) -> list[tuple[Variable, Any]]:
         """Return those of layers, with their coordinates."""
         found: list[tuple[Variable, Any]] = []
-        layer = LAYER
+        counts = [self.layers[v].shape[1] if v in self.layers else 0 for v in LAYER_VOLUMES]
         for name, values in self.layers.items():
             variable = LAYERS[name]
             if name in LAYER_VOLUMES:
-                if found and found[0][0] is LAYER and len(found[0][1]) != values.shape[1]:
-                    layer = UPPER_LAYER
+                layer = layer_axis(list(LAYER_VOLUMES).index(name), counts)
                 if layer not in [there for there, _ in found]:
                     found.insert(0, (layer, np.arange(values.shape[1])))
                 variable = replace(variable, dimensions=("step", layer.name))

@@ -18,6 +18,7 @@ from ringwear_par.results.variables import (
     STEPS_MADE,
     UPPER_LAYER,
     Variable,
+    layer_axis,
 )
 
 _STEP, _TENSOR = ("stress_step",), "rr, tt, zz, rz, rt, tz; tension positive, z upwards"
@@ -189,8 +190,7 @@ def stress_variables(history: StressHistory) -> list[tuple[Variable, Any]]:
         found += _columns(variables, [state.largest[i] for state in states])
     for i, (variable, count) in enumerate(zip(MAX_MISES_LAYERS, history.layers, strict=True)):
         if count:
-            apart = i == 1 and history.layers[0] not in (0, count)  # as volumes have it
-            axes = (*_STEP, UPPER_LAYER.name if apart else LAYER.name)
+            axes = (*_STEP, layer_axis(i, history.layers).name)
             values = np.array([state.layers[i] for state in states])
             found.append((replace(variable, dimensions=axes), values))
     return found

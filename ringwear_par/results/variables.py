@@ -4,6 +4,7 @@ Depths of wear are losses, so never negative: vertically downward for lower, upw
 where faces slope. Pressure is normal to the faces.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -119,6 +120,16 @@ LAYER = Variable(
     integer=True,
 )  # fmt: skip
 UPPER_LAYER = replace(LAYER, name="layer_upper", dimensions=("layer_upper",))
+
+
+def layer_axis(body: int, counts: Sequence[int]) -> Variable:
+    """Return the axis of layers of lower (0) or upper (1) in a result: the same, if it serves both.
+
+    Parameters
+    ----------
+    counts : how many entries the axis has for lower and upper, 0 of a body without layers.
+    """
+    return UPPER_LAYER if body == 1 and counts[0] not in (0, counts[1]) else LAYER
 
 
 _BODIES = ("lower", "upper")
