@@ -197,10 +197,10 @@ def _read_layers(
     ----------
     keys, values : dotted keys as given, and as read, layers entry by entry.
     """
-    found = []
+    found, given = [], expanded(keys)
     for table in layer_tables(keys):
         if table.startswith(path):
-            law = read_law(origin.name, f"{table}.wear", expanded(keys), values, faults)
+            law = read_law(origin.name, f"{table}.wear", given, values, faults)
             names = [f"{table}.{name}" for name in ("thickness", "young", "poisson")]
             if values.keys() >= set(names):
                 thickness, young, poisson = (values[name] for name in names)

@@ -8,8 +8,8 @@ constant-strain field that agrees with u at the collocation point, so every inte
 Bonded zones share the displacements of an interface's nodes and the tractions of its elements,
 opposite on both sides. The stiffer zone is collocated at all nodes there, the other at the
 mid-points, so that there are as many equations as unknowns, and displacements are as smooth as the
-stiffer zone wants them. Tractions are scaled with
-the modulus of the body itself, the zone at the fixed face.
+stiffer zone wants them. Tractions are scaled with the modulus of the body itself, the zone at the
+fixed face.
 """
 
 import itertools

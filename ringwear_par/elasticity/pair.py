@@ -148,8 +148,7 @@ class ContactPair:
         except np.linalg.LinAlgError as error:
             raise ComputationError(
                 f"compliance of {line.n} contact elements: not positive definite; "
-                "a finer mesh or a milder grading is needed, or soft layers that are not so much "
-                "thinner than elements are long"
+                "a finer mesh or a milder grading is needed"
             ) from error
         return ContactCompliance(
             line,

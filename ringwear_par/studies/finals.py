@@ -192,5 +192,5 @@ def drawn(final: Mapping[str, Any], cases: Any) -> list[str]:
     """
     worn = [name for name in FINAL[1:] if np.nan_to_num(final[name][cases]).any()]
     through = [name for name in LAYER_HISTORIES if np.nan_to_num(final.get(name, [])).any()]
-    stress = [name for name in ("max_mises",) if name in final]
+    stress = [STRESS_ASKED] if STRESS_ASKED in final else []
     return ["penetration", *(worn or ["worn_volume_lower"]), *through, *stress]
