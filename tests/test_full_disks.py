@@ -53,7 +53,8 @@ def full(request, tmp_path):
             env=SHELL_ENVIRONMENT, capture_output=True, timeout=200, check=False,
         )  # fmt: skip
         assert found.returncode == 0, found.stderr
-        assert not found.stderr
+        # Open MPI's daemon beside a command started alone now and then has trouble of its own
+        assert [line for line in found.stderr.splitlines() if "ORTE_ERROR_LOG" not in line] == []
         return [
             (size, *result) for size, result in zip(sizes, json.loads(found.stdout), strict=True)
         ]
