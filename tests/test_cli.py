@@ -2,6 +2,7 @@
 
 import os
 import re
+import shlex
 import shutil
 import signal
 import subprocess
@@ -154,7 +155,7 @@ def test_petsc_options_reach_the_solvers(tmp_path):
 
 
 def test_a_quiet_end_when_the_reader_leaves():
-    text = f"{' '.join(RINGWEAR)} info --schema | head -n 1"
+    text = f"{shlex.join(RINGWEAR)} info --schema | head -n 1"
     result = subprocess.run(["bash", "-c", text], env=SHELL_ENVIRONMENT, capture_output=True,
                             text=True, timeout=60, check=False)  # fmt: skip
     assert result.stderr == ""

@@ -80,7 +80,7 @@ def test_setup_is_sourced_from_bash_only(tmp_path, shell):
     if not shutil.which(shell):
         pytest.skip(f"no {shell}")
     done = subprocess.run(
-        [shell, "-c", f". {ROOT}/scripts/setup.sh; echo status $?"], cwd=tmp_path,
+        [shell, "-c", f". '{ROOT}/scripts/setup.sh'; echo status $?"], cwd=tmp_path,
         capture_output=True, text=True, timeout=30, check=False,
     )  # fmt: skip
     assert "only bash can source this; here: bash scripts/setup.sh" in done.stderr
