@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 
 from ringwear_par.arrays import FloatArray, larger, relative
+from ringwear_par.history.layers import layer_volumes
 from ringwear_par.history.model import WearModel
 from ringwear_par.history.snapshots import Snapshot
 from ringwear_par.history.state import State
@@ -60,12 +61,12 @@ def balances(model: WearModel, state: State) -> dict[str, Any]:
     turned, lower, upper, turned_lower, turned_upper = _parts(model.reactions(contact.pressure))
     volumes, worn = _parts(model.integrals(state.wear)), _parts(state.worn)
     identity: Any = 0.0
-    for body, (ratio, volume) in enumerate(zip(model.per_energy, volumes, strict=True)):
+    for body, (ratio, volume) in enumerate(zip(model.given.per_energy, volumes, strict=True)):
         if isinstance(ratio, list):
             identity = larger(identity, _layers_defect(model, state, body, ratio))
         elif ratio is not None:
             identity = larger(identity, _defect(volume, ratio * state.energy))
-    force = None if model.force is None else in_time(model.force, state.time)
+    force = None if model.given.force is None else in_time(model.given.force, state.time)
     off = larger(abs(volumes[0] - worn[0]), abs(volumes[1] - worn[1]))
     total = larger(*volumes)
     return {
@@ -83,7 +84,7 @@ def _layers_defect(model: WearModel, state: State, body: int, ratios: list[Any])
 
     0 where a law of them has no fixed volume by energy.
     """
-    volumes = model.layer_volumes(body, state.wear[body])
+    volumes = layer_volumes(model, body, state.wear[body])
     known = np.all([np.asarray(ratio) > 0.0 for ratio in ratios], axis=0)
     took = sum(
         np.divide(volumes[..., number], ratio, where=known, out=np.zeros(volumes.shape[:-1]))

@@ -226,7 +226,7 @@ class _Lot:
     ) -> BoolArray:
         """Tell which of the new states are stored."""
         if self.model.case.output.times:
-            rows = zip(self.model.cases, steps.tolist(), times.tolist(), strict=True)
+            rows = zip(self.model.given.cases, steps.tolist(), times.tolist(), strict=True)
             return taken & np.array([stores(*row) for row in rows])
         return taken & (finished | (steps % self._every == 0))
 
@@ -234,7 +234,7 @@ class _Lot:
         """Return the states at times of output within steps that are taken."""
         if not self.model.case.output.times:
             return []
-        rows = zip(self.model.cases, before.time.tolist(), end.tolist(), taken, strict=True)
+        rows = zip(self.model.given.cases, before.time.tolist(), end.tolist(), taken, strict=True)
         times = [times_within(case, t0, t1) if shown else [] for case, t0, t1, shown in rows]
         return [
             self._passed(before, np.array([i for i, t in enumerate(times) if len(t) > k]), k, times)

@@ -103,7 +103,7 @@ def entering(model: WearModel, state: State, length: Numbers) -> Entering | None
     they touch. In these cases stages do as for all others, and ``entry_error`` judges.
     """
     p, gap = state.contact.pressure, state.contact.gap
-    if not model.wears_locally or (p > 0.0).all():
+    if not model.given.wears_locally or (p > 0.0).all():
         return None
     worn = columns(length * state.rates.sum(axis=0).max(axis=-1))
     late = (p <= 0.0) & (gap > 0.0) & (gap < _REACH * worn)
@@ -114,7 +114,7 @@ def entering(model: WearModel, state: State, length: Numbers) -> Entering | None
     late &= (joining <= _MOST * touching)[..., None]
     if not late.any():
         return None
-    return Entering(np.where(late, gap, 0.0), model.area, model.force is not None)
+    return Entering(np.where(late, gap, 0.0), model.area, model.given.force is not None)
 
 
 def held(
@@ -138,7 +138,7 @@ def held(
     if not (counts < 1.0).any():
         return enter
     gap = np.zeros_like(p) if enter is None else enter.gap
-    return Entering(gap, model.area, model.force is not None, counts)
+    return Entering(gap, model.area, model.given.force is not None, counts)
 
 
 def entry_error(

@@ -19,13 +19,13 @@ from ringwear_par.wear.layered_increment import LayeredIncrement
 def forward(model: WearModel, state: State, end: Numbers) -> Step:
     """Return the explicit step to a time. Collective."""
     length = end - state.time
-    omega = mean(model.omega, state.time, end)
+    omega = mean(model.given.omega, state.time, end)
     p, rates = state.contact.pressure, state.rates
-    if not model.steady_speed:
+    if not model.given.steady_speed:
         rates = model.rates(state.time, omega, state.wear, p)
     depths, volumes = columns(length) * rates, length * model.integrals(rates)
     through = None
-    if model.layered:
+    if model.given.layered:
         start = model.increment(state.time, omega, state.wear, length)
         assert isinstance(start, LayeredIncrement)
         depths = start.explicit(p)
@@ -45,18 +45,18 @@ def forward(model: WearModel, state: State, end: Numbers) -> Step:
 def backward(model: WearModel, state: State, end: Numbers) -> Step:
     """Return the implicit step to a time. Collective."""
     length = end - state.time
-    omega = mean(model.omega, state.time, end)
+    omega = mean(model.given.omega, state.time, end)
     during = model.increment(end, omega, state.wear, length)
     along = model.along(state)
     contact = model.contact(end, state.wear, state.contact.pressure, during, along=along)
     p = contact.pressure
     depths = during.depths(p)
-    if model.layered:
+    if model.given.layered:
         volumes = model.integrals(during.apart(p, depths, 1.0))
     else:
         then = during.rates(p, depths)
         volumes = length * model.integrals(then)
-    if not model.rates_last:
+    if not model.given.rates_last:
         then = model.rates_at(end, state.wear + depths, p)
     energy = length * omega * model.torque(p)
     if along is not None:

@@ -13,6 +13,7 @@ import numpy as np
 
 from ringwear_par.arrays import FloatArray, Numbers, columns
 from ringwear_par.contact.problem import ContactState
+from ringwear_par.history.admissible import checked
 from ringwear_par.history.model import WearModel
 from ringwear_par.history.state import State
 from ringwear_par.history.tangent import Along
@@ -72,14 +73,13 @@ def advanced(
 
     Raises
     ------
-    ComputationError : the model no longer holds, see ``WearModel.checked``.
+    ComputationError : the model no longer holds, see ``checked``.
     """
-    return model.checked(
-        State(
-            end, state.wear + depths, state.worn + volumes, state.energy + energy, contact, rates,
-            state.shape, state.fit, None if along is None else along.reached(contact), through,
-        )
+    after = State(
+        end, state.wear + depths, state.worn + volumes, state.energy + energy, contact, rates,
+        state.shape, state.fit, None if along is None else along.reached(contact), through,
     )  # fmt: skip
+    return checked(model.case, after)
 
 
 def first_through(state: State, *parts: tuple[Numbers, Numbers, WearIncrement, Any, Any]) -> Any:

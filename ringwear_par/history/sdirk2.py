@@ -49,7 +49,7 @@ def step(model: WearModel, state: State, end: Numbers) -> Step:
     """Return the step to a time. Collective."""
     length = end - state.time
     middle = state.time + GAMMA * length
-    speeds = [in_time(model.omega, t) for t in (state.time, middle, end)]
+    speeds = [in_time(model.given.omega, t) for t in (state.time, middle, end)]
 
     enter = entering(model, state, length)
     closing = None if enter is None else enter.closing(GAMMA * length, np.ones_like(enter.gap))
@@ -82,7 +82,7 @@ def step(model: WearModel, state: State, end: Numbers) -> Step:
     energy = length * inner(_WEIGHTS, powers)
     depths = lost_first + losses
     through = None
-    if model.layered:
+    if model.given.layered:
         volumes = model.integrals(
             first.apart(stage.pressure, worn_first, _SHARE * counts)
             + last.apart(contact.pressure, worn_last, inside)
@@ -98,7 +98,7 @@ def step(model: WearModel, state: State, end: Numbers) -> Step:
             _WEIGHTS[1] * (counts * first.rates(stage.pressure, worn_first))
             + _WEIGHTS[2] * (counts_last * then)
         )
-    if not model.rates_last:
+    if not model.given.rates_last:
         then = model.rates(end, speeds[2], state.wear + depths, contact.pressure)
     if along is not None:
         along.last_stage(last, contact.pressure, worn_last, GAMMA * length)
@@ -114,7 +114,7 @@ def step(model: WearModel, state: State, end: Numbers) -> Step:
     ).sum(axis=0)
     if enter is not None:  # those make one step of first order, see ``entry_error``
         defect = np.where(enter.late, 0.0, defect)
-    if model.layered:
+    if model.given.layered:
         defect = _through_defect(
             model, state, after, enter, last, stage.pressure, defect,
             (standard - worn_first).sum(axis=0), worn_last,
@@ -198,7 +198,7 @@ def _through_defect(
     defect : of the quadratic, which holds in all other steps.
     changed : (..., n) mm, what both stages differ in, in the length of one.
     """
-    now = np.zeros(model.shape, dtype=bool)
+    now = np.zeros(model.given.shape, dtype=bool)
     for ends, *worn in zip(model.layer_ends, before.wear, after.wear, strict=True):
         for end in () if ends is None else ends:
             was, is_ = (worn_through(end, each) for each in worn)

@@ -254,9 +254,9 @@ class Sensitivity:
         """Return derivatives of the mean circumferential displacement, (P, ...) mm."""
         out = np.asarray(model.twist(d_p))
         if self.friction is not None:
-            out[self.friction] += inner(model.twist_weights, p)
+            out[self.friction] += inner(model.compliances.twist, p)
         for row, elastic in self._elastic:
-            out[row] += model.friction * inner(elastic.twist[elastic.which], p)
+            out[row] += model.given.friction * inner(elastic.twist[elastic.which], p)
         return out
 
 

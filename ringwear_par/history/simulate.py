@@ -15,6 +15,7 @@ from ringwear_par.elasticity.pair import ContactPair
 from ringwear_par.errors import ComputationError
 from ringwear_par.history import euler, sdirk2
 from ringwear_par.history.control import Control, ErrorControl, FixedSteps, GivenSteps
+from ringwear_par.history.following import update_geometry
 from ringwear_par.history.model import WearModel
 from ringwear_par.history.saving import stores, times_within
 from ringwear_par.history.schemes import Scheme, Step
@@ -82,7 +83,7 @@ def simulate(
         while not show.stopped and not case.time.finished(control.progress.steps, state.time):
             made = control.progress
             try:
-                state = model.update_geometry(state)
+                state = update_geometry(model, state)
                 end = control.end(state)
                 try:
                     with together(comm):

@@ -33,17 +33,18 @@ def stable_steps(model: "WearModel") -> list[float]:
     """Return the same of B histories."""
     solver = model.batch.solver
     start = solver.start
-    loads = [case.load for case in model.cases]
-    if model.force is None:
+    loads = [case.load for case in model.given.cases]
+    if model.given.force is None:
         given: dict[str, Any] = {
             "approach": np.array([largest(load.displacement or 0.0) for load in loads])
         }
     else:
         given = {"force": np.array([largest(load.force or 0.0) for load in loads])}
-    most = solver.solve(model.initial_gap, **given).pressure.max(axis=1).tolist()
+    most = solver.solve(model.given.initial_gap, **given).pressure.max(axis=1).tolist()
     solver.start = start
     return [
-        _stable_step(case, model.compliance_of(i), most[i]) for i, case in enumerate(model.cases)
+        _stable_step(case, model.compliances.history(i), most[i])
+        for i, case in enumerate(model.given.cases)
     ]
 
 

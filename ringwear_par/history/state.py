@@ -25,7 +25,7 @@ class State:
     rates : (2, ..., n) float, mm/s, at which lower and upper wear now.
     shape : (2, ..., n) float, mm, the wear that the elements have followed; None where they do not.
     fit : (..., n) float, mm, what elements are nearer than their profiles say since their slopes
-        turned, see ``WearModel.update_geometry``; None where they do not.
+        turned, see ``update_geometry``; None where they do not.
     tangent : derivatives, where they were asked for.
     through : (2, ...) float, s, when wear first got through all layers of lower and upper;
         infinite where it has not, or there are none.

@@ -104,7 +104,7 @@ class Along:
         assert model.sensitivity is not None
         self._model, self._numbers, self._enter = model, model.sensitivity, enter
         nothing = self._numbers.nothing
-        shape = model.shape
+        shape = model.given.shape
         if before is None:
             before = Tangent(
                 np.stack([nothing(*shape)] * 2), nothing(*shape[:-1]), nothing(*shape),
@@ -150,7 +150,7 @@ class Along:
             gap += worn
             self._varied = varied
         load = self._numbers.load
-        loads = (None, load) if model.force is None else (load, None)
+        loads = (None, load) if model.given.force is None else (load, None)
         solved = contacts.tangents(found, gap, *loads, slope, asked=asked)
         if asked is None or len(asked) == gap.shape[1]:
             self._gap, (self.pressure, self.approach) = gap, solved
@@ -316,7 +316,9 @@ def variables(model: "WearModel", state: "State") -> dict[str, Any]:
     volumes = model.integrals(tangent.wear)
     return {
         "d_approach": tangent.approach,
-        "d_force": numbers.load if model.force is not None else np.asarray(inner(model.area, d_p)),
+        "d_force": numbers.load
+        if model.given.force is not None
+        else np.asarray(inner(model.area, d_p)),
         "d_torque": numbers.torque(model, p, d_p),
         "d_twist": numbers.twist(model, p, d_p),
         "d_worn_volume_lower": volumes[0],

@@ -225,7 +225,7 @@ class BatchRecorder:
             case = self._cases[number]
             last = state.history(place)
             self._doubts[number] += doubts_at(
-                case, self._pair.line, model.compliance_of(int(ended[place])),
+                case, self._pair.line, model.compliances.history(int(ended[place])),
                 last, self.balances(number), (float(errors[place]), int(elements[place])),
             )  # fmt: skip
             if number in self._stress:
@@ -236,9 +236,10 @@ class BatchRecorder:
             solver = model.batch.solver
             self._ends.append(
                 _End(
-                    numbers, state, snapshot.progress.take(ended), model.symmetry_defects[ended],
+                    numbers, state, snapshot.progress.take(ended),
+                    model.compliances.symmetry_defect[ended],
                     solver.scaled_pressures[ended], model.approach_rates(ended),
-                    model.gap(state.wear, ended),
+                    model.given.initial_gap[ended] + state.wear[0] + state.wear[1],
                 )
             )  # fmt: skip
 

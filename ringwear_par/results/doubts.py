@@ -332,7 +332,7 @@ def unstable(model: WearModel) -> dict[int, Doubt]:
     """Return which of B histories have explicit steps that are too long."""
     if model.case.time.scheme != "explicit":
         return {}
-    steps = [case.time.step for case in model.cases]
+    steps = [case.time.step for case in model.given.cases]
     both = enumerate(zip(steps, stable_steps(model), strict=True))
     return {i: _unstable(step, limit) for i, (step, limit) in both if step > limit}
 

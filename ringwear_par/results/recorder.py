@@ -13,9 +13,11 @@ from ringwear_par.arrays import FloatArray, IntArray, inner
 from ringwear_par.cases.case import Case
 from ringwear_par.cases.law_trials import law_sources
 from ringwear_par.elasticity.boundary_fields import BoundaryState
+from ringwear_par.elasticity.pair import BodyCost
 from ringwear_par.elasticity.stress_fields import StressHistory, StressState
 from ringwear_par.history.balances import Balances, WorstBalances
 from ringwear_par.history.boundaries import BoundaryObserver
+from ringwear_par.history.layers import layer_left, layer_volumes
 from ringwear_par.history.model import WearModel
 from ringwear_par.history.saving import stores
 from ringwear_par.history.sensitivity import units_of
@@ -74,11 +76,11 @@ def _of_layers(model: WearModel, state: State) -> dict[str, Any]:
     found: dict[str, Any] = {}
     for i, body in enumerate(("lower", "upper")):
         if model.layer_ends[i] is not None:
-            left = model.layer_left(i, state.wear[i])
+            left = layer_left(model, i, state.wear[i])
             through = inner(model.area, (left <= 0.0).astype(float)) / model.area.sum()
             found[f"share_through_{body}"] = through
             found[f"layer_left_{body}"] = left
-            found[f"worn_volume_{body}_layers"] = model.layer_volumes(i, state.wear[i])
+            found[f"worn_volume_{body}_layers"] = layer_volumes(model, i, state.wear[i])
     return found
 
 
@@ -450,7 +452,7 @@ class Recorder:
                 step_error_time=self._balances.step_error_time,
                 through=state.through,
             ),
-            take(state, progress, model.warm(), model.updates, self._pending_iterations),
+            take(state, progress, model.warm(), self._followed[1], self._pending_iterations),
             comm=self._comm,
             parameters=units_of(case, self._parameters),
             derivatives={name: arrays[name] for name in self._derivatives},
@@ -461,12 +463,19 @@ class Recorder:
     def kernel_evaluations(self) -> int:
         """Return how many kernels were evaluated for both bodies, updates included."""
         assert self._last is not None
-        return (self._last.model.pair.cost + self._last.model.following).kernel_evaluations
+        return (self._last.model.pair.cost + self._followed[0]).kernel_evaluations
+
+    @property
+    def _followed(self) -> tuple[BodyCost, int]:
+        """What it took to let elements follow the wear, and how often they did."""
+        assert self._last is not None
+        following = self._last.model.following
+        return (BodyCost(), 0) if following is None else (following.cost, following.updates)
 
     def seconds(self) -> dict[str, float]:
         """Return the wall times so far by attribute, s, those of an interrupted run included."""
         assert self._last is not None
-        model, cost = self._last.model, self._last.model.following
+        model, (cost, _) = self._last.model, self._followed
         if not model.given_pair:  # what was assembled elsewhere took no time here
             cost = cost + model.pair.cost
         stepping = time.perf_counter() - self._begun - self.seconds_output

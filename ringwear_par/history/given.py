@@ -1,0 +1,175 @@
+"""What is given of one history, or of B on one contact pair, whose numbers are stacked."""
+
+from collections.abc import Callable, Hashable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any, Self
+
+import numpy as np
+
+from ringwear_par.arrays import FloatArray, IntArray, Numbers
+from ringwear_par.cases.case import Case
+from ringwear_par.schedules import Quantity, stack, take
+from ringwear_par.wear.law import Law, stack_laws
+from ringwear_par.wear.layered import LayeredLaw
+
+
+@dataclass(frozen=True)
+class Given:
+    """Loads, laws and gaps of one case, or of B cases: numbers are floats or (B,).
+
+    Parameters
+    ----------
+    cases : the one, or B.
+    initial_gap : (..., n) float, mm, of the unworn faces.
+    friction : float or (B,), coefficient.
+    tolerance : float or (B,), mm of wear, ``time.tolerance``.
+    omega : rad/s.
+    force, displacement : N and mm; one of them is None.
+    laws : of lower and upper, None where a body does not wear.
+    """
+
+    cases: tuple[Case, ...]
+    initial_gap: FloatArray
+    friction: Numbers
+    tolerance: Numbers
+    omega: Quantity
+    force: Quantity | None
+    displacement: Quantity | None
+    laws: tuple[Law | None, ...]
+
+    @classmethod
+    def of(cls, cases: Case | Sequence[Case]) -> Self:
+        """Return what is given of a case, or of several of one pair, if only of one: stacked.
+
+        Raises
+        ------
+        ValueError : the cases cannot be stacked.
+        """
+        if isinstance(cases, Case):
+            case, load = cases, cases.load
+            return cls(
+                (case,), case.initial_gap, case.friction, case.time.tolerance, load.omega,
+                load.force, load.displacement, case.laws,
+            )  # fmt: skip
+        if any(case.follows_wear for case in cases):
+            raise ValueError("histories with updated geometry cannot be stacked")
+        loads = [case.load for case in cases]
+        laws = zip(*(case.laws for case in cases), strict=True)
+        return cls(
+            tuple(cases),
+            np.array(of_faces(cases, lambda case: case.initial_gap)),
+            np.array([case.friction for case in cases]),
+            np.array([case.time.tolerance for case in cases]),
+            stack([load.omega for load in loads]),
+            _stacked([load.force for load in loads]),
+            _stacked([load.displacement for load in loads]),
+            tuple(stack_laws(own) for own in laws),
+        )
+
+    def take(self, histories: IntArray) -> Self:
+        """Return the same of some of B histories."""
+        return replace(
+            self,
+            cases=tuple(self.cases[i] for i in histories.tolist()),
+            initial_gap=self.initial_gap[histories],
+            friction=self.friction[histories],
+            tolerance=self.tolerance[histories],
+            omega=take(self.omega, histories),
+            force=take(self.force, histories),
+            displacement=take(self.displacement, histories),
+            laws=tuple(None if law is None else law.take(histories) for law in self.laws),
+        )
+
+    def with_layers(self, ends: Sequence[FloatArray | None], obliquity: FloatArray | None) -> Self:
+        """Return the same with laws that know at which depths along the normal layers end.
+
+        Parameters
+        ----------
+        ends : (layers, n) float, mm, along the axis, of lower and upper.
+        obliquity : (n,) float, 1 / cos alpha of sloping faces; None: all are flat.
+        """
+
+        def at(law: Law | None, axial: FloatArray | None) -> Law | None:
+            if not isinstance(law, LayeredLaw) or axial is None:
+                return law
+            return law.at(axial if obliquity is None else axial / obliquity)
+
+        return replace(self, laws=tuple(map(at, self.laws, ends)))
+
+    @property
+    def several(self) -> bool:
+        """Whether fields have an axis of histories."""
+        return self.initial_gap.ndim > 1
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Of fields: (n,), or (B, n)."""
+        return self.initial_gap.shape
+
+    @cached_property
+    def wears(self) -> bool:
+        """Whether any body does."""
+        return any(law is not None for law in self.laws)
+
+    @cached_property
+    def wears_locally(self) -> bool:
+        """Whether the wear of each element depends on its own pressure alone."""
+        return self.wears and not any(law is not None and law.length for law in self.laws)
+
+    @cached_property
+    def layered(self) -> bool:
+        """Whether wear goes through layers."""
+        return any(isinstance(law, LayeredLaw) for law in self.laws)
+
+    @cached_property
+    def steady_speed(self) -> bool:
+        """Whether the speed never changes, so that it is its own mean."""
+        return isinstance(self.omega, float)
+
+    @cached_property
+    def rates_last(self) -> bool:
+        """Whether the rates at the end of an increment are those of the instant.
+
+        Speed and wear before the increment then make no difference.
+        """
+        reads = any(law is not None and law.reads_wear for law in self.laws)
+        return self.steady_speed and not reads
+
+    @cached_property
+    def per_energy(self) -> tuple[Any, ...]:
+        """Worn volume of lower and upper per dissipated energy, 1/MPa, None where it is not fixed.
+
+        Of bodies with layers those of all of them and of the body itself, 0 where not fixed.
+        """
+        return tuple(
+            None
+            if law is None
+            else law.layer_ratios(self.friction)
+            if isinstance(law, LayeredLaw)
+            else law.per_energy(self.friction)
+            for law in self.laws
+        )
+
+
+def of_faces(cases: Sequence[Case], number: Callable[[Case], Any]) -> list[Any]:
+    """Return of each case what depends on its unworn faces alone: worked out once for equal ones.
+
+    The cases are of one pair.
+    """
+    known: dict[Hashable, Any] = {}
+    found = []
+    for case in cases:
+        key = (*((ring.r, ring.z, ring.face) for ring in case.rings), case.mesh.contact)
+        if key not in known:
+            known[key] = number(case)
+        found.append(known[key])
+    return found
+
+
+def _stacked(loads: Sequence[Quantity | None]) -> Quantity | None:
+    """Return the loads of B histories as one, None where none of them has this kind of load."""
+    given = [load for load in loads if load is not None]
+    if given and len(given) < len(loads):
+        raise ValueError("histories under a force and at a displacement cannot be stacked")
+    return stack(given) if given else None
