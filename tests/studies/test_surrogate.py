@@ -168,8 +168,28 @@ def test_noise_is_called_coarse(tmp_path, caplog):
     with caplog.at_level(logging.WARNING):
         made = rw.surrogate(tmp_path)
     assert made.relative_error["penetration"] > 0.7
-    assert "the leave-out error of penetration is" in caplog.text
+    (said,) = (record.getMessage() for record in caplog.records)
+    percent = 100.0 * made.relative_error["penetration"]
+    assert said.endswith(f"would make smaller: penetration {percent:.0f} %")
     assert "coarse" in repr(made)
+
+
+def test_of_many_coarse_responses_the_worst_are_named(tmp_path, caplog):
+    ensemble = written(tmp_path, power)
+    noise = np.random.default_rng(1).random((5, 64))
+    scales = (0.3, 1.0, 3.0, 0.6, 2.0)  # of the noise, beside what a key does
+    depth = ensemble.final["penetration"]
+    more = {f"mises[{i}]": depth * (1.0 + scale * noise[i]) for i, scale in enumerate(scales)}
+    with caplog.at_level(logging.WARNING):
+        made = rw.surrogate(replace(ensemble, final={**ensemble.final, **more}))
+    errors = made.relative_error
+    worst = sorted(errors, key=lambda name: -errors[name])
+    coarse = sum(error > 0.1 for error in errors.values())
+    assert coarse > 3
+    (said,) = (record.getMessage() for record in caplog.records)
+    named = ", ".join(f"{name} {100.0 * errors[name]:.0f} %" for name in worst[:3])
+    assert said.endswith(f": {named} and {coarse - 3} more (all in relative_error of rw.surrogate)")
+    assert len(said) < 250
 
 
 def test_what_is_shown_is_short(tmp_path):
