@@ -234,16 +234,22 @@ def _stress_table(result: Result) -> tuple[list[str], Iterable[Sequence[Any]]]:
     if not len(history.points):
         raise InputError(f"{result.name}: holds no stresses at points; must have stress.points")
     header = [
-        "step", "time (s)", "r (mm)", "z (mm)", *(f"{name} (MPa)" for name in COMPONENTS),
+        "step", "time (s)", "r (mm)", "z (mm)", "side", *(f"{name} (MPa)" for name in COMPONENTS),
         "mises (MPa)", "max_shear (MPa)", *(f"principal_{i} (MPa)" for i in (1, 2, 3)),
     ]  # fmt: skip
+    places = history.points.tolist()
+    sides = history.sides or ("",) * len(places)  # not known of older files
     rows = (
-        [state.step, state.time, *row]
+        [state.step, state.time, *place, side, *row]
         for state in history.states
-        for row in np.column_stack(
-            [history.points, state.points, mises(state.points), max_shear(state.points),
-             principal(state.points)]
-        ).tolist()
+        for place, side, row in zip(
+            places, sides,
+            np.column_stack(
+                [state.points, mises(state.points), max_shear(state.points),
+                 principal(state.points)]
+            ).tolist(),
+            strict=True,
+        )
     )  # fmt: skip
     return header, rows
 
