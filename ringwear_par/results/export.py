@@ -128,7 +128,7 @@ def check_export(
     ending = output.suffix
     for option, asked, endings in (
         ("--interfaces", interfaces, _INTERFACE_ENDINGS),
-        ("--stress", stress, _STRESS_ENDINGS),
+        ("--stress", stress and not interfaces, _STRESS_ENDINGS),
     ):
         if asked and ending not in endings:
             *others, last = (f"{end} ({what})" for end, what in endings.items())
