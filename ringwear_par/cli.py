@@ -307,18 +307,10 @@ def _plot(args: argparse.Namespace, comm: Any) -> None:
         chosen = args.panels or PANELS, args.steps or "", args.profiles_of or (), args.times or ""
         on_first_rank(comm, lambda: plot_files(args.results, args.output, *chosen))
         return
-    from ringwear_par.identification.folders import CURVES, DESIGN, ESTIMATES, FIT, MAP
+    from ringwear_par.folders import refuse_drawn
     from ringwear_par.studies.figures import plot_sweep
 
-    for outcome, of, pictures in (
-        (FIT, "fit", f"pictures {CURVES} and {ESTIMATES} are"),
-        (DESIGN, "design", f"picture {MAP} is"),
-    ):
-        if (folders[0] / outcome).exists():
-            raise InputError(
-                f"{folders[0]}: is the folder of a {of}, whose {pictures} there already; must be "
-                "that of a sweep, or a result file"
-            )
+    refuse_drawn(folders[0])
     if len(args.results) > 1:
         raise InputError(f"{folders[0]}: is a folder; must be the only thing to be drawn")
     for name in ("panels", "steps", "profiles_of", "times"):

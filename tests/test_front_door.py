@@ -198,6 +198,17 @@ def test_plot_tells_what_it_cannot_draw(case, comm, tmp_path):
         rw.plot(case)
     with pytest.raises(rw.InputError, match="is a folder; must be the only thing to be drawn"):
         rw.plot([good, tmp_path])
+    for outcome, pictures in (
+        ("fit", "pictures fit.png and parameters.png are"), ("design", "picture design.png is"),
+    ):  # fmt: skip
+        (tmp_path / outcome).mkdir()
+        (tmp_path / outcome / f"{outcome}.json").write_text("{}")
+        said = (
+            rf"{outcome}: is the folder of a {outcome}, whose {pictures} there .* ringwear report"
+        )
+        for given in (tmp_path / outcome, [str(tmp_path / outcome), good]):
+            with pytest.raises(rw.InputError, match=said):
+                rw.plot(given)
 
 
 @pytest.mark.serial

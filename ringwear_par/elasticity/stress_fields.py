@@ -81,6 +81,8 @@ class StressHistory:
     Parameters
     ----------
     points : (p, 2) float, mm, r and z in the frame of the case.
+    sides : of each, on which side of a face or an interface it is, "" where the case names none;
+        () where they are not known.
     grid : radii and heights of the grid, mm; none of each where there is no grid.
     exclude : mm, radius round edges in which the largest stress was not looked for.
     interfaces : of lower and upper.
@@ -88,6 +90,7 @@ class StressHistory:
     """
 
     points: FloatArray
+    sides: tuple[str, ...]
     grid: tuple[FloatArray, FloatArray]
     exclude: float
     interfaces: tuple[Interfaces, Interfaces]

@@ -2,6 +2,7 @@
 
 import math
 import os
+from dataclasses import replace
 
 import numpy as np
 
@@ -9,12 +10,15 @@ from ringwear_par.cases.case import Case, Ring
 from ringwear_par.cases.law_trials import refuse_bad_laws
 from ringwear_par.cases.numbers import number_faults
 from ringwear_par.cases.stress import check_stress
+from ringwear_par.cases.text import toml_value
 from ringwear_par.contact.problem import REPLICATED_LIMIT
 from ringwear_par.elasticity.boundary import count_elements, face_elements, zone_meshes
 from ringwear_par.errors import InputError
 
 #: about how many points of both bodies are looked at for the largest stress
 SEARCHED = 4000.0
+#: of a machine's memory that a run may take
+_SHARE_OF_MEMORY = 0.9
 
 
 def memory_needed(case: Case, ranks: int) -> float:
@@ -159,15 +163,47 @@ def check_memory(case: Case, ranks: int, name: str) -> None:
     """
     needed = memory_needed(case, ranks)
     there = float(os.sysconf("SC_PAGE_SIZE")) * os.sysconf("SC_PHYS_PAGES")
-    if needed > 0.9 * there:
-        steps = "" if case.time.adaptive else f"time.steps = {case.time.steps}, "
-        if case.stress is not None:
-            steps += f"{case.stress.size:g} points of [stress], "
-        raise InputError(
-            f"{name}: mesh.contact_elements = {case.mesh.contact_elements}, {steps}"
-            f"output.every = {case.output.every}: needs about "
-            f"{needed / 1e9:.3g} GB of memory, this machine has {there / 1e9:.3g} GB; must be less"
-        )
+    most = _SHARE_OF_MEMORY * there
+    if needed <= most:
+        return
+    told = (
+        f"needs about {needed / 1e9:.3g} GB of memory, this machine has {there / 1e9:.3g} GB; must"
+    )
+    if said := _too_many_points(case, ranks, needed, most):
+        key, allowed = said
+        raise InputError(f"{name}: {key}: {told} be at most {allowed} points")
+    steps = "" if case.time.adaptive else f"time.steps = {case.time.steps}, "
+    if case.stress is not None and case.stress.times != "last":
+        steps += f"stress.times = {toml_value(case.stress.times)}, "
+    raise InputError(
+        f"{name}: mesh.contact_elements = {case.mesh.contact_elements}, {steps}"
+        f"output.every = {case.output.every}: {told} be less"
+    )
+
+
+def _too_many_points(case: Case, ranks: int, needed: float, most: float) -> tuple[str, int] | None:
+    """Return the key whose points of stress take the memory, and how many it may have.
+
+    None where the rest of the case takes it.
+
+    Parameters
+    ----------
+    needed, most : bytes, of the case and that it may have.
+    """
+    stress = case.stress
+    if stress is None:
+        return None
+    grid, listed = stress.grid, len(stress.points)
+    of_grid = grid is not None and stress.size > 2 * listed
+    rest = replace(stress, grid=None) if of_grid else replace(stress, points=())
+    without = memory_needed(replace(case, stress=rest), ranks)
+    if without >= most:
+        return None
+    points = stress.size - rest.size
+    allowed = math.floor(points * (most - without) / (needed - without))
+    if grid is None or not of_grid:
+        return f"stress.points: {listed} of them", allowed
+    return f"stress.grid.n = {list(grid.n)}", allowed
 
 
 def check_mesh(case: Case, name: str) -> None:

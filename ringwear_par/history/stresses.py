@@ -36,12 +36,13 @@ class CaseStresses:
         assert case.stress is not None
         grid = case.stress.grid
         axes = grid.axes if grid is not None else (np.empty(0), np.empty(0))
-        #: (p, 2) mm, the points; radii and heights of the grid
+        #: (p, 2) mm, the points, and their sides; radii and heights of the grid
         self.points = np.array([point[:2] for point in case.stress.points]).reshape(-1, 2)
+        self.sides = tuple(side for _, _, side in case.stress.points)
         self.grid, self._exclude = axes, case.stress.exclude
         self._of_points, self._of_grid = np.array(point_bodies(case), int), grid_bodies(case)
         on_grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
-        sides = np.array([_SIDES[point[2]] for point in case.stress.points])
+        sides = np.array([_SIDES[side] for side in self.sides])
 
         def of(i: int) -> StressPoints:
             own, grid = self._of_points == i, on_grid[self._of_grid == i]
@@ -86,7 +87,9 @@ class CaseStresses:
 
     def history(self, states: tuple[StressState, ...]) -> StressHistory:
         """Return the stresses of some states, and where they are."""
-        return StressHistory(self.points, self.grid, self._exclude, self.interfaces, states)
+        return StressHistory(
+            self.points, self.sides, self.grid, self._exclude, self.interfaces, states
+        )
 
 
 class StressObserver:

@@ -8,8 +8,8 @@ import numpy as np
 
 from ringwear_par.atomic import atomic_write, unwritable
 from ringwear_par.errors import ComputationError
+from ringwear_par.folders import DESIGN, MAP, NEXT
 from ringwear_par.identification.candidates import Candidate
-from ringwear_par.identification.folders import DESIGN, MAP, NEXT
 from ringwear_par.identification.next_tests import next_tests
 from ringwear_par.identification.storing import check
 from ringwear_par.identification.summary import unit_of

@@ -13,8 +13,8 @@ import numpy as np
 
 from ringwear_par.atomic import atomic_write, check_writable
 from ringwear_par.errors import ComputationError, InputError
+from ringwear_par.folders import CURVES, ESTIMATES, FIT, READINGS
 from ringwear_par.identification.fitted import units_of
-from ringwear_par.identification.folders import CURVES, ESTIMATES, FIT, READINGS
 from ringwear_par.identification.problem import Problem
 from ringwear_par.identification.starts import PROGRESS
 from ringwear_par.results.hdf5 import atomic_hdf5, write_variable

@@ -9,8 +9,8 @@ import h5py
 import numpy as np
 from scipy.stats import norm
 
+from ringwear_par import folders
 from ringwear_par.errors import InputError, legible
-from ringwear_par.identification import folders
 from ringwear_par.reports import charts
 from ringwear_par.reports.blocks import (
     Block,

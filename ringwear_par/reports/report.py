@@ -4,10 +4,9 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
-from ringwear_par import __version__
+from ringwear_par import __version__, folders
 from ringwear_par.atomic import atomic_write, check_writable
 from ringwear_par.errors import ComputationError, InputError
-from ringwear_par.identification import folders
 from ringwear_par.reports.blocks import Page
 from ringwear_par.results.files import result_of
 from ringwear_par.results.result import Result

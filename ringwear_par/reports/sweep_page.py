@@ -92,7 +92,7 @@ def _summary(ensemble: Ensemble) -> list[Block]:
 
 def _meaning(name: str) -> str:
     final, entry = entry_of(name)
-    which = "" if entry is None else f"; {told_entry(final.stored, entry)}"
+    which = f"; {told_entry(final.stored, entry)}" if entry else ""
     return f"{final.stored.meaning.removesuffix(', at the last stored step')}{which}"
 
 

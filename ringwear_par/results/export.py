@@ -41,6 +41,9 @@ from ringwear_par.results.vtkhdf import write_vtkhdf
 
 SEGMENTS, _MOST_SEGMENTS = 72, 3600
 _ENDINGS = (".vtkhdf", ".vtp", ".vtu", ".csv")
+#: of stresses, and what is written so
+_STRESS_ENDINGS = {".vtu": "the grid", ".vtkhdf": "the grid", ".csv": "the points"}
+_INTERFACE_ENDINGS = {".vtp": "lines", ".csv": "a table"}
 
 
 def export(
@@ -123,22 +126,24 @@ def check_export(
     InputError : the reason, in one sentence.
     """
     ending = output.suffix
+    for option, asked, endings in (
+        ("--interfaces", interfaces, _INTERFACE_ENDINGS),
+        ("--stress", stress and not interfaces, _STRESS_ENDINGS),
+    ):
+        if asked and ending not in endings:
+            *others, last = (f"{end} ({what})" for end, what in endings.items())
+            raise InputError(
+                f"{option}: {output}: its ending must be {', '.join(others)} or {last}"
+            )
     if ending not in _ENDINGS:
         raise InputError(f"{output}: its ending must be one of {', '.join(_ENDINGS)}")
     check_writable(output)
-    if interfaces and ending not in (".vtp", ".csv"):
-        raise InputError(
-            f"--interfaces: {output}: its ending must be .vtp (lines) or .csv (a table)"
-        )
     if interfaces and (segments is not None or scale is not None or fields or stress):
         raise InputError(
             f"--interfaces: {output}: must be without --revolve, --scale, --fields, --stress"
         )
-    if stress and (ending == ".vtp" or segments is not None or scale is not None or fields):
-        raise InputError(
-            f"--stress: {output} is of the grid (.vtu, .vtkhdf) or of points (.csv); "
-            "must be without --revolve, --scale, --fields"
-        )
+    if stress and (segments is not None or scale is not None or fields):
+        raise InputError(f"--stress: {output}: must be without --revolve, --scale, --fields")
     if fields and ending != ".csv":
         raise InputError(f"--fields: {output} is no table; must be absent but for .csv")
     surface = ending in (".vtu", ".vtkhdf")
@@ -229,16 +234,22 @@ def _stress_table(result: Result) -> tuple[list[str], Iterable[Sequence[Any]]]:
     if not len(history.points):
         raise InputError(f"{result.name}: holds no stresses at points; must have stress.points")
     header = [
-        "step", "time (s)", "r (mm)", "z (mm)", *(f"{name} (MPa)" for name in COMPONENTS),
+        "step", "time (s)", "r (mm)", "z (mm)", "side", *(f"{name} (MPa)" for name in COMPONENTS),
         "mises (MPa)", "max_shear (MPa)", *(f"principal_{i} (MPa)" for i in (1, 2, 3)),
     ]  # fmt: skip
+    places = history.points.tolist()
+    sides = history.sides or ("",) * len(places)  # not known of older files
     rows = (
-        [state.step, state.time, *row]
+        [state.step, state.time, *place, side, *row]
         for state in history.states
-        for row in np.column_stack(
-            [history.points, state.points, mises(state.points), max_shear(state.points),
-             principal(state.points)]
-        ).tolist()
+        for place, side, row in zip(
+            places, sides,
+            np.column_stack(
+                [state.points, mises(state.points), max_shear(state.points),
+                 principal(state.points)]
+            ).tolist(),
+            strict=True,
+        )
     )  # fmt: skip
     return header, rows
 

@@ -138,12 +138,19 @@ def find_texts(group: h5py.Group, name: str, sizes: dict[str, int], dimension: s
     return _find(group, name, (dimension,), sizes).asstr()
 
 
-def read_words(group: h5py.Group, name: str, sizes: dict[str, int]) -> Any:
-    """Return a variable of texts, one a case, as bytes in one array."""
-    found = _find(group, name, ("case",), sizes)
+def find_words(
+    group: h5py.Group, name: str, sizes: dict[str, int], dimensions: Sequence[str] = ("case",)
+) -> h5py.Dataset:
+    """Return a variable of texts as ``find_array`` does."""
+    found = _find(group, name, dimensions, sizes)
     if h5py.check_string_dtype(found.dtype) is None:
         raise ValueError(name)
-    words = found[:]
+    return found
+
+
+def read_words(group: h5py.Group, name: str, sizes: dict[str, int]) -> Any:
+    """Return a variable of texts, one a case, as bytes in one array."""
+    words = find_words(group, name, sizes)[:]
     return words if words.dtype.kind == "S" else np.array(words.tolist() or [b""])[: len(words)]
 
 

@@ -11,7 +11,7 @@ from ringwear_par.arrays import FloatArray
 from ringwear_par.elasticity.boundary_fields import BODIES
 from ringwear_par.elasticity.stress_fields import Interfaces, Largest, StressHistory, StressState
 from ringwear_par.elasticity.stress_measures import COMPONENTS, SIDES, max_shear, mises, principal
-from ringwear_par.results.reading import read_array
+from ringwear_par.results.reading import find_texts, read_array
 from ringwear_par.results.variables import (
     HISTORIES,
     LAYER,
@@ -31,6 +31,13 @@ COMPONENT = Variable("component", ("component",), "1", "component of stress")
 POINT = Variable("point", ("point",), "1", "point of stress.points", integer=True)
 POINT_R = Variable("point_r", ("point",), "mm", "radius of the point")
 POINT_Z = Variable("point_z", ("point",), "mm", "height of the point")
+#: of which older files do not tell
+POINT_SIDE = Variable(
+    "point_side", ("point",), "1",
+    "side of the face or interface that the point lies on, as in stress.points",
+)  # fmt: skip
+#: how the shards of a sweep number sides
+_POINT_SIDES = ("", *SIDES)
 PRINCIPAL = Variable(
     "principal_value", ("principal_value",), "1", "principal value, the largest first", integer=True
 )
@@ -124,12 +131,12 @@ MAX_MISES_LAYERS = tuple(
 LARGEST_STRESS = {v.name: replace(v, dimensions=("step",)) for v in MAX_MISES}
 LAYER_STRESS = {v.name: replace(v, dimensions=("step", v.dimensions[-1])) for v in MAX_MISES_LAYERS}
 POINT_STRESS = {v.name: replace(v, dimensions=("step", "point")) for v in (MISES, MAX_SHEAR)}
-POINTS = {v.name: v for v in (POINT_R, POINT_Z)}
+POINTS = {v.name: v for v in (POINT_R, POINT_Z, POINT_SIDE)}
 
 
 def stress_coordinates(history: StressHistory) -> tuple[str, ...]:
     """Return the names of the coordinates that are no dimensions; there is a state at least."""
-    of_points = (POINT_R.name, POINT_Z.name) if len(history.points) else ()
+    of_points = tuple(name for name, _ in _points(history))
     of_interfaces = (
         names
         for of, v in zip(history.interfaces, INTERFACES, strict=True)
@@ -153,8 +160,7 @@ def stress_variables(history: StressHistory) -> list[tuple[Variable, Any]]:
         stress = np.array([state.points for state in states])
         found += [
             (POINT, np.arange(len(history.points))),
-            (POINT_R, history.points[:, 0]),
-            (POINT_Z, history.points[:, 1]),
+            *((POINTS[name], values) for name, values in _points(history)),
             (PRINCIPAL, np.arange(3)),
             (STRESS, stress),
             (MISES, mises(stress)),
@@ -230,10 +236,43 @@ def stress_rows(history: StressHistory, times: FloatArray) -> dict[str, FloatArr
     return found
 
 
+def _points(history: StressHistory) -> list[tuple[str, Any]]:
+    """Return what is known of the points by name, nothing where there are none."""
+    if not len(history.points):
+        return []
+    r, z = history.points.T
+    sides = [(POINT_SIDE.name, list(history.sides))] if history.sides else []
+    return [(POINT_R.name, r), (POINT_Z.name, z), *sides]
+
+
 def point_columns(history: StressHistory) -> dict[str, FloatArray]:
-    """Return radii and heights of the points, if there are any."""
-    points = zip(POINTS, history.points.T, strict=True)
-    return dict(points) if len(history.points) else {}
+    """Return radii, heights and sides of the points, as far as there are any, in numbers."""
+    return {
+        name: np.array([_POINT_SIDES.index(side) for side in values], dtype=float)
+        if name == POINT_SIDE.name
+        else values
+        for name, values in _points(history)
+    }
+
+
+def side_words(numbers: FloatArray) -> Any:
+    """Return the sides, as bytes, that a sweep's numbers stand for, none for NaN."""
+    return np.array(_POINT_SIDES, dtype="S")[np.nan_to_num(numbers).astype(int)]
+
+
+def side_numbers(words: Any) -> FloatArray:
+    """Return the numbers of sides.
+
+    Raises
+    ------
+    ValueError : some are none.
+    """
+    numbers = np.full(words.shape, np.nan)
+    for number, side in enumerate(_POINT_SIDES):
+        numbers[words == side.encode()] = number
+    if np.isnan(numbers).any():
+        raise ValueError(POINT_SIDE.name)
+    return numbers
 
 
 def _columns(variables: tuple[Variable, ...], places: list[Largest]) -> list[tuple[Variable, Any]]:
@@ -255,9 +294,14 @@ def read_stress(file: h5py.File, sizes: dict[str, int]) -> StressHistory | None:
         raise ValueError(STRESS_TIME.name)
     count = len(times)
     points, at_points = np.empty((0, 2)), np.empty((count, 0, 6))
+    sides: tuple[str, ...] = ()
     if STRESS.name in file:
         points = np.stack([read(POINT_R), read(POINT_Z)], axis=1)
         at_points = read(STRESS)
+        if POINT_SIDE.name in file:
+            sides = tuple(find_texts(file, POINT_SIDE.name, sizes, "point")[()].tolist())
+            if not set(sides) <= set(_POINT_SIDES):
+                raise ValueError(POINT_SIDE.name)
     axes, on_grid = (np.empty(0), np.empty(0)), np.empty((count, 0, 0, 6))
     if STRESS_GRID.name in file:
         axes = read(GRID_R), read(GRID_Z)
@@ -288,4 +332,4 @@ def read_stress(file: h5py.File, sizes: dict[str, int]) -> StressHistory | None:
         )
         for t in range(count)
     )  # fmt: skip
-    return StressHistory(points, axes, float(read(EXCLUDE)), (lower[0], upper[0]), states)
+    return StressHistory(points, sides, axes, float(read(EXCLUDE)), (lower[0], upper[0]), states)

@@ -5,7 +5,6 @@ with NaN; ``steps_stored`` and ``elements`` say how much is there. Both files ap
 """
 
 import csv
-import json
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -24,6 +23,7 @@ from ringwear_par.cases.text import toml_value
 from ringwear_par.cases.values import is_number
 from ringwear_par.errors import InputError
 from ringwear_par.results.hdf5 import atomic_hdf5
+from ringwear_par.results.stress_variables import POINT_SIDE, side_words
 from ringwear_par.results.variables import HISTORIES, LINE, Variable
 from ringwear_par.studies.case_variables import (
     WINDOW,
@@ -38,7 +38,6 @@ from ringwear_par.studies.finals import (
     FINALS,
     STRESS_ASKED,
     entries,
-    entry_of,
     last_asked,
 )
 from ringwear_par.studies.index import (
@@ -50,6 +49,7 @@ from ringwear_par.studies.index import (
     put,
     read_stored,
     telling_damage,
+    with_body_last,
 )
 from ringwear_par.studies.results_file import (
     OF_CASES,
@@ -61,11 +61,9 @@ from ringwear_par.studies.results_file import (
     cases_at_once,
     over_cases,
 )
-from ringwear_par.studies.swept import EACH, FIELDS, ROWS, STRESS
+from ringwear_par.studies.swept import EACH, FIELDS, ROWS, STRESS, has_layers
+from ringwear_par.studies.table_meanings import AFTER, BEFORE, table_meanings
 from ringwear_par.studies.variations import Column, own_key, value_of
-
-#: of the table, before and after the last values
-_BEFORE, _AFTER = ("status", "error"), ("seconds", "in_study", "version", "flags")
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,30 +113,11 @@ def write_ensemble(folder: Path, listing: Listing, attributes: Mapping[str, Any]
         file.attrs.update({"software": SOFTWARE, **attributes})
         with listed.open("w", newline="", encoding="utf-8") as handle:
             table = csv.writer(handle)
-            table.writerow(("case", *listing.names, *_BEFORE, *writer.finals, *_AFTER))
+            table.writerow(("case", *listing.names, *BEFORE, *writer.finals, *AFTER))
             for rows in writer.rows():
                 table.writerows(rows)
-        meanings.write_text(_meanings(listing.names, list(writer.finals)), encoding="utf-8")
-
-
-def _meanings(names: Sequence[str], finals: Sequence[str]) -> str:
-    """Return units and meanings of the table's columns (W3C, Metadata for Tabular Data)."""
-    told = {name: entry_of(name)[0].stored for name in finals}
-    columns = [{"titles": "case", "dc:description": "id of the case, of its content"}]
-    for name in names:
-        key = own_key(name)
-        unit = {"schema:unitText": unit_of(name)} if unit_of(name) else {}
-        columns.append({"titles": name, "dc:description": key.meaning, **unit})
-    for name in (*_BEFORE, *finals, *_AFTER):
-        variable = told.get(name) or OF_CASES[name]
-        unit = {} if variable.unit == "1" else {"schema:unitText": variable.unit}
-        columns.append({"titles": name, "dc:description": variable.meaning, **unit})
-    table = {
-        "@context": ["http://www.w3.org/ns/csvw", {"@language": "en"}],
-        "url": TABLE,
-        "tableSchema": {"columns": columns},
-    }
-    return json.dumps(table, indent=1) + "\n"
+        told = table_meanings(listing.names, list(writer.finals), file)
+        meanings.write_text(told, encoding="utf-8")
 
 
 class _Writer:
@@ -243,6 +222,8 @@ class _Writer:
                 for source, block, cases in blocks:
                     piece = read_stored(source, block, name)
                     if piece is not None:
+                        if has_layers(variable):
+                            piece = with_body_last(piece, table.shape[-1])
                         places = place[entry[cases]]
                         put(table, cases - start, piece, places, self._rows[cases])
                 if name == STRESS_ASKED:
@@ -250,10 +231,15 @@ class _Writer:
                 if name in BY_SOURCE:
                     last = asked if name in STRESS else self._rows[start:stop] - 1
                     self._take_last(name, start, table, last)
+                kind: Any = float
+                if name == POINT_SIDE.name:
+                    words = side_words(table)
+                    kind = text_dtype(words.dtype.itemsize)
+                    table = words.astype(kind)
                 if not start:
                     own = over_cases(variable)
                     columns[name] = ColumnWriter(
-                        make_variable(file, own, float, window, sample=table)
+                        make_variable(file, own, kind, window, sample=table)
                     )
                 columns[name].write(start, table)
                 self._check_disk()

@@ -17,12 +17,20 @@ from ringwear_par.results.variables import (
     TIMES_THROUGH,
     Variable,
 )
-from ringwear_par.studies.swept import EACH, FIELDS, STRESS, axis_of, told_entry
+from ringwear_par.studies.swept import (
+    BODY,
+    EACH,
+    FIELDS,
+    STRESS,
+    axis_of,
+    entries_of,
+    told_entry,
+)
 
 #: those that all cases have
 FINAL = ("penetration", "worn_volume_lower", "worn_volume_upper")
 _MM3, _UM = "mm\N{SUPERSCRIPT THREE}", "\N{MICRO SIGN}m"
-_ENTRY = re.compile(r"(.+)\[(\d+)\]")
+_ENTRY = re.compile(rf"(.+)\[(\d+|{BODY})\]")
 
 
 @dataclass(frozen=True)
@@ -101,17 +109,18 @@ BY_SOURCE = {final.source: final for final in FINALS.values()}
 STRESS_ASKED = MAX_MISES[0].name
 
 
-def entry_of(name: str) -> tuple[Final, int | None]:
-    """Return what a number is one of, and which, None for one that stands alone."""
+def entry_of(name: str) -> tuple[Final, str]:
+    """Return what a number is one of, and which, "" for one that stands alone."""
     found = _ENTRY.fullmatch(name)
-    return (FINALS[found[1]], int(found[2])) if found else (FINALS[name], None)
+    return (FINALS[found[1]], found[2]) if found else (FINALS[name], "")
 
 
 def entries(final: Final, values: FloatArray) -> dict[str, FloatArray]:
     """Return numbers of cases by their names, the last axis of those that have one taken apart."""
     if not axis_of(final.stored):
         return {final.name: values}
-    return {f"{final.name}[{i}]": values[..., i] for i in range(values.shape[-1])}
+    names = entries_of(final.stored, values.shape[-1])
+    return {f"{final.name}[{name}]": values[..., i] for i, name in enumerate(names)}
 
 
 def last_asked(table: FloatArray) -> IntArray:
@@ -173,7 +182,7 @@ def shown(name: str) -> Shown:
     """Return how a number is drawn."""
     final, entry = entry_of(name)
     found = _SHOWN[final.name]
-    if entry is None:
+    if not entry:
         return found
     return found._replace(name=f"{found.name}, {told_entry(final.stored, entry)}")
 

@@ -325,6 +325,19 @@ def put(table: Any, at: IntArray, piece: Piece, places: IntArray, rows: IntArray
     table[(np.repeat(at, lengths), step, *columns)] = values[step + np.repeat(starts, lengths)]
 
 
+def with_body_last(piece: Piece, width: int) -> Piece:
+    """Return what is stored by layer with so many columns, the body itself in the last of them.
+
+    Cases may have fewer layers than others of their sweep: these have NaN before the body.
+    """
+    layers = piece.values.shape[-1] - 1
+    if layers + 1 == width:
+        return piece
+    values = np.full((*piece.values.shape[:-1], width), np.nan)
+    values[..., :layers], values[..., -1] = piece.values[..., :-1], piece.values[..., -1]
+    return piece._replace(values=values)
+
+
 def _run(numbers: IntArray) -> slice | IntArray:
     """Return increasing numbers without gaps as a slice, others as they are."""
     first, last = int(numbers[0]), int(numbers[-1])

@@ -6,6 +6,7 @@ from pathlib import Path
 from matplotlib.figure import Figure
 
 from ringwear_par.errors import InputError
+from ringwear_par.folders import refuse_drawn
 from ringwear_par.results import figures
 from ringwear_par.results.result import Result
 
@@ -36,11 +37,13 @@ def plot(
     Raises
     ------
     InputError : something that is not a result, an unknown panel, a step not stored; more than its
-        folder where a sweep is drawn.
+        folder where a sweep is drawn; the folder of a fit or a design, which has its pictures.
     """
     several = [results] if isinstance(results, Result | str | Path) else results
     if isinstance(several, Sequence):
         folders = [s for s in several if isinstance(s, str | Path) and Path(s).is_dir()]
+        if folders:
+            refuse_drawn(Path(folders[0]))
         if folders and (len(several) > 1 or panels is not None or steps or times or profiles_of):
             raise InputError(
                 f"{folders[0]}: is a folder; must be the only thing to be drawn, without panels, "

@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ringwear_par.arrays import BoolArray, FloatArray, IntArray
+from ringwear_par.studies.responses import most_of
 from ringwear_par.studies.sensitivity import SEED
 
 if TYPE_CHECKING:
@@ -59,6 +60,7 @@ class Response:
     error : root mean square of leave-out errors, in the response's unit.
     form_error : the same of what is interpolated.
     shape : of a case's values, whose product is the number of columns: () of one number.
+    most : what it cannot be above.
     """
 
     values: FloatArray
@@ -66,6 +68,7 @@ class Response:
     error: float
     form_error: float
     shape: tuple[int, ...]
+    most: float = math.inf
 
     @cached_property
     def spread(self) -> float:
@@ -81,7 +84,11 @@ class Response:
     def shifted(self, values: FloatArray, errors: float) -> FloatArray:
         """Return values of the response, shifted by a number of leave-out errors of its form."""
         shifted = _FORMS[self.form][0](values) + errors * self.form_error
-        return _back(shifted, self.form, self.values)
+        return self.back(shifted)
+
+    def back(self, table: FloatArray) -> FloatArray:
+        """Return the response of what of it was interpolated, where it can be."""
+        return _back(table, self.form, self.values, self.most)
 
 
 @dataclass(frozen=True)
@@ -126,7 +133,7 @@ class Part:
         for name in names:
             response = self.responses[name]
             stop = start + response.values.shape[1]
-            found[name] = _back(table[:, start:stop], response.form, response.values)
+            found[name] = response.back(table[:, start:stop])
             start = stop
         return found
 
@@ -225,7 +232,7 @@ def fitted(
             errors[name] = max(errors[name], (share * found[0], share * found[1]))
     stretches, forms = chosen
     return stretches, {
-        name: Response(array, forms[name], *errors[name], values[name].shape[1:])
+        name: Response(array, forms[name], *errors[name], values[name].shape[1:], most_of(name))
         for name, array in flat.items()
     }
 
@@ -249,7 +256,8 @@ def _errors(
         stretches = _held(stretches, points[~out])
         for name, array in rest.items():
             interpolator = _interpolator(points[~out] * stretches, _FORMS[forms[name]][0](array))
-            found = _back(interpolator(points[out] * stretches), forms[name], array)
+            found = interpolator(points[out] * stretches)
+            found = _back(found, forms[name], array, most_of(name))
             expected = values[name][out]
             apart[name].append(found - expected)
             there, _ = _FORMS[chosen[1][name]]
@@ -328,17 +336,18 @@ def _best_forms(points: FloatArray, values: Mapping[str, FloatArray]) -> dict[st
     start = 0
     for (name, form), table in zip(tried, tables, strict=True):
         stop = start + table.shape[1]
-        error = _rms(_back(found[:, start:stop], form, values[name]) - values[name][cases])
+        back = _back(found[:, start:stop], form, values[name], most_of(name))
+        error = _rms(back - values[name][cases])
         best[name] = min(best.get(name, (math.inf, form)), (error, form))
         start = stop
     return {name: form for name, (_, form) in best.items()}
 
 
-def _back(table: FloatArray, form: str, values: FloatArray) -> FloatArray:
+def _back(table: FloatArray, form: str, values: FloatArray, most: float) -> FloatArray:
     """Return a response of what of it was interpolated; not negative where no case is."""
     with np.errstate(over="ignore"):
         found = _FORMS[form][1](table)
-    return np.maximum(found, 0.0) if values.min() >= 0.0 else found
+    return np.clip(found, 0.0 if values.min() >= 0.0 else -math.inf, most)
 
 
 def _rms(values: FloatArray) -> float:

@@ -1,11 +1,13 @@
 """Responses of cases to their varied keys, read from the results of a sweep."""
 
+import math
 from collections.abc import Iterator
 
 import numpy as np
 
 from ringwear_par.arrays import FloatArray, IntArray
 from ringwear_par.errors import InputError
+from ringwear_par.results.variables import LAYER_HISTORIES
 from ringwear_par.studies.ensemble import Ensemble
 from ringwear_par.studies.finals import FINAL, entries, entry_of
 from ringwear_par.studies.swept import ROWS
@@ -15,6 +17,11 @@ DEPTHS = ("wear_lower", "wear_upper")
 LARGEST = tuple(f"largest_{name}" for name in DEPTHS)
 #: stored states whose profiles are read at once
 _STATES = 4000
+
+
+def most_of(name: str) -> float:
+    """Return what a response cannot be above: shares are at most all."""
+    return 1.0 if name in LAYER_HISTORIES else math.inf
 
 
 def read_responses(

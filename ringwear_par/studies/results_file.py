@@ -13,10 +13,12 @@ from ringwear_par.errors import InputError
 from ringwear_par.results.reading import (
     UnreadableError,
     find_array,
+    find_words,
     read_array,
     read_words,
     reading,
 )
+from ringwear_par.results.stress_variables import POINT_SIDE, side_numbers
 from ringwear_par.results.variables import LINE, STEP, Variable
 from ringwear_par.studies.earlier import UNKNOWN_VERSION
 from ringwear_par.studies.index import STATUS, Index, Kind, Piece, index_of, split_flags
@@ -172,7 +174,8 @@ class Results:
             return None
         with reading(self.path, SOFTWARE, WHAT) as file:
             if name != "step":
-                return Piece(file[name][self._cases(block)])
+                values = file[name][self._cases(block)]
+                return Piece(side_numbers(values) if name == POINT_SIDE.name else values)
             steps = read_array(file, STEP, {}).astype(float)
             # files of before the attribute: only where they are not just numbered does it matter
             same = file["step"].attrs.get(SAME_STEPS, (steps != np.arange(len(steps))).any())
@@ -203,5 +206,8 @@ def _tables(file: h5py.File, sizes: dict[str, int]) -> dict[str, h5py.Dataset]:
         if name in file:
             last = name in FIELDS and file[name].ndim == 2
             own = over_cases(variable.at_last_step() if last else variable)
-            found[name] = find_array(file, own, sizes)
+            if name == POINT_SIDE.name:
+                found[name] = find_words(file, name, sizes, own.dimensions)
+            else:
+                found[name] = find_array(file, own, sizes)
     return found

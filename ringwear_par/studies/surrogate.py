@@ -35,6 +35,8 @@ _DIGITS = 6
 _NEAR = 0.1
 #: keys whose ranges the study does not tell go by logarithms where they span so much, unevenly
 _LOG_KEY = 20.0
+#: most responses that a message names
+_NAMED = 3
 
 
 def surrogate(
@@ -87,13 +89,18 @@ def surrogate(
 
 
 def _tell(made: Surrogate) -> None:
-    coarse = {name: error for name, error in made.relative_error.items() if error > COARSE}
-    if coarse:
-        first, *others = (f"{name} is {100.0 * error:.0f} %" for name, error in coarse.items())
-        log.warning(
-            "surrogate: the leave-out error of %s of its spread%s; more cases would make it "
-            "smaller", first, "".join(f", that of {other}" for other in others),
-        )  # fmt: skip
+    """Log which responses are told too coarsely, the worst of them by name."""
+    errors = made.relative_error
+    coarse = sorted((n for n in errors if errors[n] > COARSE), key=lambda n: -errors[n])
+    if not coarse:
+        return
+    named = ", ".join(f"{name} {100.0 * errors[name]:.0f} %" for name in coarse[:_NAMED])
+    more = len(coarse) - _NAMED
+    log.warning(
+        "surrogate: leave-out errors above %g %% of the spread, which more cases would make "
+        "smaller: %s%s", 100.0 * COARSE, named,
+        f" and {more} more (all in relative_error of rw.surrogate)" if more > 0 else "",
+    )  # fmt: skip
 
 
 def _ensemble(ensemble: Any) -> Ensemble:

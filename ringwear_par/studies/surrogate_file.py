@@ -11,6 +11,7 @@ from ringwear_par.results.reading import read_array, read_number, read_text, rea
 from ringwear_par.results.variables import Variable
 from ringwear_par.studies.predictions import Surrogate, unit_of
 from ringwear_par.studies.regression import Part, Response, forms_for
+from ringwear_par.studies.responses import most_of
 
 SURROGATE = "surrogate.h5"
 _SOFTWARE, _WHAT = "ringwear-par surrogate 2", "a surrogate of a sweep"
@@ -75,7 +76,7 @@ def read_surrogate(path: Path, identity: str) -> Surrogate | None:
                     _finite(group, name, ("case", f"column of {name}"), sizes),
                     read_text(about["form"]), float(read_number(about["error"])),
                     float(read_number(about["form_error"])),
-                    tuple(map(int, json.loads(read_text(about["shape"])))),
+                    tuple(map(int, json.loads(read_text(about["shape"])))), most_of(name),
                 )  # fmt: skip
                 if response.form not in forms_for(response.values):
                     raise ValueError(name)

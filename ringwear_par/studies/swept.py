@@ -36,6 +36,8 @@ AXES = {
     UPPER_LAYER.name: UPPER_LAYER,
     "point": Variable("point", ("point",), "1", "point of stress.points", integer=True),
 }
+#: in the place of a layer's number, since cases of a sweep may have other numbers of layers
+BODY = "body"
 
 
 def axis_of(variable: Variable) -> str:
@@ -43,8 +45,21 @@ def axis_of(variable: Variable) -> str:
     return next((name for name in variable.dimensions if name in AXES), "")
 
 
-def told_entry(variable: Variable, entry: int) -> str:
+def has_layers(variable: Variable) -> bool:
+    """Tell whether a variable runs over layers; the last number is of the body itself."""
+    return axis_of(variable) in (LAYER.name, UPPER_LAYER.name)
+
+
+def entries_of(variable: Variable, size: int) -> tuple[str, ...]:
+    """Return the names of the numbers of a variable with such an axis."""
+    numbers = tuple(map(str, range(size)))
+    return (*numbers[:-1], BODY) if has_layers(variable) else numbers
+
+
+def told_entry(variable: Variable, entry: str) -> str:
     """Return what one of the numbers of a variable with such an axis is called."""
+    if entry == BODY:
+        return "the body itself"
     return f"{axis_of(variable).removesuffix('_upper')} {entry}"
 
 

@@ -1,12 +1,15 @@
 """What a case is said to need, against what it takes."""
 
+import os
+import re
 import tracemalloc
 from dataclasses import replace
 
 import pytest
 
+import ringwear_par as rw
 from ringwear_par.elasticity.mesh import Mesh
-from ringwear_par.history.limits import memory_needed
+from ringwear_par.history.limits import check_memory, memory_needed
 from ringwear_par.history.pairs import assemble
 from ringwear_par.verification.paper import paper_case
 
@@ -24,3 +27,30 @@ def test_memory_is_that_of_the_systems(comm, n):
     finally:
         tracemalloc.stop()
     assert 0.85 <= comm.allreduce(peak) / memory_needed(case, comm.size) <= 1.0
+
+
+@pytest.mark.serial
+@pytest.mark.parametrize("key", ["stress.grid.n = [300, 300]", "stress.points: 900 of them"])
+def test_points_of_stress_that_take_the_memory_are_named_with_those_allowed(key, monkeypatch):
+    stress = {"stress.grid": {"r": [28.0, 32.0], "z": [18.0, 19.9], "n": [300, 300]}}
+    if "points" in key:
+        stress = {"stress.points": [[20.01 + 0.01 * i, 15.0] for i in range(900)]}
+    case = rw.read_case("scripts/cases/paper.toml", stress)
+    size, bare = case.stress.size, replace(case.stress, points=case.stress.points[:1], grid=None)
+
+    def with_memory(size):
+        page = float(os.sysconf("SC_PAGE_SIZE"))
+        known = {"SC_PAGE_SIZE": page, "SC_PHYS_PAGES": size / page}
+        monkeypatch.setattr("ringwear_par.history.limits.os.sysconf", known.get)
+
+    one, all_of_them = memory_needed(replace(case, stress=bare), 1), memory_needed(case, 1)
+    with_memory((one + 0.4 * (all_of_them - one)) / 0.9)  # and so does two fifths of the points
+    with pytest.raises(rw.InputError, match=r"^case\.toml: " + re.escape(key)) as refused:
+        check_memory(case, 1, "case.toml")
+    said = str(refused.value)
+    assert "GB of memory, this machine has" in said
+    allowed = int(re.search(r"must be at most (\d+) points$", said)[1])
+    assert allowed == pytest.approx(1.0 + 0.4 * (size - 1.0), abs=1.5)
+    with_memory(0.5 * one)  # too little for the rest of the case
+    with pytest.raises(rw.InputError, match=r"mesh\.contact_elements = 64, time\.steps = 200, "):
+        check_memory(case, 1, "case.toml")

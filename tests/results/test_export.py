@@ -182,6 +182,15 @@ def test_without_pyevtk(runs, tmp_path, monkeypatch):
     ("words", "said"),
     [
         (["run.h5", "-o", "{}/a.vtk"], "its ending must be one of .vtkhdf, .vtp, .vtu"),
+        (
+            ["run.h5", "-o", "{}/a.vtp", "--stress"],
+            "/a.vtp: its ending must be .vtu (the grid), .vtkhdf (the grid) or .csv (the points)",
+        ),
+        (["run.h5", "-o", "{}/a.txt", "--stress"], "must be .vtu (the grid), .vtkhdf (the grid)"),
+        (
+            ["run.h5", "-o", "{}/a.txt", "--interfaces"],
+            "/a.txt: its ending must be .vtp (lines) or .csv (a table)",
+        ),
         (["no.h5", "-o", "{}/a.vtp"], "no.h5: does not exist"),
         (["run.h5", "-o", "{}/no/a.vtp"], "its folder"),
         (["run.h5", "-o", "{}/a.vtp", "--time", "201"], "--time 201: must be from 0 to 200 s"),

@@ -1,5 +1,6 @@
 """Stresses in results: files, ranks, restarts, geometry that follows the wear, the summary."""
 
+import csv
 from dataclasses import replace
 
 import numpy as np
@@ -10,6 +11,7 @@ from ringwear_par.cases.stress import Stress
 from ringwear_par.elasticity.stress_measures import COMPONENTS, max_shear, mises, principal
 from ringwear_par.elasticity.stress_recovery import StressRecovery
 from ringwear_par.history.limits import stress_numbers
+from ringwear_par.results.export import export
 
 BASE = {
     "mesh.contact_elements": 16, "time.steps": 6, "time.step": 30.0,
@@ -25,6 +27,7 @@ def case_of(**more):
 
 def same(one, other):
     assert len(one.stress.states) == len(other.stress.states)
+    assert one.stress.sides == other.stress.sides
     for a, b in zip(one.stress.states, other.stress.states, strict=True):
         assert (a.step, a.time) == (b.step, b.time)
         np.testing.assert_array_equal(a.points, b.points)
@@ -48,6 +51,7 @@ def test_variables_and_file(tmp_path):
         xarray.testing.assert_identical(
             stored[["stress", "mises_grid"]], data[["stress", "mises_grid"]]
         )
+        assert stored.stress.point_side.values.tolist() == ["", "above", ""]
         assert stored.stress.sizes == {"stress_step": 7, "point": 3, "component": 6}
         assert stored.component.values.tolist() == list(COMPONENTS)
         assert stored.stress_grid.dims == ("stress_step", "grid_r", "grid_z", "component")
@@ -70,6 +74,43 @@ def test_variables_and_file(tmp_path):
     both = np.maximum(data.max_mises_lower, data.max_mises_upper)
     np.testing.assert_array_equal(data.max_mises, both)
     assert (data.max_mises.values >= np.nanmax(data.mises.values[:, [0, 2]], axis=1)).all()
+
+
+@pytest.mark.serial
+def test_points_tell_their_side_of_an_interface(tmp_path):
+    """In the order of the case; with the stresses that the interface has on that side."""
+    layer = {"thickness": 0.1, "young": 1e5, "poisson": 0.3}
+    plain = case_of(lower__layers=[layer], stress__times="last", stress__points=[[30.0, 19.0]])
+    of = rw.simulate(plain).stress
+    k = len(of.interfaces[0].r) // 2
+    r, z = of.interfaces[0].r[k], 19.9
+    points = [[r, z, "below"], [30.0, 19.0], [r, z, "above"], [30.0, 20.0, "above"]]
+    result = rw.simulate(plain.replace({"stress.points": points}))
+    data = result.to_xarray()
+    assert data.stress.point_side.values.tolist() == ["below", "", "above", "above"]
+    for side in ("above", "below"):
+        own = data.stress.where((data.point_side == side) & (data.point_z == z), drop=True)
+        along = data.interface_stress_lower.sel(side=side).isel(interface_element_lower=k)
+        np.testing.assert_allclose(own.squeeze(), along.squeeze(), rtol=1e-9, atol=1e-9)
+    export(result, tmp_path / "points.csv", stress=True)
+    with (tmp_path / "points.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert [row["side"] for row in rows] == ["below", "", "above", "above"]
+    assert [float(row["mises (MPa)"]) for row in rows] == data.mises.values[0].tolist()
+
+
+@pytest.mark.serial
+def test_files_that_do_not_tell_sides_are_read(tmp_path):
+    """Those of before; "" would say that the case names none."""
+    known = rw.simulate(case_of())
+    old = replace(known, stress=replace(known.stress, sides=()))
+    old.save(tmp_path / "old.h5")
+    read = rw.open_result(tmp_path / "old.h5")
+    same(read, old)
+    assert "point_side" not in read.to_xarray()
+    assert read.to_xarray().point_z.values.tolist() == [19.9, 20.0, 22.0]
+    export(read, tmp_path / "points.csv", stress=True)
+    assert ",side," in (tmp_path / "points.csv").read_text()
 
 
 def test_the_same_on_all_ranks(comm):
@@ -276,9 +317,9 @@ def test_exports(stored, tmp_path):
     export(stored, tmp_path / "a.csv", stress=True)
     with (tmp_path / "a.csv").open() as file:
         header, *rows = csv.reader(file)
-    assert header[:5] == ["step", "time (s)", "r (mm)", "z (mm)", "rr (MPa)"]
+    assert header[:6] == ["step", "time (s)", "r (mm)", "z (mm)", "side", "rr (MPa)"]
     assert len(rows) == 5 * 3
-    assert list(map(float, rows[-1][4:10])) == state.points[-1].tolist()
+    assert list(map(float, rows[-1][5:11])) == state.points[-1].tolist()
 
 
 @pytest.mark.serial

@@ -125,6 +125,23 @@ def test_between_the_values_of_a_grid_nothing_leaves_the_range_of_its_cases(
     assert found.max() < values.max() + 0.25 * width
 
 
+def test_shares_are_from_0_to_1(tmp_path):
+    """Between cases in which all or nothing is worn through; read again, too."""
+    ensemble = written(tmp_path, power)
+    share = np.clip(0.5 + 2.0 * np.log10(ensemble.final["penetration"] / 1e-3), 0.0, 1.0)
+    assert {0.0, 1.0} < set(share)
+    final = {**ensemble.final, "share_through_lower": share, "max_mises": share}
+    for made in [rw.surrogate(replace(ensemble, final=final)) for _ in range(2)]:
+        (part,) = made.parts
+        u = np.random.default_rng(7).random((3000, 2))
+        found = part.at(u, ["share_through_lower", "max_mises"])
+        assert found["max_mises"].max() > 1.0  # the same numbers, of what may be more
+        assert found["share_through_lower"].min() == 0.0
+        assert found["share_through_lower"].max() == 1.0
+        assert part.responses["share_through_lower"].shifted(np.ones(1), 2.0) == 1.0
+        assert made.error["share_through_lower"] < made.error["max_mises"]
+
+
 def test_the_error_of_a_grid_is_not_below_that_between_its_values(tmp_path):
     grid_of_layers(tmp_path, (6, 3, 3))
     made = rw.surrogate(tmp_path)
@@ -168,8 +185,28 @@ def test_noise_is_called_coarse(tmp_path, caplog):
     with caplog.at_level(logging.WARNING):
         made = rw.surrogate(tmp_path)
     assert made.relative_error["penetration"] > 0.7
-    assert "the leave-out error of penetration is" in caplog.text
+    (said,) = (record.getMessage() for record in caplog.records)
+    percent = 100.0 * made.relative_error["penetration"]
+    assert said.endswith(f"would make smaller: penetration {percent:.0f} %")
     assert "coarse" in repr(made)
+
+
+def test_of_many_coarse_responses_the_worst_are_named(tmp_path, caplog):
+    ensemble = written(tmp_path, power)
+    noise = np.random.default_rng(1).random((5, 64))
+    scales = (0.3, 1.0, 3.0, 0.6, 2.0)  # of the noise, beside what a key does
+    depth = ensemble.final["penetration"]
+    more = {f"mises[{i}]": depth * (1.0 + scale * noise[i]) for i, scale in enumerate(scales)}
+    with caplog.at_level(logging.WARNING):
+        made = rw.surrogate(replace(ensemble, final={**ensemble.final, **more}))
+    errors = made.relative_error
+    worst = sorted(errors, key=lambda name: -errors[name])
+    coarse = sum(error > 0.1 for error in errors.values())
+    assert coarse > 3
+    (said,) = (record.getMessage() for record in caplog.records)
+    named = ", ".join(f"{name} {100.0 * errors[name]:.0f} %" for name in worst[:3])
+    assert said.endswith(f": {named} and {coarse - 3} more (all in relative_error of rw.surrogate)")
+    assert len(said) < 250
 
 
 def test_what_is_shown_is_short(tmp_path):

@@ -1,5 +1,6 @@
 """Sweeps of coated rings and of cases with [stress]: what is stored is that of single runs."""
 
+import json
 import signal
 
 import numpy as np
@@ -69,15 +70,17 @@ def test_stresses_and_layers_are_those_of_single_runs(times, comm, tmp_path):
             last = own[name].values[-1]
             np.testing.assert_allclose(mine[f"final_{name}"].values, last, rtol=1e-8)
             for i, value in enumerate(np.atleast_1d(last)):
-                column = name if name in ROWS else f"{name}[{i}]"
+                entry = "body" if "layers" in name and i == 1 else i
+                column = name if name in ROWS else f"{name}[{entry}]"
                 assert float(row[column]) == pytest.approx(value, rel=1e-8)
         np.testing.assert_array_equal(mine.point_z, own.point_z)
+        assert mine.point_side.values.tolist() == own.point_side.values.tolist() == ["", "above"]
         layers = own.max_mises_lower_layers
         np.testing.assert_array_equal(layers.max("layer"), own.max_mises_lower)
         np.testing.assert_allclose(
             mine.worn_volume_lower_layers[:count], own.worn_volume_lower_layers, rtol=1e-8
         )
-        volumes = [float(row[f"worn_volume_lower_layers[{i}]"]) for i in (0, 1)]
+        volumes = [float(row[f"worn_volume_lower_layers[{i}]"]) for i in (0, "body")]
         assert sum(volumes) == pytest.approx(float(row["worn_volume_lower"]), rel=1e-12)
         share = float(own.share_through_lower[-1])
         assert float(row["share_through_lower"]) == pytest.approx(share, rel=1e-12)
@@ -118,6 +121,57 @@ def test_rings_may_have_different_numbers_of_layers(stress, comm, tmp_path):
             at = slice(None) if name.startswith("worn") else slice(-1, None)
             np.testing.assert_allclose(stored[at], own[name].values, rtol=1e-8)
             assert own[name].shape[1] == (3 if "upper" in name else 2)
+
+
+LISTS = """
+[vary]
+"lower.layers" = { values = [[], [%(thin)s], [%(thin)s, %(soft)s]%(more)s] }
+"load.pressure" = { values = [60, 90] }
+[design]
+method = "grid"
+"""
+ENTRIES = {
+    "thin": "{ thickness = 0.004, young = 5e4, poisson = 0.3 }",
+    "soft": "{ thickness = 0.01, young = 2e4, poisson = 0.3, "
+    "wear = { law = 'archard', k = 4e-6 } }",
+}
+
+
+@pytest.mark.serial
+def test_cases_may_have_different_numbers_of_layers(comm, tmp_path):
+    """The body has a place of its own, in a study that goes on with more layers, too."""
+    case = CASE.replace("steps = 20", "steps = 8") + (
+        '[stress]\npoints = [[30.0, 20.0, "below"], [30.0, 20.0, "above"]]\n'
+    )
+    thicker = ENTRIES | {"more": ", [{thin}, {soft}, {soft}]".format(**ENTRIES)}
+    for entries, most in ((ENTRIES | {"more": ""}, 2), (thicker, 3)):
+        told = sweep(write_study(tmp_path, comm, LISTS % entries, case), tmp_path / "out", comm)
+        assert told.failed == 0
+        rows, counts = table(tmp_path / "out"), []
+        for row, (mine, own, _) in zip(rows, singles(tmp_path / "out"), strict=True):
+            assert mine.point_side.values.tolist() == ["below", "above"]
+            assert mine.sizes["layer"] == most + 1
+            layers = own.sizes.get("layer", 1) - 1
+            counts.append(layers)
+            for name in ("worn_volume_lower_layers", "max_mises_lower_layers"):
+                stored = mine[f"final_{name}"].values
+                known = own[name].values[-1] if layers else np.array([np.nan])
+                np.testing.assert_allclose(stored[:layers], known[:-1], rtol=1e-8)
+                np.testing.assert_allclose(stored[-1], known[-1], rtol=1e-8)
+                assert np.isnan(stored[layers:-1]).all()
+                columns = [*range(most), "body"]
+                told = [float(row[f"{name}[{entry}]"] or "nan") for entry in columns]
+                np.testing.assert_array_equal(told, stored)
+                assert f"{name}[{most}]" not in row
+        assert sorted(counts) == sorted([*range(most + 1)] * 2)
+    text = (tmp_path / "out/cases.csv-metadata.json").read_text()
+    meanings = {
+        c["titles"]: c["dc:description"] for c in json.loads(text)["tableSchema"]["columns"]
+    }
+    assert meanings["mises[0]"].endswith("; point 0 at r = 30 mm, z = 20 mm, below")
+    assert meanings["max_shear[1]"].endswith("; point 1 at r = 30 mm, z = 20 mm, above")
+    assert meanings["worn_volume_lower_layers[1]"].endswith("; layer 1")
+    assert meanings["worn_volume_lower_layers[body]"].endswith("; the body itself")
 
 
 def test_the_same_bits_on_all_ranks(comm, shared_path):
@@ -194,7 +248,7 @@ def swept(tmp_path_factory):
 @pytest.mark.serial
 def test_surrogates_answer_for_stresses(swept):
     made = surrogate(swept)
-    assert {"max_mises", "mises[0]", "worn_volume_lower_layers[1]"} <= set(made.names)
+    assert {"max_mises", "mises[0]", "worn_volume_lower_layers[body]"} <= set(made.names)
     assert "max_mises_z" not in made.names  # which jumps from place to place
     assert "time_through_lower" not in made.names  # which not all cases have
     with rw.open_ensemble(swept) as data:
@@ -239,10 +293,10 @@ def test_figures_and_pages_show_them(swept, tmp_path):
     ]  # fmt: skip
     labels = [" ".join(axes.get_ylabel().split()) for axes in rw.plot(swept).axes]
     assert "largest von Mises stress (MPa)" in labels
-    assert not any("point" in label or "layer 1" in label for label in labels)
+    assert not any("point" in label or "body" in label or "layer 0" in label for label in labels)
     rw.report(swept, tmp_path / "page.html")
     page = (tmp_path / "page.html").read_text()
-    for words in ("largest von Mises stress (MPa)", "time through lower (s)", "; layer 1"):
+    for words in ("largest von Mises stress (MPa)", "time through lower (s)", "; the body itself"):
         assert words in page
 
 
