@@ -59,7 +59,7 @@ def checked(case: Case, state: State) -> State:
 
     Parameters
     ----------
-    case : of the history; any of the B, whose bodies are the same.
+    case : of the history; any of the B, which have the same heights.
 
     Raises
     ------

@@ -9,7 +9,7 @@ import numpy as np
 from ringwear_par.cases.case import Case, Ring
 from ringwear_par.cases.law_trials import refuse_bad_laws
 from ringwear_par.cases.numbers import number_faults
-from ringwear_par.cases.stress import check_stress
+from ringwear_par.cases.stress import Stress, check_stress
 from ringwear_par.cases.text import toml_value
 from ringwear_par.contact.problem import REPLICATED_LIMIT
 from ringwear_par.elasticity.boundary import count_elements, face_elements, zone_meshes
@@ -19,6 +19,8 @@ from ringwear_par.errors import InputError
 SEARCHED = 4000.0
 #: of a machine's memory that a run may take
 _SHARE_OF_MEMORY = 0.9
+#: points of the smallest grid that there is
+_SMALLEST_GRID = 4
 
 
 def memory_needed(case: Case, ranks: int) -> float:
@@ -172,19 +174,29 @@ def check_memory(case: Case, ranks: int, name: str) -> None:
     if said := _too_many_points(case, ranks, needed, most):
         key, allowed = said
         raise InputError(f"{name}: {key}: {told} be at most {allowed} points")
-    steps = "" if case.time.adaptive else f"time.steps = {case.time.steps}, "
-    if case.stress is not None and case.stress.times != "last":
-        steps += f"stress.times = {toml_value(case.stress.times)}, "
-    raise InputError(
-        f"{name}: mesh.contact_elements = {case.mesh.contact_elements}, {steps}"
-        f"output.every = {case.output.every}: {told} be less"
-    )
+    taking = [f"mesh.contact_elements = {case.mesh.contact_elements}"]
+    if not case.time.adaptive:
+        taking.append(f"time.steps = {case.time.steps}")
+    if case.stress is not None:
+        taking += _stress_keys(case.stress)
+    taking.append(f"output.every = {case.output.every}")
+    raise InputError(f"{name}: {', '.join(taking)}: {told} be less")
+
+
+def _stress_keys(stress: Stress) -> list[str]:
+    """Return the keys of stress that memory depends on, with their values."""
+    told = [] if stress.grid is None else [f"stress.grid.n = {list(stress.grid.n)}"]
+    if stress.points:
+        told.append(f"stress.points: {len(stress.points)} of them")
+    if stress.times != "last":
+        told.append(f"stress.times = {toml_value(stress.times)}")
+    return told
 
 
 def _too_many_points(case: Case, ranks: int, needed: float, most: float) -> tuple[str, int] | None:
     """Return the key whose points of stress take the memory, and how many it may have.
 
-    None where the rest of the case takes it.
+    None where the rest of the case takes it, or so much that hardly a point is left.
 
     Parameters
     ----------
@@ -201,6 +213,8 @@ def _too_many_points(case: Case, ranks: int, needed: float, most: float) -> tupl
         return None
     points = stress.size - rest.size
     allowed = math.floor(points * (most - without) / (needed - without))
+    if allowed < (_SMALLEST_GRID if of_grid else 1):
+        return None
     if grid is None or not of_grid:
         return f"stress.points: {listed} of them", allowed
     return f"stress.grid.n = {list(grid.n)}", allowed

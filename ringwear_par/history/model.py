@@ -70,7 +70,7 @@ class WearModel:
         #: elasticity that follows the wear; None where elements stay
         self.following = Following(case, comm) if case.follows_wear else None
         #: whether the pair was assembled elsewhere
-        self.given_pair = pair is not None
+        self.lent_pair = pair is not None
         if pair is None:
             pair = assemble(case, comm) if self.following is None else self.following.unworn()
         #: the pair as it was before any wear
@@ -92,10 +92,10 @@ class WearModel:
         self.contacts: CorrectedContact | CorrectedBatch
         if self.given.several:
             moduli = [young(each) for each in self.given.cases]
-            self._take(Compliances.of_many(moduli, pair, known))
+            self._adopt(Compliances.of_many(moduli, pair, known))
             self.contacts = self.compliances.contacts()
             return
-        self._take(Compliances.of_one(pair.compliance(young(case))))
+        self._adopt(Compliances.of_one(pair.compliance(young(case))))
         if solver is not None:
             solver.cold_start()
         else:
@@ -138,8 +138,8 @@ class WearModel:
         """The compliance of a single history."""
         return self.compliances.every[0]
 
-    def _take(self, compliances: Compliances) -> None:
-        """Take what rates and balances have of an elasticity; contacts are to take theirs."""
+    def _adopt(self, compliances: Compliances) -> None:
+        """Adopt what rates and balances have of an elasticity; contacts are to take theirs."""
         #: of all histories
         self.compliances, first = compliances, compliances.every[0]
         #: 1 / cos alpha of sloping faces, None where all are flat
@@ -159,7 +159,7 @@ class WearModel:
         """Take the elasticity of elements that have followed a wear, (2, n) mm. Collective."""
         if self.following is None or np.array_equal(shape, self.following.shape):
             return
-        self._take(Compliances.of_one(self.following.compliance(shape)))
+        self._adopt(Compliances.of_one(self.following.compliance(shape)))
         assert isinstance(self.contacts, CorrectedContact)
         self.contacts.take(self.compliance.matrix, self.compliance.excess)
         self.solver.set_compliance(self.compliance.matrix)

@@ -234,13 +234,13 @@ def _stress_table(result: Result) -> tuple[list[str], Iterable[Sequence[Any]]]:
     if not len(history.points):
         raise InputError(f"{result.name}: holds no stresses at points; must have stress.points")
     header = [
-        "step", "time (s)", "r (mm)", "z (mm)", "side", *(f"{name} (MPa)" for name in COMPONENTS),
-        "mises (MPa)", "max_shear (MPa)", *(f"principal_{i} (MPa)" for i in (1, 2, 3)),
+        "step", "time (s)", "r (mm)", "z (mm)", *(f"{name} (MPa)" for name in COMPONENTS),
+        "mises (MPa)", "max_shear (MPa)", *(f"principal_{i} (MPa)" for i in (1, 2, 3)), "side",
     ]  # fmt: skip
     places = history.points.tolist()
     sides = history.sides or ("",) * len(places)  # not known of older files
     rows = (
-        [state.step, state.time, *place, side, *row]
+        [state.step, state.time, *place, *row, side]
         for state in history.states
         for place, side, row in zip(
             places, sides,

@@ -476,7 +476,7 @@ class Recorder:
         """Return the wall times so far by attribute, s, those of an interrupted run included."""
         assert self._last is not None
         model, (cost, _) = self._last.model, self._followed
-        if not model.given_pair:  # what was assembled elsewhere took no time here
+        if not model.lent_pair:  # what was assembled elsewhere took no time here
             cost = cost + model.pair.cost
         stepping = time.perf_counter() - self._begun - self.seconds_output
         stepping -= cost.seconds_assembly + cost.seconds_solution

@@ -14,7 +14,7 @@ from ringwear_par.studies.regression import Part, Response, forms_for
 from ringwear_par.studies.responses import most_of
 
 SURROGATE = "surrogate.h5"
-_SOFTWARE, _WHAT = "ringwear-par surrogate 2", "a surrogate of a sweep"
+_SOFTWARE, _WHAT = "ringwear-par surrogate 3", "a surrogate of a sweep"
 #: arrays (keys,) of a part
 _OF_KEYS = ("low", "high", "logarithmic", "stretches")
 

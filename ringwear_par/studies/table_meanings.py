@@ -8,7 +8,7 @@ import h5py
 import numpy as np
 
 from ringwear_par.cases.schema import unit_of
-from ringwear_par.results.stress_variables import POINT_R, POINTS
+from ringwear_par.results.stress_variables import POINT_R, POINT_SIDE, POINT_Z
 from ringwear_par.studies.case_variables import WINDOW
 from ringwear_par.studies.finals import entry_of
 from ringwear_par.studies.results_file import OF_CASES, TABLE
@@ -61,15 +61,21 @@ def _places(file: h5py.File) -> list[str]:
     """Return where each point is, in words; "" of one that is not in the same place in all."""
     if POINT_R.name not in file:
         return []
-    cases, count = file[POINT_R.name].shape
-    found: list[set[tuple[Any, ...]]] = [set() for _ in range(count)]
-    for start in range(0, cases, WINDOW):
-        columns = [file[name][start : start + WINDOW] for name in POINTS if name in file]
-        there = np.isfinite(columns[0])
-        for i, places in enumerate(found):
-            places.update(zip(*(c[there[:, i], i].tolist() for c in columns), strict=True))
-    return [_told_place(*places.pop()) if len(places) == 1 else "" for places in found]
+    r, z = (_same(file, name, np.nan) for name in (POINT_R.name, POINT_Z.name))
+    sides = _same(file, POINT_SIDE.name, b"") if POINT_SIDE.name in file else [None] * len(r)
+    return [
+        "" if at is None or height is None
+        else f" at r = {at:.9g} mm, z = {height:.9g} mm" + (f", {side.decode()}" if side else "")
+        for at, height, side in zip(r, z, sides, strict=True)
+    ]  # fmt: skip
 
 
-def _told_place(r: float, z: float, side: bytes = b"") -> str:
-    return f" at r = {r:.9g} mm, z = {z:.9g} mm{', ' * bool(side)}{side.decode()}"
+def _same(file: h5py.File, name: str, unknown: Any) -> list[Any]:
+    """Return what each point has in all cases that tell it; None where cases differ."""
+    table = file[name]
+    found: list[set[Any]] = [set() for _ in range(table.shape[1])]
+    for start in range(0, len(table), WINDOW):
+        for values, column in zip(found, table[start : start + WINDOW].T, strict=True):
+            there = ~np.isnan(column) if unknown is np.nan else column != unknown
+            values.update(np.unique(column[there]).tolist())
+    return [values.pop() if len(values) == 1 else None for values in found]

@@ -140,7 +140,7 @@ def test_faults(stress, said):
 
 def test_more_than_memory_holds():
     case = case_of('grid = { r = [28, 32], z = [18, 20], n = [10000, 10000] }\ntimes = "all"')
-    with pytest.raises(InputError, match=r"1e\+08 points of \[stress\]"):
+    with pytest.raises(InputError, match=r"stress\.grid\.n = \[10000, 10000\]: needs about"):
         check_memory(case, 1, "case.toml")
     check_memory(case.replace({"stress.grid.n": [80, 60]}), 1, "case.toml")
 

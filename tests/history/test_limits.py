@@ -29,20 +29,30 @@ def test_memory_is_that_of_the_systems(comm, n):
     assert 0.85 <= comm.allreduce(peak) / memory_needed(case, comm.size) <= 1.0
 
 
-@pytest.mark.serial
-@pytest.mark.parametrize("key", ["stress.grid.n = [300, 300]", "stress.points: 900 of them"])
-def test_points_of_stress_that_take_the_memory_are_named_with_those_allowed(key, monkeypatch):
-    stress = {"stress.grid": {"r": [28.0, 32.0], "z": [18.0, 19.9], "n": [300, 300]}}
-    if "points" in key:
-        stress = {"stress.points": [[20.01 + 0.01 * i, 15.0] for i in range(900)]}
-    case = rw.read_case("scripts/cases/paper.toml", stress)
-    size, bare = case.stress.size, replace(case.stress, points=case.stress.points[:1], grid=None)
+@pytest.fixture
+def with_memory(monkeypatch):
+    """Function that gives the machine so many bytes."""
 
     def with_memory(size):
         page = float(os.sysconf("SC_PAGE_SIZE"))
         known = {"SC_PAGE_SIZE": page, "SC_PHYS_PAGES": size / page}
         monkeypatch.setattr("ringwear_par.history.limits.os.sysconf", known.get)
 
+    return with_memory
+
+
+GRID = {"r": [28.0, 32.0], "z": [18.0, 19.9], "n": [300, 300]}
+LIST = [[20.01 + 0.01 * i, 15.0] for i in range(900)]
+
+
+@pytest.mark.serial
+@pytest.mark.parametrize("key", ["stress.grid.n = [300, 300]", "stress.points: 900 of them"])
+def test_points_of_stress_that_take_the_memory_are_named_with_those_allowed(key, with_memory):
+    stress = {"stress.points": LIST if "points" in key else LIST[:1]}
+    if "points" not in key:
+        stress["stress.grid"] = GRID
+    case = rw.read_case("scripts/cases/paper.toml", stress)
+    size, bare = case.stress.size, replace(case.stress, points=case.stress.points[:1], grid=None)
     one, all_of_them = memory_needed(replace(case, stress=bare), 1), memory_needed(case, 1)
     with_memory((one + 0.4 * (all_of_them - one)) / 0.9)  # and so does two fifths of the points
     with pytest.raises(rw.InputError, match=r"^case\.toml: " + re.escape(key)) as refused:
@@ -54,3 +64,17 @@ def test_points_of_stress_that_take_the_memory_are_named_with_those_allowed(key,
     with_memory(0.5 * one)  # too little for the rest of the case
     with pytest.raises(rw.InputError, match=r"mesh\.contact_elements = 64, time\.steps = 200, "):
         check_memory(case, 1, "case.toml")
+
+
+@pytest.mark.serial
+def test_all_that_takes_the_memory_is_named_where_nothing_does_alone(with_memory):
+    """No number of points is told that is too small for a grid."""
+    changes = {"stress.grid": GRID, "stress.points": LIST}
+    case = rw.read_case("scripts/cases/paper.toml", changes)
+    without = memory_needed(replace(case, stress=replace(case.stress, grid=None)), 1)
+    with_memory((without + 1e3) / 0.9)
+    with pytest.raises(rw.InputError) as refused:
+        check_memory(case, 1, "case.toml")
+    named = "time.steps = 200, stress.grid.n = [300, 300], stress.points: 900 of them, output.every"
+    assert named in str(refused.value)
+    assert str(refused.value).endswith("GB; must be less")
