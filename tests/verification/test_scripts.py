@@ -7,6 +7,7 @@ import benchmark_derivatives
 import benchmark_ensembles
 import board_at_scale
 import follow_the_wear
+import follow_through_coatings
 import numpy as np
 import pytest
 from mpi4py import MPI
@@ -76,3 +77,11 @@ def test_following_the_wear_is_compared_with_a_fixed_mesh():
     assert 0.02 < fixed.wear[-1] < 0.03
     assert fixed.seconds > 0.0
     assert follow_the_wear.interior(case).sum() < 16
+
+
+@pytest.mark.parametrize("thickness", [1.0, 50.0])
+def test_coatings_of_any_thickness_wear_through_in_the_same_time(thickness):
+    case = follow_through_coatings.coated(thickness, 500.0)
+    assert case.layer_ends(0)[-1] == pytest.approx(1e-3 * thickness)
+    wear = [law.k / thickness for law in case.laws[0].laws]
+    assert wear == pytest.approx([2e-8 / 3.0, 1e-7 / 3.0])
