@@ -29,7 +29,7 @@ CHANGED = "# changed in Python after it was read: not all of this is as run"
 
 @dataclass(frozen=True)
 class RingLayer:
-    """A bonded layer of a ring: thickness in mm, Young's modulus in MPa.
+    """A bonded layer of a ring: thickness in mm, Young's modulus in MPa, density in g/mm^3.
 
     ``wear`` is its wear law, None where it wears as the ring itself does.
     """
@@ -38,6 +38,7 @@ class RingLayer:
     young: float
     poisson: float
     wear: WearLaw | None = None
+    density: float | None = None
 
 
 @dataclass(frozen=True)
@@ -56,6 +57,11 @@ class Ring:
     face: Polyline = ()
     density: float | None = None
     layers: tuple[RingLayer, ...] = ()
+
+    @property
+    def densities(self) -> tuple[float | None, ...]:
+        """Densities of the layers, from the contact face inwards, and of the ring itself."""
+        return (*(layer.density for layer in self.layers), self.density)
 
 
 @dataclass(frozen=True)

@@ -204,7 +204,8 @@ def _read_layers(
             names = [f"{table}.{name}" for name in ("thickness", "young", "poisson")]
             if values.keys() >= set(names):
                 thickness, young, poisson = (values[name] for name in names)
-                found.append(RingLayer(thickness, young, poisson, law))
+                density = values.get(f"{table}.density")
+                found.append(RingLayer(thickness, young, poisson, law, density))
     return tuple(found)
 
 

@@ -86,17 +86,22 @@ def _ring_keys(ring: str, name: str) -> list[Key]:
             "of a table of radii and heights",
             None,
         ),
-        Key(f"{ring}.density", *number(0.0), "g/mm^3", "for the lost mass of summaries", None),
+        Key(
+            f"{ring}.density", *number(0.0), "g/mm^3",
+            "for the lost mass of summaries and fits; of the body itself, its layers have their "
+            "own", None,
+        ),
         Key(
             f"{ring}.layers",
             *tables(
-                "{ thickness, young, poisson, wear }, from the contact face inwards, or "
+                "{ thickness, young, poisson, density, wear }, from the contact face inwards, or "
                 f"[[{ring}.layers]] for each of them",
                 MOST_LAYERS,
             ),
             "-",
-            f"bonded layers of the {ring} body: thickness (mm), young (MPa) and poisson of each, "
-            f"and wear, a table of its law and parameters; absent: that of [wear.{ring}]. "
+            f"bonded layers of the {ring} body: thickness (mm), young (MPa) and poisson of each; "
+            "density (g/mm^3), for the lost mass, not known where it is absent; and wear, a table "
+            f"of its law and parameters; absent: that of [wear.{ring}]. "
             f"{ring}.layers[0].thickness and {ring}.layers[0].wear.k are its entries",
             (),
         ),
@@ -274,6 +279,7 @@ LAYER_KEYS: tuple[Key, ...] = (
     Key("thickness", *number(0.0), "mm", "thickness of the layer, along the axis"),
     Key("young", *number(0.0), "MPa", "Young's modulus of the layer"),
     Key("poisson", *number(-1.0, 0.5), "1", "Poisson's ratio of the layer"),
+    Key("density", *number(0.0), "g/mm^3", "of the layer, for the lost mass", None),
     *_wear_keys("wear", "the layer", "wear: wears as the body", LAYER_LAWS),
 )
 _LAYER_ENTRIES = {key.path: key for key in LAYER_KEYS}

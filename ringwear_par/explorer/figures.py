@@ -205,7 +205,7 @@ class Drawing:
         for number, one in enumerate(self.laid):
             if one.along:
                 sign = -1e3 if one.quantity == "profile.lower" else 1e3
-                y = sign * one.values(self.case)
+                y = sign * one.values(self.case, result)
                 points.append(Points(one.x, y, one.column, _colour(number)))
         worn = [b for b in ("lower", "upper") if result.profiles[f"wear_{b}"].any()] or ["lower"]
         where = "worn faces" if len(worn) > 1 else f"worn face of {worn[0]}"
@@ -240,7 +240,7 @@ class Drawing:
         for number, one in enumerate(self.laid):
             kind = one.quantity.partition(".")[0]
             if not one.along and _OVER_TIME[kind][0] == name:
-                y = _OVER_TIME[kind][1] * one.values(self.case)
+                y = _OVER_TIME[kind][1] * one.values(self.case, result)
                 points.append(Points(one.x / seconds, y, one.column, _colour(number)))
         return _told(lines, points, f"time ({unit})", panel.label, marks=True) | {"note": note}
 

@@ -64,23 +64,35 @@ class Laid:
         base = BASE[self.quantity.partition(".")[0]]
         return unit_of_column(self.column, base) or base
 
-    def values(self, case: Case) -> FloatArray:
+    def values(self, case: Case, result: Result) -> FloatArray:
         """Return the readings, (n,) mm, N mm or mm^3: a mass as the volume of what is lost.
+
+        Parameters
+        ----------
+        result : of the case, which tells what of its layers is lost.
 
         Raises
         ------
         InputError : its name ends with a unit of something else; or the case does not tell the
-            density of a mass.
+            density of a mass, or what is lost has several.
         """
         kind, _, body = self.quantity.partition(".")
         values = factor(_unit(self.file, self.column, BASE[kind]), BASE[kind]) * self.raw
         if kind != "mass":
             return cast(FloatArray, values)
-        density = getattr(case, body).density
-        if density is None:
+        densities, said = _densities(case, result, body), f"{self.file}: {legible(self.column)}"
+        known = {key: density for key, density in densities.items() if density is not None}
+        if missing := ", ".join(key for key in densities if key not in known):
             raise InputError(
-                f"{self.file}: {legible(self.column)}: a mass needs the density of the body; the "
-                f"case must have {body}.density (g/mm^3)"
+                f"{said}: a mass needs the density of what is lost; the case must have {missing} "
+                "(g/mm^3)"
+            )
+        density, *others = set(known.values())
+        if others:
+            told = ", ".join(f"{key} = {density:g}" for key, density in known.items())
+            raise InputError(
+                f"{said}: a mass cannot be drawn as a volume where what is lost has several "
+                f"densities ({told} g/mm^3); must be a volume"
             )
         return cast(FloatArray, values / density)
 
@@ -99,6 +111,16 @@ class Laid:
             return None
         model = np.interp(self.x, result.histories["time"], result.histories[name])
         return float(np.sqrt(np.mean((values - model)[inside] ** 2)))
+
+
+def _densities(case: Case, result: Result, body: str) -> dict[str, float | None]:
+    """Return the densities (g/mm^3), by key, of what of a body is lost: of its face at least."""
+    known = getattr(case, body).densities
+    keys = [*(f"{body}.layers[{i}].density" for i in range(len(known) - 1)), f"{body}.density"]
+    volumes = result.layers.get(f"worn_volume_{body}_layers")
+    lost = np.ones(1) if volumes is None else volumes[-1]
+    parts = enumerate(zip(keys, known, lost, strict=True))
+    return {key: density for i, (key, density, volume) in parts if i == 0 or volume > 0.0}
 
 
 def read_table(content: bytes, name: str, case: Case) -> list[Laid]:

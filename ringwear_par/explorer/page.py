@@ -212,7 +212,7 @@ class Page:
         for number, one in self._laid.items():
             off = None
             try:
-                off = one.off(result, one.values(found.case))
+                off = one.off(result, one.values(found.case, result))
                 good.append(one)
             except InputError as error:
                 faults += error.faults

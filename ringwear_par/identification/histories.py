@@ -19,7 +19,7 @@ from ringwear_par.identification.fitted import derivative_key
 from ringwear_par.identification.problem import Problem
 from ringwear_par.identification.readings import Reader
 from ringwear_par.identification.steps import STEPS, step_times
-from ringwear_par.identification.trajectory import Trajectory
+from ringwear_par.identification.trajectory import Trajectory, lost_mass
 from ringwear_par.results.result import Result
 from ringwear_par.studies.batches import computed
 from ringwear_par.studies.variations import split_key
@@ -138,9 +138,9 @@ class Histories:
             except ComputationError as error:
                 found |= dict.fromkeys(numbers, error)
                 continue
+            keys = [derivative_key(key) for key in self._keys if derivatives]
             parts = computed(
-                [wanted[number] for number in numbers], pair, keep_ends=True,
-                derivatives=[derivative_key(key) for key in self._keys if derivatives],
+                [wanted[number] for number in numbers], pair, keep_ends=True, derivatives=keys,
                 step_times=[grids[pairs[number][1]] for number in numbers],
             )  # fmt: skip
             for part in parts:
@@ -150,7 +150,7 @@ class Histories:
                         found[number] = ComputationError(reason_of(result))
                     else:
                         reader = self._readers[pairs[number][1]]
-                        found[number] = reader.read(_trajectory(result))
+                        found[number] = reader.read(_trajectory(result, wanted[number], keys))
         self.count += len(pairs)
         return [found[number] for number in range(len(pairs))]
 
@@ -165,7 +165,7 @@ class Histories:
         return self._at_points[key]
 
 
-def _trajectory(result: Result) -> Trajectory:
+def _trajectory(result: Result, case: Case, keys: Sequence[str]) -> Trajectory:
     """Return values of a history and derivatives, if it has any, (..., 1 + m)."""
 
     def both(name: str, values: FloatArray) -> FloatArray:
@@ -175,12 +175,14 @@ def _trajectory(result: Result) -> Trajectory:
         return np.concatenate([values[..., None], slopes], axis=-1)
 
     histories, profiles = result.histories, result.profiles
+    wear = np.stack([both(f"wear_{b}", profiles[f"wear_{b}"]) for b in _BODIES])
     return Trajectory(
         histories["time"],
         both("approach", histories["approach"]),
         both("torque", histories["torque"]),
         np.stack([both(f"worn_volume_{b}", histories[f"worn_volume_{b}"]) for b in _BODIES]),
-        np.stack([both(f"wear_{b}", profiles[f"wear_{b}"]) for b in _BODIES]),
+        wear,
+        np.stack([lost_mass(case, i, of_body, keys) for i, of_body in enumerate(wear)]),
     )
 
 

@@ -108,7 +108,7 @@ class Series:
     sd_fitted : whether ``sd`` is but a first guess.
     unit, factor : the unit of the data, and how much it is in those above.
     at : s, of a profile.
-    density : g/mm^3, of a mass.
+    density : g/mm^3, of all that a mass is of; None: each layer has its own, which the case tells.
     nuisances : what is fitted along.
     correlation_time : s, of the noise; 0: it is white.
     file, lines : where the readings stand; "" and none of a single value.
@@ -125,7 +125,7 @@ class Series:
     unit: str = "mm"
     factor: float = 1.0
     at: float | None = None
-    density: float = 1.0
+    density: float | None = 1.0
     nuisances: tuple[Nuisance, ...] = ()
     correlation_time: float = 0.0
     file: str = ""

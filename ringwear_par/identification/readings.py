@@ -101,6 +101,8 @@ class Reader:
                 values = values - values[0]
         elif series.quantity == "torque":
             values = found.torque
+        elif series.density is None:
+            values = found.mass[body]
         else:
             values = series.density * found.volume[body]
         return in_steps(values)

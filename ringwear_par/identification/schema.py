@@ -118,8 +118,9 @@ KEYS: tuple[FitKey, ...] = (
     FitKey(f"{_DATA}.times", "s", None, "planned readings, instead of file; for --dry-run and "
            "ringwear design only", instants().allowed),
     FitKey(f"{_DATA}.r", "mm", None, "planned readings of a profile, likewise", instants().allowed),
-    FitKey(f"{_DATA}.density", "g/mm3", None, "of the body that was weighed; default: that of the "
-           "case (a mass must have one)",
+    FitKey(f"{_DATA}.density", "g/mm3", None, "of all that the weighed body has lost, its layers "
+           "included; default: those of the case, of the body and each of its layers (a mass must "
+           "have them)",
            "a number from {:g} to {:g}".format(*DENSITIES)),
     FitKey(f"{_DATA}.sd", "data's", ..., "standard deviation of the readings' noise",
            'a number > 0; a column of file; { relative = x } of the readings (of their running '

@@ -1,7 +1,7 @@
 """``[[experiment.data]]``: from a table of a fit file to readings in the units of a case."""
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, cast, get_args
@@ -164,7 +164,7 @@ def read_series(
         return None
     series = Series(
         quantity, cast(Quantity, quantity), x[keep], value[keep], sd[keep], fitted, unit, scale,
-        (end if at is None else at) if kind == "profile" else None, density or 1.0, nuisances,
+        (end if at is None else at) if kind == "profile" else None, density, nuisances,
         correlation, found.where, None if lines is None else lines[keep], found.told,
         found.planned,
     )  # fmt: skip
@@ -209,20 +209,45 @@ class _Readings:
 
 
 def _density(reader: TableReader, quantity: str, case: Case | None) -> float | None:
-    """Return a density, g/mm3; refuse one that nothing has, as that in another unit."""
-    rings = {} if case is None else {"mass.lower": case.lower, "mass.upper": case.upper}
-    own = rings[quantity].density if quantity in rings else None
+    """Return the density of all that is lost, g/mm3; None where each layer has its own.
+
+    Refuse one that is not known, or that nothing has, as that in another unit.
+    """
+    body = quantity.partition(".")[2]
+    known = (None,) if case is None else (case.lower if body == "lower" else case.upper).densities
+    own = known[0] if len(set(known)) == 1 else None
+    if "density" not in reader and len(known) > 1:
+        _check_densities(reader, body, known)
+        return own
     usual = ... if own is None else own
     density: float | None = reader.read("density", number(0.0), usual, BASE["density"])
+    if density is not None and (must := _of_no_material(density)):
+        reader.wrong("density", must)
+    return density
+
+
+def _check_densities(reader: TableReader, body: str, known: Sequence[float | None]) -> None:
+    """Refuse a mass of a body some of whose layers have no density, or one that nothing has."""
+    keys = [*(f"{body}.layers[{i}].density" for i in range(len(known) - 1)), f"{body}.density"]
+    if missing := ", ".join(key for key, density in zip(keys, known, strict=True) if not density):
+        reader.wrong(
+            "density", f"must be that of all that is lost, or the case must have {missing} (g/mm3)"
+        )
+    for key, density in zip(keys, known, strict=True):
+        if density and (must := _of_no_material(density)):
+            reader.fault(f"{key} = {density:g}: {must}")
+
+
+def _of_no_material(density: float) -> str:
+    """Return what a density, g/mm3, must be that nothing has; "" where it is none such."""
     low, high = DENSITIES
-    if density is None or low <= density <= high:
-        return density
+    if low <= density <= high:
+        return ""
     hint = next(
         (f"; {density:g} {unit} would be {density * share:.6g}" for unit, share in _OTHERS.items()
          if low <= density * share <= high), "",
     )  # fmt: skip
-    reader.wrong("density", f"must be from {low:g} to {high:g} g/mm3, as of foams and metals{hint}")
-    return None
+    return f"must be from {low:g} to {high:g} g/mm3, as of foams and metals{hint}"
 
 
 def _single(reader: TableReader, kind: str, at: float) -> _Readings | None:

@@ -1,8 +1,12 @@
 """A history, as far as measurements can see it."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
+import numpy as np
+
 from ringwear_par.arrays import FloatArray
+from ringwear_par.cases.case import Case
 
 
 @dataclass(frozen=True, eq=False)
@@ -18,6 +22,8 @@ class Trajectory:
     torque : (s, q) N mm.
     volume : (2, s, q) mm^3, worn off lower and upper.
     wear : (2, s, n, q) mm.
+    mass : (2, s, q) g, lost by lower and upper by the densities of their layers; NaN where these
+        are not known.
     """
 
     time: FloatArray
@@ -25,3 +31,28 @@ class Trajectory:
     torque: FloatArray
     volume: FloatArray
     wear: FloatArray
+    mass: FloatArray
+
+
+def lost_mass(case: Case, body: int, wear: FloatArray, keys: Sequence[str] = ()) -> FloatArray:
+    """Return the mass (g) that lower (0) or upper (1) has lost, (s, q); NaN where it is not known.
+
+    Parameters
+    ----------
+    wear : (s, n, q) mm, along the axis, and its derivatives.
+    keys : of the q - 1 derivatives, of which thicknesses of layers move where these end.
+    """
+    ring = case.rings[body]
+    if None in ring.densities:
+        return np.full((len(wear), wear.shape[-1]), np.nan)
+    densities = np.array(ring.densities, dtype=float)
+    depth = densities[-1] * wear  # of mass
+    names = [f"{('lower', 'upper')[body]}.layers[{i}].thickness" for i in range(len(ring.layers))]
+    for i, (end, more) in enumerate(
+        zip(case.layer_ends(body), densities[:-1] - densities[1:], strict=True)
+    ):
+        ends = np.zeros((len(end), wear.shape[-1]))
+        ends[:, 0] = end
+        ends[:, 1:] = [float(key in names[: i + 1]) for key in keys]
+        depth = depth + more * np.where(wear[..., :1] < end[:, None], wear, ends)
+    return np.einsum("e,seq->sq", case.line.area, depth)

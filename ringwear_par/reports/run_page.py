@@ -109,7 +109,8 @@ def worn_table(found: KeyNumbers) -> Table:
     )  # fmt: skip
     rows = [
         (
-            one.body, f"{one.deepest:.6g}", f"{one.volume:.6g}", _or_dash(one.mass, 6),
+            one.body, f"{one.deepest:.6g}", f"{one.volume:.6g}",
+            one.no_mass or _or_dash(one.mass, 6),
             _or_dash(one.rate, 4), _or_dash(one.rate_now, 4), _or_dash(one.specific, 4),
         )
         for one in found.bodies

@@ -68,11 +68,7 @@ def implausible(case: Case) -> tuple[Doubt, ...]:
     found: list[str] = []
     for name, ring in zip(("lower", "upper"), case.rings, strict=True):
         found += _in_pascals(f"{name}.young", ring.young)
-        if ring.density is not None and ring.density > _DENSEST:
-            found.append(
-                f"{name}.density = {ring.density:g} g/mm3 is denser than any material; were it in "
-                f'g/cm3, "{ring.density:g} g/cm3" would be read too'
-            )
+        found += _too_dense(f"{name}.density", ring.density)
         if max(ring.r[1], ring.z[1] - ring.z[0]) > _LARGEST:
             found.append(
                 f"{name} measures {max(ring.r[1], ring.z[1] - ring.z[0]):g} mm: in um? lengths "
@@ -80,6 +76,7 @@ def implausible(case: Case) -> tuple[Doubt, ...]:
             )
         for i, layer in enumerate(ring.layers):
             found += _in_pascals(f"{name}.layers[{i}].young", layer.young)
+            found += _too_dense(f"{name}.layers[{i}].density", layer.density)
     if case.load.force is not None:
         moduli = [ring.young for ring in case.rings]
         moduli += [layer.young for ring in case.rings for layer in ring.layers]
@@ -90,6 +87,16 @@ def implausible(case: Case) -> tuple[Doubt, ...]:
                 f"modulus, {young:g} MPa: no linear elasticity; are load and moduli in N and MPa?"
             )
     return tuple(Doubt("implausible_numbers", text) for text in found)
+
+
+def _too_dense(key: str, density: float | None) -> list[str]:
+    """Return what is said of a density that is likely in g/cm3."""
+    if density is None or density <= _DENSEST:
+        return []
+    return [
+        f"{key} = {density:g} g/mm3 is denser than any material; were it in g/cm3, "
+        f'"{density:g} g/cm3" would be read too'
+    ]
 
 
 def _in_pascals(key: str, young: float) -> list[str]:

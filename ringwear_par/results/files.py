@@ -14,6 +14,7 @@ from ringwear_par.results.reading import (
     find_texts,
     read_array,
     read_number,
+    read_numbers,
     read_text,
     reading,
 )
@@ -55,6 +56,8 @@ _NUMBERS = {
     "density_lower", "density_upper", "time_through_lower", "time_through_upper",
 }  # fmt: skip
 _NUMBERED = ("balance_", "seconds_")
+#: densities of the layers of lower and upper
+_OF_LAYERS = dict(zip(("density_lower_layers", "density_upper_layers"), LAYER_VOLUMES, strict=True))
 
 
 def read_status(path: Path) -> tuple[str, int] | None:
@@ -125,6 +128,10 @@ def _read(file: h5py.File, path: Path) -> Result:
     step = read_array(file, STEP, sizes)
     histories = {name: read_array(file, variable, sizes) for name, variable in HISTORIES.items()}
     _check_times(histories["time"])
+    layers = _read_layers(file, sizes)
+    for name in _OF_LAYERS.keys() & attributes.keys():
+        if len(attributes[name]) != layers[_OF_LAYERS[name]].shape[1] - 1:
+            raise ValueError(name)
     return Result(
         ContactLine(edges),
         step,
@@ -141,7 +148,7 @@ def _read(file: h5py.File, path: Path) -> Result:
         path,
         None,
         *_read_derivatives(file, sizes),
-        layers=_read_layers(file, sizes),
+        layers=layers,
         stress=read_stress(file, sizes),
     )
 
@@ -191,6 +198,8 @@ def _attributes(file: h5py.File) -> dict[str, Any]:
     for name in found:
         if name in _NUMBERS or name.startswith(_NUMBERED):
             read_number(found[name])
+        elif name in _OF_LAYERS:
+            found[name] = read_numbers(found[name])
     if found["status"] not in ("complete", "incomplete"):
         raise ValueError("status")
     doubts, laws = json.loads(found.get("doubts", "[]")), json.loads(found.get("user_laws", "{}"))

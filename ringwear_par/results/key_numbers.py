@@ -1,7 +1,8 @@
 """What a history comes to, in the numbers of a tribologist."""
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -23,6 +24,7 @@ class Worn:
     deepest : um.
     volume : mm3.
     mass : mg.
+    no_mass : why there is none though something of the body has a density, "" else.
     rate, rate_now : um/h, mean depth over the nominal area, over the whole time and at its end.
     specific : mm3/(N m), volume by load and sliding distance.
     layers : of a body with layers, which it may have though it does not wear.
@@ -36,6 +38,7 @@ class Worn:
     rate_now: float | None
     specific: float | None
     layers: "WornLayers | None" = None
+    no_mass: str = ""
 
 
 @dataclass(frozen=True)
@@ -132,9 +135,9 @@ def _worn(result: "Result", number: int, body: Which) -> Worn:
     volume = float(result.histories[f"worn_volume_{body}"][-1])
     hours = float(result.histories["time"][-1]) / 3600.0
     energy, area = float(result.histories["dissipated_energy"][-1]), nominal_area(result)
-    mass = rate = now = specific = None
-    if f"density_{body}" in about:
-        mass = 1e3 * about[f"density_{body}"] * volume
+    rate = now = specific = None
+    layers = _layers(result, body)
+    mass, no_mass = _mass(about, body, (volume,) if layers is None else layers.volumes)
     if hours > 0:
         rate = 1e3 * volume / area / hours
         now = 3.6e6 * float(state["rates"][number] @ line.area) / area
@@ -142,7 +145,30 @@ def _worn(result: "Result", number: int, body: Which) -> Worn:
         # load times sliding distance of every place, which is energy over friction
         specific = 1e3 * volume * about["friction"] / energy
     deepest = 1e3 * state["wear"][number].max()
-    return Worn(body, deepest, volume, mass, rate, now, specific, _layers(result, body))
+    return Worn(body, deepest, volume, mass, rate, now, specific, layers, no_mass)
+
+
+def _mass(
+    about: Mapping[str, Any], body: Which, volumes: Sequence[float]
+) -> tuple[float | None, str]:
+    """Return the mass that a body has lost, mg; or None, and why where some density is known.
+
+    Parameters
+    ----------
+    volumes : mm3, lost by each layer from the contact face inwards, and by the body itself.
+    """
+    unknown = (np.nan,) * (len(volumes) - 1)
+    densities = (
+        *about.get(f"density_{body}_layers", unknown),
+        about.get(f"density_{body}", np.nan),
+    )
+    if np.isnan(densities).all():
+        return None, ""
+    keys = (*(f"{body}.layers[{i}].density" for i in range(len(unknown))), f"{body}.density")
+    lost = [part for part in zip(keys, densities, volumes, strict=True) if part[2] > 0.0]
+    if missing := ", ".join(key for key, density, _ in lost if np.isnan(density)):
+        return None, f"{missing} not given: no mass"
+    return 1e3 * float(sum(density * volume for _, density, volume in lost)), ""
 
 
 def _layers(result: "Result", body: Which) -> WornLayers | None:

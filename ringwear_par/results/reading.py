@@ -191,3 +191,15 @@ def read_number(value: Any) -> Any:
     if getattr(value, "shape", None) != () or value.dtype.kind not in "iuf":
         raise ValueError(type(value))
     return value
+
+
+def read_numbers(value: Any) -> tuple[float, ...]:
+    """Return an attribute that must be a list of real numbers.
+
+    Raises
+    ------
+    ValueError : it is none.
+    """
+    if len(getattr(value, "shape", ())) != 1 or value.dtype.kind not in "iuf":
+        raise ValueError(type(value))
+    return tuple(value.tolist())

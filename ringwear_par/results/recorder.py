@@ -165,15 +165,23 @@ def attributes(
 
 
 def _layer_attributes(case: Case, through: FloatArray | None) -> dict[str, Any]:
-    """Return what is told of layers: what they are, and when wear first got through, s or NaN."""
+    """Return what is told of layers: what they are, and when wear first got through, s or NaN.
+
+    Densities, where some are known: of each layer, g/mm3, or NaN.
+    """
     found: dict[str, Any] = {}
     for body, ring in zip(("lower", "upper"), case.rings, strict=True):
         if ring.layers:
             found[f"layers_{body}"] = ", then ".join(
                 f"{1e3 * layer.thickness:.6g} um of E = {layer.young:.6g} MPa, "
                 f"nu = {layer.poisson:.6g}"
+                + ("" if layer.density is None else f", {layer.density:.6g} g/mm3")
                 for layer in ring.layers
             )
+            if any(layer.density is not None for layer in ring.layers):
+                found[f"density_{body}_layers"] = tuple(
+                    np.nan if layer.density is None else layer.density for layer in ring.layers
+                )
     times = times_through(case, through)
     return found | {name: float(time) for name, time in times.items()}
 

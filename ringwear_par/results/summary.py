@@ -158,6 +158,8 @@ def _worn(found: KeyNumbers) -> list[str]:
         told += f", worn volume {one.volume:.6g} mm3"
         if one.mass is not None:
             told += f", mass lost {one.mass:.6g} mg"
+        if one.no_mass:
+            told += f" ({one.no_mass})"
         if one.rate is not None:
             told += f"; mean depth {one.rate:.4g} um/h, {one.rate_now:.4g} um/h now"
         if one.specific is not None:

@@ -53,6 +53,16 @@ def test_entries_of_layers_are_set_one_by_one():
     assert parse_case(other.text, "stored") == other
 
 
+def test_layers_have_densities_of_their_own():
+    case = rw.read_case(CASE, {"lower.density": 7.85e-3})
+    assert case.lower.densities == (None, 7.85e-3)
+    dense = case.replace({"lower.layers[0].density": "1.2 g/cm3"})
+    assert dense.lower.densities == (1.2e-3, 7.85e-3)
+    assert operator_key(dense) == operator_key(case)
+    assert parse_case(dense.text, "stored") == dense
+    assert case.upper.densities == (None,)
+
+
 def test_a_layer_may_wear_on_a_body_that_does_not():
     case = rw.read_case(CASE, {"wear.lower": None, "wear.lower.law": None, "wear.lower.k": None})
     assert case.laws[0].laws == (ThresholdLaw(2e-8), NoWear())
@@ -69,7 +79,8 @@ WRONG = {
     "young=0": "--set lower.layers[0].young = 0: must be a finite number > 0 (MPa)",
     "thick=1": "--set lower.layers[0].thick: unknown key (did you mean thickness?)",
     "colour=1": "--set lower.layers[0].colour: unknown key; must be thickness, young, poisson, "
-    "wear",
+    "density, wear",
+    "density=0": "--set lower.layers[0].density = 0: must be a finite number > 0 (g/mm^3)",
     "wear=1": "--set lower.layers[0].wear = 1: must be a table of a law",
     "wear.k=-1": "--set lower.layers[0].wear.k = -1: must be a finite number >= 0, or a table "
     "[[t, value], ...] in time, t in s and increasing, or a profile { r = [[r, value], ...] },"

@@ -58,7 +58,7 @@ def test_nothing_is_near(path):
     [
         ("contact.oil", "must be friction"),
         ("stress.colour", "must be points, times, exclude, grid"),
-        ("lower.layers[0].colour", "must be thickness, young, poisson, wear"),
+        ("lower.layers[0].colour", "must be thickness, young, poisson, density, wear"),
         (
             "lower.layers[0].wear.q",
             "must be law, k, p0, m, n, table, k_start, depth, distance",

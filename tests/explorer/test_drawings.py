@@ -2,6 +2,7 @@
 
 import json
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -69,7 +70,7 @@ def test_tables_are_read_as_fits_read_them(drawn):
     rows = np.loadtxt(FIT / "test1_penetration.csv", delimiter=",", skiprows=2)
     assert (depth.quantity, depth.unit) == ("penetration", "um")
     assert np.allclose(depth.x, rows[:, 0])
-    assert np.allclose(depth.values(case), 1e-3 * rows[:, 1])
+    assert np.allclose(depth.values(case, drawn[0].result), 1e-3 * rows[:, 1])
     (profile,) = read_table((FIT / "test1_profile_lower.csv").read_bytes(), "b.csv", case)
     assert (profile.quantity, profile.along) == ("profile.lower", True)
     many = (
@@ -81,8 +82,8 @@ def test_tables_are_read_as_fits_read_them(drawn):
         "torque", "mass.lower", "penetration", "torque", "penetration",
     ]  # fmt: skip
     assert np.allclose(found[0].x, [900.0, 1800.0])  # in order
-    assert np.allclose(found[0].values(case), [1500.0, 2500.0])
-    assert np.allclose(found[1].values(case), np.array([2e-3, 3e-3]) / 0.0019)
+    assert np.allclose(found[0].values(case, drawn[0].result), [1500.0, 2500.0])
+    assert np.allclose(found[1].values(case, drawn[0].result), np.array([2e-3, 3e-3]) / 0.0019)
     assert len(found[-1].x) == 1
 
 
@@ -92,14 +93,37 @@ def test_how_far_readings_are_from_the_curve(drawn):
     rows = "\n".join(f"{t!r},{1e3 * d + 2.0!r}" for t, d in zip(time, depth, strict=True))
     table = f"time_s,penetration_um\n{rows}\n1e9,5\n".encode()
     (one,) = read_table(table, "a.csv", now.case)
-    assert one.off(now.result, one.values(now.case)) == pytest.approx(2e-3)
+    assert one.off(now.result, one.values(now.case, now.result)) == pytest.approx(2e-3)
     table = b"r_mm,wear_upper_um\n10,1\n50,-1\n"  # unworn there
     (one,) = read_table(table, "a.csv", now.case)
     assert one.quantity == "profile.upper"
-    assert one.off(now.result, one.values(now.case)) == pytest.approx(1e-3)
+    assert one.off(now.result, one.values(now.case, now.result)) == pytest.approx(1e-3)
     (one,) = read_table(b"time_s,mass_upper_mg\n10,1\n", "a.csv", now.case)
     with pytest.raises(rw.InputError, match=r"must have upper.density \(g/mm"):
-        one.values(now.case)
+        one.values(now.case, now.result)
+
+
+def test_a_mass_of_layers_is_laid_over_by_the_density_of_what_is_lost(comm):
+    keys = raw_keys(CASES / "wear_through.toml", ["mesh.contact_elements=12", "lower.density=8e-3"])
+    exploration = Exploration(keys, "wear_through", comm)
+
+    def values(**changes):
+        found = exploration.compute(changes)
+        layers = [replace(found.case.lower.layers[0], density=density)]
+        case = replace(found.case, lower=replace(found.case.lower, layers=tuple(layers)))
+        (one,) = read_table(b"time_s,mass_lower_mg\n10,4\n", "a.csv", case)
+        return one.values(case, found.result)
+
+    thick, density = {"lower.layers[0].thickness": "100"}, None  # um
+    with pytest.raises(rw.InputError, match=r"the case must have lower.layers\[0\].density"):
+        values(**thick)
+    density = 2e-3
+    assert values(**thick) == pytest.approx([2.0])  # nothing of the body is lost
+    said = r"several densities \(lower.layers\[0\].density = 0.002, lower.density = 0.008 g/mm"
+    with pytest.raises(rw.InputError, match=said):
+        values()
+    density = 8e-3
+    assert values() == pytest.approx([0.5])
 
 
 @pytest.mark.parametrize(

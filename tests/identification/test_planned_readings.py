@@ -71,6 +71,42 @@ def test_a_mass_has_the_density_of_its_body(plan):
     assert mass.density == pytest.approx(0.0019)
 
 
+LAYERED = {
+    "lower.density": "7.8 g/cm3",
+    "lower.layers": [{"thickness": 0.02, "young": 4e3, "poisson": 0.3}],
+}
+
+
+def test_a_mass_of_layers_needs_the_density_of_each(plan):
+    tables = copy.deepcopy(plan)
+    weighing = {"quantity": "mass.lower", "value": 5.0, "unit": "mg", "sd": 0.1}
+    tables["experiment"][0]["data"].append(weighing)
+    given = tables["experiment"][0]["set"]
+    given |= copy.deepcopy(LAYERED)
+
+    def faults():
+        with pytest.raises(InputError) as caught:
+            read_fit(tables, plans=True)
+        return caught.value.faults
+
+    (fault,) = faults()
+    assert fault.endswith(
+        "(mass.lower): density is missing: must be that of all that is lost, or the case must have "
+        "lower.layers[0].density (g/mm3)"
+    )
+    (layer,) = given["lower.layers"]
+    layer["density"] = 1.2
+    (fault,) = faults()
+    assert "(mass.lower): lower.layers[0].density = 1.2: must be from 1e-05 to 0.03" in fault
+    layer["density"] = 1.2e-3
+    assert read_fit(tables, plans=True).experiments[0].series[-1].density is None
+    layer["density"] = 7.8e-3  # one for all that is lost, whichever layer it is of
+    assert read_fit(tables, plans=True).experiments[0].series[-1].density == pytest.approx(7.8e-3)
+    layer["density"] = 1.2e-3
+    weighing["density"] = 0.0019  # the user's word
+    assert read_fit(tables, plans=True).experiments[0].series[-1].density == pytest.approx(0.0019)
+
+
 def test_series_tell_more_than_their_nuisances(plan):
     tables = copy.deepcopy(plan)
     data = tables["experiment"][0]["data"]

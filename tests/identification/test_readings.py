@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from laboratory import fit_tables, write_tests
+from mpi4py import MPI
 
 import ringwear_par as rw
 from ringwear_par.identification.fit_file import read_fit
@@ -141,6 +142,35 @@ def coated(folder, bounds):
 def test_readings_have_derivatives_where_each_point_has_its_operator(tmp_path, comm):
     problem = read_fit(coated(tmp_path, [1e-3, 5e-3]))
     assert derivatives_defect(Histories(problem, comm), np.array([2.1e-3, 1.2e5])) < 1e-3
+
+
+def test_a_mass_is_that_of_each_layer(tmp_path, comm):
+    """As what is lost of each layer says, with derivatives, of the thickness too."""
+    tables = coated(tmp_path, [1e-3, 5e-3])
+    weighing = {"quantity": "mass.lower", "unit": "mg", "sd": 0.1}
+    times = (20.0, 36.0, 100.0)
+    tables["experiment"][0]["data"] = [{**weighing, "value": 1.0, "at": at} for at in times]
+    tables["case"]["lower"]["density"] = 7.8e-3
+    tables["case"]["lower"]["layers"][0]["density"] = 1.2e-3
+    tables["fit"]["parameters"] = {
+        "lower.layers[0].thickness": {"start": 2e-3, "bounds": [1e-3, 5e-3]},
+        "lower.layers[0].wear.k": {"start": 3e-9, "bounds": [1e-10, 1e-7], "scale": "log"},
+        "wear.lower.k": {"start": 1e-7, "bounds": [1e-9, 1e-5], "scale": "log"},
+    }
+    problem = read_fit(tables)
+    histories, point = Histories(problem, comm), np.array([2.1e-3, 1e-8, 1.2e-7])
+    (found,) = histories.responses(point[None])
+    case = problem.experiments[0].case.replace(
+        {
+            **dict(zip(problem.keys, point.tolist(), strict=True)),
+            "time.scheme": "adaptive", "time.tolerance": 1e-7, "output.times": list(times[:-1]),
+        }
+    )  # fmt: skip
+    volumes = rw.simulate(case, MPI.COMM_SELF).layers["worn_volume_lower_layers"][1:]
+    assert (volumes[1] < volumes[2]).all()  # here and there through it
+    assert volumes[1, 1] > 0.0
+    assert found[:, 0] == pytest.approx(volumes @ [1.2e-3, 7.8e-3], rel=4e-3)
+    assert derivatives_defect(histories, point) < 1e-4
 
 
 def test_a_layer_cannot_be_thicker_than_its_body(tmp_path):

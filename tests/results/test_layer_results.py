@@ -1,16 +1,21 @@
 """Results of bodies with layers: variables, words, tables, pictures, sweeps."""
 
 import csv
+from dataclasses import replace
 from pathlib import Path
 
+import h5py
 import numpy as np
 import pytest
 from mpi4py import MPI
 
 import ringwear_par as rw
 from ringwear_par.reports.charts import profiles
+from ringwear_par.reports.run_page import worn_table
+from ringwear_par.results.doubts import implausible
 from ringwear_par.results.export import export
 from ringwear_par.results.figures import plot
+from ringwear_par.results.key_numbers import key_numbers
 
 CASE = Path(__file__).parents[2] / "scripts" / "cases" / "wear_through.toml"
 LAYER = {"thickness": 0.003, "young": 10e3, "poisson": 0.3}
@@ -88,6 +93,71 @@ def test_the_summary_says_what_has_become_of_layers(result):
     ) in told
     assert "layer 1 worn" not in told
     assert "worn volume by layer against energy" in told
+
+
+DENSITIES = {
+    "density_lower": 7.85e-3, "density_lower_layers": (1.2e-3, 2.7e-3), "density_upper": 3e-3,
+    "density_upper_layers": (4e-3,),
+}  # fmt: skip
+
+
+def told_mass(result, **attributes):
+    """Return mass and why there is none, of lower and upper, with some attributes instead."""
+    about = {**result.attributes, **DENSITIES, **attributes}
+    there = {name: value for name, value in about.items() if value is not None}
+    found = key_numbers(replace(result, attributes=there))
+    return [(body.mass, body.no_mass) for body in found.bodies]
+
+
+def test_the_mass_lost_is_that_of_each_layer(result):
+    volumes = {b: result.layers[f"worn_volume_{b}_layers"][-1] for b in ("lower", "upper")}
+    assert (volumes["lower"] > 0.0).all()  # through both layers
+    assert volumes["upper"].tolist()[1:] == [0.0]
+    lower, upper = told_mass(result)
+    assert lower == (pytest.approx(volumes["lower"] @ [1.2, 2.7, 7.85], rel=1e-13), "")
+    assert upper == (pytest.approx(4.0 * volumes["upper"][0], rel=1e-13), "")
+    # what is not worn needs no density
+    assert told_mass(result, density_upper=None)[1] == upper
+    assert told_mass(result, density_upper=None, density_upper_layers=None)[1] == (None, "")
+
+
+def test_no_mass_is_told_where_a_density_is_missing(result):
+    said = "lower.layers[1].density not given: no mass"
+    assert told_mass(result, density_lower_layers=(1.2e-3, np.nan))[0] == (None, said)
+    assert told_mass(result, density_lower=None)[0] == (None, "lower.density not given: no mass")
+    # as in files from before layers had densities
+    both = "lower.layers[0].density, lower.layers[1].density not given: no mass"
+    older = told_mass(result, density_lower_layers=None, density_upper_layers=None)
+    assert older == [(None, both), (None, "upper.layers[0].density not given: no mass")]
+
+
+def test_densities_of_layers_are_stored(tmp_path):
+    layers = [{**LAYER, "thickness": 5e-4, "density": "1.2 g/cm3"}, LAYER]
+    case = rw.read_case(CASE, {"lower.layers": layers, "lower.density": 7.85e-3, **SMALL})
+    run = rw.simulate(case, MPI.COMM_SELF)
+    told = run.summary()
+    assert "0.5 um of E = 10000 MPa, nu = 0.3, 0.0012 g/mm3, then 3 um of E" in told
+    assert "mm3 (lower.layers[1].density not given: no mass); mean depth" in told
+    run.save(tmp_path / "run.h5")
+    again = rw.open_result(tmp_path / "run.h5")
+    assert again.summary() == told
+    stored = again.attributes["density_lower_layers"]
+    np.testing.assert_array_equal(stored, [1.2e-3, np.nan])
+    assert worn_table(key_numbers(again)).rows[0][3] == "lower.layers[1].density not given: no mass"
+    for wrong in ((1.2e-3,), "1.2e-3"):
+        with h5py.File(tmp_path / "run.h5", "r+") as file:
+            file.attrs["density_lower_layers"] = wrong
+        with pytest.raises(rw.InputError, match=r"run\.h5"):
+            rw.open_result(tmp_path / "run.h5")
+    with h5py.File(tmp_path / "run.h5", "r+") as file:  # as before layers had densities
+        del file.attrs["density_lower_layers"]
+    both = "lower.layers[0].density, lower.layers[1].density not given: no mass"
+    assert both in rw.open_result(tmp_path / "run.h5").summary()
+
+
+def test_a_layer_denser_than_any_material_is_doubted():
+    (doubt,) = implausible(rw.read_case(CASE, {"lower.layers[0].density": 1.2}))
+    assert doubt.text.startswith("lower.layers[0].density = 1.2 g/mm3 is denser than any material")
 
 
 def test_a_worn_layer_of_another_modulus_is_a_doubt(result):
