@@ -22,12 +22,12 @@ from ringwear_par.history.tangent import variables as derivatives_of
 from ringwear_par.results.checkpoints import take
 from ringwear_par.results.columns import HistoryColumns
 from ringwear_par.results.doubts import (
-    Doubt,
     doubts_at,
     infinite_at_interfaces,
     infinite_stress,
     unstable,
 )
+from ringwear_par.results.implausible import Doubt
 from ringwear_par.results.recorder import (
     Recorder,
     attributes,

@@ -1,7 +1,6 @@
 """What makes an answer doubtful though it was computed: said by ``run``, flagged by ``sweep``."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -16,7 +15,7 @@ from ringwear_par.history.balances import Balances
 from ringwear_par.history.model import WearModel
 from ringwear_par.history.stability import stable_step, stable_steps
 from ringwear_par.history.state import State
-from ringwear_par.schedules import largest
+from ringwear_par.results.implausible import Doubt, implausible
 
 #: fewer elements in contact than this do not resolve it
 _FEW_ELEMENTS = 10
@@ -30,83 +29,14 @@ _MOST_FILM_DEFECT = 5e-3
 _MOST_ANGLE, _LOAD_ASIDE = 15.0, 0.05
 #: largest error of a pressure that comes of making the compliance symmetric
 _MOST_ASYMMETRY = 0.05
-#: moduli (MPa) that are those of materials in Pa; smaller ones may be meant, of rigid bodies
-_PASCALS = (1e9, 2e12)
-#: g/mm^3, osmium's and a little more
-_DENSEST = 0.025
 #: share of a layer, meant by load, that is worn off, and by which its modulus differs from what is
 #: under it, from which on the unworn stack is another
 _MOST_OF_LAYER, _OTHER_MODULUS = 0.25, 0.1
-#: mm, and share of a Young's modulus, from which on numbers are likely in another unit
-_LARGEST, _MOST_PRESSED = 5000.0, 0.1
 
 
 #: pressure, or stress, of an outermost element over that of the fourth, from which on it is
 #: infinite there
 _RISING = 1.2
-
-
-@dataclass(frozen=True)
-class Doubt:
-    """One reason to doubt an answer.
-
-    Parameters
-    ----------
-    flag : short name, of letters and underscores.
-    text : the whole sentence.
-    """
-
-    flag: str
-    text: str
-
-
-def implausible(case: Case) -> tuple[Doubt, ...]:
-    """Return numbers of a case that are more likely in another unit than meant so. Not collective.
-
-    Its mean pressures are those of the nominal annulus.
-    """
-    found: list[str] = []
-    for name, ring in zip(("lower", "upper"), case.rings, strict=True):
-        found += _in_pascals(f"{name}.young", ring.young)
-        found += _too_dense(f"{name}.density", ring.density)
-        if max(ring.r[1], ring.z[1] - ring.z[0]) > _LARGEST:
-            found.append(
-                f"{name} measures {max(ring.r[1], ring.z[1] - ring.z[0]):g} mm: in um? lengths "
-                "are in mm"
-            )
-        for i, layer in enumerate(ring.layers):
-            found += _in_pascals(f"{name}.layers[{i}].young", layer.young)
-            found += _too_dense(f"{name}.layers[{i}].density", layer.density)
-    if case.load.force is not None:
-        moduli = [ring.young for ring in case.rings]
-        moduli += [layer.young for ring in case.rings for layer in ring.layers]
-        pressure, young = largest(case.load.force) / case.area, min(moduli)
-        if pressure > _MOST_PRESSED * young:
-            found.append(
-                f"the mean pressure of {pressure:.3g} MPa is more than a tenth of a Young's "
-                f"modulus, {young:g} MPa: no linear elasticity; are load and moduli in N and MPa?"
-            )
-    return tuple(Doubt("implausible_numbers", text) for text in found)
-
-
-def _too_dense(key: str, density: float | None) -> list[str]:
-    """Return what is said of a density that is likely in g/cm3."""
-    if density is None or density <= _DENSEST:
-        return []
-    return [
-        f"{key} = {density:g} g/mm3 is denser than any material; were it in g/cm3, "
-        f'"{density:g} g/cm3" would be read too'
-    ]
-
-
-def _in_pascals(key: str, young: float) -> list[str]:
-    """Return what is said of a modulus that is likely in Pa."""
-    if not _PASCALS[0] < young <= _PASCALS[1]:
-        return []
-    return [
-        f"{key} = {young:g} MPa is stiffer than any material; were it in Pa, "
-        f'"{young:g} Pa" would be read too'
-    ]
 
 
 def doubts(model: WearModel, state: State, balances: Balances) -> tuple[Doubt, ...]:

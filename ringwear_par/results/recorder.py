@@ -28,12 +28,12 @@ from ringwear_par.history.tangent import variables as derivatives_of
 from ringwear_par.info import versions
 from ringwear_par.results.checkpoints import restored, take
 from ringwear_par.results.doubts import (
-    Doubt,
     doubts,
     infinite_at_interfaces,
     infinite_stress,
     instability,
 )
+from ringwear_par.results.implausible import Doubt
 from ringwear_par.results.result import Result, balance_attributes
 from ringwear_par.results.stress_variables import point_columns, stress_rows
 from ringwear_par.results.variables import (

@@ -23,8 +23,8 @@ from ringwear_par.history.snapshots import Observer, Snapshot
 from ringwear_par.options import reject_unused_options
 from ringwear_par.parallel import on_first_rank, warn_of_threads
 from ringwear_par.results.checkpoints import restored
-from ringwear_par.results.doubts import implausible
 from ringwear_par.results.files import open_result, read_error, read_status
+from ringwear_par.results.implausible import implausible
 from ringwear_par.results.progress import Progress
 from ringwear_par.results.recorder import Recorder
 from ringwear_par.results.result import Result

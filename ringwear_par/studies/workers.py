@@ -5,7 +5,7 @@ import time
 from collections import Counter
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from mpi4py import MPI
 
@@ -27,6 +27,7 @@ from ringwear_par.history.snapshots import Observer, Snapshot
 from ringwear_par.options import reject_unused_options
 from ringwear_par.parallel import on_first_rank, together
 from ringwear_par.results.files import open_result
+from ringwear_par.results.implausible import but_varied
 from ringwear_par.results.progress import SweepProgress
 from ringwear_par.results.recorder import Recorder
 from ringwear_par.results.result import Result
@@ -210,8 +211,12 @@ class Worker:
         for found in computed(own_cases, lender.pair, lender=lender, stop=stop):
             self._timings.stepping += time.perf_counter() - before
             own = [places[number] for number in found.numbers]
+            both = zip(found.columns.flags, [cases[i] for i in own], strict=True)
+            varied = self._plan.study.names
+            flags = tuple(but_varied(flags, case, varied) for flags, case in both)
+            columns = replace(found.columns, flags=flags)
             block = Block.of_columns(
-                found.columns, cases[own[0]], [ids[i] for i in own], texts.part(own), __version__
+                columns, cases[own[0]], [ids[i] for i in own], texts.part(own), __version__
             )
             self._timings.worst = max(self._timings.worst, float(block.columns.imbalance.max()))
             self._store(block, time.perf_counter() - before)
@@ -318,7 +323,8 @@ class Worker:
             return Record(identity, text, "failed", reason, seconds, 0.0, arrays, __version__)
         if recorder.last is None or not recorder.last.finished:
             return None
-        worst, flags = recorder.balances.worst, tuple(doubt.flag for doubt in recorder.doubts)
+        flags = but_varied([d.flag for d in recorder.doubts], case, self._plan.study.names)
+        worst = recorder.balances.worst
         self._timings.worst = max(self._timings.worst, worst)
         seconds = time.perf_counter() - started
         arrays = recorder.arrays()

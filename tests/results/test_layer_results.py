@@ -12,9 +12,9 @@ from mpi4py import MPI
 import ringwear_par as rw
 from ringwear_par.reports.charts import profiles
 from ringwear_par.reports.run_page import worn_table
-from ringwear_par.results.doubts import implausible
 from ringwear_par.results.export import export
 from ringwear_par.results.figures import plot
+from ringwear_par.results.implausible import implausible
 from ringwear_par.results.key_numbers import key_numbers
 
 CASE = Path(__file__).parents[2] / "scripts" / "cases" / "wear_through.toml"

@@ -1,0 +1,142 @@
+"""Numbers of a case that are more likely in another unit than meant so."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+from ringwear_par.cases.case import Case
+from ringwear_par.elasticity.boundary_fields import BODIES
+from ringwear_par.schedules import largest
+from ringwear_par.wear.archard import ArchardLaw
+from ringwear_par.wear.threshold import AboveThreshold
+
+_IMPLAUSIBLE = "implausible_numbers"
+#: moduli (MPa) that are those of materials in Pa; smaller ones may be meant, of rigid bodies
+_PASCALS = (1e9, 2e12)
+#: g/mm^3, osmium's and a little more
+_DENSEST = 0.025
+#: mm; layers are thicker
+_THINNEST = 1e-4
+#: 1/MPa, largest specific wear rate: Archard's K = 0.01 of severe dry sliding (0.007 of mild steel
+#: on itself: J. F. Archard and W. Hirst, Proc. R. Soc. A 236 (1956) 397) over a hardness of 100 MPa
+_FASTEST = 1e-4
+#: mm, and share of a Young's modulus, from which on numbers are likely in another unit
+_LARGEST, _MOST_PRESSED = 5000.0, 0.1
+
+
+@dataclass(frozen=True)
+class Doubt:
+    """One reason to doubt an answer.
+
+    Parameters
+    ----------
+    flag : short name, of letters and underscores.
+    text : the whole sentence.
+    key : of the number that is doubted, and that a study may vary by purpose; "" for none.
+    """
+
+    flag: str
+    text: str
+    key: str = ""
+
+
+def implausible(case: Case) -> tuple[Doubt, ...]:
+    """Return numbers of a case that are more likely in another unit than meant so. Not collective.
+
+    Its mean pressures are those of the nominal annulus.
+    """
+    found: list[str] = []
+    for name, ring in zip(("lower", "upper"), case.rings, strict=True):
+        found += _in_pascals(f"{name}.young", ring.young)
+        found += _too_dense(f"{name}.density", ring.density)
+        if max(ring.r[1], ring.z[1] - ring.z[0]) > _LARGEST:
+            found.append(
+                f"{name} measures {max(ring.r[1], ring.z[1] - ring.z[0]):g} mm: in um? lengths "
+                "are in mm"
+            )
+        for i, layer in enumerate(ring.layers):
+            found += _in_pascals(f"{name}.layers[{i}].young", layer.young)
+            found += _too_dense(f"{name}.layers[{i}].density", layer.density)
+    if case.load.force is not None:
+        moduli = [ring.young for ring in case.rings]
+        moduli += [layer.young for ring in case.rings for layer in ring.layers]
+        pressure, young = largest(case.load.force) / case.area, min(moduli)
+        if pressure > _MOST_PRESSED * young:
+            found.append(
+                f"the mean pressure of {pressure:.3g} MPa is more than a tenth of a Young's "
+                f"modulus, {young:g} MPa: no linear elasticity; are load and moduli in N and MPa?"
+            )
+    return (
+        *(Doubt(_IMPLAUSIBLE, text) for text in found),
+        *(Doubt(_IMPLAUSIBLE, text, key) for key, text in (*_too_thin(case), *_too_fast(case))),
+    )
+
+
+def but_varied(flags: Sequence[str], case: Case, varied: Sequence[str]) -> tuple[str, ...]:
+    """Return flags without that of implausible numbers where a study varies all of these.
+
+    Parameters
+    ----------
+    varied : keys of the study.
+    """
+    if _IMPLAUSIBLE not in flags:
+        return tuple(flags)
+    by_purpose = all(
+        any(doubt.key == key or doubt.key.startswith(f"{key}[") for key in varied)
+        for doubt in implausible(case)
+    )
+    return tuple(flag for flag in flags if not (by_purpose and flag == _IMPLAUSIBLE))
+
+
+def _too_thin(case: Case) -> Iterator[tuple[str, str]]:
+    """Give the layers, key and sentence, whose thickness is likely in m."""
+    for body, ring in zip(BODIES, case.rings, strict=True):
+        for i, layer in enumerate(ring.layers):
+            if layer.thickness < _THINNEST:
+                key, thickness = f"{body}.layers[{i}].thickness", layer.thickness
+                text = (
+                    f"{key} = {thickness:g} mm is {1e6 * thickness:g} nm, thinner than coatings "
+                    f'that wear; were it in m, "{thickness:g} m" would be read too, as '
+                    f"{1e6 * thickness:g} um"
+                )
+                yield key, text
+
+
+def _too_fast(case: Case) -> Iterator[tuple[str, str]]:
+    """Give the wear coefficients, key and sentence, by which no material wears."""
+    own = (case.wear_lower, case.wear_upper)
+    for body, ring, law in zip(BODIES, case.rings, own, strict=True):
+        laws = {f"wear.{body}": law}
+        laws |= {f"{body}.layers[{i}].wear": layer.wear for i, layer in enumerate(ring.layers)}
+        for table, wear in laws.items():
+            share = case.friction if isinstance(wear, AboveThreshold) else 1.0
+            names = ("k", "k_start") if isinstance(wear, AboveThreshold | ArchardLaw) else ()
+            for name in names:
+                k = largest(getattr(wear, name, 0.0))
+                if share * k > _FASTEST:
+                    text = (
+                        f"{table}.{name} = {k:g} 1/MPa is a specific wear rate of "
+                        f"{1e3 * share * k:g} mm3/(N m), more than that of any material in dry "
+                        f"sliding, {1e3 * _FASTEST:g}; were it in mm3/(N m), "
+                        f'"{k:g} mm3/(N m)" would be read too'
+                    )
+                    yield f"{table}.{name}", text
+
+
+def _too_dense(key: str, density: float | None) -> list[str]:
+    """Return what is said of a density that is likely in g/cm3."""
+    if density is None or density <= _DENSEST:
+        return []
+    return [
+        f"{key} = {density:g} g/mm3 is denser than any material; were it in g/cm3, "
+        f'"{density:g} g/cm3" would be read too'
+    ]
+
+
+def _in_pascals(key: str, young: float) -> list[str]:
+    """Return what is said of a modulus that is likely in Pa."""
+    if not _PASCALS[0] < young <= _PASCALS[1]:
+        return []
+    return [
+        f"{key} = {young:g} MPa is stiffer than any material; were it in Pa, "
+        f'"{young:g} Pa" would be read too'
+    ]
