@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.case import CHANGED
 from ringwear_par.cases.keys import read_keys
 from ringwear_par.cases.schema import BY_PATH
@@ -140,11 +141,19 @@ def _stressed(result: "Result") -> list[str]:
     when = "" if state.time == result.histories["time"][-1] else f" at t = {state.time:g} s"
     beside = f", {exclude:g} mm and more from edges" if exclude else ""
     by_layer = "".join(
-        f"; {body} by layer {', '.join(f'{value:.5g}' for value in values)} MPa"
+        f"; {body} by layer {_by_layer(values, beside)}"
         for body, values in zip(BODIES, state.layers, strict=True)
         if len(values)
     )
     return [f"largest von Mises stress{when}{beside}: {told or 'none'}{by_layer}"]
+
+
+def _by_layer(values: FloatArray, beside: str) -> str:
+    """Return the largest stress of each layer and the body; NaN where there is no such layer."""
+    told = ", ".join(f"{value:.5g}" if np.isfinite(value) else "none" for value in values) + " MPa"
+    if np.isnan(values).any():
+        told += f" (none: nothing of that layer is left{beside})"
+    return told
 
 
 def _worn(found: KeyNumbers) -> list[str]:

@@ -408,3 +408,20 @@ def test_the_largest_of_each_layer(tmp_path):
     assert data.max_mises_upper_layers.dims == ("stress_step", "layer_upper")
     values = ", ".join(f"{value:.5g}" for value in result.stress.states[-1].layers[0])
     assert f"lower by layer {values} MPa" in result.summary()
+
+
+@pytest.mark.serial
+@pytest.mark.parametrize("geometry", ["fixed", "updated"])
+def test_layers_that_are_gone_have_no_largest_stress(geometry, tmp_path):
+    """Of the body's own material and worn through everywhere: said in words."""
+    film = {"thickness": 5e-4, "young": 1e4, "poisson": 0.3, "wear": {"law": "archard", "k": 1e-6}}
+    changes = {"upper__layers": [film], "mesh__geometry": geometry, "stress__exclude": 0.05}
+    result = rw.simulate(case_of(**changes))
+    assert result.layers["share_through_upper"][-1] == 1.0
+    ((gone, left),) = (state.layers[1] for state in result.stress.states)
+    assert np.isnan(gone)
+    said = f"upper by layer none, {left:.5g} MPa (none: nothing of that layer is left, 0.05 mm and "
+    assert f"{said}more from edges)" in result.summary()
+    assert "nan" not in result.summary()
+    result.save(tmp_path / "run.h5")
+    assert rw.open_result(tmp_path / "run.h5").summary() == result.summary()
