@@ -31,6 +31,14 @@ def inner(weights: FloatArray, values: FloatArray) -> Any:
     return np.einsum("...i,...i->...", weights, values)
 
 
+def share(weights: FloatArray, which: BoolArray) -> Any:
+    """Return the share of weights (n,) where it is so, (..., n): a float, or (...).
+
+    Never more than 1, and 1 everywhere: both sums round alike.
+    """
+    return inner(weights, which.astype(float)) / inner(weights, np.ones(which.shape))
+
+
 def rows_of(values: Any, histories: IntArray) -> Any:
     """Return numbers (B,), or fields (B, ...), of some histories; what is no array stays."""
     return values[histories] if isinstance(values, np.ndarray) and values.ndim else values

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ringwear_par.arrays import FloatArray
+from ringwear_par.arrays import FloatArray, share
 from ringwear_par.cases.case import CHANGED
 from ringwear_par.cases.reading import outlines
 from ringwear_par.elasticity.boundary_fields import BODIES, Which
@@ -95,7 +95,7 @@ def worn_through(result: "Result", body: Which) -> list[WornThrough]:
         if gone.any():
             first = int(gone.any(axis=1).argmax())
             deepest = int(np.where(gone[first], wear[first] - end.depth, -np.inf).argmax())
-            share = float(area @ gone[-1] / area.sum())
             r = float(result.line.r[deepest])
-            found.append(WornThrough(end.layer, share, r, float(times[first])))
+            through = share(area, gone[-1])
+            found.append(WornThrough(end.layer, through, r, float(times[first])))
     return found

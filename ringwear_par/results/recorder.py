@@ -9,7 +9,7 @@ import numpy as np
 from mpi4py import MPI
 
 from ringwear_par import __version__
-from ringwear_par.arrays import FloatArray, IntArray, inner
+from ringwear_par.arrays import FloatArray, IntArray, share
 from ringwear_par.cases.case import Case
 from ringwear_par.cases.law_trials import law_sources
 from ringwear_par.elasticity.boundary_fields import BoundaryState
@@ -77,8 +77,7 @@ def _of_layers(model: WearModel, state: State) -> dict[str, Any]:
     for i, body in enumerate(("lower", "upper")):
         if model.layer_ends[i] is not None:
             left = layer_left(model, i, state.wear[i])
-            through = inner(model.area, (left <= 0.0).astype(float)) / model.area.sum()
-            found[f"share_through_{body}"] = through
+            found[f"share_through_{body}"] = share(model.area, left <= 0.0)
             found[f"layer_left_{body}"] = left
             found[f"worn_volume_{body}_layers"] = layer_volumes(model, i, state.wear[i])
     return found

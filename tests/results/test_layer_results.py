@@ -10,6 +10,7 @@ import pytest
 from mpi4py import MPI
 
 import ringwear_par as rw
+from ringwear_par.arrays import share
 from ringwear_par.reports.charts import profiles
 from ringwear_par.reports.run_page import worn_table
 from ringwear_par.results.export import export
@@ -158,6 +159,28 @@ def test_densities_of_layers_are_stored(tmp_path):
 def test_a_layer_denser_than_any_material_is_doubted():
     (doubt,) = implausible(rw.read_case(CASE, {"lower.layers[0].density": 1.2}))
     assert doubt.text.startswith("lower.layers[0].density = 1.2 g/mm3 is denser than any material")
+
+
+def test_shares_are_one_at_most():
+    """Of all elements exactly 1, whatever they round to, in one history and in several."""
+    rng = np.random.default_rng(1)
+    for n in range(4, 400):
+        area = rng.random(n) ** 3
+        which = rng.random((3, n)) < [[0.5], [0.95], [2.0]]
+        for found in (share(area, which), np.array([share(area, row) for row in which])):
+            np.testing.assert_allclose(found, which @ area / area.sum(), rtol=1e-12)
+            assert found.max() == found[2] == 1.0
+
+
+@pytest.mark.parametrize("n", [16, 18, 22, 30])
+def test_all_that_is_worn_through_is_a_share_of_one(n):
+    film = {**LAYER, "thickness": 1e-4}
+    case = rw.read_case(CASE, {"lower.layers": [film], **SMALL, "mesh.contact_elements": n})
+    alone, (other, _) = rw.simulate(case, MPI.COMM_SELF), rw.simulate_all([case, case])
+    for found in (alone, other):
+        assert found.layers["layer_left_lower"][-1].max() == 0.0
+        assert found.layers["share_through_lower"][-1] == 1.0
+        assert key_numbers(found).bodies[0].layers.each[-1].share == 1.0
 
 
 def test_a_worn_layer_of_another_modulus_is_a_doubt(result):
