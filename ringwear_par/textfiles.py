@@ -9,6 +9,8 @@ from ringwear_par.errors import InputError, legible
 
 #: tables and arrays within each other; a case needs six
 _DEEPEST = 32
+#: what makes a text of a command line TOML, and how those begin that are no plain texts
+_VALUE, _MEANT = "value = ", re.compile(r"\s*([\[{]|[-+]?\.[0-9])")
 
 
 def read_text(path: Path) -> str:
@@ -64,9 +66,31 @@ def _reason(told: str, text: str) -> str:
 def parse_value(text: str) -> Any:
     """Return the value of a TOML text, or the text itself where it is none."""
     try:
-        return parse_toml(f"value = {text}", "value")["value"]
+        return parse_toml(f"{_VALUE}{text}", "value")["value"]
     except InputError:
         return text.strip()
+
+
+def value_fault(text: str) -> str:
+    """Return why ``parse_value`` has returned what was meant as a number, a list or a table.
+
+    "" where it is none of these.
+    """
+    if not _MEANT.match(text):
+        return ""
+    whole = f"{_VALUE}{text}"
+    try:
+        tomllib.loads(whole)
+    except (ValueError, RecursionError) as error:
+        place = re.search(r"at line ([0-9]+), column ([0-9]+)", str(error))
+        if place is None:
+            return "TOML finds no end of it" if "end of document" in str(error) else ""
+        rest = whole.splitlines()[int(place[1]) - 1][int(place[2]) - 1 :]
+        hint = ""
+        if point := re.match(r"[-+]?(\.[0-9]+)", rest):
+            hint = f"; numbers have a digit before their point, as 0{point[1]}"
+        return f'TOML does not accept it at "{legible(rest)}"{hint}'
+    return ""
 
 
 def refuse_depth(tables: Any, name: str) -> None:

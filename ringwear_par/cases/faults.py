@@ -22,6 +22,7 @@ from ringwear_par.elasticity.profiles import (
 from ringwear_par.elasticity.sections import Polyline, corners
 from ringwear_par.errors import InputError
 from ringwear_par.schedules import Quantity, largest, told
+from ringwear_par.textfiles import value_fault
 
 #: of a face: more are of a trace that is not smooth
 _MANY_CORNERS = 20
@@ -48,6 +49,11 @@ class Origin:
         """Return how a sentence about one key begins."""
         here = not self.overrides.isdisjoint({path, path.partition("[")[0]})
         return f"{self.setting} " if here else f"{self.name}: "
+
+    def typed_fault(self, path: str, value: Any) -> str:
+        """Return why TOML takes a value that was typed for one key for a text, "" where it is."""
+        typed = self.setting == "--set" and path in self.overrides
+        return value_fault(value) if typed and isinstance(value, str) else ""
 
     @property
     def whole(self) -> str:

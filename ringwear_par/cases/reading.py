@@ -225,7 +225,8 @@ def _read_values(keys: Mapping[str, Any], origin: Origin) -> tuple[dict[str, Any
             try:
                 values[path] = key.read(without_units(key, value))
             except RejectedError as reason:
-                why = f"{key.rule} ({reason})" if str(reason) else key.rule
+                told = str(reason) or origin.typed_fault(path, value)
+                why = f"{key.rule} ({told})" if told else key.rule
                 faults.append(f"{origin.of(path)}{path} = {shortened(value)}: {why}")
         elif path in TABLES and value == {}:
             faults.append(f"{origin.of(path)}[{path}]: is empty; must have one of its keys")
