@@ -6,11 +6,12 @@ from typing import Any, NamedTuple, get_args
 from ringwear_par.cases.schema import keys_told
 from ringwear_par.cases.values import number, pair, some_of, whole
 from ringwear_par.identification.candidates import COUNTS, CRITERIA, MOST_EXPERIMENTS
+from ringwear_par.identification.densities import DENSITIES
 from ringwear_par.identification.fit_file import INTERVALS, MOST_SAMPLES, MOST_STARTS
 from ringwear_par.identification.fitted import SCALES
 from ringwear_par.identification.planned import instants
 from ringwear_par.identification.problem import Loss, Method, Settings, Space
-from ringwear_par.identification.series import DENSITIES, NUISANCES, QUANTITIES
+from ringwear_par.identification.series import NUISANCES, QUANTITIES
 
 
 class FitKey(NamedTuple):

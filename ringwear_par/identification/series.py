@@ -1,7 +1,7 @@
 """``[[experiment.data]]``: from a table of a fit file to readings in the units of a case."""
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, cast, get_args
@@ -22,6 +22,7 @@ from ringwear_par.cases.units import (
 )
 from ringwear_par.cases.values import RejectedError, number, text
 from ringwear_par.errors import InputError, legible
+from ringwear_par.identification.densities import density_of
 from ringwear_par.identification.planned import instants
 from ringwear_par.identification.problem import BASE, Nuisance, Quantity, Series
 from ringwear_par.identification.ranges import check_profile, check_times
@@ -52,9 +53,6 @@ _NEAR_ZERO = 0.05
 _LONGEST_CORRELATION = 100.0
 #: of the test: times that are rounded, in minutes, say, may be so much later than its end
 _ROUNDED = 2e-4
-#: g/mm3: foams have more, osmium has less; other units of densities, in g/mm3
-DENSITIES = (1e-5, 0.03)
-_OTHERS = {"g/cm3": 1e-3, "kg/m3": 1e-6, "kg/mm3": 1e3, "t/mm3": 1e6}
 
 #: reads a table of measurements, once
 Files = Callable[[str], Measurements]
@@ -121,7 +119,7 @@ def read_series(
     reader.said = f"{said} ({quantity})"
     end = math.inf if case is None else case.time.end
     at = reader.read("at", number(0.0), None, "s")
-    density = _density(reader, quantity, case) if kind == "mass" else 1.0
+    density = density_of(reader, quantity, case) if kind == "mass" else 1.0
     if at is not None and at > end:
         reader.wrong("at", f"must be within the test, which ends at {end:g} s")
     timed = next((key for key in ("file", "times") if key in reader), "")
@@ -206,48 +204,6 @@ class _Readings:
     lines: IntArray | None = None
     where: str = ""
     planned: bool = False
-
-
-def _density(reader: TableReader, quantity: str, case: Case | None) -> float | None:
-    """Return the density of all that is lost, g/mm3; None where each layer has its own.
-
-    Refuse one that is not known, or that nothing has, as that in another unit.
-    """
-    body = quantity.partition(".")[2]
-    known = (None,) if case is None else (case.lower if body == "lower" else case.upper).densities
-    own = known[0] if len(set(known)) == 1 else None
-    if "density" not in reader and len(known) > 1:
-        _check_densities(reader, body, known)
-        return own
-    usual = ... if own is None else own
-    density: float | None = reader.read("density", number(0.0), usual, BASE["density"])
-    if density is not None and (must := _of_no_material(density)):
-        reader.wrong("density", must)
-    return density
-
-
-def _check_densities(reader: TableReader, body: str, known: Sequence[float | None]) -> None:
-    """Refuse a mass of a body some of whose layers have no density, or one that nothing has."""
-    keys = [*(f"{body}.layers[{i}].density" for i in range(len(known) - 1)), f"{body}.density"]
-    if missing := ", ".join(key for key, density in zip(keys, known, strict=True) if not density):
-        reader.wrong(
-            "density", f"must be that of all that is lost, or the case must have {missing} (g/mm3)"
-        )
-    for key, density in zip(keys, known, strict=True):
-        if density and (must := _of_no_material(density)):
-            reader.fault(f"{key} = {density:g}: {must}")
-
-
-def _of_no_material(density: float) -> str:
-    """Return what a density, g/mm3, must be that nothing has; "" where it is none such."""
-    low, high = DENSITIES
-    if low <= density <= high:
-        return ""
-    hint = next(
-        (f"; {density:g} {unit} would be {density * share:.6g}" for unit, share in _OTHERS.items()
-         if low <= density * share <= high), "",
-    )  # fmt: skip
-    return f"must be from {low:g} to {high:g} g/mm3, as of foams and metals{hint}"
 
 
 def _single(reader: TableReader, kind: str, at: float) -> _Readings | None:

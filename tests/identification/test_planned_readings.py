@@ -103,6 +103,10 @@ def test_a_mass_of_layers_needs_the_density_of_each(plan):
     layer["density"] = 7.8e-3  # one for all that is lost, whichever layer it is of
     assert read_fit(tables, plans=True).experiments[0].series[-1].density == pytest.approx(7.8e-3)
     layer["density"] = 1.2e-3
+    weighing["densty"] = 0.0019
+    (fault,) = faults()
+    assert "densty: unknown key (did you mean density?)" in fault
+    del weighing["densty"]
     weighing["density"] = 0.0019  # the user's word
     assert read_fit(tables, plans=True).experiments[0].series[-1].density == pytest.approx(0.0019)
 
