@@ -65,6 +65,16 @@ def point_bodies(case: "Case") -> list[int]:
     return [_bodies_at(case, r, z, side)[0] for r, z, side in case.stress.points]
 
 
+def point_depths(case: "Case") -> FloatArray:
+    """Return how deep each point of a case lies under the unworn face of its body, mm; 0 on it."""
+    assert case.stress is not None
+    bodies, found = point_bodies(case), np.zeros(len(case.stress.points))
+    for number, (i, (r, z, _)) in enumerate(zip(bodies, case.stress.points, strict=True)):
+        depth = abs(float(_face(case, case.rings[i], np.array([r]))[0]) - z)
+        found[number] = depth if depth > _ON * _size(case) else 0.0
+    return found
+
+
 def grid_bodies(case: "Case") -> IntArray:
     """Return of which body each point of a case's grid is, (nr, nz); -1: of none, or on an edge."""
     assert case.stress is not None

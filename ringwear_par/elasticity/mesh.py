@@ -92,8 +92,8 @@ class ContactLine:
         return len(self.edges) - 1
 
     def element_at(self, r: FloatArray) -> IntArray:
-        """Return the elements in which radii (mm) lie, -1 off the line."""
-        found: IntArray = np.searchsorted(self.edges, r) - 1
+        """Return the elements in which radii (mm) lie, the line's ends included; -1 off it."""
+        found: IntArray = np.where(r == self.edges[0], 0, np.searchsorted(self.edges, r) - 1)
         return np.where(found < self.n, found, -1)
 
 

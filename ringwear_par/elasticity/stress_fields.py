@@ -44,9 +44,9 @@ class StressState:
 
     Parameters
     ----------
-    points : (p, 6) float.
-    grid : (nr, nz, 6) float, NaN outside the bodies.
-    surface : of the contact elements of lower and upper, (n, 6) float each.
+    points : (p, 6) float, NaN in layers where they are worn through.
+    grid : (nr, nz, 6) float, likewise, and NaN outside the bodies.
+    surface : of the contact elements of lower and upper, (n, 6) float each, likewise.
     largest : of lower and upper.
     interfaces : of lower and upper, (i, 2, m, 6) float each, above and below every interface; NaN
         where wear has come through to it.

@@ -31,7 +31,7 @@ class BodyStress(NamedTuple):
     Parameters
     ----------
     points : (p, 6) float, MPa, rr, tt, zz, rz, rt, tz at the points asked for; NaN where wear has
-        left none of the body.
+        left none of the body, or of the layer.
     surface : (n, 6) float, MPa, likewise on the contact elements.
     largest : the largest von Mises stress outside the radius round edges.
     interfaces : (i, 2, m, 6) float, MPa, above and below each interface, see ``Interfaces``.
@@ -147,8 +147,8 @@ class StressRecovery:
         pressure : (n,) float, MPa, of the contact solution.
         friction : mu; all of the contact slides.
         shape : (2, n) float, mm, wear that the elastic bodies have followed; None: none.
-        gone : of lower and upper, (layers, n) bool, where their layers are worn through: of these
-            nothing counts as the largest, and interfaces there have no stress; None: nowhere.
+        gone : of lower and upper, (layers, n) bool, where their layers are worn through: there
+            they have no stress, nor have the interfaces under them; None: nowhere.
 
         Raises
         ------
@@ -171,20 +171,22 @@ class StressRecovery:
         self, known: _Known, pressure: FloatArray, shear: FloatArray, gone: BoolArray | None
     ) -> BodyStress:
         stress = known.stress(pressure, shear, self._comm)
-        asked = len(known.search.points)
-        values = mises(stress)
-        values[asked:][~known.search.allows(known.points[asked:])] = np.nan
+        surface = known.surface.stress(pressure, shear)
         along = np.array(
             [[s.stress(pressure, shear) for s in sides] for sides in known.interfaces]
         ).reshape(len(known.interfaces), 2, len(known.under_interfaces), 6)
         if gone is not None and gone.any():
             lost = np.zeros((known.layers, gone.shape[1] + 1), dtype=bool)
             lost[:-1, :-1] = gone  # nothing of the body itself, nothing beside the contact (-1)
-            values[lost[known.zones, known.under]] = np.nan
+            stress[lost[known.zones, known.under]] = np.nan
+            surface[gone[0]] = np.nan
             along[np.repeat(lost[:-1, None, known.under_interfaces], 2, axis=1)] = np.nan
+        asked = len(known.search.points)
+        values = mises(stress)
+        values[asked:][~known.search.allows(known.points[asked:])] = np.nan
         return BodyStress(
             stress[asked:],
-            known.surface.stress(pressure, shear),
+            surface,
             known.search.largest(known.points, known.zones, values),
             along,
             known.largest_of_zones(values),

@@ -5,6 +5,7 @@ from collections.abc import Hashable
 import numpy as np
 from mpi4py import MPI
 
+from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.case import Case
 from ringwear_par.cases.stress import Side, grid_bodies, point_bodies
 from ringwear_par.elasticity.stress_fields import StressHistory, StressState
@@ -114,14 +115,16 @@ class StressObserver:
         assert case.stress is not None
         self._case, self._stresses, self._points_only = case, stresses, points_only
         self._asked = Asked(case, case.stress.times, last_stored)
-        #: what was asked for so far
+        #: what was asked for so far, and the wear of lower and upper in the last of it, (2, n) mm
         self.states: list[StressState] = []
+        self.wear: FloatArray | None = None
 
     def __call__(self, snapshot: Snapshot) -> bool:
         """Compute the stresses of a state, if the case wants them. Collective."""
         if self._asked(snapshot):
             state = self._stresses.at(self._case, int(snapshot.progress.steps), snapshot.state)
             self.states.append(state.without_fields() if self._points_only else state)
+            self.wear = snapshot.state.wear
         return False
 
     def history(self, earlier: tuple[StressState, ...] = ()) -> StressHistory:

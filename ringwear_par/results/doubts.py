@@ -4,7 +4,9 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.case import Case
+from ringwear_par.cases.stress import point_bodies, point_depths
 from ringwear_par.elasticity.boundary_fields import BODIES
 from ringwear_par.elasticity.mesh import ContactLine
 from ringwear_par.elasticity.pair import ContactCompliance
@@ -218,6 +220,42 @@ def infinite_stress(
                 ),
             )
     return ()
+
+
+def unworn_points(
+    case: Case, history: StressHistory | None, wear: FloatArray | None
+) -> tuple[Doubt, ...]:
+    """Return whether points of stress lie where the material is worn away. Not collective.
+
+    Those of layers that are worn through have no stress, and those on faces are of the faces.
+
+    Parameters
+    ----------
+    wear : (2, n) mm, of the last state of stress; None: not known.
+    """
+    if history is None or not history.states or wear is None or case.follows_wear:
+        return ()
+    assert case.stress is not None
+    state, under = history.states[-1], case.line.element_at(history.points[:, 0])
+    bodies, depths = np.array(point_bodies(case), int), point_depths(case)
+    worn = np.where(under >= 0, wear[bodies, under], 0.0)
+    known = np.isfinite(state.points).all(axis=1)
+    found = np.flatnonzero(known & (depths > 0.0) & (worn > depths)).tolist()
+    if not found:
+        return ()
+    first, *more = found
+    r, z, _ = case.stress.points[first]
+    return (
+        Doubt(
+            "worn_points",
+            f"stress.points[{first}], at r = {r:.6g}, z = {z:.6g} mm, lies {depths[first]:.4g} mm "
+            f"under the face of {BODIES[bodies[first]]}, of which {worn[first]:.4g} mm is worn off "
+            f"there at t = {state.time:g} s"
+            + (f" ({len(more)} more of stress.points likewise)" if more else "")
+            + ': with mesh.geometry = "fixed" stresses are those of the unworn shape, with '
+            '"updated" there is none where nothing is left',
+        ),
+    )
 
 
 def infinite_at_interfaces(case: Case, history: StressHistory | None) -> tuple[Doubt, ...]:

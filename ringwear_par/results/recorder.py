@@ -32,6 +32,7 @@ from ringwear_par.results.doubts import (
     infinite_at_interfaces,
     infinite_stress,
     instability,
+    unworn_points,
 )
 from ringwear_par.results.implausible import Doubt
 from ringwear_par.results.result import Result, balance_attributes
@@ -373,6 +374,7 @@ class Recorder:
             *doubts(model, state, self.balances),
             *infinite_stress(self._case, self.stress, model.line, state),
             *infinite_at_interfaces(self._case, self.stress),
+            *unworn_points(self._case, self.stress, self._stress.wear if self._stress else None),
         )
 
     @property

@@ -43,12 +43,14 @@ def draw_map(axes: Any, result: Result, label: str, state: StressState, top: flo
     """
     r, z = stresses(result).grid
     values, sections = mises(state.grid), outlines(result.case, result.name)
+    under = (r > result.line.edges[0]) & (r < result.line.edges[-1])
     levels = MaxNLocator(_LEVELS).tick_values(0.0, top or 1.0)
     drawn = None
-    for known, band in _materials(sections, r, z):  # each by itself, and up to its contour
-        known = known & np.isfinite(values)
+    for own, band in _materials(sections, r, z):  # each by itself, and up to its contour
+        known = own & np.isfinite(values)
         if known.any():
             shown = _spread(values, known)
+            shown[under & own.any(axis=1) & ~known.any(axis=1)] = np.nan  # worn through
             drawn = axes.contourf(r, z, shown.T, levels, cmap="viridis", extend="max")
             drawn.set_clip_path(Polygon(band, transform=axes.transData))
     if drawn is not None:

@@ -153,12 +153,12 @@ def test_the_same_on_all_ranks(result):
             np.testing.assert_array_equal(one.interfaces[i], other.interfaces[i])
 
 
-def worn_through(geometry, step):
+def worn_through(geometry, step, comm=None, **more):
     """A thin hard coating after six steps."""
     thin = {**HARD, "thickness": 0.003, "wear": {"law": "archard", "k": 5e-9}}
     return rw.simulate(
-        case_of(lower__layers=[thin], mesh__geometry=geometry, stress__times="all",
-                time__steps=6, time__step=step), comm_self()
+        case_of(lower__layers=[thin], mesh__geometry=geometry, time__steps=6, time__step=step,
+                **{"stress__times": "all", **more}), comm or comm_self()
     )  # fmt: skip
 
 
@@ -173,6 +173,111 @@ def test_none_where_wear_has_come_through(geometry):
         known = np.isfinite(state.interfaces[0][0]).all(axis=(0, 2))
         np.testing.assert_array_equal(known[under], there)
         assert np.delete(known, under).all()
+
+
+#: mm, heights on the face, inside the layer, on both sides of its end and under it
+HEIGHTS = (20.0, 19.9985, 19.997, 19.997, 19.98)
+GRID = {"body": "lower", "r": [28.5, 31.5], "z": [19.9985, 20.0], "n": [31, 2]}
+
+
+@pytest.fixture(scope="module")
+def through(comm):
+    """Points at the middles of elements and on a grid, in and under a layer that goes in places."""
+    line = case_of().line
+    sides = ("below", "", "above", "below", "")
+    points = [
+        [r, z, side] if side else [r, z]
+        for r in line.r[::3].tolist()
+        for z, side in zip(HEIGHTS, sides, strict=True)
+    ]
+    return worn_through("fixed", 10.0, comm, stress__points=points, stress__grid=GRID)
+
+
+def test_points_have_no_stress_in_layers_that_are_worn_through(through):
+    """Where a layer is only partly worn, and under it, they keep theirs: the shape is unworn."""
+    left = through.layers["layer_left_lower"][:, ::3]
+    assert 0 < np.count_nonzero(left[-1] == 0.0) < left.shape[1]
+    for state, there in zip(through.stress.states, left > 0.0, strict=True):
+        known = np.isfinite(state.points).reshape(-1, len(HEIGHTS), 6)
+        for number in (0, 1, 2):
+            np.testing.assert_array_equal(known[:, number].all(axis=1), there)
+        assert known[there].all()
+        assert known[:, 3:].all()
+        surface = np.isfinite(state.surface[0]).all(axis=1)
+        np.testing.assert_array_equal(surface[::3], there)
+        assert np.isfinite(state.surface[1]).all()
+        under = through.line.element_at(through.stress.grid[0])
+        gone = through.layers["layer_left_lower"][through.stress.states.index(state)] == 0.0
+        on_grid = np.isfinite(state.grid).all(axis=2)
+        np.testing.assert_array_equal(on_grid[:, 0], ~gone[under])
+        assert not on_grid[[0, -1], 1].any()  # edges of contact
+        np.testing.assert_array_equal(on_grid[1:-1, 1], ~gone[under][1:-1])
+
+
+@pytest.mark.serial
+def test_stresses_that_are_left_out_are_in_files_tables_and_maps(through, tmp_path):
+    through.save(tmp_path / "run.h5")
+    data = rw.open_result(tmp_path / "run.h5").to_xarray()
+    gone = np.isnan(data.mises.values)
+    assert gone[-1].any()
+    assert not gone[0].any()
+    np.testing.assert_array_equal(gone, np.isnan(data.stress.values).all(axis=2))
+    np.testing.assert_array_equal(gone, np.isnan(data.max_shear.values))
+    assert np.isfinite(data.max_mises.values).all()
+    from ringwear_par.results.export import export
+
+    export(through, tmp_path / "points.csv", stress=True)
+    with (tmp_path / "points.csv").open(newline="") as file:
+        table = [float(row["mises (MPa)"]) for row in csv.DictReader(file)]
+    np.testing.assert_array_equal(table, data.mises.values.ravel())
+    figure = rw.plot(through, "stress,mises", times="0, 60")
+    first, last = (axes.collections[0] for axes in figure.axes if axes.get_title())
+    r = through.stress.grid[0]
+    for drawn, state in ((first, through.stress.states[0]), (last, through.stress.states[-1])):
+        known = np.isfinite(state.grid[1:-1, 0, 0])
+        covered = [
+            any(path.contains_point((at, 19.9992)) for path in drawn.get_paths())
+            for at in r[1:-1].tolist()
+        ]
+        inside = known & np.roll(known, 1) & np.roll(known, -1)
+        assert np.array(covered)[inside].all()
+        assert not np.array(covered)[~known].any()
+
+
+def test_points_of_layers_are_the_same_on_all_ranks(through):
+    stress = case_points(through)
+    alone = worn_through("fixed", 10.0, stress__points=stress, stress__grid=GRID)
+    for one, other in zip(alone.stress.states, through.stress.states, strict=True):
+        np.testing.assert_array_equal(one.points, other.points)
+        np.testing.assert_array_equal(one.grid, other.grid)
+        np.testing.assert_array_equal(one.surface, other.surface)
+    assert alone.doubts == through.doubts
+
+
+def case_points(result):
+    return [
+        [*place, side] if side else place
+        for place, side in zip(result.stress.points.tolist(), result.stress.sides, strict=True)
+    ]
+
+
+def test_points_in_material_that_is_worn_away_are_doubted():
+    """Once, by name; not on faces, nor where a layer has gone, nor where elements follow."""
+
+    def doubted(points, **more):
+        texts = worn_through("fixed", 30.0, stress__points=points, **more).doubts
+        return [text for text in texts if "stress.points" in text]
+
+    face, layer, shallow, deep = [30.0, 20.0, "below"], [30.0, 19.999], [30.0, 19.996], [30.0, 19.9]
+    assert doubted([face, layer, deep, [25.0, 19.9999]]) == []
+    (text,) = doubted([face, layer, deep, shallow, [29.0, 19.9965]])
+    assert (
+        "stress.points[3], at r = 30, z = 19.996 mm, lies 0.004 mm under the face of lower" in text
+    )
+    assert "is worn off there at t = 180 s (1 more of stress.points likewise)" in text
+    assert doubted([shallow], stress__times=[0.0]) == []
+    moved = worn_through("updated", 30.0, stress__points=[shallow]).doubts
+    assert not [text for text in moved if "stress.points" in text]
 
 
 @pytest.mark.parametrize("geometry", ["fixed", "updated"])

@@ -92,6 +92,38 @@ def test_stresses_and_layers_are_those_of_single_runs(times, comm, tmp_path):
     assert through == {True, False}
 
 
+OVER_THICKNESS = """
+[vary]
+"lower.layers[0].thickness" = { log = [0.002, 0.04], count = 4 }
+"load.pressure" = { linear = [40, 80], count = 6 }
+[design]
+method = "grid"
+"""
+
+
+@pytest.mark.serial
+def test_points_of_layers_that_are_worn_through_are_blank(comm, tmp_path):
+    """In some cases of a sweep; whatever takes maxima or fits goes on without them."""
+    case = COATED.replace("[[30.0, 19.95], ", "[[30.0, 19.999], [30.0, 19.95], ") + 'times = "all"'
+    sweep(write_study(tmp_path, comm, OVER_THICKNESS, case), tmp_path / "out", comm)
+    blank = set()
+    rows = table(tmp_path / "out")
+    for row, (mine, own, result) in zip(rows, singles(tmp_path / "out"), strict=True):
+        np.testing.assert_allclose(mine.mises[: len(own.mises)], own.mises, rtol=1e-8)
+        gone = bool(own.layer_left_lower[-1, result.line.element_at(np.array(30.0))] == 0.0)
+        assert (row["mises[0]"] == "") == bool(np.isnan(own.mises[-1, 0])) == gone
+        assert float(row["mises[1]"]) == pytest.approx(float(own.mises[-1, 1]), rel=1e-8)
+        assert ("worn_points" in row["flags"]) == (not gone)
+        assert np.isfinite(float(row["max_mises"]))
+        blank.add(gone)
+    assert blank == {True, False}
+    made = surrogate(tmp_path / "out")
+    assert "mises[0]" not in made.names
+    assert {"mises[1]", "max_mises"} <= set(made.names)
+    assert rw.plot(tmp_path / "out").axes
+    rw.report(tmp_path / "out", tmp_path / "page.html")
+
+
 UPPER = """
 [[upper.layers]]
 thickness = 0.01
@@ -234,14 +266,7 @@ def test_an_interrupted_case_keeps_its_stresses(comm, tmp_path, monkeypatch):
 def swept(tmp_path_factory):
     """The folder of a sweep of 24 cases over thickness and pressure."""
     folder = tmp_path_factory.mktemp("swept")
-    text = """
-    [vary]
-    "lower.layers[0].thickness" = { log = [0.002, 0.04], count = 4 }
-    "load.pressure" = { linear = [40, 80], count = 6 }
-    [design]
-    method = "grid"
-    """
-    sweep(write_study(folder, MPI.COMM_SELF, text, COATED), folder / "out", MPI.COMM_SELF)
+    sweep(write_study(folder, MPI.COMM_SELF, OVER_THICKNESS, COATED), folder / "out", MPI.COMM_SELF)
     return folder / "out"
 
 
