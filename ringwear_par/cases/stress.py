@@ -42,7 +42,8 @@ class Stress:
 
     Parameters
     ----------
-    points : r and z (mm) in the frame of the case, and the side where two bodies touch.
+    points : r and z (mm) in the frame of the case, and the side of a face or an interface that
+        they lie on; inside a body any side is as good as none.
     grid : further ones, of which those outside the bodies have none.
     times : of the stored states, which; or times (s) from each of which on the first one is.
     exclude : mm, radius round edges in which the largest stress is not looked for.
@@ -146,7 +147,7 @@ def _point_faults(case: "Case", points: Sequence[tuple[float, float, Side]]) -> 
                 'or "above" for upper'
             )
         elif not bodies:
-            yield f'{said}: there is no body {side} it; must be without "{side}"'
+            yield f'{said}: lies on a face with no body {side} it; must be without "{side}"'
         elif not side and _on_interface(case, bodies[0], z):
             yield f'{said}: lies between two layers; must have its side, "above" or "below"'
 
@@ -163,13 +164,16 @@ def _bodies_at(case: "Case", r: float, z: float, side: Side) -> list[int]:
     """Return the bodies that have a point, on a side of a face where it lies on one."""
     at = np.array([r]), np.array([z])
     found = [i for i in (0, 1) if _inside(case, i, *at)[0]]
-    if side and len(found) == 1:
-        body = found[0]
-        if _on_interface(case, body, z):
-            return found
-        face = float(_face(case, case.rings[body], at[0])[0])
-        return found if abs(z - face) <= _ON * _size(case) and side == _SIDES[body] else []
-    return [i for i in found if not side or side == _SIDES[i]]
+    return [i for i in found if not side or _material_side(case, i, r, z) in ("", side)]
+
+
+def _material_side(case: "Case", i: int, r: float, z: float) -> Side:
+    """Return on which side of a point the body is that it lies on a face of; "": inside it."""
+    ring = case.rings[i]
+    held = ring.z[0] if i == 0 else ring.z[1]
+    if abs(z - float(_face(case, ring, np.array([r]))[0])) <= _ON * _size(case):
+        return _SIDES[i]
+    return _SIDES[1 - i] if abs(z - held) <= _ON * _size(case) else ""
 
 
 def _on_interface(case: "Case", i: int, z: float) -> bool:

@@ -81,8 +81,9 @@ def test_points_of_faces_apart_need_no_side():
         ("points = [[28.5, 20]]", ["lies on an edge"]),
         ('points = [[31.5, 20, "above"]]', ["lies on an edge"]),
         ("points = [[40, 0]]", ["lies on an edge"]),
-        ('points = [[30, 19, "above"]]', ["there is no body above it"]),
-        ('points = [[25, 20, "above"]]', ["there is no body above it"]),
+        ('points = [[25, 20, "above"]]', ["lies on a face with no body above it; must be without"]),
+        ('points = [[30, 0, "below"]]', ["lies on a face with no body below it"]),
+        ('points = [[30, 40, "above"]]', ["lies on a face with no body above it"]),
         ('points = [[30, 20, "left"]]', ["stress.points", '"above" or "below"']),
         ("points = [30, 20]", ["stress.points = [30, 20]", "a list of points [r, z]"]),
         ("points = []", ["stress.points = []"]),
@@ -120,7 +121,8 @@ def test_points_of_faces_apart_need_no_side():
             "points = [[30, 19], [30, 19]]",
             ["points[1] = [30.0, 19.0]: is stress.points[0] as well"],
         ),
-        ('points = [[30, 19, "above"]]', ['stress.points[0] = [30.0, 19.0, "above"]: there is']),
+        ('points = [[25, 20, "above"]]', ['stress.points[0] = [25.0, 20.0, "above"]: lies on a']),
+        ('points = [[50, 19, "above"]]', ["lies outside both bodies"]),
         ("exclude = 20", ["stress.exclude = 20: leaves nothing of ", "must be less than 20 (mm)"]),
         ("exclude = -0.1", ["stress.exclude = -0.1", ">= 0", "(mm)"]),
         ('times = "first"', ["stress.times", '"last", "all"']),
@@ -153,8 +155,19 @@ def test_points_between_layers_need_a_side():
     assert point_bodies(case) == [0, 0, 0]
     (fault,) = faults('points = [[20, 19.7, "below"]]', coated)  # where the interface ends
     assert "lies on an edge" in fault
-    (fault,) = faults('points = [[30, 19.8, "above"]]', coated)
-    assert "there is no body above it" in fault
+
+
+def test_a_side_inside_a_body_is_needless():
+    """As in a sweep over a thickness, where the point lies on an interface in some cases only."""
+    points = [
+        (30.0, 19.7, "above"), (30.0, 19.7, "below"), (30.0, 25.0, "below"), (20.0, 10.0, "above"),
+        (30.0, 0.0, "above"), (30.0, 40.0, "below"), (25.0, 20.0, "below"),
+    ]  # fmt: skip
+    told = f"points = {[list(point) for point in points]}"
+    for layers in ([], ["lower.layers=[{thickness=0.3, young=1e5, poisson=0.3}]"]):
+        case = case_of(told, layers)
+        assert case.stress.points == tuple(points)
+        assert point_bodies(case) == [0, 0, 1, 0, 0, 1, 0]
 
 
 @pytest.mark.parametrize(

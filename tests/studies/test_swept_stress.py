@@ -124,6 +124,24 @@ def test_points_of_layers_that_are_worn_through_are_blank(comm, tmp_path):
     rw.report(tmp_path / "out", tmp_path / "page.html")
 
 
+@pytest.mark.serial
+def test_points_on_an_interface_of_one_thickness_only(comm, tmp_path):
+    """Elsewhere they lie inside a material, where their side says nothing, but is kept."""
+    case = COATED.replace(
+        "[29.0, 20.0", '[30.0, 19.97, "above"], [30.0, 19.97, "below"], [29.0, 20.0'
+    )
+    case = case.replace("k = 4e-6", "k = 4e-7")
+    told = sweep(write_study(tmp_path, comm, STUDY, case), tmp_path / "out", comm)
+    assert (told.done, told.failed) == (8, 0)
+    for mine, own, _ in singles(tmp_path / "out"):
+        assert mine.point_side.values.tolist() == own.point_side.values.tolist()
+        assert own.point_side.values.tolist() == ["", "above", "below", "above"]
+        above, below = own.stress.values[-1, 1:3]
+        thick = float(mine["lower.layers[0].thickness"]) == 0.03
+        assert (np.abs(above - below).max() > 1.0) == thick
+        np.testing.assert_allclose(mine.final_mises, own.mises[-1], rtol=1e-8)
+
+
 UPPER = """
 [[upper.layers]]
 thickness = 0.01
