@@ -4,6 +4,10 @@ Inside it is Somigliana's identity (see ``stress_rows``). Closer to the boundary
 an element, tractions that are constant on elements show through: there the stress is interpolated
 along the way inwards, between that on the surface (see ``surface_stress``) and those deeper, or,
 where the body is thinner than that, the one on its other side.
+
+Where discs touch, friction jumps on the axis, from one direction to the other: what is under it
+depends on r over the depth, of which the way inwards shows nothing. Beside the axis the integrals
+are taken, as tractions hardly vary over the element there; on it stresses are as symmetry has them.
 """
 
 import math
@@ -20,6 +24,8 @@ from ringwear_par.elasticity.surface_stress import Faces, faces, mid_stress
 
 #: depth, in element lengths, from which on the integrals are right
 _DEEP = 0.6
+#: depth, in the same, from which on the integrals are taken beside the axis
+_SHALLOW = 1e-3
 #: share of the body's size within which a point lies on its boundary
 _ON_BOUNDARY = 1e-9
 #: share of an element's length by which a point may lie beyond it: faces are curved, it is not
@@ -107,6 +113,13 @@ class _Recipe:
         self.surface: list[tuple[int, IntArray, FloatArray]] = []
         at = locate(boundary, points)
         thin = _ON_BOUNDARY * np.ptp(boundary.nodes, axis=0).max()
+        #: (p,) bool, points on the axis
+        self.on_axis: BoolArray = points[:, 0] <= thin
+        loaded = np.concatenate([boundary.contact, boundary.above, boundary.below])
+        ends = np.sort(boundary.nodes[boundary.elements[loaded][:, [0, 2]], 0], axis=1)
+        first = ends[:, 0] <= thin
+        #: elements at the axis that friction goes through, and how far they reach, mm
+        self._at_axis = dict(zip(loaded[first].tolist(), ends[first, 1].tolist(), strict=True))
         size = self._faces.size(at.element, at.t)
         #: (p,) bool, points that are not in the body
         self.outside: BoolArray = at.distance < -np.maximum(thin, _BEYOND * size)
@@ -150,13 +163,18 @@ class _Recipe:
             [foot + depth * inwards for depth in (depths[1:-1] if opposite else depths[1:])]
         ).reshape(-1, 2)
         if not self._right(samples):  # a corner is as near: what the integrals give, blended
-            share = distance / deep
-            share *= share * (3.0 - 2.0 * share)
+            share = _smooth(distance / deep)
             self._integrate(p, point, share)
             self._take_surface(p, element, t, 1.0 - share)
             return
+        away = 1.0
+        if element in self._at_axis and distance > _SHALLOW / _DEEP * deep:
+            share = 2.0 * float(point[0]) / self._at_axis[element] - 1.0  # from its middle on
+            away = _smooth(min(max(share, 0.0), 1.0))
+            self._integrate(p, point, 1.0 - away)
         weights = [
-            math.prod((distance - other) / (depth - other) for other in depths if other != depth)
+            away
+            * math.prod((distance - other) / (depth - other) for other in depths if other != depth)
             for depth in depths
         ]
         self._take_surface(p, element, t, weights[0])
@@ -170,7 +188,7 @@ class _Recipe:
         """Tell whether samples are inside, and so deep that the integrals are right."""
         if len(samples) == 0:
             return True
-        if samples[:, 0].min() <= 0.0:
+        if samples[:, 0].min() < 0.0:
             return False
         at = locate(self._boundary, samples)
         return bool((at.distance >= 0.9 * _DEEP * self._faces.size(at.element, at.t)).all())
@@ -188,6 +206,11 @@ class _Recipe:
             return np.inf, -1, 0.0
         e = int(np.argmin(np.where(hit, far, np.inf)))
         return float(far[e]), e, float(t[e])
+
+
+def _smooth(x: float) -> float:
+    """Return what goes from 0 to 1 with x, level at both ends."""
+    return x * x * (3.0 - 2.0 * x)
 
 
 @dataclass(frozen=True)
@@ -242,6 +265,8 @@ class ZoneStress:
             torsion[point] += np.tensordot(weights, self.surface.torsion[elements], 1)
         if recipe.samples:
             self._add_integrals(recipe, normal, torsion)
+        normal[recipe.on_axis, :2] = normal[recipe.on_axis, :2].mean(axis=1, keepdims=True)
+        normal[recipe.on_axis, 3] = torsion[recipe.on_axis] = 0.0
         normal[recipe.outside] = torsion[recipe.outside] = np.nan
         return Influence(normal, torsion)
 

@@ -280,3 +280,43 @@ def test_a_layer_of_the_same_material_changes_nothing(comm):
     shallow, _ = coated_stresses(64, 0.003, 1e4, comm)
     assert mises(layered[3]) == pytest.approx(mises(layered[4]), rel=2e-3)
     assert mises(layered[0]) == pytest.approx(mises(shallow[0]), rel=3e-3)
+
+
+def disc_stresses(n, comm, points, layers=()):
+    """Stresses in a solid disc under another one that turns on it, and friction's shear."""
+    case = rw.read_case("scripts/cases/paper.toml", {
+        "lower.r": [0.0, 20.0], "lower.z": [0.0, 15.0], "upper.r": [0.0, 10.0],
+        "upper.z": [15.0, 25.0], "lower.layers": list(layers), "contact.friction": 0.3,
+        "mesh.contact_elements": n, "time.step": 1e-9, "time.steps": 1, "stress.points": points,
+    })  # fmt: skip
+    result = rw.simulate(case, comm)
+    return result.stress.states[-1].points, 0.3 * result.profiles["pressure"][0][0]
+
+
+@pytest.mark.parametrize("thickness", [None, 0.005, 0.05, 2.0])
+def test_on_the_axis_stress_is_symmetric(thickness, comm):
+    """On faces and interfaces, inside and in layers; beside it stress goes to the same."""
+    layers = [{"thickness": thickness, "young": 1e5, "poisson": 0.3}] if thickness else []
+    heights = [0.0, 0.1, 7.0, 14.5, 14.9, 14.97, 14.999, 15.001, 15.1, 15.5, 20.0, 25.0]
+    on_axis = [[0.0, z] for z in heights] + [[0.0, 15.0, side] for side in ("below", "above")]
+    if layers:
+        on_axis += [[0.0, 15.0 - thickness, side] for side in ("above", "below")]
+    found, friction = disc_stresses(24, comm, on_axis, layers)
+    assert (found[:, 3:] == 0.0).all()
+    np.testing.assert_array_equal(found[:, 0], found[:, 1])
+    assert (found[:, 2] < 0.0).all()
+    inside = [[r, z] for z in (7.0, 14.5, 14.9, 15.1, 15.5) for r in (0.0, 1e-4)]
+    near = disc_stresses(24, comm, inside, layers)[0].reshape(-1, 2, 6)
+    np.testing.assert_allclose(near[:, 1], near[:, 0], atol=2e-3 * friction)
+
+
+@pytest.mark.parametrize("thickness", [None, 0.4])
+def test_near_the_axis_stress_converges(thickness, comm):
+    """Within the first element, which is 0.39 mm wide on the coarsest of the meshes."""
+    layers = [{"thickness": thickness, "young": 1e5, "poisson": 0.3}] if thickness else []
+    heights = [14.9, 14.8, 14.7, 14.5, 14.0, 15.1, 15.3]
+    points = [[r, z] for r in (0.0, 0.02, 0.05, 0.1, 0.2) for z in heights]
+    coarse, middle, fine = (disc_stresses(n, comm, points, layers) for n in (64, 128, 256))
+    errors = [np.abs(one[0] - fine[0]).max() / fine[1] for one in (coarse, middle)]
+    assert errors[0] < 0.05
+    assert errors[1] < errors[0] / 3.0  # of first order at least
