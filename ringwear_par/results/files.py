@@ -55,6 +55,12 @@ _NUMBERS = {
     "density_lower", "density_upper", "time_through_lower", "time_through_upper",
 }  # fmt: skip
 _NUMBERED = ("balance_", "seconds_")
+#: numbers that files have beside another attribute
+_BESIDE = {
+    "case": {"symmetry_defect", *balance_attributes(dict.fromkeys(_BALANCES, 0.0))},
+    "scheme": {"time_step", "time_steps"},
+    "omega": {"angle"},
+}
 
 
 def read_status(path: Path) -> tuple[str, int] | None:
@@ -116,6 +122,9 @@ def _read(file: h5py.File, path: Path) -> Result:
         edges = read_array(file["checkpoint"], EDGES, {})
         values = file["checkpoint"].attrs["balances"].tolist()
         attributes |= balance_attributes(dict(zip(_BALANCES, values, strict=True)))
+    for name in _BESIDE.keys() & attributes.keys():
+        if missing := _BESIDE[name] - attributes.keys():
+            raise ValueError(missing)
     if not (len(edges) > 1 and np.isfinite(edges).all() and (np.diff(edges) > 0.0).all()):
         raise ValueError("edges")
     sizes = {"element": len(edges) - 1}
