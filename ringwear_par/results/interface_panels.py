@@ -115,9 +115,7 @@ def _tell_worn_through(axes: Any, r: FloatArray, known: BoolArray) -> None:
     """Say in the widest part of an interface that has no stress what has become of it."""
     low, high = axes.get_xlim()
     gone = np.ma.clump_masked(np.ma.array(r, mask=~known))
-    first, last = max(
-        ((r[part][0], r[part][-1]) for part in gone), key=np.ptp, default=(low, low)
-    )
+    first, last = max(((r[part][0], r[part][-1]) for part in gone), key=np.ptp, default=(low, low))
     if last - first >= _TOLD * (high - low):
         axes.text(
             0.5 * (first + last), _TEXT_HEIGHT, "worn through", ha="center",
