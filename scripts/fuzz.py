@@ -36,9 +36,11 @@ from mutations import WORDS, edited, mutated_bytes, mutated_table, mutated_text
 from ringwear_par import cli
 from ringwear_par.atomic import check_writable
 from ringwear_par.cases.reading import read_case
+from ringwear_par.cases.units import seconds
 from ringwear_par.errors import InputError, RingwearError
 from ringwear_par.history.limits import check_case
 from ringwear_par.options import _refuse_words
+from ringwear_par.reports.report import report
 from ringwear_par.results.export import export
 from ringwear_par.results.figures import plot_files
 from ringwear_par.results.files import open_result, read_error, read_status
@@ -52,6 +54,13 @@ from ringwear_par.studies.study import read_study
 
 CASES = Path(__file__).parent / "cases"
 SMALL = ["--set", "mesh.contact_elements=8", "time.steps=4"]
+#: of a coated ring: stresses of all kinds, at two instants
+STRESSED = [
+    "--set", "mesh.contact_elements=8", "time.end=20", "stress.times=all", "output.times=[10]",
+    'stress.points=[[30, 19.9], [30, 20, "above"]]',
+    "stress.grid={r=[28, 32], z=[19.9, 20.1], n=[5, 4]}",
+]  # fmt: skip
+STRESS_FILES, INTERFACE_FILES = ("b.csv", "b.vtu", "b.vtkhdf"), ("c.csv", "c.vtp")
 #: an input that takes longer hangs
 CPU_SECONDS, WALL_SECONDS = 10, 100
 _MEMORY_BYTES = 6 * 2**30
@@ -88,9 +97,17 @@ def read_a_result(folder: Path, rng: random.Random) -> None:
     if result.boundary:
         looks.append(lambda: export(result, folder / "a.vtp"))
         looks.append(lambda: export(path, folder / "a.vtu", time=0.0, scale=10.0))
+    if result.stress is not None:
+        looks += [
+            lambda: export(result, folder / rng.choice(STRESS_FILES), stress=True),
+            lambda: export(result, folder / rng.choice(INTERFACE_FILES), interfaces=True),
+        ]
     if rng.random() < _DRAWN:
         panels = "wear,penetration,pressure" + ",section" * bool(result.boundary)
+        panels += ",stress,depth,mises,interfaces,through" * (result.stress is not None)
         looks.append(lambda: plot_files([path], folder / "a.png", panels))
+    if rng.random() < _DRAWN:
+        looks.append(lambda: report(path, folder / "a.html"))
     _look(looks)
 
 
@@ -138,9 +155,12 @@ def read_words(folder: Path, _: random.Random) -> None:
         Request(args.output, 1, args.ranks_per_case, args.part).check()
         read_study(args.study)
     elif args.command == "plot":
-        plot_files(args.results, args.output, args.panels or "wear", args.steps or "")
+        chosen = args.panels or "wear", args.steps or "", args.profiles_of or (), args.times or ""
+        plot_files(args.results, args.output, *chosen)
     elif args.command == "export":
-        export(args.result, args.output, args.time, args.revolve, args.scale, args.fields)
+        at = None if args.time is None else seconds(args.time)
+        how = at, args.revolve, args.scale, args.fields, args.stress, args.time or ""
+        export(args.result, args.output, *how, interfaces=args.interfaces)
 
 
 # -- inputs ----------------------------------------------------------------------------------------
@@ -161,9 +181,11 @@ class Inputs:
         self._texts = {path: path.read_text(encoding="utf-8") for path in self._cases}
         self._law = (CASES / "user_law.py").read_bytes()
         self._runs = []
-        for name in ("paper", "fields", "user_law"):
+        few = SMALL[:2]
+        for name, words in (
+            ("paper", SMALL), ("fields", few), ("user_law", few), ("coated", STRESSED)
+        ):  # fmt: skip
             path = folder / f"{name}.h5"
-            words = SMALL if name == "paper" else SMALL[:2]
             _command("run", CASES / f"{name}.toml", "-o", path, *words)
             self._runs.append(path.read_bytes())
         text = self._texts[CASES / "paper.toml"].replace("steps = 200", "steps = 4")
@@ -219,7 +241,9 @@ class Inputs:
         return rng.choice(
             [
                 ["plot", "run.h5", "-o", "a.png", "--panels", "wear,penetration,pressure"],
+                ["plot", "run.h5", "-o", "a.png", "--panels", "stress,depth,interfaces"],
                 ["export", "run.h5", "-o", "a.csv"],
+                ["export", "run.h5", "-o", "a.csv", "--stress"],
                 ["run", str(CASES / "paper.toml"), "-o", "run.h5", *SMALL, "--restart"],
             ]
         )
@@ -241,7 +265,7 @@ class Inputs:
     def _make_words(self, rng: random.Random, folder: Path) -> list[str]:
         shutil.copy(CASES / "paper.toml", folder)
         shutil.copy(CASES / "study.toml", folder)
-        (folder / "run.h5").write_bytes(self._runs[1])
+        (folder / "run.h5").write_bytes(rng.choice([self._runs[1], self._runs[-1]]))
         words = list(
             rng.choice(
                 [
@@ -252,6 +276,9 @@ class Inputs:
                     ["plot", "run.h5", "-o", "a.png", "--panels", "wear", "--steps", "1,2"],
                     ["export", "run.h5", "-o", "a.vtu", "--revolve", "6", "--time", "1"],
                     ["export", "run.h5", "-o", "a.vtp", "--scale", "2"],
+                    ["export", "run.h5", "-o", "a.vtu", "--stress", "--time", "10"],
+                    ["export", "run.h5", "-o", "a.csv", "--interfaces"],
+                    ["plot", "run.h5", "-o", "a.png", "--panels", "stress", "--times", "1,2"],
                     ["laws", "paper.toml", "--set", "wear.lower.k=2e-7"],
                 ]
             )
@@ -406,8 +433,8 @@ def main() -> int:
         if what not in ("read", "refused"):
             wrong[what] += n
     told = ", ".join(f"{what} {n}" for what, n in wrong.items())
-    seconds = time.perf_counter() - started
-    print(f"{sum(found.values())} inputs (seed {args.seed}) in {seconds:.0f} s: {told}")
+    took = time.perf_counter() - started
+    print(f"{sum(found.values())} inputs (seed {args.seed}) in {took:.0f} s: {told}")
     return 1 if wrong.total() else 0
 
 

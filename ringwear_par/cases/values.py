@@ -345,7 +345,8 @@ def choice(*names: str) -> Values:
 
     def read(value: Any) -> str:
         if value not in names:
-            near = difflib.get_close_matches(str(value)[:_LONGEST].lower(), names, n=1)
+            word = value if isinstance(value, str) else ""
+            near = difflib.get_close_matches(word[:_LONGEST].lower(), names, n=1)
             raise RejectedError(f'did you mean "{near[0]}"?' if near else "")
         return str(value)
 

@@ -14,7 +14,7 @@ from ringwear_par.arrays import FloatArray, IntArray
 from ringwear_par.reports import charts
 from ringwear_par.reports.blocks import Chart, Charts
 from ringwear_par.results.drawing import COLOURS, time_unit
-from ringwear_par.studies.axes import LOG_VALUE, spans
+from ringwear_par.studies.axes import LOG_VALUE, least_range, spans
 from ringwear_par.studies.effects import Plan, running_median, values_told
 from ringwear_par.studies.ensemble import Ensemble
 from ringwear_par.studies.fan import FEW, Fan, fan_of, labels_of
@@ -172,10 +172,20 @@ def _effect(
         data,
         charts.layout(
             _key_axis(plan),
-            charts.axis(label, **({"type": "log"} if spans(values, LOG_VALUE) else {})),
+            charts.axis(label, **_value_axis(values, data)),
             showlegend=len(data) > 1,
         ),
     )
+
+
+def _value_axis(values: FloatArray, data: Sequence[dict[str, Any]]) -> dict[str, Any]:
+    """Return what is particular of the axis of an output: logarithmic, or wider than round-off."""
+    if spans(values, LOG_VALUE):
+        return {"type": "log"}
+    drawn = [y for each in data for y in each["y"] if y is not None]
+    low, high = min(drawn, default=0.0), max(drawn, default=0.0)
+    ends = least_range(low, high)
+    return {} if ends == (low, high) else {"range": list(ends)}
 
 
 def _curves(plan: Plan, dots: Any, small: dict[str, Any]) -> list[dict[str, Any]]:

@@ -22,6 +22,7 @@ STYLE: dict[Any, Any] = {
     "lines.linewidth": 1.3,
     "axes.spines.top": False,
     "axes.spines.right": False,
+    "axes.formatter.useoffset": False,  # ticks are read by themselves
     "savefig.dpi": 200,
 }
 #: of Okabe and Ito, which the colour-blind tell apart; dashes do in print without colour

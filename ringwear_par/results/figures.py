@@ -26,6 +26,7 @@ from ringwear_par.results.interface_panels import interface_drawings
 from ringwear_par.results.profile_panels import (
     draw_pressure,
     draw_wear,
+    merge_labels,
     stored_field,
     tell_cut,
 )
@@ -251,6 +252,7 @@ def _laid_out(drawings: Sequence[Drawing]) -> Figure:
             for axes in alike:
                 axes.set_ylim(min(low), max(high))
                 tell_cut(axes)
+                merge_labels(axes)
     return figure
 
 

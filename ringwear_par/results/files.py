@@ -58,6 +58,12 @@ _NUMBERS = {
 _NUMBERED = ("balance_", "seconds_")
 #: densities of the layers of lower and upper
 _OF_LAYERS = dict(zip(("density_lower_layers", "density_upper_layers"), LAYER_VOLUMES, strict=True))
+#: numbers that files have beside another attribute
+_BESIDE = {
+    "case": {"symmetry_defect", *balance_attributes(dict.fromkeys(_BALANCES, 0.0))},
+    "scheme": {"time_step", "time_steps"},
+    "omega": {"angle"},
+}
 
 
 def read_status(path: Path) -> tuple[str, int] | None:
@@ -119,6 +125,9 @@ def _read(file: h5py.File, path: Path) -> Result:
         edges = read_array(file["checkpoint"], EDGES, {})
         values = file["checkpoint"].attrs["balances"].tolist()
         attributes |= balance_attributes(dict(zip(_BALANCES, values, strict=True)))
+    for name in _BESIDE.keys() & attributes.keys():
+        if missing := _BESIDE[name] - attributes.keys():
+            raise ValueError(missing)
     if not (len(edges) > 1 and np.isfinite(edges).all() and (np.diff(edges) > 0.0).all()):
         raise ValueError("edges")
     sizes = {"element": len(edges) - 1}

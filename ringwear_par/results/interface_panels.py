@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from ringwear_par.arrays import FloatArray
+from ringwear_par.arrays import BoolArray, FloatArray
 from ringwear_par.cases.reading import outlines
 from ringwear_par.elasticity.stress_fields import StressState
 from ringwear_par.elasticity.stress_measures import COMPONENTS, SIDES, mises
@@ -18,6 +18,8 @@ from ringwear_par.results.stored_stresses import Interface, interfaces_of, stres
 _BESIDE = 0.5
 #: share of the highest values that is left above and below them
 _ROOM = 0.05
+#: share of the radii drawn from which on a part that is worn through is told in words, and where
+_TOLD, _TEXT_HEIGHT = 0.2, 0.6
 #: of the components that both sides share, words for a legend
 _TRACTIONS = {
     "zz": r"normal $\sigma_{zz}$ (+ opens)",
@@ -105,7 +107,22 @@ def _draw(
     there = np.append(there[np.isfinite(there)], 0.0)
     room = _ROOM * float(np.ptp(there)) or 1.0
     axes.set_ylim(there.min() - room, there.max() + room)
+    _tell_worn_through(axes, r, np.isfinite(values).all(axis=0))
     axes.set_xlabel("distance to axis (mm)")
+
+
+def _tell_worn_through(axes: Any, r: FloatArray, known: BoolArray) -> None:
+    """Say in the widest part of an interface that has no stress what has become of it."""
+    low, high = axes.get_xlim()
+    gone = np.ma.clump_masked(np.ma.array(r, mask=~known))
+    first, last = max(((r[part][0], r[part][-1]) for part in gone), key=np.ptp, default=(low, low))
+    if last - first >= _TOLD * (high - low):
+        axes.text(
+            0.5 * (first + last), _TEXT_HEIGHT, "worn through", ha="center",
+            transform=axes.get_xaxis_transform(),
+        )  # fmt: skip
+    if not known.any():
+        axes.set_yticks([])
 
 
 def _drawn_range(result: Result, interface: Interface) -> tuple[float, float]:

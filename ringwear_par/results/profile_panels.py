@@ -13,6 +13,8 @@ from ringwear_par.results.result import Result
 
 #: columns of the legend
 _COLUMNS = 3
+#: share of a panel's height that a label of a layer takes
+_LABEL = 0.06
 
 
 def stored_field(result: Result, name: str) -> Any:
@@ -85,15 +87,31 @@ def _draw_ends(axes: Any, result: Result) -> None:
     """Draw where layers end that wear comes near, each with its number beside it."""
     ends = [end for body in BODIES for end in ends_near(result, body)]
     for number, end in enumerate(ends):
-        depth = (-1e3 if end.body == "lower" else 1e3) * end.depth
+        below = end.body == "lower"
+        depth = (-1e3 if below else 1e3) * end.depth
         axes.plot(
             result.line.r, depth, color="0.4", linewidth=0.8, linestyle=":",
             label=None if number else "end of layer",
         )  # fmt: skip
         axes.text(
             result.line.edges[-1], depth[-1], f" layer {end.layer}", color="0.3", fontsize=7.0,
-            va="center",
+            va="top" if below else "bottom", gid=f"layer of {end.body}",
         )  # fmt: skip
+
+
+def merge_labels(axes: Any) -> None:
+    """Write numbers of layers together whose ends lie too close on the panel's final scale."""
+    close = _LABEL * float(np.ptp(axes.get_ylim()))
+    for body in BODIES:
+        kept = None
+        for text in [text for text in axes.texts if text.get_gid() == f"layer of {body}"]:
+            number = text.get_text().split()[-1]
+            if kept is None or abs(text.get_position()[1] - kept.get_position()[1]) > close:
+                kept = text
+                continue
+            words = kept.get_text().replace("layer ", "layers ")
+            kept.set_text(f"{words}, {number}")
+            text.remove()
 
 
 def draw_pressure(axes: Any, result: Result, label: str, rows: Sequence[int]) -> None:

@@ -14,12 +14,16 @@ from ringwear_par.elasticity.stress_fields import StressState
 from ringwear_par.elasticity.stress_measures import mises
 from ringwear_par.results.drawing import COLOURS, DASHES, set_legend, stage_colour, time_unit
 from ringwear_par.results.result import Result
+from ringwear_par.results.section_panel import magnification
 from ringwear_par.results.stored_stresses import stresses
 
 #: colours of a map, and the share of its values that the scale holds: edges would take them all
 _LEVELS, _TICKS, _SHARE = 24, 7, 0.99
-#: share of the map's height that the deepest wear is drawn with
+#: share of the map's height that the deepest wear is drawn with, at least
 _WEAR_DRAWN = 0.06
+#: a side of a map that would be a smaller share of the other has a scale of its own, and about
+#: which share then
+_LEAST, _STRETCHED = 0.25, 0.5
 #: mm, within which a point of the grid lies on a face
 _ON_FACE = 1e-9
 _MISES = "von Mises stress (MPa)"
@@ -60,15 +64,29 @@ def draw_map(axes: Any, result: Result, label: str, state: StressState, top: flo
         inner, outer = outline.contour[[-1, -2], 0]
         axes.add_patch(Polygon(outline.contour, fill=False, edgecolor="0.25", linewidth=0.9))
         axes.hlines(outline.interfaces, inner, outer, color="0.25", linewidth=0.5)
+    stretch = _stretch(float(r[-1] - r[0]), float(z[-1] - z[0]))
     factor = _draw_wear(axes, result, state, sections, _WEAR_DRAWN * (z[-1] - z[0]))
     axes.set_xlim(r[0], r[-1])
     axes.set_ylim(z[0], z[-1])
-    axes.set_aspect("equal")
+    axes.set_aspect(stretch)
     axes.set_xlabel("distance to axis (mm)")
     axes.set_ylabel("height (mm)")
     unit, seconds = time_unit(float(result.histories["time"][-1]))
-    worn = f"\nworn faces {factor:.3g}\N{MULTIPLICATION SIGN}" if factor else ""
-    axes.set_title(f"{label}: {state.time / seconds:.4g} {unit}{worn}")
+    scales = {}
+    if stretch != 1.0:
+        scales["heights" if stretch > 1.0 else "radii"] = max(stretch, 1.0 / stretch)
+    if factor:
+        scales["worn faces"] = factor * max(stretch, 1.0)
+    told = ", ".join(f"{name} {of:.6g}\N{MULTIPLICATION SIGN}" for name, of in scales.items())
+    axes.set_title(f"{label}: {state.time / seconds:.4g} {unit}\n{told}".rstrip())
+
+
+def _stretch(width: float, height: float) -> float:
+    """Return how much larger heights of a map are drawn than radii, a round factor or one."""
+    ratio = height / width
+    if _LEAST <= ratio <= 1.0 / _LEAST:
+        return 1.0
+    return magnification((_STRETCHED if ratio < 1.0 else 1.0 / _STRETCHED) / ratio)
 
 
 def _materials(
@@ -103,7 +121,10 @@ def _spread(values: FloatArray, known: BoolArray) -> FloatArray:
 def _draw_wear(
     axes: Any, result: Result, state: StressState, sections: Sequence[Outline], height: float
 ) -> float:
-    """Draw the worn faces of a state, the deepest wear by a height; return how much more it is."""
+    """Draw the worn faces of a state, the deepest wear by a height; return how much more it is.
+
+    Never less than it is: what the scale of heights shows is drawn as it lies.
+    """
     row = int(np.abs(result.histories["time"] - state.time).argmin())
     depths = []
     for body in BODIES:
@@ -114,7 +135,7 @@ def _draw_wear(
     deepest = max(float(depth.max()) for depth in depths)
     if not deepest > 0.0:
         return 0.0
-    factor = float(f"{height / deepest:.1g}")
+    factor = max(1.0, float(f"{height / deepest:.1g}"))
     line = result.line
     for outline, depth, down, name in zip(sections, depths, (1.0, -1.0), BODIES, strict=True):
         if not depth.any():
@@ -139,16 +160,17 @@ def draw_depth(axes: Any, result: Result, label: str, states: Sequence[StressSta
     levels = np.concatenate([lower.interfaces - _ON_FACE, np.add(faces, _ON_FACE),
                              upper.interfaces + _ON_FACE])  # fmt: skip
     between = np.searchsorted(z, levels)  # where materials end, curves do
-    height = np.insert(z, between, np.nan)
+    height, highest_drawn = np.insert(z, between, np.nan), 0.0
     for number, state in enumerate(states):
         values = np.insert(mises(state.grid[column]), between, np.nan)
+        highest_drawn = max(highest_drawn, float(np.nanmax(values, initial=0.0)))
         axes.plot(
             values, height, color=stage_colour(number, len(states)),
             linestyle=DASHES[number % len(DASHES)], label=f"{state.time / seconds:.4g} {unit}",
         )  # fmt: skip
     for level in levels:
         axes.axhline(level, color="0.4", linewidth=0.8)
-    axes.set_xlim(left=0.0)
+    axes.set_xlim(0.0, 1.05 * highest_drawn or 1.0)
     axes.set_ylim(z[0], z[-1])
     axes.set_xlabel(_MISES)
     axes.set_ylabel("height (mm)")

@@ -17,12 +17,20 @@ GREY = "0.45"
 _LETTERS = 26
 #: values beside each other span so much before their axis is logarithmic
 LOG_VALUE = 100.0
+#: of the magnitude of its values an axis spans so much at least: what varies less is round-off
+_LEAST_SPAN = 1e-3
 
 
 def spans(values: FloatArray, ratio: float) -> bool:
     """Tell whether values ask for a logarithmic axis."""
     finite = values[np.isfinite(values)]
     return bool(len(finite) and finite.min() > 0.0 and finite.max() >= ratio * finite.min())
+
+
+def least_range(low: float, high: float) -> tuple[float, float]:
+    """Return the ends of a plain axis of values, wide enough that round-off stays unseen."""
+    wider = _LEAST_SPAN * max(abs(low), abs(high)) - (high - low)
+    return (low - 0.5 * wider, high + 0.5 * wider) if wider > 0.0 else (low, high)
 
 
 def labelled(name: str) -> str:

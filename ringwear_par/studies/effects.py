@@ -13,6 +13,7 @@ from ringwear_par.studies.axes import (
     GREY,
     LOG_VALUE,
     labelled,
+    least_range,
     number_text,
     set_decades,
     spans,
@@ -193,6 +194,9 @@ def draw_effects(
             for axes in panels[row]:
                 axes.set_yscale("log")
             set_decades(panels[row, 0].yaxis, values)
+        else:
+            for axes in panels[row]:
+                axes.set_ylim(least_range(*axes.get_ylim()))
     if not transposed:
         part.align_ylabels(panels[:, 0])
 

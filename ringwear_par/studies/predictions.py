@@ -196,7 +196,7 @@ def _numbers(key: str, value: Any) -> FloatArray:
         return np.asarray(value, dtype=float)
     except (TypeError, ValueError):
         raise InputError(
-            f"surrogate: {key} = {legible(str(value))}: must be a number, or an array of them"
+            f"surrogate: {key} = {shortened(value)}: must be a number, or an array of them"
         ) from None
 
 

@@ -20,6 +20,7 @@ from ringwear_par.elasticity.boundary import count_elements
 from ringwear_par.errors import InputError
 from ringwear_par.history.bodies import operator_key, young
 from ringwear_par.history.limits import check_memory, check_mesh, check_ranks
+from ringwear_par.studies.bad_cases import LOOKED_AT, case_name, told_faults
 from ringwear_par.studies.designs import Draft, read_draft
 from ringwear_par.studies.groups import Groups
 from ringwear_par.studies.identities import identities_of
@@ -29,8 +30,6 @@ from ringwear_par.studies.texts import Frame, Texts, joined
 if TYPE_CHECKING:
     from mpi4py import MPI
 
-#: faults of single cases told one by one; the rest are counted
-_FAULTS_TOLD = 5
 #: most kinds of cases that a rank keeps at hand
 _MOST_KINDS = 64
 
@@ -169,7 +168,7 @@ class _Checked:
     largest : of the cases that share an operator, the one that stores most.
     operator_faults : what is wrong with the size or the mesh of each operator.
     tried : see Study.
-    faults : of each of the first bad cases.
+    faults : of each of the first bad cases, with its number.
     bad : number of bad cases.
     """
 
@@ -180,7 +179,7 @@ class _Checked:
     largest: dict[Hashable, Case]
     operator_faults: dict[Hashable, tuple[str, ...]]
     tried: dict[str, bytes]
-    faults: list[tuple[str, ...]]
+    faults: list[tuple[int, tuple[str, ...]]]
     bad: int
 
 
@@ -247,11 +246,11 @@ class _Checker:
         for kind, here in by_kind(self.rows.kinds):
             self._check_kind(kind, here[inside[here]])
         faults = []
-        for i in np.flatnonzero(self.bad)[:_FAULTS_TOLD].tolist():
+        for i in np.flatnonzero(self.bad)[:LOOKED_AT].tolist():
             try:
                 self._alone(i)
             except InputError as error:
-                faults.append(error.faults)
+                faults.append((self._first + i + 1, error.faults))
         identities = np.zeros(0, dtype="S16")
         if not self.bad.any():
             identities = identities_of(self.rows, self.firsts)
@@ -294,7 +293,7 @@ class _Checker:
         ------
         InputError : its faults.
         """
-        name = f"{self._draft.name}: case {self._first + i + 1}"
+        name = case_name(self._draft.name, self._first + i + 1)
         with naming(f"{name}:"):
             keys = self.rows.keys(i)
         case = make_case(keys, name, text="")
@@ -385,22 +384,16 @@ def _refuse(
     ranks: int,
 ) -> None:
     """Raise what is wrong with the cases of a study, if anything."""
-    faults: list[str] = []
-    told = 0
-    for part in stretches:
-        for one in part.faults[: _FAULTS_TOLD - told]:
-            faults += one
-        told += len(part.faults[: _FAULTS_TOLD - told])
+    found = [one for part in stretches for one in part.faults][:LOOKED_AT]
     bad = sum(part.bad for part in stretches)
-    if bad > told:
-        faults.append(f"{draft.name}: {bad - told} more of {draft.count} cases are bad")
+    faults = told_faults(draft.name, found, bad, draft.count)
     for operator, case in largest.items():
         try:
             check_memory(case, ranks, draft.name)
-            found = operator_faults[operator]
+            own = operator_faults[operator]
         except InputError as error:
-            found = error.faults
-        faults += [fault for fault in found if fault not in faults]
+            own = error.faults
+        faults += [fault for fault in own if fault not in faults]
     if faults:
         raise InputError(*faults)
 

@@ -15,6 +15,7 @@ from ringwear_par.studies.axes import (
     GREY,
     LOG_VALUE,
     labelled,
+    least_range,
     set_decades,
     spans,
     upright,
@@ -175,6 +176,8 @@ class Responses:
                     axes.set_ylim(0.5 * values.min(), 2.0 * values.max())
             if logarithmic:
                 set_decades(panels[row, 0].yaxis, values)
+            else:  # of all panels beside each other
+                panels[row, 0].set_ylim(least_range(*panels[row, 0].get_ylim()))
             panels[row, 0].set_ylabel(upright(f"final {label}" if name == "penetration" else label))
         if legend:
             set_legend(panels[0, 0], 1, "")

@@ -13,7 +13,7 @@ from ringwear_par.cases.keys import override
 from ringwear_par.cases.layers import LAYERS, entries_of
 from ringwear_par.cases.schema import BY_PATH, Key, key_of, layer_entry
 from ringwear_par.cases.suggestions import unknown_key
-from ringwear_par.cases.text import shortened
+from ringwear_par.cases.text import shortened, toml_value
 from ringwear_par.cases.units import without_units
 from ringwear_par.cases.values import RejectedError, is_number
 from ringwear_par.errors import legible
@@ -98,7 +98,7 @@ def column_of(values: list[Any]) -> Column:
     if all(type(value) is float for value in values):
         return Column(np.array(values))
     known: dict[str, int] = {}  # by what is written: 0, 0.0 and -0.0 are three values
-    codes = np.array([known.setdefault(repr(value), len(known)) for value in values])
+    codes = np.array([known.setdefault(toml_value(value), len(known)) for value in values])
     first = np.unique(codes, return_index=True)[1]
     return Column(tuple(values[i] for i in first.tolist()), codes)
 

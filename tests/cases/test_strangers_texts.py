@@ -13,6 +13,7 @@ CASES = Path(__file__).parents[2] / "scripts" / "cases"
 PAPER = (CASES / "paper.toml").read_text()
 USER = (CASES / "user_law.toml").read_text()
 DEEP = "[" * 2000 + "]" * 2000
+HUGE = "0x" + "f" * 5000
 
 
 def refusal(read, *args):
@@ -34,7 +35,7 @@ def with_value(key, value):
     [
         ("1" * 5000, "is not valid TOML"),
         ("1" * 600, f"young = {'1' * 51} ... {'1' * 16}: must be a finite number"),
-        ("0x" + "f" * 5000, f"young = 0x{'f' * 49} ... {'f' * 16}: must be a finite number"),
+        (HUGE, f"young = 0x{'f' * 49} ... {'f' * 16}: must be a finite number"),
         (DEEP, "nested in each other too deeply; must be at most 32 deep"),
         ("[" * 100 + "]" * 100, "nested in each other too deeply; must be at most 32 deep"),
         ("[" * 20 + "]" * 20, f"young = {'[' * 20}{']' * 20}: must be a finite number"),
@@ -44,6 +45,14 @@ def with_value(key, value):
 )
 def test_a_value_that_is_none(value, said):
     assert said in refusal(parse_case, with_value("young", value), "case.toml")
+
+
+@pytest.mark.parametrize("key", ["law", "scheme"])
+def test_a_number_of_many_digits_is_no_name(key):
+    told = refusal(parse_case, with_value(key, HUGE), "case.toml")
+    assert f"{key} = 0x{'f' * 49}" in told
+    assert "must be " in told
+    assert "did you mean" not in told
 
 
 def test_keys_too_deep_and_too_long():
@@ -106,6 +115,8 @@ LISTED = '[design]\nmethod = "list"\nfile = "table.csv"\n'
             "count = 100000000000000000000: must be a whole number from 2 to 10000000 in a grid",
         ),
         ('[vary]\n"load.pressure" = 0x' + "f" * 3000, "", '"load.pressure" = 0xfff'),
+        (f'[vary]\n"wear.lower.k" = {{ values = [{HUGE}, 1] }}\n', "", "case 1: wear.lower.k = 0x"),
+        (f'[vary]\n"time.scheme" = {{ values = [[{HUGE}], 1] }}\n', "", "time.scheme = [0xfff"),
         (
             "[vary]\n" + "".join(
                 f'"{key}" = {{ linear = [1, 2], count = 9999999 }}\n'

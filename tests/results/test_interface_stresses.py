@@ -1,6 +1,7 @@
 """Stresses along interfaces: balances, neighbours inside, files, ranks, wear, doubts, pictures."""
 
 import csv
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -74,6 +75,27 @@ def test_a_soft_film_that_is_worn_through_in_places(comm):
     assert -force == pytest.approx(found.histories["force"][0], rel=2e-3)
     if comm.rank == 0:
         assert rw.plot(found, "section").axes
+        check_words_where_worn_through(found)
+
+
+def check_words_where_worn_through(found):
+    """In the middle of what is gone, of each panel; none while little of it is."""
+
+    def words(inner, outer):
+        state = found.stress.states[-1]
+        stress = found.stress.states[0].interfaces[0].copy()
+        r = found.stress.interfaces[0].r
+        stress[:, :, (r > inner) & (r < outer)] = np.nan
+        state = replace(state, interfaces=(stress, state.interfaces[1]))
+        changed = replace(found, stress=replace(found.stress, states=(state,)))
+        return [
+            [(text.get_text(), text.get_position()[0]) for text in axes.texts]
+            for axes in rw.plot(changed, "interfaces").axes
+        ]
+
+    assert words(29.0, 31.0) == [[("worn through", pytest.approx(30.0, abs=0.1))]] * 2
+    assert words(0.0, 40.0) == [[("worn through", pytest.approx(30.0, abs=0.1))]] * 2
+    assert words(28.5, 28.7) == [[], []]
 
 
 def test_both_sides_share_tractions_only(result):

@@ -1,6 +1,7 @@
 """Results of bodies with layers: variables, words, tables, pictures, sweeps."""
 
 import csv
+import itertools
 from dataclasses import replace
 from pathlib import Path
 
@@ -219,6 +220,30 @@ def test_layers_in_tables_and_pictures(result, tmp_path):
     assert plot(light, "through").axes[0].get_ylim() == (0.0, 100.0)
     with pytest.raises(rw.InputError, match="through needs a body with layers"):
         plot(plain, "through")
+
+
+@pytest.mark.serial
+@pytest.mark.parametrize(
+    ("times", "labels"),
+    [(1.0, ["layer 0", "layer 1"]), (100.0, ["layers 0, 1", "layer 0"])],
+)
+def test_labels_of_layers_do_not_overprint(result, times, labels):
+    """Where wear is much deeper, here of both bodies, also on the scale of another result."""
+    deep = replace(result, profiles={
+        name: times * (result.profiles["wear_lower"] if name.startswith("wear") else values)
+        if times > 1.0 else values
+        for name, values in result.profiles.items()
+    })  # fmt: skip
+    panels = [plot(deep, "wear"), plot([deep, result], "wear")]
+    for figure, count in zip(panels, (1, 2), strict=True):
+        figure.draw_without_rendering()
+        first = figure.axes[0]
+        assert [
+            text.get_text().strip() for text in first.texts if "lay" in text.get_text()
+        ] == labels
+        for axes in figure.axes[:count]:
+            boxes = [t.get_window_extent() for t in axes.texts if "lay" in t.get_text()]
+            assert not any(a.overlaps(b) for a, b in itertools.combinations(boxes, 2))
 
 
 @pytest.mark.serial

@@ -276,6 +276,39 @@ def test_pictures_show_what_is_stored(stored, tmp_path):
 
 
 @pytest.mark.serial
+@pytest.mark.parametrize(
+    ("r", "z"),
+    [((26.5, 33.5), (19.98, 20.0)), ((24.5, 35.5), (19.8, 20.0)), ((28.0, 32.0), (19.0, 21.0)),
+     ((28.4, 28.6), (19.0, 21.0))],
+)  # fmt: skip
+def test_maps_are_neither_lines_nor_strips(r, z):
+    """Where they would be, one side has a scale of its own; titles tell all, as it is drawn."""
+    result = rw.simulate(case_of(stress__grid={"r": list(r), "z": list(z), "n": [9, 7]}))
+    figure = rw.plot(result, "stress,depth")
+    axes, _, depth = figure.axes
+    width, height = np.ptp(r), np.ptp(z)
+    assert 0.25 <= axes.get_aspect() * height / width <= 4.0
+    title = axes.get_title().splitlines()[1].replace("\N{MULTIPLICATION SIGN}", "")
+    told = {words.rpartition(" ")[0]: float(words.split()[-1]) for words in title.split(", ")}
+    assert told.get("heights", 1.0) / told.get("radii", 1.0) == pytest.approx(axes.get_aspect())
+    (face,) = axes.lines
+    drawn, wear = 20.0 - face.get_ydata(), result.profiles["wear_lower"][-1]
+    np.testing.assert_allclose(
+        told.get("heights", 1.0) * drawn, told["worn faces"] * wear, rtol=1e-6, atol=1e-9
+    )
+    assert drawn.max() >= wear.max() * (1.0 - 1e-9)  # not less than the scale of heights shows
+    figure.draw_without_rendering()
+    for axis in (axes.xaxis, axes.yaxis, depth.yaxis):
+        assert axis.get_major_formatter().get_offset() == ""
+        low, high = sorted(axis.get_view_interval())
+        texts = {tick: text.get_text() for tick, text in zip(axis.get_ticklocs(),
+                 axis.get_ticklabels(), strict=True) if low <= tick <= high}  # fmt: skip
+        assert all(float(text) == pytest.approx(tick) for tick, text in texts.items())
+        assert len(set(texts.values())) == len(texts) >= 3
+    assert depth.get_xlim()[1] > 1.01 * np.nanmax(depth.lines[0].get_xdata())
+
+
+@pytest.mark.serial
 def test_pictures_of_what_is_not_stored_are_refused(tmp_path):
     bare = rw.simulate(case_of(time__steps=1).replace({"stress": None}))
     points = rw.simulate(case_of(stress__grid=None, time__steps=1))

@@ -141,6 +141,17 @@ def test_a_file_that_another_program_has_changed_is_read(run):
         rw.open_result(run)
 
 
+@pytest.mark.parametrize("name", ["balance_residual", "symmetry_defect", "time_steps", "angle"])
+def test_a_file_that_lacks_what_files_have_is_one_sentence(run, name, tmp_path, capsys):
+    with h5py.File(run, "r+") as file:
+        del file.attrs[name]
+    for words in (["report", str(run), "-o", str(tmp_path / "a.html")], ["plot", str(run), "-o",
+                  str(tmp_path / "a.png")]):  # fmt: skip
+        assert main(words) == 2
+        assert "is not a result file of ringwear, or is damaged" in capsys.readouterr().err
+    assert {path.suffix for path in tmp_path.iterdir()}.isdisjoint({".html", ".png"})
+
+
 @pytest.mark.parametrize("title", ["costs $x_$", "$", "a\nb", "\x1b[2J", "_"])
 def test_any_title_is_drawn_and_printed(run, title, tmp_path):
     with h5py.File(run, "r+") as file:

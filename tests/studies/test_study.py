@@ -281,6 +281,32 @@ def test_bad_cases_are_counted(write):
     assert "25 more of 30 cases are bad" in raised.value.faults[-1]
 
 
+def test_the_same_fault_of_many_cases_is_told_once(write):
+    text = (
+        '[vary]\n"load.pressure" = { values = [50, -1, 60] }\n'
+        '"contact.friction" = { values = [0.1, 0.2, -3] }\n"upper.grip" = { values = ["clampt"] }\n'
+    )
+    with pytest.raises(InputError) as raised:
+        read_study(write(text))
+    grip, friction, pressure = raised.value.faults
+    told = 'study.toml: cases 1, 2, 3 and 6 others: upper.grip = "clampt": must be'
+    assert told in grip
+    assert "study.toml: cases 3, 6 and 9: contact.friction = -3: must be" in friction
+    assert "study.toml: cases 4, 5 and 6: load.pressure = -1: must be" in pressure
+
+
+def test_cases_that_are_not_looked_at_are_counted(write, monkeypatch):
+    monkeypatch.setattr(studies, "LOOKED_AT", 7)
+    text = f'[vary]\n"load.pressure" = {{ values = {[-1, *range(1, 9)]} }}\n'
+    text += '"upper.grip" = { values = ["clampt"] }\n'
+    with pytest.raises(InputError) as raised:
+        read_study(write(text))
+    told = "\n".join(raised.value.faults)
+    assert "study.toml: case 1: load.pressure = -1" in told
+    assert "study.toml: cases 1, 2, 3 and 4 others: upper.grip" in told
+    assert raised.value.faults[-1].endswith("study.toml: 2 more of 9 cases are bad")
+
+
 def test_parameters_of_a_user_law_vary(tmp_path):
     """By name; the law counts by what it says, not by where its file is."""
     base = Path(__file__).parents[2] / "scripts/cases/user_law.toml"

@@ -452,3 +452,38 @@ def test_many_cases_are_drawn_from_a_part_of_their_histories(tmp_path, monkeypat
     assert "sample of 4000 of 5000 cases" in indices.get_legend().get_title().get_text()
     median = fan.lines[-1].get_ydata()[-1]
     assert median == pytest.approx(1e3 * np.median(linear(u)), rel=0.03)
+
+
+@pytest.mark.parametrize("keys", [1, 2])
+@pytest.mark.parametrize("method", ["grid", "sobol"])
+@pytest.mark.usefixtures("few_resamples")
+def test_round_off_looks_like_no_effect(tmp_path, keys, method):
+    """Values that differ by it lie on a level line; 2 % are seen as ever."""
+    from ringwear_par.reports.sweep_charts import effects
+    from ringwear_par.studies.surrogate import surrogate
+
+    u = sample(KEYS[:keys], 32) if method == "sobol" else np.array(
+        list(itertools.product(*[np.linspace(0.1, 1.0, 4)] * keys))
+    )  # fmt: skip
+    noise = 4.79307 * (1.0 + 1e-6 * np.random.default_rng(2).random(len(u)))
+    seen = 4.0 + 0.02 * u[:, 0]
+    ensemble = write(tmp_path, KEYS[:keys], u, u[:, 0], method, lower=noise, upper=seen)
+    try:
+        found = surrogate(ensemble)
+    except InputError:
+        found = None
+    figure = draw_sweep(ensemble, found)
+    figure.draw_without_rendering()
+    spans = {"lower": [], "upper": []}
+    for axes in figure.axes:
+        for body, of in spans.items():
+            if axes.get_ylabel().endswith(f"{body} (mm\N{SUPERSCRIPT THREE})"):
+                assert axes.yaxis.get_major_formatter().get_offset() == ""
+                of.append(np.ptp(axes.get_ylim()))
+    assert min(spans["lower"]) >= 1e-3 * 4.79
+    assert 0.015 < max(spans["upper"]) < 0.03
+    charts = effects(ensemble, choose(ensemble, found, ())).charts
+    ranges = [chart.layout["yaxis"].get("range") for chart in charts if "lower" in chart.name]
+    assert ranges
+    assert all(high - low >= 1e-3 * 4.79 for low, high in ranges)
+    assert not any("range" in chart.layout["yaxis"] for chart in charts if "upper" in chart.name)
