@@ -64,6 +64,11 @@ class Ring:
         return (*(layer.density for layer in self.layers), self.density)
 
 
+def density_keys(body: str, layers: int) -> list[str]:
+    """Return the keys of the ``Ring.densities`` of lower or upper with so many layers."""
+    return [*(f"{body}.layers[{i}].density" for i in range(layers)), f"{body}.density"]
+
+
 @dataclass(frozen=True)
 class Load:
     """What presses and turns the upper ring, numbers or tables in time.

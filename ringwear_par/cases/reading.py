@@ -225,7 +225,7 @@ def _read_values(keys: Mapping[str, Any], origin: Origin) -> tuple[dict[str, Any
             try:
                 values[path] = key.read(without_units(key, value))
             except RejectedError as reason:
-                told = str(reason) or origin.typed_fault(path, value)
+                told = origin.typed_fault(path, value) or str(reason)
                 why = f"{key.rule} ({told})" if told else key.rule
                 faults.append(f"{origin.of(path)}{path} = {shortened(value)}: {why}")
         elif path in TABLES and value == {}:

@@ -66,10 +66,15 @@ def point_bodies(case: "Case") -> list[int]:
     return [_bodies_at(case, r, z, side)[0] for r, z, side in case.stress.points]
 
 
-def point_depths(case: "Case") -> FloatArray:
-    """Return how deep each point of a case lies under the unworn face of its body, mm; 0 on it."""
+def point_depths(case: "Case", bodies: IntArray) -> FloatArray:
+    """Return how deep each point of a case lies under the unworn face of its body, mm; 0 on it.
+
+    Parameters
+    ----------
+    bodies : (p,) int, of each point.
+    """
     assert case.stress is not None
-    bodies, found = point_bodies(case), np.zeros(len(case.stress.points))
+    found = np.zeros(len(bodies))
     for number, (i, (r, z, _)) in enumerate(zip(bodies, case.stress.points, strict=True)):
         depth = abs(float(_face(case, case.rings[i], np.array([r]))[0]) - z)
         found[number] = depth if depth > _ON * _size(case) else 0.0

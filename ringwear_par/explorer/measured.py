@@ -8,7 +8,7 @@ from typing import cast
 import numpy as np
 
 from ringwear_par.arrays import FloatArray
-from ringwear_par.cases.case import Case
+from ringwear_par.cases.case import Case, density_keys
 from ringwear_par.cases.units import factor, told_unit, unit_of_column
 from ringwear_par.cases.values import RejectedError
 from ringwear_par.errors import InputError, legible
@@ -116,7 +116,7 @@ class Laid:
 def _densities(case: Case, result: Result, body: str) -> dict[str, float | None]:
     """Return the densities (g/mm^3), by key, of what of a body is lost: of its face at least."""
     known = getattr(case, body).densities
-    keys = [*(f"{body}.layers[{i}].density" for i in range(len(known) - 1)), f"{body}.density"]
+    keys = density_keys(body, len(known) - 1)
     volumes = result.layers.get(f"worn_volume_{body}_layers")
     lost = np.ones(1) if volumes is None else volumes[-1]
     parts = enumerate(zip(keys, known, lost, strict=True))

@@ -7,7 +7,7 @@ from mpi4py import MPI
 
 from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.case import Case
-from ringwear_par.cases.stress import Side, grid_bodies, point_bodies
+from ringwear_par.cases.stress import Side, grid_bodies, point_bodies, point_depths
 from ringwear_par.elasticity.stress_fields import StressHistory, StressState
 from ringwear_par.elasticity.stress_recovery import StressPoints, StressRecovery, interfaces
 from ringwear_par.history.asked import Asked
@@ -41,12 +41,15 @@ class CaseStresses:
         self.points = np.array([point[:2] for point in case.stress.points]).reshape(-1, 2)
         self.sides = tuple(side for _, _, side in case.stress.points)
         self.grid, self._exclude = axes, case.stress.exclude
-        self._of_points, self._of_grid = np.array(point_bodies(case), int), grid_bodies(case)
+        #: (p,) bodies of the points, and mm, how deep these are under the unworn faces
+        self.of_points = np.array(point_bodies(case), int)
+        self.depths = point_depths(case, self.of_points)
+        self._of_grid = grid_bodies(case)
         on_grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
         sides = np.array([_SIDES[side] for side in self.sides])
 
         def of(i: int) -> StressPoints:
-            own, grid = self._of_points == i, on_grid[self._of_grid == i]
+            own, grid = self.of_points == i, on_grid[self._of_grid == i]
             return StressPoints(
                 np.concatenate([self.points[own], grid]),
                 np.concatenate([sides[own], np.zeros(len(grid))]),
@@ -75,8 +78,8 @@ class CaseStresses:
         points = np.empty((len(self.points), 6))
         grid = np.full((*self._of_grid.shape, 6), np.nan)
         for i, body in enumerate(found):
-            own = np.count_nonzero(self._of_points == i)
-            points[self._of_points == i] = body.points[:own]
+            own = np.count_nonzero(self.of_points == i)
+            points[self.of_points == i] = body.points[:own]
             grid[self._of_grid == i] = body.points[own:]
         surface, largest = (
             (found[0].surface, found[1].surface),
@@ -113,20 +116,24 @@ class StressObserver:
         points_only: bool = False,
     ) -> None:
         assert case.stress is not None
-        self._case, self._stresses, self._points_only = case, stresses, points_only
+        self._case, self._points_only = case, points_only
+        #: of the case
+        self.stresses = stresses
         self._asked = Asked(case, case.stress.times, last_stored)
-        #: what was asked for so far, and the wear of lower and upper in the last of it, (2, n) mm
+        #: what was asked for so far
         self.states: list[StressState] = []
+        #: (2, n) mm, the wear of lower and upper in the last of it, of an interrupted history too;
+        #: None: not known
         self.wear: FloatArray | None = None
 
     def __call__(self, snapshot: Snapshot) -> bool:
         """Compute the stresses of a state, if the case wants them. Collective."""
         if self._asked(snapshot):
-            state = self._stresses.at(self._case, int(snapshot.progress.steps), snapshot.state)
+            state = self.stresses.at(self._case, int(snapshot.progress.steps), snapshot.state)
             self.states.append(state.without_fields() if self._points_only else state)
             self.wear = snapshot.state.wear
         return False
 
     def history(self, earlier: tuple[StressState, ...] = ()) -> StressHistory:
         """Return what was asked for so far, after what an interrupted history had."""
-        return self._stresses.history((*earlier, *self.states))
+        return self.stresses.history((*earlier, *self.states))

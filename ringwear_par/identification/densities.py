@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 
-from ringwear_par.cases.case import Case
+from ringwear_par.cases.case import Case, density_keys
 from ringwear_par.cases.values import number
 from ringwear_par.identification.problem import BASE
 from ringwear_par.identification.tables import TableReader
@@ -37,7 +37,7 @@ def density_of(reader: TableReader, quantity: str, case: Case | None) -> float |
 
 def _check_densities(reader: TableReader, body: str, known: Sequence[float | None]) -> None:
     """Refuse a mass of a body some of whose layers have no density, or one that nothing has."""
-    keys = [*(f"{body}.layers[{i}].density" for i in range(len(known) - 1)), f"{body}.density"]
+    keys = density_keys(body, len(known) - 1)
     if missing := ", ".join(key for key, density in zip(keys, known, strict=True) if not density):
         reader.wrong(
             "density", f"must be that of all that is lost, or the case must have {missing} (g/mm3)"

@@ -35,7 +35,9 @@ class Trajectory:
 
 
 def lost_mass(case: Case, body: int, wear: FloatArray, keys: Sequence[str] = ()) -> FloatArray:
-    """Return the mass (g) that lower (0) or upper (1) has lost, (s, q); NaN where it is not known.
+    """Return the mass (g) that layers and body of lower (0) or upper (1) have lost, (s, q).
+
+    NaN where a density is not known, and of a body without layers, whose volume tells it.
 
     Parameters
     ----------
@@ -43,7 +45,7 @@ def lost_mass(case: Case, body: int, wear: FloatArray, keys: Sequence[str] = ())
     keys : of the q - 1 derivatives, of which thicknesses of layers move where these end.
     """
     ring = case.rings[body]
-    if None in ring.densities:
+    if not ring.layers or None in ring.densities:
         return np.full((len(wear), wear.shape[-1]), np.nan)
     densities = np.array(ring.densities, dtype=float)
     depth = densities[-1] * wear  # of mass

@@ -26,7 +26,7 @@ from ringwear_par.results.doubts import (
     infinite_at_interfaces,
     infinite_stress,
     unstable,
-    unworn_points,
+    worn_points,
 )
 from ringwear_par.results.implausible import Doubt
 from ringwear_par.results.recorder import (
@@ -233,7 +233,7 @@ class BatchRecorder:
                 found = self._stress[number].history()
                 self._doubts[number] += infinite_stress(case, found, self._pair.line, last)
                 self._doubts[number] += infinite_at_interfaces(case, found)
-                self._doubts[number] += unworn_points(case, found, self._stress[number].wear)
+                self._doubts[number] += worn_points(case, found, self._stress[number])
         if self._keep_ends:
             solver = model.batch.solver
             self._ends.append(

@@ -40,25 +40,27 @@ def surfaces(state: BoundaryState, warp: float, segments: int) -> Cells:
     return _both([_revolved(body, warp, segments) for body in state.bodies])
 
 
-def stress_cells(history: StressHistory, state: StressState) -> Cells:
-    """Return the grid of stresses in the plane y = 0: a quadrangle between four known points.
+def stress_cells(history: StressHistory) -> list[Cells]:
+    """Return the grid of stresses of each state in the plane y = 0.
 
-    Those of a first state, which others lose where wear has taken the body away.
+    A quadrangle between four points that some state knows: others lose them where wear has taken
+    the body or the layer away.
     """
     r, z = history.grid
-    first = np.isfinite(history.states[0].grid).all(axis=-1)
-    number = np.where(first, np.cumsum(first).reshape(first.shape) - 1, -1)
+    there = np.any([np.isfinite(state.grid).all(axis=-1) for state in history.states], axis=0)
+    number = np.where(there, np.cumsum(there).reshape(there.shape) - 1, -1)
     corners = [number[:-1, :-1], number[1:, :-1], number[1:, 1:], number[:-1, 1:]]
     cells = np.stack([corner.ravel() for corner in corners], axis=1)
-    at = np.stack(np.meshgrid(r, z, indexing="ij"), axis=-1)[first]
-    values = state.grid[first]
-    named = {f"stress_{name}": values[:, i].copy() for i, name in enumerate(COMPONENTS)}
-    return Cells(
-        np.stack([at[:, 0], np.zeros(len(at)), at[:, 1]], axis=1),
-        cells[(cells >= 0).all(axis=1)],
-        {**named, "mises": mises(values), "max_shear": max_shear(values)},
-        {},
-    )
+    cells = cells[(cells >= 0).all(axis=1)]
+    at = np.stack(np.meshgrid(r, z, indexing="ij"), axis=-1)[there]
+    points = np.stack([at[:, 0], np.zeros(len(at)), at[:, 1]], axis=1)
+    found = []
+    for state in history.states:
+        values = state.grid[there]
+        named = {f"stress_{name}": values[:, i].copy() for i, name in enumerate(COMPONENTS)}
+        named |= {"mises": mises(values), "max_shear": max_shear(values)}
+        found.append(Cells(points, cells, named, {}))
+    return found
 
 
 def interface_cells(interfaces: Sequence[Interface], state: StressState) -> Cells:

@@ -4,9 +4,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.case import Case
-from ringwear_par.cases.stress import point_bodies, point_depths
 from ringwear_par.elasticity.boundary_fields import BODIES
 from ringwear_par.elasticity.mesh import ContactLine
 from ringwear_par.elasticity.pair import ContactCompliance
@@ -17,6 +15,7 @@ from ringwear_par.history.balances import Balances
 from ringwear_par.history.model import WearModel
 from ringwear_par.history.stability import stable_step, stable_steps
 from ringwear_par.history.state import State
+from ringwear_par.history.stresses import StressObserver
 from ringwear_par.results.implausible import Doubt, implausible
 
 #: fewer elements in contact than this do not resolve it
@@ -222,22 +221,24 @@ def infinite_stress(
     return ()
 
 
-def unworn_points(
-    case: Case, history: StressHistory | None, wear: FloatArray | None
+def worn_points(
+    case: Case, history: StressHistory | None, seen: StressObserver | None
 ) -> tuple[Doubt, ...]:
-    """Return whether points of stress lie where the material is worn away. Not collective.
+    """Return whether points of stress lie where wear has been at the last of its states.
 
-    Those of layers that are worn through have no stress, and those on faces are of the faces.
+    Not asked of points on faces, which are of the faces as they are, nor of those that have no
+    stress, their layer being worn through. Not collective.
 
     Parameters
     ----------
-    wear : (2, n) mm, of the last state of stress; None: not known.
+    seen : what has kept the stresses, and knows the wear at the last of them.
     """
-    if history is None or not history.states or wear is None or case.follows_wear:
+    wear = None if seen is None else seen.wear
+    if history is None or seen is None or wear is None or not wear.any() or case.follows_wear:
         return ()
     assert case.stress is not None
     state, under = history.states[-1], case.line.element_at(history.points[:, 0])
-    bodies, depths = np.array(point_bodies(case), int), point_depths(case)
+    bodies, depths = seen.stresses.of_points, seen.stresses.depths
     worn = np.where(under >= 0, wear[bodies, under], 0.0)
     known = np.isfinite(state.points).all(axis=1)
     found = np.flatnonzero(known & (depths > 0.0) & (worn > depths)).tolist()

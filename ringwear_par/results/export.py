@@ -180,7 +180,12 @@ def _export_stress(result: Result, output: Path, time: float | None) -> str:
         return f"{output}: stress at {len(history.points)} points, {len(history.states)} states"
     if not len(history.grid[0]):
         raise InputError(f"{result.name}: holds no grid of stresses; must have stress.grid")
-    content = [stress_cells(history, state) for state in history.states]
+    content = stress_cells(history)
+    if not len(content[0].cells):
+        raise InputError(
+            f"{result.name}: nothing of stress.grid is left at the stored times: wear has gone "
+            "through it; must reach deeper, or stress.times be earlier"
+        )
     if output.suffix == ".vtkhdf":
         times = [state.time for state in history.states]
         write_vtkhdf(output, times, content)

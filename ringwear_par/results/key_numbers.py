@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from ringwear_par.cases.case import density_keys
 from ringwear_par.elasticity.boundary_fields import BODIES, Which
 from ringwear_par.errors import InputError
 from ringwear_par.results.layer_ends import WornThrough, worn_through
@@ -164,7 +165,7 @@ def _mass(
     )
     if np.isnan(densities).all():
         return None, ""
-    keys = (*(f"{body}.layers[{i}].density" for i in range(len(unknown))), f"{body}.density")
+    keys = density_keys(body, len(unknown))
     lost = [part for part in zip(keys, densities, volumes, strict=True) if part[2] > 0.0]
     if missing := ", ".join(key for key, density, _ in lost if np.isnan(density)):
         return None, f"{missing} not given: no mass"

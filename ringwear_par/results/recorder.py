@@ -12,7 +12,7 @@ from ringwear_par import __version__
 from ringwear_par.arrays import FloatArray, IntArray, share
 from ringwear_par.cases.case import Case
 from ringwear_par.cases.law_trials import law_sources
-from ringwear_par.elasticity.boundary_fields import BoundaryState
+from ringwear_par.elasticity.boundary_fields import BODIES, BoundaryState
 from ringwear_par.elasticity.pair import BodyCost
 from ringwear_par.elasticity.stress_fields import StressHistory, StressState
 from ringwear_par.history.balances import Balances, WorstBalances
@@ -32,7 +32,7 @@ from ringwear_par.results.doubts import (
     infinite_at_interfaces,
     infinite_stress,
     instability,
-    unworn_points,
+    worn_points,
 )
 from ringwear_par.results.implausible import Doubt
 from ringwear_par.results.result import Result, balance_attributes
@@ -272,6 +272,15 @@ class Recorder:
         if case.stress is not None:
             own = stresses or CaseStresses(case, comm)
             self._stress = StressObserver(case, own, stored_until)
+            self._stress.wear = self._wear_under_stress()
+
+    def _wear_under_stress(self) -> FloatArray | None:
+        """Return the wear, (2, n) mm, at the last stresses of an interrupted history, if stored."""
+        names = [f"wear_{body}" for body in BODIES]
+        if not (self._earlier_stress and self._deep and set(names) <= self._profiles.keys()):
+            return None
+        row = self._histories["time"].index(self._earlier_stress[-1].time)
+        return np.array([self._profiles[name][row] for name in names])
 
     def _restore(self, before: Result) -> None:
         """Put the stored rows of an interrupted run back, as far as the case still stores them."""
@@ -374,7 +383,7 @@ class Recorder:
             *doubts(model, state, self.balances),
             *infinite_stress(self._case, self.stress, model.line, state),
             *infinite_at_interfaces(self._case, self.stress),
-            *unworn_points(self._case, self.stress, self._stress.wear if self._stress else None),
+            *worn_points(self._case, self.stress, self._stress),
         )
 
     @property

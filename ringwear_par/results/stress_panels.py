@@ -57,7 +57,12 @@ def draw_map(axes: Any, result: Result, label: str, state: StressState, top: flo
             shown[under & own.any(axis=1) & ~known.any(axis=1)] = np.nan  # worn through
             drawn = axes.contourf(r, z, shown.T, levels, cmap="viridis", extend="max")
             drawn.set_clip_path(Polygon(band, transform=axes.transData))
-    if drawn is not None:
+    if drawn is None:
+        axes.text(
+            0.5, 0.5, "worn through", ha="center", va="center", color="0.4",
+            transform=axes.transAxes,
+        )  # fmt: skip
+    else:
         ticks = levels[:: -(-len(levels) // _TICKS)]
         axes.figure.colorbar(drawn, ax=axes, label=_MISES, shrink=0.9, ticks=ticks)
     for outline in sections:
@@ -123,8 +128,11 @@ def _draw_wear(
 ) -> float:
     """Draw the worn faces of a state, the deepest wear by a height; return how much more it is.
 
-    Never less than it is: what the scale of heights shows is drawn as it lies.
+    Never less than it is: what the scale of heights shows is drawn as it lies. Return 0 if none of
+    them is among the heights of the map.
     """
+    heights = stresses(result).grid[1]
+    seen = False
     row = int(np.abs(result.histories["time"] - state.time).argmin())
     depths = []
     for body in BODIES:
@@ -141,11 +149,13 @@ def _draw_wear(
         if not depth.any():
             continue
         face = np.interp(line.r, *outline.contour[:-2].T)
+        drawn = face - down * factor * depth
+        seen |= bool(((drawn >= heights[0]) & (drawn <= heights[-1])).any())
         axes.plot(
-            line.r, face - down * factor * depth, color=COLOURS[1], linewidth=1.2,
+            line.r, drawn, color=COLOURS[1], linewidth=1.2,
             linestyle="-" if name == "lower" else "--",
         )  # fmt: skip
-    return factor
+    return factor if seen else 0.0
 
 
 def draw_depth(axes: Any, result: Result, label: str, states: Sequence[StressState]) -> None:

@@ -2,12 +2,15 @@
 
 import csv
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 import ringwear_par as rw
 from ringwear_par.elasticity.stress_measures import SIDES, mises
+from ringwear_par.results.export import export
+from ringwear_par.results.run import run_case
 
 HARD = {"thickness": 0.05, "young": 1e5, "poisson": 0.3}
 SOFT = {"thickness": 0.2, "young": 2e3, "poisson": 0.4}
@@ -246,7 +249,6 @@ def test_stresses_that_are_left_out_are_in_files_tables_and_maps(through, tmp_pa
     np.testing.assert_array_equal(gone, np.isnan(data.stress.values).all(axis=2))
     np.testing.assert_array_equal(gone, np.isnan(data.max_shear.values))
     assert np.isfinite(data.max_mises.values).all()
-    from ringwear_par.results.export import export
 
     export(through, tmp_path / "points.csv", stress=True)
     with (tmp_path / "points.csv").open(newline="") as file:
@@ -300,6 +302,45 @@ def test_points_in_material_that_is_worn_away_are_doubted():
     assert doubted([shallow], stress__times=[0.0]) == []
     moved = worn_through("updated", 30.0, stress__points=[shallow]).doubts
     assert not [text for text in moved if "stress.points" in text]
+
+
+@pytest.mark.serial
+def test_a_restarted_run_doubts_what_the_whole_one_does(tmp_path, comm):
+    """Also where nothing is asked for after the restart."""
+    asked = ["stress.points=[[30, 19.9998]]", "stress.times=[50]", "wear.lower.p0=0",
+             "mesh.contact_elements=16", "time.step=10"]  # fmt: skip
+    paper, short, whole = (
+        Path("scripts/cases/paper.toml"),
+        tmp_path / "short.h5",
+        tmp_path / "whole.h5",
+    )
+    run_case(paper, whole, [*asked, "time.steps=12"], comm=comm)
+    run_case(paper, short, [*asked, "time.steps=8"], comm=comm)
+    run_case(paper, short, [*asked, "time.steps=12"], comm=comm, restart=True)
+    found = rw.open_result(short)
+    assert found.doubts == rw.open_result(whole).doubts
+    assert any("stress.points[0]" in text for text in found.doubts)
+
+
+@pytest.mark.serial
+def test_a_grid_that_wear_goes_through(tmp_path):
+    """Files for ParaView have its points while any state has; else nothing is left to export."""
+    grid = {"body": "lower", "r": [29.0, 31.0], "z": [19.9985, 19.9995], "n": [5, 4]}
+    from test_export import read_vtk
+
+    found = worn_through("fixed", 30.0, stress__grid=grid)
+    export(found, tmp_path / "a.vtu", stress=True)
+    data, _ = read_vtk(tmp_path / "a.vtu", "UnstructuredGrid")
+    assert len(data["mises"]) == 20
+    assert np.isnan(data["mises"]).all()
+    assert np.isfinite(found.stress.states[0].grid).all()
+    (axes, *_) = rw.plot(found, "stress", times="180").axes
+    assert "worn through" in [text.get_text() for text in axes.texts]
+    assert "worn faces" not in axes.get_title()
+    late = worn_through("fixed", 30.0, stress__grid=grid, stress__times="last")
+    with pytest.raises(rw.InputError, match=r"nothing of stress\.grid is left"):
+        export(late, tmp_path / "b.vtu", stress=True)
+    assert not (tmp_path / "b.vtu").exists()
 
 
 @pytest.mark.parametrize("geometry", ["fixed", "updated"])
@@ -362,8 +403,6 @@ def title(axes):
 @pytest.mark.serial
 def test_exports(result, tmp_path):
     from test_export import read_vtk
-
-    from ringwear_par.results.export import export
 
     last, of = result.stress.states[-1], result.stress.interfaces
     export(result, tmp_path / "a.csv", interfaces=True)

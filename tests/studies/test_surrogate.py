@@ -225,7 +225,7 @@ def test_what_is_shown_is_short(tmp_path):
         ({"wear.lower.k": 2e-6}, r"wear\.lower\.k = 2e-06: must be from 1\.\d*e-08 to 9\.\d*e-07"),
         ({"wear.lower.k": [1e-7, 1e-9]}, r"wear\.lower\.k = 1e-09: must be from"),
         ({"wear.lower.k": np.nan}, r"wear\.lower\.k = nan: must be from"),
-        ({"wear.lower.k": "steel"}, r"wear\.lower\.k = steel: must be a number"),
+        ({"wear.lower.k": "steel"}, r'wear\.lower\.k = "steel": must be a number'),
         ({"load.omega": 1.0}, r"load\.omega: is not varied; must be one of wear\.lower\.k, load"),
     ],
 )
