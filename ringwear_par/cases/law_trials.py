@@ -9,6 +9,7 @@ import numpy as np
 
 from ringwear_par.cases.case import Case
 from ringwear_par.cases.reading import read_case
+from ringwear_par.elasticity.boundary_fields import BODIES
 from ringwear_par.errors import LONGEST_SENTENCE, ComputationError, InputError, legible
 from ringwear_par.schedules import largest
 from ringwear_par.wear.catalogue import LAWS
@@ -23,7 +24,6 @@ from ringwear_par.wear.derivative_test import (
 from ringwear_par.wear.law import CompletedLaw, Law, LocalState, WearLaw, complete
 from ringwear_par.wear.user import UserLaw, check_object, check_user_law
 
-_BODIES = ("lower", "upper")
 _OURS = set(LAWS.values()) - {UserLaw}
 _ELEMENTS = 60
 #: pressures up to which laws are tried: of ``ringwear laws``, MPa, and in mean pressures of a case
@@ -40,9 +40,7 @@ _MOST_TIMES = 5
 def _given(case: Case) -> dict[str, WearLaw | None]:
     """Return the laws of bodies and of layers that have their own, by what they are called."""
     found: dict[str, WearLaw | None] = {}
-    for body, ring, law in zip(
-        _BODIES, case.rings, (case.wear_lower, case.wear_upper), strict=True
-    ):
+    for body, ring, law in zip(BODIES, case.rings, (case.wear_lower, case.wear_upper), strict=True):
         found[body] = law
         for i, layer in enumerate(ring.layers):
             if layer.wear is not None:
@@ -79,7 +77,7 @@ def refuse_bad_laws(case: Case, name: str, slopes: bool = True) -> None:
         if given is not None and type(given) not in _OURS:  # which are what they should be
             law = given if isinstance(given, UserLaw) else CompletedLaw(given)
             key = f"wear.{body}.file" if isinstance(law, UserLaw) else f"wear.{body}"
-            if body not in _BODIES:
+            if body not in BODIES:
                 key = f"{body}.wear"
             try:
                 if law is not given:

@@ -74,11 +74,10 @@ def point_depths(case: "Case", bodies: IntArray) -> FloatArray:
     bodies : (p,) int, of each point.
     """
     assert case.stress is not None
-    found = np.zeros(len(bodies))
-    for number, (i, (r, z, _)) in enumerate(zip(bodies, case.stress.points, strict=True)):
-        depth = abs(float(_face(case, case.rings[i], np.array([r]))[0]) - z)
-        found[number] = depth if depth > _ON * _size(case) else 0.0
-    return found
+    r, z = np.array([point[:2] for point in case.stress.points]).reshape(-1, 2).T
+    faces = np.stack([_face(case, ring, r) for ring in case.rings])
+    depths = np.abs(faces[bodies, np.arange(len(r))] - z)
+    return np.where(depths > _ON * _size(case), depths, 0.0)
 
 
 def grid_bodies(case: "Case") -> IntArray:

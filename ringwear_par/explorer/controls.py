@@ -8,13 +8,14 @@ from ringwear_par.cases.layers import expanded
 from ringwear_par.cases.schema import BY_PATH, Key, key_of
 from ringwear_par.cases.units import in_unit
 from ringwear_par.cases.values import Interval
+from ringwear_par.elasticity.boundary_fields import BODIES
 from ringwear_par.elasticity.profiles import SHAPE_UNITS
 from ringwear_par.explorer.sliders import POSITIONS, TIMES, Control, length, nice, quantity, shown
 from ringwear_par.wear.catalogue import LAWS
 from ringwear_par.wear.parameters import parameters_of
 
 _LOADS = ("load.force", "load.pressure", "load.displacement", "load.omega")
-_ENTRY, _BODIES = ("inner", "outer"), ("lower", "upper")
+_ENTRY = ("inner", "outer")
 
 
 def controls_of(keys: Mapping[str, Any]) -> list[Control]:
@@ -29,10 +30,10 @@ def controls_of(keys: Mapping[str, Any]) -> list[Control]:
 def _laws(keys: Mapping[str, Any]) -> Iterator[Control]:
     whose = {
         f"{layer}.wear": f"{body}, layer {number}"
-        for body in _BODIES
+        for body in BODIES
         for number, layer in enumerate(_layers_of(body, keys), start=1)
     }
-    for table, wears in {**{f"wear.{body}": body for body in _BODIES}, **whose}.items():
+    for table, wears in {**{f"wear.{body}": body for body in BODIES}, **whose}.items():
         if f"{table}.law" not in keys:
             continue
         law = LAWS[keys[f"{table}.law"]]
@@ -64,7 +65,7 @@ def _tests(keys: Mapping[str, Any]) -> Iterator[Control]:
 
 
 def _materials(keys: Mapping[str, Any]) -> Iterator[Control]:
-    for body in _BODIES:
+    for body in BODIES:
         layered = bool(_layers_of(body, keys))  # whose moduli count over that of the body
         for name in ("young", "poisson"):
             key = BY_PATH[f"{body}.{name}"]
@@ -75,7 +76,7 @@ def _materials(keys: Mapping[str, Any]) -> Iterator[Control]:
 
 
 def _layers(keys: Mapping[str, Any]) -> Iterator[Control]:
-    for body in _BODIES:
+    for body in BODIES:
         for number, layer in enumerate(_layers_of(body, keys), start=1):
             for name in ("thickness", "young", "poisson"):
                 key, path = _key(f"{layer}.{name}"), f"{layer}.{name}"
@@ -99,7 +100,7 @@ def _key(path: str) -> Key:
 
 
 def _shapes(keys: Mapping[str, Any]) -> Iterator[Control]:
-    for body in _BODIES:
+    for body in BODIES:
         group = f"Shape of {body}"
         r, z = (in_unit(keys[f"{body}.{name}"], "mm") for name in "rz")
         width, height = r[1] - r[0], z[1] - z[0]

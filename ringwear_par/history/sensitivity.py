@@ -11,6 +11,7 @@ from ringwear_par.arrays import FloatArray, IntArray, columns, inner
 from ringwear_par.cases.case import Case
 from ringwear_par.cases.schema import UNITS, layer_entry
 from ringwear_par.contact.problem import REPLICATED_LIMIT
+from ringwear_par.elasticity.boundary_fields import BODIES
 from ringwear_par.elasticity.pair import ContactPair
 from ringwear_par.elasticity.slopes import obliquity
 from ringwear_par.errors import InputError, legible
@@ -24,8 +25,6 @@ from ringwear_par.wear.parameters import parameters_of
 if TYPE_CHECKING:
     from ringwear_par.history.model import WearModel
 
-_BODIES = ("lower", "upper")
-
 
 def differentiable(case: Case) -> dict[str, str]:
     """Return the keys of a case that histories have derivatives with respect to, and their units.
@@ -33,7 +32,7 @@ def differentiable(case: Case) -> dict[str, str]:
     Its plain numbers: of a law's parameters, those that rates have derivatives with respect to.
     """
     found: dict[str, str] = {}
-    for body, law in zip(_BODIES, case.laws, strict=True):
+    for body, law in zip(BODIES, case.laws, strict=True):
         if law is None:
             continue
         for name in law.numeric:
@@ -141,7 +140,7 @@ class Sensitivity:
         #: rows and names of the parameters of the laws of lower and upper
         self._laws = tuple(
             [(row, name) for key, row in rows.items() if (name := _name_of_number(body, key))]
-            for body in _BODIES
+            for body in BODIES
         )
         self._whole_laws = cases[0].laws
         #: of bodies, which number is the length of their averages, and what it does to these
@@ -183,7 +182,7 @@ class Sensitivity:
         self.thicknesses = {
             i: np.array([[key == f"{body}.layers[{j}].thickness" for key in keys]
                          for j in range(len(ring.layers))], dtype=float)
-            for i, (body, ring) in enumerate(zip(_BODIES, cases[0].rings, strict=True))
+            for i, (body, ring) in enumerate(zip(BODIES, cases[0].rings, strict=True))
             if ring.layers
         }  # fmt: skip
 

@@ -10,6 +10,7 @@ from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.case import Case
 from ringwear_par.cases.numbers import Number, doubtful, with_numbers
 from ringwear_par.contact.batch import load_batch_kernels
+from ringwear_par.elasticity.boundary_fields import BODIES
 from ringwear_par.elasticity.pair import ContactPair
 from ringwear_par.errors import ComputationError, reason_of
 from ringwear_par.history.bodies import operator_key
@@ -175,15 +176,12 @@ def _trajectory(result: Result, case: Case, keys: Sequence[str]) -> Trajectory:
         return np.concatenate([values[..., None], slopes], axis=-1)
 
     histories, profiles = result.histories, result.profiles
-    wear = np.stack([both(f"wear_{b}", profiles[f"wear_{b}"]) for b in _BODIES])
+    wear = np.stack([both(f"wear_{b}", profiles[f"wear_{b}"]) for b in BODIES])
     return Trajectory(
         histories["time"],
         both("approach", histories["approach"]),
         both("torque", histories["torque"]),
-        np.stack([both(f"worn_volume_{b}", histories[f"worn_volume_{b}"]) for b in _BODIES]),
+        np.stack([both(f"worn_volume_{b}", histories[f"worn_volume_{b}"]) for b in BODIES]),
         wear,
         np.stack([lost_mass(case, i, of_body, keys) for i, of_body in enumerate(wear)]),
     )
-
-
-_BODIES = ("lower", "upper")

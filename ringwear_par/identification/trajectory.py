@@ -7,6 +7,7 @@ import numpy as np
 
 from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.case import Case
+from ringwear_par.elasticity.boundary_fields import BODIES
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,7 +50,7 @@ def lost_mass(case: Case, body: int, wear: FloatArray, keys: Sequence[str] = ())
         return np.full((len(wear), wear.shape[-1]), np.nan)
     densities = np.array(ring.densities, dtype=float)
     depth = densities[-1] * wear  # of mass
-    names = [f"{('lower', 'upper')[body]}.layers[{i}].thickness" for i in range(len(ring.layers))]
+    names = [f"{BODIES[body]}.layers[{i}].thickness" for i in range(len(ring.layers))]
     for i, (end, more) in enumerate(
         zip(case.layer_ends(body), densities[:-1] - densities[1:], strict=True)
     ):

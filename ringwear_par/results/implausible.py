@@ -45,7 +45,7 @@ def implausible(case: Case) -> tuple[Doubt, ...]:
     Its mean pressures are those of the nominal annulus.
     """
     found: list[str] = []
-    for name, ring in zip(("lower", "upper"), case.rings, strict=True):
+    for name, ring in zip(BODIES, case.rings, strict=True):
         found += _in_pascals(f"{name}.young", ring.young)
         found += _too_dense(f"{name}.density", ring.density)
         if max(ring.r[1], ring.z[1] - ring.z[0]) > _LARGEST:

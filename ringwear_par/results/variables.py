@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from ringwear_par.elasticity.boundary_fields import FACES
+from ringwear_par.elasticity.boundary_fields import BODIES, FACES
 
 #: what files say they were written by
 SOFTWARE = "ringwear-par"
@@ -132,9 +132,6 @@ def layer_axis(body: int, counts: Sequence[int]) -> Variable:
     return UPPER_LAYER if body == 1 and counts[0] not in (0, counts[1]) else LAYER
 
 
-_BODIES = ("lower", "upper")
-
-
 def _of_both(
     name: str, dimensions: tuple[str, ...], units: str, meaning: str
 ) -> dict[str, Variable]:
@@ -143,7 +140,7 @@ def _of_both(
     return _table(
         *(
             Variable(name.format(body), own, units, meaning.format(body))
-            for body, own in zip(_BODIES, each, strict=True)
+            for body, own in zip(BODIES, each, strict=True)
         )
     )
 
@@ -170,7 +167,7 @@ TIMES_THROUGH = _table(
             f"time_through_{body}", (), "s",
             f"when wear first got through all layers of the {body} ring; none if it has not",
         )
-        for body in _BODIES
+        for body in BODIES
     )
 )  # fmt: skip
 #: all of them
@@ -205,7 +202,7 @@ D_PROFILES = _table(*map(derivative_of, PROFILES.values()))
 
 def layer_names(bodies: tuple[bool, bool]) -> tuple[str, ...]:
     """Return the variables of layers where lower, upper or both have some."""
-    there = [body for body, has in zip(_BODIES, bodies, strict=True) if has]
+    there = [body for body, has in zip(BODIES, bodies, strict=True) if has]
     return tuple(name for name in LAYERS if any(f"_{body}" in name for body in there))
 
 
