@@ -1,28 +1,90 @@
 """Output files: refused before work where they cannot be, whole where they are."""
 
 import errno
+import fcntl
 import os
+import re
+import secrets
+import stat
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from ringwear_par.errors import ComputationError, InputError, RingwearError
 
 #: failures that another name would not mend
 _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EIO)
+#: how the names of files end that are not whole yet; nobody can know the digits before
+_TEMPORARY = re.compile(r"(.+)\.tmp[0-9a-f]{16}", re.DOTALL)
+_BYTES = 8
+#: opened for nothing but what they are: no link is followed, no reader of a fifo waited for
+_LOOK = os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC
 
 
-def temporary_name(path: Path) -> Path:
-    """Return the name beside a file that it has until it is whole.
+def _new_file(path: Path, mode: int) -> tuple[Path, int]:
+    """Return the name and the descriptor of a file that was not there, beside another.
 
-    Its ending is not that of the file, so that who looks for files by their ending finds whole
-    ones only; what writes by the ending must be told the format.
+    Its ending is not that of the other, so that who looks for files by their ending finds whole
+    ones only. It is locked for as long as it is open, so that ``remove_leftovers`` leaves it.
+
+    Raises
+    ------
+    OSError : the disk or the folder; its ``filename`` is ``path``.
     """
-    return path.with_name(f"{path.name}.tmp{os.getpid()}")
+    while True:
+        name = path.with_name(f"{path.name}.tmp{secrets.token_hex(_BYTES)}")
+        flags = os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC
+        try:
+            handle = os.open(name, flags, mode)
+        except OSError as error:
+            raise OSError(error.errno, error.strerror, str(path)) from error
+        if _is_locked(handle) and os.fstat(handle).st_nlink:
+            return name, handle
+        os.close(handle)  # another process has taken it for left over
+
+
+def _is_locked(handle: int) -> bool:
+    """Lock a new file; return False where another process was faster."""
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    except OSError:  # the disk cannot lock files, and nobody takes them for left over
+        pass
+    return True
+
+
+def remove_leftovers(folder: Path, name: str = "") -> None:
+    """Remove what killed processes have left of files that were not whole yet. Not collective.
+
+    What a process still writes to stays, and so does all that is on a disk that cannot lock files.
+
+    Parameters
+    ----------
+    name : of the one file whose left-overs go; "": those of all files of the folder.
+    """
+    with suppress(OSError), os.scandir(folder) as entries:
+        for entry in entries:
+            match = _TEMPORARY.fullmatch(entry.name)
+            if match and name in ("", match[1]):
+                with suppress(OSError):  # somebody else's, or in use
+                    _remove_if_left(entry.path)
+
+
+def _remove_if_left(path: str) -> None:
+    handle = os.open(path, _LOOK)
+    try:
+        if stat.S_ISREG(os.fstat(handle).st_mode):
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            os.unlink(path)
+    finally:
+        os.close(handle)
 
 
 def check_writable(path: Path) -> None:
-    """Refuse a file that cannot be written. Not collective.
+    """Refuse a file that cannot be written; remove what a killed process has left of it.
+
+    Not collective.
 
     Raises
     ------
@@ -35,9 +97,10 @@ def check_writable(path: Path) -> None:
         raise InputError(f"{path}: its folder {path.parent} does not exist")
     if path.exists() and not os.access(path, os.W_OK):
         raise InputError(f"{path}: is write-protected; must be a file that may be replaced")
-    probe = temporary_name(path)
+    remove_leftovers(path.parent, path.name)
     try:
-        probe.touch()
+        probe, handle = _new_file(path, 0o666)
+        os.close(handle)
         probe.unlink(missing_ok=True)
     except OSError as error:
         raise unwritable(path, error) from error
@@ -50,25 +113,32 @@ def unwritable(path: Path, error: OSError) -> RingwearError:
 
 
 @contextmanager
-def atomic_write(path: Path) -> Iterator[Path]:
-    """Give a temporary name to write to, which becomes the file at the end. Not collective.
+def atomic_write(path: Path, mode: int = 0o666) -> Iterator[Path]:
+    """Give a name to write to; what is written becomes the file at the end. Not collective.
 
     What was written is on the disk before it replaces the file; nothing is left of it after an
-    error.
+    error. The name is that of an open descriptor: whoever may write to the folder, what is written
+    goes to no other file, as it would through a link put in the place of an ordinary name. What
+    writes by the ending of a name must be told the format.
+
+    Parameters
+    ----------
+    mode : permissions of the file, less those that the process masks.
 
     Raises
     ------
     OSError : the disk or the folder; its ``filename`` is that of the file.
     """
-    temporary = temporary_name(path)
+    temporary, handle = _new_file(path, mode)
+    opened = Path(f"/proc/self/fd/{handle}")
     try:
-        yield temporary
-        with temporary.open("rb+") as file:
-            os.fsync(file.fileno())
+        yield opened
+        os.fsync(handle)
         temporary.replace(path)
     except OSError as error:
-        if error.filename is not None and Path(error.filename) != temporary:
+        if error.filename is not None and Path(error.filename) not in (temporary, opened):
             raise
         raise OSError(error.errno, error.strerror or str(error), str(path)) from error
     finally:
         temporary.unlink(missing_ok=True)
+        os.close(handle)

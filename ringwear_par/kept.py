@@ -7,18 +7,20 @@ thus never read; what has not been used for long makes room. The number of ranks
 pairs whose systems one rank solves are the same on any number of ranks, and others, as those that
 PETSc has options for, are not kept.
 
-They are in ``RINGWEAR_CACHE`` (empty: nothing is kept), or else among the user's caches. Whatever
-is wrong with folder or file, the pair is assembled.
+They are in ``RINGWEAR_CACHE`` (empty: nothing is kept), or else among the user's caches. Numbers of
+a pair go into results unseen, so that only a folder and files are used that belong to the user and
+that nobody else may write to. Whatever is wrong with folder or file, the pair is assembled.
 """
 
+import errno
 import hashlib
 import logging
 import math
 import os
 import platform
-import time
-from collections.abc import Hashable
-from contextlib import suppress
+import stat
+from collections.abc import Callable, Hashable, Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import fields, is_dataclass
 from functools import cache
 from importlib.metadata import version
@@ -31,7 +33,8 @@ import scipy
 
 from ringwear_par import __version__
 from ringwear_par.arrays import FloatArray
-from ringwear_par.atomic import atomic_write
+from ringwear_par.atomic import atomic_write, remove_leftovers
+from ringwear_par.files import open_ordinary
 from ringwear_par.parallel import blas_threads, on_first_rank
 
 if TYPE_CHECKING:
@@ -46,9 +49,11 @@ LIMIT = 256_000_000
 #: what a file begins with; its checksum and its numbers follow
 _MAGIC = b"ringwear-par contact pair 2\n"
 _ENDING = ".pair"
-#: part of the limit that a process writes between two looks at the size of the folder, and age at
-#: which a file that was not finished is left over, s
-_UNSEEN, _LEFT_OVER = 1 / 16, 3600.0
+#: part of the limit that a process writes between two looks at the size of the folder
+_UNSEEN = 1 / 16
+#: permissions that a folder or file of the user's own does not have
+_OTHERS_WRITE = stat.S_IWGRP | stat.S_IWOTH
+_ANEW = "what it held is assembled anew"
 
 
 def folder() -> Path | None:
@@ -63,15 +68,18 @@ def folder() -> Path | None:
         return None
 
 
-def read(key: Hashable, n: int, comm: "MPI.Comm") -> FloatArray | None:
-    """Return what was kept, (2, n + 3, n), None if nothing was. Collective on comm.
+def read(
+    key: Hashable, n: int, comm: "MPI.Comm", is_sound: Callable[[FloatArray], bool]
+) -> FloatArray | None:
+    """Return the numbers of a pair, (2, n + 3, n), None if there are none. Collective on comm.
 
     Parameters
     ----------
     key : that of the contact pair.
     n : number of contact elements.
+    is_sound : whether numbers can be those of the pair.
     """
-    return on_first_rank(comm, lambda: _read(key, n))
+    return on_first_rank(comm, lambda: _read(key, n, is_sound))
 
 
 def write(key: Hashable, stacked: FloatArray, comm: "MPI.Comm") -> None:
@@ -82,14 +90,14 @@ def write(key: Hashable, stacked: FloatArray, comm: "MPI.Comm") -> None:
     content = np.ascontiguousarray(stacked, dtype=np.float64).tobytes()
     if len(content) > LIMIT:
         return
-    path = where / _name(key)
     try:
-        where.mkdir(parents=True, exist_ok=True)
-        with atomic_write(path) as temporary:
+        with suppress(FileExistsError):  # whatever it is, it is looked at next
+            where.mkdir(0o700, parents=True)
+        with _own_folder(where), atomic_write(where / _name(key), 0o600) as temporary:
             temporary.write_bytes(_MAGIC + _checksum(content) + content)
         _make_room(where, len(content))
     except OSError as error:
-        _tell(f"{where}: {error.strerror or error}")
+        _warn_of_folder(where, error)
 
 
 def size(where: Path) -> tuple[int, int]:
@@ -98,7 +106,7 @@ def size(where: Path) -> tuple[int, int]:
     return len(found), sum(bytes_ for _, bytes_, _ in found)
 
 
-def _read(key: Hashable, n: int) -> FloatArray | None:
+def _read(key: Hashable, n: int, is_sound: Callable[[FloatArray], bool]) -> FloatArray | None:
     where = folder()
     if where is None:
         return None
@@ -106,16 +114,71 @@ def _read(key: Hashable, n: int) -> FloatArray | None:
     start = len(_MAGIC) + hashlib.sha256().digest_size
     size = start + 8 * math.prod(shape)
     try:
-        with path.open("rb") as file:
-            content = file.read(size + 1)  # whatever lies there
-    except OSError:
+        content = _content(path, size + 1)  # whatever lies there
+    except FileNotFoundError:
         return None
-    if len(content) != size or content[:start] != _MAGIC + _checksum(content[start:]):
-        log.warning("%s: damaged; what it held is assembled anew", path)
+    except OSError as error:
+        if error.filename == where:
+            _warn_of_folder(where, error)
+        else:
+            _warn(f"{path}: {error.strerror or error}; {_ANEW}")
         return None
-    with suppress(OSError):
-        os.utime(path)  # it is in use
-    return np.frombuffer(content, offset=start).reshape(shape)
+    if len(content) == size and content[:start] == _MAGIC + _checksum(content[start:]):
+        stacked = np.frombuffer(content, offset=start).reshape(shape)
+        if is_sound(stacked):
+            return stacked
+    log.warning("%s: damaged; %s", path, _ANEW)
+    return None
+
+
+@contextmanager
+def _own_folder(where: Path) -> Iterator[int]:
+    """Open the folder, which must be the user's own.
+
+    Raises
+    ------
+    OSError : it cannot be opened, or is not.
+    """
+    handle = os.open(where, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+    try:
+        for about in (os.lstat(where), os.fstat(handle)):  # the link to it, where it is one
+            _check_own(about, where)
+        yield handle
+    finally:
+        os.close(handle)
+
+
+def _content(path: Path, most: int) -> bytes:
+    """Return the first bytes of a file, which must be the user's own, as its folder must be.
+
+    Raises
+    ------
+    OSError : it cannot be read, or is not.
+    """
+    with (
+        _own_folder(path.parent) as folder,
+        open_ordinary(Path(path.name), os.O_RDONLY | os.O_NOFOLLOW, folder) as file,
+    ):
+        _check_own(os.fstat(file.fileno()), path)
+        with suppress(OSError):
+            os.utime(file.fileno())  # it is in use
+        return file.read(most)
+
+
+def _check_own(about: os.stat_result, path: Path) -> None:
+    """Refuse what another user owns or may write to.
+
+    Raises
+    ------
+    PermissionError : it is so.
+    """
+    why = ""
+    if about.st_uid != os.geteuid():
+        why = "belongs to another user"
+    elif about.st_mode & _OTHERS_WRITE and not stat.S_ISLNK(about.st_mode):
+        why = "other users may write to it"
+    if why:
+        raise PermissionError(errno.EPERM, f"{why}; must be yours alone to write to", path)
 
 
 def _checksum(content: bytes) -> bytes:
@@ -164,10 +227,7 @@ def _make_room(where: Path, written: int) -> None:
     if _unseen <= _UNSEEN * LIMIT:
         return
     _unseen = 0.0
-    for left in where.glob(f"*{_ENDING}.tmp*"):
-        with suppress(OSError):
-            if time.time() - left.stat().st_mtime > _LEFT_OVER:
-                left.unlink()
+    remove_leftovers(where)
     found = sorted(_files(where))
     total = sum(bytes_ for _, bytes_, _ in found)
     for _, bytes_, path in found:
@@ -188,7 +248,11 @@ def _files(where: Path) -> list[tuple[float, int, Path]]:
     return found
 
 
+def _warn_of_folder(where: Path, error: OSError) -> None:
+    _warn(f"assembled pairs are not kept, going on: {where}: {error.strerror or error}")
+
+
 @cache
-def _tell(sentence: str) -> None:
-    """Say once that pairs are not kept."""
-    log.warning("assembled pairs are not kept, going on: %s", sentence)
+def _warn(sentence: str) -> None:
+    """Say a sentence once."""
+    log.warning("%s", sentence)

@@ -10,6 +10,7 @@ import numpy as np
 
 from ringwear_par.arrays import BoolArray, FloatArray, IntArray
 from ringwear_par.errors import InputError, legible
+from ringwear_par.files import read_bytes
 
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
 #: h:mm:ss, or two of them
@@ -97,7 +98,7 @@ def read_measurements(path: Path) -> Measurements:
     InputError : it cannot be read, or is no table.
     """
     try:
-        content = path.read_bytes()
+        content = read_bytes(path)
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or error
         raise InputError(f"{path}: cannot be read: {reason}") from error

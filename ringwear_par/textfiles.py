@@ -1,11 +1,14 @@
 """Users' text files: cases, studies, tables, laws; one reader for all."""
 
+import json
 import re
 import tomllib
+from io import TextIOWrapper
 from pathlib import Path
 from typing import Any
 
 from ringwear_par.errors import InputError, legible
+from ringwear_par.files import open_ordinary
 
 #: tables and arrays within each other; a case needs six
 _DEEPEST = 32
@@ -18,10 +21,11 @@ def read_text(path: Path) -> str:
 
     Raises
     ------
-    InputError : there is no such file, it may not be read, or it is no text.
+    InputError : there is no such file, it may not be read, or it is no text; a pipe or a device.
     """
     try:
-        return path.read_text(encoding="utf-8-sig")
+        with TextIOWrapper(open_ordinary(path), encoding="utf-8-sig") as file:
+            return file.read()
     except UnicodeDecodeError as error:
         raise InputError(f"{path}: is not a text file in UTF-8") from error
     except OSError as error:
@@ -47,6 +51,21 @@ def parse_toml(text: str, name: str) -> dict[str, Any]:
         raise InputError(f"{name}: {_TOO_DEEP}") from error
     refuse_depth(tables, name)
     return tables
+
+
+def parse_json(text: str) -> Any:
+    """Return the values of a JSON text.
+
+    Raises
+    ------
+    ValueError : it is none, or nested too deeply.
+    """
+    try:
+        values = json.loads(text)
+        refuse_depth([values], "JSON")
+    except (RecursionError, InputError) as error:
+        raise ValueError(_TOO_DEEP) from error
+    return values
 
 
 def _reason(told: str, text: str) -> str:

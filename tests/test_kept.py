@@ -1,5 +1,6 @@
 """Contact pairs that are kept on disk: the same bits, whatever is there and whoever else writes."""
 
+import fcntl
 import math
 import os
 import subprocess
@@ -30,7 +31,7 @@ PARTS = ("normal", "twist", "force_reaction", "torque_reaction", "slope")
 def folder(shared_path, monkeypatch):
     monkeypatch.setenv(kept.VARIABLE, str(shared_path / "kept"))
     monkeypatch.setattr(kept, "_unseen", math.inf)
-    kept._tell.cache_clear()
+    kept._warn.cache_clear()
     return shared_path / "kept"
 
 
@@ -136,6 +137,115 @@ def test_damaged_files_are_replaced(folder, assembled, comm, caplog, how):
     assert assembled == [N, N]
 
 
+def scaled(content, factor):
+    start = len(kept._MAGIC) + 32
+    return as_ours((factor * np.frombuffer(content[start:])).tobytes())
+
+
+def strangers_file(path, how):
+    """Put numbers that are a thousandth off in the place of a pair, as somebody else could."""
+    content = scaled(path.read_bytes(), 1.001)
+    if how == "link":
+        other = path.parent.parent / "other"
+        other.write_bytes(content)
+        path.unlink()
+        path.symlink_to(other)
+    elif how == "pipe":
+        path.unlink()
+        os.mkfifo(path)
+    else:
+        path.write_bytes(content)
+        path.chmod(0o666 if how == "written by others" else 0o600)
+        if how == "of another user":
+            os.chown(path, 12345, 12345)
+
+
+REASONS = {
+    "of another user": "belongs to another user; must be yours alone to write to",
+    "written by others": "other users may write to it; must be yours alone to write to",
+    "link": "it is a link, must be an ordinary file",
+    "pipe": "it is a pipe or a device, must be an ordinary file",
+}
+
+
+@pytest.mark.parametrize("how", REASONS)
+def test_files_of_strangers_are_not_used(folder, assembled, comm, caplog, how):
+    if how == "of another user" and os.geteuid() != 0:
+        pytest.skip("only root may give files away")
+    case = paper_case(Mesh(N))
+    whole = pairs.assemble(case, comm)
+    comm.Barrier()
+    path = the_file(folder)
+    comm.Barrier()
+    if comm.rank == 0:
+        strangers_file(path, how)
+    assert same(whole, pairs.assemble(case, comm))
+    assert assembled == [N, N]
+    assert caplog.messages == (
+        [f"{path}: {REASONS[how]}; what it held is assembled anew"] if comm.rank == 0 else []
+    )
+    assert same(whole, pairs.assemble(case, comm))  # by now it is ours again
+    assert assembled == [N, N]
+
+
+@pytest.mark.parametrize("how", ["of another user", "written by others", "link"])
+def test_folders_of_strangers_are_not_used(folder, assembled, comm, caplog, how):
+    if how != "written by others" and os.geteuid() != 0:
+        pytest.skip("only root may give files away")
+    if comm.rank == 0:
+        real = folder if how != "link" else folder.with_name("real")
+        real.mkdir(0o700)
+        if how == "written by others":
+            real.chmod(0o777)
+        if how == "link":
+            folder.symlink_to(real)
+        if how != "written by others":
+            os.chown(folder, 12345, 12345, follow_symlinks=False)
+    comm.Barrier()
+    case = paper_case(Mesh(N))
+    for _ in range(2):
+        pairs.assemble(case, comm)
+    comm.Barrier()
+    assert assembled == [N, N]
+    assert not list(folder.iterdir())
+    reason = REASONS["of another user" if how == "link" else how]
+    assert caplog.messages == (
+        [f"assembled pairs are not kept, going on: {folder}: {reason}"] if comm.rank == 0 else []
+    )
+
+
+def test_a_link_of_the_user_s_own_to_the_folder_is_followed(folder, assembled, comm):
+    if comm.rank == 0:
+        folder.with_name("real").mkdir(0o700)
+        folder.symlink_to(folder.with_name("real"))
+    comm.Barrier()
+    for _ in range(2):
+        pairs.assemble(paper_case(Mesh(N)), comm)
+    assert assembled == [N]
+
+
+@pytest.mark.parametrize(
+    ("where", "value"),
+    [((0, 0, 0), np.nan), ((1, N + 2, 3), np.inf), ((0, 2, 2), -1.0), ((1, N, 0), 0.0),
+     ((0, 1, 6), 9.0), ((1, N + 1, 4), 1.0)],
+)  # fmt: skip
+def test_numbers_that_no_pair_has_are_not_used(folder, assembled, comm, caplog, where, value):
+    """Their checksum is right: not finite, against their sign, reciprocity or equilibrium."""
+    case = paper_case(Mesh(N))
+    whole = pairs.assemble(case, comm)
+    comm.Barrier()
+    path = the_file(folder)
+    comm.Barrier()
+    if comm.rank == 0:
+        stacked = pairs.to_stacked(whole)
+        stacked[where] = value
+        path.write_bytes(as_ours(stacked.tobytes()))
+    assert same(whole, pairs.assemble(case, comm))
+    assert assembled == [N, N]
+    told = [f"{path}: damaged; what it held is assembled anew"] if comm.rank == 0 else []
+    assert caplog.messages == told
+
+
 def test_what_made_the_numbers_is_part_of_the_name(folder, assembled, comm, monkeypatch):
     case = paper_case(Mesh(N))
     pairs.assemble(case, comm)
@@ -223,7 +333,7 @@ def test_what_may_not_be_removed_stays(folder, monkeypatch, caplog):
     """Somebody else's: the rest makes room."""
     monkeypatch.setattr(kept, "LIMIT", 4000)
     monkeypatch.setattr(kept, "_UNSEEN", 0.0)
-    folder.mkdir()
+    folder.mkdir(0o700)
     other, unlink = folder / "other.pair", Path.unlink
     other.write_bytes(bytes(1000))
     os.utime(other, (0.0, 0.0))
@@ -243,15 +353,21 @@ def test_what_may_not_be_removed_stays(folder, monkeypatch, caplog):
 
 
 def test_leftovers_go(folder, comm):
+    """What another process still writes to stays."""
+    left, held = (folder / f"{name}.pair.tmp0123456789abcdef" for name in "ab")
+    file = None
     if comm.rank == 0:
-        folder.mkdir()
-        for age, name in ((0.0, "a.pair.tmp1"), (1e5, "b.pair.tmp2")):
-            (folder / name).write_text("half")
-            os.utime(folder / name, ((folder / name).stat().st_mtime - age,) * 2)
+        folder.mkdir(0o700)
+        left.write_text("half")
+        file = held.open("w")
+        fcntl.flock(file, fcntl.LOCK_EX)
     comm.Barrier()
     pairs.assemble(paper_case(Mesh(N)), comm)
     comm.Barrier()
-    assert [path.name for path in folder.glob("*.tmp*")] == ["a.pair.tmp1"]
+    assert list(folder.glob("*.tmp*")) == [held]
+    comm.Barrier()
+    if file is not None:
+        file.close()
 
 
 def test_a_folder_that_cannot_be(folder, comm, caplog):
@@ -261,7 +377,7 @@ def test_a_folder_that_cannot_be(folder, comm, caplog):
     case = paper_case(Mesh(N))
     assert same(pairs.assemble(case, comm), pairs.assemble(case, comm))
     told = [m for m in caplog.messages if "not kept" in m]
-    assert told == ([f"assembled pairs are not kept, going on: {folder}: File exists"]
+    assert told == ([f"assembled pairs are not kept, going on: {folder}: Not a directory"]
                     if comm.rank == 0 else [])  # fmt: skip
 
 
@@ -278,8 +394,8 @@ def test_a_folder_that_may_not_be_written(folder, comm, caplog):
 @pytest.mark.skipif(os.geteuid() != 0, reason="mounts a small disk")
 @pytest.mark.parametrize("options", ["size=4096", "ro"])
 def test_a_full_disk_and_one_that_is_read_only(folder, comm, caplog, options):
-    folder.mkdir()
-    mount = ["mount", "-t", "tmpfs", "-o", options, "tmpfs", str(folder)]
+    folder.mkdir(0o700)
+    mount = ["mount", "-t", "tmpfs", "-o", f"{options},mode=0700", "tmpfs", str(folder)]
     if subprocess.run(mount, check=False, timeout=20, capture_output=True).returncode:
         pytest.skip("may not mount")
     try:

@@ -146,11 +146,11 @@ class Outline(NamedTuple):
 def outlines(text: str, name: str) -> tuple[Outline, Outline]:
     """Return what the sections of lower and upper look like. Not collective.
 
-    Unlike a case, they need no wear laws.
+    Unlike a case, they need no wear laws; no file is opened.
 
     Parameters
     ----------
-    text : TOML text of a case.
+    text : TOML text of a case as results have it: in full, with the points of traces.
     name : what messages call it.
 
     Raises
@@ -158,7 +158,6 @@ def outlines(text: str, name: str) -> tuple[Outline, Outline]:
     InputError : all faults of their keys, one sentence each.
     """
     keys = {path: v for path, v in read_keys(text, name).items() if not path.startswith("wear.")}
-    keys = in_full(keys, Path())
     values, faults = _read_values(keys, Origin(name))
     faces = contact_faces(name, values, faults)
     if faults:

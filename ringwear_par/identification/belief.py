@@ -1,6 +1,5 @@
 """What is known of the fitted keys before tests are made: priors, or an earlier fit."""
 
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -20,7 +19,7 @@ from ringwear_par.identification.problem import (
     Series,
     reflected,
 )
-from ringwear_par.textfiles import read_text
+from ringwear_par.textfiles import parse_json, read_text
 
 #: draws of the keys, and their seed
 _DRAWS, _SEED = 8, 0
@@ -138,7 +137,7 @@ def _earlier(
     except InputError as error:
         raise InputError(f"--after {error}; {_ALLOWED}") from error
     try:
-        told = json.loads(text)
+        told = parse_json(text)
         there, own, logs = told["keys"], told["parameters"], told["log"]
         nominal = np.array([own[key]["estimate"] for key in there], dtype=float)
         information = np.array(told["information"], dtype=float).reshape(len(there), len(there))

@@ -11,6 +11,7 @@ import numpy as np
 
 from ringwear_par.arrays import FloatArray
 from ringwear_par.atomic import atomic_write
+from ringwear_par.files import open_ordinary
 
 log = logging.getLogger(__name__)
 
@@ -54,7 +55,7 @@ class Keeper:
         if self._path is None:
             return None
         try:
-            with self._path.open("rb") as opened, np.load(opened) as file:
+            with open_ordinary(self._path) as opened, np.load(opened) as file:
                 if str(file["key"]) != self._key:
                     return None
                 place, gauss = file["place"].tolist(), float(file["gauss"])

@@ -1,5 +1,6 @@
 """A test design in the words of who makes the tests, and the folder that it is kept in."""
 
+import io
 import json
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -109,9 +110,11 @@ def save(found: "DesignResult", folder: Path) -> None:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise unwritable(folder, error) from error
+    picture = io.BytesIO()  # drawing takes long: who is killed meanwhile leaves no file
+    found.plot().savefig(picture, format="png", dpi=130)
     try:
         with atomic_write(folder / MAP) as path:
-            found.plot().savefig(path, format="png", dpi=130)
+            path.write_bytes(picture.getbuffer())
         with atomic_write(folder / NEXT) as path:
             told = _spreads(found, found.designs[0])
             path.write_text(next_tests(found, told), encoding="utf-8")

@@ -11,7 +11,7 @@ import numpy as np
 
 from ringwear_par.arrays import FloatArray
 from ringwear_par.atomic import atomic_write
-from ringwear_par.errors import ComputationError, RingwearError, reason_of
+from ringwear_par.errors import ComputationError, InputError, RingwearError, reason_of
 from ringwear_par.identification.chain import Keeper
 from ringwear_par.identification.histories import Histories
 from ringwear_par.identification.least_squares import LeastSquares
@@ -19,6 +19,7 @@ from ringwear_par.identification.lockstep import Meet, StoppedError, side_by_sid
 from ringwear_par.identification.marginal import Marginal
 from ringwear_par.identification.minimise import minimise
 from ringwear_par.identification.problem import Problem
+from ringwear_par.textfiles import parse_json, read_text
 
 log = logging.getLogger(__name__)
 
@@ -93,12 +94,12 @@ class Progress:
         """Return what is kept of a start; None if nothing is. Not collective."""
         path = self._path(number)
         try:
-            kept = json.loads(path.read_text()) if path is not None else None
+            kept = parse_json(read_text(path)) if path is not None else None
             if not isinstance(kept, dict) or kept.pop("key") != self._key:
                 return None
             lists = {k: tuple(v) for k, v in kept.items() if isinstance(v, list)}
             return Started(**{**kept, **lists})
-        except (OSError, ValueError, TypeError, KeyError):
+        except (InputError, ValueError, TypeError, KeyError):
             return None
 
     def write(self, found: Started) -> None:

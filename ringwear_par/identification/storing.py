@@ -19,6 +19,7 @@ from ringwear_par.identification.problem import Problem
 from ringwear_par.identification.starts import PROGRESS
 from ringwear_par.results.hdf5 import atomic_hdf5, write_variable
 from ringwear_par.results.variables import PARAMETER, PARAMETER_UNIT, SOFTWARE, Variable
+from ringwear_par.textfiles import parse_json, read_text
 
 if TYPE_CHECKING:
     from ringwear_par.identification.outcome import FitResult
@@ -64,10 +65,10 @@ def refuse_interrupted(folder: Path) -> None:
 def complete(folder: Path, problem: Problem, *, compare: bool) -> bool:
     """Tell whether a folder holds the outcome of a problem, of its other laws too where asked."""
     try:
-        told = json.loads((folder / FIT).read_text())
+        told = parse_json(read_text(folder / FIT))
         others = problem.alternatives.keys() if compare else set()
         return bool(told["key"] == problem.key and others <= told["alternatives"].keys())
-    except (OSError, ValueError, TypeError, KeyError, AttributeError):
+    except (InputError, ValueError, TypeError, KeyError, AttributeError):
         return False
 
 

@@ -1,6 +1,5 @@
 """The page of a fit, and of the design of the next tests, from what their folders hold."""
 
-import json
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -11,6 +10,7 @@ from scipy.stats import norm
 
 from ringwear_par import folders
 from ringwear_par.errors import InputError, legible
+from ringwear_par.files import read_bytes
 from ringwear_par.reports import charts
 from ringwear_par.reports.blocks import (
     Block,
@@ -27,6 +27,7 @@ from ringwear_par.reports.blocks import (
 from ringwear_par.results.drawing import COLOURS, in_words, time_unit
 from ringwear_par.results.reading import read_text, reading
 from ringwear_par.results.variables import SOFTWARE
+from ringwear_par.textfiles import parse_json
 from ringwear_par.textfiles import read_text as read_file
 
 #: what base units are told in, and how many of them
@@ -68,8 +69,8 @@ class _telling:  # noqa: N801  (it reads as a word)
 
     def __enter__(self) -> dict[str, Any]:
         try:
-            found = json.loads(self._text)
-        except (ValueError, RecursionError) as error:
+            found = parse_json(self._text)
+        except ValueError as error:
             raise InputError(self._told) from error
         if not isinstance(found, dict):
             raise InputError(self._told)
@@ -78,6 +79,19 @@ class _telling:  # noqa: N801  (it reads as a word)
     def __exit__(self, _: object, own: BaseException | None, __: object) -> None:
         if isinstance(own, KeyError | TypeError | ValueError | AttributeError | IndexError):
             raise InputError(self._told) from own
+
+
+def _picture(title: str, path: Path, alt: str) -> Picture:
+    """Return a picture of the folder.
+
+    Raises
+    ------
+    InputError : it cannot be read.
+    """
+    try:
+        return Picture(title, read_bytes(path), "image/png", alt)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror or error}") from error
 
 
 def _fitted(folder: Path, told: Mapping[str, Any]) -> list[Section]:
@@ -97,7 +111,7 @@ def _fitted(folder: Path, told: Mapping[str, Any]) -> list[Section]:
             "Relative likelihood of each fitted key, and confidence ellipses of each pair of them; "
             "estimates, intervals and correlations are in the table above"
         )
-        shown = Picture("Fitted keys", picture.read_bytes(), "image/png", alt)
+        shown = _picture("Fitted keys", picture, alt)
         sections.append(Section("Likelihoods and ellipses", [shown]))
     if told["alternatives"]:
         sections.append(Section("Other laws", [_alternatives(told)]))
@@ -338,7 +352,7 @@ def _designed(folder: Path, told: Mapping[str, Any]) -> Section:
     picture, following = folder / folders.MAP, folder / folders.NEXT
     if picture.exists():
         alt = "Predicted standard deviations of the fitted keys over the tests; numbers above"
-        blocks.append(Picture("Map of the tests", picture.read_bytes(), "image/png", alt))
+        blocks.append(_picture("Map of the tests", picture, alt))
     if following.exists():
         blocks.append(Source("The best tests, as tables of a fit file", read_file(following)))
     return Section("The next tests", blocks)

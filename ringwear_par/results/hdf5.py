@@ -22,7 +22,7 @@ class _Disk(io.RawIOBase):
 
     Parameters
     ----------
-    path : made anew.
+    path : of a file, which is emptied.
 
     Raises
     ------
@@ -30,7 +30,7 @@ class _Disk(io.RawIOBase):
     """
 
     def __init__(self, path: Path) -> None:
-        self._handle = os.open(path, os.O_RDWR | os.O_CREAT | os.O_TRUNC, 0o666)
+        self._handle = os.open(path, os.O_RDWR | os.O_TRUNC)
         self._place = 0
         self._failure: tuple[int | None, str] | None = None  # an error would hold frames
         self._kept: list[tuple[int, bytes]] = []
@@ -102,11 +102,15 @@ class _Disk(io.RawIOBase):
 
 
 @contextmanager
-def atomic_hdf5(path: Path) -> Iterator[tuple[h5py.File, Callable[[], None]]]:
+def atomic_hdf5(path: Path, sealed: bool = True) -> Iterator[tuple[h5py.File, Callable[[], None]]]:
     """Give a file to fill, which is there once it is whole. Call on one rank only.
 
     With it comes what raises the error of a disk that has failed since: it need not be called, but
     saves the memory and the time of what is written for nothing.
+
+    Parameters
+    ----------
+    sealed : whether its checksum is added, which other programs pass over.
 
     Raises
     ------
@@ -119,7 +123,8 @@ def atomic_hdf5(path: Path) -> Iterator[tuple[h5py.File, Callable[[], None]]]:
                     yield file, disk.check
             finally:
                 disk.check()
-        seal(temporary)
+        if sealed:
+            seal(temporary)
 
 
 def write_variable(group: h5py.Group, variable: Variable, values: Any) -> None:

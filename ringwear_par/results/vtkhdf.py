@@ -4,11 +4,10 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import h5py
 import numpy as np
 
-from ringwear_par.atomic import atomic_write
 from ringwear_par.results.cells import Cells
+from ringwear_par.results.hdf5 import atomic_hdf5
 
 _VERSION = (2, 0)
 #: VTK's numbers of a line through several points, and of a quadrangle
@@ -24,7 +23,7 @@ def write_vtkhdf(output: Path, times: Sequence[float], contents: Sequence[Cells]
     """
     first, count = contents[0], len(times)
     (cells, corners), points = first.cells.shape, len(first.points)
-    with atomic_write(output) as temporary, h5py.File(temporary, "w") as file:
+    with atomic_hdf5(output, sealed=False) as (file, _):
         root = file.create_group("VTKHDF")
         root.attrs["Version"] = np.array(_VERSION, dtype=np.int64)
         root.attrs.create("Type", b"UnstructuredGrid", dtype="S16")

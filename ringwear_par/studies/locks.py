@@ -1,11 +1,14 @@
 """Locks on the folder of a sweep: one sweep at a time, or slices, each once."""
 
 import fcntl
+import os
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
+from typing import BinaryIO
 
 from ringwear_par.errors import InputError
+from ringwear_par.files import open_ordinary
 
 
 @contextmanager
@@ -22,10 +25,10 @@ def locked(folder: Path, part: str) -> Iterator[None]:
     InputError : another sweep is at work there.
     """
     with ExitStack() as held:
-        whole = held.enter_context((folder / "lock").open("a"))
+        whole = held.enter_context(_opened(folder / "lock"))
         _lock(whole, fcntl.LOCK_SH if part else fcntl.LOCK_EX, folder)
         if part:  # only now: who has the whole may remove it
-            own = held.enter_context((folder / f"lock{part}").open("a"))
+            own = held.enter_context(_opened(folder / f"lock{part}"))
             _lock(own, fcntl.LOCK_EX, folder)
         yield
 
@@ -36,9 +39,22 @@ def forget_slices(folder: Path) -> None:
         path.unlink(missing_ok=True)
 
 
-def _lock(file: object, kind: int, folder: Path) -> None:
+def _opened(path: Path) -> BinaryIO:
+    """Open a lock, or make it.
+
+    Raises
+    ------
+    InputError : it cannot be opened, or something else is there.
+    """
     try:
-        fcntl.flock(file.fileno(), kind | fcntl.LOCK_NB)  # type: ignore[attr-defined]
+        return open_ordinary(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be opened: {error.strerror or error}") from error
+
+
+def _lock(file: BinaryIO, kind: int, folder: Path) -> None:
+    try:
+        fcntl.flock(file, kind | fcntl.LOCK_NB)
     except BlockingIOError:
         raise InputError(
             f"{folder}: another sweep is at work in this folder; wait for its end, or use another"

@@ -8,6 +8,7 @@ import numpy as np
 from mpi4py import MPI
 
 from ringwear_par.arrays import FloatArray
+from ringwear_par.atomic import atomic_write
 from ringwear_par.cases.case import Case
 from ringwear_par.elasticity.pair import ContactPair
 from ringwear_par.errors import ComputationError, InputError
@@ -44,18 +45,15 @@ def write_operator(path: Path, case: Case, comm: MPI.Comm) -> None:
         reason = str(error) or repr(error)
 
     def write() -> None:
-        temporary = path.with_suffix(".tmp")
+        content = io.BytesIO()  # to a disk, numpy.save does not tell why it fails
+        if reason:
+            content.write(reason.encode())
+        else:
+            np.save(content, stacked)
         try:
-            if reason:
-                temporary.write_text(reason, encoding="utf-8")
-                temporary.replace(reason_of_failure(path))
-            else:
-                data = io.BytesIO()  # to a disk, numpy.save does not tell why it fails
-                np.save(data, stacked)
-                temporary.write_bytes(data.getbuffer())
-                temporary.replace(path)
+            with atomic_write(reason_of_failure(path) if reason else path) as temporary:
+                temporary.write_bytes(content.getbuffer())
         except OSError as error:
-            temporary.unlink(missing_ok=True)
             raise StorageError(f"{path}: {error.strerror or error}") from error
 
     on_first_rank(comm, write)

@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from ringwear_par.atomic import check_writable, unwritable
+from ringwear_par.atomic import check_writable, remove_leftovers, unwritable
 from ringwear_par.cases.keys import read_keys
 from ringwear_par.errors import ComputationError, InputError
 from ringwear_par.history.balances import Balances
@@ -100,9 +100,10 @@ class Store:
         self.drop_operators()
         self.stopped.unlink(missing_ok=True)
         if not self.part:
-            left = [*self.folder.glob("STOPPED.*"), *self.folder.glob("*.tmp*")]
-            for path in (*left, *(self.folder / "inflight").glob("*.tmp*")):
+            for path in self.folder.glob("STOPPED.*"):
                 path.unlink(missing_ok=True)
+            remove_leftovers(self.folder)
+            remove_leftovers(self.folder / "inflight")
 
     def drop_operators(self) -> None:
         """Remove the operators, which are assembled again where they are needed."""

@@ -3,20 +3,24 @@
 import copy
 import itertools
 import json
+import signal
 import tomllib
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from laboratory import END, TRUTH, fit_tables, write_tests
+from matplotlib.figure import Figure
 from mpi4py import MPI
 
 import ringwear_par as rw
 from ringwear_par.identification.candidates import candidates
 from ringwear_par.identification.design import run_design
+from ringwear_par.identification.design_summary import FILES
 from ringwear_par.identification.fit import fit, predicted
 from ringwear_par.identification.fit_file import read_fit
 from ringwear_par.identification.next_tests import next_tests
+from ringwear_par.stopping import Stopped
 
 VARY = {"load.pressure": [40.0, 96.0]}
 
@@ -312,14 +316,27 @@ def test_what_cannot_be_is_refused(tables, change, told, comm):
 
 
 @pytest.mark.serial
-def test_the_folder_holds_what_to_do_next(tables, laboratory, tmp_path, comm, capsys):
+def test_the_folder_holds_what_to_do_next(tables, laboratory, tmp_path, comm, capsys, monkeypatch):
     folder, _ = laboratory
     from ringwear_par.cases.text import toml_value
 
     source = folder / "fit.toml"
     lines = [f"{key} = {toml_value(value)}" for key, value in tables().items()]
     source.write_text("\n".join(lines) + "\n")
+    (tmp_path / "next").mkdir()
+    for name in ("design.png", "next.toml", "design.json"):  # of one that was killed
+        (tmp_path / f"next/{name}.tmp0123456789abcdef").write_text("half")
+
+    def killed(*_, **__):
+        raise Stopped(signal.SIGTERM)
+
+    with monkeypatch.context() as patches:
+        patches.setattr(Figure, "savefig", killed)
+        with pytest.raises(Stopped):
+            run_design(source, tmp_path / "next", comm)
+    assert not list((tmp_path / "next").iterdir())
     run_design(source, tmp_path / "next", comm)
+    assert {path.name for path in (tmp_path / "next").iterdir()} == set(FILES)
     told = json.loads((tmp_path / "next/design.json").read_text())
     assert set(told["designs"][0]["sd"]) == set(TRUTH)
     tests = tomllib.loads((tmp_path / "next/next.toml").read_text())["experiment"]
