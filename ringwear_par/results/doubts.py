@@ -115,8 +115,8 @@ def doubts_at(
                 "coarse_film",
                 f"the compliance of bodies with layers is asymmetric by "
                 f"{symmetry_defect:.2g}, as of thin films that are soft or nearly "
-                "incompressible: pressures may be wrong by three times as much; compare with a finer "
-                "mesh (mesh.contact_elements)",
+                "incompressible: pressures may be wrong by three times as much; compare with a "
+                "finer mesh (mesh.contact_elements)",
             )
         )
     return (
