@@ -26,6 +26,9 @@ _LAYERED = 1.6, 3.5, 1.3
 _FINE = 3.0, 4.0, 1.3
 #: fewest elements of a free or fixed face
 _FEWEST = 4
+#: longest elements of the fixed face, in distances from the contact line over the number of contact
+#: elements; under the contact of a thin body they would be long against its height
+_FIXED_LENGTH = 16.0
 #: mm of a layer, or half of one that is thinner, that stays where elements follow the wear
 _RESIDUAL = 1e-3
 
@@ -142,8 +145,26 @@ def _levels(section: Section) -> list[float]:
     return [0.0, *(-depth for depth in itertools.accumulate(section.layers)), -section.height]
 
 
-def _fixed_elements(mesh: Mesh) -> int:
-    return max(_FEWEST, mesh.contact_elements // 2)
+def _fixed_face(section: Section, contact: tuple[float, float], mesh: Mesh) -> FloatArray:
+    """Return the radii of the element ends of the fixed face, from its outer to its inner end, mm.
+
+    Half as many elements as the contact line has, graded towards the corners. Those that are long
+    against their distance from the contact line are split in equal parts, but none below the mean
+    length of contact elements.
+    """
+    (inner, outer), (a, b) = section.r, contact
+    n = max(_FEWEST, mesh.contact_elements // 2)
+    ends = graded(outer, inner, n, CORNER_GRADING, 1.0 if inner == 0 else CORNER_GRADING)
+    r = 0.5 * (ends[:-1] + ends[1:])
+    nearest = np.clip(r, a, b)
+    distance = np.hypot(section.height + section.depth(nearest), r - nearest)
+    longest = np.maximum(_FIXED_LENGTH * distance, b - a) / mesh.contact_elements
+    parts = np.ceil(-np.diff(ends) / longest).astype(int)
+    splits = [
+        np.linspace(start, end, count, endpoint=False)
+        for start, end, count in zip(ends[:-1], ends[1:], parts, strict=True)
+    ]
+    return np.append(np.concatenate(splits), inner)
 
 
 def _side_elements(section: Section, at_contact_edge: bool, height: float, mesh: Mesh) -> int:
@@ -170,7 +191,7 @@ def count_elements(section: Section, contact: tuple[float, float], mesh: Mesh) -
     (inner, outer), (a, b) = section.r, contact
     face = face_elements(section, contact, mesh)
     sides = [outer == b, *([] if inner == 0 else [inner == a])]
-    count = _fixed_elements(mesh) + (1 + 2 * len(section.layers)) * face
+    count = len(_fixed_face(section, contact, mesh)) - 1 + (1 + 2 * len(section.layers)) * face
     for top, bottom in itertools.pairwise(_levels(section)):
         count += sum(_side_elements(section, there, top - bottom, mesh) for there in sides)
     return count
@@ -257,13 +278,13 @@ def zone_meshes(
     worn_top = top.copy()
     if worn is not None:
         _lower_face(section, line, worn_top, worn)
-    g, zones = CORNER_GRADING, []
+    zones = []
     for k, (high, low) in enumerate(itertools.pairwise(_levels(section))):
         base = np.stack([top[:, 0], np.full(len(top), low)], axis=1)
         base_name = "below" if k < len(section.layers) else "fixed"
         if base_name == "fixed":
-            ends = np.array([(outer, low), (inner, low)])
-            base = _along(ends, _fixed_elements(mesh), (g, 1.0 if inner == 0 else g))
+            radii = _fixed_face(section, (a, b), mesh)
+            base = np.stack([radii, np.full(len(radii), low)], axis=1)
         worn_base = base.copy()
         if base_name == "below":
             film = np.minimum(min(_RESIDUAL, 0.5 * (high - low)), top[:, 1] - low)

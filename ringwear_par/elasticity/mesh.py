@@ -17,6 +17,8 @@ from ringwear_par.errors import InputError
 
 #: fewest elements of a piece of the contact line
 FEWEST = 4
+#: largest grading of the contact line towards the axis
+_AXIS_GRADING = 1.5
 
 
 @dataclass(frozen=True)
@@ -79,11 +81,17 @@ class ContactLine:
 
     @property
     def arm(self) -> FloatArray:
-        """(n,) mm, Int r^2 dr / Int r dr: lever arm of a constant traction, and radius of sliding.
+        """(n,) mm, Int r dr / Int dr: lever arm of friction, and radius of sliding: the mid-points.
 
-        The same radius in the torque and in the sliding speed makes friction power = torque x
-        omega, and hence the energy identity, exact for the discrete problem.
+        With it, force and torque of the pressures p0 + c / r to which wear leads are exact, also
+        next to the axis. The same radius in the torque and in the sliding speed makes friction
+        power = torque x omega, and hence the energy identity, exact for the discrete problem.
         """
+        return self.r
+
+    @property
+    def uniform_arm(self) -> FloatArray:
+        """(n,) mm, Int r^2 dr / Int r dr: lever arm of a constant traction."""
         return 2.0 / 3.0 * np.diff(self.edges**3) / np.diff(self.edges**2)
 
     @property
@@ -153,7 +161,8 @@ def contact_pieces(
 def contact_line(contact: tuple[float, float], mesh: Mesh, *faces: Section) -> ContactLine:
     """Return the contact elements between two radii (mm), cut at the corners of the faces.
 
-    Every piece is graded towards its ends, but not towards the axis.
+    Every piece is graded towards its ends, towards the axis (where pressures 1 / r grow as wear
+    goes on) by ``_AXIS_GRADING`` at most.
 
     Raises
     ------
@@ -161,7 +170,7 @@ def contact_line(contact: tuple[float, float], mesh: Mesh, *faces: Section) -> C
     """
     lines = []
     for a, b, n in contact_pieces(contact, mesh, *faces):
-        towards_axis = 1.0 if a == 0 else mesh.grading
+        towards_axis = min(_AXIS_GRADING, mesh.grading) if a == 0 else mesh.grading
         lines.append(graded(b, a, n, mesh.grading, towards_axis)[::-1])
     return ContactLine(np.concatenate([lines[0], *(line[1:] for line in lines[1:])]))
 

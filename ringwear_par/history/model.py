@@ -152,8 +152,10 @@ class WearModel:
             for law in self.given.laws
         )
         self._moment = true_area * self._arm  # torque per unit shear
-        # what balances take from the pressure: friction torque / mu, reactions of both bodies
-        self._carried = np.vstack([self._moment, first.force_reaction, first.torque_reaction])
+        # what balances take from the pressure: friction torque / mu, reactions of both bodies;
+        # boundary elements turn with tractions that are constant on each
+        turned = first.torque_reaction * (self._arm / self.line.uniform_arm)
+        self._carried = np.vstack([self._moment, first.force_reaction, turned])
 
     def follow(self, shape: FloatArray) -> None:
         """Take the elasticity of elements that have followed a wear, (2, n) mm. Collective."""

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 from mpi4py import MPI
 
-from ringwear_par.cases.case import Case, Load, Ring, Stepping
+from ringwear_par.cases.case import Case, Load, Output, Ring, Stepping
 from ringwear_par.elasticity.mesh import Mesh
 from ringwear_par.elasticity.pair import ContactPair
 from ringwear_par.elasticity.sections import Polyline
@@ -32,6 +32,7 @@ def history_checks(comm: MPI.Comm) -> Iterator[Check]:
     pair = assemble(paper_case(Mesh(_N)), comm)
     yield from steady_checks(pair, comm)
     yield from adaptive_checks(pair, comm)
+    yield from pin_checks(comm)
     yield from growing_checks(comm)
     yield Check("explicit limit 1.485 h p/E*, uniform mesh", (128,),
                 (explicit_limit_error(128, comm),), 2e-2)  # fmt: skip
@@ -117,6 +118,43 @@ def adaptive_checks(pair: ContactPair, comm: MPI.Comm) -> Iterator[Check]:
                    float(np.abs(two.last.wear / one.last.wear - 1.0).max()), 1e-8)  # fmt: skip
     yield identity("both wear: worn volumes = k1, k2 x dissipated energy", _N,
                    one.balances.energy, 1e-10)  # fmt: skip
+
+
+def pin_case(n: int) -> Case:
+    """Return the case of a solid pin, r = 0 to 3 mm under 3000 N, that wears to its steady state.
+
+    Parameters
+    ----------
+    n : number of contact elements.
+    """
+    return Case(
+        Ring((0.0, 10.0), (0.0, 10.0), 200e3, NU, "clamped"),
+        Ring((0.0, 3.0), (10.0, 20.0), 200e3, NU, "clamped"),
+        0.1, None, ThresholdLaw(1e-6), Load(1.0, 3000.0), Stepping("implicit", 2.5e4, 10), Mesh(n),
+        Output(),
+    )  # fmt: skip
+
+
+def pin_checks(comm: MPI.Comm) -> Iterator[Check]:
+    """Compare a worn solid pin with its steady state, p = F / (2 pi R r) up to the axis."""
+    case = pin_case(_N)
+    history = trace(case, comm)
+    assert isinstance(case.load.force, float)
+    force, (_, radius) = case.load.force, case.upper.r
+    c = force / (2.0 * math.pi * radius)
+    p = history.last.contact.pressure
+    for text, value, exact in (
+        ("pressure F / (2 pi R r)", p * history.model.line.r, c),
+        ("torque mu F R / 2", history.model.torque(p), 0.5 * case.friction * force * radius),
+        ("approach rate mu k omega F / (2 pi R)", _approach_rate(history),
+         case.friction * 1e-6 * 1.0 * c),
+    ):  # fmt: skip
+        error = float(np.abs(value / exact - 1.0).max())
+        yield Check(f"worn solid pin, steady: {text}", (_N,), (error,), 1e-4)
+    worst = history.balances
+    yield identity("worn solid pin: worn volume = k x dissipated energy", _N, worst.energy, 1e-10)
+    yield Check("worn solid pin: torque on the held faces", (_N,), (worst.torque,), 1e-4,
+                kind="identity")  # fmt: skip
 
 
 def round_face(r: tuple[float, float], radius: float) -> Polyline:

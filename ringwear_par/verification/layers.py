@@ -1,4 +1,4 @@
-"""Bodies with bonded layers against exact solutions, and the paper's rings with a coating.
+"""Bodies with bonded layers against exact solutions, coated rings of the paper, thin discs.
 
 Half-spaces are stood in for as in ``half_space``, by larger discs: where a layer is stiff, what the
 truncation adds falls off more slowly.
@@ -49,6 +49,7 @@ def layer_checks(comm: MPI.Comm) -> Iterator[Check]:
         for name, layer in (("hard", _HARD), ("soft", _SOFT)):
             yield from _half_space_rows(f"{name} layer {thickness:g}", thickness, layer, comm)
     yield from coating_checks(comm)
+    yield from thin_disc_checks(comm)
 
 
 def bar_errors(n: int, comm: MPI.Comm) -> tuple[float, float]:
@@ -303,3 +304,56 @@ def coating_checks(comm: MPI.Comm) -> Iterator[Check]:
         errors = tuple(each.held[i] for each in found)
         yield Check(f"paper, hard coating: {text} on the held faces", SIZES, errors, 1e-4,
                     kind="identity")  # fmt: skip
+
+
+#: thin soft discs under a stiff ring: height (mm) and Poisson's ratio, and the ring's radii
+_THIN, _NARROWER = ((2.0, 0.4), (1.5, 0.499)), (10.0, 20.0)
+#: elements of the solution that they are compared with
+_FINE = 128
+
+
+def thin_disc_errors(
+    height: float, poisson: float, sizes: Sequence[int], comm: MPI.Comm
+) -> list[tuple[float, float]]:
+    """Return the errors of thin discs, clamped and wider than the ring that presses on them.
+
+    Of the approach, and of the pressure 0.7 mm inside both edges and in the middle. The reference
+    is the same disc as a layer on a rigid body, which has no elements of a held face near.
+
+    Parameters
+    ----------
+    sizes : numbers of contact elements.
+    """
+    own, rigid, base = Material(500.0, poisson), Material(1e12, NU), 20.0
+    disc = Body(Section((0.0, 30.0), height), own.young, own.poisson, "clamped")
+    layer = Body(
+        Section((0.0, 30.0), base + height, (), (height,)), rigid.young, rigid.poisson, "clamped",
+        (own,),
+    )  # fmt: skip
+    ring = Body(Section(_NARROWER, 10.0), 200e3, NU, "clamped")
+    radii = (_NARROWER[0] + 0.7, 0.5 * sum(_NARROWER), _NARROWER[1] - 0.7)
+
+    def solution(lower: Body, n: int) -> FloatArray:
+        mesh = Mesh(n)
+        line = contact_line(_NARROWER, mesh)
+        pair = assemble_pair((lower, ring), line, mesh, comm)
+        unit = np.linalg.solve(pair.compliance((lower.young, ring.young)).collocated, np.ones(n))
+        approach = 1.0 / float(line.area @ unit)
+        return np.array([approach, *(pressure_at(line, approach * unit, r) for r in radii)])
+
+    exact = solution(layer, _FINE)
+    every = [np.abs(solution(disc, n) / exact - 1.0) for n in sizes]
+    return [(float(errors[0]), float(errors[1:].max())) for errors in every]
+
+
+def thin_disc_checks(comm: MPI.Comm) -> Iterator[Check]:
+    """Check thin soft discs on their held faces. Collective on comm."""
+    sizes = 32, 64
+    for height, poisson in _THIN:
+        found = thin_disc_errors(height, poisson, sizes, comm)
+        said = f"soft disc of {height:g} mm, nu {poisson:g}, under a narrower ring"
+        for i, (text, tolerance, digits) in enumerate(
+            (("approach", 3e-4, 4e-5), ("p 0.7 mm inside edges, p(mid)", 1e-3, 1e-4))
+        ):
+            yield Check(f"{said}: {text}", sizes, tuple(each[i] for each in found), tolerance,
+                        digits)  # fmt: skip

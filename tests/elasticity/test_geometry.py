@@ -107,9 +107,26 @@ def test_the_line_is_cut_at_corners_and_shares_its_elements_out():
 def test_contact_line_measures():
     line = contact_line((28.5, 31.5), Mesh(64))
     assert line.area.sum() == pytest.approx(np.pi * (31.5**2 - 28.5**2), rel=1e-14)
-    assert line.area @ line.arm == pytest.approx(2 * np.pi / 3 * (31.5**3 - 28.5**3), rel=1e-14)
+    assert (line.area / line.arm).sum() == pytest.approx(2 * np.pi * 3.0, rel=1e-14)
+    exact = 2 * np.pi / 3 * (31.5**3 - 28.5**3)
+    assert line.area @ line.uniform_arm == pytest.approx(exact, rel=1e-14)
     assert np.allclose(line.width, line.width[::-1], rtol=1e-9)
     assert line.width[0] < line.width[32] / 20
+
+
+def test_the_fixed_face_is_fine_under_thin_bodies_only():
+    """Under the contact: 16 distances, or its width, over the number of contact elements."""
+    contact, mesh = (10.0, 20.0), Mesh(64)
+    for height, more in ((0.1, True), (1.5, True), (20.0, False)):
+        section = Section((0.0, 30.0), height)
+        body = boundary_mesh(section, contact_line(contact, mesh), mesh)
+        r = body.nodes[body.elements[body.fixed], 0]
+        middle, length = r[:, 1], np.abs(r[:, 2] - r[:, 0])
+        assert (len(middle) > 32) == more
+        under = (middle > contact[0]) & (middle < contact[1])
+        assert under.any()
+        if more:
+            assert (length[under] <= max(16.0 * height, 10.0) / 64 * (1.0 + 1e-9)).all()
 
 
 def test_grading_one_is_uniform_and_doubling_halves():

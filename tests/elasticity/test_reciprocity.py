@@ -117,9 +117,15 @@ def test_no_element_of_a_regular_edge_lifts_off(compliances, name):
     assert not (plain > 0.0).all()
 
 
-def test_contact_at_the_axis_alone_is_right_too(compliances, monkeypatch):
-    """Rigid faces bear at the edge of discs, a sphere does not: what the diagonal is for."""
-    compliance = compliances["discs", 32]
+def test_contact_at_the_axis_alone_is_right_too(comm, monkeypatch):
+    """Rigid faces bear at the edge of discs, a sphere does not: what the diagonal is for.
+
+    On a uniform mesh, whose elements at the axis are wide against their radius.
+    """
+    (lower, soft, upper, hard), mesh = BODIES["discs"], Mesh(32, grading=1.0)
+    both = Body(lower, soft, 0.3, "clamped"), Body(upper, hard, 0.3, "clamped")
+    pair = assemble_pair(both, contact_line((0.0, 4.0), mesh), mesh, comm)
+    compliance = pair.compliance((soft, hard))
     line, normal = compliance.line, compliance.collocated
     gap = line.r**2 / 40.0
     exact, _ = active_set.solve(line.area[:, None] * normal, line.area, gap, force=2000.0)

@@ -194,10 +194,11 @@ def test_torque_of_uniform_pressure_and_of_the_steady_state(stepped, paper_pair)
     history, states = stepped(wear_lower=ThresholdLaw(1e-7), time=steps("implicit", 40.0, 200))
     uniform = np.full(history.model.line.n, 80.0)
     exact = 0.1 * 80.0 * 2 * np.pi / 3 * (31.5**3 - 28.5**3)
-    assert history.model.torque(uniform) == pytest.approx(exact, rel=1e-13)
+    # elements bear c / r: a uniform pressure is right as far as the mesh is fine
+    assert history.model.torque(uniform) == pytest.approx(exact, rel=1e-6)
     # p = c/r: the friction force acts at the mean radius
     steady = history.model.torque(states[-1].contact.pressure)
-    assert steady == pytest.approx(0.1 * history.model.case.load.force * 30.0, rel=1e-6)
+    assert steady == pytest.approx(0.1 * history.model.case.load.force * 30.0, rel=1e-10)
 
 
 def test_twist_of_the_upper_ring_alone(paper_pair, comm):

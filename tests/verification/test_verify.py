@@ -71,13 +71,11 @@ def test_identities_hold_to_round_off(checks):
         ("soft on stiff: approach", 2.5),
         ("soft on stiff: pressure, worst from 0.02 mm on", 1.8),
         ("soft on stiff, finite elements: ring means", 1.5),
-        ("soft on stiff, both wear, steady: pressure c/r", 1.9),
         ("flush: approach", 2.5),
         ("flush: pressure, worst of all elements", 2.2),
         ("flush: wear after 10 s, worst element, mm", 2.2),
         ("torsion of a ring with a conical top of 10 degrees: u_theta", 1.8),
         ("cones of 5 degrees: pressure, worst from 0.02 mm on", 1.7),
-        ("cones of 5 degrees, both wear, steady: torque", 1.9),
         ("cones of 10 degrees: approach", 1.7),
         ("Lame, bonded sleeve: pressure between", 3.0),
         ("disc with two layers, pressure J0: u of the face", 1.8),
@@ -92,9 +90,12 @@ def test_identities_hold_to_round_off(checks):
                 ("uniform pressure: u_z, worst to 0.9 a", 2.2),
                 ("uniform pressure: u_z at the edge", 2.2),
                 ("rigid flat punch: force", 2.2),
-                ("rigid flat punch: p / p(mean), worst to 0.9 a", 1.8),
             )
         ),
+        # of "hard layer 0.5" it is 2.7 from 16 to 32 elements, then what the discs leave shows
+        ("soft layer 0.5, rigid flat punch: p / p(mean), worst to 0.9 a", 1.8),
+        ("hard layer 0.05, rigid flat punch: p / p(mean), worst to 0.9 a", 1.8),
+        ("soft layer 0.05, rigid flat punch: p / p(mean), worst to 0.9 a", 1.8),
         ("paper, 0.05 mm below of the same material: approach", 2.5),
         ("paper, hard coating: approach", 2.2),
         ("paper, hard coating: p(28.6)", 1.6),
@@ -103,6 +104,16 @@ def test_identities_hold_to_round_off(checks):
 )
 def test_observed_orders(checks, name, order):
     assert checks[name].order > order
+
+
+@pytest.mark.most_ranks(2)
+def test_steady_pressures_and_torques_are_exact(checks):
+    """Pressures c / r have their arm at the elements' mid-points, up to the axis."""
+    steady = [c for c in checks.values() if "pin, steady" in c.name or "wear, steady" in c.name]
+    assert len(steady) > 6
+    for check in steady:
+        if "rate" not in check.name:
+            assert check.errors[-1] < 1e-8, check.name
 
 
 @pytest.mark.most_ranks(2)
