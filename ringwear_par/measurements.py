@@ -3,6 +3,7 @@
 import csv
 import hashlib
 import re
+from collections import Counter
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -12,13 +13,16 @@ from ringwear_par.arrays import BoolArray, FloatArray, IntArray
 from ringwear_par.errors import InputError, legible
 from ringwear_par.files import read_bytes
 
-_NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
+#: read one way only, so that the time of long cells is linear in their length
+_NUMBER = re.compile(r"[+-]?(\d+(\.\d*)?|\.\d+)([eE][+-]?\d+)?", re.ASCII)
 #: h:mm:ss, or two of them
 _CLOCK = re.compile(r"(?:(\d+):(?=[0-5]\d:))?(\d+):([0-5]\d(?:\.\d*)?)", re.ASCII)
 #: what Excel writes above a table
 _SEPARATOR = re.compile(r'"?sep=([,;\t])"?', re.IGNORECASE)
 #: cells that say that there is nothing
 _EMPTY = frozenset({"", "nan"})
+#: columns of a table: loggers have hundreds of channels, files with more are something else
+MOST_COLUMNS = 1000
 
 
 @dataclass(frozen=True)
@@ -75,6 +79,12 @@ class Measurements:
                 f"number{'' if hour is None else ' or a clock time (h:mm:ss)'}, or empty"
             )
         return values[rows]
+
+    def names_seconds(self, name: str, rows: BoolArray) -> bool:
+        """Tell whether a column has clock times with seconds in some of the rows, and no others."""
+        place = self.columns.index(name)
+        clocks = [_CLOCK.fullmatch(self.rows[i][place]) for i in np.flatnonzero(rows).tolist()]
+        return all(clock is not None and clock[1] is not None for clock in clocks)
 
 
 def _clock_time(clock: re.Match[str], hour: float) -> float:
@@ -141,6 +151,10 @@ def measurements_in(content: bytes, path: str) -> Measurements:
     if len(cells) != len(lines):
         raise InputError(f"{path}: a quoted cell goes on over several lines; must be on one")
     columns = tuple(cell.strip() for cell in cells[0])
+    if len(columns) > MOST_COLUMNS:
+        raise InputError(
+            f"{path}: line {lines[0]}: names {len(columns)} columns; must be at most {MOST_COLUMNS}"
+        )
     if any(_NUMBER.fullmatch(name.replace(",", ".")) for name in columns):
         raise InputError(
             f"{path}: line {lines[0]}: {legible(', '.join(columns))}: must be the names of the "
@@ -148,8 +162,8 @@ def measurements_in(content: bytes, path: str) -> Measurements:
         )
     faults = [
         f"{path}: line {lines[0]}: {legible(name)}: names two columns; must be one"
-        for name in dict.fromkeys(columns)
-        if name and columns.count(name) > 1
+        for name, count in Counter(columns).items()
+        if name and count > 1
     ]
     rows = [tuple(cell.strip() for cell in row) for row in cells[1:]]
     wrong = [i for i, row in enumerate(rows) if len(row) < len(columns) or any(row[len(columns) :])]

@@ -14,9 +14,12 @@ if TYPE_CHECKING:
 
 #: more is no unit, and slow to look at
 _LONGEST = 40
+#: characters of a column's name that are looked at for its unit, the last ones
+_TAIL = 2 * _LONGEST
 #: units to pint (year, barn, byte, tonne, powers) that tell columns apart in their names
 _LABEL = re.compile(r"[abBt]|[A-Za-ln-z]\d+", re.ASCII)
-_NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
+#: read one way only, so that the time of long texts is linear in their length
+_NUMBER = r"[-+]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][-+]?\d+)?"
 _PLAIN = re.compile(_NUMBER, re.ASCII)
 _WITH_UNIT = re.compile(rf"\s*({_NUMBER})\s*((?:[^\W\d_]|[%°µμ(]|1\s*/).*)", re.ASCII)
 
@@ -57,7 +60,7 @@ def _as_pint_has_it(unit: str) -> str:
 
 
 def unit_of_column(name: str, base: str) -> str | None:
-    """Return the unit that a column's name ends with, as ``z_um`` or ``depth [um]``; or None."""
+    """Return the unit in a column's name, as in ``z_um``, ``z [um]`` or ``z / um``; or None."""
     ending, _ = _ending(name)
     try:
         factor(ending, base)
@@ -67,11 +70,11 @@ def unit_of_column(name: str, base: str) -> str | None:
 
 
 def told_unit(name: str, base: str) -> str | None:
-    """Return the unit that a column's name ends with; None where it ends with no unit.
+    """Return the unit in a column's name; None where there is none.
 
     Raises
     ------
-    RejectedError : it ends with a unit of something else, or has brackets around what is no unit.
+    RejectedError : it is a unit of something else, or there are brackets around what is no unit.
     """
     unit = unit_of_column(name, base)
     ending, bracketed = _ending(name)
@@ -83,6 +86,11 @@ def told_unit(name: str, base: str) -> str | None:
     return unit
 
 
+def assumption(column: str, unit: str) -> str:
+    """Return the sentence about a column whose unit nobody names."""
+    return f"the column {legible(column)} names no unit; {unit} is taken"
+
+
 def unit_of_anything(name: str) -> str | None:
     """Return the unit that a column's name ends with, of whatever it may be; or None."""
     ending, _ = _ending(name)
@@ -91,8 +99,20 @@ def unit_of_anything(name: str) -> str | None:
 
 def _ending(name: str) -> tuple[str, bool]:
     """Return what a name ends with that may be a unit, "" for none; whether in brackets."""
-    match = re.search(r"(_|\s*[\[(])\s*([^\s_\[\]()]+(?:\s[^\s_\[\]()]+)?)\s*[\])]?$", name)
+    tail = name.strip()[-_TAIL:]
+    quantity, slash, unit = tail.partition("/")
+    bare = re.sub(r"^[(\[](.*)[)\]]$", r"\1", unit.strip()).strip()
+    apart = quantity.endswith(" ") or unit.startswith(" ")
+    if slash and quantity.strip() and _is_unit(bare) and (apart or not _ends_with_unit(quantity)):
+        return bare, False
+    match = re.search(r"(_|\s*[\[(])\s*([^\s_\[\]()]+(?:\s[^\s_\[\]()]+)?)\s*[\])]?$", tail)
     return ("", False) if match is None else (match[2], match[1] != "_")
+
+
+def _ends_with_unit(quantity: str) -> bool:
+    """Tell whether the part of a name before a slash ends with a unit, as in ``v_mm/s``."""
+    before, _, last = re.sub(r"[_\[(]", " ", quantity).rpartition(" ")
+    return bool(before.strip()) and _is_unit(last)
 
 
 def _is_unit(ending: str) -> bool:

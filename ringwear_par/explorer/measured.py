@@ -9,7 +9,7 @@ import numpy as np
 
 from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.case import Case, density_keys
-from ringwear_par.cases.units import factor, told_unit, unit_of_column
+from ringwear_par.cases.units import assumption, factor, told_unit, unit_of_column
 from ringwear_par.cases.values import RejectedError
 from ringwear_par.errors import InputError, legible
 from ringwear_par.identification.problem import BASE
@@ -44,6 +44,7 @@ class Laid:
     quantity : one of those above.
     x : (n,) s, or mm where it is ``along`` the radius.
     raw : (n,) as the table has them.
+    x_assumption : sentence about the column of x where nobody names its unit, else "".
     """
 
     file: str
@@ -52,6 +53,7 @@ class Laid:
     along: bool
     x: FloatArray
     raw: FloatArray
+    x_assumption: str = ""
 
     @property
     def choices(self) -> Sequence[str]:
@@ -59,10 +61,22 @@ class Laid:
         return ALONG_RADIUS if self.along else OVER_TIME
 
     @property
+    def _base(self) -> str:
+        """The unit of its quantity in a case."""
+        return BASE[self.quantity.partition(".")[0]]
+
+    @property
     def unit(self) -> str:
         """Its unit, told by its name or else that of the quantity in a case."""
-        base = BASE[self.quantity.partition(".")[0]]
-        return unit_of_column(self.column, base) or base
+        return unit_of_column(self.column, self._base) or self._base
+
+    @property
+    def assumptions(self) -> list[str]:
+        """Sentences about columns whose unit nobody names."""
+        sentences = [self.x_assumption] if self.x_assumption else []
+        if unit_of_column(self.column, self._base) is None:
+            sentences.append(f"{self.file}: {assumption(self.column, self._base)}")
+        return sentences
 
     def values(self, case: Case, result: Result) -> FloatArray:
         """Return the readings, (n,) mm, N mm or mm^3: a mass as the volume of what is lost.
@@ -77,7 +91,8 @@ class Laid:
             density of a mass, or what is lost has several.
         """
         kind, _, body = self.quantity.partition(".")
-        values = factor(_unit(self.file, self.column, BASE[kind]), BASE[kind]) * self.raw
+        unit = _unit(self.file, self.column, self._base) or self._base
+        values = factor(unit, self._base) * self.raw
         if kind != "mass":
             return cast(FloatArray, values)
         densities, said = _densities(case, result, body), f"{self.file}: {legible(self.column)}"
@@ -127,7 +142,7 @@ def read_table(content: bytes, name: str, case: Case) -> list[Laid]:
     """Return the columns of a table that can be laid over the charts of a case.
 
     One column is the time or the radius, by its name; the others are quantities by theirs, and
-    depths are of the body that wears where a name does not say which. Units are at their ends.
+    depths are of the body that wears where a name does not say which. Units are in their names.
 
     Raises
     ------
@@ -146,7 +161,11 @@ def read_table(content: bytes, name: str, case: Case) -> list[Laid]:
         )
     along = _TIME.match(first) is None
     base = BASE["r" if along else "time"]
-    share = factor(_unit(name, first, base), base)
+    unit = _unit(name, first, base)
+    share = factor(unit or base, base)
+    x_assumption = ""
+    if not (unit or (not along and table.names_seconds(first, table.filled(first)))):
+        x_assumption = f"{name}: {assumption(first, base)}"
     found = []
     for column in table.columns:
         if column == first or not column or _BESIDE.match(column):
@@ -156,16 +175,17 @@ def read_table(content: bytes, name: str, case: Case) -> list[Laid]:
             continue
         x = share * table.numbers(first, rows, None if along else factor("h", "s") / share)
         order = np.argsort(x, kind="stable")
-        raw = table.numbers(column, rows)[order]
-        found.append(Laid(name, column, _quantity(column, along, case), along, x[order], raw))
+        raw, quantity = table.numbers(column, rows)[order], _quantity(column, along, case)
+        found.append(Laid(name, column, quantity, along, x[order], raw, x_assumption))
     if not found:
         raise InputError(f"{name}: has no readings beside {legible(first)}; must have some")
     return found
 
 
-def _unit(file: str, column: str, base: str) -> str:
+def _unit(file: str, column: str, base: str) -> str | None:
+    """Return the unit in a column's name, None for none."""
     try:
-        return told_unit(column, base) or base
+        return told_unit(column, base)
     except RejectedError as reason:
         raise InputError(
             f"{file}: the column {legible(column)} {reason}; must be in a unit of {base}"

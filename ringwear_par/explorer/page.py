@@ -214,6 +214,7 @@ class Page:
             try:
                 off = one.off(result, one.values(found.case, result))
                 good.append(one)
+                faults += one.assumptions
             except InputError as error:
                 faults += error.faults
             columns.append({"number": number, **_column(one, off)})
@@ -235,7 +236,7 @@ class Page:
                             for name, value, unit in key_rows(numbers)],
                 "worn": [worn.header, *worn.rows] if numbers.bodies else [],
                 "chosen": drawing.chosen_time, "charts": drawing.told(), "laid": columns,
-                "laid_fault": " ".join(faults), "seconds": self._seconds,
+                "laid_fault": ". ".join(dict.fromkeys(faults)), "seconds": self._seconds,
                 "sketch": self._sketched and not self._faults,
             }
         )  # fmt: skip

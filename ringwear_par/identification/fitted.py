@@ -94,15 +94,10 @@ def _parameter(said: str, key: str, table: Any, faults: list[str]) -> FittedPara
     return FittedParameter(key, start, bounds, log, prior)
 
 
-def derivative_key(key: str) -> str:
-    """Return what histories call a fitted key among those that they have derivatives of."""
-    return key.replace(".parameters.", ".")
-
-
 def units_of(problem: Problem) -> dict[str, str]:
     """Return the units of the fitted keys, "1" for none."""
     known = differentiable(problem.experiments[0].case)
-    return {key: known[derivative_key(key)] for key in problem.keys}
+    return {key: known[key] for key in problem.keys}
 
 
 def refuse_fixed(
@@ -118,7 +113,7 @@ def refuse_fixed(
     for parameter in parameters:
         if parameter.key in elastic:
             faults += _faults_of_bounds(said, parameter, case)
-        if derivative_key(parameter.key) not in allowed:
+        if parameter.key not in allowed:
             faults.append(
                 f"{said}: {parameter.key}: cannot be fitted here, the history does not depend on "
                 f"it smoothly; must be one of {', '.join(allowed)}"

@@ -16,7 +16,6 @@ from ringwear_par.errors import ComputationError, reason_of
 from ringwear_par.history.bodies import operator_key
 from ringwear_par.history.elastic_numbers import is_elastic
 from ringwear_par.history.pairs import assemble
-from ringwear_par.identification.fitted import derivative_key
 from ringwear_par.identification.problem import Problem
 from ringwear_par.identification.readings import Reader
 from ringwear_par.identification.steps import STEPS, step_times
@@ -139,7 +138,7 @@ class Histories:
             except ComputationError as error:
                 found |= dict.fromkeys(numbers, error)
                 continue
-            keys = [derivative_key(key) for key in self._keys if derivatives]
+            keys = self._keys if derivatives else ()
             parts = computed(
                 [wanted[number] for number in numbers], pair, keep_ends=True, derivatives=keys,
                 step_times=[grids[pairs[number][1]] for number in numbers],

@@ -112,7 +112,7 @@ class Series:
     nuisances : what is fitted along.
     correlation_time : s, of the noise; 0: it is white.
     file, lines : where the readings stand; "" and none of a single value.
-    unit_told : whether the unit was named, by ``units`` or by the column's own name.
+    assumptions : sentences about columns whose unit neither ``units`` nor their own name tells.
     planned : whether nothing has been read yet; values are 0 then.
     """
 
@@ -130,7 +130,7 @@ class Series:
     correlation_time: float = 0.0
     file: str = ""
     lines: IntArray | None = None
-    unit_told: bool = True
+    assumptions: tuple[str, ...] = ()
     planned: bool = False
 
     @property

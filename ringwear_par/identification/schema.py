@@ -107,9 +107,9 @@ KEYS: tuple[FitKey, ...] = (
            "the name of a text file with commas, semicolons or tabs, relative to this one"),
     FitKey(f"{_DATA}.columns", "-", None, "names of its columns, where they are not time (or r) "
            "and value", _COLUMNS),
-    FitKey(f"{_DATA}.units", "-", None, "units of its columns, as pint knows them; default: the "
-           "ending of a column's name, as in z_um, which they must not contradict; else s, mm, "
-           "N mm, g, mm^3", _COLUMNS),
+    FitKey(f"{_DATA}.units", "-", None, "units of its columns, as pint knows them; default: "
+           "those in the columns' names, as in z_um or z / um, which they must not contradict; "
+           "else s, mm, N mm, g, mm^3", _COLUMNS),
     FitKey(f"{_DATA}.value", "data's", None, "a single reading, instead of file",
            number(-math.inf).allowed),
     FitKey(f"{_DATA}.unit", "-", None, "unit of value, or of sd where readings are planned",

@@ -13,6 +13,7 @@ from ringwear_par.arrays import BoolArray, FloatArray, IntArray
 from ringwear_par.cases.case import Case
 from ringwear_par.cases.text import shortened
 from ringwear_par.cases.units import (
+    assumption,
     factor,
     has_unit,
     in_unit_where_right,
@@ -163,7 +164,7 @@ def read_series(
     series = Series(
         quantity, cast(Quantity, quantity), x[keep], value[keep], sd[keep], fitted, unit, scale,
         (end if at is None else at) if kind == "profile" else None, density, nuisances,
-        correlation, found.where, None if lines is None else lines[keep], found.told,
+        correlation, found.where, None if lines is None else lines[keep], found.assumptions,
         found.planned,
     )  # fmt: skip
     own = [nuisance.kind for nuisance in nuisances if nuisance.free]
@@ -188,7 +189,7 @@ class _Readings:
     ----------
     x, value : (n,) as a series has them.
     unit, factor : of the data, and how much it is in the units of a case.
-    told : whether the unit was named.
+    assumptions : sentences about columns whose unit nobody names.
     data, rows : the table and which of its rows have readings; None of others.
     lines, where : of the readings; None and "" without a table.
     planned : whether nothing has been read yet.
@@ -198,7 +199,7 @@ class _Readings:
     value: FloatArray
     unit: str
     factor: float
-    told: bool = True
+    assumptions: tuple[str, ...] = ()
     data: Measurements | None = None
     rows: BoolArray | None = None
     lines: IntArray | None = None
@@ -272,6 +273,7 @@ def _from_file(reader: TableReader, kind: str, files: Files) -> _Readings | None
             reader.fault(fault)
         return None
     names, found, factors = {}, {}, {}
+    assumed: list[str] = []  # roles
     for role in roles:
         column = given.get(role, role)
         if column not in data.columns:
@@ -282,13 +284,16 @@ def _from_file(reader: TableReader, kind: str, files: Files) -> _Readings | None
             continue
         base = BASE[kind if role == "value" else role]
         try:
-            unit = units.get(role) or told_unit(column, base) or base
+            unit = units.get(role) or told_unit(column, base) or ""
         except RejectedError as reason:
             reader.fault(
                 f"{data.name}: the column {legible(column)} {reason}; must be in the unit of "
                 f"{_UNITS[base]}, or units.{role} must be given"
             )
             continue
+        if not unit:
+            unit = base
+            assumed.append(role)
         scale = _factor(reader, f"units.{role}", unit, base)
         if scale is None:
             continue
@@ -304,10 +309,13 @@ def _from_file(reader: TableReader, kind: str, files: Files) -> _Readings | None
     hour = factor("h", "s") / factors["time"] if "time" in roles else None
     x = factors[roles[0]] * _column(reader, data, names[roles[0]], rows, hour)
     value = factors["value"] * _column(reader, data, names["value"], rows)
-    told = bool(units.get("value") or unit_of_column(names["value"], BASE[kind]))
+    if "time" in assumed and data.names_seconds(names["time"], rows):
+        assumed.remove("time")
     return _Readings(
-        x, value, found["value"], factors["value"], told, data, rows, data.lines[rows], data.name
-    )
+        x, value, found["value"], factors["value"],
+        tuple(assumption(names[role], found[role]) for role in assumed), data, rows,
+        data.lines[rows], data.name,
+    )  # fmt: skip
 
 
 def _other_unit(column: str, unit: str) -> str:

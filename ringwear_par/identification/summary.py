@@ -68,12 +68,16 @@ def warnings(found: "FitResult") -> tuple[str, ...]:
         sentences.append(
             f"the posterior's samples are worth {found.posterior.effective:.0f} only: more samples"
         )
-    sentences += [
-        f"{series.name} ({experiment.name}): no unit is named, {series.unit} is taken"
+    return (*sentences, *_assumptions(found))
+
+
+def _assumptions(found: "FitResult") -> list[str]:
+    """Return the sentences about columns whose unit nobody names."""
+    return [
+        f"{series.name} ({experiment.name}): {sentence}"
         for experiment, series in found.squares.series
-        if not series.unit_told
+        for sentence in series.assumptions
     ]
-    return tuple(sentences)
 
 
 def _outliers(found: "FitResult") -> list[str]:
@@ -147,6 +151,7 @@ def prediction(found: "FitResult") -> str:
         f"{_count(len(problem.experiments), 'experiment')}; to be expected if the parameters are "
         "those of the start (nothing written):"
     ]
+    lines += [f"warning: {sentence}" for sentence in _assumptions(found)]
     lines += _parameter_lines(found)
     for one in found.parameters:
         if one.direction:

@@ -422,6 +422,34 @@ def test_starts_bounds_and_priors_have_units(tables):
 
 
 @pytest.mark.serial
+def test_a_law_of_ones_own_is_found(comm, tmp_path):
+    truth = {"wear.lower.parameters.k": 3e-7, "wear.lower.parameters.p1": 50.0}
+    start = {"wear.lower.parameters.k": 1e-7, "wear.lower.parameters.p1": 30.0}
+    rng, experiments = np.random.default_rng(1), []
+    path = SCRIPTS / "cases/user_law.toml"
+    for pressure in (40.0, 100.0):
+        settings = {"load.pressure": pressure, "time.end": END, "mesh.contact_elements": 12}
+        result = rw.simulate(rw.read_case(path, {**settings, **truth}), comm)
+        t, z = penetration(result, rng, np.linspace(4.0, END, 25), offset=0.0, drift=0.0)
+        write_table(tmp_path / f"{pressure}.csv", ("t_s", "z_um"), t, 1e3 * z)
+        data = {"quantity": "penetration", "file": str(tmp_path / f"{pressure}.csv"), "sd": 0.2}
+        data["columns"] = {"time": "t_s", "value": "z_um"}
+        experiments.append({"name": f"{pressure} MPa", "set": settings, "data": [data]})
+    keys = {
+        key: {"start": value, "bounds": [0.01 * value, 100.0 * value], "scale": "log"}
+        for key, value in start.items()
+    }
+    tables = {
+        "case": str(path), "fit": {"parameters": keys, "starts": 1}, "experiment": experiments,
+    }  # fmt: skip
+    found = fit(tables, comm)
+    assert near(found, truth)
+    assert {p.verdict for p in found.parameters} == {"identified"}
+    assert found.parameters[0].estimate == pytest.approx(3e-7, rel=0.1)
+    assert not found.flagged
+
+
+@pytest.mark.serial
 def test_steps_resolve_how_a_layer_is_worn_through(tmp_path, comm):
     """Long steps there made k of the layer and of the body under it wrong by several sd."""
     truth = {"lower.layers[0].wear.k": 4e-8, "wear.lower.k": 4e-7}

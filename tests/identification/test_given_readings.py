@@ -13,6 +13,7 @@ from ringwear_par.identification.fit_file import read_fit
 from ringwear_par.identification.histories import Histories
 from ringwear_par.identification.least_squares import LeastSquares
 from ringwear_par.identification.plausible import refuse_reversed
+from ringwear_par.identification.summary import prediction
 
 
 @pytest.fixture(scope="module")
@@ -146,14 +147,45 @@ def test_noise_in_a_unit_of_something_else(good, tmp_path):
         read_fit(tables)
 
 
-def test_units_are_named_by_columns_too(good, tmp_path):
+def test_what_is_taken_for_a_unit_is_told(good, tmp_path, comm):
     data = good["experiment"][0]["data"][0]
     x, y = np.genfromtxt(data["file"], delimiter=",", skip_header=1).T
-    for name, told in (("z_mm", True), ("z", False)):
-        write_table(tmp_path / "z.csv", ("t_s", name), x, 1e-3 * y)
+
+    def assumptions(t, z, scale=1.0, **units):
+        write_table(tmp_path / "z.csv", (t, z), scale * x, 1e-3 * y)
         tables = changed(good, (*PEN, "file"), str(tmp_path / "z.csv"))
-        tables["experiment"][0]["data"][0]["columns"] = {"time": "t_s", "value": name}
-        assert read_fit(tables).experiments[0].series[0].unit_told is told
+        columns = {"columns": {"time": t, "value": z}, "units": units}
+        tables["experiment"][0]["data"][0] |= columns
+        problem = read_fit(tables)
+        assert problem.experiments[0].series[0].x == pytest.approx(x)
+        return tables, problem.experiments[0].series[0].assumptions
+
+    said = ("the column t names no unit; s is taken", "the column z names no unit; mm is taken")
+    assert assumptions("t", "z")[1] == said
+    assert assumptions("t_s", "z_mm")[1] == ()
+    assert assumptions("t / min", "z / mm", 1.0 / 60.0)[1] == ()
+    assert assumptions("t", "z", 1.0 / 60.0, time="min")[1] == said[1:]
+    assert assumptions("t", "z", time="s", value="mm")[1] == ()
+    tables, _ = assumptions("t", "z_mm")
+    found = fit(tables, comm)
+    sentence = f"penetration (test 1): {said[0]}"
+    assert sentence in found.to_dict()["warnings"]
+    assert f"warning: {sentence}" in found.summary()
+    assert f"warning: {sentence}" in prediction(predicted(read_fit(tables), comm))
+    with pytest.raises(InputError, match=r"the column t / min of .* is in min by its name"):
+        assumptions("t / min", "z / mm", time="s")
+
+
+def test_clock_times_with_seconds_need_no_unit(good, tmp_path):
+    for clock, told in (("0:{:02d}:00", False), ("{}:00", True)):
+        rows = "".join(f"{clock.format(t)};{t / 10:g}\n" for t in range(1, 31))
+        (tmp_path / "z.csv").write_text("time;z_um\n" + rows)
+        tables = changed(good, (*PEN, "file"), str(tmp_path / "z.csv"))
+        tables["experiment"][0]["data"][0]["columns"] = {"value": "z_um"}
+        tables["experiment"] = tables["experiment"][:1]
+        tables["experiment"][0]["set"]["time.end"] = 1800.0
+        del tables["experiment"][0]["data"][1]
+        assert bool(read_fit(tables).experiments[0].series[0].assumptions) is told
 
 
 @pytest.mark.parametrize("entry", [PEN, PROF])

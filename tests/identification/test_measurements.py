@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from ringwear_par.cases.units import factor, told_unit, unit_of_column
+from ringwear_par.cases.units import factor, number_in, told_unit, unit_of_column
 from ringwear_par.cases.values import RejectedError
 from ringwear_par.errors import InputError
 from ringwear_par.measurements import read_measurements
@@ -123,6 +123,40 @@ def test_units_of_columns():
     assert unit_of_column("M_Nm", "N mm") == "Nm"
     assert unit_of_column("M [N m]", "N mm") == "N m"
     assert np.isclose(factor("Nm", "N mm"), 1e3)
+
+
+@pytest.mark.parametrize(
+    ("name", "base", "unit"),
+    [
+        ("t / min", "s", "min"), ("t/min", "s", "min"), ("time / h", "s", "h"),
+        ("z / um", "mm", "um"), ("z / µm", "mm", "µm"), ("z_lower/um", "mm", "um"),
+        ("m / mg", "g", "mg"), ("M / N m", "N mm", "N m"), ("M/(N m)", "N mm", "N m"),
+        ("Datum/Uhrzeit", "s", None), ("depth / 2", "mm", None), ("Weg/Zeit (um)", "mm", "um"),
+        ("rate mm/s", "s", None),
+    ],
+)  # fmt: skip
+def test_units_of_quotients(name, base, unit):
+    assert told_unit(name, base) == unit
+
+
+@pytest.mark.parametrize("name", ["v_mm/s", "v / (mm/s)", "F [N/mm]", "k / mm3/(N m)"])
+def test_quotients_in_units_of_something_else(name):
+    for base in ("s", "mm", "N mm"):
+        with pytest.raises(RejectedError, match="by its name"):
+            told_unit(name, base)
+
+
+def test_files_of_any_size_are_looked_at_once(tmp_path):
+    path = tmp_path / "a.csv"
+    path.write_text(",".join(["t", *(f"c{i}" for i in range(100_000))]) + "\n1,2\n")
+    with pytest.raises(InputError, match=r"line 1: names 100001 columns; must be at most 1000"):
+        read_measurements(path)
+    path.write_text(f"t;z\n1;{'1' * 100_000}x\n")
+    with pytest.raises(InputError, match="must be a number, or empty"):
+        numbers(path, "t", "z")
+    with pytest.raises(RejectedError):
+        number_in("1" * 100_000 + " x", "mm")
+    assert unit_of_column("z" + " " * 100_000 + "z", "mm") is None
 
 
 def test_endings_that_do_not_fit():
