@@ -14,7 +14,7 @@ from scipy.stats import norm
 
 from ringwear_par.arrays import FloatArray, IntArray
 from ringwear_par.identification.problem import Experiment, Series
-from ringwear_par.results.drawing import COLOURS, time_unit
+from ringwear_par.results.drawing import COLOURS, NotebookFigure, time_unit
 
 if TYPE_CHECKING:
     from ringwear_par.identification.outcome import FitResult
@@ -46,7 +46,9 @@ def figure(found: "FitResult") -> Figure:
     down = math.ceil(len(curves) / across)
     heights = _HEIGHT * down, _MARGIN + _ROW * len(single)
     width = max(_WIDTH * across, _NARROWEST if single else 0.0)
-    chart = Figure(figsize=(width, heights[0] + bool(single) * heights[1]), layout="constrained")
+    chart = NotebookFigure(
+        figsize=(width, heights[0] + bool(single) * heights[1]), layout="constrained"
+    )
     parts: Any = chart, chart
     if single and curves:  # labels of the strip make no panel above it narrower
         parts = chart.subfigures(2, 1, height_ratios=heights)

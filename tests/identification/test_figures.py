@@ -58,6 +58,12 @@ def test_axes_are_in_words(quantity, unit, said):
     assert label(replace(profile_at([1.0]), quantity=quantity, unit=unit)) == said
 
 
+def test_notebooks_show_a_fit(found):
+    picture, size = found.plot()._repr_png_()
+    assert picture.startswith(b"\x89PNG")
+    assert size["width"] > size["height"] > 0
+
+
 def test_residuals_are_data_less_model(found):
     chart = found.plot()
     panels = [axes for axes in chart.axes if axes.get_ylabel() == "(data - model) / sd"]
