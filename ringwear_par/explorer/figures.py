@@ -250,7 +250,7 @@ class Drawing:
         time = result.histories["time"]
         unit, seconds = time_unit(float(time[-1]))
         lines = [
-            Line(x, y, f"{time[row] / seconds:.3g} {unit}", _stage_colour(number, len(rows)),
+            Line(x, y, f"{time[row] / seconds:.4g} {unit}", _stage_colour(number, len(rows)),
                  _DASHES[number % len(_DASHES)])
             for number, row in enumerate(rows)
             for x, y in of(result, row)

@@ -468,7 +468,8 @@ window.addEventListener("load", async () => {
     told.slid = [document.querySelector("output").textContent, chosen];
   }
   // Chromium leaves buttons out of headers that it repeats on further pages
-  const print = [...document.styleSheets[0].cssRules].find((rule) => rule.media?.mediaText === "print");
+  const print = [...document.styleSheets[0].cssRules]
+    .find((rule) => rule.media?.mediaText === "print");
   told.repeated = [...print.cssRules].filter((rule) => rule.selectorText === "th button")
     .map((rule) => rule.style.display);
   const head = document.querySelectorAll(".sortable th button")[5];
