@@ -208,7 +208,7 @@ class Drawing:
                 y = sign * one.values(self.case, result)
                 points.append(Points(one.x, y, one.column, _colour(number)))
         worn = [b for b in ("lower", "upper") if result.profiles[f"wear_{b}"].any()] or ["lower"]
-        where = "worn faces" if len(worn) > 1 else f"worn face of {worn[0]}"
+        where = "height of worn faces" if len(worn) > 1 else f"height of worn face of {worn[0]}"
         note = "lower below 0, upper above" if len(worn) > 1 else ""
         return _told(lines, points, _RADIUS, f"{where} ({_MICRO})") | {"note": note}
 

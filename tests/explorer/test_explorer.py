@@ -191,7 +191,7 @@ def test_numbers_of_layers_have_sliders(comm):
     assert {c.group for c in layer.values()} == {"Layer 0 of lower"}
     assert all(c.assembles for c in (*layer.values(), told["lower.young"]))  # ratios of moduli
     assert not told["upper.young"].assembles
-    assert told["lower.layers[0].wear.k"].group.startswith("Wear of lower, layer 1: ")
+    assert told["lower.layers[0].wear.k"].group.startswith("Wear of lower, layer 0: ")
     for moved, times in (
         ({}, 1), ({"lower.layers[0].wear.k": "3e-8", "wear.lower.k": "2e-7"}, 1),
         ({"lower.layers[0].thickness": "4", "lower.young": "2e4"}, 2),

@@ -49,8 +49,8 @@ def test_readings_in_time_are_joined():
 @pytest.mark.parametrize(
     ("quantity", "unit", "said"),
     [
-        ("profile.lower", "\N{MICRO SIGN}m", "depth of lower (um)"),
-        ("penetration", "\N{GREEK SMALL LETTER MU}m", "penetration (um)"),
+        ("profile.lower", "\N{MICRO SIGN}m", "depth of lower (\N{MICRO SIGN}m)"),
+        ("penetration", "\N{GREEK SMALL LETTER MU}m", "penetration (\N{MICRO SIGN}m)"),
         ("mass.upper", "mg", "mass loss of upper (mg)"),
     ],
 )

@@ -78,7 +78,7 @@ def test_what_is_drawn_is_what_is_stored(runs):
     assert pressure.lines[0].get_xdata() == pytest.approx(result.line.r)
     assert penetration.lines[1].get_ydata() == pytest.approx(1e3 * result.histories["penetration"])
     assert penetration.lines[1].get_xdata() == pytest.approx(result.histories["time"])
-    assert wear.get_ylabel() == "wear depth (\N{MICRO SIGN}m)"
+    assert wear.get_ylabel() == "height of worn face of lower (\N{MICRO SIGN}m)"
     assert pressure.get_ylabel() == "contact pressure (MPa)"
     assert penetration.get_xlabel() == "time (s)"
     assert penetration.lines[1].get_marker() == ""
