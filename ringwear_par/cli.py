@@ -547,5 +547,7 @@ class _OneLine(logging.Formatter):
 def _start_logging(rank: int) -> None:
     handler = logging.StreamHandler(sys.stderr)
     handler.setFormatter(_OneLine("ringwear: %(message)s"))
-    logging.basicConfig(level=logging.INFO if rank == 0 else logging.ERROR, handlers=[handler])
-    logging.getLogger("matplotlib").setLevel(logging.WARNING)
+    # what libraries note of their own work is not the user's
+    logging.basicConfig(level=logging.WARNING if rank == 0 else logging.ERROR, handlers=[handler])
+    if rank == 0:
+        logging.getLogger("ringwear_par").setLevel(logging.INFO)

@@ -31,7 +31,7 @@ def _laws(keys: Mapping[str, Any]) -> Iterator[Control]:
     whose = {
         f"{layer}.wear": f"{body}, layer {number}"
         for body in BODIES
-        for number, layer in enumerate(_layers_of(body, keys), start=1)
+        for number, layer in enumerate(_layers_of(body, keys))
     }
     for table, wears in {**{f"wear.{body}": body for body in BODIES}, **whose}.items():
         if f"{table}.law" not in keys:
@@ -77,7 +77,7 @@ def _materials(keys: Mapping[str, Any]) -> Iterator[Control]:
 
 def _layers(keys: Mapping[str, Any]) -> Iterator[Control]:
     for body in BODIES:
-        for number, layer in enumerate(_layers_of(body, keys), start=1):
+        for number, layer in enumerate(_layers_of(body, keys)):
             for name in ("thickness", "young", "poisson"):
                 key, path = _key(f"{layer}.{name}"), f"{layer}.{name}"
                 yield from quantity(

@@ -18,8 +18,10 @@ from ringwear_par.explorer.sliders import Control
 from ringwear_par.history.bodies import operator_key
 from ringwear_par.history.limits import check_case
 from ringwear_par.history.pairs import assemble
+from ringwear_par.history.simulate import simulate
+from ringwear_par.history.snapshots import Snapshot
+from ringwear_par.results.recorder import Recorder
 from ringwear_par.results.result import Result
-from ringwear_par.results.simulate import simulate
 from ringwear_par.textfiles import read_text
 
 #: about how many states of fixed steps are kept: more would not be seen
@@ -73,14 +75,16 @@ class Exploration:
         assembling: Callable[[], None] = lambda: None,
         *,
         sketch: bool = False,
-    ) -> Explored:
-        """Return the history of other numbers.
+        stops: Callable[[float], bool] = lambda share: False,
+    ) -> Explored | None:
+        """Return the history of other numbers; None: it was stopped.
 
         Parameters
         ----------
         texts : by the names of controls, perhaps with units.
         assembling : called before bodies are assembled.
         sketch : whether coarser steps will do.
+        stops : called after every step with the share of the time that is done; whether to stop.
 
         Raises
         ------
@@ -100,7 +104,18 @@ class Exploration:
                 assembling()
                 self._pair = assemble(drawn, self._comm)
             pair = self._pair
-        return Explored(toml_text(keys), case, controls, simulate(drawn, self._comm, pair=pair))
+        stopped = False
+
+        def observe(snapshot: Snapshot) -> bool:
+            nonlocal stopped
+            stopped = not snapshot.finished and stops(snapshot.state.time / drawn.time.end)
+            return stopped
+
+        recorder = Recorder(drawn, self._comm)
+        simulate(drawn, self._comm, pair=pair, observers=[recorder, observe])
+        if stopped:
+            return None
+        return Explored(toml_text(keys), case, controls, recorder.result())
 
 
 def raw_keys(path: Path, overrides: list[str]) -> dict[str, Any]:

@@ -208,7 +208,7 @@ class Drawing:
                 y = sign * one.values(self.case, result)
                 points.append(Points(one.x, y, one.column, _colour(number)))
         worn = [b for b in ("lower", "upper") if result.profiles[f"wear_{b}"].any()] or ["lower"]
-        where = "worn faces" if len(worn) > 1 else f"worn face of {worn[0]}"
+        where = "height of worn faces" if len(worn) > 1 else f"height of worn face of {worn[0]}"
         note = "lower below 0, upper above" if len(worn) > 1 else ""
         return _told(lines, points, _RADIUS, f"{where} ({_MICRO})") | {"note": note}
 
@@ -250,7 +250,7 @@ class Drawing:
         time = result.histories["time"]
         unit, seconds = time_unit(float(time[-1]))
         lines = [
-            Line(x, y, f"{time[row] / seconds:.3g} {unit}", _stage_colour(number, len(rows)),
+            Line(x, y, f"{time[row] / seconds:.4g} {unit}", _stage_colour(number, len(rows)),
                  _DASHES[number % len(_DASHES)])
             for number, row in enumerate(rows)
             for x, y in of(result, row)

@@ -18,6 +18,7 @@ from bokeh.model import DataModel
 from markupsafe import Markup
 
 from ringwear_par import __version__
+from ringwear_par.cases.values import is_number
 from ringwear_par.errors import InputError, RingwearError, reason_of
 from ringwear_par.explorer.exploring import Exploration, Explored
 from ringwear_par.explorer.figures import MENU, Drawing, figures
@@ -37,6 +38,9 @@ _START: dict[str, Any] = {"n": 0, "values": {}, "instant": 1.0, "menu": "volume"
                           "moving": False}  # fmt: skip
 #: s; histories that take longer are sketched while a slider moves
 _SLOW = 0.05
+#: s between messages on how far a history is
+_PROGRESS = 0.2
+_BAD_WISH = "the page sent a wish that cannot be read; load it again"
 
 
 class Talk(DataModel):  # type: ignore[misc]
@@ -78,7 +82,10 @@ class Page:
         self._exploration, self._put, self._later = exploration, put, later
         self._talk = Talk(name="talk")
         self._wanted: dict[str, Any] = dict(_START)
-        self._busy, self._gone = False, False
+        self._computing = self._wanted
+        self._document, self._busy, self._gone = document, False, False
+        #: when the page was last told how far a history is
+        self._progress_time = 0.0
         #: what is drawn, the wish that it answers, and the history of the case file
         self._explored: Explored | None = None
         self._drawn: dict[str, Any] | None = None
@@ -96,17 +103,37 @@ class Page:
         document.template = _template()
         document.template_variables.update(_variables(exploration, title, hosts))
         document.on_session_destroyed(self._left)
-        self._talk.on_change("asked", lambda _, __, new: self._ask(json.loads(new)))
-        self._talk.on_change("given", lambda _, __, new: self._give(json.loads(new)))
+        self._talk.on_change("asked", lambda _, __, new: self._ask(_message(new)))
+        self._talk.on_change("given", lambda _, __, new: self._give(_message(new)))
         self._start()
 
     def _left(self, _: Any) -> None:
         self._gone = True
 
+    @property
+    def _left_alone(self) -> bool:
+        """Whether nobody sees the page: its socket is closed, or not open yet."""
+        context = self._document.session_context
+        session = None if context is None else context.session
+        return self._gone or (session is not None and not session.connection_count)
+
+    def _stops(self, share: float) -> bool:
+        """Tell how far a history is; return whether it is of no use. In the main thread."""
+        if self._left_alone or (self._wanted is not self._computing and not self._wanted["moving"]):
+            return True
+        now = time.perf_counter()
+        if now - self._progress_time > _PROGRESS:
+            self._progress_time = now
+            self._later(lambda: self._tell({"progress": share}))
+        return False
+
     # -- histories ---------------------------------------------------------------------------------
 
     def _ask(self, wanted: dict[str, Any]) -> None:
         """Take a wish, the place of one that nobody has begun with."""
+        if fault := _wish_fault(wanted):
+            self._tell({"n": wanted.get("n"), "faults": [fault]})
+            return
         self._wanted = wanted
         if self._busy:
             return
@@ -122,14 +149,18 @@ class Page:
 
     def _compute(self) -> None:
         """Compute what is wanted. In the main thread."""
-        if self._gone:
+        if self._left_alone:  # a page whose socket opens asks again
+            self._busy = False
             return
         wanted, started = self._wanted, time.perf_counter()
+        self._computing, self._progress_time = wanted, started
         sketch = bool(wanted.get("moving")) and self._slow
-        outcome: Explored | tuple[str, ...]
+        outcome: Explored | tuple[str, ...] | None
         try:
             values = wanted["values"]
-            outcome = self._exploration.compute(values, self._assembling, sketch=sketch)
+            outcome = self._exploration.compute(
+                values, self._assembling, sketch=sketch, stops=self._stops
+            )
         except InputError as error:
             outcome = error.faults
         except RingwearError as error:
@@ -147,11 +178,15 @@ class Page:
     def _computed(
         self,
         wanted: dict[str, Any],
-        outcome: Explored | tuple[str, ...],
+        outcome: Explored | tuple[str, ...] | None,
         seconds: float,
         sketch: bool,
     ) -> None:
         self._busy = False
+        if outcome is None:  # stopped: nobody is there, or wants something else
+            if self._wanted is not wanted:
+                self._ask(self._wanted)
+            return
         if isinstance(outcome, Explored):
             self._explored, self._drawn, self._faults = outcome, wanted, ()
             self._sketched, self._seconds = sketch, seconds
@@ -169,7 +204,10 @@ class Page:
 
     def _give(self, given: dict[str, Any]) -> None:
         """Take a table, another meaning of a column, or take a column away."""
-        fault, number = "", int(given.get("number", -1))
+        fault, number = "", given.get("number", -1)
+        if not isinstance(number, int):
+            self._draw(fault="the page sent a message that is no table; load it again")
+            return
         try:
             if "content" in given:
                 fault = self._add(str(given["name"]), str(given["content"]))
@@ -243,6 +281,30 @@ class Page:
 
     def _tell(self, told: dict[str, Any]) -> None:
         self._talk.told = json.dumps(told)
+
+
+def _message(text: str) -> dict[str, Any]:
+    """Return a message of the page; an empty one if it is none."""
+    try:
+        message = json.loads(text)
+    except (ValueError, RecursionError):
+        return {}
+    return message if isinstance(message, dict) else {}
+
+
+def _wish_fault(wish: dict[str, Any]) -> str:
+    """Return what is wrong with a wish, "" if nothing is."""
+    values, instant = wish.get("values"), wish.get("instant", -1.0)
+    good = (
+        isinstance(values, dict)
+        and all(isinstance(text, str) for text in values.values())
+        and is_number(wish.get("n"))
+        and is_number(instant)
+        and 0.0 <= float(instant) <= 1.0
+        and isinstance(wish.get("menu"), str)
+    )
+    wish.setdefault("moving", False)
+    return "" if good else _BAD_WISH
 
 
 def _column(one: Laid, off: float | None) -> dict[str, Any]:

@@ -23,6 +23,8 @@ from ringwear_par.stopping import StopAtOnce, Stopped
 log = logging.getLogger(__name__)
 
 _HOST = "127.0.0.1"
+#: names of this machine under which pages are answered
+_NAMES = ("127.0.0.1", "localhost", "[::1]")
 #: bytes of the token in the address
 _TOKEN = 24
 #: how long the server's thread may take to begin, and to end, s
@@ -155,7 +157,9 @@ class _Server(threading.Thread):
         from bokeh.server.server import BaseServer
         from bokeh.server.tornado import BokehTornado
         from tornado.httpserver import HTTPServer
+        from tornado.httputil import split_host_and_port
         from tornado.ioloop import IOLoop
+        from tornado.routing import Matcher, Rule, RuleRouter
 
         from ringwear_par.explorer.page import Page
 
@@ -173,7 +177,16 @@ class _Server(threading.Thread):
             {"/": application}, prefix=self._token, extra_websocket_origins=self._hosts,
             use_index=False,
         )  # fmt: skip
-        http = HTTPServer(tornado)
+        port = self._listening.getsockname()[1]
+
+        class OwnHost(Matcher):
+            """Lets pass what is asked of this machine, or others' names for it would read pages."""
+
+            def match(self, request: Any) -> dict[str, Any] | None:
+                name, asked = split_host_and_port(request.host.lower())
+                return {} if name in _NAMES and (asked or 80) == port else None
+
+        http = HTTPServer(RuleRouter([Rule(OwnHost(), tornado)]))
         http.add_sockets([self._listening])
         server = BaseServer(self._loop, tornado, http)
         server.start()

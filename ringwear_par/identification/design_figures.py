@@ -11,7 +11,7 @@ from ringwear_par.arrays import FloatArray, IntArray
 from ringwear_par.identification.candidates import Candidate
 from ringwear_par.identification.design_summary import name_of
 from ringwear_par.identification.summary import unit_of
-from ringwear_par.results.drawing import COLOURS
+from ringwear_par.results.drawing import COLOURS, NotebookFigure
 
 if TYPE_CHECKING:
     from ringwear_par.identification.design import DesignResult
@@ -29,7 +29,7 @@ def figure(found: "DesignResult") -> Figure:
     parameters = found.problem.parameters
     m = len(parameters)
     lines = sum(len(one.tests) for one in found.designs)
-    chart = Figure(figsize=(4.6 * m, max(4.2, 0.2 * lines)), layout="constrained")
+    chart = NotebookFigure(figsize=(4.6 * m, max(4.2, 0.2 * lines)), layout="constrained")
     panels = chart.subplots(1, m, squeeze=False)[0]
     plain = np.array(
         [i for i, test in enumerate(found.candidates) if _is_plain(test)], dtype=np.int64

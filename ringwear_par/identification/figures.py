@@ -14,7 +14,7 @@ from scipy.stats import norm
 
 from ringwear_par.arrays import FloatArray, IntArray
 from ringwear_par.identification.problem import Experiment, Series
-from ringwear_par.results.drawing import COLOURS, time_unit
+from ringwear_par.results.drawing import COLOURS, NotebookFigure, time_unit
 
 if TYPE_CHECKING:
     from ringwear_par.identification.outcome import FitResult
@@ -46,7 +46,9 @@ def figure(found: "FitResult") -> Figure:
     down = math.ceil(len(curves) / across)
     heights = _HEIGHT * down, _MARGIN + _ROW * len(single)
     width = max(_WIDTH * across, _NARROWEST if single else 0.0)
-    chart = Figure(figsize=(width, heights[0] + bool(single) * heights[1]), layout="constrained")
+    chart = NotebookFigure(
+        figsize=(width, heights[0] + bool(single) * heights[1]), layout="constrained"
+    )
     parts: Any = chart, chart
     if single and curves:  # labels of the strip make no panel above it narrower
         parts = chart.subfigures(2, 1, height_ratios=heights)
@@ -84,11 +86,13 @@ def label(series: Series) -> str:
     """Return what an axis of readings is called."""
     kind, _, body = series.quantity.partition(".")
     of = f" of {body}" if body else ""
-    return f"{_WORDS.get(kind, kind)}{of} ({_ascii(series.unit)})"
+    return f"{_WORDS.get(kind, kind)}{of} ({_in_signs(series.unit)})"
 
 
-def _ascii(unit: str) -> str:
-    return unit.replace("\N{MICRO SIGN}", "u").replace("\N{GREEK SMALL LETTER MU}", "u")
+def _in_signs(unit: str) -> str:
+    """Return a unit as a user wrote it, with the sign that all figures have."""
+    micro = "\N{MICRO SIGN}m"
+    return unit.replace("\N{GREEK SMALL LETTER MU}m", micro).replace("um", micro)
 
 
 def pieces(series: Series, contact: tuple[float, float]) -> list[IntArray]:
@@ -125,7 +129,7 @@ def _draw_single(
     axes.axvline(0.0, color=_MODEL, lw=1, label="model")
     axes.plot(residuals, places, "o", color=_DATA, ms=4, label="data")
     for one in single:
-        scale, unit = 1.0 / one.series.factor, _ascii(one.series.unit)
+        scale, unit = 1.0 / one.series.factor, _in_signs(one.series.unit)
         value, sd, model, band = (
             scale * float(values[0])
             for values in (

@@ -11,7 +11,7 @@ from ringwear_par.arrays import FloatArray
 from ringwear_par.identification.intervals import ParameterEstimate
 from ringwear_par.identification.problem import Problem
 from ringwear_par.identification.summary import unit_of
-from ringwear_par.results.drawing import COLOURS
+from ringwear_par.results.drawing import COLOURS, NotebookFigure
 
 if TYPE_CHECKING:
     from ringwear_par.identification.outcome import FitResult
@@ -23,7 +23,7 @@ _LEVELS = (0.68, 0.95)
 def figure(found: "FitResult") -> Figure:
     """Return densities by key on the diagonal, pairs with confidence ellipses below it."""
     m = len(found.parameters)
-    chart = Figure(figsize=(1.2 + 2.7 * m, 0.9 + 2.5 * m), layout="constrained")
+    chart = NotebookFigure(figsize=(1.2 + 2.7 * m, 0.9 + 2.5 * m), layout="constrained")
     panels = chart.subplots(m, m, squeeze=False)
     for row in range(m):
         for column in range(m):

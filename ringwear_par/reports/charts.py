@@ -144,8 +144,8 @@ def profiles(result: Result) -> Charts | None:
     told = [f"{time[row] / seconds:.4g} {unit}" for row in stages]
     charts = [
         _profile(
-            result, f"wear-{name}", f"Worn face of {name} (\N{MICRO SIGN}m)", sign * 1e3 * wear,
-            stages, told, instants, _ends(result, name, sign),
+            result, f"wear-{name}", f"Height of worn face of {name} (\N{MICRO SIGN}m)",
+            sign * 1e3 * wear, stages, told, instants, _ends(result, name, sign),
         )
         for name, sign, wear in faces
     ]  # fmt: skip

@@ -25,6 +25,8 @@ STYLE: dict[Any, Any] = {
     "axes.formatter.useoffset": False,  # ticks are read by themselves
     "savefig.dpi": 200,
 }
+#: fonts in files as fonts: publishers refuse Type 3, and texts in drawings can be edited
+_FONTS: dict[Any, Any] = {"pdf.fonttype": 42, "ps.fonttype": 42, "svg.fonttype": "none"}
 #: of Okabe and Ito, which the colour-blind tell apart; dashes do in print without colour
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#222222")
 #: line styles that stay apart in print without colour
@@ -33,6 +35,27 @@ DASHES: tuple[Any, ...] = ("-", "--", "-.", ":", (0, (5, 1, 1, 1, 1, 1)))
 _EARLY, _LATE = 0.82, 0.0
 #: s, up to which times are told in a unit, and its seconds
 _UNITS_OF_TIME = ((7200.0, "s", 1.0), (7 * 86400.0, "h", 3600.0), (np.inf, "days", 86400.0))
+#: pixels of an inch in a notebook, and of its pictures as many times as much for fine screens
+_NOTEBOOK_DPI, _FINE = 100.0, 2
+
+
+class NotebookFigure(Figure):
+    """A figure that notebooks show and whose files hold fonts as publishers want them.
+
+    It belongs to no window: matplotlib's list of open figures does not know it.
+    """
+
+    def savefig(self, fname: Any, **options: Any) -> None:
+        """Write the figure, see ``matplotlib.figure.Figure.savefig``."""
+        with matplotlib.rc_context(_FONTS):
+            super().savefig(fname, **options)
+
+    def _repr_png_(self) -> tuple[bytes, dict[str, int]]:
+        """Return the picture that a notebook shows, and its size there in pixels."""
+        picture = io.BytesIO()
+        self.savefig(picture, format="png", dpi=_FINE * _NOTEBOOK_DPI)
+        width, height = (int(_NOTEBOOK_DPI * inches) for inches in self.get_size_inches())
+        return picture.getvalue(), {"width": width, "height": height}
 
 
 def stage_colour(number: int, count: int) -> Any:
@@ -101,7 +124,7 @@ def check_format(output: Path) -> None:
     InputError : the reason.
     """
     check_writable(output)
-    formats = Figure().canvas.get_supported_filetypes()
+    formats = NotebookFigure().canvas.get_supported_filetypes()
     if output.suffix[1:].lower() not in formats:
         raise InputError(f"{output}: its ending must be one of {', '.join(sorted(formats))}")
 

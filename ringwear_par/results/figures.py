@@ -18,7 +18,14 @@ from ringwear_par.cases.schema import unit_of
 from ringwear_par.cases.units import seconds
 from ringwear_par.cases.values import RejectedError
 from ringwear_par.errors import InputError, legible
-from ringwear_par.results.drawing import STYLE, check_format, in_words, plain, save_figure
+from ringwear_par.results.drawing import (
+    STYLE,
+    NotebookFigure,
+    check_format,
+    in_words,
+    plain,
+    save_figure,
+)
 from ringwear_par.results.export import choose_state
 from ringwear_par.results.files import result_of
 from ringwear_par.results.history_panels import HISTORY_PANELS, draw_history
@@ -237,7 +244,7 @@ def _laid_out(drawings: Sequence[Drawing]) -> Figure:
     heights = [size(names[line * columns : (line + 1) * columns]) for line in range(lines)]
     # sections have the same scale along both axes and leave room that constrained ones keep
     layout: Any = "compressed" if set(names) <= _SECTIONS else "constrained"
-    figure = Figure(figsize=(3.6 * sum(widths), 3.3 * sum(heights)), layout=layout)
+    figure = NotebookFigure(figsize=(3.6 * sum(widths), 3.3 * sum(heights)), layout=layout)
     grid = figure.add_gridspec(lines, columns, width_ratios=widths, height_ratios=heights)
     shared: dict[str, list[Any]] = {panel: [] for panel in _PROFILES}
     for number, (panel, draw) in enumerate(drawings):

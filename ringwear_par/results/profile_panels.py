@@ -61,17 +61,17 @@ def draw_wear(axes: Any, result: Result, label: str, rows: Sequence[int]) -> Non
     both = lower.any() and upper.any()
     if both:
         _profiles(axes, result, rows, lambda row: -1e3 * lower[row], lambda row: 1e3 * upper[row])
-        axes.set_ylabel("worn faces (\N{MICRO SIGN}m)")
+        axes.set_ylabel("height of worn faces (\N{MICRO SIGN}m)")
         for name, place, where in (("upper", 0.98, "top"), ("lower", 0.02, "bottom")):
             axes.text(
                 0.5, place, f"face of {name}", ha="center", va=where, transform=axes.transAxes
             )
     elif upper.any():
         _profiles(axes, result, rows, lambda row: 1e3 * upper[row])
-        axes.set_ylabel("wear depth, upwards (\N{MICRO SIGN}m)")
+        axes.set_ylabel("height of worn face of upper (\N{MICRO SIGN}m)")
     else:
         _profiles(axes, result, rows, lambda row: -1e3 * lower[row])
-        axes.set_ylabel("wear depth (\N{MICRO SIGN}m)")
+        axes.set_ylabel("height of worn face of lower (\N{MICRO SIGN}m)")
     _draw_ends(axes, result)
     if both:
         low, high = axes.get_ylim()

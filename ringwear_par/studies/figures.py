@@ -18,7 +18,7 @@ from matplotlib.figure import Figure
 
 from ringwear_par.arrays import IntArray
 from ringwear_par.errors import InputError
-from ringwear_par.results.drawing import STYLE, check_format, save_figure
+from ringwear_par.results.drawing import STYLE, NotebookFigure, check_format, save_figure
 from ringwear_par.studies.effects import Key, Plan, draw_effects, key_of, plan_of
 from ringwear_par.studies.ensemble import Ensemble, read_ensemble
 from ringwear_par.studies.fan import FEW, draw_fan, draw_histories
@@ -151,7 +151,7 @@ def draw_sweep(ensemble: Ensemble, regressions: Surrogate | None = None) -> Figu
         if below is not None:
             columns = max(columns, below.columns)
         width = max(_WIDTH, _PANEL[0] * columns)
-        figure = Figure(figsize=(width, sum(heights) + 0.3), layout="constrained")
+        figure = NotebookFigure(figsize=(width, sum(heights) + 0.3), layout="constrained")
         figure.suptitle(chosen.told, fontsize=9.0)
         parts: Any = figure.subfigures(len(heights), 1, height_ratios=heights, squeeze=False)[:, 0]
         _draw_top(parts[0], ensemble, drawn, keys, top)

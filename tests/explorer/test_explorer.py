@@ -188,10 +188,10 @@ def test_numbers_of_layers_have_sliders(comm):
     assert [(c.value, c.unit, c.low, c.high) for c in layer.values()][:2] == [
         (3.0, "um", 0.3, 30.0), (100.0, "GPa", 10.0, 1000.0),
     ]  # fmt: skip
-    assert {c.group for c in layer.values()} == {"Layer 1 of lower"}
+    assert {c.group for c in layer.values()} == {"Layer 0 of lower"}
     assert all(c.assembles for c in (*layer.values(), told["lower.young"]))  # ratios of moduli
     assert not told["upper.young"].assembles
-    assert told["lower.layers[0].wear.k"].group.startswith("Wear of lower, layer 1: ")
+    assert told["lower.layers[0].wear.k"].group.startswith("Wear of lower, layer 0: ")
     for moved, times in (
         ({}, 1), ({"lower.layers[0].wear.k": "3e-8", "wear.lower.k": "2e-7"}, 1),
         ({"lower.layers[0].thickness": "4", "lower.young": "2e4"}, 2),

@@ -56,7 +56,7 @@ def test_a_page_computes_the_last_wish_and_goes_on_after_faults(comm):
     exploration, talk, work, ask = visited.exploration, visited.talk, visited.work, visited.ask
     computed, compute = [], exploration.compute
 
-    def counted(texts, assembling, sketch):
+    def counted(texts, assembling, sketch, stops):
         computed.append(texts)
         if texts == {"wear.lower.k": "5"}:
             raise ZeroDivisionError("of a fault in the code")
@@ -91,6 +91,42 @@ def test_a_page_computes_the_last_wish_and_goes_on_after_faults(comm):
     visited.page._left(None)
     ask(13, **{"wear.lower.k": "9e-8"})
     assert work()["n"] == 12  # nobody is there to see it
+
+
+def test_malformed_wishes_are_answered_by_a_sentence(comm, caplog):
+    visited = Visited(comm)
+    visited.work()
+    good = {"n": 1, "instant": 1.0, "menu": "torque", "values": {}}
+    for wish in ("{", "[" * 100000, "[]", "{}", *(
+        json.dumps({**good, key: value})
+        for key, value in (("n", None), ("instant", "x"), ("values", {"a": 1}), ("menu", []))
+    )):  # fmt: skip
+        visited.talk.told = ""
+        visited.talk.asked = wish
+        assert visited.told["faults"] == [
+            "the page sent a wish that cannot be read; load it again"
+        ]  # fmt: skip
+    visited.talk.given = json.dumps({"number": "x"})
+    assert "no table" in visited.told["laid_fault"]
+    assert not visited.tasks
+    assert caplog.text == ""
+
+
+def test_histories_that_nobody_waits_for_are_stopped(comm):
+    visited = Visited(comm)
+    visited.work()
+    steps, stops = [], visited.page._stops
+
+    def stop(share):
+        steps.append(share)
+        if len(steps) == 2:
+            visited.page._left(None)
+        return stops(share)
+
+    visited.page._stops = stop
+    visited.ask(1, **{"wear.lower.k": "3e-8"})
+    visited.work()
+    assert len(steps) == 2
 
 
 def test_faults_stay_until_numbers_can_be_computed(comm):

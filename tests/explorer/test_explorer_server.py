@@ -51,6 +51,10 @@ async def _answers(address):
             socket = await websocket_connect(asked, subprotocols=["bokeh", found])
             codes[origin] = (await asyncio.wait_for(socket.read_message(), 20)) is not None
             socket.close()
+    port = host.rpartition(":")[2]
+    for name in (f"localhost:{port}", f"[::1]:{port}", f"evil.example:{port}", "127.0.0.1:1"):
+        done = await client.fetch(address, headers={"Host": name}, raise_error=False)
+        codes[name.replace(port, "PORT")] = done.code
     return token, host, codes, page
 
 
@@ -62,6 +66,8 @@ def test_nobody_gets_anything_without_the_token():
             assert (code == 404) is (prefix != token), (prefix, code)
         assert codes[token, ""] == 200
         assert codes[f"http://{host}"] is True
+        assert [codes[f"{name}:PORT"] for name in ("localhost", "[::1]")] == [200, 200]
+        assert [codes[name] for name in ("evil.example:PORT", "127.0.0.1:1")] == [404, 404]
         assert "http://evil.example" not in codes
         assert "null" not in codes
         assert not re.findall(r'(?:src|href)="(?:https?:)?//', page)

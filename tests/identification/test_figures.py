@@ -49,13 +49,19 @@ def test_readings_in_time_are_joined():
 @pytest.mark.parametrize(
     ("quantity", "unit", "said"),
     [
-        ("profile.lower", "\N{MICRO SIGN}m", "depth of lower (um)"),
-        ("penetration", "\N{GREEK SMALL LETTER MU}m", "penetration (um)"),
+        ("profile.lower", "\N{MICRO SIGN}m", "depth of lower (\N{MICRO SIGN}m)"),
+        ("penetration", "\N{GREEK SMALL LETTER MU}m", "penetration (\N{MICRO SIGN}m)"),
         ("mass.upper", "mg", "mass loss of upper (mg)"),
     ],
 )
 def test_axes_are_in_words(quantity, unit, said):
     assert label(replace(profile_at([1.0]), quantity=quantity, unit=unit)) == said
+
+
+def test_notebooks_show_a_fit(found):
+    picture, size = found.plot()._repr_png_()
+    assert picture.startswith(b"\x89PNG")
+    assert size["width"] > size["height"] > 0
 
 
 def test_residuals_are_data_less_model(found):

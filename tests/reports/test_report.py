@@ -445,6 +445,11 @@ window.addEventListener("load", async () => {
   })];
   const named = (p) => p.data.filter((curve) => curve.customdata);
   told.points = all("div.plot").flatMap((p) => named(p).map((curve) => curve.text));
+  // what the mouse is told over the second point of the first curve
+  told.hovered = all("div.plot").map((p) => {
+    Plotly.Fx.hover(p, [{ curveNumber: 0, pointNumber: 1 }]);
+    return p.querySelector(".hovertext")?.textContent ?? "";
+  });
   const widths = (when) => {
     dispatchEvent(new Event(when));
     return all("div.plot").map((p) => p._fullLayout.width);
@@ -462,6 +467,11 @@ window.addEventListener("load", async () => {
       .map((row) => row.cells[row.cells.length - 1].textContent);
     told.slid = [document.querySelector("output").textContent, chosen];
   }
+  // Chromium leaves buttons out of headers that it repeats on further pages
+  const print = [...document.styleSheets[0].cssRules]
+    .find((rule) => rule.media?.mediaText === "print");
+  told.repeated = [...print.cssRules].filter((rule) => rule.selectorText === "th button")
+    .map((rule) => rule.style.display);
   const head = document.querySelectorAll(".sortable th button")[5];
   if (head) {
     const column = () => all(".sortable tbody tr").map((row) => row.cells[5].textContent);
@@ -493,6 +503,9 @@ def test_a_browser_draws_the_page(kind, folder, pages, tmp_path):
     assert not any("Share" in button or "cloud" in button.lower() for button in told["buttons"])
     assert all(told["pictures"])
     assert len(told["pictures"]) == {"run": 0, "sweep": 0, "fit": 1}[kind]
+    assert told["repeated"] == ["contents"]
+    if kind == "sweep":
+        check_hovered(told["hovered"], pages[kind].charts)
     assert all(told["focused"])
     assert len(told["focused"]) > 4
     if kind == "run":
@@ -505,6 +518,14 @@ def test_a_browser_draws_the_page(kind, folder, pages, tmp_path):
         assert len(set(up)) > 10
         assert up == sorted(up) == down[::-1]
         assert told["order"] == "descending"
+
+
+def check_hovered(words, charts):
+    """Check that curves and points of cases are told by the case and its keys."""
+    for text, (name, chart) in zip(words, charts.items(), strict=True):
+        if chart["data"][0].get("type") != "bar":
+            assert text.startswith("case "), name
+            assert "wear.lower.k (1/MPa) = " in text
 
 
 def check_paper(widths, whole):
@@ -524,6 +545,7 @@ def check_by_hand(told, charts):
     assert np.allclose(whole, [x, y])
     assert len(told["numbers"]) == len(charts)
     for rows, chart in zip(told["numbers"], charts, strict=True):
+        assert all(rows[0])
         shown = [curve for curve in chart["data"] if curve.get("meta") != "aside"]
         values = [v for curve in shown for v in curve["y"]]
         if rows[0][0] == "curve":

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from test_cli import ringwear
 
 from ringwear_par.errors import InputError
 from ringwear_par.results.run import run_case
@@ -43,6 +44,28 @@ def test_every_panel_and_format(runs, tmp_path, panels, ending):
         assert text.count("<path") > 10
 
 
+@pytest.mark.parametrize("by_command", [True, False])
+def test_fonts_in_files_are_fonts(runs, tmp_path, by_command):
+    """Publishers refuse Type 3; texts in drawings can be searched and edited."""
+    from ringwear_par.results.figures import plot, plot_files
+
+    pdf, svg = tmp_path / "figure.pdf", tmp_path / "figure.svg"
+    for path in (pdf, svg):
+        if by_command:
+            plot_files(runs[:1], path)
+        else:
+            plot(runs[:1]).savefig(path)
+    fonts = re.findall(rb"/Type\s*/Font\s*/Subtype\s*/(\w+)", pdf.read_bytes())
+    assert b"Type0" in fonts
+    assert b"Type3" not in fonts
+    assert ">penetration depth (\N{MICRO SIGN}m)</text>" in svg.read_text(encoding="utf-8")
+
+
+def test_what_libraries_note_of_a_picture_is_not_told(runs, tmp_path):
+    done = ringwear("plot", runs[1], "-o", tmp_path / "figure.pdf")
+    assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
+
+
 def test_what_is_drawn_is_what_is_stored(runs):
     from ringwear_par.results.figures import plot
     from ringwear_par.results.files import open_result
@@ -55,7 +78,7 @@ def test_what_is_drawn_is_what_is_stored(runs):
     assert pressure.lines[0].get_xdata() == pytest.approx(result.line.r)
     assert penetration.lines[1].get_ydata() == pytest.approx(1e3 * result.histories["penetration"])
     assert penetration.lines[1].get_xdata() == pytest.approx(result.histories["time"])
-    assert wear.get_ylabel() == "wear depth (\N{MICRO SIGN}m)"
+    assert wear.get_ylabel() == "height of worn face of lower (\N{MICRO SIGN}m)"
     assert pressure.get_ylabel() == "contact pressure (MPa)"
     assert penetration.get_xlabel() == "time (s)"
     assert penetration.lines[1].get_marker() == ""

@@ -5,10 +5,11 @@ const page = { talk: null, n: 0, flying: false, waiting: false, values: {}, inst
 
 // -- what is asked for: one wish at a time, the last one next, so that moves never queue up
 function ask() {
-  if (!page.talk || page.flying) { page.waiting = true; return; }
-  page.flying = true; page.waiting = false; page.n += 1;
+  // a wish at rest takes the place of one that takes long
+  if (!page.talk || (page.flying && (page.moving || !page.slow))) { page.waiting = true; return; }
+  page.flying = true; page.slow = false; page.waiting = false; page.n += 1; clearTimeout(page.late);
   const { n, values, instant, menu, moving } = page;
-  page.late = setTimeout(() => say("Computing \u2026", true), 400);
+  page.late = setTimeout(() => { page.slow = true; say("Computing \u2026", true); if (page.waiting && !page.moving) ask(); }, 400);
   page.talk.asked = JSON.stringify({ n, values, instant, menu, moving });
 }
 // the next is computed while figures are painted
@@ -71,6 +72,7 @@ find("menu").addEventListener("change", (event) => { page.menu = event.target.va
 
 // -- what is told
 function hear(told) {
+  if (told.progress !== undefined) { say(`Computing \u2026 ${Math.round(100 * told.progress)} % of the time`, true); return; }
   if (told.assembling) { say("Assembling the bodies \u2026", true); return; }
   const faults = told.faults ?? [], answered = told.n === page.n;
   const rested = !page.waiting && (answered || !page.flying);
@@ -206,5 +208,5 @@ const waiting = setInterval(() => {
     find("faults").replaceChildren(element("p", "The connection is lost: ringwear explore has ended, or this page slept. If it still runs, load the page again.", { className: "warning" }));
   });
   if (talk.told) hear(JSON.parse(talk.told));
-  if (page.waiting) ask();  // moved before there was a connection
+  ask();  // nothing is computed for a page without a connection
 }, 50);

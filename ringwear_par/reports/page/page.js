@@ -4,7 +4,10 @@ for (const told of document.querySelectorAll("script.told")) {
   const plot = told.previousElementSibling, { data, layout, frames } = JSON.parse(told.textContent);
   const points = plot.closest(".charts").querySelector("script.points");
   const words = points && JSON.parse(points.textContent);
-  for (const curve of data) if (curve.customdata) curve.text = curve.customdata.map((i) => words[i]);
+  for (const curve of data) {
+    if (curve.customdata) curve.text = curve.customdata.map((i) => words[i]);
+    else if (curve.text) curve.text = curve.y.map(() => curve.text);  // newer plotly wants one a point
+  }
   plot.frames = frames;
   Plotly.newPlot(plot, data, layout, {
     responsive: true, displaylogo: false, plotlyServerURL: "",
@@ -30,7 +33,7 @@ function rowsOf(plot) {
   const curves = plot.data.filter((curve) => curve.meta !== "aside"), [across, upwards] = ["xaxis", "yaxis"]
     .map((name) => plain(plot.layout[name].title.text) || "of");
   const places = (curve) => curve.x ?? curve.y.map((_, i) => Number((curve.x0 + i * curve.dx).toPrecision(7)));
-  const name = (curve) => plain(curve.name ?? upwards), first = JSON.stringify(places(curves[0]));
+  const name = (curve) => plain(curve.name || upwards), first = JSON.stringify(places(curves[0]));
   if (curves.every((curve) => !curve.customdata && JSON.stringify(places(curve)) === first)) {
     return [[across, ...curves.map(name)], ...places(curves[0]).map((x, i) => [x, ...curves.map((c) => c.y[i])])];
   }
