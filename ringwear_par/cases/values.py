@@ -10,6 +10,7 @@ import numpy as np
 
 from ringwear_par.arrays import BoolArray, FloatArray
 from ringwear_par.elasticity.profiles import SHAPE_UNITS, Shape
+from ringwear_par.errors import legible
 from ringwear_par.schedules import Quantity, Table
 
 #: a schedule is a number or a table in time, a quantity these or a profile along the radius
@@ -67,7 +68,7 @@ def is_number(value: Any) -> bool:
     return isinstance(value, float) or (whole and abs(value) < 10**300)
 
 
-def _is_finite(value: Any) -> bool:
+def is_finite(value: Any) -> bool:
     """Tell whether a value is a finite number.
 
     Raises
@@ -92,7 +93,7 @@ def number(low: float, high: float = math.inf, *, ends: bool = False) -> Values:
     """Return the numbers between two, perhaps themselves included."""
 
     def read(value: Any) -> float:
-        if not _is_finite(value):
+        if not is_finite(value):
             raise RejectedError
         if not (low < value < high or (ends and value in (low, high))):
             raise RejectedError
@@ -127,7 +128,7 @@ def _points(value: Any, read: Reader) -> tuple[tuple[float, ...], tuple[float, .
     if not isinstance(value, list) or not value:
         raise RejectedError
     for pair in value:
-        if not isinstance(pair, list) or len(pair) != 2 or not _is_finite(pair[0]):
+        if not isinstance(pair, list) or len(pair) != 2 or not is_finite(pair[0]):
             raise RejectedError
     x = tuple(float(pair[0]) for pair in value)
     for before, after in itertools.pairwise(x):
@@ -171,8 +172,12 @@ def parameters() -> Values:
     def read(value: Any) -> tuple[tuple[str, Quantity], ...]:
         if not isinstance(value, dict):
             raise RejectedError
-        if not all(name.isprintable() for name in value):
-            raise RejectedError("their names must be printable")
+        for name in value:
+            if not name.isidentifier():  # results are stored under it, separated by blanks
+                raise RejectedError(
+                    f'"{legible(name)}": names must be of letters, digits and _, and begin with '
+                    "no digit"
+                )
         return tuple((name, entry.read(v)) for name, v in value.items())
 
     entry = quantity(-math.inf)
@@ -233,7 +238,7 @@ def pair(low: float) -> Values:
     def read(value: Any) -> tuple[float, float]:
         if not isinstance(value, list) or len(value) != 2:
             raise RejectedError
-        if not all(_is_finite(v) and v >= low for v in value) or not value[0] < value[1]:
+        if not all(is_finite(v) and v >= low for v in value) or not value[0] < value[1]:
             raise RejectedError
         return float(value[0]), float(value[1])
 
@@ -246,7 +251,7 @@ def chamfer() -> Values:
 
     def read(value: Any) -> tuple[float | None, float]:
         both = value if isinstance(value, list) else [value, value]
-        if len(both) != 2 or not all(_is_finite(v) and v >= 0 for v in both):
+        if len(both) != 2 or not all(is_finite(v) and v >= 0 for v in both):
             raise RejectedError
         return (float(both[0]) if both is value else None), float(both[1])
 
@@ -281,7 +286,7 @@ def profile() -> Values:
         if not isinstance(value, list) or len(value) < 2:
             raise RejectedError
         for point in value:
-            if not isinstance(point, list) or len(point) != 2 or not all(map(_is_finite, point)):
+            if not isinstance(point, list) or len(point) != 2 or not all(map(is_finite, point)):
                 raise RejectedError
         return tuple((float(r), float(z)) for r, z in value)
 
@@ -319,7 +324,7 @@ def places(*sides: str) -> Values:
             if not isinstance(point, list) or len(point) not in (2, 3):
                 raise RejectedError
             r, z, *side = point
-            if not (_is_finite(r) and _is_finite(z)) or not all(s in sides for s in side):
+            if not (is_finite(r) and is_finite(z)) or not all(s in sides for s in side):
                 raise RejectedError
             found.append((float(r), float(z), str(*side)))
         return tuple(found)

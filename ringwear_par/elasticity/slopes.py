@@ -21,23 +21,30 @@ from ringwear_par.elasticity.sections import Section
 def face_slope(
     section: Section, line: ContactLine, mesh: Mesh, worn: FloatArray | None = None
 ) -> FloatArray:
-    """Return (n,), tan alpha of a contact face on each element, in the body's own frame.
+    """Return (..., n), tan alpha of a contact face on each element, in the body's own frame.
 
     Worn faces are not looked at more closely than ``mesh.geometry_tolerance``, about which their
     elements follow the wear: over elements far smaller, the round-off of depths would be a slope.
 
     Parameters
     ----------
-    worn : (n,) float, mm, depths worn off the elements; None for an unworn face.
+    worn : (..., n) float, mm, depths worn off the elements; None for an unworn face.
     """
     slope: FloatArray = np.diff(section.depth(line.edges)) / line.width
-    if worn is None or not worn.any():
+    if worn is None:
         return slope
     r = line.gap_point
     half = np.maximum(0.5 * line.width, mesh.geometry_tolerance)
     below, above = (np.clip(r + side * half, r[0], r[-1]) for side in (-1.0, 1.0))
-    lowered = np.interp(above, r, worn) - np.interp(below, r, worn)
+    lowered = _interpolated(above, r, worn) - _interpolated(below, r, worn)
     return slope - lowered / (above - below)
+
+
+def _interpolated(x: FloatArray, r: FloatArray, values: FloatArray) -> FloatArray:
+    """Return values (..., n) at increasing radii r (n,) interpolated at x (n,) between them."""
+    i = np.clip(np.searchsorted(r, x, side="right") - 1, 0, len(r) - 2)
+    start, end = values[..., i], values[..., i + 1]
+    return start + (end - start) / (r[i + 1] - r[i]) * (x - r[i])
 
 
 def case_slopes(
@@ -46,11 +53,11 @@ def case_slopes(
     mesh: Mesh,
     worn: FloatArray | None = None,
 ) -> FloatArray:
-    """Return (2, n), tan alpha of the faces of lower and upper in the frame of the case.
+    """Return (2, ..., n), tan alpha of the faces of lower and upper in the frame of the case.
 
     Parameters
     ----------
-    worn : (2, n) float, mm, depths worn off; None for unworn faces.
+    worn : (2, ..., n) float, mm, depths worn off; None for unworn faces.
     """
     lower, upper = (
         face_slope(section, line, mesh, None if worn is None else worn[i])

@@ -19,11 +19,13 @@ from ringwear_par.history.snapshots import BatchSnapshot, Snapshot
 from ringwear_par.history.state import Progress, State
 from ringwear_par.history.stresses import CaseStresses, StressObserver
 from ringwear_par.history.tangent import variables as derivatives_of
+from ringwear_par.history.validity import WorstStates
 from ringwear_par.results.checkpoints import take
 from ringwear_par.results.columns import HistoryColumns
 from ringwear_par.results.doubts import (
-    doubts_at,
+    doubts_of,
     infinite_at_interfaces,
+    infinite_edge,
     infinite_stress,
     unstable,
     worn_points,
@@ -133,6 +135,7 @@ class BatchRecorder:
         self._last = {name: np.full(self._shape(name, count), np.nan) for name in last}
         self._pending = np.zeros(count, dtype=np.int64)
         self._worst = np.zeros((len(_BALANCES), count))
+        self._worst_states = WorstStates(cases[0], count)
         self._step_error_time = np.zeros(count)
         self._doubts: list[tuple[Doubt, ...]] = [()] * count
         self._ends: list[_End] = []
@@ -172,8 +175,9 @@ class BatchRecorder:
         self._seconds = time.perf_counter() - self._begun
 
     def _judge(self, snapshot: BatchSnapshot, shown: IntArray) -> None:
-        """Take the balances of the new states."""
+        """Take the balances and the validity of the new states."""
         now, numbers = balances(snapshot.model, snapshot.state), snapshot.numbers[shown]
+        self._worst_states(snapshot.model, snapshot.state, numbers, shown)
         if snapshot.step is not None:
             now["step_error"] = snapshot.step.wear_error
         every = np.zeros((len(_BALANCES), len(snapshot.numbers)))
@@ -206,14 +210,21 @@ class BatchRecorder:
         for place in np.flatnonzero(snapshot.stored).tolist():
             number, finished = int(snapshot.numbers[place]), bool(snapshot.finished[place])
             asked = self._cases[number].stress
-            if asked is not None and (finished or asked.times != "last"):
-                self._stress[number](
-                    Snapshot(
-                        snapshot.model, snapshot.state.history(place), None,
-                        Progress(int(snapshot.progress.steps[place])), 0, True, snapshot.passing,
-                        finished,
-                    )
-                )  # fmt: skip
+            if asked is None or (asked.times == "last" and not finished):
+                continue
+            observer, state = self._stress[number], snapshot.state.history(place)
+            count = len(observer.states)
+            observer(
+                Snapshot(
+                    snapshot.model, state, None, Progress(int(snapshot.progress.steps[place])), 0,
+                    True, snapshot.passing, finished,
+                )
+            )  # fmt: skip
+            if len(observer.states) > count:
+                case, line = self._cases[number], self._pair.line
+                infinite = infinite_edge(case, observer.history(), line, state)
+                if infinite is not None:
+                    self._worst_states.take_infinite_stress(number, *infinite)
 
     def _end(self, snapshot: BatchSnapshot, ended: IntArray) -> None:
         """Take the last states of histories."""
@@ -221,17 +232,12 @@ class BatchRecorder:
         state = replace(snapshot.state, tangent=None).take(ended)  # derivatives are stored by now
         if state.through is not None:
             self._through[:, numbers] = state.through
-        errors, elements = (values[ended] for values in model.asymmetry)
-        for place, number in enumerate(numbers.tolist()):
-            case = self._cases[number]
-            last = state.history(place)
-            self._doubts[number] += doubts_at(
-                case, self._pair.line, model.compliances.history(int(ended[place])),
-                last, self.balances(number), (float(errors[place]), int(elements[place])),
-            )  # fmt: skip
+        for number in numbers.tolist():
+            case, worst = self._cases[number], self._worst_states.history(number)
+            self._doubts[number] += doubts_of(case, worst, self.balances(number))
             if number in self._stress:
                 found = self._stress[number].history()
-                self._doubts[number] += infinite_stress(case, found, self._pair.line, last)
+                self._doubts[number] += infinite_stress(found, worst)
                 self._doubts[number] += infinite_at_interfaces(case, found)
                 self._doubts[number] += worn_points(case, found, self._stress[number])
         if self._keep_ends:
@@ -438,7 +444,7 @@ class BatchRecorder:
                 step_error_time=float(self._step_error_time[number]),
                 through=state.through,
             ),
-            take(state, progress, warm, 0, 0),
+            take(state, progress, warm, 0, 0, self._worst_states.history(number)),
             parameters=dict(units),
             derivatives={
                 name: values[:, rows] if name in self._rows else values[:, number]

@@ -1,6 +1,6 @@
 """Where a history can go on: its last state and the contact solver's next start."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -35,6 +35,8 @@ _NUMBERS = (
     "step", "time", "energy", "iterations", "next_step", "rejected", "assemblies", "approach",
     "force", "pending_iterations", "warm_approach", "warm_force",
 )  # fmt: skip
+#: attributes that hold the worst of a history
+_WORST = "worst_"
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,14 +48,21 @@ class Checkpoint:
     numbers : by name; ``step``, ``time`` (s) and ``pending_iterations``, those of the contact
         solver since the last stored state, among them.
     arrays : by name, over bodies and elements.
+    worst : of the history so far, see ``WorstStates.history``.
     """
 
     numbers: Mapping[str, Any]
     arrays: Mapping[str, FloatArray]
+    worst: Mapping[str, Sequence[float]]
 
 
 def take(
-    state: "State", progress: "Progress", warm: "WarmStart", updates: int, pending_iterations: int
+    state: "State",
+    progress: "Progress",
+    warm: "WarmStart",
+    updates: int,
+    pending_iterations: int,
+    worst: Mapping[str, Sequence[float]],
 ) -> Checkpoint:
     """Return the checkpoint of a state.
 
@@ -61,6 +70,7 @@ def take(
     ----------
     updates : how often the elements were assembled anew to follow the wear.
     pending_iterations : of the contact solver since the last stored state.
+    worst : see Checkpoint.
     """
     contact = state.contact
     numbers = {
@@ -93,7 +103,7 @@ def take(
         arrays["fit"] = state.fit
     if state.through is not None:
         arrays["through"] = state.through
-    return Checkpoint(numbers, arrays)
+    return Checkpoint(numbers, arrays, worst)
 
 
 def restored(result: "Result") -> "Start":
@@ -134,6 +144,7 @@ def write_checkpoint(group: "h5py.Group", checkpoint: Checkpoint) -> None:
     from ringwear_par.results.hdf5 import write_variable
 
     group.attrs.update(checkpoint.numbers)
+    group.attrs.update({f"{_WORST}{name}": values for name, values in checkpoint.worst.items()})
     write_variable(group, _BODY, np.arange(2))
     for variable in _ARRAYS:
         if variable.name in checkpoint.arrays:
@@ -151,7 +162,8 @@ def read_checkpoint(group: "h5py.Group", sizes: Mapping[str, int]) -> Checkpoint
     ------
     Exception : it is damaged, see ``reading``.
     """
-    from ringwear_par.results.reading import read_array, read_number
+    from ringwear_par.history.validity import ENTRIES
+    from ringwear_par.results.reading import read_array, read_number, read_numbers
 
     known = {**sizes, "body": 2}
     arrays = {v.name: read_array(group, v, known) for v in _ARRAYS if v.name in group}
@@ -159,4 +171,11 @@ def read_checkpoint(group: "h5py.Group", sizes: Mapping[str, int]) -> Checkpoint
     needed = {variable.name for variable in _ARRAYS} - {"shape", "fit", "through"}
     if len(numbers) < len(_NUMBERS) or not needed <= arrays.keys():
         return None
-    return Checkpoint(numbers, arrays)
+    worst = {
+        name.removeprefix(_WORST): read_numbers(values)
+        for name, values in group.attrs.items()
+        if name.startswith(_WORST)
+    }
+    if any(len(values) != ENTRIES for values in worst.values()):
+        raise ValueError(_WORST)
+    return Checkpoint(numbers, arrays, worst)

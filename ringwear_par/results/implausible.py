@@ -19,8 +19,10 @@ _THINNEST = 1e-4
 #: 1/MPa, largest specific wear rate: Archard's K = 0.01 of severe dry sliding (0.007 of mild steel
 #: on itself: J. F. Archard and W. Hirst, Proc. R. Soc. A 236 (1956) 397) over a hardness of 100 MPa
 _FASTEST = 1e-4
-#: mm, and share of a Young's modulus, from which on numbers are likely in another unit
-_LARGEST, _MOST_PRESSED = 5000.0, 0.1
+#: mm, from which on lengths are likely in another unit
+_LARGEST = 5000.0
+#: largest mean pressure, in Young's moduli, of linear elasticity
+MOST_PRESSED = 0.1
 
 
 @dataclass(frozen=True)
@@ -56,19 +58,32 @@ def implausible(case: Case) -> tuple[Doubt, ...]:
         for i, layer in enumerate(ring.layers):
             found += _in_pascals(f"{name}.layers[{i}].young", layer.young)
             found += _too_dense(f"{name}.layers[{i}].density", layer.density)
-    if case.load.force is not None:
-        moduli = [ring.young for ring in case.rings]
-        moduli += [layer.young for ring in case.rings for layer in ring.layers]
-        pressure, young = largest(case.load.force) / case.area, min(moduli)
-        if pressure > _MOST_PRESSED * young:
-            found.append(
-                f"the mean pressure of {pressure:.3g} MPa is more than a tenth of a Young's "
-                f"modulus, {young:g} MPa: no linear elasticity; are load and moduli in N and MPa?"
-            )
+    if too_much_load(case):
+        found.append(
+            f"the mean pressure of {_load(case):.3g} MPa is more than a tenth of a Young's "
+            f"modulus, {smallest_modulus(case):g} MPa: no linear elasticity; are load and moduli "
+            "in N and MPa?"
+        )
     return (
         *(Doubt(_IMPLAUSIBLE, text) for text in found),
         *(Doubt(_IMPLAUSIBLE, text, key) for key, text in (*_too_thin(case), *_too_fast(case))),
     )
+
+
+def smallest_modulus(case: Case) -> float:
+    """Return the smallest Young's modulus of both bodies and their layers, MPa."""
+    moduli = [ring.young for ring in case.rings]
+    return min(moduli + [layer.young for ring in case.rings for layer in ring.layers])
+
+
+def too_much_load(case: Case) -> bool:
+    """Tell whether the largest force presses the nominal annulus too much to be in N."""
+    return _load(case) > MOST_PRESSED * smallest_modulus(case)
+
+
+def _load(case: Case) -> float:
+    """Return the mean pressure of the largest force, MPa; 0 where a displacement is given."""
+    return 0.0 if case.load.force is None else largest(case.load.force) / case.area
 
 
 def but_varied(flags: Sequence[str], case: Case, varied: Sequence[str]) -> tuple[str, ...]:

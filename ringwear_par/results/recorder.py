@@ -25,11 +25,13 @@ from ringwear_par.history.snapshots import Snapshot
 from ringwear_par.history.state import Start, State
 from ringwear_par.history.stresses import CaseStresses, StressObserver
 from ringwear_par.history.tangent import variables as derivatives_of
+from ringwear_par.history.validity import WorstStates
 from ringwear_par.info import versions
 from ringwear_par.results.checkpoints import restored, take
 from ringwear_par.results.doubts import (
-    doubts,
+    doubts_of,
     infinite_at_interfaces,
+    infinite_edge,
     infinite_stress,
     instability,
     worn_points,
@@ -47,6 +49,9 @@ from ringwear_par.results.variables import (
 )
 from ringwear_par.schedules import in_time, integral
 from ringwear_par.wear.layered import LayeredLaw
+
+#: the number of a single history among its kind
+_ALONE = np.zeros(1, dtype=np.int64)
 
 
 def row(model: WearModel, state: State) -> dict[str, Any]:
@@ -259,7 +264,7 @@ class Recorder:
         self._begun = time.perf_counter()
         #: s, spent by others on output, which is no time of stepping
         self.seconds_output = 0.0
-        self._balances = WorstBalances()
+        self._balances, self._worst = WorstBalances(), WorstStates(case)
         #: version that began the history
         self._begun_by = __version__
         if before is not None:
@@ -314,6 +319,7 @@ class Recorder:
         self._balances = WorstBalances(
             Balances(**before.balances), float(before.attributes.get("step_error_time", 0.0))
         )
+        self._worst.restore(before.checkpoint.worst)
         self._begun_by = str(before.attributes.get("begun_by", before.attributes["version"]))
         self._seconds = {
             name: float(value)
@@ -327,10 +333,18 @@ class Recorder:
             self._instability = instability(snapshot.model)
         if not snapshot.passing:
             self._last = snapshot
+            self._worst(snapshot.model, snapshot.state, _ALONE, _ALONE)
         self._balances(snapshot)
-        for observer in (self._boundary, self._stress):
-            if observer is not None:
-                observer(snapshot)
+        if self._boundary is not None:
+            self._boundary(snapshot)
+        if self._stress is not None:
+            count = len(self._stress.states)
+            self._stress(snapshot)
+            if len(self._stress.states) > count:
+                line, history = snapshot.model.line, self._stress.history()
+                infinite = infinite_edge(self._case, history, line, snapshot.state)
+                if infinite is not None:
+                    self._worst.take_infinite_stress(0, *infinite)
         self._pending_iterations += snapshot.iterations
         if snapshot.stored:
             self._store(snapshot)
@@ -377,11 +391,11 @@ class Recorder:
         """What makes the answer doubtful, if anything."""
         if self._last is None:
             return ()
-        model, state = self._last.model, self._last.state
+        worst = self._worst.history()
         return (
             *self._instability,
-            *doubts(model, state, self.balances),
-            *infinite_stress(self._case, self.stress, model.line, state),
+            *doubts_of(self._case, worst, self.balances),
+            *infinite_stress(self.stress, worst),
             *infinite_at_interfaces(self._case, self.stress),
             *worn_points(self._case, self.stress, self._stress),
         )
@@ -470,7 +484,14 @@ class Recorder:
                 step_error_time=self._balances.step_error_time,
                 through=state.through,
             ),
-            take(state, progress, model.warm(), self._followed[1], self._pending_iterations),
+            take(
+                state,
+                progress,
+                model.warm(),
+                self._followed[1],
+                self._pending_iterations,
+                self._worst.history(),
+            ),
             comm=self._comm,
             parameters=units_of(case, self._parameters),
             derivatives={name: arrays[name] for name in self._derivatives},

@@ -15,7 +15,7 @@ from ringwear_par.cases.schema import BY_PATH, Key, key_of, layer_entry
 from ringwear_par.cases.suggestions import unknown_key
 from ringwear_par.cases.text import shortened, toml_value
 from ringwear_par.cases.units import without_units
-from ringwear_par.cases.values import RejectedError, is_number
+from ringwear_par.cases.values import RejectedError, is_finite, is_number
 from ringwear_par.errors import legible
 
 #: of a design
@@ -307,12 +307,10 @@ def _variation(said: str, key: str, entry: Any, method: str, faults: list[str]) 
         if isinstance(values, list):
             entry = index if isinstance(index, str) and path not in LAYERS else None
             values = [without_units(own_key(key), value, entry) for value in values]
+        numbers = isinstance(values, list) and len(values) == 2 and all(map(is_finite, values))
     except RejectedError as reason:
         faults.append(f"{shown}: must be two increasing numbers ({reason})")
         return None
-    numbers = isinstance(values, list) and len(values) == 2 and all(
-        isinstance(v, int | float) and not isinstance(v, bool) and abs(v) < 1e300 for v in values
-    )  # fmt: skip
     if not numbers or not values[0] < values[1]:
         faults.append(f"{shown}: must be two increasing numbers")
         return None

@@ -19,7 +19,7 @@ class PyRingwearPar(PythonPackage):
 
     depends_on("python@3.11:", type=("build", "run"))
     depends_on("py-setuptools@77:", type="build")
-    depends_on("py-numpy@1.24:", type=("build", "run"))
+    depends_on("py-numpy@1.25:", type=("build", "run"))
     depends_on("py-scipy@1.10:", type=("build", "run"))
     depends_on("py-h5py@3.7:", type=("build", "run"))
     depends_on("py-numba@0.58:", type=("build", "run"))

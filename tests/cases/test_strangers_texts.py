@@ -1,5 +1,6 @@
 """Texts of strangers: too long, too deep, unseen; refused in a sentence that can be read."""
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -86,9 +87,16 @@ def test_a_dict_that_holds_itself():
     assert "too deeply" in refusal(read_study, {"case": tables, "vary": {}})
 
 
-def test_names_of_parameters_are_printed():
-    tables = {"wear.lower.parameters": {"k\x1b": 1.0}}
-    assert "their names must be printable" in refusal(read_case, CASES / "user_law.toml", tables)
+@pytest.mark.parametrize("name", ["k 1", "1k", "k-1", "", "k.1", "k\x1b"])
+def test_names_of_parameters_are_identifiers(tmp_path, name):
+    """A sweep lists its varied keys with blanks between them."""
+    said = refusal(read_case, CASES / "user_law.toml", {"wear.lower.parameters": {name: 1.0}})
+    assert "wear.lower.parameters" in said
+    assert f'"{legible(name)}": names must be of letters, digits and _' in said
+    written = json.dumps(f"wear.lower.parameters.{name}", ensure_ascii=True)
+    path = tmp_path / "study.toml"
+    path.write_text(f'case = "{CASES}/user_law.toml"\n[vary]\n{written} = {{ values = [1.0] }}\n')
+    assert "wear.lower.parameters" in refusal(read_study, path)
 
 
 def study(folder, text, table=""):

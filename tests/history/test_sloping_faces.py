@@ -15,13 +15,14 @@ from ringwear_par.elasticity.boundary import node_wear
 from ringwear_par.elasticity.mesh import Mesh
 from ringwear_par.elasticity.slopes import case_slopes, common_slope
 from ringwear_par.history import euler, sdirk2
-from ringwear_par.history.balances import WorstBalances, balances
+from ringwear_par.history.balances import Balances, balances
 from ringwear_par.history.bodies import bodies
 from ringwear_par.history.model import WearModel
 from ringwear_par.history.pairs import assemble, updated_geometry
 from ringwear_par.history.simulate import simulate
 from ringwear_par.history.trace import trace
-from ringwear_par.results.doubts import doubts
+from ringwear_par.history.validity import WorstStates
+from ringwear_par.results.doubts import doubts_of
 from ringwear_par.verification.fine import CONTACT, Rings, ring_case
 from ringwear_par.verification.paper import paper_case
 from ringwear_par.wear.archard import ArchardLaw
@@ -315,10 +316,10 @@ def flags(case, comm):
 
     def look(snapshot):
         if snapshot.finished:
-            worst = WorstBalances()
-            worst(snapshot)
-            found.update({d.flag: d.text for d in doubts(snapshot.model, snapshot.state,
-                                                         worst.worst)})  # fmt: skip
+            worst, alone = WorstStates(case), np.zeros(1, dtype=np.int64)
+            worst(snapshot.model, snapshot.state, alone, alone)
+            own = doubts_of(case, worst.history(), Balances())
+            found.update({doubt.flag: doubt.text for doubt in own})
         return False
 
     simulate(case, comm, observers=[look])

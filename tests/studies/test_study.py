@@ -1,5 +1,7 @@
 """Study files: designs, ids, groups, and what is wrong with bad ones."""
 
+import itertools
+import math
 import os
 import re
 import subprocess
@@ -13,9 +15,11 @@ from swept import write_study
 
 from ringwear_par.cases.keys import read_keys
 from ringwear_par.cases.reading import make_case, parse_case
+from ringwear_par.cases.schema import BY_PATH
 from ringwear_par.errors import InputError
 from ringwear_par.studies import plan
 from ringwear_par.studies import study as studies
+from ringwear_par.studies.designs import SAMPLED
 from ringwear_par.studies.identities import case_id
 from ringwear_par.studies.study import read_study, read_study_together
 
@@ -27,7 +31,7 @@ GRID = """
 [design]
 method = "grid"
 """
-SAMPLED = """
+DRAWN = """
 [vary]
 "wear.lower.k" = { log = [1e-8, 1e-6] }
 "upper.r[1]" = { linear = [30.5, 32.0] }
@@ -45,7 +49,7 @@ def write(shared_path, comm):
 
 
 def sampled(write, method, count, seed=1):
-    text = f'{SAMPLED}[design]\nmethod = "{method}"\ncount = {count}\nseed = {seed}\n'
+    text = f'{DRAWN}[design]\nmethod = "{method}"\ncount = {count}\nseed = {seed}\n'
     return read_study(write(text))
 
 
@@ -252,6 +256,21 @@ def test_a_range_that_reaches_too_far_is_one_fault(write):
     assert len(read_study(write(open_end + "count = 30\n")).ids) == 30
 
 
+def test_ranges_of_any_magnitude_are_sentences(tmp_path):
+    """Of all keys that are whole numbers, by all designs: none overflows."""
+    keys = [path for path, key in BY_PATH.items() if key.kind == "whole"]
+    assert {"mesh.contact_elements", "time.steps"} <= set(keys)
+    ends = [[1e-300, 1e299], [1e-60, 1e30], [1, 10**29], [1, 10**400], [1.0, math.inf]]
+    designs = [{"method": method, "count": 4} for method in SAMPLED] + [{"method": "grid"}]
+    for key, spacing, pair, design in itertools.product(keys, ("log", "linear"), ends, designs):
+        varied = {spacing: pair} | ({"count": 3} if design["method"] == "grid" else {})
+        tables = {"case": tomllib.loads(CASE), "vary": {key: varied}, "design": design}
+        with pytest.raises(InputError) as raised:
+            read_study(tables)
+        (fault,) = raised.value.faults
+        assert fault.startswith(f'study: vary."{key}": {spacing} = [')
+
+
 def test_a_case_is_told_as_such(tmp_path):
     path = tmp_path / "case.toml"
     path.write_text("title = 'a'\n[lower]\nyung = 1\n")
@@ -347,7 +366,7 @@ def test_tables_in_python_are_a_study(write, tmp_path):
 
 def test_every_rank_checks_its_share_of_the_cases(write, comm, monkeypatch):
     """Each kind of case is made once by a rank that has one, and the study is that of one rank."""
-    text = SAMPLED + '[design]\nmethod = "sobol"\ncount = 37\n'
+    text = DRAWN + '[design]\nmethod = "sobol"\ncount = 37\n'
     path, made = write(text), []
 
     def counted(keys, name, **how):

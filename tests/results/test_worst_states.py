@@ -1,0 +1,79 @@
+"""Doubts are of the worst state of a history, with its time: alone, in lock step, and restarted."""
+
+import tomllib
+from pathlib import Path
+
+import pytest
+
+import ringwear_par as rw
+from ringwear_par.results.run import run_case
+
+CASES = Path(__file__).parents[2] / "scripts/cases"
+
+
+def pressed(displacement):
+    """Tables of the rings of the paper under a displacement, mm, in time, s."""
+    tables = tomllib.loads((CASES / "paper.toml").read_text())
+    return tables | {
+        "load": {"control": "displacement", "displacement": displacement, "omega": 3.5},
+        "wear": {"lower": {"law": "archard", "k": 1e-13}},
+        "mesh": {"contact_elements": 16},
+        "time": {"scheme": "implicit", "step": 20.0, "steps": 4},
+    }
+
+
+def crowned(force, **time):
+    """Tables of a crown that begins with few elements in contact and wears to more of them."""
+    tables = tomllib.loads((CASES / "crown.toml").read_text())
+    return tables | {
+        "load": {"control": "force", "force": force, "omega": 6.0},
+        "mesh": {"contact_elements": 24, "grading": 1.0},
+        "time": {"scheme": "implicit", "step": 20.0, "steps": 4, **time},
+    }
+
+
+def doubts(tables):
+    return rw.simulate(rw.read_case(tables)).doubts
+
+
+def test_a_displacement_that_comes_and_goes_is_doubted_at_its_largest():
+    moved, high = doubts(pressed([[0.0, 0.01], [40.0, 3.0], [80.0, 0.01]]))
+    assert moved.startswith("approach or wear of 3 mm at t = 40 s is more than 5 %")
+    assert high.startswith("the mean pressure in contact, ")
+    assert "at t = 40 s, is more than a tenth of a Young's modulus, 10000 MPa" in high
+    assert doubts(pressed([[0.0, 0.01], [40.0, 0.03], [80.0, 0.01]])) == ()
+
+
+def test_few_elements_are_doubted_where_they_bear_load():
+    """A crown's first contact is doubted, though it ends on all elements; a slight load is not."""
+    (few,) = doubts(crowned(500.0))
+    count = int(few.split()[0])
+    assert 0 < count < 10
+    assert few.startswith(f"{count} of 24 elements are in contact at t = 0 s, under 500 N: too few")
+    growing = crowned([[0.0, 5.0], [80.0, 500.0]])
+    assert not any("at t = 0 s" in text for text in doubts(growing))
+
+
+def test_histories_in_lock_step_doubt_what_single_ones_do():
+    cases = [rw.read_case(crowned(force)) for force in (200.0, 500.0)]
+    together = rw.simulate_all(cases)
+    assert [result.doubts for result in together] == [rw.simulate(case).doubts for case in cases]
+    assert together[0].doubts != together[1].doubts
+    down = [pressed([[0.0, 0.01], [40.0, top], [80.0, 0.01]]) for top in (2.0, 3.0)]
+    for result, tables in zip(rw.simulate_all(map(rw.read_case, down)), down, strict=True):
+        assert result.doubts == doubts(tables)
+        assert len(result.doubts) == 2
+
+
+@pytest.mark.parametrize("scheme", ["crown", "displacement"])
+@pytest.mark.serial
+def test_a_restarted_run_doubts_what_was_before(tmp_path, comm, scheme):
+    tables = crowned(500.0) if scheme == "crown" else pressed([[0, 0.01], [20, 3.0], [40, 0.01]])
+    path, part, whole = (tmp_path / name for name in ("case.toml", "part.h5", "whole.h5"))
+    path.write_text(rw.read_case(tables).text)
+    run_case(path, whole, comm=comm)
+    run_case(path, part, ["time.steps=3"], comm=comm)
+    run_case(path, part, comm=comm, restart=True)
+    restarted = rw.open_result(part)
+    assert restarted.doubts == rw.open_result(whole).doubts
+    assert restarted.doubts
