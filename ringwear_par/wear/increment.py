@@ -400,6 +400,29 @@ class WearIncrement:
             return self.d_depth_dp(p) * change
         return averaged(self.jacobian(p), change)
 
+    def memory(self, p: FloatArray, worn: FloatArray) -> FloatArray | float:
+        """Return what a step makes of a change of depth at its start, pressure staying, (..., n).
+
+        1 of laws that do not remember depth.
+
+        Parameters
+        ----------
+        worn : (2, ..., n) mm, what lower and upper lose, by which a change is shared between them.
+        """
+        if not any(law.remembers for _, law, _, _ in self._each):
+            return 1.0
+        total, q = worn.sum(axis=0), np.maximum(p, 0.0)
+        growth = np.ones_like(p)
+        for i, law, at, _ in self._each:
+            if law.remembers:
+                share = np.divide(worn[i], total, out=np.zeros_like(total), where=total > 0.0)
+                growth += share * self._remembered(i, law, at, q)
+        return growth
+
+    def _remembered(self, i: int, law: Law, at: LocalState, p: FloatArray) -> FloatArray:
+        """Return what a change of the depth of body i grows by in the step, over that change."""
+        return 1.0 / (1.0 - self.step * law.d_rate_dwear(p, self._after(law, at, p))) - 1.0
+
     def potential(self, p: FloatArray) -> FloatArray:
         """Return the integral of the depth from 0 to p, (..., n) MPa mm.
 
