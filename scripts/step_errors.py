@@ -13,6 +13,7 @@ import math
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from mpi4py import MPI
@@ -40,7 +41,7 @@ class Work:
     def counting(self, solve: Callable) -> Callable:
         """Return a method of ``WearModel`` that counts its calls."""
 
-        def counted(*arguments, **keywords):
+        def counted(*arguments: Any, **keywords: Any) -> Any:
             self.contacts += 1
             return solve(*arguments, **keywords)
 

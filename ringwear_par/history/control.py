@@ -410,9 +410,7 @@ class ErrorBatch:
         """Tell which steps are taken, those within the tolerances; others are tried again."""
         made, length = self.progress, step.state.time - self._start
         self._iterations = self._iterations + step.state.contact.iterations
-        ratio, pressed, ahead = _ratios(
-            step, self._error, self._last, self._wear, self._pressure
-        )
+        ratio, pressed, ahead = _ratios(step, self._error, self._last, self._wear, self._pressure)
         self._pressed = self._pressed | pressed
         taken = ratio <= 1.0
         following = _following(length, _change(ahead), self._pressed, self._cut, self._length)

@@ -86,7 +86,8 @@ def advanced(
     """
     after = State(
         end, state.wear + depths, state.worn + volumes, state.energy + energy, contact, rates,
-        state.error, state.shape, state.fit, None if along is None else along.reached(contact), through,
+        state.error, state.shape, state.fit, None if along is None else along.reached(contact),
+        through,
     )  # fmt: skip
     return checked(model.case, after)
 

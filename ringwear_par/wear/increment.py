@@ -13,6 +13,8 @@ from ringwear_par.wear.derivatives import COMPLEX_STEP
 from ringwear_par.wear.law import Law, LocalState, WearLaw, complete
 
 _MEMORY_ITERATIONS = 60
+#: how often averages are scaled at most, and to what they have to keep constants by then
+_SCALINGS, _SCALED = 1000, 1e-10
 #: relative change at which the wear of a step is found, and below which it may stop falling
 _ROUND_OFF, _NOISE = 1e-15, 1e-9
 _POTENTIAL_PANELS, _BISECTIONS = 8, 60
@@ -44,16 +46,26 @@ def averaging(r: FloatArray, area: FloatArray, length: complex) -> FloatArray:
 
     Rows sum to 1 and ``diag(area) A`` is symmetric, so that constants and area integrals are
     kept (Sinkhorn's scaling).
+
+    Raises
+    ------
+    ComputationError : the scaling does not settle.
     """
     if length == 0.0:
         return np.eye(len(r))
     kernel = np.exp(-0.5 * ((r[:, None] - r) / length) ** 2) * area[:, None] * area
     scale = 1.0 / np.sqrt(kernel.sum(axis=1) / area)
-    for _ in range(1000):
+    for _ in range(_SCALINGS):
         sums = scale * (kernel @ scale) / area
-        if np.abs(sums - 1.0).max() < 1e-14:
+        off = np.abs(sums - 1.0).max()
+        if off < 1e-14:
             break
         scale = scale / np.sqrt(sums)
+    if not off <= _SCALED:
+        raise ComputationError(
+            f"wear law: averages over {np.real(length):g} mm keep constants to {off:.1e} only, "
+            f"after {_SCALINGS} scalings (allowed {_SCALED:g})"
+        )
     symmetric = scale[:, None] * kernel * scale
     matrix = symmetric / area[:, None]
     return matrix / matrix.sum(axis=1)[:, None]
