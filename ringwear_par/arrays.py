@@ -50,21 +50,24 @@ def chosen(which: Any, one: Any, other: Any) -> Any:
 
 
 def relative(off: Any, exact: Any) -> Any:
-    """Return what numbers of histories are off relative to others, 0 where those are not > 0."""
+    """Return what numbers of histories are off relative to others, 0 where those are 0 or less.
+
+    NaN where either is.
+    """
     if isinstance(exact, float):  # of one history, in every step
-        return off / exact if exact > 0.0 else 0.0
-    return np.divide(off, exact, out=np.zeros_like(exact), where=exact > 0.0)
+        return 0.0 if exact <= 0.0 else off / exact
+    return np.divide(off, exact, out=np.zeros_like(exact), where=~(exact <= 0.0))
 
 
 def larger(one: Any, other: Any) -> Any:
-    """Return the larger of numbers of histories: floats, or arrays (B,)."""
+    """Return the larger of numbers of histories: floats, or arrays (B,); NaN if either is."""
     if isinstance(one, float) and isinstance(other, float):  # of one history, and quicker
-        return one if one > other else other
+        return one if one > other or one != one else other
     return np.maximum(one, other)
 
 
 def smaller(one: Any, other: Any) -> Any:
-    """Return the smaller of numbers of histories: floats, or arrays (B,)."""
+    """Return the smaller of numbers of histories: floats, or arrays (B,); NaN if either is."""
     if isinstance(one, float) and isinstance(other, float):  # of one history, and quicker
-        return one if one < other else other
+        return one if one < other or one != one else other
     return np.minimum(one, other)

@@ -35,6 +35,11 @@ def on_first_rank(comm: "MPI.Comm", action: Callable[[], T]) -> T:
     return result
 
 
+def as_on_first_rank(comm: "MPI.Comm", value: T) -> T:
+    """Return what rank 0 has, on all ranks. Collective; nothing where a rank is alone."""
+    return value if comm.size == 1 else comm.bcast(value)
+
+
 class together:  # noqa: N801  (it reads as a word: with together(comm))
     """Run a block on all ranks; if it fails on any of them, raise that error on all.
 

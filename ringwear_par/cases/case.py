@@ -94,7 +94,7 @@ class Stepping:
     step: float = 0.0
     steps: int = 0
     until: float = 0.0
-    tolerance: float = 2.5e-6
+    tolerance: float = 1e-5
     pressure_tolerance: float = 0.1
 
     @property

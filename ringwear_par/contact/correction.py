@@ -14,6 +14,7 @@ import numpy as np
 from ringwear_par.arrays import BoolArray, FloatArray, IntArray, inner
 from ringwear_par.contact.problem import ContactState
 from ringwear_par.contact.solver import ContactSolver
+from ringwear_par.errors import ComputationError, HistoriesError
 from ringwear_par.wear.increment import WearIncrement
 
 if TYPE_CHECKING:
@@ -110,6 +111,10 @@ class CorrectedContact:
         near : (n,) float, MPa, pressures near the solution.
         exact : whether to correct until no more than 1e-4 is left.
         along : told of every correction.
+
+        Raises
+        ------
+        ComputationError : the contact was not solved, or not corrected well enough.
         """
         most = _EXACT if exact else _NEAR_ENOUGH
         shift, iterations = self._shift(near), 0
@@ -126,6 +131,8 @@ class CorrectedContact:
                 again = self.solver.comm.bcast(again)
             if not again:
                 break
+        else:
+            raise ComputationError(_unsettled(error, e, most))
         if error > self.worst[0]:
             self.worst = error, e
         return found if iterations == found.iterations else replace(found, iterations=iterations)
@@ -157,6 +164,15 @@ def _alone(change: FloatArray, stiffness: FloatArray, p: FloatArray, mean: Any) 
     Relative to the pressure or to its mean, whichever is larger.
     """
     return np.abs(change) * stiffness / np.maximum(p, mean)
+
+
+def _unsettled(error: float, element: int, most: float) -> str:
+    """Return why a contact that was corrected in vain is none."""
+    return (
+        f"contact: after {_CORRECTIONS} corrections for the asymmetry of the compliance the "
+        f"pressure of element {element} is off by {error:.2g} of itself or of the mean (allowed "
+        f"{most:g}); a finer mesh (mesh.contact_elements) or thicker layers are needed"
+    )
 
 
 class CorrectedBatch:
@@ -232,6 +248,10 @@ class CorrectedBatch:
             asked = asked[off[asked] > most]
             if not len(asked):
                 break
+        else:
+            which = np.zeros(len(gap), dtype=bool)
+            which[asked] = True
+            raise HistoriesError(which)
         if found is not None:
             residual[found[0]] = found[1].residual[found[0]]
         worse = errors > self.worst[0]

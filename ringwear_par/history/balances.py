@@ -31,7 +31,8 @@ class Balances:
     energy : worn volume against k times the dissipated energy, where p0 = 0 (else 0); with layers
         what the volumes of all of them took of it.
     residual : KKT residual of the contact solution.
-    step_error : mm, estimated error of the wear of a time step.
+    step_error : mm, estimated error of wear that time steps make: over the whole history with
+        adaptive ones, in one step with fixed ones.
     """
 
     force: float = 0.0
@@ -112,13 +113,20 @@ class WorstBalances:
     Parameters
     ----------
     before : those of an interrupted history.
-    step_error_time : s, of the same, see below.
+    step_error_time, closing_contact : of the same, see below.
     """
 
-    def __init__(self, before: Balances | None = None, step_error_time: float = 0.0) -> None:
+    def __init__(
+        self,
+        before: Balances | None = None,
+        step_error_time: float = 0.0,
+        closing_contact: bool = False,
+    ) -> None:
         self._worst = vars(before or Balances()).copy()
-        #: s, end of the step whose estimated error is the largest
+        #: s, end of the step at which ``step_error`` is the largest
         self.step_error_time = step_error_time
+        #: whether elements came into contact within steps, which ``step_error`` does not know of
+        self.closing_contact = closing_contact
 
     def __call__(self, snapshot: Snapshot) -> bool:
         """Take those of a new state."""
@@ -126,7 +134,8 @@ class WorstBalances:
             return False
         now, worst = balances(snapshot.model, snapshot.state), self._worst
         if snapshot.step is not None:
-            now["step_error"] = float(snapshot.step.wear_error)
+            now["step_error"] = float(snapshot.step.history_error)
+            self.closing_contact |= bool(snapshot.step.closing)
         for name, value in now.items():
             if not value <= worst[name]:  # nor NaN
                 worst[name] = value

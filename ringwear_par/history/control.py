@@ -10,6 +10,7 @@ from dataclasses import replace
 from typing import Any, Protocol, Self, TypeVar
 
 import numpy as np
+from mpi4py import MPI
 
 from ringwear_par.arrays import (
     BoolArray,
@@ -25,13 +26,17 @@ from ringwear_par.cases.case import Case, Stepping
 from ringwear_par.errors import ComputationError, HistoriesError, LawError
 from ringwear_par.history.schemes import Step
 from ringwear_par.history.state import Progress, State
+from ringwear_par.parallel import as_on_first_rank
 
-_SAFETY, _LARGEST_GROWTH, _LARGEST_CUT = 0.9, 5.0, 0.1
+_SAFETY, _LARGEST_GROWTH, _LARGEST_CUT = 0.82, 5.0, 0.1
+#: share of the tolerance that a step may miss whatever the history before it has missed
+_LEAST_ALLOWED = 0.05
 #: wear of the first step, in tolerances: edges wear fast and not for long
 _FIRST_WEAR = 50.0
 #: largest error of the dissipated energy of one step, relative to that of the whole history as it
 #: would be if the power stayed
 _ENERGY_TOLERANCE = 1e-4
+_NO_NUMBER = "the estimated error of the step is not a number"
 
 
 class Control(Protocol):
@@ -62,9 +67,10 @@ class FixedSteps:
     ----------
     case : its ``time.step``.
     progress : from where on.
+    comm : of the history; ranks need not agree, as they have nothing to decide.
     """
 
-    def __init__(self, case: Case, progress: Progress) -> None:
+    def __init__(self, case: Case, progress: Progress, comm: MPI.Comm) -> None:
         self._length, self.progress = case.time.step, progress
 
     def end(self, state: State) -> float:
@@ -89,12 +95,13 @@ class GivenSteps(FixedSteps):
     Parameters
     ----------
     times : s, increasing; the last one is the end of the case.
-    case : the case.
-    progress : from where on.
+    case, progress, comm : as of ``FixedSteps``.
     """
 
-    def __init__(self, times: Sequence[float], case: Case, progress: Progress) -> None:
-        super().__init__(case, progress)
+    def __init__(
+        self, times: Sequence[float], case: Case, progress: Progress, comm: MPI.Comm
+    ) -> None:
+        super().__init__(case, progress, comm)
         self._times = step_times_of(times, case)
 
     def end(self, state: State) -> float:
@@ -120,17 +127,21 @@ def step_times_of(times: Sequence[float], case: Case) -> list[float]:
 class ErrorControl:
     """Steps whose estimated errors of wear, pressure and energy are within tolerances.
 
-    They end at the times at which a schedule or a parameter bends, and while elements follow the
-    wear they wear about the tolerance of the geometry at most.
+    The error of wear is that of the history: a step may miss what the error that is left of the
+    steps before it leaves of the tolerance. Steps end at the times at which a schedule or a
+    parameter bends, and while elements follow the wear they wear about the tolerance of the
+    geometry at most.
 
     Parameters
     ----------
     case : its ``time.end``, ``time.tolerance`` (mm), ``time.pressure_tolerance`` and breakpoints.
     progress : from where on.
+    comm : of the history. What steps are, and whether they are taken, rank 0 decides: others may
+        differ by round-off, or by their processor.
     """
 
-    def __init__(self, case: Case, progress: Progress) -> None:
-        self._case, self.progress = case, progress
+    def __init__(self, case: Case, progress: Progress, comm: MPI.Comm) -> None:
+        self._case, self.progress, self._comm = case, progress, comm
         self._from: State | None = None  # the state that the present tries start from
         self._length = self._end = 0.0
         self._cut = False
@@ -138,7 +149,7 @@ class ErrorControl:
         self._pressed = False  # whether a try of the present step failed by its pressure
 
     def end(self, state: State) -> float:
-        """Return the time to which the next step is tried, s.
+        """Return the time to which the next step is tried, s. Collective.
 
         Raises
         ------
@@ -152,6 +163,7 @@ class ErrorControl:
             if self._case.follows_wear:
                 self._length = min(self._length, _longest_length(self._case, state))
         self._from = state
+        self._length = as_on_first_rank(self._comm, self._length)
         self._end, self._cut = _end(state.time, self._length, limit)
         if _vanishes(state.time, self._end):
             why = self._failure or (
@@ -175,23 +187,26 @@ class ErrorControl:
     def accepts(self, step: Step) -> bool:
         """Take a step within the tolerances; change the next one with the third root of its error.
 
-        The energy is held too: schedules may change it where nothing wears.
+        The energy is held too: schedules may change it where nothing wears. Collective.
         """
         assert self._from is not None
         made, time = self.progress, self._case.time
         length = self._end - self._from.time
         self._iterations += step.state.contact.iterations
-        ratio, pressed = _ratios(step, time.end, time.tolerance, time.pressure_tolerance)
+        before, tolerances = _largest(self._from), (time.tolerance, time.pressure_tolerance)
+        ratio, pressed, ahead = as_on_first_rank(
+            self._comm, _ratios(step, before, time.end, *tolerances)
+        )
         self._pressed |= pressed
-        change = _change(ratio)
         if ratio > 1.0:
-            self._length = length * change
+            self._failure = _NO_NUMBER if ratio == np.inf else ""
+            self._length = length * _change(ratio)
             self.progress = replace(made, rejected=made.rejected + 1)
             return False
         self.progress = replace(
             made,
             steps=made.steps + 1,
-            next_step=_following(length, change, self._pressed, self._cut, self._length),
+            next_step=_following(length, _change(ahead), self._pressed, self._cut, self._length),
             iterations=made.iterations + self._iterations,
         )
         self._from = None
@@ -225,20 +240,46 @@ def _vanishes(time: Numbers, end: Numbers) -> Any:
     return end - time <= 4.0 * np.spacing(time)
 
 
-def _ratios(step: Step, last: Numbers, wear: Numbers, pressure: Numbers) -> tuple[Numbers, Any]:
-    """Return the errors of a step over what they may be, and whether that of pressure is too large.
+def _ratios(
+    step: Step, before: Numbers, last: Numbers, wear: Numbers, pressure: Numbers
+) -> tuple[Numbers, Any, Numbers]:
+    """Return the errors of a step over what they may be, and what there is to say of the next one.
+
+    That is whether the error of pressure was too large, and the errors of a step like this one over
+    what the next may miss. What is no number counts as infinite.
 
     Parameters
     ----------
+    before : mm, largest error of the history at the start of the step.
     last : s, end of the history.
     wear, pressure : tolerances, mm and relative.
     """
     state = step.state
     whole = state.energy + step.power * (last - state.time)
-    energy = relative(step.energy_error, _ENERGY_TOLERANCE * whole)
-    ratio = larger(larger(energy, step.wear_error / wear), 1e-6)
-    pressed = step.pressure_error / pressure
-    return chosen(pressed > 1.0, larger(ratio, pressed), ratio), pressed > 1.0
+    energy = larger(relative(step.energy_error, _ENERGY_TOLERANCE * whole), 1e-6)
+    ratio = larger(energy, step.wear_error / _allowed(wear, step.carried_error))
+    # the next step is to leave as much of the error before it as this one does
+    decay = relative(before - step.carried_error, before)
+    left = step.history_error * smaller(1.0 - decay, 1.0)
+    ahead = larger(energy, step.wear_error / _allowed(wear, left))
+    over = _or_infinite(step.pressure_error / pressure)
+    pressed = over > 1.0
+    return chosen(pressed, larger(ratio, over), _or_infinite(ratio)), pressed, _or_infinite(ahead)
+
+
+def _allowed(tolerance: Numbers, missed: Numbers) -> Numbers:
+    """Return what a step may miss, mm, where the history before it has missed so much."""
+    return larger(tolerance - missed, _LEAST_ALLOWED * tolerance)
+
+
+def _or_infinite(ratio: Numbers) -> Numbers:
+    """Return ratios, infinite ones for those that are no numbers."""
+    return chosen(ratio == ratio, ratio, np.inf)
+
+
+def _largest(state: State) -> Numbers:
+    """Return the largest error of the history up to a state, mm, a number or (B,)."""
+    return np.abs(state.error).max(axis=-1)
 
 
 def _change(ratio: Numbers) -> Numbers:
@@ -334,6 +375,8 @@ class ErrorBatch:
         self._pressed = np.zeros(count, dtype=bool)
         self._iterations = np.zeros(count, dtype=np.int64)
         self._length, self._start = np.zeros(count), np.zeros(count)
+        #: (B,) mm, largest errors of the histories at the start of their steps
+        self._error = np.zeros(count)
         self._cut = np.zeros(count, dtype=bool)
 
     def end(self, state: State) -> FloatArray:
@@ -357,7 +400,7 @@ class ErrorBatch:
         self._length = np.where(fresh, wanted, self._length)
         self._pressed = self._pressed & ~fresh
         self._iterations = np.where(fresh, 0, self._iterations)
-        self._start = state.time
+        self._start, self._error = state.time, _largest(state)
         end, self._cut = _end(state.time, self._length, limit)
         if (stuck := _vanishes(state.time, end)).any():
             raise HistoriesError(stuck)
@@ -367,17 +410,17 @@ class ErrorBatch:
         """Tell which steps are taken, those within the tolerances; others are tried again."""
         made, length = self.progress, step.state.time - self._start
         self._iterations = self._iterations + step.state.contact.iterations
-        ratio, pressed = _ratios(step, self._last, self._wear, self._pressure)
+        ratio, pressed, ahead = _ratios(step, self._error, self._last, self._wear, self._pressure)
         self._pressed = self._pressed | pressed
-        change, taken = _change(ratio), ratio <= 1.0
-        following = _following(length, change, self._pressed, self._cut, self._length)
+        taken = ratio <= 1.0
+        following = _following(length, _change(ahead), self._pressed, self._cut, self._length)
         self.progress = Progress(
             made.steps + taken,
             np.where(taken, following, made.next_step),
             made.rejected + ~taken,
             made.iterations + np.where(taken, self._iterations, 0),
         )
-        self._length = np.where(taken, self._length, length * change)
+        self._length = np.where(taken, self._length, length * _change(ratio))
         self._fresh = taken
         return taken
 

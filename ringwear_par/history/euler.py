@@ -71,4 +71,5 @@ def _judged(state: State, after: State) -> Step:
     """Return the step from one state to another, half of what the rates changed as its error."""
     lower, upper = after.rates - state.rates
     change = lower + upper
-    return Step(after, 0.5 * (after.time - state.time) * np.abs(change).max(axis=-1))
+    error = 0.5 * (after.time - state.time) * np.abs(change).max(axis=-1)
+    return Step(after, error, error)

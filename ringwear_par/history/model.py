@@ -193,8 +193,9 @@ class WearModel:
         tangent = None if along is None else along.reached(contact)
         through = np.full(worn.shape, np.inf) if self.given.layered else None
         state = State(
-            nothing, wear, worn, nothing, contact, rates, tangent=tangent, through=through
-        )
+            nothing, wear, worn, nothing, contact, rates, np.zeros(self.given.shape),
+            tangent=tangent, through=through,
+        )  # fmt: skip
         return checked(self.case, state)
 
     def resume(self, start: Start) -> State:

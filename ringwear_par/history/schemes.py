@@ -30,19 +30,28 @@ class Step:
     state : at its end; the iterations of its contact are those of all stages.
     wear_error : float or (B,), mm, estimated error of the wear of both bodies together in the
         step, of the worst element.
+    history_error : float or (B,), mm, that of the history up to the end of the step; from a scheme
+        that does not carry it that of the step.
     energy_error : float or (B,), N mm, estimated error of the energy dissipated in the step; 0 from
         a scheme that leaves it to the wear.
     power : float or (B,), N mm/s, largest power of friction in the step, where there is such error.
     pressure_error : float or (B,), estimated error of the pressure at the end, of the worst
         element, over the mean pressure (force over the area in contact); 0 from a scheme that does
         not know it.
+    carried_error : float or (B,), mm, what is left at the end of the step of the error of the
+        history before it; 0 from a scheme that does not carry it.
+    closing : bool or (B,), whether elements came into contact within the step, which errors of wear
+        do not know of.
     """
 
     state: State
     wear_error: Numbers
+    history_error: Numbers
     energy_error: Numbers = 0.0
     power: Numbers = 0.0
     pressure_error: Numbers = 0.0
+    carried_error: Numbers = 0.0
+    closing: Any = False
 
 
 Scheme = Callable[[WearModel, State, Numbers], Step]
@@ -77,7 +86,8 @@ def advanced(
     """
     after = State(
         end, state.wear + depths, state.worn + volumes, state.energy + energy, contact, rates,
-        state.shape, state.fit, None if along is None else along.reached(contact), through,
+        state.error, state.shape, state.fit, None if along is None else along.reached(contact),
+        through,
     )  # fmt: skip
     return checked(model.case, after)
 

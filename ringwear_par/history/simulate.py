@@ -24,7 +24,7 @@ from ringwear_par.history.state import Progress, Start, State
 from ringwear_par.parallel import together
 
 #: scheme and step control of each ``time.scheme``
-METHODS: dict[str, tuple[Scheme, Callable[[Case, Progress], Control]]] = {
+METHODS: dict[str, tuple[Scheme, Callable[[Case, Progress, MPI.Comm], Control]]] = {
     "explicit": (euler.forward, FixedSteps),
     "implicit": (euler.backward, FixedSteps),
     "adaptive": (sdirk2.step, ErrorControl),
@@ -72,7 +72,7 @@ def simulate(
     if step_times is not None:
         make_control = partial(GivenSteps, step_times)
     with WearModel(case, comm, pair, solver, derivatives=derivatives) as model:
-        control = make_control(case, Progress() if start is None else start.progress)
+        control = make_control(case, Progress() if start is None else start.progress, comm)
         show = _Showing(observers, model, control)
         if start is None:
             with together(comm):

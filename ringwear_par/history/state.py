@@ -23,6 +23,8 @@ class State:
     energy : float or (B,), N mm, dissipated by friction.
     contact : the contact solution with these profiles.
     rates : (2, ..., n) float, mm/s, at which lower and upper wear now.
+    error : (..., n) float, mm, what the wear of both bodies together lacks for the steps so far, by
+        estimate; 0 from schemes that do not carry it.
     shape : (2, ..., n) float, mm, the wear that the elements have followed; None where they do not.
     fit : (..., n) float, mm, what elements are nearer than their profiles say since their slopes
         turned, see ``update_geometry``; None where they do not.
@@ -37,6 +39,7 @@ class State:
     energy: Numbers
     contact: ContactState
     rates: FloatArray
+    error: FloatArray
     shape: FloatArray | None = None
     fit: FloatArray | None = None
     tangent: Tangent | None = None
@@ -52,6 +55,7 @@ class State:
             self.energy[histories],
             ContactState(*(values[histories] for values in vars(contact).values())),
             self.rates[:, histories],
+            self.error[histories],
             tangent=None if self.tangent is None else self.tangent.take(histories),
             through=None if self.through is None else self.through[:, histories],
         )
@@ -66,7 +70,7 @@ class State:
         contact = ContactState(*map(np.concatenate, both))
         return State(
             of("time"), of("wear", 1), of("worn", 1), of("energy"), contact, of("rates", 1),
-            tangent=_tangent(self, other, Tangent.joined),
+            of("error"), tangent=_tangent(self, other, Tangent.joined),
             through=None if self.through is None else of("through", 1),
         )  # fmt: skip
 
@@ -83,6 +87,7 @@ class State:
                 float(contact.force[i]), int(contact.iterations[i]), float(contact.residual[i]),
             ),
             self.rates[:, i],
+            self.error[i],
             tangent=None if self.tangent is None else self.tangent.history(i),
             through=None if self.through is None else self.through[:, i],
         )  # fmt: skip
@@ -105,6 +110,7 @@ class State:
             of("energy"),
             contact,
             np.where(rows, after.rates, self.rates),
+            np.where(rows, after.error, self.error),
             tangent=_tangent(self, after, lambda old, new: old.updated(which, new)),
             through=None if self.through is None else of("through"),
         )

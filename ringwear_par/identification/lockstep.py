@@ -8,6 +8,8 @@ import threading
 from collections.abc import Callable, Sequence
 from typing import Any, Generic, TypeVar
 
+from mpi4py import MPI
+
 from ringwear_par.arrays import FloatArray
 from ringwear_par.errors import ComputationError
 
@@ -32,8 +34,14 @@ def side_by_side(
 
     Raises
     ------
+    ComputationError : MPI may not be called from threads.
     Exception : of ``compute``, which ends all jobs; or of a job, once the others have ended.
     """
+    if MPI.Query_thread() < MPI.THREAD_SERIALIZED:
+        raise ComputationError(
+            "MPI: fits ask for histories from threads, one at a time, which this MPI was started "
+            "not to allow: MPI_THREAD_SERIALIZED or more is needed (MPI4PY_RC_THREAD_LEVEL)"
+        )
     workers = [_Worker(job) for job in jobs]
     for worker in workers:
         worker.go()

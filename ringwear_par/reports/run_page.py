@@ -31,7 +31,8 @@ _BALANCES = {
     "energy": "worn volume against dissipated energy",
     "reaction": "force on the fixed faces against the contact's, vanishes with the mesh",
     "torque": "torque on the fixed faces against the contact's, vanishes with the mesh",
-    "step_error": "estimated error of wear of a time step, mm",
+    "step_error": "estimated error of wear depth by time stepping, mm: over the whole history with "
+    "adaptive steps, of one step with fixed ones; the mesh's error is not in it",
 }
 _TOLD = [v for name, v in HISTORIES.items() if name not in ("twist", "contact_iterations")]
 #: panels of stresses, in words for those who do not see them

@@ -137,6 +137,7 @@ class BatchRecorder:
         self._worst = np.zeros((len(_BALANCES), count))
         self._worst_states = WorstStates(cases[0], count)
         self._step_error_time = np.zeros(count)
+        self._closing_contact = np.zeros(count, dtype=bool)
         self._doubts: list[tuple[Doubt, ...]] = [()] * count
         self._ends: list[_End] = []
         #: of cases that ask for stress; grids and faces are for results alone
@@ -179,7 +180,9 @@ class BatchRecorder:
         now, numbers = balances(snapshot.model, snapshot.state), snapshot.numbers[shown]
         self._worst_states(snapshot.model, snapshot.state, numbers, shown)
         if snapshot.step is not None:
-            now["step_error"] = snapshot.step.wear_error
+            now["step_error"] = snapshot.step.history_error
+            closing = np.broadcast_to(snapshot.step.closing, snapshot.shown.shape)[shown]
+            self._closing_contact[numbers] |= closing
         every = np.zeros((len(_BALANCES), len(snapshot.numbers)))
         for name, value in now.items():
             every[_BALANCES.index(name)] = value
@@ -442,6 +445,7 @@ class BatchRecorder:
                 error="",
                 balances=self.balances(number),
                 step_error_time=float(self._step_error_time[number]),
+                closing_contact=bool(self._closing_contact[number]),
                 through=state.through,
             ),
             take(state, progress, warm, 0, 0, self._worst_states.history(number)),

@@ -22,6 +22,7 @@ _ARRAYS = (
     Variable("wear", ("body", "element"), "mm", "wear depth"),
     Variable("worn", ("body",), "mm3", "time integral of the rate of the worn volume"),
     Variable("rates", ("body", "element"), "mm/s", "rate of wear"),
+    Variable("error", ("element",), "mm", "estimated error of wear that time steps have made"),
     Variable("shape", ("body", "element"), "mm", "wear depth that the elements have followed"),
     Variable("fit", ("element",), "mm", "what elements are nearer since their slopes turned"),
     Variable("through", ("body",), "s", "when wear first got through all layers, or infinite"),
@@ -91,6 +92,7 @@ def take(
         "wear": state.wear,
         "worn": state.worn,
         "rates": state.rates,
+        "error": state.error,
         "pressure": contact.pressure,
         "gap": contact.gap,
         "warm_scaled_pressure": warm.scaled_pressure,
@@ -125,7 +127,7 @@ def restored(result: "Result") -> "Start":
     )  # fmt: skip
     state = State(
         float(numbers["time"]), arrays["wear"], arrays["worn"], float(numbers["energy"]),
-        contact, arrays["rates"], arrays.get("shape"), arrays.get("fit"),
+        contact, arrays["rates"], arrays["error"], arrays.get("shape"), arrays.get("fit"),
         through=arrays.get("through"),
     )  # fmt: skip
     progress = Progress(

@@ -115,6 +115,7 @@ def attributes(
     error: str,
     balances: Balances,
     step_error_time: float,
+    closing_contact: bool,
     through: FloatArray | None,
 ) -> dict[str, Any]:
     """Return the attributes of a result. Not collective.
@@ -125,7 +126,7 @@ def attributes(
     time : s, of its last state.
     seconds : by attribute.
     error : why it cannot go on, "" where it can.
-    balances, step_error_time : see ``WorstBalances``.
+    balances, step_error_time, closing_contact : see ``WorstBalances``.
     through : (2,) s, when wear first got through the layers, see ``State``.
     """
     laws = [law for law in case.laws if law is not None]
@@ -166,6 +167,7 @@ def attributes(
         ),
         **balance_attributes(vars(balances)),
         "step_error_time": step_error_time,
+        "closing_contact": int(closing_contact),
     }
 
 
@@ -317,7 +319,9 @@ class Recorder:
             before.histories["contact_iterations"][~keep].sum()
         )
         self._balances = WorstBalances(
-            Balances(**before.balances), float(before.attributes.get("step_error_time", 0.0))
+            Balances(**before.balances),
+            float(before.attributes.get("step_error_time", 0.0)),
+            bool(before.attributes.get("closing_contact", False)),
         )
         self._worst.restore(before.checkpoint.worst)
         self._begun_by = str(before.attributes.get("begun_by", before.attributes["version"]))
@@ -482,6 +486,7 @@ class Recorder:
                 error=error,
                 balances=self.balances,
                 step_error_time=self._balances.step_error_time,
+                closing_contact=self._balances.closing_contact,
                 through=state.through,
             ),
             take(

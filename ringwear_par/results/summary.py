@@ -103,12 +103,29 @@ def _trust(result: "Result") -> list[str]:
         f"asymmetry of the compliance matrix {about['symmetry_defect']:.1e} (corrected for)",
     ]
     if "step_error" in off:
-        when = ""
-        if about.get("step_error_time"):
-            when = f", in the step to t = {about['step_error_time']:g} s"
-        most = f"{_plain(1e3 * off['step_error'])} um at most{_tolerance(result)}{when}"
-        lines.append(f"estimated error of wear of a time step: {most}")
+        lines.append(_time_stepping(result))
     return lines
+
+
+def _time_stepping(result: "Result") -> str:
+    """Return the estimated error of time stepping, and what it is of."""
+    about = result.attributes
+    told = f"{_plain(1e3 * result.balances['step_error'])} um{_tolerance(result)}"
+    time, when = about.get("step_error_time"), ""
+    if about.get("scheme") == "adaptive":
+        if time:
+            when = f", largest at t = {time:g} s"
+        closing = "; closing contact is not in it" if about.get("closing_contact") else ""
+        return (
+            f"time stepping's error of wear depth, over the whole history: {told}{when}; the "
+            f"mesh's error is not in it{closing} (estimate)"
+        )
+    if time:
+        when = f", in the step to t = {time:g} s"
+    return (
+        f"time stepping's error of wear depth, of one step: {told} at most{when}; neither the "
+        "other steps' errors nor the mesh's are in it (estimate)"
+    )
 
 
 def _pressed(result: "Result", found: KeyNumbers) -> list[str]:

@@ -90,7 +90,7 @@ def steady_checks(pair: ContactPair, comm: MPI.Comm) -> Iterator[Check]:
 def adaptive_checks(pair: ContactPair, comm: MPI.Comm) -> Iterator[Check]:
     """Compare adaptive histories of the paper's rings with finer ones, steady laws, similarity."""
 
-    def history(case: Case, end: float, tolerance: float = 2.5e-6) -> Trace:
+    def history(case: Case, end: float, tolerance: float = 1e-5) -> Trace:
         stepping = Stepping("adaptive", until=end, tolerance=tolerance)
         return trace(replace(case, time=stepping), comm, pair=pair)
 

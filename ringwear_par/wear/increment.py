@@ -13,6 +13,8 @@ from ringwear_par.wear.derivatives import COMPLEX_STEP
 from ringwear_par.wear.law import Law, LocalState, WearLaw, complete
 
 _MEMORY_ITERATIONS = 60
+#: how often averages are scaled at most, and to what they have to keep constants by then
+_SCALINGS, _SCALED = 1000, 1e-10
 #: relative change at which the wear of a step is found, and below which it may stop falling
 _ROUND_OFF, _NOISE = 1e-15, 1e-9
 _POTENTIAL_PANELS, _BISECTIONS = 8, 60
@@ -44,16 +46,26 @@ def averaging(r: FloatArray, area: FloatArray, length: complex) -> FloatArray:
 
     Rows sum to 1 and ``diag(area) A`` is symmetric, so that constants and area integrals are
     kept (Sinkhorn's scaling).
+
+    Raises
+    ------
+    ComputationError : the scaling does not settle.
     """
     if length == 0.0:
         return np.eye(len(r))
     kernel = np.exp(-0.5 * ((r[:, None] - r) / length) ** 2) * area[:, None] * area
     scale = 1.0 / np.sqrt(kernel.sum(axis=1) / area)
-    for _ in range(1000):
+    for _ in range(_SCALINGS):
         sums = scale * (kernel @ scale) / area
-        if np.abs(sums - 1.0).max() < 1e-14:
+        off = np.abs(sums - 1.0).max()
+        if off < 1e-14:
             break
         scale = scale / np.sqrt(sums)
+    if not off <= _SCALED:
+        raise ComputationError(
+            f"wear law: averages over {np.real(length):g} mm keep constants to {off:.1e} only, "
+            f"after {_SCALINGS} scalings (allowed {_SCALED:g})"
+        )
     symmetric = scale[:, None] * kernel * scale
     matrix = symmetric / area[:, None]
     return matrix / matrix.sum(axis=1)[:, None]
@@ -399,6 +411,29 @@ class WearIncrement:
         if self.local:
             return self.d_depth_dp(p) * change
         return averaged(self.jacobian(p), change)
+
+    def memory(self, p: FloatArray, worn: FloatArray) -> FloatArray | float:
+        """Return what a step makes of a change of depth at its start, pressure staying, (..., n).
+
+        1 of laws that do not remember depth.
+
+        Parameters
+        ----------
+        worn : (2, ..., n) mm, what lower and upper lose, by which a change is shared between them.
+        """
+        if not any(law.remembers for _, law, _, _ in self._each):
+            return 1.0
+        total, q = worn.sum(axis=0), np.maximum(p, 0.0)
+        growth = np.ones_like(p)
+        for i, law, at, _ in self._each:
+            if law.remembers:
+                share = np.divide(worn[i], total, out=np.zeros_like(total), where=total > 0.0)
+                growth += share * self._remembered(i, law, at, q)
+        return growth
+
+    def _remembered(self, i: int, law: Law, at: LocalState, p: FloatArray) -> FloatArray:
+        """Return what a change of the depth of body i grows by in the step, over that change."""
+        return 1.0 / (1.0 - self.step * law.d_rate_dwear(p, self._after(law, at, p))) - 1.0
 
     def potential(self, p: FloatArray) -> FloatArray:
         """Return the integral of the depth from 0 to p, (..., n) MPa mm.

@@ -216,6 +216,19 @@ class LayeredIncrement(WearIncrement):
             depths[i] = self._axial(own)
         return depths
 
+    def _remembered(self, i: int, law: Law, at: LocalState, p: FloatArray) -> FloatArray:
+        """Return what a change of the depth of body i grows by in the step, over that change.
+
+        In the layer that is at the face.
+        """
+        body, of_any = self._bodies.get(i), super()._remembered
+        if body is None:
+            return of_any(i, law, at, p)
+        grown = self._full(
+            body, lambda law, at: of_any(i, law, at, p) if law.remembers else np.zeros_like(p), p
+        )
+        return self._present(body, grown)
+
     # -- in the contact problem --------------------------------------------------------------------
 
     def depth(self, p: FloatArray) -> FloatArray:

@@ -13,7 +13,9 @@ from stored import assert_same
 
 from ringwear_par.cases.case import Load, Stepping
 from ringwear_par.cases.reading import make_case, read_case
+from ringwear_par.contact import correction
 from ringwear_par.contact.solver import ContactSolver
+from ringwear_par.errors import ComputationError, HistoriesError
 from ringwear_par.history import euler
 from ringwear_par.history.bodies import young
 from ringwear_par.history.model import WearModel
@@ -280,3 +282,17 @@ def test_a_problem_shared_out_by_rows_is_corrected_as_well(cases, comm):
         found = model.initial().contact.pressure
     assert errors(found, exact, m).max() < 1e-3
     assert len(set(comm.allgather(found.tobytes()))) == 1
+
+
+def test_a_contact_that_corrections_do_not_settle_is_refused(cases, comm, monkeypatch):
+    """Alone with its error; among others it leaves."""
+    case, pair = cases[12]
+    monkeypatch.setattr(correction, "_EXACT", 1e-30)
+    with (
+        WearModel(case, comm, pair) as model,
+        pytest.raises(ComputationError, match=r"after 10 corrections .* is off by .*allowed 1e-30"),
+    ):
+        model.initial()
+    with WearModel([case, case], comm, pair) as model, pytest.raises(HistoriesError) as failure:
+        model.initial()
+    assert failure.value.which.all()

@@ -92,7 +92,7 @@ def test_adaptive_steps_find_when_elements_get_through(pair, p0, k, of_body, end
         history = trace(case.replace({"time.tolerance": tolerance}), ALONE, pair=pair)
         return np.array([history.at(time).wear[0] for time in times]), history
 
-    found, history = depths(2.5e-6)
+    found, history = depths(1e-5)
     exact, fine = depths(5e-8)
     assert np.abs(found - exact).max() < 2e-5
     assert ((exact > 0.003).sum(axis=1) > 1).any()

@@ -4,14 +4,16 @@ import copy
 import signal
 import threading
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from laboratory import FITTED, TRUTH, fit_tables, write_tests
 
-from ringwear_par.errors import RingwearError
+from ringwear_par.errors import ComputationError, RingwearError
 from ringwear_par.identification import fit as fit_room
 from ringwear_par.identification import histories as histories_room
+from ringwear_par.identification import lockstep
 from ringwear_par.identification import profile as profile_room
 from ringwear_par.identification.fit import fit, fitted
 from ringwear_par.identification.fit_file import read_fit
@@ -161,3 +163,10 @@ def test_starts_are_where_all_parameters_are_felt(tables, comm):
     found = fitted(read_fit(given), comm)
     assert found.at_best == 8
     assert all(start.converged for start in found.starts)
+
+
+def test_threads_need_an_mpi_that_allows_them(monkeypatch):
+    funneled = SimpleNamespace(Query_thread=lambda: 1, THREAD_SERIALIZED=2)
+    monkeypatch.setattr(lockstep, "MPI", funneled)
+    with pytest.raises(ComputationError, match="MPI_THREAD_SERIALIZED or more is needed"):
+        lockstep.side_by_side([lambda meet: None], lambda points: None)

@@ -10,8 +10,10 @@ import pytest
 import ringwear_par as rw
 from ringwear_par import read_case, simulate
 from ringwear_par.errors import ComputationError, InputError
+from ringwear_par.history.pairs import assemble
 from ringwear_par.results.files import open_result, read_status
 from ringwear_par.results.run import run_case
+from ringwear_par.studies.batches import computed
 
 PAPER = Path(__file__).parents[2] / "scripts" / "cases" / "paper.toml"
 SMALL = ["mesh.contact_elements=16", "time.steps=20"]
@@ -126,7 +128,7 @@ def test_the_summary_leads_with_what_can_be_wrong(shared_path, comm, capsys):
             "lower wears by k mu max(0, p - p0) V with k = 1e-07 1/MPa, p0 = 40 MPa",
             "contact (KKT)",
             "force on the fixed faces",
-            "estimated error of wear of a time step",
+            "time stepping's error of wear depth, of one step",
             "approach 0.0",
         )
     ]
@@ -140,16 +142,33 @@ def test_the_summary_tells_when_the_error_of_a_step_is_largest(comm, interrupted
     """Also where the run has gone on since."""
     run_case(PAPER, interrupted, SMALL, comm=comm, restart=True)
     (told,) = (line for line in open_result(interrupted).summary().splitlines() if "um at" in line)
-    assert told.endswith("um at most, in the step to t = 1 s")
+    assert told.endswith(
+        "um at most, in the step to t = 1 s; neither the other steps' errors nor the mesh's are in "
+        "it (estimate)"
+    )
 
 
-def test_the_summary_tells_the_error_of_steps_beside_their_tolerance(comm):
+def test_the_summary_tells_what_the_error_of_time_stepping_is_of(comm):
     case = read_case(PAPER, [*SMALL, "time.scheme=adaptive", "time.tolerance=2e-5"])
     told = simulate(case, comm).summary()
-    found = re.search(r"a time step: ([\d.]+) um at most \(tolerance 0\.02 um\), in the", told)
-    assert 0.0 < float(found[1]) <= 0.02
+    found = re.search(
+        r"time stepping's error of wear depth, over the whole history: ([\d.]+) um "
+        r"\(tolerance 0\.02 um\), largest at t = [\d.]+ s; the mesh's error is not in it \(e", told
+    )  # fmt: skip
+    assert 0.0 < float(found[1]) <= 0.025
     changed = simulate(replace(case, friction=0.2), comm).summary()
-    assert re.search(r"a time step: [\d.]+ um at most, in the step", changed)
+    assert re.search(r"the whole history: [\d.]+ um, largest at", changed)
+
+
+def test_the_summary_names_closing_contact_where_elements_close(comm):
+    """Alone and in lock step."""
+    case = read_case(PAPER.with_name("crown.toml"), {"mesh.contact_elements": 24, "time.end": 20.0})
+    told = "the mesh's error is not in it; closing contact is not in it (estimate)"
+    alone = simulate(case, comm)
+    assert told in alone.summary()
+    (together,) = computed([case], assemble(case, comm), keep_ends=True)
+    (same,) = together.results()
+    assert told in same.summary()
 
 
 def test_the_summary_says_that_nothing_wears(comm):

@@ -9,6 +9,7 @@ from wearing import sliding, step_wear
 
 from ringwear_par.errors import ComputationError, InputError
 from ringwear_par.schedules import Table
+from ringwear_par.wear import increment
 from ringwear_par.wear.archard import ArchardLaw
 from ringwear_par.wear.derivative_test import (
     taylor_test,
@@ -308,3 +309,10 @@ def test_a_file_without_a_law():
     assert UserLaw("a.py", "def rate(p, at): return p").missing() == ""
     assert "cannot be run (SyntaxError" in UserLaw("a.py", "def").missing()
     assert UserLaw(str(Path("a.py")), USER).missing() == ""
+
+
+def test_averages_that_do_not_settle_are_refused(monkeypatch):
+    monkeypatch.setattr(increment, "_SCALINGS", 1)
+    r = np.linspace(28.5, 31.5, 12)
+    with pytest.raises(ComputationError, match=r"averages over 0.5 mm keep constants to .* only"):
+        increment.averaging(r, r, 0.5)

@@ -1,0 +1,156 @@
+"""The error that adaptive steps carry along: held, estimated, carried over restarts and batches."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+from mpi4py import MPI
+
+from ringwear_par.arrays import larger, relative, smaller
+from ringwear_par.cases.case import Output, Stepping
+from ringwear_par.elasticity.mesh import Mesh
+from ringwear_par.errors import ComputationError
+from ringwear_par.history import batch
+from ringwear_par.history.batch import simulate_batch
+from ringwear_par.history.pairs import assemble
+from ringwear_par.history.simulate import METHODS
+from ringwear_par.history.trace import trace
+from ringwear_par.verification.paper import paper_case
+from ringwear_par.wear.power import PowerLaw
+from ringwear_par.wear.running_in import RunningInLaw
+from ringwear_par.wear.threshold import ThresholdLaw
+
+ALONE = MPI.COMM_SELF
+LAWS = {
+    "threshold": ThresholdLaw(1e-7, 40.0),
+    "memory": RunningInLaw(5e-8, 4e-7, 20.0, depth=0.002),
+    "power": PowerLaw(2e-10, 1.7, 1.2),
+}
+
+
+@pytest.fixture(scope="module")
+def paper():
+    case = paper_case(Mesh(32))
+    return case, assemble(case, ALONE)
+
+
+def history(paper, law, tolerance, end=200.0):
+    case, pair = paper
+    time = Stepping("adaptive", until=end, tolerance=tolerance)
+    return trace(replace(case, wear_lower=law, time=time), ALONE, pair=pair)
+
+
+def error_of(found, paper):
+    """Return the largest error of wear at the ends of steps, mm."""
+    case, states = found.model.case, found.states[1:]
+    finer = replace(case.time, tolerance=0.02 * case.time.tolerance)
+    times = Output(times=tuple(state.time for state in states))
+    exact = trace(replace(case, time=finer, output=times), ALONE, pair=paper[1])
+    return max(np.abs((s.wear - exact.at(s.time).wear).sum(axis=0)).max() for s in states)
+
+
+def test_errors_fall_as_the_tolerance_does():
+    """Of the whole history, and the estimate is of their size."""
+    case = paper_case(Mesh(64))
+    paper = case, assemble(case, ALONE)
+    tolerances, off = np.array([2.5e-6, 6.25e-7, 1.5625e-7]), []
+    for tolerance in tolerances:
+        found = history(paper, LAWS["threshold"], tolerance, 2000.0)
+        off.append(error_of(found, paper))
+        assert 0.6 < off[-1] / found.balances.step_error < 1.7
+        assert off[-1] < 2.0 * tolerance
+    assert 0.8 < np.polyfit(np.log(tolerances), np.log(off), 1)[0] < 1.2
+
+
+@pytest.mark.parametrize("name", LAWS)
+def test_the_estimate_is_the_error(paper, name):
+    """In size and sign, of the elements that are off the most."""
+    found = history(paper, LAWS[name], 1e-5, 5.0)
+    exact = history(paper, LAWS[name], 5e-9, 5.0)
+    lacking = (exact.last.wear - found.last.wear).sum(axis=0)
+    worst = np.abs(lacking).argmax()
+    assert 0.5 < lacking[worst] / found.last.error[worst] < 2.0
+    assert found.balances.step_error <= 1.25e-5
+
+
+def test_the_error_is_carried_over_a_restart(comm, restarted):
+    case = Path(__file__).parents[2] / "scripts" / "cases" / "paper.toml"
+    keys = ["mesh.contact_elements=16", "time.scheme=adaptive", "time.end=50"]
+    whole, parts = restarted(case, keys, 6, "SIGTERM after step 6")
+    if comm.rank == 0:
+        with h5py.File(whole) as one, h5py.File(parts) as two:
+            errors = [file["checkpoint/error"][:] for file in (one, two)]
+            told = [file.attrs["balance_step_error"] for file in (one, two)]
+        assert errors[0].any()
+        assert np.array_equal(*errors)
+        assert told[0] == told[1]
+
+
+def test_histories_in_lock_step_carry_the_same(paper):
+    case, pair = paper
+    time = Stepping("adaptive", until=50.0)
+    cases = [replace(case, wear_lower=ThresholdLaw(k, 20.0), time=time) for k in (1e-8, 1e-7, 1e-6)]
+    last = {}
+
+    def observe(snapshot):
+        for i in np.flatnonzero(snapshot.finished):
+            last[int(snapshot.numbers[i])] = snapshot.state.history(i)
+
+    assert simulate_batch(cases, pair, observe) == []
+    for i, one in enumerate(cases):
+        alone = trace(one, ALONE, pair=pair).last
+        assert np.abs(last[i].error - alone.error).max() < 1e-9 * np.abs(alone.wear).max()
+
+
+def test_numbers_that_are_none_are_no_small_ones():
+    for one, other in ((np.nan, 1.0), (1.0, np.nan)):
+        assert np.isnan(larger(one, other))
+        assert np.isnan(smaller(one, other))
+    assert np.isnan(relative(1.0, np.nan))
+    assert np.isnan(relative(np.ones(1), np.full(1, np.nan))[0])
+
+
+@pytest.mark.parametrize("name", ["wear_error", "pressure_error", "energy_error", "carried_error"])
+def test_an_estimate_that_is_no_number_fails_the_case(paper, monkeypatch, name):
+    """Alone with a sentence; among others it leaves, to be told alone."""
+    scheme, control = METHODS["adaptive"]
+
+    def wrong(*arguments):
+        step = scheme(*arguments)
+        return replace(step, **{name: np.nan * step.wear_error})
+
+    monkeypatch.setitem(METHODS, "adaptive", (wrong, control))
+    monkeypatch.setitem(batch._METHODS, "adaptive", (wrong, batch.ErrorBatch))
+    with pytest.raises(ComputationError, match=r"^the estimated error of the step is not a number"):
+        history(paper, LAWS["threshold"], 1e-5)
+    case, pair = paper
+    case = replace(case, time=Stepping("adaptive", until=50.0))
+    assert simulate_batch([case, case], pair, lambda _: None) == [0, 1]
+
+
+class FirstRank:
+    """Two ranks, as the second sees them: the first one has decided."""
+
+    size = 2
+
+    def __init__(self, decisions):
+        self._decisions = iter(decisions)
+
+    def bcast(self, _):
+        """Return what the first has."""
+        return next(self._decisions)
+
+
+@pytest.mark.parametrize("taken", [True, False])
+def test_the_first_rank_decides_for_all_whether_a_step_is_taken(paper, taken):
+    case, pair = paper
+    case = replace(case, time=Stepping("adaptive", until=50.0))
+    _, make_control = METHODS["adaptive"]
+    seen = trace(case, ALONE, pair=pair)
+    ratio = 0.5 if taken else 1.5
+    control = make_control(case, seen.snapshots[0].progress, FirstRank([0.25, (ratio, False, 0.5)]))
+    assert control.end(seen.states[0]) == 0.25
+    step = replace(seen.snapshots[1].step, wear_error=0.0 if not taken else 1.0)
+    assert control.accepts(step) == taken
