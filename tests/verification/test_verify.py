@@ -113,7 +113,7 @@ def test_steady_pressures_and_torques_are_exact(checks):
     assert len(steady) > 6
     for check in steady:
         if "rate" not in check.name:
-            assert check.errors[-1] < 1e-8, check.name
+            assert max(check.errors) < 1e-7, check.name
 
 
 @pytest.mark.most_ranks(2)
