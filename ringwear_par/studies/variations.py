@@ -16,7 +16,7 @@ from ringwear_par.cases.suggestions import unknown_key
 from ringwear_par.cases.text import shortened, toml_value
 from ringwear_par.cases.units import without_units
 from ringwear_par.cases.values import RejectedError, is_number
-from ringwear_par.errors import legible
+from ringwear_par.errors import MOST_FAULTS, legible
 
 #: of a design
 MOST_CASES = 10**7
@@ -254,7 +254,9 @@ def read_variations(
         path = path_of(key)
         said = f'{name}: vary."{legible(key)}"'
         if not is_known(key):
-            faults.append(f"{said}: {unknown_key(key if path in LAYERS else path)}")
+            near = len(faults) < MOST_FAULTS
+            what = unknown_key(key if path in LAYERS else path) if near else "unknown key"
+            faults.append(f"{said}: {what}")
         elif path == "title":
             faults.append(f"{said}: a title makes no other case; must be another key")
         elif not has_entry(key):
