@@ -32,10 +32,8 @@ def holds_tables_only(connection: sqlite3.Connection) -> bool:
             continue
         if kind != "table" or not text.startswith("CREATE TABLE "):
             return False
-        if any(
-            column[6]
-            for column in connection.execute("SELECT * FROM pragma_table_xinfo(?)", (name,))
-        ):
+        columns = connection.execute("SELECT hidden FROM pragma_table_xinfo(?)", (name,))
+        if any(hidden for (hidden,) in columns):
             return False
     return True
 

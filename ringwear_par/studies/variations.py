@@ -247,10 +247,11 @@ def read_variations(
         if vary:
             faults.append(f'{name}: [vary]: must be absent where design.method = "list"')
         return []
-    if not vary:
+    entries = _unnested(vary)
+    if not entries:
         faults.append(f"{name}: [vary]: is missing or empty; must name one case key at least")
     variations = []
-    for key, entry in _unnested(vary).items():
+    for key, entry in entries.items():
         path = path_of(key)
         said = f'{name}: vary."{legible(key)}"'
         if not is_known(key):

@@ -195,3 +195,10 @@ def test_pipes_and_devices_are_refused(tmp_path, kind, what):
         )
         told = refusal(read_study, odd if kind == "study" else study)
     assert ": cannot be read: it is a pipe or a device, must be an ordinary file" in told
+
+
+def test_tables_without_entries_vary_nothing(tmp_path):
+    (tmp_path / "paper.toml").write_text(PAPER)
+    study = tmp_path / "study.toml"
+    study.write_text('case = "paper.toml"\n[vary."load.pressure".a]\n')
+    assert "[vary]: is missing or empty" in refusal(read_study, study)
