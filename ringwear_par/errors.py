@@ -4,8 +4,8 @@ from typing import Any
 
 #: longest value, key or word of a user, and longest sentence that messages show in full
 _LONGEST_VALUE, LONGEST_SENTENCE = 72, 1000
-#: faults of one input that are told one by one
-_MOST_FAULTS = 100
+#: faults of one input that are told one by one; for more, nobody need look for what is meant
+MOST_FAULTS = 100
 
 
 def legible(text: str, most: int = _LONGEST_VALUE) -> str:
@@ -74,9 +74,9 @@ class InputError(RingwearError):
     exit_status = 2
 
     def __init__(self, *faults: str) -> None:
-        more = len(faults) - _MOST_FAULTS
+        more = len(faults) - MOST_FAULTS
         if more > 0:
-            faults = (*faults[:_MOST_FAULTS], f"and {more} faults more")
+            faults = (*faults[:MOST_FAULTS], f"and {more} faults more")
         self.faults = tuple(legible(fault, LONGEST_SENTENCE) for fault in faults)
         Exception.__init__(self, "\n".join(self.faults))
 

@@ -36,7 +36,7 @@ from ringwear_par.cases.units import without_units
 from ringwear_par.cases.values import RejectedError
 from ringwear_par.elasticity.mesh import Mesh
 from ringwear_par.elasticity.sections import Grip, Polyline
-from ringwear_par.errors import InputError, legible
+from ringwear_par.errors import MOST_FAULTS, InputError, legible
 from ringwear_par.schedules import Quantity, Table
 from ringwear_par.textfiles import read_text
 from ringwear_par.wear.law import Law
@@ -234,8 +234,12 @@ def _read_values(keys: Mapping[str, Any], origin: Origin) -> tuple[dict[str, Any
             must = " of a law" if path not in TABLES else f", [{path}]"
             faults.append(f"{origin.of(path)}{said}: must be a table{must}")
         elif not of_refused_law(path, given):
-            faults.append(f"{origin.of(path)}{legible(path)}: {unknown_key(path)}")
-            meant.update(nearest_keys(path))
+            said = f"{origin.of(path)}{legible(path)}"
+            if len(faults) < MOST_FAULTS:
+                faults.append(f"{said}: {unknown_key(path)}")
+                meant.update(nearest_keys(path))
+            else:
+                faults.append(f"{said}: unknown key")
     for key in itertools.chain(KEYS, *map(keys_of_layer, layer_tables(keys))):
         if key.path not in given and key.path not in meant:
             if key.default is not ...:

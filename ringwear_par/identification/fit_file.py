@@ -14,7 +14,7 @@ from ringwear_par.cases.keys import base_keys, flatten, in_full, kinds, override
 from ringwear_par.cases.reading import make_case
 from ringwear_par.cases.text import shortened, toml_value
 from ringwear_par.cases.values import number, some_of, text, whole
-from ringwear_par.errors import InputError, legible
+from ringwear_par.errors import MOST_FAULTS, InputError, legible
 from ringwear_par.history.limits import check_case
 from ringwear_par.identification.candidates import read_space
 from ringwear_par.identification.fitted import read_parameters, refuse_both, refuse_fixed
@@ -187,7 +187,7 @@ class _Experiments:
         changes = self._changes(reader, faults)
         refuse_both(f"{said}: set", parameters, changes, faults)
         case = None
-        if self._base is not None:
+        if self._base is not None and len(faults) < MOST_FAULTS:  # no more are told
             keys = override(override(self._base, _STEPPING), changes)
             self._keys[name] = override(keys, {**_STEPPING, **_OUTPUT})
             case = self._case(said, self._keys[name], changes, parameters, faults)

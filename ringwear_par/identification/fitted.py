@@ -13,7 +13,7 @@ from ringwear_par.cases.suggestions import nearest_key
 from ringwear_par.cases.text import shortened
 from ringwear_par.cases.units import in_unit
 from ringwear_par.cases.values import RejectedError, number
-from ringwear_par.errors import InputError, legible
+from ringwear_par.errors import MOST_FAULTS, InputError, legible
 from ringwear_par.history.elastic_numbers import elastic_numbers
 from ringwear_par.history.sensitivity import differentiable
 from ringwear_par.identification.problem import FittedParameter, Problem
@@ -55,7 +55,9 @@ def _parameter(said: str, key: str, table: Any, faults: list[str]) -> FittedPara
     if layer_entry(key) is not None and (of_layer := key_of(key)) is not None:
         allowed = of_layer.numbers
     if allowed is None or path.startswith("time."):
-        near = "" if path in BY_PATH else nearest_key(path)
+        near = ""
+        if path not in BY_PATH and len(faults) < MOST_FAULTS:
+            near = nearest_key(path)
         faults.append(
             f"{said}: cannot be fitted{near}; must be a number of a wear law, "
             "contact.friction, a load, load.omega, a modulus, or a layer's thickness or "

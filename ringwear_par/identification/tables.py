@@ -8,7 +8,7 @@ from typing import Any
 from ringwear_par.cases.text import shortened
 from ringwear_par.cases.units import in_unit
 from ringwear_par.cases.values import RejectedError, Values, is_number, pair
-from ringwear_par.errors import legible
+from ringwear_par.errors import MOST_FAULTS, legible
 from ringwear_par.identification.problem import Prior
 
 
@@ -104,7 +104,8 @@ class TableReader:
         """Add a sentence for each key that nobody asked for."""
         for key in self._table:
             if key not in self._asked:
-                near = difflib.get_close_matches(key.lower(), self._asked, n=1)
+                few = len(self.faults) < MOST_FAULTS
+                near = difflib.get_close_matches(key.lower(), self._asked, n=1) if few else []
                 hint = f" (did you mean {near[0]}?)" if near else ""
                 self.fault(
                     f"{legible(key)}: unknown key{hint}; must be one of "

@@ -15,9 +15,27 @@ def connect(path: Path) -> sqlite3.Connection:
     """Open a file, or make it; statements stand for themselves."""
     connection = sqlite3.connect(path, timeout=_BUSY_SECONDS, isolation_level=None)
     connection.text_factory = partial(str, encoding="utf-8", errors="replace")
+    connection.execute("PRAGMA trusted_schema=OFF")
     # one process a file: its index needs no memory shared with others, which not all disks offer
     connection.execute("PRAGMA locking_mode=EXCLUSIVE")
     return connection
+
+
+def holds_tables_only(connection: sqlite3.Connection) -> bool:
+    """Tell whether a file has plain tables and nothing else.
+
+    A view in the place of a table may have rows without end, and a trigger does things of its own;
+    so do columns that are computed, and tables that a module makes up.
+    """
+    for kind, name, text in connection.execute("SELECT type, name, sql FROM sqlite_master"):
+        if kind == "index" and text is None:  # of a primary key
+            continue
+        if kind != "table" or not text.startswith("CREATE TABLE "):
+            return False
+        columns = connection.execute("SELECT hidden FROM pragma_table_xinfo(?)", (name,))
+        if any(hidden for (hidden,) in columns):
+            return False
+    return True
 
 
 def columns_there(connection: sqlite3.Connection, table: str) -> set[str]:

@@ -4,6 +4,7 @@ import csv
 import json
 import math
 import re
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -17,7 +18,7 @@ from ringwear_par.cases.keys import base_keys, in_full, kinds
 from ringwear_par.cases.layers import LAYERS
 from ringwear_par.cases.suggestions import unknown_key
 from ringwear_par.cases.text import shortened, toml_value
-from ringwear_par.errors import InputError, legible
+from ringwear_par.errors import MOST_FAULTS, InputError, legible
 from ringwear_par.studies.variations import (
     MOST_CASES,
     Column,
@@ -231,15 +232,17 @@ def listed(table: Path) -> tuple[tuple[str, ...], list[Column]]:
     names = tuple(cell.strip() for cell in lines[0])
     if any(";" in name for name in names):
         raise InputError(f"{table}: columns must be separated by commas, not ;")
-    faults = []
+    faults: list[str] = []
+    times = Counter(names)
     for name in names:
         if not is_known(name) or name == "title":
             path = path_of(name)
-            said = unknown_key(name if path in LAYERS else path)
+            near = len(faults) < MOST_FAULTS
+            said = unknown_key(name if path in LAYERS else path) if near else "unknown key"
             faults.append(f"{table}: column {legible(name)}: {said}")
         elif not has_entry(name):
             faults.append(f"{table}: column {name}: has no entries; must be the key itself")
-        elif names.count(name) > 1:
+        elif times[name] > 1:
             faults.append(f"{table}: column {name}: is there more than once")
     values: list[list[Any]] = [[] for _ in names]
     for number, line in enumerate(lines[1:], start=2):

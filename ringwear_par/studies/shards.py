@@ -19,7 +19,7 @@ import numpy as np
 from ringwear_par.arrays import IntArray
 from ringwear_par.errors import ComputationError
 from ringwear_par.studies.blocks import Block
-from ringwear_par.studies.connections import ReadFile, columns_there, connect
+from ringwear_par.studies.connections import ReadFile, columns_there, connect, holds_tables_only
 from ringwear_par.studies.earlier import read_cases
 from ringwear_par.studies.index import (
     DONE,
@@ -213,11 +213,15 @@ def read_index(path: Path) -> tuple[Index, int] | None:
     ------
     ComputationError : it is in use, or cannot be read.
     """
+    if not path.is_file():  # a pipe may keep its reader waiting
+        return None
     tail = Path(f"{path}-wal")
     if not path.stat().st_size and tail.exists() and tail.stat().st_size:
         return None  # SQLite would take it for new
     try:
         with closing(connect(path)) as connection:
+            if not holds_tables_only(connection):
+                return None
             if connection.execute("PRAGMA quick_check").fetchone()[0] != "ok":
                 return None
             parts, bad = [], 0

@@ -16,7 +16,7 @@ from ringwear_par.cases.suggestions import unknown_key
 from ringwear_par.cases.text import shortened, toml_value
 from ringwear_par.cases.units import without_units
 from ringwear_par.cases.values import RejectedError, is_finite, is_number
-from ringwear_par.errors import legible
+from ringwear_par.errors import MOST_FAULTS, legible
 
 #: of a design
 MOST_CASES = 10**7
@@ -247,14 +247,17 @@ def read_variations(
         if vary:
             faults.append(f'{name}: [vary]: must be absent where design.method = "list"')
         return []
-    if not vary:
+    entries = _unnested(vary)
+    if not entries:
         faults.append(f"{name}: [vary]: is missing or empty; must name one case key at least")
     variations = []
-    for key, entry in _unnested(vary).items():
+    for key, entry in entries.items():
         path = path_of(key)
         said = f'{name}: vary."{legible(key)}"'
         if not is_known(key):
-            faults.append(f"{said}: {unknown_key(key if path in LAYERS else path)}")
+            near = len(faults) < MOST_FAULTS
+            what = unknown_key(key if path in LAYERS else path) if near else "unknown key"
+            faults.append(f"{said}: {what}")
         elif path == "title":
             faults.append(f"{said}: a title makes no other case; must be another key")
         elif not has_entry(key):

@@ -1,12 +1,15 @@
 """Texts of strangers: too long, too deep, unseen; refused in a sentence that can be read."""
 
+import difflib
 import json
+import os
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from ringwear_par import read_case, read_study
+from ringwear_par.cases import suggestions
 from ringwear_par.cases.reading import parse_case
 from ringwear_par.errors import ComputationError, InputError, legible
 
@@ -148,3 +151,62 @@ def test_what_messages_show():
     assert len(fault) == 1000
     assert InputError(fault).faults == (fault,)
     assert "nan" in refusal(read_case, CASES / "paper.toml", {"lower.young": np.float64("nan")})
+
+
+def test_nobody_looks_for_what_is_meant_by_keys_that_are_not_told(tmp_path, monkeypatch):
+    """Each look compares a key with all that there are."""
+    looks, near = [], difflib.get_close_matches
+
+    def counted(*words, **more):
+        looks.append(words)
+        return near(*words, **more)
+
+    monkeypatch.setattr(suggestions.difflib, "get_close_matches", counted)
+    keys = [f"key{i}" for i in range(3000)]
+    told = refusal(parse_case, "\n".join(f"{k} = 1" for k in keys) + f"\n{PAPER}", "case.toml")
+    assert told.splitlines()[-1] == "and 2900 faults more"
+    (tmp_path / "paper.toml").write_text(PAPER)
+    study = tmp_path / "study.toml"
+    vary = "\n".join(f'"{k}" = {{ values = [1] }}' for k in keys)
+    study.write_text(f'case = "paper.toml"\n[vary]\n{vary}\n')
+    assert refusal(read_study, study).splitlines()[-1] == "and 2900 faults more"
+    (tmp_path / "table.csv").write_text(f"{','.join(keys)}\n{','.join('1' for _ in keys)}\n")
+    study.write_text(f'case = "paper.toml"\n{LISTED}')
+    assert refusal(read_study, study).splitlines()[0].endswith("column key0: unknown key")
+    assert len(looks) < 2500
+
+
+@pytest.mark.parametrize("kind", ["case", "law", "profile", "study", "list", "base"])
+@pytest.mark.parametrize("what", ["pipe", "device"])
+def test_pipes_and_devices_are_refused(tmp_path, kind, what):
+    """The one would keep us waiting, the other has no end."""
+    odd = tmp_path / "odd"
+    if what == "pipe":
+        os.mkfifo(odd)
+    else:
+        odd.symlink_to("/dev/zero")
+    (tmp_path / "paper.toml").write_text(PAPER)
+    study = tmp_path / "study.toml"
+    changes = {
+        "law": {"wear.lower": {"law": "user", "file": str(odd)}},
+        "profile": {"upper.profile": {"file": str(odd)}},
+    }
+    if kind in changes:
+        told = refusal(read_case, tmp_path / "paper.toml", changes[kind])
+    elif kind == "case":
+        told = refusal(read_case, odd)
+    else:
+        study.write_text(
+            'case = "paper.toml"\n' + LISTED.replace("table.csv", "odd")
+            if kind == "list"
+            else 'case = "odd"\n[vary]\n"load.pressure" = { values = [1] }\n'
+        )
+        told = refusal(read_study, odd if kind == "study" else study)
+    assert ": cannot be read: it is a pipe or a device, must be an ordinary file" in told
+
+
+def test_tables_without_entries_vary_nothing(tmp_path):
+    (tmp_path / "paper.toml").write_text(PAPER)
+    study = tmp_path / "study.toml"
+    study.write_text('case = "paper.toml"\n[vary."load.pressure".a]\n')
+    assert "[vary]: is missing or empty" in refusal(read_study, study)

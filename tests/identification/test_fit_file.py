@@ -2,12 +2,14 @@
 
 import copy
 import tomllib
+from pathlib import Path
 
 import numpy as np
 import pytest
 from laboratory import CASE, FITTED, PEN, PROF, K, changed, fit_tables, write_tests
 
 from ringwear_par.errors import InputError
+from ringwear_par.identification import fit_file
 from ringwear_par.identification.fit_file import read_fit
 from ringwear_par.identification.inline_tables import on_one_line
 from ringwear_par.identification.problem import FittedParameter
@@ -264,3 +266,17 @@ def test_what_is_planned_and_left_out_may_have_units(good):
         read_fit(given, plans=True)
     assert "exclude" in str(error.value)
     assert "time.end" in str(error.value)
+
+
+def test_no_more_cases_are_read_than_faults_are_told(tmp_path, monkeypatch):
+    """A file of very many tables is refused as soon as it is known to be wrong."""
+    checks = []
+    monkeypatch.setattr(fit_file, "check_case", lambda *_: checks.append(1))
+    case = Path(__file__).parents[2] / "scripts/cases/paper.toml"
+    keys = '"wear.lower.k" = { start = 1e-7, bounds = [1e-9, 1e-5] }'
+    tables = "\n".join(f'[[experiment]]\nname = "{i}"' for i in range(400))
+    path = tmp_path / "fit.toml"
+    path.write_text(f'case = "{case}"\n[fit.parameters]\n{keys}\n{tables}\n')
+    with pytest.raises(InputError, match="and 300 faults more"):
+        read_fit(path)
+    assert 0 < len(checks) <= 100

@@ -2,6 +2,7 @@
 
 import copy
 import json
+import os
 import signal
 import sys
 import tomllib
@@ -20,8 +21,10 @@ from laboratory import (
 import ringwear_par as rw
 from ringwear_par.cases.text import toml_value
 from ringwear_par.errors import ComputationError, InputError
+from ringwear_par.folders import FIT
 from ringwear_par.identification import fit as fit_room
 from ringwear_par.identification import starts as starts_room
+from ringwear_par.identification import storing
 from ringwear_par.identification.fit import fit, fitted, run_fit
 from ringwear_par.identification.fit_file import read_fit
 from ringwear_par.stopping import StopSignals
@@ -205,3 +208,22 @@ def test_the_front_door(tables):
     assert "wear.lower.k" in repr(found)
     assert found.plot().axes
     assert "identified" in found.summary()
+
+
+@pytest.mark.serial
+@pytest.mark.parametrize(
+    "content", ["[" * 100_000, '{"a":' * 100_000, "pipe"], ids=["lists", "tables", "pipe"]
+)
+def test_outcomes_that_cannot_be_read_are_none(tmp_path, content):
+    """Nested without end, or a pipe that nobody writes to."""
+    kept = tmp_path / starts_room.PROGRESS / "0-1.json"
+    kept.parent.mkdir()
+    for path in (tmp_path / FIT, kept):
+        if content == "pipe":
+            os.mkfifo(path)
+        else:
+            path.write_text(content)
+    assert not storing.complete(tmp_path, None, compare=False)
+    assert starts_room.Progress(tmp_path, "key").read(1) is None
+    with pytest.raises(InputError, match=r"fit\.json: "):
+        rw.report(tmp_path, tmp_path / "a.html")

@@ -2,6 +2,7 @@
 
 import json
 import os
+import sys
 from pathlib import Path
 
 import h5py
@@ -114,6 +115,48 @@ def test_a_sweep_does_not_run_laws_that_only_its_folder_names(run, trap, tmp_pat
         assert main(words) == 0, capsys.readouterr().err
     assert len(rw.open_ensemble(out).penetration) >= 2
     assert not marker.exists()
+
+
+@pytest.mark.parametrize("shape", ["profile = { file", "profile.file"])
+def test_looking_at_a_result_opens_nothing_that_its_case_names(tmp_path, capsys, shape):
+    """What is shown comes from the file itself."""
+    path, pipe = tmp_path / "run.h5", tmp_path / "pipe"
+    words = ["mesh.contact_elements=8", "time.steps=3", "output.boundary=last"]
+    words += ["stress.times=last", "stress.grid={r=[28, 32], z=[19.9, 20.1], n=[5, 4]}"]
+    assert main(["run", PAPER, "-o", str(path), "--set", *words]) == 0
+    os.mkfifo(pipe)  # who opens it waits for ever
+    with h5py.File(path, "r+") as file:
+        entry = f"{shape} = {json.dumps(str(pipe))}{' }' if '{' in shape else ''}"
+        file.attrs["case"] = file.attrs["case"].replace("[upper]\n", f"[upper]\n{entry}\n")
+    opened = []
+    watchers.append(lambda name: opened.append(name) if name == str(pipe) else None)
+    try:
+        for command in (
+            ["plot", "-o", "a.png", "--panels", "wear,pressure"],
+            ["plot", "-o", "a.png", "--panels", "section"],
+            ["plot", "-o", "a.png", "--panels", "stress"],
+            ["report", "-o", "a.html"],
+            ["export", "-o", "a.csv"],
+        ):
+            output = str(tmp_path / command[2])
+            status = main([command[0], str(path), "-o", output, *command[3:]])
+            assert status in (0, 2)
+            assert "Traceback" not in capsys.readouterr().err
+    finally:
+        watchers.clear()
+    assert not opened
+
+
+#: what is called with the name of each file that is opened, as long as it is here
+watchers = []
+
+
+def _look(event, arguments):
+    if event == "open" and watchers and isinstance(arguments[0], str | os.PathLike):
+        watchers[0](os.fspath(arguments[0]))
+
+
+sys.addaudithook(_look)
 
 
 def flipped(contents, place, bit=0):

@@ -142,7 +142,7 @@ def as_earlier(path):
     connection.close()
 
 
-@pytest.mark.parametrize("moment", range(5))
+@pytest.mark.parametrize("moment", range(6))
 def test_a_sweep_killed_while_it_makes_its_shard(tmp_path, swept, comm, told, moment):
     """Before each of its statements, before its first PRAGMA as the first."""
     study, reference, _ = swept
@@ -169,7 +169,7 @@ shards.Shard(Path(sys.argv[1]))
         [sys.executable, "-c", script, path], env=SHELL_ENVIRONMENT, timeout=60, check=False
     )
     assert killed.returncode == -signal.SIGKILL
-    if moment < 2:
+    if moment < 3:
         assert path.stat().st_size == 0
     else:
         assert path.stat().st_size > 0
@@ -633,3 +633,41 @@ def test_results_that_fail_only_when_they_are_read(swept, tmp_path, comm, told, 
     assert note.startswith(f"{output / 'results.h5'}: is damaged (kept as results.damaged.h5)")
     run_sweep(changed, output, comm)
     assert [row["status"] for row in faults.table(output)] == ["done"] * 9
+
+
+ENDLESS = (
+    "SELECT 1 AS number, x AS ids, x AS texts, x AS about, x AS status, x AS rows, "
+    "x AS seconds, x AS imbalance, 0 AS crc FROM "
+    "(WITH RECURSIVE n(x) AS (SELECT 0 UNION ALL SELECT x + 1 FROM n) SELECT x FROM n)"
+)
+
+
+@pytest.mark.parametrize(
+    "statements",
+    [
+        ["ALTER TABLE blocks RENAME TO others", f"CREATE VIEW blocks AS {ENDLESS}"],
+        ["CREATE TRIGGER t AFTER INSERT ON blocks BEGIN DELETE FROM blocks; END"],
+        ["ALTER TABLE blocks ADD COLUMN more AS (length(zeroblob(1e9)))"],
+    ],
+    ids=["view", "trigger", "computed column"],
+)
+def test_a_shard_of_more_than_tables_is_set_aside(output, statements):
+    """Whose view has no end, or whose trigger does things of its own."""
+    path = shard_of(output)
+    assert shards.read_index(path) is not None
+    with closing(sqlite3.connect(path)) as connection:
+        for statement in statements:
+            connection.execute(statement)
+        connection.commit()
+    assert shards.read_index(path) is None
+
+
+def test_a_pipe_in_the_place_of_a_shard_or_a_lock(output, swept, comm):
+    path = shard_of(output)
+    path.unlink()
+    os.mkfifo(path)
+    assert shards.read_index(path) is None
+    (output / "lock").unlink()
+    os.mkfifo(output / "lock")
+    with pytest.raises(InputError, match=r"lock: cannot be opened: it is a pipe or a device"):
+        run_sweep(swept[0], output, comm)
