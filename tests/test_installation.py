@@ -41,6 +41,23 @@ def test_a_package_that_does_not_load_is_told_in_a_sentence(tmp_path, package):
     assert not list((tmp_path / "out").iterdir())
 
 
+def test_results_and_laws_are_looked_at_without_petsc(tmp_path):
+    (tmp_path / "broken" / "petsc4py").mkdir(parents=True)
+    (tmp_path / "broken" / "petsc4py" / "__init__.py").write_text("raise ImportError('none')\n")
+    path = os.pathsep.join([str(tmp_path / "broken"), str(ROOT)])
+    assert python([*RUN, "--set", "time.steps=3"], tmp_path).returncode == 0
+    for words in (
+        ["plot", "a.h5", "-o", "a.png"], ["export", "a.h5", "-o", "a.csv"],
+        ["report", "a.h5", "-o", "a.html"], ["laws", RUN[3]],
+    ):  # fmt: skip
+        done = python(["-m", "ringwear_par", *words], tmp_path, PYTHONPATH=path)
+        assert (done.returncode, done.stderr) == (0, "")
+    fit = ROOT / "scripts/fit/plan.toml"
+    done = python(["-m", "ringwear_par", "design", fit, "-o", "out"], tmp_path, PYTHONPATH=path)
+    assert done.returncode == 1
+    assert done.stderr.startswith("ringwear: PETSc for Python does not load (none)")
+
+
 @pytest.fixture
 def unwritable(tmp_path):
     """A copy of the package beside which nothing can be kept, for root either; its environment."""
