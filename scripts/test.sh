@@ -3,8 +3,6 @@
 set -euo pipefail
 cd "$(dirname "${BASH_SOURCE[0]}")/.."
 source scripts/setup.sh
-# numba looks at a function's own file only: a changed kernel would not be compiled into its callers
-find ringwear_par -name '*.nb[ic]' -delete
 ruff check .
 ruff format --check .
 mypy

@@ -92,6 +92,27 @@ def test_compiled_code_is_kept_in_a_private_folder_where_nothing_else_may_be_wri
     assert not list(kept.iterdir())
 
 
+def test_a_changed_function_is_compiled_into_its_callers(tmp_path):
+    package = tmp_path / "site" / "ringwear_par"
+    shutil.copytree(ROOT / "ringwear_par", package, ignore=shutil.ignore_patterns("__pycache__"))
+    callee, caller = (package / "elasticity" / f"{name}.py" for name in ("callee", "caller"))
+    decorated = "from ringwear_par.elasticity.compiling import compiled\n@compiled\ndef "
+    callee.write_text(f"{decorated}factor():\n    return 1.0\n")
+    caller.write_text(
+        "from ringwear_par.elasticity.callee import factor\n"
+        f"{decorated}product(x):\n    return factor() * x\n"
+    )
+    program = (
+        "from ringwear_par.elasticity.caller import product as p; "
+        "print(p(2.0), *p.stats.cache_hits.values())"
+    )
+    path = {"PYTHONPATH": str(tmp_path / "site"), "PYTHONDONTWRITEBYTECODE": "1"}
+    assert python(["-c", program], tmp_path, **path).stdout == "2.0\n"
+    assert python(["-c", program], tmp_path, **path).stdout == "2.0 1\n"
+    callee.write_text(callee.read_text().replace("1.0", "1.5"))
+    assert python(["-c", program], tmp_path, **path).stdout == "3.0\n"
+
+
 @pytest.mark.parametrize("shell", ["dash", "zsh"])
 def test_setup_is_sourced_from_bash_only(tmp_path, shell):
     if not shutil.which(shell):
