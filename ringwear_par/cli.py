@@ -25,6 +25,8 @@ from ringwear_par.stopping import StopAtOnce, Stopped, ignore_at_end, remark
 #: kills a second after its signal
 GRACE_SECONDS = 10.0
 STOP_SECONDS = 0.5
+#: message between ranks: why the command ends is said
+_SAID = 1
 #: what plot draws if it is not told
 PANELS = "wear,penetration"
 
@@ -382,6 +384,8 @@ _COMMANDS = {
     "export": _export, "report": _report, "explore": _explore, "laws": _laws, "verify": _verify,
     "info": _info,
 }  # fmt: skip
+#: commands that solve, for which PETSc is needed
+_COMPUTING = frozenset({"run", "sweep", "fit", "design", "explore", "verify"})
 
 
 def _check_launch(size: int) -> None:
@@ -402,6 +406,7 @@ class _World:
         #: a communicator of their own, to fail together
         self.together: Any = None
         self._said = False
+        self._notices: list[Any] = []  # on their way, which must not be freed
 
     @property
     def first(self) -> bool:
@@ -432,12 +437,32 @@ class _World:
         return status
 
     def _say(self, told: str) -> None:
-        """Say it, but nothing after it: what ends a command may have it stopped, too."""
-        if not self._said:
+        """Say it once: what ends a command on one rank has the launcher stop the others, too."""
+        if not self._said and not self._said_elsewhere():
             self._said = True
+            if self.together is not None:
+                self._notices = [
+                    self.together.isend(None, rank, _SAID)
+                    for rank in range(self.comm.size)
+                    if rank != self.comm.rank
+                ]
             with suppress(OSError):  # nobody can be told
                 lines = "\n".join(f"ringwear: {line}" for line in told.splitlines())
                 print(lines, file=sys.stderr, flush=True)
+
+    def _said_elsewhere(self) -> bool:
+        """Tell whether another rank has said why the command ends."""
+        if self.together is None:
+            return False
+        from mpi4py import MPI
+
+        return bool(self.together.Iprobe(MPI.ANY_SOURCE, _SAID))
+
+
+def _place(error: BaseException) -> str:
+    """Return the file and line that raised an error."""
+    last = traceback.extract_tb(error.__traceback__)[-1]
+    return f"{last.filename}, line {last.lineno}"
 
 
 def _why_untold() -> str:
@@ -497,6 +522,7 @@ def _main(words: Sequence[str], world: _World, signals: StopAtOnce) -> int:
         return 1
 
     from ringwear_par.options import start_petsc
+    from ringwear_par.parallel import as_ours, claim_blas_memory, is_shortage
 
     world.comm = comm = MPI.COMM_WORLD
     world.together = comm.Dup() if comm.size > 1 else None
@@ -512,7 +538,10 @@ def _main(words: Sequence[str], world: _World, signals: StopAtOnce) -> int:
             from ringwear_par import kept
 
             os.environ[kept.VARIABLE] = ""  # nothing is
-        start_petsc(words[cut + 1 :])
+        if args.command in _COMPUTING or words[cut + 1 :]:
+            start_petsc(words[cut + 1 :])
+        if args.command in _COMPUTING:
+            claim_blas_memory(comm)
         _COMMANDS[args.command](args, comm)
         sys.stdout.flush()
         return 0
@@ -522,8 +551,15 @@ def _main(words: Sequence[str], world: _World, signals: StopAtOnce) -> int:
     except BrokenPipeError:
         _mute()
         return 1
+    except KeyboardInterrupt as error:  # of a user's law: signals are noted, or raise Stopped
+        return world.end(f"stopped by a KeyboardInterrupt of {_place(error)}", 1, GRACE_SECONDS)
     except Exception as error:
         signals.check()
+        if is_shortage(error):
+            # what the frames hold that it came through is needed to say so
+            sentence = str(as_ours(error))
+            traceback.clear_frames(error.__traceback__)
+            return world.end(sentence, 1, GRACE_SECONDS)
         untold = _why_untold() if isinstance(error, OSError) else ""
         if untold:
             with suppress(OSError):
@@ -551,3 +587,5 @@ def _start_logging(rank: int) -> None:
     logging.basicConfig(level=logging.WARNING if rank == 0 else logging.ERROR, handlers=[handler])
     if rank == 0:
         logging.getLogger("ringwear_par").setLevel(logging.INFO)
+    # its warnings are of folders of its own that may not be written to
+    logging.getLogger("matplotlib").setLevel(logging.ERROR)

@@ -1,6 +1,8 @@
 """What ranks do together: one acts for all, errors reach all alike."""
 
+import errno
 import logging
+import mmap
 import os
 import resource
 from collections.abc import Callable
@@ -15,6 +17,9 @@ if TYPE_CHECKING:
 
 log = logging.getLogger(__name__)
 T = TypeVar("T")
+
+#: address space that the BLAS of NumPy and of SciPy may take to work in on one thread, bytes
+_BLAS_BYTES = 256 * 2**20
 
 
 def on_first_rank(comm: "MPI.Comm", action: Callable[[], T]) -> T:
@@ -71,10 +76,38 @@ def as_ours(error: Exception) -> RingwearError:
     """Return an error that is told in one sentence, and may be sent to other ranks."""
     if isinstance(error, RingwearError):
         return error
+    if is_shortage(error):
+        return RingwearError(f"not enough memory: {error}".rstrip(": "))
     if isinstance(error, OSError):
         return ComputationError(f"{error.filename or 'output'}: {error.strerror or error}")
     # no ComputationError, after which another step may be tried
     return RingwearError(f"{type(error).__name__}: {error}")
+
+
+def is_shortage(error: BaseException) -> bool:
+    """Tell whether an error says that there is no memory left. Not collective."""
+    return isinstance(error, MemoryError) or getattr(error, "errno", None) == errno.ENOMEM
+
+
+def claim_blas_memory(comm: "MPI.Comm") -> None:
+    """Have BLAS take the memory that it works in, before there may be none. Collective on comm.
+
+    OpenBLAS takes it at its first call, and up to 0.3.26 tries for ever where there is none.
+
+    Raises
+    ------
+    RingwearError : there is not enough on one of the ranks.
+    """
+    from scipy.linalg.lapack import dpotrf
+
+    with together(comm):
+        try:
+            mmap.mmap(-1, _BLAS_BYTES, flags=mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS).close()
+        except OSError as error:
+            raise MemoryError(f"{_BLAS_BYTES / 1e9:.1f} GB to begin with") from error
+        one = np.eye(2)
+        np.linalg.solve(one, one)
+        dpotrf(one)
 
 
 def blas_threads() -> int:

@@ -32,7 +32,7 @@ done
 # a fresh copy of what git knows or would add; what setup.sh has made stays
 checkout="$root/root/ringwear-par"
 mkdir -p "$checkout"
-find "$checkout" -mindepth 1 -maxdepth 1 ! -name .venv -exec rm -rf {} +
+find "$checkout" -mindepth 1 -maxdepth 1 ! -name .venv ! -name '*.egg-info' -exec rm -rf {} +
 (cd "$top" && git ls-files -z --cached --others --exclude-standard | tar --null --files-from - -c) | tar -x -C "$checkout"
 
 [ $# -gt 0 ] || set -- bash scripts/test.sh

@@ -3,8 +3,6 @@
 set -euo pipefail
 cd "$(dirname "${BASH_SOURCE[0]}")/.."
 source scripts/setup.sh
-# numba looks at a function's own file only: a changed kernel would not be compiled into its callers
-find ringwear_par -name '*.nb[ic]' -delete
 ruff check .
 ruff format --check .
 mypy
@@ -18,10 +16,6 @@ from ringwear_par.elasticity.assembly import load_kernels
 load_kernels(MPI.COMM_SELF)
 load_batch_kernels(MPI.COMM_SELF)
 COMPILE
-# ranks that wait give way: there are more of them than cores, and spinning takes the others' time
-export OMPI_MCA_mpi_yield_when_idle=1
-# all of them are on this machine; Open MPI 5 complains of other interfaces that do not reach each other
-export OMPI_MCA_btl_tcp_if_include=lo
 # the site, with warnings as errors: every page, formula, link and script of the gallery
 bash scripts/docs.sh
 # limits are for hangs, not for load; files are shared out, as most tests wait for programs, and taken

@@ -26,7 +26,8 @@ def ringwear(*words, ranks=0, cwd=None):
     launcher = ["mpirun", "-n", str(ranks)] if ranks else []
     return subprocess.run(
         [*launcher, *RINGWEAR, *map(str, words)],
-        env=SHELL_ENVIRONMENT, cwd=cwd, capture_output=True, text=True, timeout=100, check=False,
+        env={**SHELL_ENVIRONMENT, "OPENBLAS_NUM_THREADS": "1"}, cwd=cwd, capture_output=True,
+        text=True, timeout=100, check=False,
     )  # fmt: skip
 
 

@@ -41,6 +41,23 @@ def test_a_package_that_does_not_load_is_told_in_a_sentence(tmp_path, package):
     assert not list((tmp_path / "out").iterdir())
 
 
+def test_results_and_laws_are_looked_at_without_petsc(tmp_path):
+    (tmp_path / "broken" / "petsc4py").mkdir(parents=True)
+    (tmp_path / "broken" / "petsc4py" / "__init__.py").write_text("raise ImportError('none')\n")
+    path = os.pathsep.join([str(tmp_path / "broken"), str(ROOT)])
+    assert python([*RUN, "--set", "time.steps=3"], tmp_path).returncode == 0
+    for words in (
+        ["plot", "a.h5", "-o", "a.png"], ["export", "a.h5", "-o", "a.csv"],
+        ["report", "a.h5", "-o", "a.html"], ["laws", RUN[3]],
+    ):  # fmt: skip
+        done = python(["-m", "ringwear_par", *words], tmp_path, PYTHONPATH=path)
+        assert (done.returncode, done.stderr) == (0, "")
+    fit = ROOT / "scripts/fit/plan.toml"
+    done = python(["-m", "ringwear_par", "design", fit, "-o", "out"], tmp_path, PYTHONPATH=path)
+    assert done.returncode == 1
+    assert done.stderr.startswith("ringwear: PETSc for Python does not load (none)")
+
+
 @pytest.fixture
 def unwritable(tmp_path):
     """A copy of the package beside which nothing can be kept, for root either; its environment."""
@@ -73,6 +90,27 @@ def test_compiled_code_is_kept_in_a_private_folder_where_nothing_else_may_be_wri
     assert again.returncode == 0, again.stderr
     assert again.stdout == done.stdout
     assert not list(kept.iterdir())
+
+
+def test_a_changed_function_is_compiled_into_its_callers(tmp_path):
+    package = tmp_path / "site" / "ringwear_par"
+    shutil.copytree(ROOT / "ringwear_par", package, ignore=shutil.ignore_patterns("__pycache__"))
+    callee, caller = (package / "elasticity" / f"{name}.py" for name in ("callee", "caller"))
+    decorated = "from ringwear_par.elasticity.compiling import compiled\n@compiled\ndef "
+    callee.write_text(f"{decorated}factor():\n    return 1.0\n")
+    caller.write_text(
+        "from ringwear_par.elasticity.callee import factor\n"
+        f"{decorated}product(x):\n    return factor() * x\n"
+    )
+    program = (
+        "from ringwear_par.elasticity.caller import product as p; "
+        "print(p(2.0), *p.stats.cache_hits.values())"
+    )
+    path = {"PYTHONPATH": str(tmp_path / "site"), "PYTHONDONTWRITEBYTECODE": "1"}
+    assert python(["-c", program], tmp_path, **path).stdout == "2.0\n"
+    assert python(["-c", program], tmp_path, **path).stdout == "2.0 1\n"
+    callee.write_text(callee.read_text().replace("1.0", "1.5"))
+    assert python(["-c", program], tmp_path, **path).stdout == "3.0\n"
 
 
 @pytest.mark.parametrize("shell", ["dash", "zsh"])

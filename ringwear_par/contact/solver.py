@@ -411,6 +411,11 @@ class ContactSolver:
         gap, approach, force = self._search.last or (np.zeros_like(q), 0.0, 0.0)
         return WarmStart(q, self._search.rate, gap, approach, force)
 
+    def cold(self) -> WarmStart:
+        """Return where the next solve would start after ``cold_start``. Not collective."""
+        zeros = np.zeros(len(self._area))
+        return WarmStart(zeros, self._search.rate, zeros, 0.0, 0.0)
+
     def warm_start(self, warm: WarmStart) -> None:
         """Start the next solve where another one ended. Not collective."""
         self._x.setArray(warm.scaled_pressure[self._here])

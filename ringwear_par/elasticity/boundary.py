@@ -24,6 +24,8 @@ _PLAIN = 1.0, CORNER_GRADING, CORNER_GRADING
 _LAYERED = 1.6, 3.5, 1.3
 #: where stresses beside the contact are wanted
 _FINE = 3.0, 4.0, 1.3
+#: contact elements from which on dense systems are beyond any machine's memory
+_MOST_MADE = 100_000
 #: fewest elements of a free or fixed face
 _FEWEST = 4
 #: longest elements of the fixed face, in distances from the contact line over the number of contact
@@ -191,7 +193,11 @@ def count_elements(section: Section, contact: tuple[float, float], mesh: Mesh) -
     (inner, outer), (a, b) = section.r, contact
     face = face_elements(section, contact, mesh)
     sides = [outer == b, *([] if inner == 0 else [inner == a])]
-    count = len(_fixed_face(section, contact, mesh)) - 1 + (1 + 2 * len(section.layers)) * face
+    # larger meshes than any machine holds are counted, never made: in proportion to a smaller one
+    counted = replace(mesh, contact_elements=min(mesh.contact_elements, _MOST_MADE))
+    fixed = len(_fixed_face(section, contact, counted)) - 1
+    count = fixed * mesh.contact_elements // counted.contact_elements
+    count += (1 + 2 * len(section.layers)) * face
     for top, bottom in itertools.pairwise(_levels(section)):
         count += sum(_side_elements(section, there, top - bottom, mesh) for there in sides)
     return count

@@ -1,9 +1,11 @@
 """Compiled code, and where it is kept for the next process.
 
 That is beside the source, or in the user's cache folder, or as ``NUMBA_CACHE_DIR`` says; where
-none of them may be written, in a folder of the user's own among the temporary ones.
+none of them may be written, in a folder of the user's own among the temporary ones. What was
+compiled of other sources than there are now is compiled again, and replaced.
 """
 
+import hashlib
 import logging
 import os
 import stat
@@ -92,7 +94,18 @@ def load_compiled(comm: "MPI.Comm", load: Callable[[], None]) -> None:
         load_or_compile()
 
 
+def _fingerprint() -> str:
+    """Return a hash of the rooms with compiled code: functions contain those that they call."""
+    sources = hashlib.sha256()
+    package = Path(__file__).parents[1]
+    for room in ("contact", "elasticity"):
+        for path in sorted((package / room).glob("*.py")):
+            sources.update(path.read_bytes())
+    return sources.hexdigest()
+
+
 _KEPT = _kept()
+_FINGERPRINT = _fingerprint() if _KEPT else ""
 _functions: list[Any] = []
 
 
@@ -104,6 +117,8 @@ def compiled(function: Any = None, **options: Any) -> Any:
     if function is None:
         return partial(compiled, **options)
     made = numba.njit(cache=_KEPT, **options)(function)
+    if _KEPT:  # numba's own stamp is the age and size of the function's own file only
+        made._cache._cache_file._source_stamp = _FINGERPRINT
     _functions.append(made)
     return made
 

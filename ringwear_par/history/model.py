@@ -110,9 +110,13 @@ class WearModel:
         if isinstance(self.contacts, CorrectedBatch):
             self.contacts.solver.destroy()
             return
-        if failure is not None:  # where a failed solution ended is no place to start
+        if failure is None:
+            self._warm = self.solver.warm()
+        else:  # where a failed solution ended is no place to start
             self.solver.cold_start()
-        self._warm = self.solver.warm()
+            self._warm = self.solver.cold()
+            if self.solver.distributed:  # ranks that have not failed would have to free it, too
+                return
         if not self._lent:
             self.solver.destroy()
 

@@ -85,9 +85,11 @@ def simulate_all(
         if mine:
             waiting.append((pair, mine))
         if len(dealt) // comm.size > rounds:  # every rank has something to do
-            found.update(_simulated(cases, waiting, batch, derivatives))
+            with together(comm):
+                found.update(_simulated(cases, waiting, batch, derivatives))
             waiting = []
-    found.update(_simulated(cases, waiting, batch, derivatives))
+    with together(comm):  # or the others would wait for its results
+        found.update(_simulated(cases, waiting, batch, derivatives))
     if comm.size > 1:
         for place, number in enumerate(dealt):  # one by one: all might be too much for a message
             found[number] = comm.bcast(found.get(number), place % comm.size)

@@ -247,7 +247,7 @@ class Worker:
                 own.append(i)
                 size += sum(array.nbytes for array in record.arrays.values())
             last = record is None or n == len(places)
-            much = size > _BLOCK_BYTES or self._long(self._timings.stepping - before)
+            much = self._enough(size, self._timings.stepping - before)
             if last or much or cases[places[n]].output != cases[i].output:
                 if waiting:
                     block = Block.of(waiting, texts.part(own))
@@ -257,10 +257,10 @@ class Worker:
                 return False
         return True
 
-    def _long(self, seconds: float) -> bool:
-        """Tell whether that is too long for a block, by the clock of the team's first rank."""
-        long = seconds > _BLOCK_SECONDS
-        return long if self._team.size == 1 else bool(self._team.bcast(long))
+    def _enough(self, size: float, seconds: float) -> bool:
+        """Tell whether bytes or time are enough for a block, as the team's first rank sees it."""
+        enough = size > _BLOCK_BYTES or seconds > _BLOCK_SECONDS
+        return enough if self._team.size == 1 else bool(self._team.bcast(enough))
 
     def _stopping(self) -> bool:
         """Tell whether a signal has reached any rank of the team."""

@@ -1,0 +1,117 @@
+"""A rank that fails alone: all ranks end, with a sentence, whatever it was."""
+
+import resource
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from conftest import SHELL_ENVIRONMENT
+
+CASES = Path(__file__).parents[1] / "scripts" / "cases"
+FIT = Path(__file__).parents[1] / "scripts" / "fit"
+#: the command, with little more address space on the last rank than it has once PETSc has started
+SHORT = """
+import resource, sys
+from ringwear_par import cli, parallel
+
+claim = parallel.claim_blas_memory
+
+def short_of_memory(comm):
+    if comm.rank == 1:
+        with open("/proc/self/status") as file:
+            size = next(int(line.split()[1]) for line in file if line.startswith("VmSize"))
+        resource.setrlimit(resource.RLIMIT_AS, (1024 * size + 20_000_000, resource.RLIM_INFINITY))
+    claim(comm)
+
+parallel.claim_blas_memory = short_of_memory
+sys.exit(cli.main(sys.argv[1:]))
+"""
+LAW = """
+import os
+
+calls = 0
+
+def rate(p, at):
+    global calls
+    calls += 1
+    if calls > 50 and os.environ["OMPI_COMM_WORLD_RANK"] == "1":
+        raise KeyboardInterrupt
+    return 1e-9 * p
+"""
+
+
+def sentences(command, folder):
+    """What ringwear says on two ranks, which have to end with status 1."""
+    done = subprocess.run(
+        ["mpirun", "-n", "2", sys.executable, *map(str, command)], cwd=folder,
+        env=SHELL_ENVIRONMENT, capture_output=True, text=True, timeout=60, check=False,
+    )  # fmt: skip
+    assert done.returncode == 1, done.stderr
+    assert "Traceback" not in done.stderr
+    return [line for line in done.stderr.splitlines() if line.startswith("ringwear: ")]
+
+
+def command_of(name):
+    if name == "run":
+        return "run", CASES / "paper.toml", "-o", "a.h5"
+    if name == "sweep":
+        return "sweep", CASES / "study.toml", "-o", "out"
+    return "fit", next(iter(sorted(FIT.glob("*.toml")))), "-o", "out"
+
+
+@pytest.mark.serial
+@pytest.mark.skipif(not shutil.which("mpirun"), reason="no mpirun")
+@pytest.mark.skipif(not hasattr(resource, "RLIMIT_AS"), reason="no limits of memory")
+@pytest.mark.parametrize("name", ["run", "sweep", "fit"])
+def test_one_rank_short_of_memory_ends_all_with_a_sentence(tmp_path, name):
+    """OpenBLAS would try for ever to get what it works in."""
+    (said,) = sentences(["-c", SHORT, *command_of(name)], tmp_path)
+    assert said == "ringwear: not enough memory: 0.3 GB to begin with"
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.serial
+@pytest.mark.skipif(not shutil.which("mpirun"), reason="no mpirun")
+def test_a_law_that_interrupts_one_rank_ends_all_with_a_sentence(tmp_path):
+    (tmp_path / "user_law.py").write_text(LAW)
+    case = shutil.copy(CASES / "user_law.toml", tmp_path)
+    words = ["-m", "ringwear_par", "run", case, "-o", "a.h5", "--set", "wear.lower.parameters={}"]
+    (said,) = sentences(words, tmp_path)
+    assert "stopped by a KeyboardInterrupt of" in said
+    assert "user_law.py, line 10" in said
+
+
+def test_a_rank_that_computes_nothing_more_keeps_nobody_waiting(comm, monkeypatch):
+    """What fails on one rank between two collective calls is raised on all."""
+    from ringwear_par.cases.reading import read_case
+    from ringwear_par.studies import many
+
+    def simulated(*args, **options):
+        if comm.rank == comm.size - 1:
+            raise MemoryError("no more")
+        return simulate(*args, **options)
+
+    simulate = many._simulated
+    monkeypatch.setattr(many, "_simulated", simulated)
+    case = read_case(CASES / "paper.toml", ["mesh.contact_elements=8", "time.steps=2"])
+    with pytest.raises(Exception, match="no more"):
+        many.simulate_all([case] * (comm.size + 1), comm)
+    comm.Barrier()
+
+
+def test_a_model_that_fails_on_one_rank_does_not_wait_for_the_others(comm, paper_pair, monkeypatch):
+    from ringwear_par.contact.solver import ContactSolver
+    from ringwear_par.history.bodies import young
+    from ringwear_par.history.model import WearModel
+
+    case, pair = paper_pair
+    compliance = pair.compliance(young(case))
+    solver = ContactSolver(compliance.matrix, pair.line.area, comm, replicated_limit=1)
+    with solver:
+        if comm.rank == comm.size - 1:
+            with pytest.raises(MemoryError), WearModel(case, comm, pair, solver) as model:
+                raise MemoryError
+            assert not model.warm().scaled_pressure.any()
+        comm.Barrier()
