@@ -320,7 +320,8 @@ def _column(one: Laid, off: float | None) -> dict[str, Any]:
         far = f"{factor * off:.3g} {unit}"
     return {
         "file": one.file, "column": one.column, "quantity": one.quantity,
-        "unit": in_signs(one.unit), "choices": list(one.choices), "readings": len(one.x), "off": far,
+        "unit": in_signs(one.unit), "choices": list(one.choices), "readings": len(one.x),
+        "off": far,
     }  # fmt: skip
 
 
