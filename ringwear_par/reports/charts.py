@@ -140,29 +140,29 @@ def profiles(result: Result) -> Charts | None:
     time = result.histories["time"]
     end = float(time[-1])
     instants = np.unique(np.linspace(0, len(time) - 1, _INSTANTS).round().astype(int))
-    staying = stages(time)
-    told = [time_words(time[row], end) for row in staying]
+    rows = stages(time)
+    told = [time_words(time[row], end) for row in rows]
     charts = [
         _profile(
             result, f"wear-{name}", f"Height of worn face of {name} (\N{MICRO SIGN}m)",
-            sign * 1e3 * wear, staying, told, instants, _ends(result, name, sign),
+            sign * 1e3 * wear, rows, told, instants, _ends(result, name, sign),
         )
         for name, sign, wear in faces
     ]  # fmt: skip
     if "pressure" in there:
-        charts.append(_pressure(result, there["pressure"], staying, told, instants))
+        charts.append(_pressure(result, there["pressure"], rows, told, instants))
     return Charts(charts, [time_words(time[row], end) for row in instants], len(instants) - 1)
 
 
 def _profile(
-    result: Result, name: str, label: str, values: Any, staying: Sequence[int], told: Sequence[str],
+    result: Result, name: str, label: str, values: Any, rows: Sequence[int], told: Sequence[str],
     instants: IntArray, beside: Sequence[dict[str, Any]] = (), **y: Any,
 ) -> Chart:  # fmt: skip
     """Return curves along the radius: some that stay, and that of the slider, the last.
 
     Parameters
     ----------
-    staying : states of the curves that stay.
+    rows : states of the curves that stay.
     beside : other curves that do.
     """
     r = numbers(result.line.r)
@@ -172,11 +172,11 @@ def _profile(
         {
             "x": r, "y": numbers(values[row]), "name": word, "mode": "lines",
             "line": {
-                "color": to_hex(stage_colour(number, len(staying))),
+                "color": to_hex(stage_colour(number, len(rows))),
                 "dash": DASHES[number % len(DASHES)], "width": 1.5,
             },
         }
-        for number, (row, word) in enumerate(zip(staying, told, strict=True))
+        for number, (row, word) in enumerate(zip(rows, told, strict=True))
         ),
     ]  # fmt: skip
     frames = [numbers(values[row]) for row in instants]
@@ -201,11 +201,11 @@ def _ends(result: Result, body: Which, sign: float) -> list[dict[str, Any]]:
 
 
 def _pressure(
-    result: Result, pressure: Any, staying: Sequence[int], told: Sequence[str], instants: IntArray
+    result: Result, pressure: Any, rows: Sequence[int], told: Sequence[str], instants: IntArray
 ) -> Chart:
     """Return pressures; singular edges of the first instant are cut, as in the other figures."""
     label, peak = "contact pressure (MPa)", pressure_peak(result)
-    top = peak.top(float(pressure[np.union1d(staying, instants)].max()))
-    chart = _profile(result, "pressure", label, pressure, staying, told, instants, range=[0.0, top])
+    top = peak.top(float(pressure[np.union1d(rows, instants)].max()))
+    chart = _profile(result, "pressure", label, pressure, rows, told, instants, range=[0.0, top])
     note = peak.note(top)
     return replace(chart, caption=f"{label}, {note}") if note else chart

@@ -55,10 +55,8 @@ def run_page(result: Result) -> Page:
     InputError : the result was stored without its last state.
     """
     found = key_numbers(result)
-    lines, title = (
-        with_signs(result.summary()).splitlines(),
-        str(result.attributes.get("title", "")),
-    )
+    lines = with_signs(result.summary()).splitlines()
+    title = str(result.attributes.get("title", ""))
     if title:
         del lines[0]
     doubts = [line for line in lines if line.startswith("WARNING")]
