@@ -90,7 +90,7 @@ class PressurePeak:
         if self.highest <= top:
             return ""
         peak, when = number_words(self.highest), time_words(self.time, self.end)
-        return f"peak of {peak} MPa at {when} is above the scale"
+        return f"peak of {peak} MPa at {when} not shown"
 
 
 def pressure_peak(result: "Result") -> PressurePeak:
