@@ -433,7 +433,7 @@ def _profiles(ax: Axes, run: Run, same: Run, colour: str) -> None:
     """Draw worn profiles, and in words what happened, also where p0 = 0 (``same``)."""
     for time, profile, dashes in zip(TIMES, run.wear, _DASHES, strict=True):
         ax.plot(run.r, -profile, linestyle=dashes, color=colour, label=f"{time:g} s")
-    ax.set(xlabel="distance to axis (mm)", ylabel="wear depth (µm)", ylim=(-25.0, 0.0))
+    ax.set(xlabel="distance to axis (mm)", ylabel="height of worn face (µm)", ylim=(-25.0, 0.0))
     ax.text(
         0.5, 0.14, f"200 s: ripple {run.ripples[-1]:.1g} µm,\n"
         f"penetration {run.penetration:.1f} µm (p0 = 0: {same.penetration:.1f} µm)",

@@ -19,6 +19,7 @@ import ringwear_par as rw
 from ringwear_par.cases.schema import BY_PATH
 from ringwear_par.cases.schema import KEYS as CASE_KEYS
 from ringwear_par.cases.text import toml_value
+from ringwear_par.cases.units import in_signs
 from ringwear_par.identification.schema import KEYS as FIT_KEYS
 from ringwear_par.results.drawing import COLOURS, DASHES, STYLE
 from ringwear_par.schedules import value
@@ -180,7 +181,7 @@ def _table_of(text: str, table: str) -> str:
 
 
 def _unit(unit: str) -> str:
-    return "" if unit == "-" else unit
+    return "" if unit == "-" else in_signs(unit)
 
 
 def _default(usual: Any) -> str:
@@ -202,7 +203,7 @@ def key_page(name: str) -> str:
         if condition:
             lines.append(f":laws: {condition.rstrip(')')}")
         if key.unit not in ("-", "1"):
-            lines.append(f":unit: {_plain(key.unit)}")
+            lines.append(f":unit: {_plain(in_signs(key.unit))}")
         usual = "none; it must be given" if key.default is ... else _default(key.default)
         lines += [f":default: {usual}", f":allowed: {_plain(key.allowed)}", "```", ""]
     return "\n".join(lines)

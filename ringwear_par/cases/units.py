@@ -24,6 +24,14 @@ _PLAIN = re.compile(_NUMBER, re.ASCII)
 _WITH_UNIT = re.compile(rf"\s*({_NUMBER})\s*((?:[^\W\d_]|[%°µμ(]|1\s*/).*)", re.ASCII)
 
 
+#: as figures and pages write them: lengths of 1e-6 m, and powers
+_MICROMETRES = re.compile(r"(?<![^\W\d_])[uµμ]m(?![^\W\d_])")
+_POWERS = re.compile(r"(?<=[^\W\d_])\^?([23])(?![\w.])")
+_RAISED = {"2": "\N{SUPERSCRIPT TWO}", "3": "\N{SUPERSCRIPT THREE}"}
+#: a unit in a text, behind its number, with what it is divided by
+_AMID = re.compile(r"(?<=\d )(?:[uµμ]m|mm\^?[23])(?:/\(?[^\W\d_]+)?(?![\w^]|\.\w)")
+
+
 @cache
 def _registry() -> Any:
     from pint import UnitRegistry  # slow to import, and only where units are read
@@ -57,6 +65,16 @@ def _as_pint_has_it(unit: str) -> str:
     text = re.sub(r"([A-Za-zµμ])(-?\d)", r"\1^\2", unit.strip())  # mm3
     # Nm, which pint reads as 1/m
     return re.sub(r"\b([km]?)N\s*(m|mm|cm)\b(?![-^\d])", r"(\1N \2)", text)
+
+
+def in_signs(unit: str) -> str:
+    """Return a unit as figures and pages write it: ``µm`` for um, ``mm³`` for mm3 or mm^3."""
+    return _POWERS.sub(lambda power: _RAISED[power[1]], _MICROMETRES.sub("\N{MICRO SIGN}m", unit))
+
+
+def with_signs(text: str) -> str:
+    """Return a text of the terminal as pages write it, its units behind numbers in signs."""
+    return _AMID.sub(lambda unit: in_signs(unit[0]), text)
 
 
 def unit_of_column(name: str, base: str) -> str | None:

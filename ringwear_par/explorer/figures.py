@@ -14,14 +14,14 @@ from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.case import Case
 from ringwear_par.errors import InputError
 from ringwear_par.explorer.measured import Laid
-from ringwear_par.results.drawing import COLOURS, highest_shown, stage_colour, time_unit
+from ringwear_par.results.drawing import COLOURS, stage_colour
 from ringwear_par.results.history_panels import HISTORY_PANELS
+from ringwear_par.results.instants import pressure_peak, stages, time_unit, time_words
 from ringwear_par.results.result import Result
 from ringwear_par.results.variables import DISPLAY_UNITS
 
 #: in the order of those of other figures
 _DASHES = ("solid", "dashed", "dashdot", "dotted", "dotdash")
-_QUARTERS = 4
 #: as many points of a curve, or fewer, are marked
 _FEW_POINTS = 20
 _GREY, _LEGEND = "#8a929a", 3
@@ -177,15 +177,7 @@ class Drawing:
     def chosen_time(self) -> str:
         """The chosen time in words."""
         time = self.result.histories["time"]
-        unit, seconds = time_unit(float(time[-1]))
-        return f"{time[self.chosen] / seconds:.4g} {unit}"
-
-    @property
-    def stages(self) -> list[int]:
-        """The stored states that profiles are drawn of: the first step and four quarters."""
-        time = self.result.histories["time"]
-        wished = [time[min(1, len(time) - 1)], *(time[-1] * q / _QUARTERS for q in range(1, 5))]
-        return [int(row) for row in np.unique([np.abs(time - t).argmin() for t in wished])]
+        return time_words(time[self.chosen], float(time[-1]))
 
     def told(self) -> dict[str, dict[str, Any]]:
         """Return what the figures show, by name."""
@@ -214,14 +206,11 @@ class Drawing:
 
     def _pressure(self) -> dict[str, Any]:
         """Return pressures; singular edges are cut, as in the other figures."""
-        result, shown = self.result, [*self.stages, self.chosen]
         told = _told(self._stages(_pressures), (), _RADIUS, "contact pressure (MPa)")
-        pressure = result.profiles["pressure"][shown]
-        top = highest_shown(result.line.area, pressure, result.histories["force"][shown])
-        highest = float(pressure.max())
-        told["ranges"][1] = [0.0, min(top, 1.1 * highest) if highest > 0.0 else 1.0]
-        told["note"] = f"its peak of {highest:.0f} MPa is cut" if highest > top > 0.0 else ""
-        return told
+        peak = pressure_peak(self.result)
+        top = peak.top(peak.highest)  # one scale at all times that may be chosen
+        told["ranges"][1] = [0.0, top]
+        return told | {"note": peak.note(top)}
 
     def _history(self, name: str) -> dict[str, Any]:
         result, first, panel = self.result, self.first, HISTORY_PANELS[name]
@@ -246,11 +235,10 @@ class Drawing:
 
     def _stages(self, of: Callable[[Result, int], list[Curve]]) -> list[Line]:
         """Return lines along the radius: at some states, and at that which is chosen."""
-        result, rows = self.result, self.stages
-        time = result.histories["time"]
-        unit, seconds = time_unit(float(time[-1]))
+        result, time = self.result, self.result.histories["time"]
+        rows = stages(time)
         lines = [
-            Line(x, y, f"{time[row] / seconds:.4g} {unit}", _stage_colour(number, len(rows)),
+            Line(x, y, time_words(time[row], float(time[-1])), _stage_colour(number, len(rows)),
                  _DASHES[number % len(_DASHES)])
             for number, row in enumerate(rows)
             for x, y in of(result, row)

@@ -18,6 +18,7 @@ from bokeh.model import DataModel
 from markupsafe import Markup
 
 from ringwear_par import __version__
+from ringwear_par.cases.units import in_signs, with_signs
 from ringwear_par.cases.values import is_number
 from ringwear_par.errors import InputError, RingwearError, reason_of
 from ringwear_par.explorer.exploring import Exploration, Explored
@@ -269,7 +270,8 @@ class Page:
                 "n": n, "faults": self._faults,
                 # those that cannot be computed stay as the user has them
                 "controls": {} if self._faults else _states(found.controls.values()),
-                "doubts": result.doubts, "summary": result.summary(), "case": found.text,
+                "doubts": [*map(with_signs, result.doubts)],
+                "summary": with_signs(result.summary()), "case": found.text,
                 "numbers": [(name, value, before.get(name, ""), unit)
                             for name, value, unit in key_rows(numbers)],
                 "worn": [worn.header, *worn.rows] if numbers.bodies else [],
@@ -317,8 +319,9 @@ def _column(one: Laid, off: float | None) -> dict[str, Any]:
         unit, factor = told.get(kind, ("\N{MICRO SIGN}m", 1e3))
         far = f"{factor * off:.3g} {unit}"
     return {
-        "file": one.file, "column": one.column, "quantity": one.quantity, "unit": one.unit,
-        "choices": list(one.choices), "readings": len(one.x), "off": far,
+        "file": one.file, "column": one.column, "quantity": one.quantity,
+        "unit": in_signs(one.unit), "choices": list(one.choices), "readings": len(one.x),
+        "off": far,
     }  # fmt: skip
 
 
@@ -333,6 +336,7 @@ def _states(controls: Any) -> dict[str, dict[str, Any]]:
 @cache
 def _template() -> jinja2.Template:
     surroundings = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined)
+    surroundings.filters["in_signs"] = in_signs
     return surroundings.from_string(_part("explore.html"))
 
 

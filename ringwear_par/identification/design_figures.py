@@ -8,6 +8,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullLocator
 
 from ringwear_par.arrays import FloatArray, IntArray
+from ringwear_par.cases.units import in_signs
 from ringwear_par.identification.candidates import Candidate
 from ringwear_par.identification.design_summary import name_of
 from ringwear_par.identification.summary import unit_of
@@ -36,7 +37,7 @@ def figure(found: "DesignResult") -> Figure:
     )
     for j, (axes, parameter) in enumerate(zip(panels, parameters, strict=True)):
         scale = 100.0 / found.nominal[j] if parameter.log else 1.0
-        unit = "%" if parameter.log else unit_of(found.problem, parameter.key).strip()
+        unit = "%" if parameter.log else in_signs(unit_of(found.problem, parameter.key).strip())
         label = f"predicted sd of {parameter.key}" + (f" ({unit})" if unit else "")
         if len(plain) and len(found.pairs):
             _map_of_pairs(axes, found, plain, scale * found.pairs[..., j], label, first=j == 0)

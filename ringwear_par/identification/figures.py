@@ -13,8 +13,10 @@ from matplotlib.figure import Figure
 from scipy.stats import norm
 
 from ringwear_par.arrays import FloatArray, IntArray
+from ringwear_par.cases.units import in_signs
 from ringwear_par.identification.problem import Experiment, Series
-from ringwear_par.results.drawing import COLOURS, NotebookFigure, time_unit
+from ringwear_par.results.drawing import COLOURS, NotebookFigure
+from ringwear_par.results.instants import time_unit
 
 if TYPE_CHECKING:
     from ringwear_par.identification.outcome import FitResult
@@ -86,13 +88,7 @@ def label(series: Series) -> str:
     """Return what an axis of readings is called."""
     kind, _, body = series.quantity.partition(".")
     of = f" of {body}" if body else ""
-    return f"{_WORDS.get(kind, kind)}{of} ({_in_signs(series.unit)})"
-
-
-def _in_signs(unit: str) -> str:
-    """Return a unit as a user wrote it, with the sign that all figures have."""
-    micro = "\N{MICRO SIGN}m"
-    return unit.replace("\N{GREEK SMALL LETTER MU}m", micro).replace("um", micro)
+    return f"{_WORDS.get(kind, kind)}{of} ({in_signs(series.unit)})"
 
 
 def pieces(series: Series, contact: tuple[float, float]) -> list[IntArray]:
@@ -129,7 +125,7 @@ def _draw_single(
     axes.axvline(0.0, color=_MODEL, lw=1, label="model")
     axes.plot(residuals, places, "o", color=_DATA, ms=4, label="data")
     for one in single:
-        scale, unit = 1.0 / one.series.factor, _in_signs(one.series.unit)
+        scale, unit = 1.0 / one.series.factor, in_signs(one.series.unit)
         value, sd, model, band = (
             scale * float(values[0])
             for values in (

@@ -8,6 +8,7 @@ from matplotlib.figure import Figure
 from scipy.stats import chi2, norm
 
 from ringwear_par.arrays import FloatArray
+from ringwear_par.cases.units import in_signs
 from ringwear_par.identification.intervals import ParameterEstimate
 from ringwear_par.identification.problem import Problem
 from ringwear_par.identification.summary import unit_of
@@ -67,7 +68,7 @@ def _told_axis(axis: Any, one: ParameterEstimate, problem: Problem) -> str:
     if -3 <= power < 4:
         power = 0
     axis.set_major_formatter(lambda value, _: f"{value / 10.0**power:.6g}")
-    parts = [f"$10^{{{power}}}$" if power else "", unit_of(problem, one.key).strip()]
+    parts = [f"$10^{{{power}}}$" if power else "", in_signs(unit_of(problem, one.key).strip())]
     unit = " ".join(part for part in parts if part)
     return f"{one.key} ({unit})" if unit else one.key
 

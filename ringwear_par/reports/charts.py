@@ -2,6 +2,7 @@
 
 import html
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -11,8 +12,9 @@ from ringwear_par.arrays import IntArray
 from ringwear_par.elasticity.boundary_fields import BODIES, Which
 from ringwear_par.errors import InputError
 from ringwear_par.reports.blocks import Chart, Charts
-from ringwear_par.results.drawing import COLOURS, highest_shown, stage_colour, time_unit
+from ringwear_par.results.drawing import COLOURS, stage_colour
 from ringwear_par.results.history_panels import HISTORY_PANELS
+from ringwear_par.results.instants import pressure_peak, stages, time_unit, time_words
 from ringwear_par.results.layer_ends import ends_near
 from ringwear_par.results.result import Result
 
@@ -22,7 +24,6 @@ DASHES = ("solid", "dash", "dashdot", "dot", "longdash")
 _DIGITS = 7
 #: most instants of a slider
 _INSTANTS = 120
-_QUARTERS = 4
 #: as many points of a curve, or fewer, are marked
 _FEW_POINTS = 20
 _AXIS = {
@@ -137,34 +138,32 @@ def profiles(result: Result) -> Charts | None:
     if not faces and "pressure" not in there:
         return None
     time = result.histories["time"]
-    unit, seconds = time_unit(float(time[-1]))
+    end = float(time[-1])
     instants = np.unique(np.linspace(0, len(time) - 1, _INSTANTS).round().astype(int))
-    wished = [time[min(1, len(time) - 1)], *(time[-1] * q / _QUARTERS for q in range(1, 5))]
-    stages = np.unique([int(np.abs(time - t).argmin()) for t in wished])
-    told = [f"{time[row] / seconds:.4g} {unit}" for row in stages]
+    rows = stages(time)
+    told = [time_words(time[row], end) for row in rows]
     charts = [
         _profile(
             result, f"wear-{name}", f"Height of worn face of {name} (\N{MICRO SIGN}m)",
-            sign * 1e3 * wear, stages, told, instants, _ends(result, name, sign),
+            sign * 1e3 * wear, rows, told, instants, _ends(result, name, sign),
         )
         for name, sign, wear in faces
     ]  # fmt: skip
     if "pressure" in there:
-        charts.append(_pressure(result, there["pressure"], stages, told, instants))
-    return Charts(
-        charts, [f"{time[row] / seconds:.4g} {unit}" for row in instants], len(instants) - 1
-    )
+        charts.append(_pressure(result, there["pressure"], rows, told, instants))
+    return Charts(charts, [time_words(time[row], end) for row in instants], len(instants) - 1)
 
 
 def _profile(
-    result: Result, name: str, label: str, values: Any, stages: IntArray, told: Sequence[str],
+    result: Result, name: str, label: str, values: Any, rows: Sequence[int], told: Sequence[str],
     instants: IntArray, beside: Sequence[dict[str, Any]] = (), **y: Any,
 ) -> Chart:  # fmt: skip
     """Return curves along the radius: some that stay, and that of the slider, the last.
 
     Parameters
     ----------
-    beside : other curves that stay.
+    rows : states of the curves that stay.
+    beside : other curves that do.
     """
     r = numbers(result.line.r)
     data: list[dict[str, Any]] = [
@@ -173,11 +172,11 @@ def _profile(
         {
             "x": r, "y": numbers(values[row]), "name": word, "mode": "lines",
             "line": {
-                "color": to_hex(stage_colour(number, len(stages))),
+                "color": to_hex(stage_colour(number, len(rows))),
                 "dash": DASHES[number % len(DASHES)], "width": 1.5,
             },
         }
-        for number, (row, word) in enumerate(zip(stages, told, strict=True))
+        for number, (row, word) in enumerate(zip(rows, told, strict=True))
         ),
     ]  # fmt: skip
     frames = [numbers(values[row]) for row in instants]
@@ -202,17 +201,11 @@ def _ends(result: Result, body: Which, sign: float) -> list[dict[str, Any]]:
 
 
 def _pressure(
-    result: Result, pressure: Any, stages: IntArray, told: Sequence[str], instants: IntArray
+    result: Result, pressure: Any, rows: Sequence[int], told: Sequence[str], instants: IntArray
 ) -> Chart:
     """Return pressures; singular edges of the first instant are cut, as in the other figures."""
-    label = "contact pressure (MPa)"
-    y: dict[str, Any] = {}
-    top = highest_shown(result.line.area, pressure[stages], result.histories["force"][stages])
-    highest = float(pressure[np.union1d(stages, instants)].max())
-    if highest > 0.0:
-        y["range"] = [0.0, min(top, 1.1 * highest)]
-    chart = _profile(result, "pressure", label, pressure, stages, told, instants, **y)
-    if highest <= top:
-        return chart
-    cut = f"contact pressure (MPa), its peak of {highest:.0f} MPa cut"
-    return Chart(**{**vars(chart), "caption": cut})
+    label, peak = "contact pressure (MPa)", pressure_peak(result)
+    top = peak.top(float(pressure[np.union1d(rows, instants)].max()))
+    chart = _profile(result, "pressure", label, pressure, rows, told, instants, range=[0.0, top])
+    note = peak.note(top)
+    return replace(chart, caption=f"{label}, {note}") if note else chart

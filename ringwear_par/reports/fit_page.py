@@ -9,6 +9,7 @@ import numpy as np
 from scipy.stats import norm
 
 from ringwear_par import folders
+from ringwear_par.cases.units import in_signs, with_signs
 from ringwear_par.errors import InputError, legible
 from ringwear_par.files import read_bytes
 from ringwear_par.reports import charts
@@ -24,7 +25,8 @@ from ringwear_par.reports.blocks import (
     Table,
     software,
 )
-from ringwear_par.results.drawing import COLOURS, in_words, time_unit
+from ringwear_par.results.drawing import COLOURS, in_words
+from ringwear_par.results.instants import time_unit
 from ringwear_par.results.reading import read_text, reading
 from ringwear_par.results.variables import SOFTWARE
 from ringwear_par.textfiles import parse_json
@@ -130,7 +132,7 @@ def _summary(told: Mapping[str, Any]) -> list[Block]:
         f"chi2 = {told['chi2']:.5g}, {_counted(told['degrees_of_freedom'], 'degree')} of freedom "
         f"({probable}); AIC {told['aic']:.5g}, BIC {told['bic']:.5g}",
     ]
-    blocks: list[Block] = [Lines(doubts, warning=True)] if doubts else []
+    blocks: list[Block] = [Lines([*map(with_signs, doubts)], warning=True)] if doubts else []
     blocks += [Lines(lines), _estimates("Estimates", parameters, level)]
     untold = [
         f"{key}: {one['direction']}" for key, one in parameters.items() if one.get("direction")
@@ -161,7 +163,7 @@ def _estimates(caption: str, parameters: Mapping[str, Any], level: float) -> Tab
     for key, one in parameters.items():
         low, high = one["interval"]
         row = [
-            key, _number(one["estimate"], 5), _number(one["sd"], 2), str(one["unit"]),
+            key, _number(one["estimate"], 5), _number(one["sd"], 2), in_signs(str(one["unit"])),
             _number(low, 5), _number(high, 5), str(one["verdict"]),
         ]  # fmt: skip
         if sampled:
@@ -178,7 +180,7 @@ def _number(value: float | None, digits: int) -> str:
 def _estimate(one: Mapping[str, Any]) -> str:
     """Return an estimate with its standard deviation, if it has one, and its unit."""
     spread = "" if one["sd"] is None else f" \N{PLUS-MINUS SIGN} {one['sd']:.2g}"
-    unit = "" if one["unit"] in ("1", "-") else f" {one['unit']}"
+    unit = "" if one["unit"] in ("1", "-") else f" {in_signs(str(one['unit']))}"
     return f"{one['estimate']:.4g}{spread}{unit}"
 
 
@@ -207,7 +209,7 @@ def _series_table(told: Mapping[str, Any]) -> Table:
             )
             noise = _number(one.get("sd"), 3)
             rows.append((f"{experiment}, {name}", str(one["n"]), f"{one['chi2']:.4g}",
-                         str(one["unit"]), noise, nuisances))  # fmt: skip
+                         in_signs(str(one["unit"])), noise, nuisances))  # fmt: skip
     header = ("series", "readings", "chi2", "unit", "fitted noise", "nuisances")
     return Table("Series", header, rows)
 
@@ -223,7 +225,7 @@ def _series(path: Path, level: float) -> tuple[list[Chart], list[list[str]], str
                 name: group[name][()] for name in ("data", "model", "sd", "band", "residual")
             }
             unit, factor = _TOLD.get(read_text(group["data"].attrs["units"]), ("", 1.0))
-            unit = unit or read_text(group["data"].attrs["units"])
+            unit = unit or in_signs(read_text(group["data"].attrs["units"]))
             experiment, series = (read_text(group.attrs[n]) for n in ("experiment", "series"))
             if len(columns["data"]) == 1:
                 bars = [(columns["data"], columns["sd"]), (columns["model"], columns["band"])]

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from ringwear_par.cases.units import in_signs, with_signs
 from ringwear_par.elasticity.boundary_fields import BODIES
 from ringwear_par.reports import charts
 from ringwear_par.reports.blocks import (
@@ -54,7 +55,8 @@ def run_page(result: Result) -> Page:
     InputError : the result was stored without its last state.
     """
     found = key_numbers(result)
-    lines, title = result.summary().splitlines(), str(result.attributes.get("title", ""))
+    lines = with_signs(result.summary()).splitlines()
+    title = str(result.attributes.get("title", ""))
     if title:
         del lines[0]
     doubts = [line for line in lines if line.startswith("WARNING")]
@@ -148,7 +150,7 @@ def _told(result: Result) -> Table:
     rows = np.unique(np.linspace(0, count - 1, _INSTANTS).round().astype(int)).tolist()
     units = [DISPLAY_UNITS.get(v.name, (v.unit, 1.0)) for v in _TOLD]
     both = list(zip(_TOLD, units, strict=True))
-    header = [f"{v.name.replace('_', ' ')} ({unit})" for v, (unit, _) in both]
+    header = [f"{v.name.replace('_', ' ')} ({in_signs(unit)})" for v, (unit, _) in both]
     table = [
         [f"{factor * result.histories[v.name][row]:.6g}" for v, (_, factor) in both] for row in rows
     ]

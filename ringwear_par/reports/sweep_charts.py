@@ -13,7 +13,8 @@ import numpy as np
 from ringwear_par.arrays import FloatArray, IntArray
 from ringwear_par.reports import charts
 from ringwear_par.reports.blocks import Chart, Charts
-from ringwear_par.results.drawing import COLOURS, time_unit
+from ringwear_par.results.drawing import COLOURS
+from ringwear_par.results.instants import time_unit
 from ringwear_par.studies.axes import LOG_VALUE, least_range, spans
 from ringwear_par.studies.effects import Plan, running_median, values_told
 from ringwear_par.studies.ensemble import Ensemble

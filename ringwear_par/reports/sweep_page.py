@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from ringwear_par.cases.schema import unit_of
+from ringwear_par.cases.units import in_signs
 from ringwear_par.errors import InputError, legible
 from ringwear_par.reports import sweep_charts
 from ringwear_par.reports.blocks import (
@@ -81,7 +82,7 @@ def _summary(ensemble: Ensemble) -> list[Block]:
     done = done_cases(ensemble)
     if done.any():
         rows = [
-            (_meaning(name), entry_of(name)[0].stored.unit, *_quantiles(values[done]))
+            (_meaning(name), in_signs(entry_of(name)[0].stored.unit), *_quantiles(values[done]))
             for name, values in ensemble.final.items()
             if np.isfinite(values[done]).any()
         ]
@@ -111,7 +112,7 @@ def _ranges(ensemble: Ensemble, here: Any) -> Table:
         else:
             words = list(dict.fromkeys(values))
             ends, count = [in_words(parse_value(w)) for w in (words[0], words[-1])], len(words)
-        rows.append((name, unit_of(name), meaning, *ends, str(count)))
+        rows.append((name, in_signs(unit_of(name)), meaning, *ends, str(count)))
     header = ("key", "unit", "meaning", "least, or first", "largest, or last", "values")
     return Table("Varied keys", header, rows)
 
@@ -155,7 +156,9 @@ def _cases(ensemble: Ensemble) -> Table:
         told = f"The first {len(shown)} of {len(here)} cases; cases.csv has all"
     header = ["case", "status", *ensemble.varied]
     finals = ensemble.final
-    header += [f"{name.replace('_', ' ')} ({entry_of(name)[0].stored.unit})" for name in finals]
+    header += [
+        f"{name.replace('_', ' ')} ({in_signs(entry_of(name)[0].stored.unit)})" for name in finals
+    ]
     remarks = {
         "flags": [", ".join(flags).replace("_", " ") for flags in ensemble.flags],
         "error": ensemble.error,

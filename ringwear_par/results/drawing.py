@@ -1,16 +1,15 @@
-"""What all figures share: one style, colours that stay apart, units of time, words for values."""
+"""What all figures share: one style, colours that stay apart, words for values."""
 
 import io
 from pathlib import Path
 from typing import Any
 
 import matplotlib
-import numpy as np
 from matplotlib.figure import Figure
 
-from ringwear_par.arrays import FloatArray
 from ringwear_par.atomic import atomic_write, check_writable
 from ringwear_par.cases.text import shortened
+from ringwear_par.cases.units import in_signs
 from ringwear_par.cases.values import is_number
 from ringwear_par.elasticity.profiles import SHAPE_UNITS
 from ringwear_par.errors import InputError, legible
@@ -33,8 +32,6 @@ COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#222222")
 DASHES: tuple[Any, ...] = ("-", "--", "-.", ":", (0, (5, 1, 1, 1, 1, 1)))
 #: of a map whose lightness grows evenly, the dark part that can be seen on white
 _EARLY, _LATE = 0.82, 0.0
-#: s, up to which times are told in a unit, and its seconds
-_UNITS_OF_TIME = ((7200.0, "s", 1.0), (7 * 86400.0, "h", 3600.0), (np.inf, "days", 86400.0))
 #: pixels of an inch in a notebook, and of its pictures as many times as much for fine screens
 _NOTEBOOK_DPI, _FINE = 100.0, 2
 
@@ -64,25 +61,6 @@ def stage_colour(number: int, count: int) -> Any:
     return matplotlib.colormaps["viridis"](_EARLY + (_LATE - _EARLY) * share)
 
 
-def time_unit(end: float) -> tuple[str, float]:
-    """Return the unit in which times up to an end, s, are told, and its seconds."""
-    return next((name, seconds) for most, name, seconds in _UNITS_OF_TIME if end <= most)
-
-
-def highest_shown(area: FloatArray, pressure: FloatArray, force: FloatArray) -> float:
-    """Return the pressure, MPa, that scales of some states end with at most.
-
-    Edges of the first instant are infinite: three times the highest mean over what touches.
-
-    Parameters
-    ----------
-    area : (n,) float, mm2, of the contact elements.
-    pressure : (s, n) float, MPa; force : (s,) float, N.
-    """
-    touched = (pressure > 0.0) @ area
-    return 3.0 * float((force / np.where(touched > 0.0, touched, np.inf)).max())
-
-
 def plain(text: str) -> str:
     """Return a text of a user as matplotlib draws it, letter by letter, on one line."""
     return legible(text, 200).replace("$", r"\$")
@@ -90,7 +68,7 @@ def plain(text: str) -> str:
 
 def in_words(value: Any, unit: str = "") -> str:
     """Return a raw value of a case key, which has a unit or none, as a legend has room for it."""
-    unit = f" {unit}" if unit else ""
+    unit = f" {in_signs(unit)}" if unit else ""
     if is_number(value):
         return f"{value:g}{unit}"
     if isinstance(value, dict) and set(value) == {"r"}:

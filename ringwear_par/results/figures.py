@@ -29,13 +29,14 @@ from ringwear_par.results.drawing import (
 from ringwear_par.results.export import choose_state
 from ringwear_par.results.files import result_of
 from ringwear_par.results.history_panels import HISTORY_PANELS, draw_history
+from ringwear_par.results.instants import stages
 from ringwear_par.results.interface_panels import interface_drawings
 from ringwear_par.results.profile_panels import (
+    draw_peak,
     draw_pressure,
     draw_wear,
     merge_labels,
     stored_field,
-    tell_cut,
 )
 from ringwear_par.results.result import FailedResult, Result
 from ringwear_par.results.section_panel import draw_section
@@ -56,10 +57,12 @@ log = logging.getLogger(__name__)
 
 Source = Result | str | Path
 #: the name of a panel, and what draws it
-Drawing = tuple[str, Callable[..., None]]
+Drawing = tuple[str, partial[None]]
 
 #: panels along the radius, one a result
 _PROFILES = {"wear": draw_wear, "pressure": draw_pressure}
+#: what is drawn in them once their common scale is known
+_ON_SCALE = {"wear": merge_labels, "pressure": draw_peak}
 #: panels of stresses, one a result or more
 _STRESSES = ("stress", "depth", "interfaces")
 #: panels that all results share
@@ -246,20 +249,20 @@ def _laid_out(drawings: Sequence[Drawing]) -> Figure:
     layout: Any = "compressed" if set(names) <= _SECTIONS else "constrained"
     figure = NotebookFigure(figsize=(3.6 * sum(widths), 3.3 * sum(heights)), layout=layout)
     grid = figure.add_gridspec(lines, columns, width_ratios=widths, height_ratios=heights)
-    shared: dict[str, list[Any]] = {panel: [] for panel in _PROFILES}
+    shared: dict[str, list[tuple[Any, Result]]] = {panel: [] for panel in _PROFILES}
     for number, (panel, draw) in enumerate(drawings):
         axes = figure.add_subplot(grid[number // columns, number % columns])
         # else taken when the figure is drawn, where another style may hold
         axes.tick_params(labelsize=STYLE["font.size"])
         draw(axes)
-        shared.get(panel, []).append(axes)
-    for alike in shared.values():  # one scale, or one cannot compare
+        if panel in shared:
+            shared[panel].append((axes, draw.keywords["result"]))
+    for panel, alike in shared.items():  # one scale, or one cannot compare
         if alike:
-            low, high = zip(*(axes.get_ylim() for axes in alike), strict=True)
-            for axes in alike:
+            low, high = zip(*(axes.get_ylim() for axes, _ in alike), strict=True)
+            for axes, result in alike:
                 axes.set_ylim(min(low), max(high))
-                tell_cut(axes)
-                merge_labels(axes)
+                _ON_SCALE[panel](axes, result)
     return figure
 
 
@@ -276,7 +279,7 @@ def _not_stored(panel: str, results: Iterable[Result]) -> list[str]:
 
 def _of_all(
     panel: str, told: Sequence[tuple[Result, str]]
-) -> tuple[list[Callable[..., None]], list[str]]:
+) -> tuple[list[partial[None]], list[str]]:
     """Return the panel that results with their labels share, and why there is none."""
     results, labels = [result for result, _ in told], [label for _, label in told]
     if faults := _not_stored(panel, results):
@@ -289,14 +292,14 @@ def _of_all(
 
 def _of_each(
     panel: str, profiled: Sequence[tuple[Result, str]], rows: Sequence[Sequence[int]]
-) -> tuple[list[Callable[..., None]], list[str]]:
+) -> tuple[list[partial[None]], list[str]]:
     """Return a profile or section of each result, and why some have none.
 
     Parameters
     ----------
     rows : of each result, the stored states whose profiles are drawn.
     """
-    drawn: list[Callable[..., None]] = []
+    drawn: list[partial[None]] = []
     left_out: list[str] = []
     for number, (result, label) in enumerate(profiled):
         if faults := _not_stored(panel, [result]):
@@ -312,9 +315,7 @@ def _of_each(
 def _rows(result: Result, steps: str) -> list[int]:
     stored, last = result.step, int(result.step[-1])
     if not steps:
-        time = result.histories["time"]
-        wished = (time[min(1, len(time) - 1)], *(time[-1] * q / 4 for q in (1, 2, 3, 4)))
-        return sorted({int(np.abs(time - t).argmin()) for t in wished})
+        return stages(result.histories["time"])
     rows = []
     for word in steps.split(","):
         if not re.fullmatch(r"\s*[0-9]{1,18}\s*", word) or int(word) not in stored:
@@ -352,7 +353,7 @@ def _at_times(result: Result, times: str) -> list[int]:
 
 def _of_stresses(
     panel: str, profiled: Sequence[tuple[Result, str]], rows: Sequence[Sequence[int]]
-) -> tuple[list[Callable[..., None]], list[str]]:
+) -> tuple[list[partial[None]], list[str]]:
     """Return maps, one a state and on one scale, courses along depth, or interfaces of results.
 
     And why there are none.
@@ -368,7 +369,7 @@ def _of_stresses(
         for (result, _), own in zip(profiled, rows, strict=True)
     ]
     top = highest([state for some in states for state in some]) if panel == "stress" else 0.0
-    drawn: list[Callable[..., None]] = []
+    drawn: list[partial[None]] = []
     for (result, label), some in zip(profiled, states, strict=True):
         if panel == "interfaces":
             drawn += interface_drawings(result, label, some)

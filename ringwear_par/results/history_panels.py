@@ -7,8 +7,10 @@ from typing import Any
 import numpy as np
 
 from ringwear_par.arrays import FloatArray
+from ringwear_par.cases.units import in_signs
 from ringwear_par.errors import InputError
-from ringwear_par.results.drawing import COLOURS, DASHES, set_legend, time_unit
+from ringwear_par.results.drawing import COLOURS, DASHES, set_legend
+from ringwear_par.results.instants import time_unit
 from ringwear_par.results.key_numbers import nominal_area
 from ringwear_par.results.result import Result
 from ringwear_par.results.variables import DISPLAY_UNITS, HISTORIES
@@ -39,7 +41,9 @@ class HistoryPanel:
 def _stored(name: str, words: str) -> HistoryPanel:
     """Return the panel of a history that is stored."""
     unit, factor = DISPLAY_UNITS.get(name, (HISTORIES[name].unit, 1.0))
-    return HistoryPanel(f"{words} ({unit})", lambda result: {"": factor * result.histories[name]})
+    return HistoryPanel(
+        f"{words} ({in_signs(unit)})", lambda result: {"": factor * result.histories[name]}
+    )
 
 
 def _volumes(result: Result) -> dict[str, FloatArray]:

@@ -1,6 +1,6 @@
 """Panels of stresses along interfaces: what pulls and shears there, von Mises on both sides."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from functools import partial
 from typing import Any
 
@@ -10,7 +10,8 @@ from ringwear_par.arrays import BoolArray, FloatArray
 from ringwear_par.cases.reading import outlines
 from ringwear_par.elasticity.stress_fields import StressState
 from ringwear_par.elasticity.stress_measures import COMPONENTS, SIDES, mises
-from ringwear_par.results.drawing import COLOURS, DASHES, set_legend, time_unit
+from ringwear_par.results.drawing import COLOURS, DASHES, set_legend
+from ringwear_par.results.instants import time_words
 from ringwear_par.results.result import Result
 from ringwear_par.results.stored_stresses import Interface, interfaces_of, stresses
 
@@ -30,7 +31,7 @@ _TRACTIONS = {
 
 def interface_drawings(
     result: Result, label: str, states: Sequence[StressState]
-) -> Iterator[Callable[..., None]]:
+) -> Iterator[partial[None]]:
     """Give what draws tractions along each interface at some states, then von Mises likewise."""
     for draw in (draw_tractions, draw_both_sides):
         for interface in interfaces_of(result):
@@ -146,8 +147,8 @@ def _free_edges(result: Result, interface: Interface) -> list[float]:
 
 
 def _title(result: Result, label: str, interface: Interface, state: StressState) -> str:
-    unit, seconds = time_unit(float(result.histories["time"][-1]))
-    told = f"{label}: {state.time / seconds:.4g} {unit}\n{interface.name}"
+    time = time_words(state.time, float(result.histories["time"][-1]))
+    told = f"{label}: {time}\n{interface.name}"
     exclude = stresses(result).exclude
     if exclude and _free_edges(result, interface):
         told += f"\nshaded: {exclude:g} mm beside free edges, where stress is infinite"

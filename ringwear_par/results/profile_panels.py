@@ -7,7 +7,8 @@ import numpy as np
 
 from ringwear_par.elasticity.boundary_fields import BODIES
 from ringwear_par.errors import InputError
-from ringwear_par.results.drawing import DASHES, highest_shown, set_legend, stage_colour, time_unit
+from ringwear_par.results.drawing import DASHES, set_legend, stage_colour
+from ringwear_par.results.instants import pressure_peak, time_words
 from ringwear_par.results.layer_ends import ends_near
 from ringwear_par.results.result import Result
 
@@ -41,13 +42,12 @@ def _profiles(
 ) -> None:
     """Draw curves at some of the stored states, all of them in the style of the state."""
     time = result.histories["time"]
-    unit, seconds = time_unit(float(time[-1]))
     for number, row in enumerate(rows):
         for place, curve in enumerate(curves):
             axes.plot(
                 result.line.r, curve(row), color=stage_colour(number, len(rows)),
                 linestyle=DASHES[number % len(DASHES)],
-                label=None if place else f"{time[row] / seconds:.4g} {unit}",
+                label=None if place else time_words(time[row], float(time[-1])),
             )  # fmt: skip
     axes.set_xlabel("distance to axis (mm)")
 
@@ -99,7 +99,7 @@ def _draw_ends(axes: Any, result: Result) -> None:
         )  # fmt: skip
 
 
-def merge_labels(axes: Any) -> None:
+def merge_labels(axes: Any, _: Result) -> None:
     """Write numbers of layers together whose ends lie too close on the panel's final scale."""
     close = _LABEL * float(np.ptp(axes.get_ylim()))
     for body in BODIES:
@@ -117,18 +117,15 @@ def merge_labels(axes: Any) -> None:
 def draw_pressure(axes: Any, result: Result, label: str, rows: Sequence[int]) -> None:
     """Draw contact pressures; the singular edges of the first instant are cut."""
     pressure = stored_field(result, "pressure")
-    drawn, force = pressure[list(rows)], result.histories["force"][list(rows)]
-    highest, top = float(drawn.max()), highest_shown(result.line.area, drawn, force)
     _profiles(axes, result, rows, lambda row: pressure[row])
-    if highest > 0.0:
-        axes.set_ylim(0.0, min(top, 1.1 * highest))
+    peak = pressure_peak(result)
+    axes.set_ylim(0.0, peak.top(float(pressure[list(rows)].max())))
     axes.set_ylabel("contact pressure (MPa)")
     set_legend(axes, _COLUMNS, label)
 
 
-def tell_cut(axes: Any) -> None:
-    """Say in the title of the legend what the panel's scale cuts off."""
-    highest = max(float(np.max(line.get_ydata())) for line in axes.lines)
-    if highest > axes.get_ylim()[1]:
+def draw_peak(axes: Any, result: Result) -> None:
+    """Say in the title of the legend which peak is above the panel's final scale."""
+    if note := pressure_peak(result).note(axes.get_ylim()[1]):
         title = axes.get_legend().get_title()
-        title.set_text(f"{title.get_text()}\npeak of {highest:.0f} MPa cut")
+        title.set_text(f"{title.get_text()}\n{note}")

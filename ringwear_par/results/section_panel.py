@@ -11,8 +11,9 @@ from matplotlib.patches import Polygon
 from ringwear_par.arrays import FloatArray, IntArray
 from ringwear_par.cases.reading import outlines
 from ringwear_par.elasticity.boundary_fields import FACES, BoundaryFields
-from ringwear_par.results.drawing import COLOURS, highest_shown, time_unit
+from ringwear_par.results.drawing import COLOURS
 from ringwear_par.results.export import choose_state
+from ringwear_par.results.instants import pressure_limit, time_words
 from ringwear_par.results.result import Result
 
 #: what the largest displacement is drawn as, over the size of both bodies; and how deep faces and
@@ -111,7 +112,7 @@ def draw_section(axes: Any, result: Result, label: str) -> None:
     # singular edges of the first instant would take all the colours
     ends = np.sort(state.bodies[0].nodes[faces[0]][:, [0, 2], 0], axis=1)
     area = math.pi * np.diff(np.square(ends), axis=1)[:, 0]  # of elements, or of parts of them
-    top = highest_shown(area, p[None], np.array([area @ p]))
+    top = pressure_limit(area, p[None], np.array([area @ p]))
     pressure = LineCollection(
         list(lower[faces[0]]), cmap="plasma", linewidth=2.5, capstyle="round", zorder=3
     )
@@ -127,12 +128,12 @@ def draw_section(axes: Any, result: Result, label: str) -> None:
     axes.set_aspect("equal")
     axes.set_xlabel("distance to axis (mm)")
     axes.set_ylabel("height (mm)")
-    unit, seconds = time_unit(float(result.histories["time"][-1]))
+    time = time_words(state.time, float(result.histories["time"][-1]))
     shaped = any(np.ptp(outline.contour[:-2, 1]) > 0.0 for outline in sections)
     magnified = "displacement, wear, faces' shape" if shaped else "displacement and wear"
     layers = any(len(outline.interfaces) for outline in sections)
     axes.set_title(
-        f"{label}: {state.time / seconds:.4g} {unit}\n"
+        f"{label}: {time}\n"
         f"{magnified} {factor:g}\N{MULTIPLICATION SIGN}"
         + "\nlayers 1\N{MULTIPLICATION SIGN}"
         * layers

@@ -12,7 +12,8 @@ from ringwear_par.cases.reading import Outline, outlines
 from ringwear_par.elasticity.boundary_fields import BODIES
 from ringwear_par.elasticity.stress_fields import StressState
 from ringwear_par.elasticity.stress_measures import mises
-from ringwear_par.results.drawing import COLOURS, DASHES, set_legend, stage_colour, time_unit
+from ringwear_par.results.drawing import COLOURS, DASHES, set_legend, stage_colour
+from ringwear_par.results.instants import time_unit, time_words
 from ringwear_par.results.result import Result
 from ringwear_par.results.section_panel import magnification
 from ringwear_par.results.stored_stresses import stresses
@@ -76,14 +77,14 @@ def draw_map(axes: Any, result: Result, label: str, state: StressState, top: flo
     axes.set_aspect(stretch)
     axes.set_xlabel("distance to axis (mm)")
     axes.set_ylabel("height (mm)")
-    unit, seconds = time_unit(float(result.histories["time"][-1]))
+    time = time_words(state.time, float(result.histories["time"][-1]))
     scales = {}
     if stretch != 1.0:
         scales["heights" if stretch > 1.0 else "radii"] = max(stretch, 1.0 / stretch)
     if factor:
         scales["worn faces"] = factor * max(stretch, 1.0)
     told = ", ".join(f"{name} {of:.6g}\N{MULTIPLICATION SIGN}" for name, of in scales.items())
-    axes.set_title(f"{label}: {state.time / seconds:.4g} {unit}\n{told}".rstrip())
+    axes.set_title(f"{label}: {time}\n{told}".rstrip())
 
 
 def _stretch(width: float, height: float) -> float:
@@ -164,7 +165,7 @@ def draw_depth(axes: Any, result: Result, label: str, states: Sequence[StressSta
     r, z = found.grid
     inner, outer = result.line.edges[[0, -1]]
     column = int(np.abs(r - 0.5 * (inner + outer)).argmin())
-    unit, seconds = time_unit(float(result.histories["time"][-1]))
+    end = float(result.histories["time"][-1])
     lower, upper = outlines(result.case, result.name)
     faces = [float(np.interp(r[column], *o.contour[:-2].T)) for o in (lower, upper)]
     levels = np.concatenate([lower.interfaces - _ON_FACE, np.add(faces, _ON_FACE),
@@ -176,7 +177,7 @@ def draw_depth(axes: Any, result: Result, label: str, states: Sequence[StressSta
         highest_drawn = max(highest_drawn, float(np.nanmax(values, initial=0.0)))
         axes.plot(
             values, height, color=stage_colour(number, len(states)),
-            linestyle=DASHES[number % len(DASHES)], label=f"{state.time / seconds:.4g} {unit}",
+            linestyle=DASHES[number % len(DASHES)], label=time_words(state.time, end),
         )  # fmt: skip
     for level in levels:
         axes.axhline(level, color="0.4", linewidth=0.8)

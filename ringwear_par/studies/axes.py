@@ -10,6 +10,7 @@ from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullLocato
 
 from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.schema import unit_of
+from ringwear_par.cases.units import in_signs
 from ringwear_par.results.drawing import plain
 
 GREY = "0.45"
@@ -36,7 +37,7 @@ def least_range(low: float, high: float) -> tuple[float, float]:
 def labelled(name: str) -> str:
     """Return a key with its unit."""
     unit = unit_of(name)
-    return plain(f"{name} ({unit})" if unit else name)
+    return plain(f"{name} ({in_signs(unit)})" if unit else name)
 
 
 def upright(label: str) -> str:

@@ -217,3 +217,21 @@ def test_a_rough_trace_is_told_to_be_rough(tmp_path):
     (tmp_path / "trace.csv").write_text("r_mm,h_mm\n" + "\n".join(rows) + "\n")
     with pytest.raises(rw.InputError, match=r"upper.profile is rough: smooth it"):
         rw.read_case(CROWN, {"upper.profile": {"file": str(tmp_path / "trace.csv")}})
+
+
+def test_figures_and_pages_write_units_in_signs():
+    from ringwear_par.cases.units import in_signs, number_in, with_signs
+
+    units = {"um": "µm", "um/h": "µm/h", "\u03bcm": "µm", "mm3/(N m)": "mm³/(N m)", "mm^2": "mm²",
+             "um^3": "µm³", "g/mm3": "g/mm³", "lumen": "lumen", "1/mm2": "1/mm²",
+             "rad/s": "rad/s", "H2O": "H2O"}  # fmt: skip
+    assert {unit: in_signs(unit) for unit in units} == units
+    text = (
+        "penetration 12 um: 3 um/h, 1e-05 mm3/(N m), 2 mm3; column z_um of 3 umbrellas in vacuum, "
+        "um.csv, 4 mm3.csv"
+    )
+    assert with_signs(text) == (
+        "penetration 12 µm: 3 µm/h, 1e-05 mm³/(N m), 2 mm³; column z_um of 3 umbrellas in vacuum, "
+        "um.csv, 4 mm3.csv"
+    )
+    assert number_in(with_signs("5 mm3"), "um^3") == pytest.approx(5e9)

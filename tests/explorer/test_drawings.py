@@ -45,7 +45,7 @@ def test_figures_hold_the_history(drawn):
     assert told["wear"]["note"] == "lower below 0, upper above"
     top = told["pressure"]["ranges"][1][1]
     assert 80.0 < top < max(map(max, told["pressure"]["sources"]["lines"]["y"]))
-    assert "is cut" in told["pressure"]["note"]
+    assert "peak of" in told["pressure"]["note"]
     json.dumps(told, allow_nan=False)
 
 

@@ -14,6 +14,7 @@ from test_explorer import CASES, FIT, PAPER
 from test_explorer_server import served
 
 import ringwear_par as rw
+from ringwear_par.cases.units import with_signs
 
 pytestmark = [pytest.mark.serial, in_browser]
 
@@ -78,7 +79,7 @@ def agrees(page):
     assert depth["x"][-1] == result.histories["time"].tolist()
     assert shown(page, "wear")["y"][-1] == (-1e3 * result.profiles["wear_lower"][-1]).tolist()
     assert shown(page, "pressure")["y"][-1] == result.profiles["pressure"][-1].tolist()
-    assert page.run("find('summary').textContent") == result.summary()
+    assert page.run("find('summary').textContent") == with_signs(result.summary())
     told = page.run("[...find('numbers').tBodies[0].rows].map((r) => [...r.cells].map("
                     "(c) => c.textContent))")  # fmt: skip
     numbers = {row[0]: row[1] for row in told}

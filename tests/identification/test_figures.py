@@ -51,6 +51,9 @@ def test_readings_in_time_are_joined():
     [
         ("profile.lower", "\N{MICRO SIGN}m", "depth of lower (\N{MICRO SIGN}m)"),
         ("penetration", "\N{GREEK SMALL LETTER MU}m", "penetration (\N{MICRO SIGN}m)"),
+        ("penetration", "um", "penetration (\N{MICRO SIGN}m)"),
+        ("penetration", "2 vacuums", "penetration (2 vacuums)"),
+        ("volume", "um^3", "volume loss (\N{MICRO SIGN}m\N{SUPERSCRIPT THREE})"),
         ("mass.upper", "mg", "mass loss of upper (mg)"),
     ],
 )

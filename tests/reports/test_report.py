@@ -18,6 +18,7 @@ from test_cli import RANKS, ringwear, sentences
 from test_front_door import PAPER
 
 import ringwear_par as rw
+from ringwear_par.cases.units import with_signs
 from ringwear_par.results.history_panels import HISTORY_PANELS
 
 pytestmark = pytest.mark.serial
@@ -121,7 +122,8 @@ def test_a_run_is_told_in_the_numbers_of_its_summary(folder, pages):
     result, page = rw.open_result(folder / "run.h5"), pages["run"]
     summary = result.summary()
     for line in summary.splitlines():
-        assert " ".join(line.split()) in page.text
+        assert with_signs(" ".join(line.split())) in page.text
+    assert not re.search(r"\d um\b|\(um\)|\d mm3\b|\(mm3\)", page.text.partition("The case")[0])
     rows = page.rows("quantity")
     named = {
         "mean pressure, over the nominal annulus": r"mean pressure (\S+) MPa",

@@ -291,8 +291,8 @@ def test_what_is_stored_is_drawn_beside_what_is_not(runs, caplog):
 
 
 def test_long_histories_are_drawn_in_hours(tmp_path, comm):
-    from ringwear_par.results.drawing import time_unit
     from ringwear_par.results.figures import plot
+    from ringwear_par.results.instants import time_unit
 
     run_case(
         PAPER, tmp_path / "a.h5",
@@ -384,5 +384,41 @@ def test_what_the_common_scale_shows_is_not_cut(tmp_path, comm):
     titles = [axes.get_legend().get_title().get_text() for axes in (low, high)]
     for axes, title in zip((low, high), titles, strict=True):
         cut = max(line.get_ydata().max() for line in axes.lines) > axes.get_ylim()[1]
-        assert ("cut" in title) == cut
-    assert "cut" in titles[1]
+        assert ("peak of" in title) == cut
+    assert "peak of" in titles[1]
+
+
+def test_the_peak_of_pressure_is_the_same_everywhere(tmp_path, comm):
+    from ringwear_par.explorer.figures import Drawing
+    from ringwear_par.reports.charts import profiles
+    from ringwear_par.results.figures import plot
+    from ringwear_par.results.files import open_result
+    from ringwear_par.results.instants import pressure_peak
+
+    words = ["mesh.contact_elements=32", "time.steps=8"]
+    run_case(PAPER, tmp_path / "a.h5", words, comm=comm)
+    result = open_result(tmp_path / "a.h5")
+    pressure = result.profiles["pressure"]
+    assert pressure.max(axis=1).argmax() == 0  # of no stage
+    note = f"peak of {pressure.max():.4g} MPa at 0 s not shown"
+    for words in ({}, {"steps": "8"}, {"steps": "0"}):
+        (axes,) = plot(result, "pressure", **words).axes
+        assert axes.get_legend().get_title().get_text().endswith(f"\n{note}")
+    chart = profiles(result).charts[-1]
+    assert chart.caption == f"contact pressure (MPa), {note}"
+    told = Drawing(result, result, None, 1.0, "volume", []).told()["pressure"]
+    assert told["note"] == note
+    assert told["ranges"][1] == chart.layout["yaxis"]["range"]
+    assert told["ranges"][1][1] == pytest.approx(pressure_peak(result).limit)
+
+
+def test_times_and_numbers_are_spelled_once():
+    from ringwear_par.results.instants import number_words, stages, time_words
+
+    assert [time_words(1000.0, 7200.0), time_words(12345.0, 2e6)] == ["1000 s", "0.1429 days"]
+    assert time_words(5400.0, 7201.0) == "1.5 h"
+    assert [number_words(v) for v in (0.34567, 80.0, 2706.6, 12345.6)] == [
+        "0.3457", "80", "2707", "12346"
+    ]  # fmt: skip
+    assert stages(np.linspace(0.0, 8.0, 9)) == [1, 2, 4, 6, 8]
+    assert stages(np.array([0.0])) == [0]
