@@ -10,6 +10,7 @@ from functools import partial
 from mpi4py import MPI
 
 from ringwear_par.cases.case import Case
+from ringwear_par.cases.forecast import unit_question
 from ringwear_par.contact.solver import ContactSolver
 from ringwear_par.elasticity.pair import ContactPair
 from ringwear_par.errors import ComputationError
@@ -98,7 +99,10 @@ def simulate(
                     with together(comm):
                         within.append(scheme(model, state, time))
             except ComputationError as error:
-                told = f"{error}; in step {made.steps + 1}, from time {state.time:g} s"
+                told = (
+                    f"{error}; in step {made.steps + 1}, from time {state.time:g} s"
+                    f"{unit_question(case, state.wear)}"
+                )
                 raise type(error)(told) from error
             for passed in within:
                 show(passed.state, passed, passed.state.contact.iterations, passing=True)
