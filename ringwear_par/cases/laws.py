@@ -51,15 +51,32 @@ def read_law(
         if path.startswith(f"{table}.") and path not in known and key_of(path) is not None
     ]
     own = {key: values[path] for key in declared if (path := f"{table}.{key}") in values}
-    found += LAWS[law].faults(f"{table}.", own)
     made = None
-    if not found and len(own) == len(declared):
-        try:
-            made = LAWS[law].from_values(own)
-        except InputError as error:
-            found += [f"{table}.{fault}" for fault in error.faults]
+    if found or len(own) < len(declared):
+        found += LAWS[law].faults(f"{table}.", own)
+    else:
+        made, found = make_law(LAWS[law], table, own)
     faults += [f"{name}: {fault}" for fault in found]
     return made
+
+
+def make_law(
+    kind: type[Law], table: str, values: Mapping[str, Any]
+) -> tuple[Law | None, list[str]]:
+    """Return a law of parameters that are right one by one; or None, and what is wrong with them.
+
+    Parameters
+    ----------
+    table : as of ``read_law``.
+    values : of all parameters, by name.
+    """
+    faults = kind.faults(f"{table}.", values)
+    if faults:
+        return None, faults
+    try:
+        return kind.from_values(values), []
+    except InputError as error:
+        return None, [f"{table}.{fault}" for fault in error.faults]
 
 
 def _rule(path: str) -> str:

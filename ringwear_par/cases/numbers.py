@@ -7,20 +7,19 @@ by their key and, for a parameter of a user's law or of a layer's, its name in t
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import fields, replace
 from typing import Any
 
 import numpy as np
 
 from ringwear_par.arrays import BoolArray, FloatArray
 from ringwear_par.cases.case import Case, Ring
+from ringwear_par.cases.laws import make_law
 from ringwear_par.cases.layers import LAYERS
 from ringwear_par.cases.schema import BY_PATH, LAYER_KEYS, Key, key_of
 from ringwear_par.cases.values import Interval, magnitude_fault
-from ringwear_par.schedules import largest, smallest
 from ringwear_par.wear.law import Law
 from ringwear_par.wear.parameters import parameters_of
-from ringwear_par.wear.running_in import RunningInLaw
 from ringwear_par.wear.user import UserLaw
 
 #: key and name of a parameter of a user's law, or of a layer's ("[0].wear.k"), None elsewhere
@@ -46,6 +45,8 @@ _PLACES = {
 }
 _TABLES = {"wear.lower.parameters": "wear_lower", "wear.upper.parameters": "wear_upper"}
 _ANY = Interval(-math.inf)
+#: cached properties that no such number changes, and that take time to work out
+_OF_SHAPES: dict[type, tuple[str, ...]] = {Case: ("line", "smallest_gaps", "initial_gap")}
 
 
 def interval_of(number: Number) -> Interval | None:
@@ -111,27 +112,44 @@ def doubtful(case: Case, numbers: Mapping[Number, FloatArray]) -> BoolArray:
     case : a good one of them.
     numbers : of each, (cases,), all of them right by themselves.
     """
-    laws = {"lower": case.wear_lower, "upper": case.wear_upper}
     found = np.zeros(len(next(iter(numbers.values()))), dtype=bool)
-    if any(isinstance(law, UserLaw) for law in laws.values()):
+    if any(isinstance(law, UserLaw) for law in (case.wear_lower, case.wear_upper)):
         return ~found  # they are tried
-    of_layers = [layer.wear for ring in case.rings for layer in ring.layers]
-    if any(path in LAYERS for path, _ in numbers) and any(
-        isinstance(law, RunningInLaw) for law in of_layers
-    ):
-        return ~found
     if ("time.end", None) in numbers and (case.output.times or _bends(case)):
         return ~found
     deepest = numbers.get(("load.displacement", None))
     if deepest is not None:
         found |= case.interpenetration > deepest
-    for body, law in laws.items():
-        if isinstance(law, RunningInLaw):
-            k, start = (numbers.get((f"wear.{body}.{name}", None)) for name in ("k", "k_start"))
-            found |= (smallest(law.k_start) if start is None else start) < (
-                largest(law.k) if k is None else k
-            )
+    for table, law in _laws(case).items():
+        found |= _refused(table, law, numbers, len(found))
     return found
+
+
+def _laws(case: Case) -> dict[str, Law]:
+    """Return the laws of bodies, and of layers that have their own, by their tables of keys."""
+    found = {"wear.lower": case.wear_lower, "wear.upper": case.wear_upper}
+    for body, ring in zip(("lower", "upper"), case.rings, strict=True):
+        found |= {f"{body}.layers[{i}].wear": layer.wear for i, layer in enumerate(ring.layers)}
+    return {table: law for table, law in found.items() if isinstance(law, Law)}
+
+
+def _refused(table: str, law: Law, numbers: Mapping[Number, FloatArray], count: int) -> BoolArray:
+    """Return which cases' parameters make no law together, (cases,): the law is asked of each."""
+    columns = {}
+    for (path, entry), column in numbers.items():
+        key = path if entry is None else f"{path}{entry}"
+        if key.startswith(f"{table}."):
+            columns[key.removeprefix(f"{table}.")] = column.tolist()
+    if not columns:
+        return np.zeros(count, dtype=bool)
+    values = {name: getattr(law, name) for name in parameters_of(type(law))}
+    rows = zip(*columns.values(), strict=True)
+    return np.array(
+        [
+            make_law(type(law), table, values | dict(zip(columns, row, strict=True)))[0] is None
+            for row in rows
+        ]
+    )
 
 
 def _bends(case: Case) -> bool:
@@ -197,9 +215,11 @@ def _parameters(law: UserLaw, own: Mapping[str, Sequence[float]]) -> list[Any]:
 def _copies(whole: Any, own: Mapping[str, Sequence[Any]]) -> list[Any]:
     """Return frozen dataclasses with other values of fields, quicker than ``replace``.
 
-    What one has worked out of its fields stays: nothing but break points depends on numbers.
+    What one has worked out of its fields is forgotten, but for what no number changes.
     """
-    kind, there = type(whole), {k: v for k, v in whole.__dict__.items() if k != "breakpoints"}
+    kind = type(whole)
+    same = {*(field.name for field in fields(whole)), *_OF_SHAPES.get(kind, ())}
+    there = {name: value for name, value in whole.__dict__.items() if name in same}
     names, made = tuple(own), []
     for row in zip(*own.values(), strict=True):
         copy = object.__new__(kind)

@@ -19,8 +19,7 @@ from mpi4py import MPI
 from ringwear_par.arrays import BoolArray, FloatArray, IntArray
 from ringwear_par.cases.case import Case
 from ringwear_par.elasticity.pair import ContactPair
-from ringwear_par.errors import HistoriesError
-from ringwear_par.history import euler, sdirk2
+from ringwear_par.errors import HistoriesError, RingwearError, reason_of
 from ringwear_par.history.control import (
     ErrorBatch,
     FixedBatch,
@@ -31,6 +30,7 @@ from ringwear_par.history.control import (
 from ringwear_par.history.model import WearModel
 from ringwear_par.history.saving import stores, times_within
 from ringwear_par.history.schemes import Scheme
+from ringwear_par.history.simulate import METHODS
 from ringwear_par.history.snapshots import BatchSnapshot
 from ringwear_par.history.state import State
 from ringwear_par.wear.catalogue import LAWS
@@ -45,12 +45,6 @@ log = logging.getLogger(__name__)
 MOST_ELEMENTS = 256
 
 Control = FixedBatch | ErrorBatch
-#: scheme and step control of each ``time.scheme``
-_METHODS: dict[str, tuple[Scheme, type[Control]]] = {
-    "explicit": (euler.forward, FixedBatch),
-    "implicit": (euler.backward, FixedBatch),
-    "adaptive": (sdirk2.step, ErrorBatch),
-}
 
 
 def stays_alone(case: Case) -> bool:
@@ -59,6 +53,7 @@ def stays_alone(case: Case) -> bool:
         case.follows_wear
         or case.output.boundary != "none"
         or case.mesh.contact_elements > MOST_ELEMENTS
+        or METHODS[case.time.scheme].batch is None
     )
 
 
@@ -122,6 +117,20 @@ def _own_kind(own: Any) -> tuple[Hashable, ...]:
     return (own,)
 
 
+def _log(what: str, count: int, error: Exception) -> None:
+    """Log why histories do not go on together: a warning where no failure of ours tells why.
+
+    Nothing else would show it but time, for histories are the same alone.
+    """
+    expected = isinstance(error, RingwearError)
+    log.log(
+        logging.DEBUG if expected else logging.WARNING,
+        "%d histories in lock step %s (%s): those that this comes of are computed alone, which "
+        "takes longer",
+        count, what, reason_of(error), exc_info=error if expected else None,
+    )  # fmt: skip
+
+
 class _Lot:
     """Histories that step together.
 
@@ -181,12 +190,13 @@ class _Lot:
             for snapshot in snapshots:
                 observe(snapshot)
         except Exception as error:
-            log.debug("%d histories cannot be shown", len(self.numbers), exc_info=error)
+            _log("cannot be shown", len(self.numbers), error)
             raise HistoriesError(np.ones(len(self.numbers), dtype=bool)) from error
 
     def _begin(self) -> None:
         cases = self._cases
-        self._scheme, make_control = _METHODS[cases[0].time.scheme]
+        self._scheme, _, make_control = METHODS[cases[0].time.scheme]
+        assert make_control is not None  # see ``stays_alone``
         if self._step_times is None:
             self.control = make_control(cases)
         else:
@@ -361,8 +371,9 @@ def simulate_batch(
             alone += lot.numbers[error.which].tolist()
             parts = [np.flatnonzero(~error.which)]
         except Exception as error:  # whatever a user's law may raise, nobody knows for whom
-            log.debug("%d histories in lock step failed", len(lot.numbers), exc_info=error)
             count = len(lot.numbers)
+            if not lot.apart:  # the parts of a lot fail by the same
+                _log("failed", count, error)
             if count == 1:
                 alone.append(int(lot.numbers[0]))
             else:

@@ -6,15 +6,24 @@
 
 from collections.abc import Callable, Sequence
 from functools import partial
+from typing import NamedTuple
 
 from mpi4py import MPI
 
 from ringwear_par.cases.case import Case
+from ringwear_par.cases.forecast import unit_question
 from ringwear_par.contact.solver import ContactSolver
 from ringwear_par.elasticity.pair import ContactPair
 from ringwear_par.errors import ComputationError
 from ringwear_par.history import euler, sdirk2
-from ringwear_par.history.control import Control, ErrorControl, FixedSteps, GivenSteps
+from ringwear_par.history.control import (
+    Control,
+    ErrorBatch,
+    ErrorControl,
+    FixedBatch,
+    FixedSteps,
+    GivenSteps,
+)
 from ringwear_par.history.following import update_geometry
 from ringwear_par.history.model import WearModel
 from ringwear_par.history.saving import stores, times_within
@@ -23,11 +32,26 @@ from ringwear_par.history.snapshots import Observer, Snapshot
 from ringwear_par.history.state import Progress, Start, State
 from ringwear_par.parallel import together
 
-#: scheme and step control of each ``time.scheme``
-METHODS: dict[str, tuple[Scheme, Callable[[Case, Progress, MPI.Comm], Control]]] = {
-    "explicit": (euler.forward, FixedSteps),
-    "implicit": (euler.backward, FixedSteps),
-    "adaptive": (sdirk2.step, ErrorControl),
+
+class Method(NamedTuple):
+    """What a ``time.scheme`` is.
+
+    Parameters
+    ----------
+    scheme, control : of the steps of one history.
+    batch : control of histories in lock step; None for a scheme that steps one history only.
+    """
+
+    scheme: Scheme
+    control: Callable[[Case, Progress, MPI.Comm], Control]
+    batch: type[FixedBatch] | type[ErrorBatch] | None
+
+
+#: by the name that ``time.scheme`` gives them
+METHODS: dict[str, Method] = {
+    "explicit": Method(euler.forward, FixedSteps, FixedBatch),
+    "implicit": Method(euler.backward, FixedSteps, FixedBatch),
+    "adaptive": Method(sdirk2.step, ErrorControl, ErrorBatch),
 }
 
 
@@ -68,7 +92,7 @@ def simulate(
     """
     if start is not None and derivatives:
         raise ValueError("a history that goes on has no derivatives: they are not stored")
-    scheme, make_control = METHODS[case.time.scheme]
+    scheme, make_control, _ = METHODS[case.time.scheme]
     if step_times is not None:
         make_control = partial(GivenSteps, step_times)
     with WearModel(case, comm, pair, solver, derivatives=derivatives) as model:
@@ -98,7 +122,10 @@ def simulate(
                     with together(comm):
                         within.append(scheme(model, state, time))
             except ComputationError as error:
-                told = f"{error}; in step {made.steps + 1}, from time {state.time:g} s"
+                told = (
+                    f"{error}; in step {made.steps + 1}, from time {state.time:g} s"
+                    f"{unit_question(case, state.wear)}"
+                )
                 raise type(error)(told) from error
             for passed in within:
                 show(passed.state, passed, passed.state.contact.iterations, passing=True)

@@ -4,6 +4,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 from ringwear_par.cases.case import Case
+from ringwear_par.cases.forecast import DEEP, forecasts
 from ringwear_par.elasticity.boundary_fields import BODIES
 from ringwear_par.schedules import largest
 from ringwear_par.wear.archard import ArchardLaw
@@ -23,6 +24,13 @@ _FASTEST = 1e-4
 _LARGEST = 5000.0
 #: largest mean pressure, in Young's moduli, of linear elasticity
 MOST_PRESSED = 0.1
+#: MPa; what is softer is a rubber or a gel, whose Poisson's ratio is larger than this
+_SOFTEST, _RUBBERY = 10.0, 0.4
+#: MPa, and mean pressure in moduli: what is softer and pressed more is a rubber too. Metals in GPa
+#: are; friction papers bear less, and PTFE is stiffer
+_SOFT, _PRESSED = 300.0, 0.03
+#: MPa; no modulus in GPa is a larger number
+_GIGAPASCALS = 1000.0
 
 
 @dataclass(frozen=True)
@@ -62,11 +70,14 @@ def implausible(case: Case) -> tuple[Doubt, ...]:
         found.append(
             f"the mean pressure of {_load(case):.3g} MPa is more than a tenth of a Young's "
             f"modulus, {smallest_modulus(case):g} MPa: no linear elasticity; are load and moduli "
-            "in N and MPa?"
+            f"in N and MPa?{_or_gigapascals(smallest_modulus(case))}"
         )
+    fast = dict(_too_fast(case))
+    deep = [(key, text) for key, text in _too_deep(case) if key not in fast]
+    keyed = (*_too_thin(case), *fast.items(), *deep, *_in_gigapascals(case))
     return (
         *(Doubt(_IMPLAUSIBLE, text) for text in found),
-        *(Doubt(_IMPLAUSIBLE, text, key) for key, text in (*_too_thin(case), *_too_fast(case))),
+        *(Doubt(_IMPLAUSIBLE, text, key) for key, text in keyed),
     )
 
 
@@ -135,6 +146,41 @@ def _too_fast(case: Case) -> Iterator[tuple[str, str]]:
                         f'"{k:g} mm3/(N m)" would be read too'
                     )
                     yield f"{table}.{name}", text
+
+
+def _too_deep(case: Case) -> Iterator[tuple[str, str]]:
+    """Give the wear coefficients, key and sentence, that wear off much of a body."""
+    for forecast in forecasts(case):
+        z = case.rings[forecast.body].z
+        if forecast.depth > DEEP * (z[1] - z[0]):
+            yield (
+                forecast.key,
+                f"{forecast.key} = {forecast.k:g} 1/MPa is to wear {forecast.depth:.3g} mm off "
+                f"{BODIES[forecast.body]} by t = {case.time.end:g} s, more than a tenth of its "
+                f"height, {z[1] - z[0]:g} mm; were it in mm3/(N m), "
+                f'"{forecast.k:g} mm3/(N m)" would be read too',
+            )
+
+
+def _in_gigapascals(case: Case) -> Iterator[tuple[str, str]]:
+    """Give the moduli, key and sentence, that are likely in GPa; not those under too much load."""
+    for body, ring in zip(BODIES, case.rings, strict=True):
+        moduli = {f"{body}.young": (ring.young, ring.poisson)}
+        for i, layer in enumerate(ring.layers):
+            moduli[f"{body}.layers[{i}].young"] = layer.young, layer.poisson
+        for key, (young, poisson) in moduli.items():
+            soft = young < _SOFTEST or (young < _SOFT and _load(case) > _PRESSED * young)
+            if poisson < _RUBBERY and soft and _load(case) <= MOST_PRESSED * young:
+                text = (
+                    f"{key} = {young:g} MPa is softer than any solid but rubber, which has a "
+                    f"Poisson's ratio near 0.5, not {poisson:g}{_or_gigapascals(young)}"
+                )
+                yield key, text
+
+
+def _or_gigapascals(young: float) -> str:
+    """Return what is asked of a modulus that may be in GPa."""
+    return f'; were it in GPa, "{young:g} GPa" would be read too' * (young < _GIGAPASCALS)
 
 
 def _too_dense(key: str, density: float | None) -> list[str]:

@@ -1,13 +1,14 @@
 """Layers in case files: what is read, set and varied of them, and a sentence for what is wrong."""
 
 import tomllib
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 import ringwear_par as rw
-from ringwear_par.cases.case import RingLayer
+from ringwear_par.cases.case import Case, RingLayer
 from ringwear_par.cases.keys import read_keys
 from ringwear_par.cases.numbers import interval_of, with_numbers
 from ringwear_par.cases.reading import parse_case
@@ -182,6 +183,20 @@ def test_studies_and_schema_know_the_entries():
     assert interval_of(split_key(K)) is not None
     assert interval_of(split_key("lower.layers[0].young")) is None  # another operator
     assert "lower.layers " in schema()
+
+
+def test_cases_of_columns_forget_what_was_worked_out_of_other_numbers(monkeypatch):
+    """Whatever is cached, of cases and of laws; but what numbers do not change is kept."""
+    laws = cached_property(Case.laws.fget)
+    laws.__set_name__(Case, "laws")
+    monkeypatch.setattr(Case, "laws", laws)
+    case, key = rw.read_case(CASE), "lower.young"
+    before = case.laws, case.line, case.breakpoints
+    (made,) = with_numbers(case, {("wear.lower.k", None): [5e-6], (key, None): [7e3]}, [""])
+    alone = case.replace({"wear.lower.k": 5e-6, key: 7e3})
+    assert made.laws == alone.laws != before[0]
+    assert made.line is before[1]
+    assert made == alone
 
 
 def test_cases_of_columns_are_those_that_are_read():

@@ -12,7 +12,6 @@ from ringwear_par.cases.case import Load, Output, Stepping
 from ringwear_par.errors import ComputationError
 from ringwear_par.history import sdirk2
 from ringwear_par.history.balances import balances
-from ringwear_par.history.control import ErrorControl
 from ringwear_par.history.model import WearModel
 from ringwear_par.history.simulate import METHODS
 from ringwear_par.history.trace import trace
@@ -242,7 +241,7 @@ def test_a_tolerance_that_cannot_be_met_is_told(stepped, monkeypatch):
     def never(*_):
         raise ComputationError("contact: no")
 
-    monkeypatch.setitem(METHODS, "adaptive", (never, ErrorControl))
+    monkeypatch.setitem(METHODS, "adaptive", METHODS["adaptive"]._replace(scheme=never))
     with pytest.raises(
         ComputationError, match=r"^contact: no, however short.* in step 1, from time 0 s$"
     ):
@@ -250,12 +249,12 @@ def test_a_tolerance_that_cannot_be_met_is_told(stepped, monkeypatch):
 
 
 def test_errors_that_stay_too_large_are_told_with_their_tolerances(stepped, monkeypatch):
-    scheme, control = METHODS["adaptive"]
+    scheme = METHODS["adaptive"].scheme
 
     def wrong(*arguments):
         return replace(scheme(*arguments), wear_error=1.0)
 
-    monkeypatch.setitem(METHODS, "adaptive", (wrong, control))
+    monkeypatch.setitem(METHODS, "adaptive", METHODS["adaptive"]._replace(scheme=wrong))
     with pytest.raises(
         ComputationError, match=r"^errors exceed time.tolerance = 2e-06 mm or .*0\.1"
     ):

@@ -147,7 +147,7 @@ def test_last_pressures_of_a_history_are_near_the_collocated_ones(cases, number,
     told, e = history.model.asymmetry
     assert 0 <= e < pair.line.n
     assert told <= 1e-2
-    scheme, _ = METHODS[case.time.scheme]
+    scheme = METHODS[case.time.scheme].scheme
     with WearModel(case, comm, pair) as model:
         contact = model.contact
 

@@ -279,6 +279,34 @@ def test_one_that_fails_does_not_disturb_the_others(flat, pair):
         assert np.array_equal(rows[-1][2].wear, last[sorted(last)[i]].wear)
 
 
+def test_what_nobody_expects_is_warned_of_once(flat, pair, caplog):
+    """They all run alone then, and are right: nothing else would tell."""
+
+    @dataclass(frozen=True)
+    class Wrong(ThresholdLaw):
+        def rate(self, p, at):
+            raise KeyError("no such scheme")
+
+    cases = [replace(case, wear_lower=Wrong(1e-7)) for case in of_laws(flat, "threshold", 4)]
+    assert simulate_batch(cases, pair, lambda _: None) == [0, 1, 2, 3]
+    (record,) = caplog.records
+    assert record.levelname == "WARNING"
+    assert "4 histories in lock step failed (KeyError('no such scheme'))" in record.getMessage()
+
+
+def test_a_failure_of_ours_is_not_warned_of(flat, pair, caplog):
+    cases = [replace(case, wear_lower=Spoilt(1e-7, 13.0)) for case in of_laws(flat, "threshold", 2)]
+    assert simulate_batch(cases, pair, lambda _: None) == [0, 1]
+    assert caplog.records == []
+
+
+def test_a_scheme_says_whether_it_goes_together(flat, monkeypatch):
+    assert batch_key(flat) is not None
+    only = single.METHODS["adaptive"]._replace(batch=None)
+    monkeypatch.setitem(single.METHODS, "adaptive", only)
+    assert batch_key(flat) is None
+
+
 def test_what_cannot_be_shown_is_not_stepped_again(flat, pair):
     """A step that was seen by some observers is no step to try once more."""
     times = []
@@ -298,7 +326,7 @@ def test_those_worn_too_far_leave(flat, pair, monkeypatch):
     cases = of_laws(flat, "threshold", 6)
     cases[2] = replace(cases[2], wear_lower=ThresholdLaw(3e-2))  # to half of its height
     halved = []
-    monkeypatch.setattr(module.log, "debug", lambda *words, **_: halved.append(words))
+    monkeypatch.setattr(module.log, "log", lambda *words, **_: halved.append(words))
     finished = []
     alone = simulate_batch(cases, pair, lambda s: finished.extend(s.numbers[s.finished].tolist()))
     assert alone == [2]

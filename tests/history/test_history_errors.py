@@ -12,7 +12,6 @@ from ringwear_par.arrays import larger, relative, smaller
 from ringwear_par.cases.case import Output, Stepping
 from ringwear_par.elasticity.mesh import Mesh
 from ringwear_par.errors import ComputationError
-from ringwear_par.history import batch
 from ringwear_par.history.batch import simulate_batch
 from ringwear_par.history.pairs import assemble
 from ringwear_par.history.simulate import METHODS
@@ -115,14 +114,13 @@ def test_numbers_that_are_none_are_no_small_ones():
 @pytest.mark.parametrize("name", ["wear_error", "pressure_error", "energy_error", "carried_error"])
 def test_an_estimate_that_is_no_number_fails_the_case(paper, monkeypatch, name):
     """Alone with a sentence; among others it leaves, to be told alone."""
-    scheme, control = METHODS["adaptive"]
+    scheme = METHODS["adaptive"].scheme
 
     def wrong(*arguments):
         step = scheme(*arguments)
         return replace(step, **{name: np.nan * step.wear_error})
 
-    monkeypatch.setitem(METHODS, "adaptive", (wrong, control))
-    monkeypatch.setitem(batch._METHODS, "adaptive", (wrong, batch.ErrorBatch))
+    monkeypatch.setitem(METHODS, "adaptive", METHODS["adaptive"]._replace(scheme=wrong))
     with pytest.raises(ComputationError, match=r"^the estimated error of the step is not a number"):
         history(paper, LAWS["threshold"], 1e-5)
     case, pair = paper
@@ -147,7 +145,7 @@ class FirstRank:
 def test_the_first_rank_decides_for_all_whether_a_step_is_taken(paper, taken):
     case, pair = paper
     case = replace(case, time=Stepping("adaptive", until=50.0))
-    _, make_control = METHODS["adaptive"]
+    make_control = METHODS["adaptive"].control
     seen = trace(case, ALONE, pair=pair)
     ratio = 0.5 if taken else 1.5
     control = make_control(case, seen.snapshots[0].progress, FirstRank([0.25, (ratio, False, 0.5)]))

@@ -6,6 +6,7 @@ import pytest
 from mpi4py import MPI
 
 import ringwear_par as rw
+from ringwear_par.history.simulate import simulate
 from ringwear_par.results.implausible import implausible
 
 CASES = Path(__file__).parents[2] / "scripts" / "cases"
@@ -42,9 +43,9 @@ def test_a_thickness_in_metres_is_doubted():
     ],
 )
 def test_a_k_in_another_unit_is_doubted(law, k, most):
-    key = "wear.lower.k"
-    assert told(LAYERED, **{"wear.lower.law": law, key: most}) == {}
-    text = told(LAYERED, **{"wear.lower.law": law, key: k})[key]
+    key, keys = "wear.lower.k", {"wear.lower.law": law, "time.end": 1e-3}  # s, worn little
+    assert told(LAYERED, **keys, **{key: most}) == {}
+    text = told(LAYERED, **keys, **{key: k})[key]
     assert "1/MPa is a specific wear rate of " in text
     assert "more than that of any material in dry sliding, 0.1; were it in mm3/(N m), " in text
     assert text.endswith("would be read too")
@@ -59,6 +60,85 @@ def test_a_k_at_the_start_is_doubted_by_itself():
 def test_a_k_of_a_layer_is_doubted_by_its_own_name():
     (text,) = told(LAYERED, **{"lower.layers[0].wear.k": 0.1}).values()
     assert text.startswith("lower.layers[0].wear.k = 0.1 1/MPa is a specific wear rate of 10 mm3")
+
+
+PAPER = CASES / "paper.toml"
+#: a washer 5 mm high that loses 10 um as meant
+WASHER = {"lower.z": [-5.0, 0.0], "wear.lower.law": "archard", "time.scheme": "adaptive",
+          "time.step": None, "time.steps": None}  # fmt: skip
+
+
+def washer(k, depth):
+    """Return keys of a washer worn to a depth (mm) at the mean pressure."""
+    case = rw.read_case(PAPER, WASHER | {"wear.lower.k": k, "time.end": 1.0})
+    rate = case.wear_lower.k * case.load.force / case.area * case.load.omega * sum(case.overlap) / 2
+    return WASHER | {"wear.lower.k": k, "time.end": depth / rate}
+
+
+def test_a_k_that_wears_much_off_is_doubted():
+    meant = washer("1.2e-6 mm3/(N m)", 0.01)
+    assert told(PAPER, **meant) == {}
+    doubt = told(PAPER, **meant | {"wear.lower.k": 1.2e-6})
+    text = doubt.pop("wear.lower.k")
+    assert doubt == {}
+    assert text.startswith("wear.lower.k = 1.2e-06 1/MPa is to wear 10 mm off lower by t = ")
+    assert text.endswith('were it in mm3/(N m), "1.2e-06 mm3/(N m)" would be read too')
+    assert told(PAPER, **washer("1.2e-6 mm3/(N m)", 0.4)) == {}
+
+
+def test_wear_through_a_slow_layer_is_not_that_of_the_body():
+    """The body's k would wear off all of it, but for the layer."""
+    layer = {"thickness": 0.1, "young": 1e4, "poisson": 0.3, "wear": {"law": "archard", "k": 1e-12}}
+    keys = washer(1e-6, 8.0)
+    assert set(told(PAPER, **keys)) == {"wear.lower.k"}
+    assert told(PAPER, **keys, **{"lower.layers": [layer]}) == {}
+
+
+@pytest.mark.serial
+@pytest.mark.parametrize("scheme", ["adaptive", "implicit"])
+def test_a_run_that_fails_by_deep_wear_asks_for_the_unit(scheme):
+    """Whatever the step: fixed ones fail at once, with nothing worn before."""
+    keys = washer(1.2e-6, 10.0) | {"mesh.contact_elements": 12, "time.scheme": scheme}
+    if scheme == "implicit":
+        keys |= {"time.step": keys["time.end"] / 2, "time.steps": 2, "time.end": None}
+    with pytest.raises(rw.ComputationError) as failure:
+        simulate(rw.read_case(PAPER, keys), MPI.COMM_SELF)
+    question = (
+        '; is wear.lower.k = 1.2e-06 1/MPa in the right unit? "1.2e-06 mm3/(N m)" is read too'
+    )
+    assert str(failure.value).endswith(question)
+    assert "more than half of its height" in str(failure.value)
+
+
+def soft(young, poisson, pressure):
+    """Return what is doubted of a modulus under a pressure, both in MPa."""
+    load = {"load.force": None, "load.pressure": pressure, "wear.lower.k": 1e-12}
+    moduli = {"lower.young": young, "lower.poisson": poisson}
+    return [text for _, text in told(PAPER, **load, **moduli).items()]
+
+
+@pytest.mark.parametrize(
+    ("young", "poisson", "pressure"),
+    [(4, 0.38, 50.0), (4, 0.38, 0.2), (0.5, 0.3, 0.01), (210, 0.3, 10.0), (70, 0.33, 5.0)],
+)
+def test_a_modulus_in_gigapascals_is_doubted(young, poisson, pressure):
+    (text,) = soft(young, poisson, pressure)
+    assert text.endswith(f'were it in GPa, "{young:g} GPa" would be read too')
+
+
+@pytest.mark.parametrize(
+    ("young", "poisson", "pressure"),
+    [
+        (4.0, 0.49, 0.3),  # rubber
+        (10.0, 0.499, 0.5),
+        (500.0, 0.46, 10.0),  # PTFE
+        (700.0, 0.4, 15.0),  # UHMWPE
+        (60.0, 0.25, 1.5),  # friction paper
+        (4000.0, 0.38, 50.0),  # PEEK
+    ],
+)
+def test_moduli_of_soft_materials_are_not_doubted(young, poisson, pressure):
+    assert soft(young, poisson, pressure) == []
 
 
 @pytest.mark.serial

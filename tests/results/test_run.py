@@ -192,7 +192,9 @@ def test_a_failure_at_a_time_of_output_leaves_no_row_twice(shared_path, comm, mo
         return step(model, state, end)
 
     with monkeypatch.context() as patch:
-        patch.setitem(simulate.METHODS, "implicit", (failing, simulate.METHODS["implicit"][1]))
+        patch.setitem(
+            simulate.METHODS, "implicit", simulate.METHODS["implicit"]._replace(scheme=failing)
+        )
         with pytest.raises(ComputationError, match=r"^contact: no; in step 3, from time 2 s of "):
             run_case(PAPER, parts, keys, comm=comm)
     assert open_result(parts).histories["time"].tolist() == [0.0, 0.5]

@@ -22,6 +22,7 @@ from ringwear_par.studies import study as studies
 from ringwear_par.studies.designs import SAMPLED
 from ringwear_par.studies.identities import case_id
 from ringwear_par.studies.study import read_study, read_study_together
+from ringwear_par.wear.power import PowerLaw
 
 CASE = (Path(__file__).parents[2] / "scripts/cases/paper.toml").read_text()
 GRID = """
@@ -439,3 +440,48 @@ print([name for name in ("mpi4py.MPI", "petsc4py.PETSc", "numba") if name in sys
         [sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=True
     )
     assert told.stdout == "[]\n"
+
+
+def law_case(law):
+    return CASE.replace('law = "threshold"', law).replace("p0 = 40.0", "")
+
+
+@pytest.mark.parametrize("body", ["wear.lower", "lower.layers[0].wear"])
+def test_a_varied_k_start_below_k_is_refused_as_it_is_alone(body):
+    case = tomllib.loads(law_case('law = "running-in"\nk_start = 3e-7\ndepth = 1e-3'))
+    case["lower"]["layers"] = [
+        {"thickness": 1.0, "young": 1e4, "poisson": 0.3, "wear": dict(case["wear"]["lower"])}
+    ]
+    vary = {f"{body}.k": {"values": [1e-7, 2e-7]},
+            f"{body}.k_start": {"values": [1.5e-7, 4e-7]}}  # fmt: skip
+    study = {"case": case, "vary": vary, "design": {"method": "grid"}}
+    with pytest.raises(InputError) as refused:
+        read_study(study)
+    (fault,) = refused.value.faults
+    assert f"{body}.k_start = 1.5e-07: must be at least {body}.k = 2e-07" in fault
+
+
+@pytest.mark.parametrize("raises", [False, True])
+def test_a_rule_of_any_law_between_its_parameters_is_asked(monkeypatch, raises):
+    """By whichever of both ways a law may refuse them."""
+
+    def faults(cls, table, values):
+        high = values["m"] + values["n"] > 3.0
+        return [f"{table}m, {table}n: must be 3 together at most"] if high else []
+
+    def from_values(cls, values):
+        if values["m"] + values["n"] > 3.0:
+            raise InputError("m: must be 3 with n at most")
+        return cls(**values)
+
+    if raises:
+        monkeypatch.setattr(PowerLaw, "from_values", classmethod(from_values))
+    else:
+        monkeypatch.setattr(PowerLaw, "faults", classmethod(faults))
+    case = tomllib.loads(law_case('law = "power"\nm = 1.5\nn = 1.0'))
+    vary = {"wear.lower.m": {"values": [1.2, 2.0]}, "wear.lower.n": {"values": [0.8, 1.4]}}
+    with pytest.raises(InputError) as refused:
+        read_study({"case": case, "vary": vary, "design": {"method": "grid"}})
+    (fault,) = refused.value.faults
+    assert "case 4" in fault
+    assert "wear.lower.m" in fault
