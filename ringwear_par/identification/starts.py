@@ -18,7 +18,6 @@ from ringwear_par.identification.least_squares import LeastSquares
 from ringwear_par.identification.lockstep import Meet, StoppedError, side_by_side
 from ringwear_par.identification.marginal import Marginal
 from ringwear_par.identification.minimise import minimise
-from ringwear_par.identification.problem import Problem
 from ringwear_par.textfiles import parse_json, read_text
 
 log = logging.getLogger(__name__)
@@ -30,6 +29,8 @@ PROGRESS = "progress"
 _SEED = 0
 #: points of which a start is the best, and steps of the histories that tell
 _LOT, _COARSE = 8, 10
+#: how often as many points again are drawn where too few of them are cases
+_DOUBLINGS = 8
 #: starts that advance side by side
 _MOST_TOGETHER = 64
 #: wall seconds between lines of progress
@@ -128,14 +129,34 @@ class Progress:
         (self._folder / PROGRESS).rmdir()
 
 
-def points(problem: Problem, count: int) -> FloatArray:
-    """Return Sobol' points (count, m) within the bounds of the fitted keys' unknowns."""
+def points(squares: LeastSquares, count: int) -> FloatArray:
+    """Return Sobol' points (count, m) within the bounds of the fitted keys' unknowns.
+
+    Those that are no case, for a law has rules for its numbers together, are left out. Not
+    collective.
+
+    Raises
+    ------
+    InputError : hardly any point is one.
+    """
     from scipy.stats import qmc  # slow to import
 
-    low, high = np.array([[p.unknown(b) for b in p.bounds] for p in problem.parameters]).T
-    sampler = qmc.Sobol(len(low), scramble=True, seed=_SEED)
-    drawn: FloatArray = sampler.random_base2(max(count - 1, 0).bit_length())[:count]
-    return low + (high - low) * drawn
+    problem, m = squares.problem, len(squares.problem.parameters)
+    low, high = squares.lower[:m], squares.upper[:m]
+    sampler = qmc.Sobol(m, scramble=True, seed=_SEED)
+    more = 1 << max(count - 1, 0).bit_length()
+    good: list[FloatArray] = []
+    for _ in range(_DOUBLINGS):
+        drawn = low + (high - low) * sampler.random(more)
+        good += list(drawn[squares.allowed(drawn)])
+        if len(good) >= count:
+            return np.array(good[:count])
+        more = sampler.num_generated
+    keys = ", ".join(f"{p.key} = [{p.bounds[0]:g}, {p.bounds[1]:g}]" for p in problem.parameters)
+    raise InputError(
+        f"{problem.name}: bounds of {keys}: {len(good)} of {sampler.num_generated} points within "
+        "them are cases; must leave room for what the wear laws allow of their numbers together"
+    )
 
 
 def screened(squares: LeastSquares, histories: Histories) -> FloatArray:
@@ -150,7 +171,7 @@ def screened(squares: LeastSquares, histories: Histories) -> FloatArray:
     lots, m = problem.settings.starts - 1, first.shape[1]
     if not lots:
         return first
-    drawn = points(problem, _LOT * lots)
+    drawn = points(squares, _LOT * lots)
     values = np.array([squares.values(x) for x in drawn])
     marginal = Marginal(squares)
     moves, improbable = np.zeros((len(drawn), m)), np.full(len(drawn), np.inf)

@@ -38,6 +38,10 @@ class LinearHistories:
         self._problem, self._response = problem, response
         self._start = np.array([p.start for p in problem.parameters])
 
+    def allowed(self, points):
+        """Return that all points are cases."""
+        return np.ones(len(points), dtype=bool)
+
     def responses(self, points, steps=None, derivatives=True):
         """Return readings at points, with derivatives."""
         parameters = self._problem.parameters
