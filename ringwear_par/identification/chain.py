@@ -28,12 +28,14 @@ class Walk:
     steps : (s, w, m) where they were, the last one where they are.
     log_prob : (w,) there.
     accepted : of their moves so far.
+    histories : computed for them so far.
     random_state : of NumPy's RandomState before the next step.
     """
 
     steps: FloatArray
     log_prob: FloatArray
     accepted: int
+    histories: int
     random_state: tuple[Any, ...]
 
 
@@ -61,7 +63,8 @@ class Keeper:
                 place, gauss = file["place"].tolist(), float(file["gauss"])
                 state = ("MT19937", file["random"], *place, gauss)
                 np.random.RandomState().set_state(state)  # one that it takes
-                return Walk(file["steps"], file["log_prob"], int(file["accepted"]), state)
+                counts = int(file["accepted"]), int(file["histories"])
+                return Walk(file["steps"], file["log_prob"], *counts, state)
         except (OSError, ValueError, TypeError, KeyError, EOFError, zipfile.BadZipFile):
             return None
 
@@ -80,7 +83,8 @@ class Keeper:
             with atomic_write(self._path) as temporary, temporary.open("wb") as file:
                 np.savez(
                     file, key=self._key, steps=walk.steps, log_prob=walk.log_prob,
-                    accepted=walk.accepted, random=random, place=[place, has_gauss], gauss=gauss,
+                    accepted=walk.accepted, histories=walk.histories, random=random,
+                    place=[place, has_gauss], gauss=gauss,
                 )  # fmt: skip
         except OSError as error:
             log.warning("%s: cannot be written: %s", self._path, error.strerror or error)

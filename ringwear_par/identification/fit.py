@@ -163,6 +163,7 @@ class _Posed:
                 x = optimum.x
                 continue
             before = histories.count
+            histories.tell(f"{self._name}: intervals" if self._name else "intervals")
             profiles = likelihood_profiles(squares, optimum, told, covariance)
             of_profiles += histories.count - before
             if profiles.better is None:

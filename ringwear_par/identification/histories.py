@@ -6,13 +6,13 @@ from collections.abc import Hashable, Sequence
 import numpy as np
 from mpi4py import MPI
 
-from ringwear_par.arrays import FloatArray
+from ringwear_par.arrays import BoolArray, FloatArray
 from ringwear_par.cases.case import Case
 from ringwear_par.cases.numbers import Number, doubtful, with_numbers
 from ringwear_par.contact.batch import load_batch_kernels
 from ringwear_par.elasticity.boundary_fields import BODIES
 from ringwear_par.elasticity.pair import ContactPair
-from ringwear_par.errors import ComputationError, reason_of
+from ringwear_par.errors import ComputationError, InputError, reason_of
 from ringwear_par.history.bodies import operator_key
 from ringwear_par.history.elastic_numbers import is_elastic
 from ringwear_par.history.pairs import assemble
@@ -99,8 +99,15 @@ class Histories:
         """Return the same of some experiments, each by itself, at values (m,). Not collective."""
         return self._read(values[None], [(0, e) for e in experiments], STEPS, True)
 
-    def _cases(self, experiment: int, points: FloatArray) -> list[Case]:
-        """Return the cases of an experiment at some values (p, m)."""
+    def allowed(self, points: FloatArray) -> BoolArray:
+        """Return at which points (p, m) every experiment is a case, (p,). Not collective."""
+        good = np.ones(len(points), dtype=bool)
+        for experiment in range(len(self._experiments)):
+            good &= [isinstance(case, Case) for case in self._cases(experiment, points)]
+        return good
+
+    def _cases(self, experiment: int, points: FloatArray) -> list[Case | ComputationError]:
+        """Return the cases of an experiment at some values (p, m), or why there are none."""
         case = self._experiments[experiment].case
         numbers: dict[Number, FloatArray] = {}
         for key, column in zip(self._keys, points.T, strict=True):
@@ -108,13 +115,22 @@ class Histories:
             assert not isinstance(entry, int)
             numbers[path, entry] = column
         if experiment in self._elastic:
-            return [case.replace(dict(zip(self._keys, p, strict=True))) for p in points.tolist()]
+            return [self._case(case, point) for point in points]
         doubts = doubtful(case, numbers)
         lists = {number: values.tolist() for number, values in numbers.items()}
-        cases = with_numbers(case, lists, [case.text] * len(points))
+        cases: list[Case | ComputationError] = [
+            *with_numbers(case, lists, [case.text] * len(points))
+        ]
         for i in np.flatnonzero(doubts):
-            cases[i] = case.replace(dict(zip(self._keys, points[i].tolist(), strict=True)))
+            cases[i] = self._case(case, points[i])
         return cases
+
+    def _case(self, case: Case, point: FloatArray) -> Case | ComputationError:
+        """Return a case at values (m,), or why there is none: each is good, not all together."""
+        try:
+            return case.replace(dict(zip(self._keys, point.tolist(), strict=True)))
+        except InputError as error:
+            return ComputationError(reason_of(error))
 
     def _read(
         self, points: FloatArray, pairs: Sequence[Pair], steps: int, derivatives: bool
@@ -123,15 +139,20 @@ class Histories:
         grids = {e: step_times(self._experiments[e], steps).tolist() for _, e in pairs}
         groups: dict[Hashable, list[int]] = defaultdict(list)
         wanted: dict[int, Case] = {}
+        found: dict[int, FloatArray | ComputationError] = {}
         for experiment in grids:
             own = [number for number, (_, e) in enumerate(pairs) if e == experiment]
             cases = self._cases(experiment, points[[pairs[number][0] for number in own]])
-            wanted |= dict(zip(own, cases, strict=True))
-        for number, (_, experiment) in enumerate(pairs):
+            for number, case in zip(own, cases, strict=True):
+                if isinstance(case, ComputationError):
+                    found[number] = case
+                else:
+                    wanted[number] = case
+        for number in sorted(wanted):
+            experiment = pairs[number][1]
             changes = experiment in self._elastic
             owner = operator_key(wanted[number]) if changes else self._owners[experiment]
             groups[owner].append(number)
-        found: dict[int, FloatArray | ComputationError] = {}
         for key, numbers in groups.items():
             try:
                 pair = self._pair(key, wanted[numbers[0]])

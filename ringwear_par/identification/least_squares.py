@@ -125,6 +125,10 @@ class LeastSquares:
         """How many histories were computed so far."""
         return self._histories.count
 
+    def allowed(self, points: FloatArray) -> BoolArray:
+        """Return at which unknowns (p, m) of the fitted keys all rules of the laws hold, (p,)."""
+        return self._histories.allowed(np.array([self.values(x) for x in points]))
+
     def knows(self, x: FloatArray) -> bool:
         """Tell whether the histories at unknowns are there."""
         return self.values(x).tobytes() in self.known

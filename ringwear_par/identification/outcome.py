@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -9,6 +10,7 @@ import numpy as np
 from scipy.stats import chi2
 
 from ringwear_par.arrays import FloatArray
+from ringwear_par.identification.doubts import Doubt, doubts
 from ringwear_par.identification.fitted import units_of
 from ringwear_par.identification.information import without_nuisances
 from ringwear_par.identification.intervals import ParameterEstimate, information, told
@@ -191,6 +193,11 @@ class FitResult:
         best = min(one.objective for one in self.starts)
         return sum(one.objective <= best * (1.0 + _SAME) for one in self.starts)
 
+    @cached_property
+    def doubts(self) -> tuple[Doubt, ...]:
+        """What records say against the model or the intervals; ``warnings`` has their texts."""
+        return doubts(self)
+
     @property
     def warnings(self) -> tuple[str, ...]:
         """What speaks against taking the numbers as they are, a sentence each."""
@@ -228,6 +235,7 @@ class FitResult:
             "steps": self.squares.steps,
             "moved_by_shorter_steps": dict(self.moved),
             "warnings": list(self.warnings),
+            "doubts": [asdict(doubt) for doubt in self.doubts],
             "starts": [_started(one, problem.keys) for one in self.starts],
             "profiles": {key: _finite(table) for key, table in self.profiles.items()},
             "alternatives": {

@@ -1,10 +1,13 @@
-"""Readings that cannot be what they are called, as the first histories tell."""
+"""Readings that cannot be what they are called, as histories tell."""
+
+from typing import NamedTuple
 
 import numpy as np
 
 from ringwear_par.arrays import BoolArray, FloatArray
 from ringwear_par.errors import ComputationError, InputError, legible
 from ringwear_par.identification.least_squares import LeastSquares
+from ringwear_par.identification.problem import Experiment, Series
 from ringwear_par.identification.readings import nuisance_columns
 from ringwear_par.identification.starts import points
 
@@ -17,6 +20,10 @@ _NOT_FELT, _WIDTHS = 0.5, 10.0
 _ASKED = 8
 #: correlation of readings with the model below which they have the wrong sign, and at how many sd
 _OPPOSITE, _SURE = -0.5, 5.0
+#: nuisances that leave the sign of a record as it is
+_HARMLESS = ("offset", "level", "tilt")
+#: parts of a record that are looked at for what opposes the model, each larger by a share of it
+_PARTS = 40
 
 
 def refuse_idle(squares: LeastSquares, start: FloatArray) -> None:
@@ -71,7 +78,7 @@ def _felt(squares: LeastSquares, start: FloatArray) -> BoolArray:
     if felt.all():
         return felt
     most = max(_ASKED, problem.settings.starts)
-    others = [np.concatenate([row, start[m:]]) for row in points(problem, most)]
+    others = [np.concatenate([row, start[m:]]) for row in points(squares, most)]
     squares.look_up(others)
     felt = np.logical_or.reduce([felt, *map(at, others)])
     squares.forget(others, start)
@@ -85,24 +92,18 @@ def _values(squares: LeastSquares) -> str:
 def refuse_reversed(squares: LeastSquares, start: FloatArray) -> None:
     """Refuse depths and masses that go against the model, but for their nuisances. Not collective.
 
+    Those that do so only beside a drift or a compliance may be right, with a part that is not:
+    ``opposing`` tells of it at the optimum.
+
     Raises
     ------
     InputError : one sentence a series.
     """
-    model, sd = squares.bare(start), squares.sd
+    model = squares.bare(start)
     faults = []
     for (experiment, series), part in zip(squares.series, squares.parts, strict=True):
-        if series.quantity == "torque":  # it may fall where the model's rises
-            continue
-        priors = [(i, n.prior) for i, n in enumerate(series.nuisances) if n.prior is not None]
-        columns = nuisance_columns(series, experiment.case) / sd[part][:, None]
-        both = np.stack([series.value, model[part]], axis=1) / sd[part][:, None]
-        for i, prior in priors:  # as one reading more, of the nuisance itself
-            columns = np.vstack([columns, np.eye(columns.shape[1])[i] / prior.sd])
-            both = np.vstack([both, [prior.mean / prior.sd, 0.0]])
-        both = both - columns @ np.linalg.lstsq(columns, both, rcond=None)[0]
-        (data, wear), sizes = both.T, np.linalg.norm(both, axis=0)
-        if data @ wear < _OPPOSITE * sizes.prod() and -data @ wear > _SURE * sizes[1]:
+        record = _Record(experiment, series, squares.sd[part], model[part])
+        if series.quantity != "torque" and record.opposes() and record.opposes(harmless=True):
             faults.append(
                 f'{squares.problem.name}: experiment "{legible(experiment.name)}": {series.name}: '
                 "has the wrong sign: readings fall where the model's rise; must be positive where "
@@ -110,3 +111,80 @@ def refuse_reversed(squares: LeastSquares, start: FloatArray) -> None:
             )
     if faults:
         raise InputError(*faults)
+
+
+class Opposition(NamedTuple):
+    """A record that falls where the model's rises, beside its nuisances.
+
+    Parameters
+    ----------
+    exclude : s, from when to when the readings are without which it does not; None: no part
+        shorter than half of the record.
+    """
+
+    experiment: Experiment
+    series: Series
+    exclude: tuple[float, float] | None
+
+
+def opposing(squares: LeastSquares, x: FloatArray) -> list[Opposition]:
+    """Return records that go against the model at an optimum, for a part of them. Not collective.
+
+    Parameters
+    ----------
+    x : (u,) unknowns.
+    """
+    model, found = squares.bare(x), []
+    for (experiment, series), part in zip(squares.series, squares.parts, strict=True):
+        record = _Record(experiment, series, squares.sd[part], model[part])
+        if series.quantity != "torque" and not series.profile and record.opposes():
+            found.append(Opposition(experiment, series, record.exclude))
+    return found
+
+
+class _Record:
+    """Readings of a series and the model's, over their noise.
+
+    Parameters
+    ----------
+    sd, model : (n,) noise, and the model's readings without nuisances.
+    """
+
+    def __init__(
+        self, experiment: Experiment, series: Series, sd: FloatArray, model: FloatArray
+    ) -> None:
+        self._series = series
+        self._columns = nuisance_columns(series, experiment.case) / sd[:, None]
+        self._both = np.stack([series.value, model], axis=1) / sd[:, None]
+
+    def opposes(self, rows: slice = slice(None), *, harmless: bool = False) -> bool:
+        """Tell whether readings fall where the model's rise.
+
+        Parameters
+        ----------
+        rows : of the readings that count.
+        harmless : whether only nuisances count that leave the sign as it is.
+        """
+        of = [
+            i for i, n in enumerate(self._series.nuisances) if not harmless or n.kind in _HARMLESS
+        ]
+        columns, both = self._columns[rows, of], self._both[rows]
+        for column, i in enumerate(of):  # priors are one reading more, of the nuisance itself
+            prior = self._series.nuisances[i].prior
+            if prior is not None:
+                columns = np.vstack([columns, np.eye(len(of))[column] / prior.sd])
+                both = np.vstack([both, [prior.mean / prior.sd, 0.0]])
+        both = both - columns @ np.linalg.lstsq(columns, both, rcond=None)[0]
+        (data, wear), sizes = both.T, np.linalg.norm(both, axis=0)
+        return bool(data @ wear < _OPPOSITE * sizes.prod() and -data @ wear > _SURE * sizes[1])
+
+    @property
+    def exclude(self) -> tuple[float, float] | None:
+        """The shortest early or late part, s, without which readings do not oppose the model."""
+        x, n = self._series.x, self._series.n
+        for count in np.unique(np.arange(1, _PARTS // 2 + 1) * n // _PARTS).tolist():
+            if count and not self.opposes(slice(count, None)):
+                return 0.0, float(x[count - 1])
+            if count and not self.opposes(slice(0, n - count)):
+                return float(x[n - count]), float(x[-1])
+        return None

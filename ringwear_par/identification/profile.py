@@ -14,9 +14,10 @@ import numpy as np
 from scipy.stats import chi2
 
 from ringwear_par.arrays import FloatArray
+from ringwear_par.errors import ComputationError, LawError
 from ringwear_par.identification.intervals import ParameterEstimate
 from ringwear_par.identification.least_squares import LeastSquares
-from ringwear_par.identification.lockstep import Meet, side_by_side
+from ringwear_par.identification.lockstep import Meet, StoppedError, side_by_side
 from ringwear_par.identification.minimise import Optimum, minimise
 
 #: of the root of the growth of the sum of squares, at which a limit is found
@@ -141,7 +142,14 @@ def _limit(
         at = max(at, end) if side < 0 else min(at, end)
         start = x + follow * (at - before)
         start[j] = at
-        best = minimise(squares, np.clip(start, *bounds), meet, held=j)
+        try:
+            best = minimise(squares, np.clip(start, *bounds), meet, held=j)
+        except (StoppedError, LawError):
+            raise
+        except ComputationError:  # too far: no case by the rules of a law, or worn through
+            outer = abs(at - centre), math.inf
+            step = 0.5 * (inner[0] + outer[0])
+            continue
         growth = 2.0 * (best.evaluation.objective - least)
         if growth < -_BETTER:
             return _Limit(None, better=best)
@@ -157,7 +165,10 @@ def _limit(
             outer = step, root
         if math.isinf(outer[0]):
             step = step * min(wanted / max(root, 0.1 * wanted), 4.0)
+        elif math.isinf(outer[1]):
+            step = 0.5 * (inner[0] + outer[0])
         else:
             share = (wanted - inner[1]) / (outer[1] - inner[1])
             step = inner[0] + (outer[0] - inner[0]) * min(max(share, 0.05), 0.95)
-    return _Limit(centre + side * step, close=False)
+    beyond = math.isfinite(outer[0]) and math.isinf(outer[1])  # trials there never gave residuals
+    return _Limit(None if beyond else centre + side * step, close=False)

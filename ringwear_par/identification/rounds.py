@@ -15,6 +15,7 @@ from ringwear_par.identification.histories import Histories, Pair
 from ringwear_par.identification.lockstep import StoppedError
 from ringwear_par.identification.problem import Problem
 from ringwear_par.parallel import as_ours, together
+from ringwear_par.results.progress import FitProgress
 from ringwear_par.stopping import StopSignals, name_of, remark
 
 T = TypeVar("T")
@@ -40,6 +41,7 @@ class Rounds(Histories):
             super().__init__(problem, comm)
         self._comm, self._signals, self._hint = comm, signals, hint
         self._leads = False
+        self._progress: FitProgress | None = None
         # ranks take experiments with operators of their own, each of which costs a batch
         owners = list(self._pairs)
         self._order = [owners.index(owner) for owner in self._owners]
@@ -56,11 +58,12 @@ class Rounds(Histories):
         result = None
         with together(comm):
             if comm.rank == 0:
-                self._leads = True
+                self._leads, self._progress = True, FitProgress()
                 try:
                     result = job()
                 finally:
                     self._leads = False
+                    self._progress.close()
                     comm.bcast(None)
             else:
                 while (asked := comm.bcast(None)) is not None:
@@ -69,6 +72,11 @@ class Rounds(Histories):
         if received := comm.allreduce(self._signals.received, MPI.MAX):
             raise self._stopped(received)
         return told
+
+    def tell(self, state: str) -> None:
+        """Tell the user, now and then, what the job of the first rank is at. Not collective."""
+        if self._progress is not None:
+            self._progress.tell(state)
 
     def _read(
         self, points: FloatArray, pairs: Sequence[Pair], steps: int, derivatives: bool
@@ -80,6 +88,8 @@ class Rounds(Histories):
         asked = points, sorted(pairs, key=lambda p: (self._order[p[1]], p[1])), steps, derivatives
         found = dict(self._share(*self._comm.bcast(asked)))
         self.count = count
+        if self._progress is not None:
+            self._progress(count)
         return [found[pair] for pair in pairs]
 
     def _share(

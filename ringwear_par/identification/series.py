@@ -147,7 +147,7 @@ def read_series(
     keep = np.ones(len(x), dtype=bool)
     for low, high in _intervals(reader, "mm" if kind == "profile" else "s"):
         keep &= (x < low) | (x > high)
-    sd, fitted = _sd(reader, found)
+    sd, fitted = _sd(reader, found, keep)
     nuisances = _nuisances(reader, kind, case)
     correlation = reader.read("correlation_time", number(0.0, ends=True), 0.0, "s")
     if correlation > 0 and kind == "profile":
@@ -360,8 +360,13 @@ def _intervals(reader: TableReader, unit: str) -> list[tuple[float, float]]:
     return [(float(low), float(high)) for low, high in value]
 
 
-def _sd(reader: TableReader, found: _Readings) -> tuple[FloatArray, bool]:
-    """Return the standard deviation of each reading, and whether it is to be fitted."""
+def _sd(reader: TableReader, found: _Readings, keep: BoolArray) -> tuple[FloatArray, bool]:
+    """Return the standard deviation of each reading, and whether it is to be fitted.
+
+    Parameters
+    ----------
+    keep : (n,) which readings are not left out.
+    """
     given, value, data = reader.raw("sd"), found.value, found.data
     unknown = np.full(len(value), np.nan)
     named = isinstance(given, str) and not has_unit(given)
@@ -374,9 +379,10 @@ def _sd(reader: TableReader, found: _Readings) -> tuple[FloatArray, bool]:
             return unknown, False
         return _sd_column(reader, given, found), False
     if given == "fit":
-        if len(value) < _SMOOTH:
-            reader.wrong("sd", f'must be a number: "fit" needs {_SMOOTH} readings at least')
-        return np.full(len(value), _scatter(value)), True
+        if keep.sum() < _SMOOTH:
+            more = "" if keep.all() else " that are not excluded"
+            reader.wrong("sd", f'must be a number: "fit" needs {_SMOOTH} readings at least{more}')
+        return np.full(len(value), _scatter(value[keep])), True
     if isinstance(given, Mapping):
         share = TableReader(f"{reader.said}: sd", given, [])
         relative = share.read("relative", number(0.0), None)

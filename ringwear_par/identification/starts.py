@@ -2,7 +2,6 @@
 
 import json
 import logging
-import time
 from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
@@ -18,7 +17,7 @@ from ringwear_par.identification.least_squares import LeastSquares
 from ringwear_par.identification.lockstep import Meet, StoppedError, side_by_side
 from ringwear_par.identification.marginal import Marginal
 from ringwear_par.identification.minimise import minimise
-from ringwear_par.identification.problem import Problem
+from ringwear_par.identification.rounds import Rounds
 from ringwear_par.textfiles import parse_json, read_text
 
 log = logging.getLogger(__name__)
@@ -30,10 +29,10 @@ PROGRESS = "progress"
 _SEED = 0
 #: points of which a start is the best, and steps of the histories that tell
 _LOT, _COARSE = 8, 10
+#: how often as many points again are drawn where too few of them are cases
+_DOUBLINGS = 8
 #: starts that advance side by side
 _MOST_TOGETHER = 64
-#: wall seconds between lines of progress
-_PROGRESS_SECONDS = 10.0
 
 
 @dataclass(frozen=True)
@@ -128,14 +127,34 @@ class Progress:
         (self._folder / PROGRESS).rmdir()
 
 
-def points(problem: Problem, count: int) -> FloatArray:
-    """Return Sobol' points (count, m) within the bounds of the fitted keys' unknowns."""
+def points(squares: LeastSquares, count: int) -> FloatArray:
+    """Return Sobol' points (count, m) within the bounds of the fitted keys' unknowns.
+
+    Those that are no case, for a law has rules for its numbers together, are left out. Not
+    collective.
+
+    Raises
+    ------
+    InputError : hardly any point is one.
+    """
     from scipy.stats import qmc  # slow to import
 
-    low, high = np.array([[p.unknown(b) for b in p.bounds] for p in problem.parameters]).T
-    sampler = qmc.Sobol(len(low), scramble=True, seed=_SEED)
-    drawn: FloatArray = sampler.random_base2(max(count - 1, 0).bit_length())[:count]
-    return low + (high - low) * drawn
+    problem, m = squares.problem, len(squares.problem.parameters)
+    low, high = squares.lower[:m], squares.upper[:m]
+    sampler = qmc.Sobol(m, scramble=True, seed=_SEED)
+    more = 1 << max(count - 1, 0).bit_length()
+    good: list[FloatArray] = []
+    for _ in range(_DOUBLINGS):
+        drawn = low + (high - low) * sampler.random(more)
+        good += list(drawn[squares.allowed(drawn)])
+        if len(good) >= count:
+            return np.array(good[:count])
+        more = sampler.num_generated
+    keys = ", ".join(f"{p.key} = [{p.bounds[0]:g}, {p.bounds[1]:g}]" for p in problem.parameters)
+    raise InputError(
+        f"{problem.name}: bounds of {keys}: {len(good)} of {sampler.num_generated} points within "
+        "them are cases; must leave room for what the wear laws allow of their numbers together"
+    )
 
 
 def screened(squares: LeastSquares, histories: Histories) -> FloatArray:
@@ -150,7 +169,7 @@ def screened(squares: LeastSquares, histories: Histories) -> FloatArray:
     lots, m = problem.settings.starts - 1, first.shape[1]
     if not lots:
         return first
-    drawn = points(problem, _LOT * lots)
+    drawn = points(squares, _LOT * lots)
     values = np.array([squares.values(x) for x in drawn])
     marginal = Marginal(squares)
     moves, improbable = np.zeros((len(drawn), m)), np.full(len(drawn), np.inf)
@@ -172,7 +191,7 @@ def screened(squares: LeastSquares, histories: Histories) -> FloatArray:
 
 
 def solve_starts(
-    squares: LeastSquares, histories: Histories, name: str, progress: Progress
+    squares: LeastSquares, histories: Rounds, name: str, progress: Progress
 ) -> list[Started]:
     """Return what comes of all starts, which advance side by side. Not collective.
 
@@ -184,8 +203,13 @@ def solve_starts(
     kept = [progress.read(number) for number in numbers]
     found = [one for one in kept if one is not None]
     left = [number for number in numbers if kept[number] is None]
-    telling = _Telling(name, len(numbers), found)
-    unknowns = screened(squares, histories) if left else np.zeros((0, 0))
+    # of the search as a whole, whenever it was stopped
+    histories.count += sum(one.histories for one in found)
+    histories.tell(_state(name, len(numbers), found))
+    if left:
+        unknowns = screened(squares, histories)
+    else:
+        histories.count += _LOT * (len(numbers) - 1) * len(squares.problem.experiments)
 
     def solved(number: int, meet: Meet) -> None:
         found.append(_solved(squares, number, unknowns[number], meet))
@@ -193,7 +217,7 @@ def solve_starts(
 
     def compute(points: list[FloatArray]) -> None:
         squares.look_up(points)
-        telling(squares.histories)
+        histories.tell(_state(name, len(numbers), found))
 
     for first in range(0, len(left), _MOST_TOGETHER):
         part = left[first : first + _MOST_TOGETHER]
@@ -208,23 +232,12 @@ def solve_from(squares: LeastSquares, number: int, x: FloatArray) -> Started:
     return found
 
 
-class _Telling:
-    """A line of progress now and then."""
-
-    def __init__(self, name: str, total: int, found: list[Started]) -> None:
-        self._name, self._total, self._found = name, total, found
-        self._told = time.perf_counter()
-
-    def __call__(self, histories: int) -> None:
-        if time.perf_counter() - self._told < _PROGRESS_SECONDS:
-            return
-        self._told = time.perf_counter()
-        best = min((2.0 * one.objective for one in self._found if not one.error), default=None)
-        log.info(
-            "%s%d of %d starts have ended, %d histories%s",
-            f"{self._name}: " if self._name else "", len(self._found), self._total, histories,
-            "" if best is None else f", smallest chi2 (with priors) {best:.6g}",
-        )  # fmt: skip
+def _state(name: str, total: int, found: list[Started]) -> str:
+    """Return how many starts have ended, and how well."""
+    best = min((2.0 * one.objective for one in found if not one.error), default=None)
+    law = f"{name}: " if name else ""
+    smallest = "" if best is None else f", smallest chi2 (with priors) {best:.6g}"
+    return f"{law}{len(found)} of {total} starts have ended{smallest}"
 
 
 def _solved(squares: LeastSquares, number: int, unknowns: FloatArray, meet: Meet) -> Started:

@@ -47,6 +47,7 @@ def warnings(found: "FitResult") -> tuple[str, ...]:
                     f"{name} ({experiment}): chi2 = {entry['chi2']:.4g} of {entry['n']} readings"
                 )
     sentences += _outliers(found)
+    sentences += [doubt.text for doubt in found.doubts]
     if found.starts:
         best = min(found.starts, key=_objective)
         if not best.converged:
@@ -62,7 +63,9 @@ def warnings(found: "FitResult") -> tuple[str, ...]:
         if abs(moved) > ENOUGH
     ]
     sentences += [
-        f"{key}: a limit of its likelihood profile is but near the level" for key in found.unsure
+        f"{key}: a limit of its likelihood profile is but near the level, or none was found where "
+        "the laws allow its values"
+        for key in found.unsure
     ]
     if found.posterior is not None and found.posterior.effective < FEW:
         sentences.append(

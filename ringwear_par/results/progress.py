@@ -1,4 +1,4 @@
-"""How far a run or a sweep is: a bar on a terminal, else a line now and then."""
+"""How far a run, a sweep or a fit is: a bar on a terminal, else a line now and then."""
 
 import logging
 import math
@@ -95,6 +95,34 @@ class SweepProgress:
             ended, self._total, failures, rate, duration(left),
         )  # fmt: skip
         return False
+
+    def close(self) -> None:
+        """Remove the bar."""
+        self._bar.close()
+
+
+class FitProgress:
+    """Tells how many histories a fit has had computed, and what it is at."""
+
+    def __init__(self) -> None:
+        self._told = time.perf_counter()
+        self._bar: Any = tqdm(
+            unit=" histories", leave=False, smoothing=0.0, disable=not sys.stderr.isatty(),
+            bar_format="{desc}{n_fmt}{unit} [{elapsed}, {rate_noinv_fmt}]",
+        )  # fmt: skip
+
+    def __call__(self, histories: int) -> None:
+        """Tell how many there are by now; on a terminal only."""
+        if not self._bar.disable:
+            self._bar.update(histories - self._bar.n)
+
+    def tell(self, state: str) -> None:
+        """Tell what the fit is at, where there is no terminal if it is time."""
+        if not self._bar.disable:
+            self._bar.set_description(state)
+        elif time.perf_counter() - self._told > PROGRESS_SECONDS:
+            self._told = time.perf_counter()
+            log.info("%s", state)
 
     def close(self) -> None:
         """Remove the bar."""

@@ -215,6 +215,32 @@ def test_torque_tells_friction(tables, comm, tmp_path):
 
 
 @pytest.mark.serial
+@pytest.mark.parametrize("sd", ["fit", 0.02])
+@pytest.mark.parametrize("share", [0.0, 0.2])
+def test_residuals_that_trend_are_a_doubt(share, sd, tables, comm, tmp_path):
+    """A torque that settles, of which the model has a constant one only; and noise."""
+    given = tables(starts=1)
+    friction = {"start": 0.2, "bounds": [0.01, 1.0], "scale": "log"}
+    given["fit"]["parameters"] = {**FITTED, "contact.friction": friction}
+    t, noise = np.linspace(1.0, END, 100), np.random.default_rng(2).standard_normal(100)
+    torque = 1e-3 * history(40.0).histories["torque"][-1]
+    values = torque * (1.0 + share * np.exp(-t / 20.0)) + 0.02 * noise
+    write_table(tmp_path / "m.csv", ("t_s", "torque_Nm"), t, values)
+    given["experiment"][0]["data"].append(
+        {"quantity": "torque", "file": str(tmp_path / "m.csv"), "sd": sd,
+         "columns": {"time": "t_s", "value": "torque_Nm"}}
+    )  # fmt: skip
+    found = fit(given, comm)
+    doubts = [one for one in found.to_dict()["doubts"] if one["code"] == "residuals-trend"]
+    assert len(doubts) == (1 if share else 0)
+    for doubt in doubts:
+        assert doubt["experiments"] == ("test 1",)
+        assert doubt["text"] in found.warnings
+        assert "readings of test 1, torque, trend away from the model" in doubt["text"]
+        assert "intervals are too narrow" in doubt["text"]
+
+
+@pytest.mark.serial
 def test_a_threshold_hides_behind_the_drift(tables, comm):
     given = tables(starts=1)
     (one, _), given["experiment"] = given["experiment"], given["experiment"][:1]
@@ -476,3 +502,38 @@ def test_steps_resolve_how_a_layer_is_worn_through(tmp_path, comm):
     assert near(found, truth)
     assert not found.flagged
     assert all(abs(moved) < 0.2 for moved in found.moved.values())
+
+
+@pytest.mark.serial
+@pytest.mark.parametrize("seed", [1, 4])
+def test_trials_that_a_law_does_not_allow_end_no_fit(seed, tmp_path, comm):
+    """Running-in from k_start = k: trials are often below it, the best ones too (seed 4)."""
+    law = {
+        "wear.lower.law": "running-in", "wear.lower.distance": 1000.0, "wear.lower.p0": 0.0,
+        "wear.lower.k": 1e-7, "wear.lower.k_start": 1e-7,
+    }  # fmt: skip
+    rng = np.random.default_rng(seed)
+    t, z = penetration(history(60.0, {}, **law), rng, offset=0.0, drift=0.0)
+    write_table(tmp_path / "z.csv", ("t_s", "z_um"), t, 1e3 * z)
+    (tmp_path / "case.toml").write_text(CASE)
+    keys = [key for key in law if key.endswith(("k", "k_start"))]
+    sought = {"start": 1e-7, "bounds": [1e-9, 1e-5], "scale": "log"}
+    data = {"quantity": "penetration", "file": str(tmp_path / "z.csv"), "sd": 0.2}
+    data["columns"] = {"time": "t_s", "value": "z_um"}
+    settings = {"load.pressure": 60.0, "load.omega": 3.5, "time.end": END, **law}
+    for key in keys:
+        del settings[key]
+    given = {
+        "case": str(tmp_path / "case.toml"),
+        "fit": {"parameters": dict.fromkeys(keys, sought), "starts": 2, "intervals": ["profile"]},
+        "experiment": [{"name": "A", "set": settings, "data": [data]}],
+    }
+    found = fit(given, comm)
+    k, k_start = found.parameters
+    assert near(found, dict.fromkeys(keys, 1e-7))
+    assert k.estimate <= k_start.estimate
+    assert k.interval[1] is None or k.interval[1] > k.estimate
+    assert not any(start.error for start in found.starts)
+    drawn = starts_room.points(found.squares, 16)
+    assert len(drawn) == 16
+    assert (drawn[:, 0] <= drawn[:, 1]).all()

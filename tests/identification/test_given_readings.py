@@ -227,6 +227,35 @@ def test_a_drift_that_outweighs_the_wear_is_no_wrong_sign(good, tmp_path, comm):
         refuse_reversed(squares, squares.started(list(problem.start.values())))
 
 
+def test_a_part_that_opposes_the_model_is_told(good, tmp_path, comm):
+    """Rings that grow warm: beside a drift, a fall at first is most of what is left of a rise."""
+    data = good["experiment"][0]["data"][0]
+    t, z = np.genfromtxt(data["file"], delimiter=",", skip_header=1).T
+    write_table(tmp_path / "z.csv", tuple(data["columns"].values()), t, z + 4.0 * np.exp(-t / 4.0))
+    tables = changed(good, (*PEN, "file"), str(tmp_path / "z.csv"))
+    table = tables["experiment"][0]["data"][0]
+    table["nuisance"] = {"offset": {}, "drift": {}}
+    found = fit(tables, comm)
+    (doubt,) = (one for one in found.doubts if one.code == "readings-oppose")
+    first, last = doubt.values["exclude"]
+    assert first == 0.0
+    assert 4.0 <= last <= 30.0
+    assert doubt.experiments == ("test 1",)
+    assert doubt.text in found.warnings
+    assert f"exclude = [[0, {last:g}]]" in doubt.text
+    table["exclude"] = [[first, last]]
+    assert not any(one.code == "readings-oppose" for one in fit(tables, comm).doubts)
+
+
+def test_readings_that_are_left_out_are_not_counted(good):
+    tables = copy.deepcopy(good)
+    tables["experiment"][0]["data"][0] |= {"sd": "fit", "exclude": [[0.0, 85.0]]}
+    with pytest.raises(InputError, match="needs 9 readings at least that are not excluded"):
+        read_fit(tables)
+    tables["experiment"][0]["data"][0]["exclude"] = [[0.0, 81.0]]
+    assert read_fit(tables).experiments[0].series[0].n == 10
+
+
 def test_a_torque_that_falls_is_no_wrong_sign(good, tmp_path, comm):
     t = np.linspace(1.0, 100.0, 50)
     write_table(tmp_path / "m.csv", ("time", "value"), t, -10.0 - np.sin(t))

@@ -38,6 +38,13 @@ class LinearHistories:
         self._problem, self._response = problem, response
         self._start = np.array([p.start for p in problem.parameters])
 
+    def tell(self, state):
+        """Tell nobody."""
+
+    def allowed(self, points):
+        """Return that all points are cases."""
+        return np.ones(len(points), dtype=bool)
+
     def responses(self, points, steps=None, derivatives=True):
         """Return readings at points, with derivatives."""
         parameters = self._problem.parameters
@@ -224,13 +231,17 @@ def test_a_stopped_posterior_goes_on(laboratory, tmp_path, comm, monkeypatch):
     found = fitted(read_fit(tables), comm, folder=tmp_path)
     assert lengths[:3] == [1, 2, 3]
     assert len(found.posterior.samples) == 64
+    monkeypatch.setattr(Keeper, "write", write)
+    assert 0 <= found.histories - fitted(read_fit(tables), comm).histories <= 2
 
 
 def test_a_walk_of_another_problem_is_not_gone_on_with(tmp_path):
-    walk = chain.Walk(np.zeros((3, 16, 2)), np.zeros(16), 7, np.random.RandomState(1).get_state())
+    state = np.random.RandomState(1).get_state()
+    walk = chain.Walk(np.zeros((3, 16, 2)), np.zeros(16), 7, 96, state)
     Keeper(tmp_path / "a/walk.npz", "one").write(walk)
     found = Keeper(tmp_path / "a/walk.npz", "one").read()
     assert found.steps.shape == (3, 16, 2)
+    assert (found.accepted, found.histories) == (7, 96)
     drawn = []
     for state in (walk.random_state, found.random_state):
         random = np.random.RandomState()

@@ -1,7 +1,9 @@
 """Rounds of histories, which the first rank asks and all compute: alike, and ended together."""
 
 import copy
+import re
 import signal
+import sys
 import threading
 from dataclasses import replace
 from types import SimpleNamespace
@@ -108,6 +110,19 @@ def test_profiles_and_samples_are_alike_on_all_ranks(tables, comm):
     )  # fmt: skip
     assert found.band.tobytes() == alone.band.tobytes()
     assert 0 < found.histories_of_profiles <= 50 * len(found.profiles)
+
+
+@pytest.mark.serial
+@pytest.mark.parametrize("terminal", [True, False])
+def test_how_far_a_fit_is_is_told_on_a_terminal(terminal, tables, comm, monkeypatch, capfd):
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: terminal)
+    found = fit(tables(starts=2), comm)
+    said = capfd.readouterr().err
+    assert ("1 of 2 starts have ended" in said) is terminal
+    assert ("intervals: " in said) is terminal
+    counts = [int(count) for count in re.findall(r"(\d+) histories \[", said)]
+    assert counts == sorted(counts)
+    assert not counts or 0 < counts[-1] <= found.histories
 
 
 @pytest.mark.serial
