@@ -25,9 +25,16 @@ from ringwear_par.elasticity.boundary import BoundaryMesh, boundary_mesh
 from ringwear_par.elasticity.mesh import Mesh, contact_line
 from ringwear_par.elasticity.quadrature import Quadrature, quadrature
 from ringwear_par.elasticity.sections import Material, Section
+from ringwear_par.errors import ComputationError
+from ringwear_par.parallel import together
 
 #: components of the (r, z) and of the theta system
 _SYSTEMS = slice(0, 2), slice(2, 3)
+#: why integrals over boundary elements are refused
+TOO_CLOSE = (
+    "boundary elements lie too close to each other, or are too long for it, to be integrated over: "
+    "thicker layers or bodies, or a milder mesh.grading, are needed"
+)
 
 
 class BoundaryConditions(NamedTuple):
@@ -217,6 +224,10 @@ def assemble(
     moving : what moves of each zone, if only a part is to be assembled: what stays, or with
         ``base`` what moves.
     base : the part that stays, to a copy of which the other is added.
+
+    Raises
+    ------
+    ComputationError : a node too close to an element that it does not belong to.
     """
     moved = base is not None or not moving
     moving = moving or [_all_moving(zone.boundary) for zone in zones]
@@ -238,17 +249,22 @@ def assemble(
         matrices.append(np.zeros((rows, np.count_nonzero(collocated))))
         loads.append(np.zeros((rows, zones[0].conditions.n_loads)))
 
-    from ringwear_par.elasticity.rows import assemble_rows
+    from ringwear_par.elasticity.rows import MAX_PARTS, assemble_rows
 
     evaluations = 0
     for zone, own, parts, start, stop in zip(
         zones, dofs, moving, first[:-1], first[1:], strict=True
     ):
         low, high = (int(np.clip(node, start, stop)) - int(start) for node in (begin, end))
-        evaluations += assemble_rows(
-            low, high, zone.boundary, zone.conditions, own, parts, moved, zone.material.young,
-            zone.material.poisson, rules, starts, (matrices[0], matrices[1]), (loads[0], loads[1]),
-        )  # fmt: skip
+        with together(comm):
+            added = assemble_rows(
+                low, high, zone.boundary, zone.conditions, own, parts, moved,
+                zone.material.young, zone.material.poisson, rules, starts,
+                (matrices[0], matrices[1]), (loads[0], loads[1]), MAX_PARTS,
+            )  # fmt: skip
+            if added < 0:
+                raise ComputationError(TOO_CLOSE)
+        evaluations += added
     of_zones = [
         tuple(np.count_nonzero(equations[:node, block] >= 0) for node in first[:-1])
         for block in _SYSTEMS

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 Pair = tuple[FloatArray, FloatArray]
 #: no index of it counts from the end, which need not be looked at
 UnsignedArray = NDArray[np.uint64]
-#: most parts that an element is cut in
+#: most parts of an element that wait to be integrated
 MAX_PARTS = 128
 #: doubles that the widest vectors of common processors hold
 _VECTOR = 4
@@ -179,13 +179,14 @@ def _integrate_alone(
 
     Parameters
     ----------
+    parts_of : (2, ...), work space: ends of the parts that wait, as many as there may be.
     line : (7,), the element's column of ``lines``.
     at : local node 0, 1, 2 where the source lies on the element, -1 elsewhere; the integrals with
         the shape function of that node are left out.
 
     Returns
     -------
-    Number of kernel evaluations.
+    Number of kernel evaluations; -1: the work space has no room for all parts.
     """
     ar, az, dr, dz = line[0] - xr, line[1] - xz, line[2], line[3]
     length, nr, nz = line[4], line[5], line[6]
@@ -222,7 +223,9 @@ def _integrate_alone(
             middle = 0.5 * (t0 + t1)
             while n < MAX_POINTS and rules.reach[n] > ratio:
                 n += 1
-        if cut and parts + 2 <= MAX_PARTS:
+        if cut:
+            if parts + 2 > len(part_from):
+                return -1
             part_from[parts], part_to[parts] = t0, middle
             part_from[parts + 1], part_to[parts + 1] = middle, t1
             parts += 2
@@ -357,8 +360,11 @@ def assemble_rows(
     starts: IntArray,
     matrices: Pair,
     loads: Pair,
+    most_parts: int,
 ) -> int:
     """Add to the rows collocated at nodes first_node <= p < last_node; return kernel evaluations.
+
+    -1: an element would have to be cut in more parts than may wait.
 
     The integrals added are those that move with the geometry, or those that do not.
 
@@ -369,6 +375,7 @@ def assemble_rows(
     rules : Quadrature.
     starts : (2,) int, number of the first row of each matrix.
     matrices, loads : those of the (r, z) and of the theta system, row-major.
+    most_parts : most parts of an element that may wait to be integrated.
     """
     elements, load, traction = boundary.elements, conditions.load, dofs.traction
     k = len(elements)
@@ -381,7 +388,7 @@ def assemble_rows(
         boundary, dofs.displacement, (matrices[0].shape[1], matrices[1].shape[1])
     )
     laden = np.array([e for e in range(k) if max(traction[e].max(), load[e].max()) >= 0])
-    work, parts_of = np.zeros(_WORK), np.empty((2, MAX_PARTS))
+    work, parts_of = np.zeros(_WORK), np.empty((2, most_parts))
     ratio, tractions = np.empty(k), np.empty((5, k))
     order, chosen = np.empty(k, dtype=np.int64), np.empty(k, dtype=np.int64)
     ends = np.empty(MAX_POINTS + 3, dtype=np.int64)
@@ -424,9 +431,10 @@ def assemble_rows(
             for c in range(3):
                 if elements[e, c] == p:
                     local = c
-            evaluations += _integrate_alone(
-                work, parts_of, xr, xz, lines[:, e], local, rules, poisson
-            )
+            added = _integrate_alone(work, parts_of, xr, xz, lines[:, e], local, rules, poisson)
+            if added < 0:
+                return -1
+            evaluations += added
             _scatter(work, chosen[i : i + 1], columns, gathered, tractions)
         # the source's own columns
         inv_r = 1.0 / xr if xr > 0.0 else 0.0  # on the axis u_r = u_theta = 0: nothing to subtract

@@ -19,6 +19,7 @@ from ringwear_par.reports.blocks import (
     software,
 )
 from ringwear_par.reports.words import case_words
+from ringwear_par.results.edge_elements import EDGE_ERROR
 from ringwear_par.results.figures import plot
 from ringwear_par.results.key_numbers import KeyNumbers, WornLayers, key_numbers
 from ringwear_par.results.result import Result
@@ -82,9 +83,12 @@ def run_page(result: Result) -> Page:
 
 def key_rows(found: KeyNumbers) -> list[Sequence[str]]:
     """Return the numbers of the summary, in as many digits."""
+    element = "of an element"
+    if found.largest_beside_edge:
+        element += f" at the edge of contact, which may be off by {100.0 * EDGE_ERROR:.0f} %"
     rows: list[Sequence[str]] = [
         ("mean pressure, over the nominal annulus", f"{found.mean_pressure:.4g}", "MPa"),
-        ("largest pressure, of an element", f"{found.largest_pressure:.4g}", "MPa"),
+        (f"largest pressure, {element}", f"{found.largest_pressure:.4g}", "MPa"),
         ("at the radius", f"{found.largest_at:.6g}", "mm"),
         ("smallest pressure", f"{found.smallest_pressure:.4g}", "MPa"),
         ("elements in contact", f"{found.touching}", ""),

@@ -9,6 +9,7 @@ import numpy as np
 from ringwear_par.cases.case import density_keys
 from ringwear_par.elasticity.boundary_fields import BODIES, Which
 from ringwear_par.errors import InputError
+from ringwear_par.results.edge_elements import edge_elements
 from ringwear_par.results.layer_ends import WornThrough, worn_through
 
 if TYPE_CHECKING:
@@ -72,6 +73,7 @@ class KeyNumbers:
     mean_pressure : MPa, over the nominal annulus, as load.pressure.
     largest_pressure, smallest_pressure : MPa, of elements.
     largest_at : mm, radius.
+    largest_beside_edge : whether that element is beside an edge of contact, see ``edge_elements``.
     touching : elements in contact.
     sliding : at the mean radius speed (mm/s), p V (MPa mm/s) and distance (m); None: not stored.
     penetration, worn_off, elastic : um. The first is the sum of the others: the depth worn off
@@ -83,6 +85,7 @@ class KeyNumbers:
     mean_pressure: float
     largest_pressure: float
     largest_at: float
+    largest_beside_edge: bool
     smallest_pressure: float
     touching: int
     sliding: tuple[float, float, float] | None
@@ -115,8 +118,8 @@ def key_numbers(result: "Result") -> KeyNumbers:
         worn = 1e3 * float(load @ state["wear"].sum(axis=0) / load.sum())
         elastic = penetration - worn
     return KeyNumbers(
-        mean, p.max(), line.r[p.argmax()], p.min(), int(np.count_nonzero(p > 0.0)), sliding,
-        penetration, worn, elastic,
+        mean, p.max(), line.r[p.argmax()], bool(edge_elements(p)[p.argmax()]), p.min(),
+        int(np.count_nonzero(p > 0.0)), sliding, penetration, worn, elastic,
         tuple(
             _worn(result, number, body)
             for number, body in enumerate(BODIES)

@@ -14,11 +14,13 @@ from ringwear_par.elasticity.boundary_fields import BoundaryState
 from ringwear_par.elasticity.mesh import ContactLine
 from ringwear_par.elasticity.stress_fields import StressHistory
 from ringwear_par.errors import ComputationError, InputError, RingwearError
+from ringwear_par.results.edge_elements import edge_elements
 from ringwear_par.results.stress_variables import stress_coordinates, stress_variables
 from ringwear_par.results.variables import (
     COORDINATES,
     D_HISTORIES,
     D_PROFILES,
+    EDGE_ELEMENT,
     ELEMENT,
     HISTORIES,
     LAYER_PROFILES,
@@ -144,6 +146,9 @@ class Result:
         for name, values in self.profiles.items():
             variable = PROFILES[name]
             found.append((variable if values.ndim == 2 else variable.at_last_step(), values))
+        if (pressure := self.profiles.get("pressure")) is not None:
+            variable = EDGE_ELEMENT if pressure.ndim == 2 else EDGE_ELEMENT.at_last_step()
+            found.append((variable, edge_elements(pressure).astype(variable.dtype)))
         found += self._layer_variables()
         if self.parameters:
             found.append((PARAMETER, list(self.parameters)))

@@ -12,6 +12,7 @@ from ringwear_par.cases.schema import BY_PATH
 from ringwear_par.cases.values import is_number
 from ringwear_par.elasticity.boundary_fields import BODIES
 from ringwear_par.errors import LONGEST_SENTENCE, legible
+from ringwear_par.results.edge_elements import EDGE_ERROR
 from ringwear_par.results.key_numbers import KeyNumbers, WornLayers, key_numbers
 
 if TYPE_CHECKING:
@@ -130,9 +131,13 @@ def _time_stepping(result: "Result") -> str:
 
 def _pressed(result: "Result", found: KeyNumbers) -> list[str]:
     """Return what presses at the end and how far it has slid, in a tribologist's words."""
+    element = "of an element"
+    if found.largest_beside_edge:
+        off = f"{100.0 * EDGE_ERROR:.0f} %"
+        element += f" at the edge of contact, whose pressure may be off by {off}"
     lines = [
         f"mean pressure {found.mean_pressure:.4g} MPa over the nominal annulus, largest "
-        f"{found.largest_pressure:.4g} MPa at r = {found.largest_at:.6g} mm (of an element), "
+        f"{found.largest_pressure:.4g} MPa at r = {found.largest_at:.6g} mm ({element}), "
         f"smallest {found.smallest_pressure:.4g} MPa; {found.touching} of {result.line.n} elements "
         "in contact"
     ]

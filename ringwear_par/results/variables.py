@@ -111,6 +111,12 @@ PROFILES = _table(
         "wear_upper", ("step", "element"), "mm", "depth worn off the upper ring, along the axis"
     ),
 )
+#: of every pressure that is stored, see ``edge_elements``
+EDGE_ELEMENT = Variable(
+    "edge_element", ("step", "element"), "1",
+    "1: the element is beside an edge of contact that can move (the last closed or the first open "
+    "one), 0: it is not", integer=True,
+)  # fmt: skip
 
 # -- layers ----------------------------------------------------------------------------------------
 

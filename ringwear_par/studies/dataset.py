@@ -22,9 +22,10 @@ from ringwear_par.cases.schema import unit_of
 from ringwear_par.cases.text import toml_value
 from ringwear_par.cases.values import is_number
 from ringwear_par.errors import InputError
+from ringwear_par.results.edge_elements import edge_elements
 from ringwear_par.results.hdf5 import atomic_hdf5
 from ringwear_par.results.stress_variables import POINT_SIDE, side_words
-from ringwear_par.results.variables import HISTORIES, LINE, Variable
+from ringwear_par.results.variables import EDGE_ELEMENT, HISTORIES, LINE, Variable
 from ringwear_par.studies.case_variables import (
     WINDOW,
     ColumnWriter,
@@ -201,8 +202,8 @@ class _Writer:
             *(variable for name, variable in EACH.items() if name in fields),
             *(
                 variable if self._deep else variable.at_last_step()
-                for name, variable in FIELDS.items()
-                if name in fields
+                for name, variable in {**FIELDS, EDGE_ELEMENT.name: EDGE_ELEMENT}.items()
+                if name in fields or (variable is EDGE_ELEMENT and "pressure" in fields)
             ),
         ]
         shapes = {v.name: tuple(len(file[axis]) for axis in v.dimensions) for v in variables}
@@ -226,6 +227,10 @@ class _Writer:
                             piece = with_body_last(piece, table.shape[-1])
                         places = place[entry[cases]]
                         put(table, cases - start, piece, places, self._rows[cases])
+                if name == "pressure":
+                    pressure = table
+                if name == EDGE_ELEMENT.name:  # comes after the pressure, which says it all
+                    table = np.where(np.isnan(pressure), np.nan, edge_elements(pressure))
                 if name == STRESS_ASKED:
                     asked = last_asked(table)
                 if name in BY_SOURCE:

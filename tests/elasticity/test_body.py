@@ -7,7 +7,7 @@ import pytest
 from mpi4py import MPI
 from petsc4py import PETSc
 
-from ringwear_par.elasticity import solve
+from ringwear_par.elasticity import rows, solve
 from ringwear_par.elasticity.assembly import Rows
 from ringwear_par.elasticity.body import boundary_responses, compliance, in_case_frame
 from ringwear_par.elasticity.mesh import Mesh, contact_line
@@ -30,6 +30,17 @@ CONTACT = (28.5, 31.5)
 def condensed(section, mesh, comm, grip="clamped"):
     line = contact_line(CONTACT, mesh, section)
     return compliance(Body(section, 1.0, 0.3, grip), line, mesh, comm)
+
+
+def test_parts_of_elements_that_run_out_are_an_error_on_all_ranks(comm, monkeypatch):
+    """Not integrals over parts that are too long, whose error nobody would see."""
+    monkeypatch.setattr(rows, "MAX_PARTS", 2)
+    with pytest.raises(ComputationError, match=r"too close to each other.*to be integrated over"):
+        condensed(UPPER, Mesh(16), comm)
+    monkeypatch.setattr(rows, "MAX_PARTS", 20)
+    known = condensed(UPPER, Mesh(16), comm).normal
+    monkeypatch.undo()
+    assert np.array_equal(condensed(UPPER, Mesh(16), comm).normal, known)
 
 
 def test_rigid_modes_close():

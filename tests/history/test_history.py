@@ -194,8 +194,12 @@ def test_torque_of_uniform_pressure_and_of_the_steady_state(stepped, paper_pair)
     history, states = stepped(wear_lower=ThresholdLaw(1e-7), time=steps("implicit", 40.0, 200))
     uniform = np.full(history.model.line.n, 80.0)
     exact = 0.1 * 80.0 * 2 * np.pi / 3 * (31.5**3 - 28.5**3)
-    # elements bear c / r: a uniform pressure is right as far as the mesh is fine
-    assert history.model.torque(uniform) == pytest.approx(exact, rel=1e-6)
+    line = history.model.line
+    # elements bear c / r, of which a uniform pressure is so much of another torque
+    other = 0.1 * line.area @ (uniform * (line.uniform_arm - line.arm))
+    assert history.model.torque(uniform) + other == pytest.approx(exact, rel=1e-13)
+    worn = history.model.torque(2400.0 / line.r)
+    assert worn == pytest.approx(0.1 * 2400.0 * np.pi * (31.5**2 - 28.5**2), rel=1e-13)
     # p = c/r: the friction force acts at the mean radius
     steady = history.model.torque(states[-1].contact.pressure)
     assert steady == pytest.approx(0.1 * history.model.case.load.force * 30.0, rel=1e-10)

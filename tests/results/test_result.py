@@ -27,6 +27,7 @@ from ringwear_par.results.key_numbers import key_numbers
 from ringwear_par.results.run import run_case
 from ringwear_par.results.variables import (
     BOUNDARY_FIELDS,
+    EDGE_ELEMENT,
     ELEMENT,
     HISTORIES,
     LINE,
@@ -88,11 +89,12 @@ def test_the_dataset_is_that_of_the_file(computed, comm, case, words):
             n: v.dtype for n, v in dataset.variables.items()
         }
     table = {**HISTORIES, **LINE, **PROFILES, "step": STEP, "element": ELEMENT}
+    fields = {**PROFILES, EDGE_ELEMENT.name: EDGE_ELEMENT}
     for name, values in stored.variables.items():
-        variable = {**table, "steps_made": STEPS_MADE}[name]
+        variable = {**table, **fields, "steps_made": STEPS_MADE}[name]
         assert values.dtype == variable.dtype
         assert values.attrs["units"] == variable.unit
-        last = "output.profiles=last" in words and name in PROFILES
+        last = "output.profiles=last" in words and name in fields
         assert values.dims == (variable.at_last_step() if last else variable).dimensions
         assert last == values.attrs["long_name"].endswith("at the last step")
     assert set(stored.coords) == {"step", "element", "time", "r", "width"}
@@ -115,7 +117,7 @@ def test_saved_and_opened_it_is_the_same(computed, shared_path, comm, extra):
         assert all(np.array_equal(values, other[name]) for name, values in one.items())
         assert attributes(copy).keys() == told.keys()
         for name, known in attributes(copy).items():
-            assert known == told[name]
+            np.testing.assert_equal(known, told[name])
     assert sorted(p.name for p in shared_path.iterdir()) == ["again.h5", "copy.h5", "run.h5"]
     balances = open_result(path).balances
     assert list(balances) == sorted(result.balances)
@@ -322,6 +324,41 @@ def test_the_summary_tells_wear_in_a_tribologists_words():
         assert words in told
     volume = result.histories["worn_volume_lower"][-1]
     assert f"mass lost {7.85 * volume:.6g} mg" in told
+
+
+def test_elements_beside_an_edge_of_contact_are_marked(computed, comm):
+    """The last closed and the first open one; none where contact reaches the line's end."""
+    few = ["mesh.contact_elements=24", "time.steps=3"]
+    path, result = computed("chamfer.toml", few)
+    if comm.rank == 0:
+        with h5py.File(path) as file:
+            pressure, marked = file["pressure"][()], file["edge_element"][()]
+        assert marked.dtype == np.int64
+        assert np.array_equal(marked, result.to_xarray().edge_element)
+        for p, row in zip(pressure, marked, strict=True):
+            first, *_, last = np.flatnonzero(p > 0.0)
+            assert 0 < first < last < 23
+            assert np.flatnonzero(row).tolist() == [first - 1, first, last, last + 1]
+    _, flat = computed("paper.toml", [*few, "output.profiles=last"])
+    if comm.rank == 0:
+        marked = flat.to_xarray().edge_element
+        assert marked.dims == ("element",)
+        assert not marked.any()
+    _, without = computed("paper.toml", [*few, "output.fields=['gap']"])
+    assert comm.rank or "edge_element" not in without.to_xarray()
+
+
+def test_the_largest_pressure_says_when_it_is_of_an_edge_element(computed, comm):
+    _, result = computed("paper.toml", SMALL)
+    if comm.rank == 0:
+        pressure = np.zeros(16)
+        pressure[[4, 5]] = 50.0, 90.0
+        arrays = {**result.checkpoint.arrays, "pressure": pressure}
+        changed = replace(result, checkpoint=replace(result.checkpoint, arrays=arrays))
+        words = "(of an element at the edge of contact, whose pressure may be off by 28 %)"
+        assert words in changed.summary()
+        assert key_numbers(changed).largest_beside_edge
+        assert not key_numbers(result).largest_beside_edge
 
 
 def test_key_numbers_do_not_depend_on_where_elements_are():

@@ -54,6 +54,23 @@ def test_few_elements_are_doubted_where_they_bear_load():
     assert not any("at t = 0 s" in text for text in doubts(growing))
 
 
+def test_a_thin_disc_on_a_coarse_mesh_is_doubted():
+    """From an asymmetry of 0.003 on, below which the usual meshes lie."""
+    tables = tomllib.loads((CASES / "paper.toml").read_text())
+    assert doubts(tables | {"time": {"step": 1.0, "steps": 1}}) == ()
+    tables |= {
+        "lower": {"r": [0.0, 30.0], "z": [0.0, 1.4], "young": 500.0, "poisson": 0.3},
+        "upper": {"r": [10.0, 20.0], "z": [1.4, 21.4], "young": 2e5, "poisson": 0.3},
+        "load": {"control": "force", "force": 100.0, "omega": 1.0},
+        "time": {"step": 1.0, "steps": 1},
+    }
+    for elements, wrong in ((32, True), (64, False)):
+        case = rw.read_case(tables | {"mesh": {"contact_elements": elements}})
+        result = rw.simulate(case)
+        assert (3e-3 < result.attributes["symmetry_defect"] < 1e-2) == wrong
+        assert any("own balances are wrong by 0.00" in text for text in result.doubts) == wrong
+
+
 def test_histories_in_lock_step_doubt_what_single_ones_do():
     cases = [rw.read_case(crowned(force)) for force in (200.0, 500.0)]
     together = rw.simulate_all(cases)

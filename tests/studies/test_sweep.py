@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from swept import CASE, STUDY, table, variables, write_study
 
+import ringwear_par as rw
 from ringwear_par.cases.reading import parse_case
 from ringwear_par.errors import ComputationError, InputError
 from ringwear_par.results.files import open_result
@@ -69,6 +70,23 @@ def test_equals_single_runs(write, shared_path, comm):
                 assert found[name][i] == pytest.approx(values, rel=1e-12, abs=gap), name
         assert float(rows[i]["penetration"]) == found["penetration"][i, -1]
         comm.Barrier()
+
+
+def test_edge_elements_are_those_of_single_runs(write, shared_path, comm):
+    """NaN where a contact line has no element: no edge of contact either."""
+    changes = {"upper.chamfer": 0.2, "time.steps": 2}
+    study = write(
+        '[vary]\n"mesh.contact_elements" = { values = [24, 32] }\n',
+        case=parse_case(CASE, "case").replace(changes).text,
+    )
+    swept(study, shared_path / "out", comm)
+    with open_ensemble(shared_path / "out") as data:
+        for i, n in enumerate((24, 32)):
+            alone = rw.simulate(parse_case(data.case_toml[i].item(), "case"), comm)
+            marked = data.edge_element[i].values
+            assert np.array_equal(marked[:, :n], alone.to_xarray().edge_element.values)
+            assert np.isnan(marked[:, n:]).all()
+            assert (np.nansum(marked, axis=1) == 4).all()
 
 
 def test_opens_lazily_in_xarray_with_coordinates(write, shared_path, comm):
