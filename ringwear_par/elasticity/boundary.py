@@ -7,6 +7,7 @@ zones are bonded along interfaces, where the boundaries on both sides have the s
 import itertools
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
