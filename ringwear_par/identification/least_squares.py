@@ -120,11 +120,6 @@ class LeastSquares:
         """Return the derivatives (m,) of the values with respect to their unknowns."""
         return np.array([p.slope(v) for p, v in zip(self.problem.parameters, values, strict=True)])
 
-    @property
-    def histories(self) -> int:
-        """How many histories were computed so far."""
-        return self._histories.count
-
     def allowed(self, points: FloatArray) -> BoolArray:
         """Return at which unknowns (p, m) of the fitted keys all rules of the laws hold, (p,)."""
         return self._histories.allowed(np.array([self.values(x) for x in points]))

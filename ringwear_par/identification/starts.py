@@ -29,8 +29,8 @@ PROGRESS = "progress"
 _SEED = 0
 #: points of which a start is the best, and steps of the histories that tell
 _LOT, _COARSE = 8, 10
-#: how often as many points again are drawn where too few of them are cases
-_DOUBLINGS = 8
+#: how often points are drawn, each time as many as before, where too few of them are cases
+_DOUBLINGS = 6
 #: starts that advance side by side
 _MOST_TOGETHER = 64
 
