@@ -4,8 +4,8 @@ All elements that take the same rule from a source are integrated side by side, 
 that the processor's vector instructions serve them; those that hold the source, or are so close to
 it that they are cut in parts, one after another with their points side by side.
 
-The source's own column needs no integrals: shape functions sum to one, and to the radius when they
-are weighted with that of their nodes, so that the rigid or constant-strain field that is subtracted
+The source's own column needs no integrals: shape functions sum to one, and to radius or height when
+they are weighted with that of their nodes, so that the rigid or constant-strain field that is subtracted
 (see ``assembly``) is a sum over the columns of the other nodes.
 """
 
@@ -323,7 +323,8 @@ def _number_columns(
     Returns
     -------
     columns : (k, 9) unsigned int, of the three nodes' r, z and theta.
-    weights : (3, ...) float, radii of r columns, ones of z columns, radii of theta columns.
+    weights : (4, ...) float, radii of r columns, ones of z columns, radii of theta columns, heights
+        of z columns.
     """
     by_node = displacement.copy()
     ends = [unknowns[0], unknowns[1]]
@@ -333,10 +334,11 @@ def _number_columns(
             if by_node[v, i] < 0:
                 by_node[v, i] = ends[system]
                 ends[system] += 1
-    weights = np.zeros((3, max(ends[0], ends[1])))
+    weights = np.zeros((4, max(ends[0], ends[1])))
     for v in range(len(by_node)):
         weights[0, by_node[v, 0]] = weights[2, by_node[v, 2]] = boundary.nodes[v, 0]
         weights[1, by_node[v, 1]] = 1.0
+        weights[3, by_node[v, 1]] = boundary.nodes[v, 1]
     columns = np.empty((len(boundary.elements), 9), dtype=np.uint64)
     for e in range(len(columns)):
         for c in range(3):
@@ -379,11 +381,10 @@ def assemble_rows(
     """
     elements, load, traction = boundary.elements, conditions.load, dofs.traction
     k = len(elements)
-    shear = 0.5 / (1.0 + poisson)
-    lame = poisson / ((1.0 + poisson) * (1.0 - 2.0 * poisson))
     soft, lines = 1.0 / young, _element_lines(boundary)
-    # traction of u* = (r1/r) e_r is this over r
-    star_r, star_z = 2.0 * (lame + shear) * lines[5], 2.0 * lame * lines[6]
+    # u* = (r1 e_r - thinner (z1 - z) e_z) / r has no axial stress, and stresses that stay finite as
+    # Poisson's ratio goes to 1/2; its traction, along r, is this over r
+    thinner, star_r = 2.0 * poisson / (1.0 - poisson), lines[5] / (1.0 - poisson)
     columns, weights = _number_columns(
         boundary, dofs.displacement, (matrices[0].shape[1], matrices[1].shape[1])
     )
@@ -443,8 +444,9 @@ def assemble_rows(
             for force in range(2):
                 gathered[force, own[0]] += inv_r * (
                     _dot(star_r, tractions[2 * force])
-                    + _dot(star_z, tractions[2 * force + 1])
                     - _dot(weights[0], gathered[force])
+                    + thinner * _dot(weights[3], gathered[force])
+                    - thinner * xz * _dot(weights[1], gathered[force])
                 )
         if own[1] >= 0:
             for force in range(2):

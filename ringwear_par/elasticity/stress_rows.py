@@ -2,8 +2,9 @@
 
 The elements of ``rows``: displacements quadratic, tractions constant. The integrands are smooth,
 but steep close to the boundary, where elements are halved until their parts are not. What is left
-of the quadrature's error is multiplied by u - u*, with the field u* = c r e_r + d e_z + w r e_theta
-that agrees with u at the nearest node; its stress, known, is added again.
+of the quadrature's error is multiplied by u - u*, with the field u* = c e + d e_z + w r e_theta,
+e = r e_r - 2 nu / (1 - nu) (z - z0) e_z, that agrees with u at the nearest node, at z0; its stress,
+known, is added again, and finite for all nu.
 """
 
 import math
@@ -76,9 +77,8 @@ def _add_own_column(
     """Subtract the integrals over u*, t* of the nearest node, and add the stress of u*."""
     nodes, elements = boundary.nodes, boundary.elements
     n_nodes = len(nodes)
-    shear = 0.5 / (1.0 + poisson)
-    lame = poisson / ((1.0 + poisson) * (1.0 - 2.0 * poisson))
-    across, along = 2.0 * (lame + shear), 2.0 * lame  # stresses rr = tt and zz of u_r = r
+    # stresses rr = tt of u_r = r where zz is 0, and what it is thinner by
+    across, thinner = 1.0 / (1.0 - poisson), 2.0 * poisson / (1.0 - poisson)
     for row in range(4):
         rigid = 0.0
         for v in range(n_nodes):
@@ -91,14 +91,14 @@ def _add_own_column(
         total = 0.0
         for v in range(n_nodes):
             total += normal[row, 2 * v] * nodes[v, 0]
+            total -= normal[row, 2 * v + 1] * thinner * (nodes[v, 1] - nodes[own, 1])
         for e in range(len(elements)):
             dr = nodes[elements[e, 2], 0] - nodes[elements[e, 0], 0]
             dz = nodes[elements[e, 2], 1] - nodes[elements[e, 0], 1]
             length = math.hypot(dr, dz)
             at = 2 * (n_nodes + e)
             total += across * normal[row, at] * (dz / length)
-            total += along * normal[row, at + 1] * (-dr / length)
-        added = across if row < 2 else (along if row == 2 else 0.0)
+        added = across if row < 2 else 0.0
         normal[row, 2 * own] += (added - total) / r
     for row in range(2):
         total = 0.0

@@ -52,6 +52,17 @@ def test_linear_fields_are_exact_but_for_quadrature(comm):
     assert lame_error(64, comm) < 1e-6
 
 
+@pytest.mark.parametrize("poisson", [0.0, 0.3, 0.4999, 0.499999999])
+def test_the_quadrature_is_as_accurate_of_incompressible_bodies(poisson, comm):
+    """Its error is not multiplied by 1 / (1 - 2 nu)."""
+    found = []
+    for tolerance in (1e-7, 1e-10):
+        mesh = Mesh(16, quadrature_tolerance=tolerance)
+        body = Body(LOWER, 1.0, poisson, "clamped")
+        found.append(compliance(body, contact_line(CONTACT, mesh, LOWER), mesh, comm).normal)
+    assert np.abs(found[0] - found[1]).max() < 1e-6 * np.abs(found[1]).max()
+
+
 def test_torsion_converges_with_order_two(comm):
     coarse, fine = (torsion_error(n, comm) for n in (16, 32))
     assert np.log2(coarse / fine) > 1.8

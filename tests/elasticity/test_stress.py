@@ -320,3 +320,20 @@ def test_near_the_axis_stress_converges(thickness, comm):
     errors = [np.abs(one[0] - fine[0]).max() / fine[1] for one in (coarse, middle)]
     assert errors[0] < 0.05
     assert errors[1] < errors[0] / 3.0  # of first order at least
+
+
+def test_stresses_of_incompressible_bodies_are_as_accurate(comm):
+    """The quadrature's error is not multiplied by 1 / (1 - 2 nu)."""
+    points = [[30.0, 19.9], [29.0, 19.0], [30.0, 20.2]]
+    found = []
+    for poisson in (0.499999, 0.4999999999):
+        changes = {
+            "lower.poisson": poisson, "upper.poisson": poisson, "mesh.contact_elements": 16,
+            "time.steps": 1, "stress.points": points,
+        }  # fmt: skip
+        case = rw.read_case("scripts/cases/paper.toml", changes)
+        state = rw.simulate(case, comm).stress.states[-1]
+        found.append([state.points, *(largest.mises for largest in state.largest)])
+    (inside, *largest), (known, *exact) = found
+    assert np.abs(inside - known).max() < 1e-4 * np.abs(known).max()
+    assert largest == pytest.approx(exact, rel=1e-4)
