@@ -5,8 +5,8 @@ that the processor's vector instructions serve them; those that hold the source,
 it that they are cut in parts, one after another with their points side by side.
 
 The source's own column needs no integrals: shape functions sum to one, and to radius or height when
-they are weighted with that of their nodes, so that the rigid or constant-strain field that is subtracted
-(see ``assembly``) is a sum over the columns of the other nodes.
+they are weighted with that of their nodes, so that the rigid or constant-strain field that is
+subtracted (see ``assembly``) is a sum over the columns of the other nodes.
 """
 
 import math
