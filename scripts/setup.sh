@@ -75,10 +75,11 @@ export OMPI_ALLOW_RUN_AS_ROOT=1 OMPI_ALLOW_RUN_AS_ROOT_CONFIRM=1
 export OMPI_MCA_rmaps_base_oversubscribe=1 PRTE_MCA_rmaps_default_mapping_policy=:oversubscribe
 export OMPI_MCA_hwloc_base_binding_policy=none PRTE_MCA_hwloc_default_binding_policy=none
 export OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1 NUMBA_NUM_THREADS=1
-# ranks that wait give way to those that compute: there may be more of them than cores
+# a rank that waits leaves its core to others: there may be more ranks than cores
 export OMPI_MCA_mpi_yield_when_idle=1
-# Open MPI 5 complains of interfaces of one machine that do not reach each other; for ranks on several
-# machines: unset OMPI_MCA_btl_tcp_if_include
+# ranks use this machine's loopback interface: where others do not reach each other, those of
+# containers for one, Open MPI 5 warns of it. For ranks on several machines:
+# unset OMPI_MCA_btl_tcp_if_include
 export OMPI_MCA_btl_tcp_if_include=lo
 ACTIVATE
         echo "$wanted" > "$made"

@@ -58,6 +58,15 @@ def test_results_and_laws_are_looked_at_without_petsc(tmp_path):
     assert done.stderr.startswith("ringwear: PETSc for Python does not load (none)")
 
 
+def test_nothing_is_said_where_no_home_may_be_written(tmp_path):
+    assert python([*RUN, "--set", "time.steps=3"], tmp_path).returncode == 0
+    nowhere = {"HOME": "/dev/null", "XDG_CACHE_HOME": "/dev/null", "XDG_CONFIG_HOME": "/dev/null"}
+    words = ["-m", "ringwear_par", "plot", "a.h5", "-o", "a.png"]
+    done = python(words, tmp_path, MPLCONFIGDIR="", **nowhere)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert (tmp_path / "a.png").exists()
+
+
 @pytest.fixture
 def unwritable(tmp_path):
     """A copy of the package beside which nothing can be kept, for root either; its environment."""

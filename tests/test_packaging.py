@@ -24,6 +24,13 @@ def wanted(*extras):
             yield name.lower(), least, extra
 
 
+def test_what_a_package_index_shows_has_no_links_into_the_repository():
+    text = (ROOT / PROJECT["readme"]["file"]).read_text("utf-8")
+    assert PROJECT["readme"]["content-type"] == "text/markdown"
+    assert "pip install ringwear-par" in text
+    assert re.findall(r"\]\((?!https://)|<img|\{\w+\}`", text) == []
+
+
 def test_spack():
     text = (RECIPES / "package.py").read_text("utf-8")
     told = {}

@@ -10,7 +10,7 @@ from ringwear_par.arrays import BoolArray, FloatArray, IntArray
 from ringwear_par.schedules import Quantity
 from ringwear_par.wear.law import Law, LocalState, stack_laws
 
-#: share of its thickness below which what is left of a layer is round-off
+#: share of the depth of a layer's end below which what is left above it is round-off
 ROUND_OFF = 1e-13
 
 
@@ -22,7 +22,7 @@ def worn_through(ends: FloatArray, wear: FloatArray) -> BoolArray:
     ends : (layers, n) or (n,) float, mm, depths of the layers' ends.
     wear : (..., n) float, mm.
     """
-    through: BoolArray = wear >= ends * (1.0 - ROUND_OFF)
+    through: BoolArray = ends - wear <= ROUND_OFF * np.abs(ends)
     return through
 
 
@@ -90,9 +90,8 @@ class LayeredLaw(Law):
         """Return what is left of each layer, (layers, ..., n) mm, worn by (..., n) mm."""
         ends = self.depths.reshape(len(self.thicknesses), *(1,) * (wear.ndim - 1), -1)
         starts = np.concatenate([np.zeros_like(ends[:1]), ends[:-1]])
-        left = ends - np.maximum(wear, starts)
-        gone = left <= ROUND_OFF * np.abs(ends)
-        return np.where(gone, 0.0, left)
+        reached = np.maximum(wear, starts)
+        return np.where(worn_through(ends, reached), 0.0, ends - reached)
 
     def states(self, local: LocalState) -> list[LocalState]:
         """Return what each law is told: the depth worn off its own layer."""
@@ -271,9 +270,7 @@ def passage(full: FloatArray, left: FloatArray, share: FloatArray | float) -> Pa
     for number in range(len(left)):
         a, c = full[number], left[number]
         # a share that ends at the interface does so in spite of round-off
-        behind[number] = through = (remains * a >= c * (1.0 - 4e-16)) & (
-            (remains > 0.0) | (c <= 0.0)
-        )
+        behind[number] = through = worn_through(c, remains * a) & ((remains > 0.0) | (c <= 0.0))
         taken = np.divide(c, a, out=np.zeros_like(a), where=through & (a > 0.0))
         taken = np.where(through, np.minimum(taken, remains), remains)
         times[number] = taken

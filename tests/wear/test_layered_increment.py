@@ -29,6 +29,18 @@ def increment(laws, wear=0.0, thicknesses=(1e-4, 2e-4), **more):
     return LayeredIncrement((law, None), (local(wear), local(wear)), STEP, **more)
 
 
+@pytest.mark.parametrize("short", [0.0, 1e-15, 5e-14])
+def test_a_layer_of_which_round_off_is_left_is_worn_through_in_the_step_and_after_it(short):
+    end = 1e-4
+    worn = np.full((2, 1), end * (1.0 - short))
+    gone = passage(worn, np.full((1, 1), end), 1.0)
+    law = LayeredLaw.of((end,), (COATING,), BODY)
+    assert gone.left_behind.all()
+    assert gone.depths[0] == end
+    assert (law.left(worn[0]) == 0.0).all()
+    assert (law.present(worn[0]) == 1).all()
+
+
 def test_time_divides_among_all_layers_that_a_step_passes():
     full = np.array([[1.0, 1.0, 0.0, 4.0], [2.0, 2.0, 1.0, 6.0], [8.0, 8.0, 8.0, 8.0]])
     left = np.array([[2.0, 0.5, 1.0, 1.0], [1.0, 1.0, 1.0, 3.0]])

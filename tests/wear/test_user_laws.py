@@ -13,6 +13,7 @@ from ringwear_par.cases.reading import read_case
 from ringwear_par.errors import ComputationError, InputError, LawError
 from ringwear_par.results.run import run_case
 from ringwear_par.studies.sweep import run_sweep
+from ringwear_par.textfiles import read_text
 from ringwear_par.wear import LocalState
 from ringwear_par.wear.archard import ArchardLaw
 from ringwear_par.wear.law import complete
@@ -332,13 +333,12 @@ def test_a_rate_is_all_that_a_history_needs(law, comm):
 def test_the_file_of_a_law_is_read_once_and_like_other_files(law, monkeypatch):
     read, keys = [], law("\ufeff" + GOOD)
     path = Path(keys[-1].partition("=")[2])
-    text = Path.read_text
 
-    def counted(self, *words, **more):
-        read.append(self)
-        return text(self, *words, **more)
+    def counted(path):
+        read.append(path)
+        return read_text(path)
 
-    monkeypatch.setattr(Path, "read_text", counted)
+    monkeypatch.setattr("ringwear_par.wear.user.read_text", counted)
     assert read_case(PAPER, keys).wear_lower.source == GOOD
     assert read.count(path) == 1
 
