@@ -42,8 +42,7 @@ _SHARE = (1.0 - GAMMA) / GAMMA
 #: share of what rates change in a step that counts as its error where elements get through a layer:
 #: depths through 10 random coatings of 3 um, whose thresholds were below the mean pressure, were
 #: within 0.0092 um of converged ones with a tolerance of 0.0025 um of each step by itself. With one
-#: of 0.01 um of the history, the worst of 17 random coatings was off by 0.109 um (0.183 um with
-#: 0.01 um of each step)
+#: of 0.01 um of the history, the worst of 17 random coatings was off by 0.109 um
 _FIRST_ORDER = 0.25
 #: by how many times at most an error of depth in a layer counts more than one in the next, which
 #: wears so many times faster and begins to do so too late or too early: near the threshold of a
