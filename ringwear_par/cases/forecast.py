@@ -78,7 +78,7 @@ def unit_question(case: Case, wear: FloatArray) -> str:
         ]
         if own and depth > DEEP * (ring.z[1] - ring.z[0]):
             k, key = max(own)
-            return f'; is {key} = {k:g} 1/MPa in the right unit? "{k:g} mm3/(N m)" is read too'
+            return f'; {key} = {k:g} is in 1/MPa: if it is in mm3/(N m), write "{k:g} mm3/(N m)"'
     return ""
 
 

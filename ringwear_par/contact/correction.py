@@ -126,7 +126,7 @@ class CorrectedContact:
                 near = found.pressure
             before, shift = shift, self._shift(found.pressure)
             error, e = self._error(found, shift - before, force is not None, most)
-            again = error > most
+            again = not error <= most  # what is no number has not settled
             if self.solver.distributed:  # ranks must not differ by round-off
                 again = self.solver.comm.bcast(again)
             if not again:
@@ -245,7 +245,7 @@ class CorrectedBatch:
             before, shift = shift, self._shift(state.pressure)
             off, e = self._errors(state, shift - before, force is not None, most)
             errors[asked], elements[asked] = off[asked], e[asked]
-            asked = asked[off[asked] > most]
+            asked = asked[~(off[asked] <= most)]
             if not len(asked):
                 break
         else:

@@ -120,7 +120,9 @@ class Page:
 
     def _stops(self, share: float) -> bool:
         """Tell how far a history is; return whether it is of no use. In the main thread."""
-        if self._left_alone or (self._wanted is not self._computing and not self._wanted["moving"]):
+        # what the page shows of the same history needs no other
+        another = self._wanted["values"] != self._computing["values"]
+        if self._left_alone or (another and not self._wanted["moving"]):
             return True
         now = time.perf_counter()
         if now - self._progress_time > _PROGRESS:

@@ -123,8 +123,8 @@ def simulate(
                         within.append(scheme(model, state, time))
             except ComputationError as error:
                 told = (
-                    f"{error}; in step {made.steps + 1}, from time {state.time:g} s"
-                    f"{unit_question(case, state.wear)}"
+                    f"{error}{unit_question(case, state.wear)}; in step {made.steps + 1}, "
+                    f"from time {state.time:g} s"
                 )
                 raise type(error)(told) from error
             for passed in within:

@@ -21,6 +21,8 @@ if TYPE_CHECKING:
 FEW_ELEMENTS = 10
 #: largest angle (degrees) between faces that touch
 MOST_ANGLE = 15.0
+#: relative difference of two values of a measure that are the same
+_ROUND_OFF = 1e-9
 #: numbers of a measure: value, time (s), and up to four that tell where it was
 ENTRIES = 6
 
@@ -92,7 +94,8 @@ class WorstStates:
         def take(name: str, values: Any, *more: Any) -> None:
             """Take the values (B,) of a measure, and numbers that tell their places."""
             row, values = self._table[self._rows[name]], values[places]
-            worse = values > row[0, numbers]
+            # by more than round-off, which would choose the time of what is constant
+            worse = values > row[0, numbers] * (1.0 + _ROUND_OFF)
             if worse.any():
                 there = numbers[worse]
                 for entry, each in enumerate((values, time[places], *(m[places] for m in more))):

@@ -5,6 +5,7 @@ ways; the others serve it until it is done.
 """
 
 from collections.abc import Callable, Sequence
+from contextlib import closing
 from typing import TypeVar
 
 from mpi4py import MPI
@@ -58,12 +59,12 @@ class Rounds(Histories):
         result = None
         with together(comm):
             if comm.rank == 0:
-                self._leads, self._progress = True, FitProgress()
+                self._leads = True
                 try:
-                    result = job()
+                    with closing(FitProgress()) as self._progress:
+                        result = job()
                 finally:
-                    self._leads = False
-                    self._progress.close()
+                    self._leads, self._progress = False, None
                     comm.bcast(None)
             else:
                 while (asked := comm.bcast(None)) is not None:

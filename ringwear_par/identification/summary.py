@@ -63,8 +63,8 @@ def warnings(found: "FitResult") -> tuple[str, ...]:
         if abs(moved) > ENOUGH
     ]
     sentences += [
-        f"{key}: a limit of its likelihood profile is but near the level, or none was found where "
-        "the laws allow its values"
+        f"{key}: a limit of its likelihood profile is only near the level, or none was found: the "
+        "laws do not allow such values, or no history could be computed there"
         for key in found.unsure
     ]
     if found.posterior is not None and found.posterior.effective < FEW:

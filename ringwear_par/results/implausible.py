@@ -69,8 +69,8 @@ def implausible(case: Case) -> tuple[Doubt, ...]:
     if too_much_load(case):
         found.append(
             f"the mean pressure of {_load(case):.3g} MPa is more than a tenth of a Young's "
-            f"modulus, {smallest_modulus(case):g} MPa: no linear elasticity; are load and moduli "
-            f"in N and MPa?{_or_gigapascals(smallest_modulus(case))}"
+            f"modulus, {smallest_modulus(case):g} MPa: not linear elastic; loads are in N, moduli "
+            f"in MPa{_or_gigapascals(smallest_modulus(case))}"
         )
     fast = dict(_too_fast(case))
     deep = [(key, text) for key, text in _too_deep(case) if key not in fast]
@@ -121,7 +121,7 @@ def _too_thin(case: Case) -> Iterator[tuple[str, str]]:
                 key, thickness = f"{body}.layers[{i}].thickness", layer.thickness
                 text = (
                     f"{key} = {thickness:g} mm is {1e6 * thickness:g} nm, thinner than coatings "
-                    f'that wear; were it in m, "{thickness:g} m" would be read too, as '
+                    f'that wear; if it is in m, write "{thickness:g} m", which is '
                     f"{1e6 * thickness:g} um"
                 )
                 yield key, text
@@ -142,8 +142,8 @@ def _too_fast(case: Case) -> Iterator[tuple[str, str]]:
                     text = (
                         f"{table}.{name} = {k:g} 1/MPa is a specific wear rate of "
                         f"{1e3 * share * k:g} mm3/(N m), more than that of any material in dry "
-                        f"sliding, {1e3 * _FASTEST:g}; were it in mm3/(N m), "
-                        f'"{k:g} mm3/(N m)" would be read too'
+                        f"sliding, {1e3 * _FASTEST:g}; if it is in mm3/(N m), "
+                        f'write "{k:g} mm3/(N m)"'
                     )
                     yield f"{table}.{name}", text
 
@@ -157,8 +157,8 @@ def _too_deep(case: Case) -> Iterator[tuple[str, str]]:
                 forecast.key,
                 f"{forecast.key} = {forecast.k:g} 1/MPa is to wear {forecast.depth:.3g} mm off "
                 f"{BODIES[forecast.body]} by t = {case.time.end:g} s, more than a tenth of its "
-                f"height, {z[1] - z[0]:g} mm; were it in mm3/(N m), "
-                f'"{forecast.k:g} mm3/(N m)" would be read too',
+                f"height, {z[1] - z[0]:g} mm; if it is in mm3/(N m), "
+                f'write "{forecast.k:g} mm3/(N m)"',
             )
 
 
@@ -180,7 +180,7 @@ def _in_gigapascals(case: Case) -> Iterator[tuple[str, str]]:
 
 def _or_gigapascals(young: float) -> str:
     """Return what is asked of a modulus that may be in GPa."""
-    return f'; were it in GPa, "{young:g} GPa" would be read too' * (young < _GIGAPASCALS)
+    return f'; if it is in GPa, write "{young:g} GPa"' * (young < _GIGAPASCALS)
 
 
 def _too_dense(key: str, density: float | None) -> list[str]:
@@ -188,8 +188,8 @@ def _too_dense(key: str, density: float | None) -> list[str]:
     if density is None or density <= _DENSEST:
         return []
     return [
-        f"{key} = {density:g} g/mm3 is denser than any material; were it in g/cm3, "
-        f'"{density:g} g/cm3" would be read too'
+        f"{key} = {density:g} g/mm3 is denser than any material; if it is in g/cm3, "
+        f'write "{density:g} g/cm3"'
     ]
 
 
@@ -198,6 +198,5 @@ def _in_pascals(key: str, young: float) -> list[str]:
     if not _PASCALS[0] < young <= _PASCALS[1]:
         return []
     return [
-        f"{key} = {young:g} MPa is stiffer than any material; were it in Pa, "
-        f'"{young:g} Pa" would be read too'
+        f'{key} = {young:g} MPa is stiffer than any material; if it is in Pa, write "{young:g} Pa"'
     ]

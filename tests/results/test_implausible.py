@@ -30,7 +30,7 @@ def test_a_thickness_in_metres_is_doubted():
     key = "lower.layers[0].thickness"
     (text,) = told(LAYERED, **{key: 4e-6}).values()
     assert text.startswith(f"{key} = 4e-06 mm is 4 nm, thinner than")
-    assert text.endswith('were it in m, "4e-06 m" would be read too, as 4 um')
+    assert text.endswith('if it is in m, write "4e-06 m", which is 4 um')
     assert rw.read_case(LAYERED, {key: "4e-06 m"}).lower.layers[0].thickness == 4e-3
     assert told(LAYERED, **{key: "0.1 um"}) == {}
 
@@ -47,8 +47,8 @@ def test_a_k_in_another_unit_is_doubted(law, k, most):
     assert told(LAYERED, **keys, **{key: most}) == {}
     text = told(LAYERED, **keys, **{key: k})[key]
     assert "1/MPa is a specific wear rate of " in text
-    assert "more than that of any material in dry sliding, 0.1; were it in mm3/(N m), " in text
-    assert text.endswith("would be read too")
+    assert "more than that of any material in dry sliding, 0.1; if it is in mm3/(N m), " in text
+    assert text.endswith(' mm3/(N m)"')
 
 
 def test_a_k_at_the_start_is_doubted_by_itself():
@@ -82,7 +82,7 @@ def test_a_k_that_wears_much_off_is_doubted():
     text = doubt.pop("wear.lower.k")
     assert doubt == {}
     assert text.startswith("wear.lower.k = 1.2e-06 1/MPa is to wear 10 mm off lower by t = ")
-    assert text.endswith('were it in mm3/(N m), "1.2e-06 mm3/(N m)" would be read too')
+    assert text.endswith('if it is in mm3/(N m), write "1.2e-06 mm3/(N m)"')
     assert told(PAPER, **washer("1.2e-6 mm3/(N m)", 0.4)) == {}
 
 
@@ -104,7 +104,7 @@ def test_a_run_that_fails_by_deep_wear_asks_for_the_unit(scheme):
     with pytest.raises(rw.ComputationError) as failure:
         simulate(rw.read_case(PAPER, keys), MPI.COMM_SELF)
     question = (
-        '; is wear.lower.k = 1.2e-06 1/MPa in the right unit? "1.2e-06 mm3/(N m)" is read too'
+        '; wear.lower.k = 1.2e-06 is in 1/MPa: if it is in mm3/(N m), write "1.2e-06 mm3/(N m)"'
     )
     assert str(failure.value).endswith(question)
     assert "more than half of its height" in str(failure.value)
@@ -123,7 +123,7 @@ def soft(young, poisson, pressure):
 )
 def test_a_modulus_in_gigapascals_is_doubted(young, poisson, pressure):
     (text,) = soft(young, poisson, pressure)
-    assert text.endswith(f'were it in GPa, "{young:g} GPa" would be read too')
+    assert text.endswith(f'if it is in GPa, write "{young:g} GPa"')
 
 
 @pytest.mark.parametrize(
