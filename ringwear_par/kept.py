@@ -118,7 +118,7 @@ def _read(key: Hashable, n: int, is_sound: Callable[[FloatArray], bool]) -> Floa
     except FileNotFoundError:
         return None
     except OSError as error:
-        if error.filename == str(where):
+        if str(error.filename) == str(where):  # paths of ours, texts of the system
             _warn_of_folder(where, error)
         else:
             _warn(f"{path}: {error.strerror or error}; {_ANEW}")
