@@ -72,7 +72,7 @@ def test_an_assembly_that_raises_fails_its_group_only(case, comm, monkeypatch):
     monkeypatch.setattr(many, "assemble", failing)
     found = simulate_all([other, case, other], comm)
     assert [type(each) for each in found] == [FailedResult, Result, FailedResult]
-    assert {str(found[i].error) for i in (0, 2)} == {"MemoryError: no room"}
+    assert {str(found[i].error) for i in (0, 2)} == {"not enough memory: no room"}
 
 
 def test_a_case_that_cannot_be_is_refused_before_any_assembly(case, comm, monkeypatch):
