@@ -12,14 +12,16 @@ import numpy as np
 from mpi4py import MPI
 
 from ringwear_par.arrays import FloatArray, IntArray, inner
+from ringwear_par.batched import take
 from ringwear_par.contact.active_sets import follow, natural
 from ringwear_par.contact.blocks import HessianBlocks
 from ringwear_par.contact.interleaved import multiply, multiply_more
 from ringwear_par.contact.lockstep import LockStepNewton
-from ringwear_par.contact.problem import KKT_TOLERANCE, ContactState, on_curve
+from ringwear_par.contact.problem import KKT_TOLERANCE, ContactState, WarmStart, on_curve
+from ringwear_par.contact.solver import ContactSolver
 from ringwear_par.contact.tao import OPEN, Guard
 from ringwear_par.elasticity.compiling import load_compiled
-from ringwear_par.errors import HistoriesError
+from ringwear_par.errors import ComputationError, HistoriesError
 from ringwear_par.options import CONTACT_PREFIX
 from ringwear_par.petsc import PETSc
 from ringwear_par.wear.increment import WearIncrement
@@ -164,6 +166,7 @@ class BatchSolver:
         count, n = len(which), len(area)
         scales = np.sqrt(np.diagonal(compliances, axis1=1, axis2=2))
         self._scaled = compliances / (scales[:, :, None] * scales[:, None, :])
+        self._petsc_methods = has_own_options()
         self._set_up(scales[which], count, n)
 
     def _set_up(self, scale: FloatArray, count: int, n: int) -> None:
@@ -245,23 +248,80 @@ class BatchSolver:
         if apart.any():
             self._part(asked[apart[asked]])
             newton.at_work = asked[~apart[asked]]
-        self._run_tao()
+        if self._petsc_methods:
+            self._newton.failed[:] = False
+            self._newton.failed[newton.at_work] = True
+        else:
+            self._run_tao()
+        singles = {
+            int(i): self._solve_single(int(i), gap, force, approach, wear)
+            for i in np.flatnonzero(newton.failed)
+        }
         q, g = (v.getArray(readonly=True).reshape(gap.shape) for v in (self._x, self._g))
         worst, largest = self._defects(asked, q, g)
         off = np.divide(worst, largest, out=np.full(len(asked), np.inf), where=largest > 0.0)
         residual = np.zeros(len(gap))
         residual[asked] = off
         residual[apart] = 0.0
-        failed = newton.failed | ~(residual <= KKT_TOLERANCE)
-        if failed.any():
-            raise HistoriesError(failed)
-        p = q / self._scale
         iterations = newton.iterations.copy()
         iterations[apart] = 0
+        for i, found in singles.items():
+            residual[i], iterations[i] = found.residual, iterations[i] + found.iterations
+        failed = ~(residual <= KKT_TOLERANCE)
+        if failed.any():
+            if len(gap) == 1:
+                raise ComputationError(
+                    f"contact: KKT residual {residual[0]:.2e} after {iterations[0]} iterations "
+                    f"(allowed {KKT_TOLERANCE:.0e})"
+                )
+            raise HistoriesError(failed)
+        p = q / self._scale
         return ContactState(
             p, g / self._weights, newton.approaches.copy(), inner(self._area, p), iterations,
             residual,
         )  # fmt: skip
+
+    def _solve_single(
+        self,
+        history: int,
+        gap: FloatArray,
+        force: FloatArray | None,
+        approach: FloatArray | None,
+        wear: WearIncrement | None,
+    ) -> ContactState:
+        """Return the contact of one history by a TAO of its own, and continue from it.
+
+        It is damped where sets cycle, and PETSc's own methods are at hand.
+        """
+        scale, newton = self._scale[history], self._newton
+        matrix = self._scaled[self._which[history]] * (scale[:, None] * scale)
+        increment = None if wear is None else wear.history(history)
+        try:
+            with ContactSolver(matrix, self._area, MPI.COMM_SELF) as solver:
+                found = solver.solve(
+                    gap[history],
+                    force=None if force is None else float(force[history]),
+                    approach=None if approach is None else float(approach[history]),
+                    wear=increment,
+                )
+        except HistoriesError:
+            raise
+        except ComputationError as error:
+            if len(gap) == 1:
+                raise
+            which = np.zeros(len(gap), dtype=bool)
+            which[history] = True
+            raise HistoriesError(which) from error
+        q, g = (v.getArray(readonly=True).reshape(gap.shape).copy() for v in (self._x, self._g))
+        q[history], g[history] = found.pressure * scale, found.gap * self._weights[history]
+        newton.approaches[history], newton.failed[history] = found.approach, False
+        self._x.setArray(q.ravel())
+        self._g.setArray(g.ravel())
+        # what else is asked of the solution is answered on the factor of its set
+        newton.at_work = np.array([history])
+        self._callbacks.hessian(self._tao, self._x, self._h, self._h)
+        self._blocks.refresh(newton.at_work, q > 0.0, self._weights)
+        return found
 
     def _pose_coupling(self, wear: WearIncrement | None) -> None:
         """Make room for what non-local wear adds to the Hessian, where it is non-local."""
@@ -371,24 +431,20 @@ class BatchSolver:
         return (lambda x: change * x) if change.any() else None
 
     @property
-    def rates(self) -> FloatArray:
-        """(B, n) MPa/mm, derivative of the last pressures with respect to the approach."""
-        return self._blocks.border / self._scale
+    def scale(self) -> FloatArray:
+        """(B, n), unknowns over pressures, 1/MPa."""
+        return self._scale
 
     @property
-    def scaled_pressures(self) -> FloatArray:
-        """(B, n), the unknowns of the last solution."""
-        return self._x.getArray(readonly=True).reshape(self._weights.shape).copy()
+    def warm(self) -> WarmStart:
+        """Where the next solutions start."""
+        q = self._x.getArray(readonly=True).reshape(self._weights.shape).copy()
+        return WarmStart(q, self._newton.approaches.copy())
 
-    @property
-    def start(self) -> tuple[FloatArray, FloatArray]:
-        """Where the next solution starts: unknowns (B, n) and approaches (B,)."""
-        return self.scaled_pressures, self._newton.approaches.copy()
-
-    @start.setter
-    def start(self, start: tuple[FloatArray, FloatArray]) -> None:
-        self._x.setArray(start[0].ravel())
-        self._newton.approaches[:] = start[1]
+    @warm.setter
+    def warm(self, warm: WarmStart) -> None:
+        self._x.setArray(warm.scaled_pressure.ravel())
+        self._newton.approaches[:] = warm.approach
 
     def products(self, matrices: FloatArray, which: IntArray, p: FloatArray) -> FloatArray:
         """Return the products of transposed matrices (m, n, n), one a history, and p (B, n).
@@ -413,8 +469,8 @@ class BatchSolver:
         if len(used) < len(self._scaled):
             solver._scaled = self._scaled[used]
         solver._set_up(self._scale[histories], len(histories), len(self._area))
-        q, approaches = self.start
-        solver.start = q[histories], approaches[histories]
+        solver._petsc_methods = self._petsc_methods
+        solver.warm = take(self.warm, histories)
         return solver
 
     def destroy(self) -> None:

@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 
 from ringwear_par.arrays import BoolArray, FloatArray, IntArray, inner
+from ringwear_par.batched import concat
 from ringwear_par.contact.problem import ContactState
-from ringwear_par.contact.solver import ContactSolver
 from ringwear_par.errors import ComputationError, HistoriesError
 from ringwear_par.wear.increment import WearIncrement
 
@@ -31,131 +31,18 @@ _TINY = 1e-300
 
 
 class Tangents(Protocol):
-    """Derivatives of contact solutions, which a solution tells of each of its corrections."""
+    """Derivatives of contact solutions, which take part in each correction."""
 
-    def solved(self, found: ContactState, at: FloatArray, asked: Any = ...) -> None:
+    def solved(self, found: ContactState, at: FloatArray, asked: IntArray) -> None:
         """Differentiate a solution on the factor that its solver has now.
 
         Parameters
         ----------
         found : the solution.
-        at : (..., n) float, MPa, the pressures at which it was corrected.
-        asked : (h,) int, of B histories those that were solved.
+        at : (B, n) float, MPa, the pressures at which it was corrected.
+        asked : (h,) int, the histories that were solved.
         """
         ...
-
-
-class CorrectedContact:
-    """The contact of one history. Collective on the solver's communicator.
-
-    Parameters
-    ----------
-    solver : of the symmetric compliance K.
-    area : (n,) float, mm^2, the areas m.
-    """
-
-    def __init__(self, solver: ContactSolver, area: FloatArray) -> None:
-        self.solver, self._area, self._total = solver, area, float(area.sum())
-        #: the largest error that was left, and its element
-        self.worst = 0.0, 0
-
-    def response(self, gap: FloatArray, force_kept: bool) -> FloatArray:
-        """Return what a small growth (n,) mm of the gap does to the last pressures, MPa."""
-        return self.solver.response(gap, force_kept)
-
-    def take_shift(self, d_gap: FloatArray, d_p: FloatArray) -> None:
-        """Take what the excess makes of derivatives of pressures, (P, n), from those of the gap."""
-        d_gap -= d_p @ self._excess.T
-
-    def products(self, matrices: FloatArray, which: int, p: FloatArray) -> FloatArray:
-        """Return the product of one of some transposed matrices (m, n, n) and p (n,)."""
-        return p @ matrices[which]
-
-    def deflections(self, d_p: FloatArray) -> FloatArray:
-        """Return what (P, n) MPa make of the gap by the symmetric compliance, mm."""
-        return (d_p @ self._matrix) / self._area
-
-    def tangents(
-        self, found: ContactState, *how: Any, asked: Any = None
-    ) -> tuple[FloatArray, FloatArray]:
-        """Return derivatives of pressures and approach, see ``ContactSolver.tangents``."""
-        return self.solver.tangents(found, *how)
-
-    def take(self, matrix: FloatArray, excess: FloatArray) -> None:
-        """Take K, (n, n) mm^3/MPa, which the solver has, and its excess, (n, n) mm/MPa."""
-        self._matrix, self._excess = matrix, excess
-        self._stiffness = self._area / np.diagonal(matrix)  # MPa/mm, of each element alone
-        self._shift_at: tuple[FloatArray, FloatArray] | None = None
-
-    def _shift(self, p: FloatArray) -> FloatArray:
-        """Return what the excess makes of pressures, (n,) mm; remembered for the next solution."""
-        if self._shift_at is None or self._shift_at[0] is not p:
-            self._shift_at = p, self._excess @ p
-        return self._shift_at[1]
-
-    def solve(
-        self,
-        gap: FloatArray,
-        near: FloatArray,
-        *,
-        force: float | None,
-        approach: float | None,
-        wear: WearIncrement | None,
-        exact: bool = False,
-        along: Tangents | None = None,
-    ) -> ContactState:
-        """Solve at a given force (N) or approach (mm), as ``ContactSolver.solve`` does.
-
-        Parameters
-        ----------
-        near : (n,) float, MPa, pressures near the solution.
-        exact : whether to correct until no more than 1e-4 is left.
-        along : told of every correction.
-
-        Raises
-        ------
-        ComputationError : the contact was not solved, or not corrected well enough.
-        """
-        most = _EXACT if exact else _NEAR_ENOUGH
-        shift, iterations = self._shift(near), 0
-        for _ in range(1 + _CORRECTIONS):
-            found = self.solver.solve(gap - shift, force=force, approach=approach, wear=wear)
-            iterations += found.iterations
-            if along is not None:
-                along.solved(found, near)
-                near = found.pressure
-            before, shift = shift, self._shift(found.pressure)
-            error, e = self._error(found, shift - before, force is not None, most)
-            again = not error <= most  # what is no number has not settled
-            if self.solver.distributed:  # ranks must not differ by round-off
-                again = self.solver.comm.bcast(again)
-            if not again:
-                break
-        else:
-            raise ComputationError(_unsettled(error, e, most))
-        if error > self.worst[0]:
-            self.worst = error, e
-        return found if iterations == found.iterations else replace(found, iterations=iterations)
-
-    def _error(
-        self, found: ContactState, change: FloatArray, force_kept: bool, most: float
-    ) -> tuple[float, int]:
-        """Return about how far pressures are off for a change of the shift, (n,) mm, and where.
-
-        Relative to the pressure or to its mean, whichever is larger.
-        """
-        p, area = found.pressure, self._area
-        errors = _alone(change, self._stiffness, p, max(found.force / self._total, _TINY))
-        e = int(errors.argmax())
-        if errors[e] <= most or self.solver.distributed:
-            return float(errors[e]), e
-        touching = p > 0.0
-        if not touching.any():  # the gap must be that of no pressure
-            return np.inf, e
-        scale = np.maximum(p, found.force / float(area @ touching))
-        errors = np.where(touching, np.abs(self.solver.response(change, force_kept)) / scale, 0.0)
-        e = int(errors.argmax())
-        return float(errors[e]), e
 
 
 def _alone(change: FloatArray, stiffness: FloatArray, p: FloatArray, mean: Any) -> FloatArray:
@@ -175,8 +62,8 @@ def _unsettled(error: float, element: int, most: float) -> str:
     )
 
 
-class CorrectedBatch:
-    """The contacts of B histories, each corrected as ``CorrectedContact`` does. Not collective.
+class CorrectedContacts:
+    """The contacts of B histories, each corrected by itself. Not collective.
 
     Parameters
     ----------
@@ -216,15 +103,21 @@ class CorrectedBatch:
         found: tuple[BoolArray, ContactState] | None = None,
         along: Tangents | None = None,
     ) -> ContactState:
-        """Solve at given forces (B,) N or approaches (B,) mm, as ``CorrectedContact.solve`` does.
+        """Return the contacts at given forces (B,) N or approaches (B,) mm.
 
         Parameters
         ----------
+        gap : (B, n) float, mm.
+        near : (B, n) float, MPa, pressures near the solution.
+        wear : of an implicit step.
+        exact : whether to correct until no more than 1e-4 is left.
         found : which histories have their solution already, and it.
+        along : takes every correction.
 
         Raises
         ------
-        HistoriesError : some were not solved.
+        ComputationError : one was not solved, or not corrected well enough; HistoriesError of
+            several histories.
         """
         most = _EXACT if exact else _NEAR_ENOUGH
         asked = self._every if found is None else np.flatnonzero(~found[0])
@@ -249,6 +142,8 @@ class CorrectedBatch:
             if not len(asked):
                 break
         else:
+            if len(gap) == 1:
+                raise ComputationError(_unsettled(float(off[0]), int(e[0]), most))
             which = np.zeros(len(gap), dtype=bool)
             which[asked] = True
             raise HistoriesError(which)
@@ -300,17 +195,16 @@ class CorrectedBatch:
         what: tuple[Any, ...] = (*how, asked)
         return self.solver.tangents(found, *what)
 
-    def go_on(self, *before: "CorrectedBatch") -> None:
+    def start_from(self, *before: "CorrectedContacts") -> None:
         """Start where others would, whose histories follow each other here."""
-        q, approaches = zip(*(contacts.solver.start for contacts in before), strict=True)
-        self.solver.start = np.concatenate(q), np.concatenate(approaches)
+        self.solver.warm = concat([contacts.solver.warm for contacts in before])
         errors, elements = zip(*(contacts.worst for contacts in before), strict=True)
         self.worst = np.concatenate(errors), np.concatenate(elements)
 
-    def take(self, histories: IntArray) -> "CorrectedBatch":
+    def take(self, histories: IntArray) -> "CorrectedContacts":
         """Return the contacts of some of the histories."""
         used, which = np.unique(self._which[histories], return_inverse=True)
-        taken = CorrectedBatch(
+        taken = CorrectedContacts(
             self.solver.take(histories), self._excess[used], which, self._stiffness[used]
         )
         taken.worst = self.worst[0][histories], self.worst[1][histories]

@@ -33,16 +33,16 @@ GRADIENT_TOLERANCE = 1e-12
 
 @dataclass(frozen=True)
 class ContactState:
-    """Solution of one contact problem, or of B of them: numbers (B,), fields (B, n).
+    """Solution of B contact problems: numbers (B,), fields (B, n); of one without this axis.
 
     Parameters
     ----------
-    pressure : (n,) float, MPa.
-    gap : (n,) float, mm, between the deformed profiles.
-    approach : mm.
-    force : N.
-    iterations : of TAO, all its solves together.
-    residual : natural KKT residual, relative to the largest pressure (scaled unknowns).
+    pressure : (B, n) float, MPa.
+    gap : (B, n) float, mm, between the deformed profiles.
+    approach : (B,) float, mm.
+    force : (B,) float, N.
+    iterations : (B,) int, of TAO, all its solves together.
+    residual : (B,) float, natural KKT residual, relative to the largest pressure (scaled unknowns).
     """
 
     pressure: FloatArray
@@ -55,22 +55,16 @@ class ContactState:
 
 @dataclass(frozen=True)
 class WarmStart:
-    """Where the next solve starts; with it, a restarted run repeats an uninterrupted one exactly.
+    """Where the next solves start; with it, a restarted run repeats an uninterrupted one exactly.
 
     Parameters
     ----------
-    scaled_pressure : (n,) float.
-    rate : (n,) float, MPa/mm, derivative of pressure with respect to approach.
-    gap : (n,) float, mm, of the last problem.
-    approach : mm, of the last problem.
-    force : N, of the last problem.
+    scaled_pressure : (B, n) float, unknowns of the last problems.
+    approach : (B,) float, mm, of the last problems.
     """
 
     scaled_pressure: FloatArray
-    rate: FloatArray
-    gap: FloatArray
-    approach: float
-    force: float
+    approach: FloatArray
 
 
 def on_curve(

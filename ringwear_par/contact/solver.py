@@ -18,7 +18,6 @@ from ringwear_par.contact.problem import (
     REPLICATED_LIMIT,
     ContactProblem,
     ContactState,
-    WarmStart,
 )
 from ringwear_par.contact.tao import OPEN, Guard
 from ringwear_par.errors import ComputationError, InputError, RingwearError
@@ -204,19 +203,6 @@ class ContactSolver:
         self._h.setDiagonal(diagonal)
         self._h.assemble()
 
-    def set_compliance(self, compliance: FloatArray) -> None:
-        """Take another compliance of the same contact line; the warm start stays. Collective.
-
-        Parameters
-        ----------
-        compliance : (n, n) float, mm^3/MPa, symmetric area-weighted compliance, on every rank.
-        """
-        before = self._problem.scale
-        self._problem.take(compliance)
-        self._fill(compliance)
-        q = self._x.getArray(readonly=True)
-        self._x.setArray(q * (self._problem.scale / before)[self._here])
-
     def _set_up_tao(self) -> None:
         tao, callbacks = self._tao, self._callbacks
         tao.setOptionsPrefix(CONTACT_PREFIX)
@@ -398,29 +384,6 @@ class ContactSolver:
         if d_approach is None:
             d_approach = (d_force + by_gap @ weights) / (weights @ by_approach)
         return (by_approach * d_approach[:, None] - by_gap) / problem.scale, d_approach
-
-    def cold_start(self) -> None:
-        """Start the next solve as a new solver would. Not collective."""
-        self._x.set(0.0)
-        self._search.restart()
-
-    def warm(self) -> WarmStart:
-        """Return where the next solve would start. Collective on comm."""
-        q = self._x.getArray(readonly=True)
-        q = self._gathered(q.copy())
-        gap, approach, force = self._search.last or (np.zeros_like(q), 0.0, 0.0)
-        return WarmStart(q, self._search.rate, gap, approach, force)
-
-    def cold(self) -> WarmStart:
-        """Return where the next solve would start after ``cold_start``. Not collective."""
-        zeros = np.zeros(len(self._area))
-        return WarmStart(zeros, self._search.rate, zeros, 0.0, 0.0)
-
-    def warm_start(self, warm: WarmStart) -> None:
-        """Start the next solve where another one ended. Not collective."""
-        self._x.setArray(warm.scaled_pressure[self._here])
-        self._search.rate = warm.rate
-        self._search.last = warm.gap, warm.approach, warm.force
 
     def destroy(self) -> None:
         """Free the PETSc objects, if they are not yet. Collective on comm."""

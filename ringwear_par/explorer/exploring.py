@@ -17,8 +17,8 @@ from ringwear_par.explorer.moved import changed
 from ringwear_par.explorer.sliders import Control
 from ringwear_par.history.bodies import operator_key
 from ringwear_par.history.limits import check_case
+from ringwear_par.history.loop import simulate_one
 from ringwear_par.history.pairs import assemble
-from ringwear_par.history.simulate import simulate
 from ringwear_par.history.snapshots import Snapshot
 from ringwear_par.results.recorder import Recorder
 from ringwear_par.results.result import Result
@@ -108,11 +108,12 @@ class Exploration:
 
         def observe(snapshot: Snapshot) -> bool:
             nonlocal stopped
-            stopped = not snapshot.finished and stops(snapshot.state.time / drawn.time.end)
+            done = float(snapshot.state.time[0]) / drawn.time.end
+            stopped = not snapshot.finished[0] and stops(done)
             return stopped
 
-        recorder = Recorder(drawn, self._comm)
-        simulate(drawn, self._comm, pair=pair, observers=[recorder, observe])
+        recorder = Recorder([drawn], self._comm)
+        simulate_one(drawn, self._comm, pair=pair, observers=[recorder, observe])
         if stopped:
             return None
         return Explored(toml_text(keys), case, controls, recorder.result())

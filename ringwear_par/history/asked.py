@@ -2,7 +2,7 @@
 
 from ringwear_par.cases.case import Case
 from ringwear_par.history.saving import times_within, wants
-from ringwear_par.history.snapshots import Snapshot
+from ringwear_par.history.snapshots import Instant
 
 
 class Asked:
@@ -18,15 +18,15 @@ class Asked:
     def __init__(self, case: Case, which: str | tuple[float, ...], last_stored: float) -> None:
         self._case, self._which, self._last_stored = case, which, last_stored
 
-    def __call__(self, snapshot: Snapshot) -> bool:
+    def __call__(self, instant: Instant) -> bool:
         """Tell whether a state is, in the order of the history. Not collective."""
-        state, steps = snapshot.state, snapshot.progress.steps
-        if not snapshot.stored:
+        time, steps = float(instant.state.time), instant.steps
+        if not instant.stored:
             return False
-        before = self._stored_before(state.time, steps)
-        if not snapshot.passing:
-            self._last_stored = state.time
-        return wants(self._which, state.time, snapshot.finished, before)
+        before = self._stored_before(time, steps)
+        if not instant.passing:
+            self._last_stored = time
+        return wants(self._which, time, instant.finished, before)
 
     def _stored_before(self, time: float, steps: int) -> float:
         """Return the time of the stored state before one at a time; negative: there is none."""

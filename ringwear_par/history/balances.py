@@ -1,11 +1,11 @@
 """Statements that hold at every instant of a history, and how far it is off them."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
 
-from ringwear_par.arrays import FloatArray, larger, relative
+from ringwear_par.arrays import FloatArray, relative
 from ringwear_par.history.layers import layer_volumes
 from ringwear_par.history.model import WearModel
 from ringwear_par.history.snapshots import Snapshot
@@ -51,6 +51,7 @@ class Balances:
 
 #: the balances that hold to round-off on any mesh, by any steps
 TO_ROUND_OFF = ("force", "volume", "energy", "residual")
+_NAMES = [declared.name for declared in fields(Balances)]
 
 
 def balances(model: WearModel, state: State) -> dict[str, Any]:
@@ -59,21 +60,21 @@ def balances(model: WearModel, state: State) -> dict[str, Any]:
     All but ``step_error``, which is that of a step.
     """
     contact = state.contact
-    turned, lower, upper, turned_lower, turned_upper = _parts(model.reactions(contact.pressure))
-    volumes, worn = _parts(model.integrals(state.wear)), _parts(state.worn)
+    turned, lower, upper, turned_lower, turned_upper = model.reactions(contact.pressure)
+    volumes, worn = model.integrals(state.wear), state.worn
     identity: Any = 0.0
-    for body, (ratio, volume) in enumerate(zip(model.given.per_energy, volumes, strict=True)):
+    for body, (ratio, volume) in enumerate(zip(model.inputs.per_energy, volumes, strict=True)):
         if isinstance(ratio, list):
-            identity = larger(identity, _layers_defect(model, state, body, ratio))
+            identity = np.maximum(identity, _layers_defect(model, state, body, ratio))
         elif ratio is not None:
-            identity = larger(identity, _defect(volume, ratio * state.energy))
-    force = None if model.given.force is None else in_time(model.given.force, state.time)
-    off = larger(abs(volumes[0] - worn[0]), abs(volumes[1] - worn[1]))
-    total = larger(*volumes)
+            identity = np.maximum(identity, _defect(volume, ratio * state.energy))
+    force = None if model.inputs.force is None else in_time(model.inputs.force, state.time)
+    off = np.maximum(abs(volumes[0] - worn[0]), abs(volumes[1] - worn[1]))
+    total = np.maximum(volumes[0], volumes[1])
     return {
         "force": 0.0 if force is None else _defect(contact.force, force),
-        "torque": larger(_defect(turned_lower, turned), _defect(turned_upper, turned)),
-        "reaction": larger(_defect(lower, contact.force), _defect(upper, contact.force)),
+        "torque": np.maximum(_defect(turned_lower, turned), _defect(turned_upper, turned)),
+        "reaction": np.maximum(_defect(lower, contact.force), _defect(upper, contact.force)),
         "volume": relative(off, total),
         "energy": identity,
         "residual": contact.residual,
@@ -92,14 +93,7 @@ def _layers_defect(model: WearModel, state: State, body: int, ratios: list[Any])
         for number, ratio in enumerate(ratios)
     )
     exact = np.where(known, state.energy, 0.0)
-    if exact.ndim == 0:
-        return _defect(float(took), float(exact))
     return _defect(took, exact)
-
-
-def _parts(values: FloatArray) -> Any:
-    """Return numbers of one history as floats, which are quicker, those of B as (B,) each."""
-    return values.tolist() if values.ndim == 1 else values
 
 
 def _defect(value: Any, exact: Any) -> Any:
@@ -108,42 +102,51 @@ def _defect(value: Any, exact: Any) -> Any:
 
 
 class WorstBalances:
-    """Observer that keeps the worst of all balances of a history.
+    """The worst of all balances of B histories so far."""
 
-    Parameters
-    ----------
-    before : those of an interrupted history.
-    step_error_time, closing_contact : of the same, see below.
-    """
+    def __init__(self, count: int = 1) -> None:
+        #: (balances, B), by the order of ``Balances``
+        self._worst = np.zeros((len(_NAMES), count))
+        #: (B,) s, end of the step at which ``step_error`` is the largest
+        self.step_error_time = np.zeros(count)
+        #: (B,) whether elements came into contact within steps, which ``step_error`` leaves out
+        self.closing_contact = np.zeros(count, dtype=bool)
 
-    def __init__(
-        self,
-        before: Balances | None = None,
-        step_error_time: float = 0.0,
-        closing_contact: bool = False,
-    ) -> None:
-        self._worst = vars(before or Balances()).copy()
-        #: s, end of the step at which ``step_error`` is the largest
-        self.step_error_time = step_error_time
-        #: whether elements came into contact within steps, which ``step_error`` does not know of
-        self.closing_contact = closing_contact
+    def restore(self, before: Balances, step_error_time: float, closing_contact: bool) -> None:
+        """Take the balances of an interrupted single history."""
+        self._worst[:, 0] = [getattr(before, name) for name in _NAMES]
+        self.step_error_time[0], self.closing_contact[0] = step_error_time, closing_contact
 
     def __call__(self, snapshot: Snapshot) -> bool:
-        """Take those of a new state."""
+        """Take the balances of new states: an observer."""
         if snapshot.passing:
             return False
-        now, worst = balances(snapshot.model, snapshot.state), self._worst
+        new = np.flatnonzero(snapshot.accepted)
+        values, numbers = balances(snapshot.model, snapshot.state), snapshot.numbers[new]
         if snapshot.step is not None:
-            now["step_error"] = float(snapshot.step.history_error)
-            self.closing_contact |= bool(snapshot.step.closing)
-        for name, value in now.items():
-            if not value <= worst[name]:  # nor NaN
-                worst[name] = value
-                if name == "step_error":
-                    self.step_error_time = snapshot.state.time
+            values["step_error"] = snapshot.step.history_error
+            closing = np.broadcast_to(snapshot.step.closing, snapshot.accepted.shape)[new]
+            self.closing_contact[numbers] |= closing
+        table = np.zeros((len(_NAMES), len(snapshot.numbers)))
+        for name, value in values.items():
+            table[_NAMES.index(name)] = value
+        now, before = table[:, new], self._worst[:, numbers]
+        worse = ~(now <= before)  # NaN too
+        self._worst[:, numbers] = np.where(worse, now, before)
+        step = worse[_NAMES.index("step_error")]
+        self.step_error_time[numbers[step]] = snapshot.state.time[new][step]
         return False
+
+    def history(self, number: int = 0) -> Balances:
+        """Return the worst balances of one history."""
+        return Balances(*self._worst[:, number].tolist())
 
     @property
     def worst(self) -> Balances:
-        """The worst so far."""
-        return Balances(**self._worst)
+        """The worst balances of a single history."""
+        return self.history()
+
+    @property
+    def imbalance(self) -> FloatArray:
+        """(B,) the worst of those that hold to round-off."""
+        return self._worst[[_NAMES.index(name) for name in TO_ROUND_OFF]].max(axis=0)

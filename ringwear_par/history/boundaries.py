@@ -6,7 +6,7 @@ from ringwear_par.cases.case import Case
 from ringwear_par.elasticity.boundary_fields import BoundaryState
 from ringwear_par.history.asked import Asked
 from ringwear_par.history.pairs import boundary_recovery
-from ringwear_par.history.snapshots import Snapshot
+from ringwear_par.history.snapshots import Instant
 
 
 class BoundaryObserver:
@@ -26,13 +26,12 @@ class BoundaryObserver:
         #: what was asked for so far
         self.states: list[BoundaryState] = []
 
-    def __call__(self, snapshot: Snapshot) -> bool:
+    def __call__(self, instant: Instant) -> None:
         """Recover the fields of a state, if the case wants them. Collective."""
-        if self._asked(snapshot):
-            state = snapshot.state
+        if self._asked(instant):
+            state = instant.state
             bodies = self._recovery.fields(
                 state.contact.pressure, state.contact.approach, self._case.friction, state.wear,
-                state.shape,
+                state.meshed_wear,
             )  # fmt: skip
-            self.states.append(BoundaryState(snapshot.progress.steps, state.time, bodies))
-        return False
+            self.states.append(BoundaryState(instant.steps, float(state.time), bodies))

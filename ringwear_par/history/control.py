@@ -1,34 +1,25 @@
-"""How far the next step goes, and whether it is taken: fixed steps, or steps held to a tolerance.
+"""Step control: how far the next step of each history goes, and whether a try is accepted.
 
-A control remembers what it needs between two steps, and gives it as ``Progress``, from which an
-interrupted history goes on. Another control is a class with the same four methods.
+A control is frozen data of B histories; what changes from step to step is their ``Progress``, which
+its functions take and return. Another control is a class with the same methods and a line in
+``schemes.SCHEMES``.
 """
 
-import copy
 from collections.abc import Sequence
-from dataclasses import replace
-from typing import Any, Protocol, Self, TypeVar
+from dataclasses import dataclass, replace
+from typing import Protocol, Self
 
 import numpy as np
-from mpi4py import MPI
 
-from ringwear_par.arrays import (
-    BoolArray,
-    FloatArray,
-    IntArray,
-    Numbers,
-    chosen,
-    larger,
-    relative,
-    smaller,
-)
-from ringwear_par.cases.case import Case, Stepping
-from ringwear_par.errors import ComputationError, HistoriesError, LawError
+from ringwear_par.arrays import BoolArray, FloatArray, IntArray, relative
+from ringwear_par.cases.case import Case
+from ringwear_par.errors import ComputationError, HistoriesError
 from ringwear_par.history.schemes import Step
 from ringwear_par.history.state import Progress, State
-from ringwear_par.parallel import as_on_first_rank
 
 _SAFETY, _LARGEST_GROWTH, _LARGEST_CUT = 0.82, 5.0, 0.1
+#: length of the next try over one whose step could not be made
+_AFTER_FAILURE = 0.25
 #: share of the tolerance that a step may miss whatever the history before it has missed
 _LEAST_ALLOWED = 0.05
 #: wear of the first step, in tolerances: edges wear fast and not for long
@@ -36,77 +27,50 @@ _FIRST_WEAR = 50.0
 #: largest error of the dissipated energy of one step, relative to that of the whole history as it
 #: would be if the power stayed
 _ENERGY_TOLERANCE = 1e-4
-_NO_NUMBER = "the estimated error of the step is not a number"
+
+
+@dataclass(frozen=True)
+class Decision:
+    """What a control makes of tries.
+
+    Parameters
+    ----------
+    accepted : (B,) bool, which histories go on from the end of their try.
+    progress : afterwards.
+    """
+
+    accepted: BoolArray
+    progress: Progress
 
 
 class Control(Protocol):
-    """What ``simulate`` asks of step control."""
+    """The step control of B histories."""
 
-    @property
-    def progress(self) -> Progress:
-        """What it remembers."""
+    @classmethod
+    def of(cls, cases: Sequence[Case], step_times: Sequence[Sequence[float]] | None) -> Self:
+        """Return the control of some cases; ``step_times`` (s) are ends of steps for each."""
         ...
 
-    def end(self, state: State) -> float:
-        """Return the time, s, to which the next step is tried."""
+    def next_try(self, state: State, progress: Progress) -> tuple[FloatArray, Progress]:
+        """Return the times to which steps are tried, (B,) s, and the progress with their lengths.
+
+        Raises
+        ------
+        ComputationError : there is no such step; HistoriesError of several histories.
+        """
         ...
 
-    def accepts(self, step: Step) -> bool:
-        """Tell whether a step is taken; if not, another one is tried from the same state."""
+    def decide(self, before: State, step: Step, progress: Progress) -> Decision:
+        """Return which tries are accepted."""
         ...
 
-    def failed(self, error: ComputationError) -> None:
-        """Take note of a step that could not be made; raise the error if no other will do."""
+    def shorten(self, before: State, end: FloatArray, progress: Progress) -> Progress | None:
+        """Return the progress for a shorter try, where one failed; None: there is none."""
         ...
 
-
-class FixedSteps:
-    """Steps of one length; what they miss is told, not held.
-
-    Parameters
-    ----------
-    case : its ``time.step``.
-    progress : from where on.
-    comm : of the history; ranks need not agree, as they have nothing to decide.
-    """
-
-    def __init__(self, case: Case, progress: Progress, comm: MPI.Comm) -> None:
-        self._length, self.progress = case.time.step, progress
-
-    def end(self, state: State) -> float:
-        """Return the time of the next multiple of the step, s."""
-        return (self.progress.steps + 1) * self._length
-
-    def accepts(self, step: Step) -> bool:
-        """Take every step."""
-        made = self.progress
-        iterations = made.iterations + step.state.contact.iterations
-        self.progress = Progress(made.steps + 1, 0.0, 0, iterations)
-        return True
-
-    def failed(self, error: ComputationError) -> None:
-        """Raise the error: there is no other step."""
-        raise error
-
-
-class GivenSteps(FixedSteps):
-    """Steps to given times; what they miss is told, not held.
-
-    Parameters
-    ----------
-    times : s, increasing; the last one is the end of the case.
-    case, progress, comm : as of ``FixedSteps``.
-    """
-
-    def __init__(
-        self, times: Sequence[float], case: Case, progress: Progress, comm: MPI.Comm
-    ) -> None:
-        super().__init__(case, progress, comm)
-        self._times = step_times_of(times, case)
-
-    def end(self, state: State) -> float:
-        """Return the time of the next step's end, s."""
-        return self._times[self.progress.steps]
+    def finished(self, state: State, progress: Progress) -> BoolArray:
+        """Return which histories are at their end, (B,)."""
+        ...
 
 
 def step_times_of(times: Sequence[float], case: Case) -> list[float]:
@@ -116,14 +80,66 @@ def step_times_of(times: Sequence[float], case: Case) -> list[float]:
     ------
     ValueError : they do not increase to its end, or there are more or less than fixed ones.
     """
-    given = [float(time) for time in times]
-    if not given or given[-1] != case.time.end or not np.all(np.diff([0.0, *given]) > 0.0):
+    ends = [float(time) for time in times]
+    if not ends or ends[-1] != case.time.end or not np.all(np.diff([0.0, *ends]) > 0.0):
         raise ValueError(f"step_times: must increase from 0 to {case.time.end:g} s")
-    if not case.time.adaptive and len(given) != case.time.steps:
+    if not case.time.adaptive and len(ends) != case.time.steps:
         raise ValueError(f"step_times: must be {case.time.steps} of them")
-    return given
+    return ends
 
 
+def _padded(rows: Sequence[Sequence[float]]) -> FloatArray:
+    """Return rows of unlike lengths as one array, each row's last number repeated."""
+    most = max(map(len, rows))
+    return np.array([[*row, *[row[-1]] * (most - len(row))] for row in rows])
+
+
+@dataclass(frozen=True)
+class FixedSteps:
+    """Steps of one length, or to given times; their errors are estimated, not held.
+
+    Parameters
+    ----------
+    length : (B,) s.
+    steps : (B,) number of them.
+    ends : (B, m) s, given times, each history's last one repeated; None: multiples of the length.
+    """
+
+    length: FloatArray
+    steps: IntArray
+    ends: FloatArray | None = None
+
+    @classmethod
+    def of(cls, cases: Sequence[Case], step_times: Sequence[Sequence[float]] | None) -> Self:
+        """Return the control of some cases."""
+        length = np.array([case.time.step for case in cases])
+        if step_times is None:
+            return cls(length, np.array([case.time.steps for case in cases]))
+        ends = [step_times_of(*both) for both in zip(step_times, cases, strict=True)]
+        return cls(length, np.array([len(times) for times in ends]), _padded(ends))
+
+    def next_try(self, state: State, progress: Progress) -> tuple[FloatArray, Progress]:
+        """Return the times of the next steps' ends."""
+        if self.ends is None:
+            return (progress.steps + 1) * self.length, progress
+        return self.ends[np.arange(len(self.ends)), progress.steps], progress
+
+    def decide(self, before: State, step: Step, progress: Progress) -> Decision:
+        """Accept every step."""
+        iterations = progress.iterations + step.state.contact.iterations
+        every = np.ones(len(self.length), dtype=bool)
+        return Decision(every, replace(progress, steps=progress.steps + 1, iterations=iterations))
+
+    def shorten(self, before: State, end: FloatArray, progress: Progress) -> Progress | None:
+        """Return None: there is no other step."""
+        return None
+
+    def finished(self, state: State, progress: Progress) -> BoolArray:
+        """Return which histories have made all of their steps."""
+        return progress.steps >= self.steps
+
+
+@dataclass(frozen=True)
 class ErrorControl:
     """Steps whose estimated errors of wear, pressure and energy are within tolerances.
 
@@ -134,328 +150,158 @@ class ErrorControl:
 
     Parameters
     ----------
-    case : its ``time.end``, ``time.tolerance`` (mm), ``time.pressure_tolerance`` and breakpoints.
-    progress : from where on.
-    comm : of the history. What steps are, and whether they are taken, rank 0 decides: others may
-        differ by round-off, or by their processor.
+    end : (B,) s, of the histories.
+    wear_tolerance, pressure_tolerance : (B,) mm, and relative to the mean pressure.
+    limits : (B, m) s, times at which steps end, each history's last one repeated.
+    meshed_wear : (B,) mm, most wear of a step of elements that follow it; infinite for others.
     """
 
-    def __init__(self, case: Case, progress: Progress, comm: MPI.Comm) -> None:
-        self._case, self.progress, self._comm = case, progress, comm
-        self._from: State | None = None  # the state that the present tries start from
-        self._length = self._end = 0.0
-        self._cut = False
-        self._iterations, self._failure = 0, ""
-        self._pressed = False  # whether a try of the present step failed by its pressure
+    end: FloatArray
+    wear_tolerance: FloatArray
+    pressure_tolerance: FloatArray
+    limits: FloatArray
+    meshed_wear: FloatArray
 
-    def end(self, state: State) -> float:
-        """Return the time to which the next step is tried, s. Collective.
+    @classmethod
+    def of(cls, cases: Sequence[Case], step_times: Sequence[Sequence[float]] | None) -> Self:
+        """Return the control of some cases."""
+        times = [case.time for case in cases]
+        return cls(
+            np.array([time.end for time in times]),
+            np.array([time.tolerance for time in times]),
+            np.array([time.pressure_tolerance for time in times]),
+            _padded([[*case.breakpoints, case.time.end] for case in cases]),
+            np.array(
+                [case.mesh.geometry_tolerance if case.follows_wear else np.inf for case in cases]
+            ),
+        )
+
+    def next_try(self, state: State, progress: Progress) -> tuple[FloatArray, Progress]:
+        """Return the times to which the next steps are tried.
 
         Raises
         ------
-        ComputationError : no step, however small, meets the tolerance.
+        ComputationError : no step, however short, meets the tolerance.
         """
-        time = self._case.time
-        limit = next((t for t in self._case.breakpoints if t > state.time), time.end)
-        if self._from is None:
-            self._iterations, self._failure, self._pressed = 0, "", False
-            self._length = self.progress.next_step or _first_length(time, state.rates.max())
-            if self._case.follows_wear:
-                self._length = min(self._length, _longest_length(self._case, state))
-        self._from = state
-        self._length = as_on_first_rank(self._comm, self._length)
-        self._end, self._cut = _end(state.time, self._length, limit)
-        if _vanishes(state.time, self._end):
-            why = self._failure or (
-                f"errors exceed time.tolerance = {time.tolerance:g} mm or time.pressure_tolerance "
-                f"= {time.pressure_tolerance:g} (larger ones may be met)"
-            )
+        end, _, length = self._try(state, progress)
+        if (stuck := end - state.time <= 4.0 * np.spacing(state.time)).any():
+            if len(stuck) > 1:
+                raise HistoriesError(stuck)
             raise ComputationError(
-                f"{why}, however short the step: the last one would be "
-                f"{self._end - state.time:.3g} s"
+                f"errors exceed time.tolerance = {self.wear_tolerance[0]:g} mm or "
+                f"time.pressure_tolerance = {self.pressure_tolerance[0]:g} (larger ones may be "
+                f"met), however short the step: the last one would be "
+                f"{end[0] - state.time[0]:.3g} s"
             )
-        return self._end
-
-    def failed(self, error: ComputationError) -> None:
-        """Try a quarter of the step; a law that fails will fail in any."""
-        if isinstance(error, LawError) or self._from is None:
-            raise error
-        self._failure = str(error)
-        self._length = 0.25 * (self._end - self._from.time)
-        self.progress = replace(self.progress, rejected=self.progress.rejected + 1)
-
-    def accepts(self, step: Step) -> bool:
-        """Take a step within the tolerances; change the next one with the third root of its error.
-
-        The energy is held too: schedules may change it where nothing wears. Collective.
-        """
-        assert self._from is not None
-        made, time = self.progress, self._case.time
-        length = self._end - self._from.time
-        self._iterations += step.state.contact.iterations
-        before, tolerances = _largest(self._from), (time.tolerance, time.pressure_tolerance)
-        ratio, pressed, ahead = as_on_first_rank(
-            self._comm, _ratios(step, before, time.end, *tolerances)
+        fresh = ~progress.begun
+        return end, replace(
+            progress,
+            length=length,
+            begun=np.ones_like(fresh),
+            pressed=progress.pressed & ~fresh,
+            tried_iterations=np.where(fresh, 0, progress.tried_iterations),
         )
-        self._pressed |= pressed
-        if ratio > 1.0:
-            self._failure = _NO_NUMBER if ratio == np.inf else ""
-            self._length = length * _change(ratio)
-            self.progress = replace(made, rejected=made.rejected + 1)
-            return False
-        self.progress = replace(
-            made,
-            steps=made.steps + 1,
-            next_step=_following(length, _change(ahead), self._pressed, self._cut, self._length),
-            iterations=made.iterations + self._iterations,
-        )
-        self._from = None
-        return True
 
-
-# -- formulas of error control, of one history or of B ---------------------------------------------
-
-
-def _first_length(time: Stepping, fastest: float) -> float:
-    """Return the length of the first step, s, the fastest element wearing so much, mm/s."""
-    return min(time.end, _FIRST_WEAR * time.tolerance / fastest) if fastest > 0.0 else time.end
-
-
-def _longest_length(case: Case, state: State) -> float:
-    """Return the length in which wear stays about the tolerance of the geometry, s."""
-    fastest = float(state.rates.max())
-    return case.mesh.geometry_tolerance / fastest if fastest > 0.0 else np.inf
-
-
-def _end(time: Numbers, length: Numbers, limit: Numbers) -> tuple[Numbers, Any]:
-    """Return to where a step of a length goes, s, and whether a limit of time cuts it."""
-    left = limit - time
-    cut = length >= left * (1.0 - 1e-9)
-    whole = (length < 0.5 * left) | (length > 0.9 * left)  # no sliver at the end
-    return chosen(cut, limit, time + chosen(whole, length, 0.5 * left)), cut
-
-
-def _vanishes(time: Numbers, end: Numbers) -> Any:
-    """Tell whether a step is no more than round-off of time."""
-    return end - time <= 4.0 * np.spacing(time)
-
-
-def _ratios(
-    step: Step, before: Numbers, last: Numbers, wear: Numbers, pressure: Numbers
-) -> tuple[Numbers, Any, Numbers]:
-    """Return the errors of a step over what they may be, and what there is to say of the next one.
-
-    That is whether the error of pressure was too large, and the errors of a step like this one over
-    what the next may miss. What is no number counts as infinite.
-
-    Parameters
-    ----------
-    before : mm, largest error of the history at the start of the step.
-    last : s, end of the history.
-    wear, pressure : tolerances, mm and relative.
-    """
-    state = step.state
-    whole = state.energy + step.power * (last - state.time)
-    energy = larger(relative(step.energy_error, _ENERGY_TOLERANCE * whole), 1e-6)
-    ratio = larger(energy, step.wear_error / _allowed(wear, step.carried_error))
-    # the next step is to leave as much of the error before it as this one does
-    decay = relative(before - step.carried_error, before)
-    left = step.history_error * smaller(1.0 - decay, 1.0)
-    ahead = larger(energy, step.wear_error / _allowed(wear, left))
-    over = _or_infinite(step.pressure_error / pressure)
-    pressed = over > 1.0
-    return chosen(pressed, larger(ratio, over), _or_infinite(ratio)), pressed, _or_infinite(ahead)
-
-
-def _allowed(tolerance: Numbers, missed: Numbers) -> Numbers:
-    """Return what a step may miss, mm, where the history before it has missed so much."""
-    return larger(tolerance - missed, _LEAST_ALLOWED * tolerance)
-
-
-def _or_infinite(ratio: Numbers) -> Numbers:
-    """Return ratios, infinite ones for those that are no numbers."""
-    return chosen(ratio == ratio, ratio, np.inf)
-
-
-def _largest(state: State) -> Numbers:
-    """Return the largest error of the history up to a state, mm, a number or (B,)."""
-    return np.abs(state.error).max(axis=-1)
-
-
-def _change(ratio: Numbers) -> Numbers:
-    """Return by which factor the length is to change: the third root of the error, with care."""
-    return larger(_SAFETY * ratio ** (-1.0 / 3.0), _LARGEST_CUT)
-
-
-def _following(length: Numbers, change: Numbers, pressed: Any, cut: Any, asked: Numbers) -> Numbers:
-    """Return the length of the next step, s; ``asked`` is what this one was to be before a cut."""
-    # errors of pressure come and go with elements: they limit steps, but do not foretell them
-    following = length * smaller(change, chosen(pressed, 1.0, _LARGEST_GROWTH))
-    return chosen(cut, larger(following, asked), following)
-
-
-# -- of B histories --------------------------------------------------------------------------------
-
-
-class FixedBatch:
-    """Steps of one length of each of B histories.
-
-    Parameters
-    ----------
-    cases : their ``time.step`` and ``time.steps``.
-    """
-
-    def __init__(self, cases: Sequence[Case]) -> None:
-        self._length = np.array([case.time.step for case in cases])
-        self._steps = np.array([case.time.steps for case in cases])
-        self.progress = Progress.of_many(len(cases))
-
-    def end(self, state: State) -> FloatArray:
-        """Return the times of the next multiples of the steps, (B,) s."""
-        return (self.progress.steps + 1) * self._length
-
-    def accepts(self, step: Step) -> BoolArray:
-        """Take every step."""
-        made = self.progress
-        iterations = made.iterations + step.state.contact.iterations
-        self.progress = replace(made, steps=made.steps + 1, iterations=iterations)
-        return np.ones(len(self._length), dtype=bool)
-
-    def finished(self, state: State) -> BoolArray:
-        """Tell which histories are at their end."""
-        return self.progress.steps >= self._steps
-
-    def take(self, histories: IntArray) -> Self:
-        """Return the control of some of the histories."""
-        return _taken(self, histories)
-
-
-class GivenBatch(FixedBatch):
-    """Steps of each of B histories to given times.
-
-    Parameters
-    ----------
-    cases : their ends.
-    times : of each, see ``GivenSteps``.
-    """
-
-    def __init__(self, cases: Sequence[Case], times: Sequence[Sequence[float]]) -> None:
-        super().__init__(cases)
-        given = [step_times_of(*each) for each in zip(times, cases, strict=True)]
-        self._steps = np.array(list(map(len, given)))
-        most = self._steps.max()
-        #: (B, m) s, each history's last one repeated
-        self._ends = np.array([each + each[-1:] * (most - len(each)) for each in given])
-
-    def end(self, state: State) -> FloatArray:
-        """Return the times of the next steps' ends, (B,) s."""
-        return self._ends[np.arange(len(self._ends)), self.progress.steps]
-
-
-class ErrorBatch:
-    """Steps of each of B histories as ``ErrorControl`` makes them.
-
-    Parameters
-    ----------
-    cases : their ``time`` and breakpoints.
-    """
-
-    def __init__(self, cases: Sequence[Case]) -> None:
-        times, count = [case.time for case in cases], len(cases)
-        self._last = np.array([time.end for time in times])
-        self._wear = np.array([time.tolerance for time in times])
-        self._pressure = np.array([time.pressure_tolerance for time in times])
-        limits = [[*case.breakpoints, case.time.end] for case in cases]
-        most = max(map(len, limits))
-        #: (B, m) s, where steps end, each history's last one repeated
-        self._limits = np.array([each + each[-1:] * (most - len(each)) for each in limits])
-        self.progress = Progress.of_many(count)
-        #: (B,) whether the next try is the first of its step
-        self._fresh = np.ones(count, dtype=bool)
-        self._pressed = np.zeros(count, dtype=bool)
-        self._iterations = np.zeros(count, dtype=np.int64)
-        self._length, self._start = np.zeros(count), np.zeros(count)
-        #: (B,) mm, largest errors of the histories at the start of their steps
-        self._error = np.zeros(count)
-        self._cut = np.zeros(count, dtype=bool)
-
-    def end(self, state: State) -> FloatArray:
-        """Return the times to which the next steps are tried, (B,) s.
-
-        Raises
-        ------
-        HistoriesError : some meet their tolerance with no step, however small.
-        """
-        limit = self._limits[:, 0]
-        if self._limits.shape[1] > 1:
-            ahead = self._limits > state.time[:, None]
-            limit = np.take_along_axis(self._limits, ahead.argmax(axis=1)[:, None], axis=1)[:, 0]
-        fresh, wanted = self._fresh, self.progress.next_step
-        if (new := fresh & (wanted == 0.0)).any():
+    def _try(self, state: State, progress: Progress) -> tuple[FloatArray, BoolArray, FloatArray]:
+        """Return the end of the next try, whether a limit of time cuts it, and its length uncut."""
+        limit = self.limits[:, 0]
+        if self.limits.shape[1] > 1:
+            ahead = self.limits > state.time[:, None]
+            limit = np.take_along_axis(self.limits, ahead.argmax(axis=1)[:, None], axis=1)[:, 0]
+        fresh, length = ~progress.begun, progress.length
+        if fresh.any():
             fastest = state.rates.max(axis=(0, 2))
-            worn = np.divide(
-                _FIRST_WEAR * self._wear, fastest, out=self._last.copy(), where=fastest > 0.0
+            wears = fastest > 0.0
+            first = _FIRST_WEAR * self.wear_tolerance
+            worn = np.divide(first, fastest, out=self.end.copy(), where=wears)
+            wanted = np.where(
+                progress.next_step == 0.0, np.minimum(self.end, worn), progress.next_step
             )
-            wanted = np.where(new, np.minimum(self._last, worn), wanted)
-        self._length = np.where(fresh, wanted, self._length)
-        self._pressed = self._pressed & ~fresh
-        self._iterations = np.where(fresh, 0, self._iterations)
-        self._start, self._error = state.time, _largest(state)
-        end, self._cut = _end(state.time, self._length, limit)
-        if (stuck := _vanishes(state.time, end)).any():
-            raise HistoriesError(stuck)
-        return end
+            meshed = np.divide(
+                self.meshed_wear, fastest, out=np.full_like(fastest, np.inf), where=wears
+            )
+            length = np.where(fresh, np.minimum(wanted, meshed), length)
+        left = limit - state.time
+        cut = length >= left * (1.0 - 1e-9)
+        whole = (length < 0.5 * left) | (length > 0.9 * left)  # no sliver at the end
+        end = np.where(cut, limit, state.time + np.where(whole, length, 0.5 * left))
+        return end, cut, length
 
-    def accepts(self, step: Step) -> BoolArray:
-        """Tell which steps are taken, those within the tolerances; others are tried again."""
-        made, length = self.progress, step.state.time - self._start
-        self._iterations = self._iterations + step.state.contact.iterations
-        ratio, pressed, ahead = _ratios(step, self._error, self._last, self._wear, self._pressure)
-        self._pressed = self._pressed | pressed
-        taken = ratio <= 1.0
-        following = _following(length, _change(ahead), self._pressed, self._cut, self._length)
-        self.progress = Progress(
-            made.steps + taken,
-            np.where(taken, following, made.next_step),
-            made.rejected + ~taken,
-            made.iterations + np.where(taken, self._iterations, 0),
+    def decide(self, before: State, step: Step, progress: Progress) -> Decision:
+        """Accept steps within the tolerances; change the next one with the third root of its error.
+
+        The energy is held too: schedules may change it where nothing wears.
+        """
+        length = step.state.time - before.time
+        _, cut, _ = self._try(before, progress)
+        iterations = progress.tried_iterations + step.state.contact.iterations
+        ratio, pressing, ahead = self._ratios(before, step)
+        pressed = progress.pressed | pressing
+        accepted = ratio <= 1.0
+        following = _following(length, _change(ahead), pressed, cut, progress.length)
+        return Decision(
+            accepted,
+            Progress(
+                progress.steps + accepted,
+                np.where(accepted, following, progress.next_step),
+                progress.rejected + ~accepted,
+                progress.iterations + np.where(accepted, iterations, 0),
+                np.where(accepted, progress.length, length * _change(ratio)),
+                ~accepted,
+                pressed,
+                iterations,
+            ),
         )
-        self._length = np.where(taken, self._length, length * _change(ratio))
-        self._fresh = taken
-        return taken
 
-    def finished(self, state: State) -> BoolArray:
-        """Tell which histories are at their end."""
-        return state.time >= self._last
+    def shorten(self, before: State, end: FloatArray, progress: Progress) -> Progress | None:
+        """Return the progress for a try of a quarter."""
+        return replace(
+            progress,
+            length=_AFTER_FAILURE * (end - before.time),
+            rejected=progress.rejected + 1,
+        )
 
-    def take(self, histories: IntArray) -> Self:
-        """Return the control of some of the histories."""
-        return _taken(self, histories)
+    def finished(self, state: State, progress: Progress) -> BoolArray:
+        """Return which histories are at their end."""
+        return state.time >= self.end
+
+    def _ratios(self, before: State, step: Step) -> tuple[FloatArray, BoolArray, FloatArray]:
+        """Return the errors of a step over the allowed ones, and what they say of the next step.
+
+        That is whether the error of pressure was too large, and the errors of a step like this one
+        over what the next may miss. NaN counts as infinite.
+        """
+        state, missed = step.state, np.abs(before.error).max(axis=-1)
+        whole = state.energy + step.power * (self.end - state.time)
+        energy = np.maximum(relative(step.energy_error, _ENERGY_TOLERANCE * whole), 1e-6)
+        ratio = np.maximum(energy, step.wear_error / self._allowed(step.carried_error))
+        # the next step is to leave as much of the error before it as this one does
+        decay = relative(missed - step.carried_error, missed)
+        left = step.history_error * np.minimum(1.0 - decay, 1.0)
+        ahead = np.maximum(energy, step.wear_error / self._allowed(left))
+        over = _or_infinite(step.pressure_error / self.pressure_tolerance)
+        pressing = over > 1.0
+        ratio = np.where(pressing, np.maximum(ratio, over), ratio)
+        return _or_infinite(ratio), pressing, _or_infinite(ahead)
+
+    def _allowed(self, missed: FloatArray) -> FloatArray:
+        """Return the error of a step, mm, that is allowed where the history has missed so much."""
+        return np.maximum(self.wear_tolerance - missed, _LEAST_ALLOWED * self.wear_tolerance)
 
 
-C = TypeVar("C")
+def _or_infinite(ratio: FloatArray) -> FloatArray:
+    return np.where(ratio == ratio, ratio, np.inf)
 
 
-def joined(one: C, other: C) -> C:
-    """Return one control of the histories of two."""
-    both = copy.copy(one)
-    for name, value in vars(one).items():
-        more = getattr(other, name)
-        if name == "progress":
-            setattr(both, name, value.joined(more))
-            continue
-        if value.ndim > 1:  # the last limits are repeated
-            most = max(value.shape[1], more.shape[1])
-            value, more = (
-                np.pad(v, ((0, 0), (0, most - v.shape[1])), mode="edge") for v in (value, more)
-            )
-        setattr(both, name, np.concatenate([value, more]))
-    return both
+def _change(ratio: FloatArray) -> FloatArray:
+    """Return the factor of the length of the next try: the third root of the error, with care."""
+    return np.maximum(_SAFETY * ratio ** (-1.0 / 3.0), _LARGEST_CUT)
 
 
-def _taken(control: C, histories: IntArray) -> C:
-    """Return a control of B histories for some of them."""
-    taken = copy.copy(control)
-    for name, value in vars(control).items():
-        setattr(taken, name, value.take(histories) if name == "progress" else value[histories])
-    return taken
+def _following(
+    length: FloatArray, change: FloatArray, pressed: BoolArray, cut: BoolArray, uncut: FloatArray
+) -> FloatArray:
+    """Return the length of the next step, s; ``uncut`` is the length of this one without limits."""
+    # errors of pressure come and go with elements: they limit steps, but do not foretell them
+    following = length * np.minimum(change, np.where(pressed, 1.0, _LARGEST_GROWTH))
+    return np.where(cut, np.maximum(following, uncut), following)

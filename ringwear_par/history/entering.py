@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from ringwear_par.arrays import BoolArray, FloatArray, Numbers, columns, inner
+from ringwear_par.arrays import BoolArray, FloatArray, columns, inner
 from ringwear_par.history.model import WearModel
 from ringwear_par.history.state import State
 from ringwear_par.wear.increment import Closing, WearIncrement
@@ -57,7 +57,7 @@ class Entering:
         """How many times its weight the first stage counts for these elements, (..., n)."""
         return np.where(self.gap > 0.0, 0.0, self.held)
 
-    def closing(self, step: Numbers, stretch: FloatArray) -> Closing:
+    def closing(self, step: FloatArray, stretch: FloatArray) -> Closing:
         """Return what a stage closes; ``stretch`` is of the steps, s, of the elements."""
         return Closing(self.gap, columns(step) * stretch)
 
@@ -95,7 +95,7 @@ class Entering:
         return np.where(late, d_counts, d_more[..., None])
 
 
-def entering(model: WearModel, state: State, length: Numbers) -> Entering | None:
+def entering(model: WearModel, state: State, length: FloatArray) -> Entering | None:
     """Return the elements that wear may bring into contact; None where there are none.
 
     Where an element that wears yields more elastically than it wears, its gap is not closed by
@@ -103,7 +103,7 @@ def entering(model: WearModel, state: State, length: Numbers) -> Entering | None
     they touch. In these cases stages do as for all others, and ``entry_error`` judges.
     """
     p, gap = state.contact.pressure, state.contact.gap
-    if not model.given.wears_locally or (p > 0.0).all():
+    if not model.inputs.wears_locally or (p > 0.0).all():
         return None
     worn = columns(length * state.rates.sum(axis=0).max(axis=-1))
     late = (p <= 0.0) & (gap > 0.0) & (gap < _REACH * worn)
@@ -114,7 +114,7 @@ def entering(model: WearModel, state: State, length: Numbers) -> Entering | None
     late &= (joining <= _MOST * touching)[..., None]
     if not late.any():
         return None
-    return Entering(np.where(late, gap, 0.0), model.area, model.given.force is not None)
+    return Entering(np.where(late, gap, 0.0), model.area, model.inputs.force is not None)
 
 
 def held(
@@ -138,7 +138,7 @@ def held(
     if not (counts < 1.0).any():
         return enter
     gap = np.zeros_like(p) if enter is None else enter.gap
-    return Entering(gap, model.area, model.given.force is not None, counts)
+    return Entering(gap, model.area, model.inputs.force is not None, counts)
 
 
 def entry_error(

@@ -8,7 +8,7 @@ rate.
 
 import numpy as np
 
-from ringwear_par.arrays import Numbers, columns
+from ringwear_par.arrays import FloatArray, columns
 from ringwear_par.history.model import WearModel
 from ringwear_par.history.schemes import Step, advanced, first_through
 from ringwear_par.history.state import State
@@ -16,16 +16,16 @@ from ringwear_par.schedules import mean
 from ringwear_par.wear.layered_increment import LayeredIncrement
 
 
-def forward(model: WearModel, state: State, end: Numbers) -> Step:
+def forward(model: WearModel, state: State, end: FloatArray) -> Step:
     """Return the explicit step to a time. Collective."""
     length = end - state.time
-    omega = mean(model.given.omega, state.time, end)
+    omega = mean(model.inputs.omega, state.time, end)
     p, rates = state.contact.pressure, state.rates
-    if not model.given.steady_speed:
+    if not model.inputs.steady_speed:
         rates = model.rates(state.time, omega, state.wear, p)
     depths, volumes = columns(length) * rates, length * model.integrals(rates)
     through = None
-    if model.given.layered:
+    if model.inputs.layered:
         start = model.increment(state.time, omega, state.wear, length)
         assert isinstance(start, LayeredIncrement)
         depths = start.explicit(p)
@@ -42,21 +42,21 @@ def forward(model: WearModel, state: State, end: Numbers) -> Step:
     return _judged(state, after)
 
 
-def backward(model: WearModel, state: State, end: Numbers) -> Step:
+def backward(model: WearModel, state: State, end: FloatArray) -> Step:
     """Return the implicit step to a time. Collective."""
     length = end - state.time
-    omega = mean(model.given.omega, state.time, end)
+    omega = mean(model.inputs.omega, state.time, end)
     during = model.increment(end, omega, state.wear, length)
     along = model.along(state)
     contact = model.contact(end, state.wear, state.contact.pressure, during, along=along)
     p = contact.pressure
     depths = during.depths(p)
-    if model.given.layered:
+    if model.inputs.layered:
         volumes = model.integrals(during.apart(p, depths, 1.0))
     else:
         then = during.rates(p, depths)
         volumes = length * model.integrals(then)
-    if not model.given.rates_last:
+    if not model.inputs.rates_last:
         then = model.rates_at(end, state.wear + depths, p)
     energy = length * omega * model.torque(p)
     if along is not None:

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from ringwear_par.history.model import WearModel
 
 
-class Following:
+class MovingGeometry:
     """The elasticity of a case whose elements follow the wear, and what following took.
 
     Parameters
@@ -31,54 +31,58 @@ class Following:
     def __init__(self, case: Case, comm: MPI.Comm) -> None:
         self._young, self._geometry = young(case), updated_geometry(case, comm)
         #: (2, n) mm, the wear that the elements have followed
-        self.shape = np.zeros((2, case.line.n))
+        self.meshed_wear = np.zeros((2, case.line.n))
         #: what following it took so far, and how often that was done
         self.cost, self.updates = BodyCost(), 0
 
     def unworn(self) -> ContactPair:
         """Return the pair before any wear. Collective."""
-        return self._geometry.update(np.zeros_like(self.shape))
+        return self._geometry.update(np.zeros_like(self.meshed_wear))
 
-    def compliance(self, shape: FloatArray) -> ContactCompliance:
+    def compliance(self, wear: FloatArray) -> ContactCompliance:
         """Let the elements follow a wear, (2, n) mm, and return their compliance. Collective.
 
         Raises
         ------
         ComputationError : the worn bodies cannot be computed.
         """
-        pair = self._geometry.update(shape)
+        pair = self._geometry.update(wear)
         try:
             compliance = pair.compliance(self._young)
         except ComputationError as error:
-            raise ComputationError(_slivers(pair.line, shape) or str(error)) from error
-        self.shape, self.cost = shape, self.cost + pair.cost
+            raise ComputationError(_slivers(pair.line, wear) or str(error)) from error
+        self.meshed_wear, self.cost = wear, self.cost + pair.cost
         return compliance
 
 
 def update_geometry(model: "WearModel", state: State) -> State:
-    """Let the elements follow the wear, if it is more than the tolerance. Collective.
+    """Return the state with elements that follow its wear, if that is more than the tolerance.
 
-    What they follow depends on the state alone, so that a restarted history does the same.
+    Collective. It depends on the state alone, so that a restarted history does the same. Where
+    elements do not follow the wear, the state stays as it is.
     """
-    if model.following is None:
+    if model.geometry is None:
         return state
-    shape = np.zeros_like(state.wear) if state.shape is None else state.shape
-    if np.abs(state.wear - shape).max() <= model.case.mesh.geometry_tolerance:
-        model.follow(shape)
-        return replace(state, shape=shape)
-    before = model.compliance
-    model.follow(state.wear)
-    model.following.updates += 1
-    after = model.compliance
+    meshed = np.zeros_like(state.wear) if state.meshed_wear is None else state.meshed_wear
+    if np.abs(state.wear - meshed).max() <= model.case.mesh.geometry_tolerance:
+        model.remesh_to(meshed)
+        return replace(state, meshed_wear=meshed)
+    before = model.compliances.every[0]
+    model.remesh_to(state.wear)
+    model.geometry.updates += 1
+    after = model.compliances.every[0]
     # faces that wear has made to slope alike touch as they are displaced: what the turned slope
     # makes of displacements that there are already is no gap
     turned = after.slope != before.slope
-    gained = (after.collocated - before.collocated) @ state.contact.pressure
-    model.fit = np.where(turned, gained, 0.0) + (0.0 if state.fit is None else state.fit)
+    gained = state.contact.pressure @ (after.collocated - before.collocated).T
+    offset = 0.0 if state.gap_offset is None else state.gap_offset
+    model.gap_offset = np.where(turned, gained, 0.0) + offset
     # the rates at the start of the next step are to be those of the new elasticity
     contact = model.contact(state.time, state.wear, state.contact.pressure, exact=True)
     rates = model.rates_at(state.time, state.wear, contact.pressure)
-    return replace(state, shape=state.wear, fit=model.fit, contact=contact, rates=rates)
+    return replace(
+        state, meshed_wear=state.wear, gap_offset=model.gap_offset, contact=contact, rates=rates
+    )
 
 
 def _slivers(line: ContactLine, shape: FloatArray) -> str:

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from ringwear_par.arrays import FloatArray, Numbers, columns
+from ringwear_par.arrays import FloatArray, columns
 from ringwear_par.contact.problem import ContactState
 from ringwear_par.history.admissible import checked
 from ringwear_par.history.model import WearModel
@@ -28,42 +28,42 @@ class Step:
     Parameters
     ----------
     state : at its end; the iterations of its contact are those of all stages.
-    wear_error : float or (B,), mm, estimated error of the wear of both bodies together in the
+    wear_error : (B,), mm, estimated error of the wear of both bodies together in the
         step, of the worst element.
-    history_error : float or (B,), mm, that of the history up to the end of the step; from a scheme
+    history_error : (B,), mm, that of the history up to the end of the step; from a scheme
         that does not carry it that of the step.
-    energy_error : float or (B,), N mm, estimated error of the energy dissipated in the step; 0 from
+    energy_error : (B,), N mm, estimated error of the energy dissipated in the step; 0 from
         a scheme that leaves it to the wear.
-    power : float or (B,), N mm/s, largest power of friction in the step, where there is such error.
-    pressure_error : float or (B,), estimated error of the pressure at the end, of the worst
+    power : (B,), N mm/s, largest power of friction in the step, where there is such error.
+    pressure_error : (B,), estimated error of the pressure at the end, of the worst
         element, over the mean pressure (force over the area in contact); 0 from a scheme that does
         not know it.
-    carried_error : float or (B,), mm, what is left at the end of the step of the error of the
+    carried_error : (B,), mm, what is left at the end of the step of the error of the
         history before it; 0 from a scheme that does not carry it.
-    closing : bool or (B,), whether elements came into contact within the step, which errors of wear
+    closing : (B,), whether elements came into contact within the step, which errors of wear
         do not know of.
     """
 
     state: State
-    wear_error: Numbers
-    history_error: Numbers
-    energy_error: Numbers = 0.0
-    power: Numbers = 0.0
-    pressure_error: Numbers = 0.0
-    carried_error: Numbers = 0.0
+    wear_error: FloatArray
+    history_error: FloatArray
+    energy_error: FloatArray | float = 0.0
+    power: FloatArray | float = 0.0
+    pressure_error: FloatArray | float = 0.0
+    carried_error: FloatArray | float = 0.0
     closing: Any = False
 
 
-Scheme = Callable[[WearModel, State, Numbers], Step]
+Scheme = Callable[[WearModel, State, FloatArray], Step]
 
 
 def advanced(
     model: WearModel,
     state: State,
-    end: Numbers,
+    end: FloatArray,
     depths: FloatArray,
     volumes: FloatArray,
-    energy: Numbers,
+    energy: FloatArray,
     contact: ContactState,
     rates: FloatArray,
     along: Along | None,
@@ -75,7 +75,7 @@ def advanced(
     ----------
     depths : (2, ..., n) float, mm, worn off in it.
     volumes : (2, ...) float, mm^3, integrals over the step of the rates of the worn volumes.
-    energy : float or (B,), N mm, dissipated in it.
+    energy : (B,), N mm, dissipated in it.
     rates : (2, ..., n) float, mm/s, of wear at its end.
     along : derivatives along it, where they are asked for.
     through : (2, ...) float, s, when wear first got through the layers, see ``first_through``.
@@ -86,13 +86,15 @@ def advanced(
     """
     after = State(
         end, state.wear + depths, state.worn + volumes, state.energy + energy, contact, rates,
-        state.error, state.shape, state.fit, None if along is None else along.reached(contact),
-        through,
+        state.error, state.meshed_wear, state.gap_offset,
+        None if along is None else along.reached(contact), through,
     )  # fmt: skip
     return checked(model.case, after)
 
 
-def first_through(state: State, *parts: tuple[Numbers, Numbers, WearIncrement, Any, Any]) -> Any:
+def first_through(
+    state: State, *parts: tuple[FloatArray, FloatArray, WearIncrement, Any, Any]
+) -> Any:
     """Return when wear first got through the layers, (2, ...) s; None where there are none.
 
     Parameters

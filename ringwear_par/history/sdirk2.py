@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ringwear_par.arrays import BoolArray, FloatArray, Numbers, columns, inner, larger
+from ringwear_par.arrays import BoolArray, FloatArray, columns, inner
 from ringwear_par.contact.problem import ContactState
 from ringwear_par.history.entering import Entering, entering, entry_error, held
 from ringwear_par.history.model import WearModel
@@ -52,11 +52,11 @@ _FIRST_ORDER = 0.25
 _FASTER = 3000.0
 
 
-def step(model: WearModel, state: State, end: Numbers) -> Step:
+def step(model: WearModel, state: State, end: FloatArray) -> Step:
     """Return the step to a time. Collective."""
     length = end - state.time
     middle = state.time + GAMMA * length
-    speeds = [in_time(model.given.omega, t) for t in (state.time, middle, end)]
+    speeds = [in_time(model.inputs.omega, t) for t in (state.time, middle, end)]
 
     enter = entering(model, state, length)
     closing = None if enter is None else enter.closing(GAMMA * length, np.ones_like(enter.gap))
@@ -84,12 +84,12 @@ def step(model: WearModel, state: State, end: Numbers) -> Step:
     contact = replace(
         contact,
         iterations=stage.iterations + contact.iterations,
-        residual=larger(stage.residual, contact.residual),
+        residual=np.maximum(stage.residual, contact.residual),
     )
     energy = length * inner(_WEIGHTS, powers)
     depths = lost_first + losses
     through = None
-    if model.given.layered:
+    if model.inputs.layered:
         volumes = model.integrals(
             first.apart(stage.pressure, worn_first, _SHARE * counts)
             + last.apart(contact.pressure, worn_last, inside)
@@ -105,7 +105,7 @@ def step(model: WearModel, state: State, end: Numbers) -> Step:
             _WEIGHTS[1] * (counts * first.rates(stage.pressure, worn_first))
             + _WEIGHTS[2] * (counts_last * then)
         )
-    if not model.given.rates_last:
+    if not model.inputs.rates_last:
         then = model.rates(end, speeds[2], state.wear + depths, contact.pressure)
     if along is not None:
         along.last_stage(last, contact.pressure, worn_last, GAMMA * length)
@@ -122,7 +122,7 @@ def step(model: WearModel, state: State, end: Numbers) -> Step:
     if enter is not None:  # those make one step of first order, see ``entry_error``
         defect = np.where(enter.late, 0.0, defect)
     crossing: BoolArray | bool = False
-    if model.given.layered:
+    if model.inputs.layered:
         defect, crossing = _through_defect(
             model, state, after, enter, last, stage.pressure, defect,
             (standard - worn_first).sum(axis=0), worn_last,
@@ -183,7 +183,7 @@ class _Feedback:
         return grown - depth + self.last.linear(self.pressure, relief)
 
 
-def _largest(values: FloatArray) -> Numbers:
+def _largest(values: FloatArray) -> FloatArray:
     """Return the largest size, of (..., n)."""
     return np.abs(values).max(axis=-1)
 
@@ -191,10 +191,10 @@ def _largest(values: FloatArray) -> Numbers:
 def _last_stage(
     model: WearModel,
     enter: Entering | None,
-    end: Numbers,
-    speed: Numbers,
+    end: FloatArray,
+    speed: FloatArray,
     carried: FloatArray,
-    length: Numbers,
+    length: FloatArray,
     near: FloatArray,
     along: Along | None,
 ) -> tuple[WearIncrement, ContactState, FloatArray | float, FloatArray | float]:
@@ -218,11 +218,9 @@ def _last_stage(
             along.lengthen(last, p, step)
         counts = np.where(enter.late, counts, enter.counts(p, counts * inside))
         last = model.increment(end, speed, carried, step, enter.closing(step, counts))
-        found = None if p.ndim == 1 else (np.logical_not(enter.late.any(axis=-1)), contact)
+        found = np.logical_not(enter.late.any(axis=-1)), contact
         again = model.contact(end, carried, near, last, found=found, along=along)
-        more: Numbers = (
-            contact.iterations if found is None else np.where(found[0], 0, contact.iterations)
-        )
+        more = np.where(found[0], 0, contact.iterations)
         contact = replace(again, iterations=again.iterations + more)
         inside = last.share(last.top(contact.pressure))
     return last, contact, counts * inside, inside
@@ -252,7 +250,7 @@ def _through_defect(
     defect : of the quadratic, which holds in all other steps.
     changed : (..., n) mm, what both stages differ in, in the length of one.
     """
-    now = np.zeros(model.given.shape, dtype=bool)
+    now = np.zeros(model.inputs.shape, dtype=bool)
     for ends, *worn in zip(model.layer_ends, before.wear, after.wear, strict=True):
         for end in () if ends is None else ends:
             was, is_ = (worn_through(end, each) for each in worn)
@@ -279,7 +277,7 @@ def _scale(model: WearModel, before: ContactState, after: ContactState) -> Float
     return np.maximum(before.pressure, np.maximum(_mean_pressure(model, after), least))
 
 
-def _mean_pressure(model: WearModel, contact: ContactState) -> Numbers:
+def _mean_pressure(model: WearModel, contact: ContactState) -> FloatArray:
     """Return the force over the area in contact, MPa, a number or (B, 1)."""
     touching = inner(model.area, (contact.pressure > 0.0).astype(float))
     return columns(contact.force / np.maximum(touching, model.area.min()))

@@ -10,7 +10,6 @@ import numpy as np
 from ringwear_par.arrays import FloatArray, IntArray, columns, inner
 from ringwear_par.cases.case import Case
 from ringwear_par.cases.schema import UNITS, layer_entry
-from ringwear_par.contact.problem import REPLICATED_LIMIT
 from ringwear_par.elasticity.boundary_fields import BODIES
 from ringwear_par.elasticity.pair import ContactPair
 from ringwear_par.elasticity.slopes import obliquity
@@ -79,7 +78,7 @@ def units_of(case: Case, keys: Sequence[str]) -> dict[str, str]:
     return {key: units[key] for key in keys}
 
 
-def check_derivatives(case: Case, keys: Sequence[str], ranks: int = 1) -> None:
+def check_derivatives(case: Case, keys: Sequence[str]) -> None:
     """Refuse derivatives that there are not. Not collective.
 
     Raises
@@ -93,11 +92,6 @@ def check_derivatives(case: Case, keys: Sequence[str], ranks: int = 1) -> None:
     if case.follows_wear:
         raise InputError(
             'derivatives: are not known with mesh.geometry = "updated"; must be "fixed" with them'
-        )
-    if ranks > 1 and case.mesh.contact_elements > REPLICATED_LIMIT:
-        raise InputError(
-            f"derivatives: {case.mesh.contact_elements} contact elements are shared by {ranks} "
-            f"ranks; must be at most {REPLICATED_LIMIT}, or on one rank, with them"
         )
     allowed = differentiable(case)
     faults = [
@@ -129,12 +123,9 @@ class Sensitivity:
     keys : of the numbers.
     cases : one case, or several of one pair.
     pair : of the cases.
-    several : whether histories have an axis, though there may be one.
     """
 
-    def __init__(
-        self, keys: Sequence[str], cases: Sequence[Case], pair: ContactPair, several: bool
-    ) -> None:
+    def __init__(self, keys: Sequence[str], cases: Sequence[Case], pair: ContactPair) -> None:
         self.keys, self._arm = tuple(keys), pair.line.arm
         rows = {key: row for row, key in enumerate(keys)}
         #: rows and names of the parameters of the laws of lower and upper
@@ -153,12 +144,9 @@ class Sensitivity:
                 own.remove((row, "length"))
         self.friction, self.omega = rows.get("contact.friction"), rows.get("load.omega")
 
-        def of_cases(numbers: list[Any]) -> Any:
-            return np.array(numbers) if several else numbers[0]
-
         #: what mu and omega are, which tells how far differences may go
         self._sizes = {
-            row: of_cases([abs(number(case)) or 1.0 for case in cases])
+            row: np.array([abs(number(case)) or 1.0 for case in cases])
             for row, number in (
                 (self.friction, lambda case: case.friction),
                 (self.omega, lambda case: case.load.omega),
@@ -166,17 +154,15 @@ class Sensitivity:
             if row is not None
         }
         #: (P, ...) derivatives of the force, N, or of the displacement, mm
-        self.load = np.zeros((len(keys), len(cases)) if several else len(keys))
+        self.load = np.zeros((len(keys), len(cases)))
         for key, row in rows.items():
             if key == "load.pressure":
-                self.load[row] = of_cases([case.area for case in cases])
+                self.load[row] = [case.area for case in cases]
             elif key in ("load.force", "load.displacement"):
                 self.load[row] = 1.0
         elastic = {"lower.young", "upper.young", *elastic_numbers(cases[0])}
         self._elastic = [
-            (row, _Elastic.of(cases, pair, key, several))
-            for key, row in rows.items()
-            if key in elastic
+            (row, _Elastic.of(cases, pair, key)) for key, row in rows.items() if key in elastic
         ]
         #: of bodies with layers, (layers, P), which number is the thickness of which layer
         self.thicknesses = {
@@ -235,7 +221,7 @@ class Sensitivity:
 
         Parameters
         ----------
-        products : of matrices and pressures, see ``CorrectedContact.products``.
+        products : of matrices and pressures, see ``CorrectedContacts.products``.
         p, at : (..., n) MPa, of a solution, and those that it was corrected at.
         """
         for row, elastic in self._elastic:
@@ -255,7 +241,7 @@ class Sensitivity:
         if self.friction is not None:
             out[self.friction] += inner(model.compliances.twist, p)
         for row, elastic in self._elastic:
-            out[row] += model.given.friction * inner(elastic.twist[elastic.which], p)
+            out[row] += model.inputs.friction * inner(elastic.twist[elastic.which], p)
         return out
 
 
@@ -276,7 +262,7 @@ class _Elastic:
     which: Any
 
     @classmethod
-    def of(cls, cases: Sequence[Case], pair: ContactPair, key: str, several: bool) -> "_Elastic":
+    def of(cls, cases: Sequence[Case], pair: ContactPair, key: str) -> "_Elastic":
         """Return those of some cases."""
         moduli = [young(case) for case in cases]
         firsts = dict(zip(moduli, cases, strict=True))
@@ -289,7 +275,7 @@ class _Elastic:
             np.array([(matrix / pair.line.area[:, None]).T for matrix, _, _ in every]),
             np.array([collocated.T for _, collocated, _ in every]),
             np.array([twist for _, _, twist in every]),
-            np.array([places[each] for each in moduli]) if several else 0,
+            np.array([places[each] for each in moduli]),
         )
 
     def take(self, histories: IntArray) -> "_Elastic":

@@ -1,9 +1,10 @@
-"""What observers of a history are shown."""
+"""What observers see of histories on their way."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from ringwear_par.arrays import BoolArray, IntArray
+from ringwear_par.batched import along, one
 from ringwear_par.history.model import WearModel
 from ringwear_par.history.schemes import Step
 from ringwear_par.history.state import Progress, State
@@ -11,61 +12,63 @@ from ringwear_par.history.state import Progress, State
 
 @dataclass(frozen=True)
 class Snapshot:
-    """A state of a history on its way.
-
-    Parameters
-    ----------
-    model : the physics, for what follows from a state.
-    state : the state.
-    step : that led there; None at the start.
-    progress : of step control, after it.
-    iterations : of the contact solver, for this state.
-    stored : whether the case stores it.
-    passing : whether it lies within a step, at a time of output, and the history does not go on
-        from it.
-    finished : whether it is the last one.
-    """
-
-    model: WearModel
-    state: State
-    step: Step | None
-    progress: Progress
-    iterations: int
-    stored: bool
-    passing: bool = False
-    finished: bool = False
-
-
-@dataclass(frozen=True)
-class BatchSnapshot:
     """States of B histories on their way, each at a time of its own.
 
     Parameters
     ----------
-    numbers : (B,) int, of the histories among all that were given.
+    numbers : (B,) int, of the histories among all cases.
     model, state : the physics and the states.
     step : that led there; None at the start.
     progress : of step control, after it.
     iterations : (B,) int, of the contact solver, for these states.
-    shown : (B,) bool, which histories have come to a new state; of the others nothing is to be
+    accepted : (B,) bool, which histories have come to a new state; of the others nothing is to be
         taken.
     stored, finished : (B,) bool, which new states their cases store, and which are the last ones.
-    passing : whether all of them lie within steps, at times of output.
+    passing : whether all of them lie within steps, at times of output, and the histories do not
+        continue from them.
     """
 
     numbers: IntArray
-    model: WearModel
+    model: WearModel = field(metadata=along(None))
     state: State
-    step: Step | None
+    step: Step | None = field(metadata=along(None))
     progress: Progress
     iterations: IntArray
-    shown: BoolArray
+    accepted: BoolArray
     stored: BoolArray
     finished: BoolArray
-    passing: bool = False
+    passing: bool = field(default=False, metadata=along(None))
+
+    def instant(self, place: int) -> "Instant":
+        """Return the state of one of the histories."""
+        return Instant(
+            one(self.state, place),
+            int(self.progress.steps[place]),
+            bool(self.stored[place]),
+            self.passing,
+            bool(self.finished[place]),
+        )
 
 
-#: called with every snapshot, the same on all ranks; tells whether the history is to stop here,
-#: which it does where one of its observers says so. Any observer that meets other ranks does it in
+@dataclass(frozen=True)
+class Instant:
+    """One history at an instant.
+
+    Parameters
+    ----------
+    state : without the axis of histories.
+    steps : number of steps made.
+    stored, passing, finished : see ``Snapshot``.
+    """
+
+    state: State
+    steps: int
+    stored: bool
+    passing: bool
+    finished: bool
+
+
+#: called with every snapshot, the same on all ranks; tells whether the histories are to stop here,
+#: which they do where one of the observers says so. Any observer that meets other ranks does it in
 #: every snapshot
 Observer = Callable[[Snapshot], bool]

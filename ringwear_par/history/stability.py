@@ -1,13 +1,12 @@
 """How long explicit steps may be."""
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ringwear_par.arrays import FloatArray
+from ringwear_par.arrays import FloatArray, IntArray
 from ringwear_par.cases.case import Case
 from ringwear_par.contact.problem import ContactState
-from ringwear_par.contact.solver import ContactSolver
 from ringwear_par.elasticity.pair import ContactCompliance, largest_stable_step
 from ringwear_par.schedules import integral, largest
 from ringwear_par.wear.law import Law, LocalState
@@ -17,34 +16,17 @@ if TYPE_CHECKING:
     from ringwear_par.history.model import WearModel
 
 
-def stable_step(model: "WearModel") -> float:
-    """Return the largest stable step of the explicit scheme, s. Collective.
+def stable_steps(model: "WearModel") -> list[float]:
+    """Return the largest stable steps of the explicit scheme, s, of B histories.
 
     Unworn, under the largest load and speed, with the steepest of what laws do in time.
     """
-    solver = model.solver
-    warm = solver.warm()
-    most = float(pressed(solver, model.case).pressure.max())
-    solver.warm_start(warm)
-    return _stable_step(model.case, model.compliance, most)
-
-
-def stable_steps(model: "WearModel") -> list[float]:
-    """Return the same of B histories."""
-    solver = model.batch.solver
-    start = solver.start
-    loads = [case.load for case in model.given.cases]
-    if model.given.force is None:
-        given: dict[str, Any] = {
-            "approach": np.array([largest(load.displacement or 0.0) for load in loads])
-        }
-    else:
-        given = {"force": np.array([largest(load.force or 0.0) for load in loads])}
-    most = solver.solve(model.given.initial_gap, **given).pressure.max(axis=1).tolist()
-    solver.start = start
+    warm = model.warm
+    largest_pressures = pressed(model).pressure.max(axis=1).tolist()
+    model.warm = warm
     return [
-        _stable_step(case, model.compliances.history(i), most[i])
-        for i, case in enumerate(model.given.cases)
+        _stable_step(case, model.compliances.history(i), largest_pressures[i])
+        for i, case in enumerate(model.inputs.cases)
     ]
 
 
@@ -69,11 +51,17 @@ def _steepest(law: Law, p: FloatArray, at: LocalState) -> FloatArray:
     return law.d_rate_dp(p, at)
 
 
-def pressed(solver: ContactSolver, case: Case) -> ContactState:
-    """Return the contact before any wear, under the largest load of a case. Collective."""
-    force, displacement = case.load.force, case.load.displacement
-    return solver.solve(
-        case.initial_gap,
-        force=None if force is None else largest(force),
-        approach=None if displacement is None else largest(displacement),
-    )
+def pressed(model: "WearModel", histories: IntArray | None = None) -> ContactState:
+    """Return the contacts before any wear, under the largest loads of the cases.
+
+    Parameters
+    ----------
+    histories : those that are solved; None: all.
+    """
+    solver, inputs = model.contacts.solver, model.inputs
+    loads = [case.load for case in inputs.cases]
+    if inputs.force is None:
+        approach = np.array([largest(load.displacement or 0.0) for load in loads])
+        return solver.solve(inputs.initial_gap, approach=approach, histories=histories)
+    force = np.array([largest(load.force or 0.0) for load in loads])
+    return solver.solve(inputs.initial_gap, force=force, histories=histories)

@@ -1,173 +1,111 @@
-"""What a wear history is at an instant, and where it goes on from."""
+"""The state of B histories at an instant, and the progress of their step control."""
 
-from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, field
 
 import numpy as np
 
-from ringwear_par.arrays import BoolArray, FloatArray, IntArray, Numbers
+from ringwear_par.arrays import BoolArray, FloatArray, IntArray
+from ringwear_par.batched import along
 from ringwear_par.contact.problem import ContactState, WarmStart
-from ringwear_par.history.tangent import Tangent
+
+
+@dataclass(frozen=True)
+class Tangent:
+    """Derivatives of a state.
+
+    Parameters
+    ----------
+    wear : (2, P, ..., n) float, mm over each number's unit.
+    energy : (P, ...) float, N mm.
+    pressure, gap : (P, ..., n) float, MPa and mm, of the contact.
+    approach : (P, ...) float, mm.
+    """
+
+    wear: FloatArray = field(metadata=along(2))
+    energy: FloatArray = field(metadata=along(1))
+    pressure: FloatArray = field(metadata=along(1))
+    gap: FloatArray = field(metadata=along(1))
+    approach: FloatArray = field(metadata=along(1))
 
 
 @dataclass(frozen=True)
 class State:
-    """One wear history, or B of them on one contact pair, at an instant: the physics alone.
+    """B wear histories on one contact pair, each at an instant of its own: the physics alone.
 
     Parameters
     ----------
-    time : float or (B,), s.
-    wear : (2, ..., n) float, mm, loss of lower and upper.
-    worn : (2, ...) float, mm^3, time integrals of the rates of the worn volumes.
-    energy : float or (B,), N mm, dissipated by friction.
+    time : (B,) float, s.
+    wear : (2, B, n) float, mm, loss of lower and upper.
+    worn : (2, B) float, mm^3, time integrals of the rates of the worn volumes.
+    energy : (B,) float, N mm, dissipated by friction.
     contact : the contact solution with these profiles.
-    rates : (2, ..., n) float, mm/s, at which lower and upper wear now.
-    error : (..., n) float, mm, what the wear of both bodies together lacks for the steps so far, by
+    rates : (2, B, n) float, mm/s, at which lower and upper wear now.
+    error : (B, n) float, mm, what the wear of both bodies together lacks for the steps so far, by
         estimate; 0 from schemes that do not carry it.
-    shape : (2, ..., n) float, mm, the wear that the elements have followed; None where they do not.
-    fit : (..., n) float, mm, what elements are nearer than their profiles say since their slopes
-        turned, see ``update_geometry``; None where they do not.
-    tangent : derivatives, where they were asked for.
-    through : (2, ...) float, s, when wear first got through all layers of lower and upper;
-        infinite where it has not, or there are none.
+    meshed_wear : (2, B, n) float, mm, the wear that the elements have followed; None where they do
+        not.
+    gap_offset : (B, n) float, mm, what elements are nearer than their profiles say since their
+        slopes turned, see ``moving_geometry``; None where they do not.
+    tangent : derivatives; None where there are none.
+    through : (2, B) float, s, when wear first got through all layers of lower and upper; infinite
+        where it has not; None without layers.
     """
 
-    time: Numbers
-    wear: FloatArray
-    worn: FloatArray
-    energy: Numbers
+    time: FloatArray
+    wear: FloatArray = field(metadata=along(1))
+    worn: FloatArray = field(metadata=along(1))
+    energy: FloatArray
     contact: ContactState
-    rates: FloatArray
+    rates: FloatArray = field(metadata=along(1))
     error: FloatArray
-    shape: FloatArray | None = None
-    fit: FloatArray | None = None
+    meshed_wear: FloatArray | None = field(default=None, metadata=along(1))
+    gap_offset: FloatArray | None = None
     tangent: Tangent | None = None
-    through: FloatArray | None = None
-
-    def take(self, histories: IntArray) -> "State":
-        """Return some of B histories."""
-        contact = self.contact
-        return State(
-            self.time[histories],
-            self.wear[:, histories],
-            self.worn[:, histories],
-            self.energy[histories],
-            ContactState(*(values[histories] for values in vars(contact).values())),
-            self.rates[:, histories],
-            self.error[histories],
-            tangent=None if self.tangent is None else self.tangent.take(histories),
-            through=None if self.through is None else self.through[:, histories],
-        )
-
-    def joined(self, other: "State") -> "State":
-        """Return the histories of both."""
-
-        def of(name: str, axis: int = 0) -> Any:
-            return np.concatenate([getattr(self, name), getattr(other, name)], axis=axis)
-
-        both = zip(vars(self.contact).values(), vars(other.contact).values(), strict=True)
-        contact = ContactState(*map(np.concatenate, both))
-        return State(
-            of("time"), of("wear", 1), of("worn", 1), of("energy"), contact, of("rates", 1),
-            of("error"), tangent=_tangent(self, other, Tangent.joined),
-            through=None if self.through is None else of("through", 1),
-        )  # fmt: skip
-
-    def history(self, i: int) -> "State":
-        """Return one of B histories."""
-        contact = self.contact
-        return State(
-            float(self.time[i]),
-            self.wear[:, i],
-            self.worn[:, i],
-            float(self.energy[i]),
-            ContactState(
-                contact.pressure[i], contact.gap[i], float(contact.approach[i]),
-                float(contact.force[i]), int(contact.iterations[i]), float(contact.residual[i]),
-            ),
-            self.rates[:, i],
-            self.error[i],
-            tangent=None if self.tangent is None else self.tangent.history(i),
-            through=None if self.through is None else self.through[:, i],
-        )  # fmt: skip
-
-    def updated(self, which: BoolArray, after: "State") -> "State":
-        """Return B histories, some of which have become others."""
-
-        def of(name: str) -> Any:
-            return np.where(which, getattr(after, name), getattr(self, name))
-
-        rows = which[:, None]
-        both = zip(vars(after.contact).values(), vars(self.contact).values(), strict=True)
-        contact = ContactState(
-            *(np.where(rows if new.ndim == 2 else which, new, old) for new, old in both)
-        )
-        return State(
-            of("time"),
-            np.where(rows, after.wear, self.wear),
-            of("worn"),
-            of("energy"),
-            contact,
-            np.where(rows, after.rates, self.rates),
-            np.where(rows, after.error, self.error),
-            tangent=_tangent(self, after, lambda old, new: old.updated(which, new)),
-            through=None if self.through is None else of("through"),
-        )
-
-
-def _tangent(
-    one: State, other: State, make: Callable[[Tangent, Tangent], Tangent]
-) -> Tangent | None:
-    """Return what is made of the derivatives of two states, where there are any."""
-    if one.tangent is None or other.tangent is None:
-        return None
-    return make(one.tangent, other.tangent)
+    through: FloatArray | None = field(default=None, metadata=along(1))
 
 
 @dataclass(frozen=True)
 class Progress:
-    """What step control remembers between two steps: numbers, or (B,) of B histories.
+    """The progress of the step control of B histories, (B,) each.
 
     Parameters
     ----------
-    steps : number of steps made.
-    next_step : s, what error control tries next; 0 before its first step.
-    rejected : steps that were repeated with a smaller one.
-    iterations : of the contact solver.
+    steps : number of accepted steps.
+    next_step : s, length that error control tries next; 0 before its first step.
+    rejected : steps that were repeated with a smaller length.
+    iterations : of the contact solver, in accepted steps.
+    length : s, length of the present try.
+    begun : whether a try of the present step was made.
+    pressed : whether a try of the present step failed by its pressure.
+    tried_iterations : of the contact solver, in tries of the present step.
     """
 
-    steps: Numbers = 0
-    next_step: Numbers = 0.0
-    rejected: Numbers = 0
-    iterations: Numbers = 0
+    steps: IntArray
+    next_step: FloatArray
+    rejected: IntArray
+    iterations: IntArray
+    length: FloatArray
+    begun: BoolArray
+    pressed: BoolArray
+    tried_iterations: IntArray
 
     @classmethod
-    def of_many(cls, count: int) -> "Progress":
-        """Return the progress of B histories at their start."""
-        nothing = np.zeros(count, dtype=np.int64)
-        return cls(nothing, np.zeros(count), nothing, nothing)
-
-    def joined(self, other: "Progress") -> "Progress":
-        """Return that of the histories of both."""
-        both = zip(vars(self).values(), vars(other).values(), strict=True)
-        return Progress(*map(np.concatenate, both))
-
-    def take(self, histories: IntArray) -> "Progress":
-        """Return that of some of B histories."""
-        return Progress(*(values[histories] for values in vars(self).values()))
+    def at_start(cls, count: int) -> "Progress":
+        """Return the progress of B histories before their first step."""
+        zeros, no = np.zeros(count, dtype=np.int64), np.zeros(count, dtype=bool)
+        return cls(zeros, np.zeros(count), zeros, zeros, np.zeros(count), no, no, zeros)
 
 
 @dataclass(frozen=True)
 class Start:
-    """Where an interrupted history goes on, to the last bit as if it had not been interrupted.
+    """Where an interrupted history continues, to the last bit as if it had not been interrupted.
 
     Parameters
     ----------
-    state : the last one.
+    state : the last one, of one history.
     progress : of step control.
     warm : where the contact solver starts.
-    updates : how often the elements were assembled anew to follow the wear.
+    updates : how often the elements were assembled again to follow the wear.
     """
 
     state: State

@@ -12,7 +12,7 @@ from ringwear_par.elasticity.stress_fields import StressHistory, StressState
 from ringwear_par.elasticity.stress_recovery import StressPoints, StressRecovery, interfaces
 from ringwear_par.history.asked import Asked
 from ringwear_par.history.bodies import bodies, operator_key
-from ringwear_par.history.snapshots import Snapshot
+from ringwear_par.history.snapshots import Instant
 from ringwear_par.history.state import State
 from ringwear_par.wear.layered import worn_through
 
@@ -74,7 +74,9 @@ class CaseStresses:
         """
         lower, upper = (worn_through(case.layer_ends(i), wear) for i, wear in enumerate(state.wear))
         gone = lower, upper
-        found = self._recovery.stresses(state.contact.pressure, case.friction, state.shape, gone)
+        found = self._recovery.stresses(
+            state.contact.pressure, case.friction, state.meshed_wear, gone
+        )
         points = np.empty((len(self.points), 6))
         grid = np.full((*self._of_grid.shape, 6), np.nan)
         for i, body in enumerate(found):
@@ -126,13 +128,12 @@ class StressObserver:
         #: None: not known
         self.wear: FloatArray | None = None
 
-    def __call__(self, snapshot: Snapshot) -> bool:
+    def __call__(self, instant: Instant) -> None:
         """Compute the stresses of a state, if the case wants them. Collective."""
-        if self._asked(snapshot):
-            state = self.stresses.at(self._case, int(snapshot.progress.steps), snapshot.state)
+        if self._asked(instant):
+            state = self.stresses.at(self._case, instant.steps, instant.state)
             self.states.append(state.without_fields() if self._points_only else state)
-            self.wear = snapshot.state.wear
-        return False
+            self.wear = instant.state.wear
 
     def history(self, earlier: tuple[StressState, ...] = ()) -> StressHistory:
         """Return what was asked for so far, after what an interrupted history had."""

@@ -13,76 +13,19 @@ Derivatives with respect to P numbers are (P, ..., n) of fields, (P, ...) of a h
 and (2, P, ..., n) of what both bodies have.
 """
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ringwear_par.arrays import BoolArray, FloatArray, IntArray, Numbers, columns, inner
+from ringwear_par.arrays import FloatArray, IntArray, columns, inner
 from ringwear_par.contact.problem import ContactState
+from ringwear_par.history.state import State, Tangent
 from ringwear_par.wear.increment import VariedIncrement, WearIncrement
 from ringwear_par.wear.layered_increment import VariedLayers
 
 if TYPE_CHECKING:
     from ringwear_par.history.entering import Entering
     from ringwear_par.history.model import WearModel
-    from ringwear_par.history.state import State
-
-
-@dataclass(frozen=True)
-class Tangent:
-    """Derivatives of a state.
-
-    Parameters
-    ----------
-    wear : (2, P, ..., n) float, mm over each number's unit.
-    energy : (P, ...) float, N mm.
-    pressure, gap : (P, ..., n) float, MPa and mm, of the contact.
-    approach : (P, ...) float, mm.
-    """
-
-    wear: FloatArray
-    energy: FloatArray
-    pressure: FloatArray
-    gap: FloatArray
-    approach: FloatArray
-
-    def history(self, i: int) -> "Tangent":
-        """Return that of one of B histories."""
-        return self._each(lambda values, axis: np.take(values, i, axis))
-
-    def take(self, histories: IntArray) -> "Tangent":
-        """Return that of some of B histories."""
-        return self._each(lambda values, axis: np.take(values, histories, axis))
-
-    def _each(self, function: Any) -> "Tangent":
-        pairs = vars(self).items()
-        return Tangent(**{name: function(values, _axis(name)) for name, values in pairs})
-
-    def joined(self, other: "Tangent") -> "Tangent":
-        """Return that of the histories of both."""
-        return self._with(other, lambda *values, axis: np.concatenate(values, axis))
-
-    def updated(self, which: BoolArray, after: "Tangent") -> "Tangent":
-        """Return that of B histories, some of which have become others."""
-        rows = which[:, None]
-        return self._with(
-            after,
-            lambda old, new, axis: np.where(rows if new.ndim > 2 else which, new, old),
-        )
-
-    def _with(self, other: "Tangent", function: Any) -> "Tangent":
-        return Tangent(
-            **{
-                name: function(values, getattr(other, name), axis=_axis(name))
-                for name, values in vars(self).items()
-            }
-        )
-
-
-def _axis(name: str) -> int:
-    """Return the axis of B histories."""
-    return 2 if name == "wear" else 1
 
 
 # -- along one step --------------------------------------------------------------------------------
@@ -104,7 +47,7 @@ class Along:
         assert model.sensitivity is not None
         self._model, self._numbers, self._enter = model, model.sensitivity, enter
         nothing = self._numbers.nothing
-        shape = model.given.shape
+        shape = model.inputs.shape
         if before is None:
             before = Tangent(
                 np.stack([nothing(*shape)] * 2), nothing(*shape[:-1]), nothing(*shape),
@@ -136,7 +79,7 @@ class Along:
         """Take the wear of the next contact problem."""
         self._during = during
 
-    def solved(self, found: ContactState, at: FloatArray, asked: Any = None) -> None:
+    def solved(self, found: ContactState, at: FloatArray, asked: IntArray) -> None:
         """Differentiate a contact solution, see ``contact.correction.Tangents``."""
         model, during, p = self._model, self._during, found.pressure
         contacts = model.contacts
@@ -150,9 +93,9 @@ class Along:
             gap += worn
             self._varied = varied
         load = self._numbers.load
-        loads = (None, load) if model.given.force is None else (load, None)
+        loads = (None, load) if model.inputs.force is None else (load, None)
         solved = contacts.tangents(found, gap, *loads, slope, asked=asked)
-        if asked is None or len(asked) == gap.shape[1]:
+        if len(asked) == gap.shape[1]:
             self._gap, (self.pressure, self.approach) = gap, solved
         else:
             self._gap, self.pressure = self._gap.copy(), self.pressure.copy()
@@ -208,7 +151,7 @@ class Along:
         self._wear_off(self._lost(worn, share * counts, share * d_counts))
         self._near = self._first = first
 
-    def hold(self, enter: "Entering | None", share: float, step: Numbers) -> None:
+    def hold(self, enter: "Entering | None", share: float, step: FloatArray) -> None:
         """Take note of the elements that get to the next layer after the first stage.
 
         Parameters
@@ -226,7 +169,7 @@ class Along:
         self._d_first = np.where(held, self._varied.until_next(share, self.pressure) / share, 0.0)
         self._step = -columns(step) * share * self._d_first
 
-    def lengthen(self, last: WearIncrement, p: FloatArray, step: Numbers) -> None:
+    def lengthen(self, last: WearIncrement, p: FloatArray, step: FloatArray) -> None:
         """Take note that the last stage is tried again, its steps being those that ``p`` asks for.
 
         Parameters
@@ -245,7 +188,7 @@ class Along:
         self._near = self._first
 
     def last_stage(
-        self, last: WearIncrement, p: FloatArray, worn: FloatArray, step: Numbers
+        self, last: WearIncrement, p: FloatArray, worn: FloatArray, step: FloatArray
     ) -> None:
         """Wear off what the last stage of two does, see ``first_stage`` and ``lengthen``."""
         self._counted_last = self.pressure
@@ -273,7 +216,7 @@ class Along:
             return {}
         return self._varied.lost(self.pressure, worn, share, d_share)
 
-    def work(self, lasts: Numbers, omega: Numbers, p: FloatArray, d_p: FloatArray) -> None:
+    def work(self, lasts: FloatArray, omega: FloatArray, p: FloatArray, d_p: FloatArray) -> None:
         """Dissipate the energy of a time, s, at a speed, rad/s, and a pressure."""
         power = omega * self._numbers.torque(self._model, p, d_p)
         if self._numbers.omega is not None:
@@ -304,7 +247,7 @@ class Along:
 # -- what is stored --------------------------------------------------------------------------------
 
 
-def variables(model: "WearModel", state: "State") -> dict[str, Any]:
+def variables(model: "WearModel", state: State) -> dict[str, Any]:
     """Return derivatives of what is stored of a state by name, (P, ...) each. Not collective.
 
     All but that of ``penetration``, in which the first state has a part.
@@ -317,7 +260,7 @@ def variables(model: "WearModel", state: "State") -> dict[str, Any]:
     return {
         "d_approach": tangent.approach,
         "d_force": numbers.load
-        if model.given.force is not None
+        if model.inputs.force is not None
         else np.asarray(inner(model.area, d_p)),
         "d_torque": numbers.torque(model, p, d_p),
         "d_twist": numbers.twist(model, p, d_p),

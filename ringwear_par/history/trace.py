@@ -2,12 +2,12 @@
 
 from mpi4py import MPI
 
+from ringwear_par.batched import one
 from ringwear_par.cases.case import SAME_TIME, Case
-from ringwear_par.contact.solver import ContactSolver
 from ringwear_par.elasticity.pair import ContactPair
 from ringwear_par.history.balances import Balances, WorstBalances
+from ringwear_par.history.loop import simulate_one
 from ringwear_par.history.model import WearModel
-from ringwear_par.history.simulate import simulate
 from ringwear_par.history.snapshots import Snapshot
 from ringwear_par.history.state import State
 
@@ -23,14 +23,15 @@ class Trace:
 
     def __call__(self, snapshot: Snapshot) -> bool:
         """Take a new state."""
-        (self.passing if snapshot.passing else self.snapshots).append(snapshot)
+        if snapshot.accepted[0]:
+            (self.passing if snapshot.passing else self.snapshots).append(snapshot)
         self._worst(snapshot)
         return False
 
     @property
     def states(self) -> list[State]:
-        """States that the history went on from, the start first."""
-        return [snapshot.state for snapshot in self.snapshots]
+        """States that the history went on from, the start first, without an axis of histories."""
+        return [one(snapshot.state, 0) for snapshot in self.snapshots]
 
     def at(self, time: float) -> State:
         """Return the state at a time (s), of all.
@@ -39,18 +40,18 @@ class Trace:
         ------
         StopIteration : there is none.
         """
-        every = (*self.states, *(snapshot.state for snapshot in self.passing))
+        every = (*self.states, *(one(snapshot.state, 0) for snapshot in self.passing))
         return next(s for s in every if abs(s.time - time) <= SAME_TIME * time)
 
     @property
     def last(self) -> State:
         """The last state."""
-        return self.snapshots[-1].state
+        return self.states[-1]
 
     @property
     def steps(self) -> int:
         """Number of steps made."""
-        return self.snapshots[-1].progress.steps
+        return int(self.snapshots[-1].progress.steps[0])
 
     @property
     def model(self) -> WearModel:
@@ -63,14 +64,8 @@ class Trace:
         return self._worst.worst
 
 
-def trace(
-    case: Case,
-    comm: MPI.Comm,
-    *,
-    pair: ContactPair | None = None,
-    solver: ContactSolver | None = None,
-) -> Trace:
-    """Return all states of a history. Collective on comm; see ``simulate``."""
-    seen = Trace()
-    simulate(case, comm, pair=pair, solver=solver, observers=[seen])
-    return seen
+def trace(case: Case, comm: MPI.Comm, *, pair: ContactPair | None = None) -> Trace:
+    """Return all states of a history. Collective on comm; see ``simulate_one``."""
+    history = Trace()
+    simulate_one(case, comm, pair=pair, observers=[history])
+    return history

@@ -161,7 +161,7 @@ class Histories:
                 continue
             keys = self._keys if derivatives else ()
             parts = computed(
-                [wanted[number] for number in numbers], pair, keep_ends=True, derivatives=keys,
+                [wanted[number] for number in numbers], pair, results=True, derivatives=keys,
                 step_times=[grids[pairs[number][1]] for number in numbers],
             )  # fmt: skip
             for part in parts:

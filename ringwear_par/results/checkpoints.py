@@ -1,12 +1,13 @@
 """Where a history can go on: its last state and the contact solver's next start."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from ringwear_par.arrays import FloatArray
+from ringwear_par.batched import one
 from ringwear_par.errors import InputError
 from ringwear_par.results.variables import Variable
 
@@ -29,13 +30,12 @@ _ARRAYS = (
     Variable("pressure", ("element",), "MPa", "contact pressure"),
     Variable("gap", ("element",), "mm", "gap between the deformed profiles"),
     Variable("warm_scaled_pressure", ("element",), "1", "unknowns of the contact solver"),
-    Variable("warm_rate", ("element",), "MPa/mm", "derivative of pressure by approach"),
-    Variable("warm_gap", ("element",), "mm", "gap of the last contact problem"),
 )
 _NUMBERS = (
     "step", "time", "energy", "iterations", "next_step", "rejected", "assemblies", "approach",
-    "force", "pending_iterations", "warm_approach", "warm_force",
+    "force", "pending_iterations", "warm_approach",
 )  # fmt: skip
+_OF_BODIES = [variable.name for variable in _ARRAYS if variable.dimensions[0] == "body"]
 #: attributes that hold the worst of a history
 _WORST = "worst_"
 
@@ -65,7 +65,7 @@ def take(
     pending_iterations: int,
     worst: Mapping[str, Sequence[float]],
 ) -> Checkpoint:
-    """Return the checkpoint of a state.
+    """Return the checkpoint of a state of one history.
 
     Parameters
     ----------
@@ -73,38 +73,33 @@ def take(
     pending_iterations : of the contact solver since the last stored state.
     worst : see Checkpoint.
     """
-    contact = state.contact
+    last, made, start = one(state, 0), one(progress, 0), one(warm, 0)
+    contact = last.contact
     numbers = {
-        "step": progress.steps,
-        "time": state.time,
-        "energy": state.energy,
-        "iterations": progress.iterations,
-        "next_step": progress.next_step,
-        "rejected": progress.rejected,
+        "step": made.steps,
+        "time": last.time,
+        "energy": last.energy,
+        "iterations": made.iterations,
+        "next_step": made.next_step,
+        "rejected": made.rejected,
         "assemblies": updates,
         "approach": contact.approach,
         "force": contact.force,
         "pending_iterations": pending_iterations,
-        "warm_approach": warm.approach,
-        "warm_force": warm.force,
+        "warm_approach": start.approach,
     }
     arrays = {
-        "wear": state.wear,
-        "worn": state.worn,
-        "rates": state.rates,
-        "error": state.error,
+        "wear": last.wear,
+        "worn": last.worn,
+        "rates": last.rates,
+        "error": last.error,
         "pressure": contact.pressure,
         "gap": contact.gap,
-        "warm_scaled_pressure": warm.scaled_pressure,
-        "warm_rate": warm.rate,
-        "warm_gap": warm.gap,
+        "warm_scaled_pressure": start.scaled_pressure,
     }
-    if state.shape is not None:
-        arrays["shape"] = state.shape
-    if state.fit is not None:
-        arrays["fit"] = state.fit
-    if state.through is not None:
-        arrays["through"] = state.through
+    optional = {"shape": last.meshed_wear, "fit": last.gap_offset, "through": last.through}
+    arrays |= {name: values for name, values in optional.items() if values is not None}
+    numbers = {name: np.asarray(value).item() for name, value in numbers.items()}
     return Checkpoint(numbers, arrays, worst)
 
 
@@ -121,23 +116,34 @@ def restored(result: "Result") -> "Start":
     if result.checkpoint is None:
         raise InputError(f"{result.name}: holds no state to go on from; must be one of a run")
     numbers, arrays = result.checkpoint.numbers, result.checkpoint.arrays
+
+    def number(name: str, kind: Any = float) -> Any:
+        return np.array([numbers[name]], dtype=kind)
+
+    def field(name: str) -> Any:
+        """Return values over the elements, of both bodies or of one, as of one of B histories."""
+        values = arrays.get(name)
+        if values is None:
+            return None
+        return values[:, None] if name in _OF_BODIES else values[None]
+
+    none = np.zeros(1)
     contact = ContactState(
-        arrays["pressure"], arrays["gap"], float(numbers["approach"]), float(numbers["force"]),
-        0, 0.0,
+        field("pressure"), field("gap"), number("approach"), number("force"),
+        np.zeros(1, dtype=np.int64), none,
     )  # fmt: skip
     state = State(
-        float(numbers["time"]), arrays["wear"], arrays["worn"], float(numbers["energy"]),
-        contact, arrays["rates"], arrays["error"], arrays.get("shape"), arrays.get("fit"),
-        through=arrays.get("through"),
+        number("time"), field("wear"), field("worn"), number("energy"), contact, field("rates"),
+        field("error"), field("shape"), field("fit"), through=field("through"),
     )  # fmt: skip
-    progress = Progress(
-        int(numbers["step"]), float(numbers["next_step"]), int(numbers["rejected"]),
-        int(numbers["iterations"]),
-    )  # fmt: skip
-    warm = WarmStart(
-        arrays["warm_scaled_pressure"], arrays["warm_rate"], arrays["warm_gap"],
-        float(numbers["warm_approach"]), float(numbers["warm_force"]),
-    )  # fmt: skip
+    progress = replace(
+        Progress.at_start(1),
+        steps=number("step", np.int64),
+        next_step=number("next_step"),
+        rejected=number("rejected", np.int64),
+        iterations=number("iterations", np.int64),
+    )
+    warm = WarmStart(field("warm_scaled_pressure"), number("warm_approach"))
     return Start(state, progress, warm, int(numbers["assemblies"]))
 
 

@@ -11,7 +11,7 @@ from ringwear_par.elasticity.stress_fields import StressHistory, StressState
 from ringwear_par.elasticity.stress_measures import mises
 from ringwear_par.history.balances import Balances
 from ringwear_par.history.model import WearModel
-from ringwear_par.history.stability import stable_step, stable_steps
+from ringwear_par.history.stability import stable_steps
 from ringwear_par.history.state import State
 from ringwear_par.history.stresses import StressObserver
 from ringwear_par.history.validity import FEW_ELEMENTS, MOST_ANGLE, force_on, worn_share
@@ -304,20 +304,11 @@ def _infinite_ends(
                 yield number, r, float(z), reach
 
 
-def instability(model: WearModel) -> tuple[Doubt, ...]:
-    """Return whether explicit steps are too long. Collective."""
-    case = model.case
-    if case.time.scheme != "explicit":
-        return ()
-    limit, step = stable_step(model), case.time.step
-    return () if step <= limit else (_unstable(step, limit),)
-
-
 def unstable(model: WearModel) -> dict[int, Doubt]:
     """Return which of B histories have explicit steps that are too long."""
     if model.case.time.scheme != "explicit":
         return {}
-    steps = [case.time.step for case in model.given.cases]
+    steps = [case.time.step for case in model.inputs.cases]
     both = enumerate(zip(steps, stable_steps(model), strict=True))
     return {i: _unstable(step, limit) for i, (step, limit) in both if step > limit}
 

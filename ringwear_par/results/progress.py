@@ -36,16 +36,16 @@ class Progress:
 
     def __call__(self, snapshot: Snapshot) -> bool:
         """Tell of a state. Not collective."""
-        state = snapshot.state
+        state, time_reached = snapshot.state, float(snapshot.state.time[0])
         if not self._bar.disable:
-            self._bar.update(state.time - self._bar.n)
+            self._bar.update(time_reached - self._bar.n)
             return False
         now = time.perf_counter()
         if now - self._told > PROGRESS_SECONDS:
             self._told = now
             log.info(
                 "step %d, time %.6g of %.6g s, approach %.6f mm",
-                snapshot.progress.steps, state.time, self._end, state.contact.approach,
+                snapshot.progress.steps[0], time_reached, self._end, state.contact.approach[0],
             )  # fmt: skip
         return False
 

@@ -1,20 +1,24 @@
-"""Observer that stores what a case asks for, and makes the result of its history."""
+"""Observer that stores what cases ask for, and makes the results of their histories."""
 
 import json
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 from mpi4py import MPI
 
-from ringwear_par import __version__
-from ringwear_par.arrays import FloatArray, IntArray, share
+from ringwear_par import __version__, batched
+from ringwear_par.arrays import BoolArray, FloatArray, IntArray, share
 from ringwear_par.cases.case import Case
 from ringwear_par.cases.law_trials import law_sources
+from ringwear_par.contact.problem import WarmStart
 from ringwear_par.elasticity.boundary_fields import BODIES, BoundaryState
 from ringwear_par.elasticity.pair import BodyCost
 from ringwear_par.elasticity.stress_fields import StressHistory, StressState
+from ringwear_par.errors import reason_of
 from ringwear_par.history.balances import Balances, WorstBalances
 from ringwear_par.history.boundaries import BoundaryObserver
 from ringwear_par.history.layers import layer_left, layer_volumes
@@ -22,18 +26,19 @@ from ringwear_par.history.model import WearModel
 from ringwear_par.history.saving import stores
 from ringwear_par.history.sensitivity import units_of
 from ringwear_par.history.snapshots import Snapshot
-from ringwear_par.history.state import Start, State
+from ringwear_par.history.state import Progress, Start, State
 from ringwear_par.history.stresses import CaseStresses, StressObserver
 from ringwear_par.history.tangent import variables as derivatives_of
 from ringwear_par.history.validity import WorstStates
 from ringwear_par.info import versions
 from ringwear_par.results.checkpoints import restored, take
+from ringwear_par.results.columns import HistoryColumns
 from ringwear_par.results.doubts import (
     doubts_of,
     infinite_at_interfaces,
     infinite_edge,
     infinite_stress,
-    instability,
+    unstable,
     worn_points,
 )
 from ringwear_par.results.implausible import Doubt
@@ -44,18 +49,50 @@ from ringwear_par.results.variables import (
     D_PROFILES,
     HISTORIES,
     LAYER_PROFILES,
+    LAYER_VOLUMES,
     TIMES_THROUGH,
     layer_names,
 )
 from ringwear_par.schedules import in_time, integral
 from ringwear_par.wear.layered import LayeredLaw
 
-#: the number of a single history among its kind
-_ALONE = np.zeros(1, dtype=np.int64)
+#: along the contact line
+_WIDE = (*D_PROFILES, *LAYER_PROFILES)
+#: variables that count from the start, and the variable that they are changes of
+_SINCE_START = {"penetration": "approach", "d_penetration": "d_approach"}
+_NO_FAILURES: Mapping[int, Exception] = MappingProxyType({})
+
+
+@dataclass(frozen=True)
+class _Ends:
+    """Where some histories are, to continue from."""
+
+    state: State
+    progress: Progress
+    warm: WarmStart
+    symmetry_defect: FloatArray
+    finished: BoolArray
+
+    @classmethod
+    def of(cls, snapshot: Snapshot, places: IntArray) -> "_Ends":
+        """Return where some histories of a snapshot are, without derivatives."""
+        state, model = replace(snapshot.state, tangent=None), snapshot.model
+        return cls(
+            batched.take(state, places),
+            batched.take(snapshot.progress, places),
+            batched.take(model.warm, places),
+            model.compliances.symmetry_defect[places],
+            snapshot.finished[places],
+        )
+
+
+def _own_stresses(comm: MPI.Comm) -> Callable[[Case], CaseStresses | None]:
+    """Return the maker of the stresses that a case asks for."""
+    return lambda case: None if case.stress is None else CaseStresses(case, comm)
 
 
 def row(model: WearModel, state: State) -> dict[str, Any]:
-    """Return what a state says of the result's variables, by name. Not collective.
+    """Return the result's variables of B states by name, (B,) or (B, n). Not collective.
 
     All but ``penetration`` and ``contact_iterations``, which other states have a part in.
     """
@@ -222,307 +259,429 @@ def _sliding(case: Case, time: float) -> dict[str, Any]:
 
 
 class Recorder:
-    """Stores the states of a history that its case asks for, its balances and its doubts.
+    """Stores the states of histories that their cases ask for, their balances and warnings.
 
-    An observer; calls are collective on comm, the same on all ranks.
+    An observer; calls are collective on comm, the same on all ranks. No work is done for each
+    history and step.
 
     Parameters
     ----------
-    case : the case.
-    comm : communicator of its history.
-    before : result of the interrupted history that goes on; None: it starts.
-    derivatives : keys that the history has derivatives with respect to.
-    stresses : of cases that the history shares them with; None: its own.
+    cases : of one ``lockstep.batch_key``.
+    comm : communicator of their histories.
+    before : result of the interrupted history that continues, of one case; None: it starts.
+    derivatives : keys that the histories have derivatives with respect to.
+    stresses : returns the stresses of a case, None where it asks for none; None: made here.
+    results : whether there are to be results, which hold what it takes to continue.
     """
 
     def __init__(
         self,
-        case: Case,
+        cases: Sequence[Case],
         comm: MPI.Comm,
         before: Result | None = None,
+        *,
         derivatives: Sequence[str] = (),
-        stresses: CaseStresses | None = None,
+        stresses: Callable[[Case], CaseStresses | None] | None = None,
+        results: bool = True,
     ) -> None:
-        self._case, self._comm = case, comm
-        #: where the history goes on, None where it starts
+        self._cases, self._comm, self._results = cases, comm, results
+        output, count = cases[0].output, len(cases)
+        self._line = cases[0].line
+        self._fields, self._deep = output.fields, output.profiles == "all"
+        #: where the history continues, None where it starts
         self.start: Start | None = None
-        #: whether the profiles are stored as often as the histories, or at the last state only
-        self._deep = case.output.profiles == "all"
-        self._steps: list[int] = []
-        self._histories: dict[str, list[float]] = {name: [] for name in HISTORIES}
-        self._profiles: dict[str, list[FloatArray]] = {name: [] for name in case.output.fields}
+        # rows as they come: numbers of the histories, steps, variables
+        self._numbers: list[IntArray] = []
+        self._steps: list[IntArray] = []
         self._parameters = tuple(derivatives)
-        self._derivatives: dict[str, list[FloatArray]] = {
-            name: [] for name in derivative_names(case, derivatives)
+        self._layers = {
+            name: 1 + len(cases[0].lower.layers if "lower" in name else cases[0].upper.layers)
+            for name in layer_names_of(cases[0])
         }
-        self._layers: dict[str, list[Any]] = {name: [] for name in layer_names_of(case)}
-        self._earlier: list[BoundaryState] = []
-        self._earlier_stress: list[StressState] = []
+        stored = (
+            *HISTORIES, *self._fields, *derivative_names(cases[0], derivatives), *self._layers
+        )  # fmt: skip
+        along_line = {*self._fields, *_WIDE}
+        last = () if self._deep else tuple(name for name in stored if name in along_line)
+        self._rows: dict[str, list[Any]] = {name: [] for name in stored if name not in last}
+        self._last_profiles = {name: np.full(self._shape(name, count), np.nan) for name in last}
         #: iterations of the contact solver since the last stored state
-        self._pending_iterations = 0
+        self._pending = np.zeros(count, dtype=np.int64)
+        self.balances, self._worst_states = WorstBalances(count), WorstStates(cases[0], count)
+        self._warnings: list[tuple[Doubt, ...]] = [()] * count
+        self._through = np.full((2, count), np.inf)
+        #: why histories cannot be recorded
+        self.failures: dict[int, Exception] = {}
+        self._ends: dict[int, tuple[_Ends, int]] = {}
         self._last: Snapshot | None = None
         self._seconds: dict[str, float] = {}
-        self._instability: tuple[Doubt, ...] = ()
-        self._begun = time.perf_counter()
+        self._begun, self._stepping = time.perf_counter(), 0.0
         #: s, spent by others on output, which is no time of stepping
         self.seconds_output = 0.0
-        self._balances, self._worst = WorstBalances(), WorstStates(case)
-        #: version that began the history
         self._begun_by = __version__
+        self._earlier: list[BoundaryState] = []
+        self._earlier_stress: tuple[StressState, ...] = ()
         if before is not None:
             self._restore(before)
+        stored_until = -1.0
+        if before is not None:
+            stored_until = float(np.append(-1.0, self._rows["time"][0])[-1])
         self._boundary: BoundaryObserver | None = None
-        self._stress: StressObserver | None = None
-        stored_until = (-1.0, *self._histories["time"])[-1]
-        if case.output.boundary != "none":
-            self._boundary = BoundaryObserver(case, comm, stored_until)
-        if case.stress is not None:
-            own = stresses or CaseStresses(case, comm)
-            self._stress = StressObserver(case, own, stored_until)
-            self._stress.wear = self._wear_under_stress()
+        if output.boundary != "none":
+            self._boundary = BoundaryObserver(cases[0], comm, stored_until)
+        stresses = stresses or _own_stresses(comm)
+        #: of cases that ask for stress; grids and faces are for results alone
+        self._stress = {
+            number: StressObserver(case, shared, stored_until, points_only=not results)
+            for number, case in enumerate(cases)
+            if (shared := stresses(case)) is not None
+        }
+        if self._stress and before is not None:
+            self._stress[0].wear = self._wear_under_stress(before)
 
-    def _wear_under_stress(self) -> FloatArray | None:
-        """Return the wear, (2, n) mm, at the last stresses of an interrupted history, if stored."""
-        names = [f"wear_{body}" for body in BODIES]
-        if not (self._earlier_stress and self._deep and set(names) <= self._profiles.keys()):
-            return None
-        row = self._histories["time"].index(self._earlier_stress[-1].time)
-        return np.array([self._profiles[name][row] for name in names])
+    # -- where an interrupted history continues ----------------------------------------------------
 
     def _restore(self, before: Result) -> None:
-        """Put the stored rows of an interrupted run back, as far as the case still stores them."""
-        case = self._case
+        """Take the stored rows of an interrupted history, as far as the case still stores them."""
+        case = self._cases[0]
         self.start = start = restored(before)
         assert before.checkpoint is not None
-        steps = [int(step) for step in before.steps_made]
-        times = [float(time) for time in before.histories["time"]]
+        steps, reached = int(start.progress.steps[0]), float(start.state.time[0])
+        times = before.histories["time"]
         # the last one of a shorter run may not belong here
-        rows, last = zip(steps, times, strict=True), start.state.time
-        keep = np.array([t <= last and stores(case, n, t) for n, t in rows])
-        self._steps = before.steps_made[keep].tolist()
-        self._histories = {name: before.histories[name][keep].tolist() for name in HISTORIES}
-        for name in self._profiles:
-            stored = before.profiles[name]
-            self._profiles[name] = list(stored[keep] if self._deep else stored[None][keep[-1:]])
-        for name in self._layers:
-            stored, last_only = before.layers[name], name in LAYER_PROFILES and not self._deep
-            self._layers[name] = list(stored[None][keep[-1:]] if last_only else stored[keep])
+        rows = zip(before.steps_made.tolist(), times.tolist(), strict=True)
+        keep = np.array([t <= reached and stores(case, n, t) for n, t in rows])
+        self._numbers.append(np.zeros(np.count_nonzero(keep), dtype=np.int64))
+        self._steps.append(before.steps_made[keep])
+        stored = {**before.histories, **before.profiles, **before.layers}
+        for name, parts in self._rows.items():
+            if name not in _SINCE_START:
+                parts.append(np.asarray(stored[name])[keep])
+        for name, last in self._last_profiles.items():
+            if keep[-1]:
+                last[0] = stored[name]
         # the last state of a shorter run is not the last one of this run
-        left = set(before.histories["time"][keep].tolist())
-        finished = case.time.finished(start.progress.steps, start.state.time)
+        left, finished = set(times[keep].tolist()), case.time.finished(steps, reached)
         if case.output.boundary != "last" or finished:
             self._earlier = [b for b in before.boundary if b.time in left]
-        asked = "none" if case.stress is None else case.stress.times
-        if before.stress is not None and (asked != "last" or finished):
-            self._earlier_stress = [s for s in before.stress.states if s.time in left]
-        self._pending_iterations = int(before.checkpoint.numbers["pending_iterations"]) + int(
+        wanted = "none" if case.stress is None else case.stress.times
+        if before.stress is not None and (wanted != "last" or finished):
+            self._earlier_stress = tuple(s for s in before.stress.states if s.time in left)
+        self._pending[0] = int(before.checkpoint.numbers["pending_iterations"]) + int(
             before.histories["contact_iterations"][~keep].sum()
         )
-        self._balances = WorstBalances(
+        self.balances.restore(
             Balances(**before.balances),
             float(before.attributes.get("step_error_time", 0.0)),
             bool(before.attributes.get("closing_contact", False)),
         )
-        self._worst.restore(before.checkpoint.worst)
-        self._begun_by = str(before.attributes.get("begun_by", before.attributes["version"]))
+        self._worst_states.restore(before.checkpoint.worst)
+        self._begun_by = str(before.attributes["begun_by"])
         self._seconds = {
             name: float(value)
             for name, value in before.attributes.items()
             if name.startswith("seconds_")
         }
 
+    def _wear_under_stress(self, before: Result) -> FloatArray | None:
+        """Return the wear, (2, n) mm, at the last stresses of an interrupted history, if stored."""
+        names = [f"wear_{body}" for body in BODIES]
+        if not (self._earlier_stress and self._deep and set(names) <= before.profiles.keys()):
+            return None
+        row = before.histories["time"].tolist().index(self._earlier_stress[-1].time)
+        return np.array([before.profiles[name][row] for name in names])
+
+    # -- new states --------------------------------------------------------------------------------
+
     def __call__(self, snapshot: Snapshot) -> bool:
-        """Take a new state; store it if it is one of those asked for. Collective."""
-        if self._last is None:
-            self._instability = instability(snapshot.model)
+        """Take new states; store those that cases ask for. Collective."""
+        if snapshot.step is None or self._last is None:
+            for place, warning in unstable(snapshot.model).items():
+                self._warnings[snapshot.numbers[place]] = (warning,)
+        new = np.flatnonzero(snapshot.accepted)
+        self._pending[snapshot.numbers] += snapshot.iterations
         if not snapshot.passing:
             self._last = snapshot
-            self._worst(snapshot.model, snapshot.state, _ALONE, _ALONE)
-        self._balances(snapshot)
-        if self._boundary is not None:
-            self._boundary(snapshot)
-        if self._stress is not None:
-            count = len(self._stress.states)
-            self._stress(snapshot)
-            if len(self._stress.states) > count:
-                line, history = snapshot.model.line, self._stress.history()
-                infinite = infinite_edge(self._case, history, line, snapshot.state)
-                if infinite is not None:
-                    self._worst.take_infinite_stress(0, *infinite)
-        self._pending_iterations += snapshot.iterations
-        if snapshot.stored:
-            self._store(snapshot)
+            self.balances(snapshot)
+            numbers = snapshot.numbers[new]
+            self._worst_states(snapshot.model, snapshot.state, numbers, new)
+        if self._boundary is not None and snapshot.accepted[0]:
+            self._boundary(snapshot.instant(0))
+        if snapshot.stored.any():
+            if self._stress:
+                self._add_stresses(snapshot)
+            self._store(snapshot, np.flatnonzero(snapshot.stored))
+        if snapshot.finished.any():
+            self._end(snapshot, np.flatnonzero(snapshot.finished))
+        self._stepping = time.perf_counter() - self._begun
         return False
 
-    def _store(self, snapshot: Snapshot) -> None:
-        values = row(snapshot.model, snapshot.state)
-        approach = self._histories["approach"] or [values["approach"]]
-        values["penetration"] = values["approach"] - approach[0]
-        values["contact_iterations"] = self._pending_iterations
-        self._steps.append(snapshot.progress.steps)
-        for name, column in self._histories.items():
-            column.append(values[name])
-        for name, rows in self._profiles.items():
-            if not self._deep:
-                rows.clear()
-            rows.append(values[name])
-        for name, rows in self._layers.items():
-            if not self._deep and name in LAYER_PROFILES:
-                rows.clear()
-            rows.append(values[name])
-        slopes = derivatives_of(snapshot.model, snapshot.state)
-        for name, rows in self._derivatives.items():
-            if name == "d_penetration":
-                first = self._derivatives["d_approach"][0]
-                slopes[name] = slopes["d_approach"] - first
-            if not self._deep and name in D_PROFILES:
-                rows.clear()
-            rows.append(slopes[name])
-        self._pending_iterations = 0
+    def _store(self, snapshot: Snapshot, stored: IntArray) -> None:
+        values, numbers = row(snapshot.model, snapshot.state), snapshot.numbers[stored]
+        values["contact_iterations"] = self._pending[snapshot.numbers]
+        values |= derivatives_of(snapshot.model, snapshot.state)
+        self._numbers.append(numbers)
+        self._steps.append(snapshot.progress.steps[stored])
+        # states do not change: those of all histories are stored as they are
+        kept = slice(None) if len(stored) == len(snapshot.numbers) else stored
+        for name, rows in self._rows.items():
+            if name not in _SINCE_START:
+                rows.append(values[name][_at(name, kept)])
+        # of a single history they are asked for before its end as well
+        last = np.flatnonzero(snapshot.finished) if len(self._cases) > 1 else stored
+        for name, profiles in self._last_profiles.items() if len(last) else ():
+            profiles[_at(name, snapshot.numbers[last])] = values[name][_at(name, last)]
+        self._pending[numbers] = 0
+
+    def _add_stresses(self, snapshot: Snapshot) -> None:
+        """Compute the stresses of new stored states that cases ask for."""
+        for place in np.flatnonzero(snapshot.stored).tolist():
+            number, finished = int(snapshot.numbers[place]), bool(snapshot.finished[place])
+            case = self._cases[number]
+            if case.stress is None or number in self.failures:
+                continue
+            if case.stress.times == "last" and not finished and len(self._cases) > 1:
+                continue
+            observer, instant = self._stress[number], snapshot.instant(place)
+            count = len(observer.states)
+            try:
+                observer(instant)
+            except Exception as error:
+                if len(self._cases) == 1:
+                    raise
+                self.failures[number] = error
+                continue
+            if len(observer.states) > count:
+                infinite = infinite_edge(case, observer.history(), self._line, instant.state)
+                if infinite is not None:
+                    self._worst_states.take_infinite_stress(number, *infinite)
+
+    def _end(self, snapshot: Snapshot, ended: IntArray) -> None:
+        """Take the last states of histories."""
+        numbers = snapshot.numbers[ended]
+        if snapshot.state.through is not None:
+            self._through[:, numbers] = snapshot.state.through[:, ended]
+        if self._results and len(self._cases) > 1:
+            ends = _Ends.of(snapshot, ended)
+            self._ends |= {number: (ends, place) for place, number in enumerate(numbers.tolist())}
+
+    # -- what there is -----------------------------------------------------------------------------
 
     @property
     def last(self) -> Snapshot | None:
-        """The last state, stored or not; None before the first."""
+        """The last states, stored or not; None before the first."""
         return self._last
 
     @property
-    def balances(self) -> Balances:
-        """The worst of all balances so far."""
-        return self._balances.worst
+    def finished(self) -> bool:
+        """Whether a single history has come to its end."""
+        return self._last is not None and bool(self._last.finished.all())
 
-    @property
-    def doubts(self) -> tuple[Doubt, ...]:
-        """What makes the answer doubtful, if anything."""
-        if self._last is None:
-            return ()
-        worst = self._worst.history()
+    def warnings(self, number: int = 0) -> tuple[Doubt, ...]:
+        """Return the warnings of a history so far."""
+        case, worst = self._cases[number], self._worst_states.history(number)
+        stress = self.stress(number)
         return (
-            *self._instability,
-            *doubts_of(self._case, worst, self.balances),
-            *infinite_stress(self.stress, worst),
-            *infinite_at_interfaces(self._case, self.stress),
-            *worn_points(self._case, self.stress, self._stress),
+            *self._warnings[number],
+            *doubts_of(case, worst, self.balances.history(number)),
+            *infinite_stress(stress, worst),
+            *infinite_at_interfaces(case, stress),
+            *worn_points(case, stress, self._stress.get(number)),
         )
 
-    @property
-    def stress(self) -> StressHistory | None:
-        """The stresses so far, None where the case asks for none."""
-        if self._stress is None:
-            return None
-        return self._stress.history(tuple(self._earlier_stress))
+    def stress(self, number: int = 0) -> StressHistory | None:
+        """Return the stresses of a history so far, None where its case asks for none."""
+        observer = self._stress.get(number)
+        return None if observer is None else observer.history(self._earlier_stress)
 
-    @property
-    def steps(self) -> IntArray:
-        """Steps made at each stored state."""
-        return np.array(self._steps, dtype=np.int64)
+    def columns(self, failures: Mapping[int, Exception] = _NO_FAILURES) -> HistoryColumns:
+        """Return all histories as they are stored.
 
-    def arrays(self) -> dict[str, Any]:
-        """Return what is stored so far by variable, ``step`` (what rows are called) included."""
-        line = self._case.line if self._last is None else self._last.model.line
-        steps = np.array(self._steps, dtype=np.int64)
-        return {
-            "step": np.arange(len(steps)) if self._case.output.times else steps,
-            **{
-                name: np.array(column, dtype=HISTORIES[name].dtype)
-                for name, column in self._histories.items()
-            },
-            "r": line.r,
-            "width": line.width,
-            **{
-                name: np.array(rows if self._deep else rows[-1])
-                for name, rows in self._profiles.items()
-                if rows
-            },
-            **{
-                name: np.array(rows if self._deep or name not in LAYER_PROFILES else rows[-1])
-                for name, rows in self._layers.items()
-                if rows
-            },
-            **{
-                name: np.stack(rows, axis=1) if self._deep or name not in D_PROFILES else rows[-1]
-                for name, rows in self._derivatives.items()
-                if rows
-            },
-            **self._of_sweeps(),
+        Parameters
+        ----------
+        failures : of histories that could not go on; they have the rows before.
+        """
+        failures, count = {**self.failures, **failures}, len(self._cases)
+        numbers, steps, rows = self._sorted()
+        values = rows | self._last_profiles
+        offsets = np.searchsorted(numbers, np.arange(count + 1))
+        failed = [number in failures for number in range(count)]
+        imbalance = np.where(failed, 0.0, self.balances.imbalance)
+        flags = (
+            () if bad else tuple(warning.flag for warning in self.warnings(number))
+            for number, bad in enumerate(failed)
+        )
+        return HistoryColumns(
+            offsets,
+            steps,
+            {name: values[name] for name in HISTORIES},
+            {name: values[name] for name in self._fields},
+            imbalance,
+            tuple(flags),
+            np.full(count, self._stepping / count),
+            tuple("failed" if bad else "done" for bad in failed),
+            tuple(reason_of(failures[i]) if bad else "" for i, bad in enumerate(failed)),
+            {name: column for name, column in values.items() if name.startswith("d_")},
+            {name: values[name] for name in self._layers},
+            self._stress_columns(offsets, values["time"]),
+            self._single_values(),
+        )
+
+    def _shape(self, name: str, rows: int) -> tuple[int, ...]:
+        """Return the shape of so many rows of a variable, or of so many histories' last ones."""
+        parameters = (len(self._parameters),) if name.startswith("d_") else ()
+        along = (self._line.n,) if name in self._fields or name in _WIDE else ()
+        if name in LAYER_VOLUMES:
+            along = (self._layers[name],)
+        return (*parameters, rows, *along)
+
+    def _stress_columns(self, offsets: IntArray, times: FloatArray) -> dict[str, FloatArray]:
+        """Return the stored stresses of all rows; cases ask for the same, or for none."""
+        parts = [
+            stress_rows(
+                observer.history(self._earlier_stress),
+                times[offsets[number] : offsets[number + 1]],
+            )
+            for number, observer in self._stress.items()
+        ]
+        return {name: np.concatenate([part[name] for part in parts]) for name in (parts or [{}])[0]}
+
+    def _single_values(self) -> dict[str, FloatArray]:
+        """Return what histories have one of: times when layers were worn through, places."""
+        values = times_through(self._cases[0], self._through.copy())
+        if self._stress:
+            points = point_columns(self._stress[0].history())
+            values |= {name: np.tile(at, (len(self._cases), 1)) for name, at in points.items()}
+        return values
+
+    def _sorted(self) -> tuple[IntArray, IntArray, dict[str, Any]]:
+        """Return number, steps and variables of all rows, by history."""
+        nothing = np.empty(0, dtype=np.int64)
+        numbers = np.concatenate([nothing, *self._numbers])
+        order = np.argsort(numbers, kind="stable")
+        places = np.empty(len(order), dtype=np.int64)
+        places[order] = np.arange(len(order))
+
+        def by_history(name: str, parts: Sequence[Any]) -> Any:
+            """Return rows in order: fields, which are large, are copied once only."""
+            if name in (*self._fields, *_WIDE, *LAYER_VOLUMES):
+                column, first = np.empty(self._shape(name, len(order))), 0
+                for part in parts:
+                    count = part.shape[1 if name.startswith("d_") else 0]
+                    column[_at(name, places[first : first + count])] = part
+                    first += count
+                return column
+            dtype = HISTORIES[name].dtype if name in HISTORIES else np.float64
+            empty = np.empty(self._shape(name, 0), dtype)
+            return np.concatenate([empty, *parts], axis=-1)[..., order]
+
+        columns = {
+            name: by_history(name, parts)
+            for name, parts in self._rows.items()
+            if name not in _SINCE_START
         }
+        numbers = numbers[order]
+        first = np.searchsorted(numbers, numbers)
+        for name, whole in _SINCE_START.items():
+            if name in self._rows:
+                columns[name] = columns[whole] - columns[whole][..., first]
+        return numbers, np.concatenate([nothing, *self._steps])[order], columns
 
-    def _of_sweeps(self) -> dict[str, Any]:
-        """Return what sweeps alone store as arrays."""
-        found: dict[str, Any] = {}
-        if self._last is not None:
-            found |= times_through(self._case, self._last.state.through)
-        if (stress := self.stress) is not None:
-            found |= stress_rows(stress, np.array(self._histories["time"]))
-            found |= point_columns(stress)
-        return found
+    # -- results -----------------------------------------------------------------------------------
 
     def result(self, error: str = "") -> Result:
-        """Return what is stored so far, and what it takes to go on. Collective on comm.
+        """Return the result of a single history so far. Collective on comm.
 
         Parameters
         ----------
         error : why the history cannot go on, "" where it can.
         """
         assert self._last is not None
-        model, state, progress = self._last.model, self._last.state, self._last.progress
-        arrays, case = self.arrays(), self._case
-        boundary = self._earlier + ([] if self._boundary is None else self._boundary.states)
+        return self._result(0, _Ends.of(self._last, np.zeros(1, int)), 0, self.columns(), error)
+
+    def results(self, failures: Mapping[int, Exception]) -> list[Result | Exception]:
+        """Return the results of all histories, or why there is none."""
+        failures, columns = {**self.failures, **failures}, self.columns(failures)
+        return [
+            failures[number]
+            if number in failures
+            else self._result(number, *self._ends[number], columns)
+            for number in range(len(self._cases))
+        ]
+
+    def _result(
+        self, number: int, ends: _Ends, place: int, columns: HistoryColumns, error: str = ""
+    ) -> Result:
+        case, rows = self._cases[number], columns.rows(number)
+        steps, end = columns.steps[rows], batched.take(ends, np.array([place]))
+        state = end.state
+        boundary = () if self._boundary is None else self._boundary.states
+
+        def stored(name: str, values: FloatArray) -> FloatArray:
+            which = rows if name in self._rows else number
+            return values[_at(name, which)]
+
         return Result(
             case.line,
-            arrays["step"],
-            np.array(self._steps, dtype=np.int64),
-            {name: arrays[name] for name in HISTORIES},
-            {name: arrays[name] for name in self._profiles if name in arrays},
-            tuple(boundary),
+            np.arange(len(steps)) if case.output.times else steps,
+            steps,
+            {name: values[rows] for name, values in columns.histories.items()},
+            {name: stored(name, values) for name, values in columns.profiles.items()},
+            (*self._earlier, *boundary),
             attributes(
                 case,
                 ranks=self._comm.size,
                 begun_by=self._begun_by,
-                time=float(state.time),
-                finished=self._last.finished,
+                time=float(state.time[0]),
+                finished=bool(end.finished[0]),
                 seconds=self.seconds(),
-                symmetry_defect=model.compliance.symmetry_defect,
-                doubts=self.doubts,
+                symmetry_defect=float(end.symmetry_defect[0]),
+                doubts=self.warnings(number),
                 error=error,
-                balances=self.balances,
-                step_error_time=self._balances.step_error_time,
-                closing_contact=self._balances.closing_contact,
-                through=state.through,
+                balances=self.balances.history(number),
+                step_error_time=float(self.balances.step_error_time[number]),
+                closing_contact=bool(self.balances.closing_contact[number]),
+                through=None if state.through is None else state.through[:, 0],
             ),
             take(
                 state,
-                progress,
-                model.warm(),
-                self._followed[1],
-                self._pending_iterations,
-                self._worst.history(),
+                end.progress,
+                end.warm,
+                self._remeshed[1],
+                int(self._pending[number]),
+                self._worst_states.history(number),
             ),
-            comm=self._comm,
+            comm=self._comm if self._comm.size > 1 else None,
             parameters=units_of(case, self._parameters),
-            derivatives={name: arrays[name] for name in self._derivatives},
-            layers={name: arrays[name] for name in self._layers},
-            stress=self.stress,
+            derivatives={
+                name: stored(name, values) for name, values in columns.derivatives.items()
+            },
+            layers={name: stored(name, values) for name, values in columns.layers.items()},
+            stress=self.stress(number),
         )
 
     def kernel_evaluations(self) -> int:
         """Return how many kernels were evaluated for both bodies, updates included."""
         assert self._last is not None
-        return (self._last.model.pair.cost + self._followed[0]).kernel_evaluations
+        return (self._last.model.pair.cost + self._remeshed[0]).kernel_evaluations
 
     @property
-    def _followed(self) -> tuple[BodyCost, int]:
-        """What it took to let elements follow the wear, and how often they did."""
+    def _remeshed(self) -> tuple[BodyCost, int]:
+        """The cost of elements that follow the wear, and how often they did."""
         assert self._last is not None
-        following = self._last.model.following
-        return (BodyCost(), 0) if following is None else (following.cost, following.updates)
+        geometry = self._last.model.geometry
+        return (BodyCost(), 0) if geometry is None else (geometry.cost, geometry.updates)
 
     def seconds(self) -> dict[str, float]:
-        """Return the wall times so far by attribute, s, those of an interrupted run included."""
+        """Return the wall times so far by attribute, s, those of an interrupted run included.
+
+        Of several histories, those of one in the mean.
+        """
         assert self._last is not None
-        model, (cost, _) = self._last.model, self._followed
-        if not model.lent_pair:  # what was assembled elsewhere took no time here
+        model, (cost, _) = self._last.model, self._remeshed
+        if not model.pair_is_shared:  # what was assembled elsewhere took no time here
             cost = cost + model.pair.cost
-        stepping = time.perf_counter() - self._begun - self.seconds_output
+        stepping = self._stepping / len(self._cases) - self.seconds_output
         stepping -= cost.seconds_assembly + cost.seconds_solution
         seconds = {
             "seconds_assembly": cost.seconds_assembly,
@@ -531,3 +690,8 @@ class Recorder:
             "seconds_output": self.seconds_output,
         }
         return {name: s + self._seconds.get(name, 0.0) for name, s in seconds.items()}
+
+
+def _at(name: str, rows: Any) -> Any:
+    """Return where some rows of a variable are, or some histories: P parameters come first."""
+    return (slice(None), rows) if name.startswith("d_") else rows

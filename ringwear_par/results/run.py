@@ -18,7 +18,7 @@ from ringwear_par.cases.law_trials import law_files, law_sources
 from ringwear_par.cases.reading import parse_case, read_case
 from ringwear_par.errors import ComputationError, InputError, RingwearError, UnfitError
 from ringwear_par.history.limits import check_case
-from ringwear_par.history.simulate import simulate
+from ringwear_par.history.loop import simulate_one
 from ringwear_par.history.snapshots import Observer, Snapshot
 from ringwear_par.options import reject_unused_options
 from ringwear_par.parallel import on_first_rank, warn_of_threads
@@ -71,12 +71,12 @@ def run_case(
         return _draw(output, figure, comm)
     if comm.rank == 0:
         warn_of_threads(comm.size)
-    recorder = Recorder(case, comm, before)
+    recorder = Recorder([case], comm, before)
     if recorder.start is not None and comm.rank == 0:
         reached = recorder.start
         log.info(
-            "continuing %s after step %d (%g s)", output, reached.progress.steps,
-            reached.state.time,
+            "continuing %s after step %d (%g s)", output, reached.progress.steps[0],
+            reached.state.time[0],
         )  # fmt: skip
         version = before.attributes["version"] if before is not None else __version__
         if version != __version__:
@@ -85,7 +85,7 @@ def run_case(
                 "(attribute begun_by)", output, version, __version__,
             )  # fmt: skip
 
-    stored = None if recorder.start is None else recorder.start.progress.steps
+    stored = None if recorder.start is None else int(recorder.start.progress.steps[0])
 
     def save(error: str = "") -> Result:
         """Write what there is so far. Collective."""
@@ -94,7 +94,7 @@ def run_case(
         result = recorder.result(error)
         on_first_rank(comm, lambda: write_result(output, result))
         recorder.seconds_output += time.perf_counter() - begun
-        stored = None if recorder.last is None else recorder.last.progress.steps
+        stored = None if recorder.last is None else int(recorder.last.progress.steps[0])
         return result
 
     def save_at_end(error: str = "") -> Result:
@@ -123,11 +123,11 @@ def run_case(
             watch = Watch(signals, save, comm)
             observers: list[Observer] = [recorder, note_signals, _check_options, watch]
             if comm.rank == 0:
-                since = 0.0 if recorder.start is None else recorder.start.state.time
+                since = 0.0 if recorder.start is None else float(recorder.start.state.time[0])
                 observers.append(at_end.enter_context(closing(Progress(since, case.time.end))))
             try:
                 with _doubting(case, path, comm):
-                    simulate(case, comm, start=recorder.start, observers=observers)
+                    simulate_one(case, comm, start=recorder.start, observers=observers)
             except UnfitError as error:
                 raise InputError(*(f"{path}: {fault}" for fault in error.faults)) from error
             except InputError:
@@ -146,10 +146,10 @@ def run_case(
             start_up = max(seconds_since_start() - (time.perf_counter() - started), 0.0)
             print(_times(recorder.seconds(), start_up, recorder.kernel_evaluations()))
         last = recorder.last
-        if last is not None and not last.finished:
+        if last is not None and not recorder.finished:
             raise ComputationError(
-                f"stopped by {watch.signal_name} after step {last.progress.steps} "
-                f"{_progress(case, last.state.time)}; {output} holds them, and the same "
+                f"stopped by {watch.signal_name} after step {last.progress.steps[0]} "
+                f"{_progress(case, float(last.state.time[0]))}; {output} holds them, and the same "
                 f"command with --restart continues{remark(watch.agreed)}"
             )
     return _draw(output, figure, comm)
@@ -177,7 +177,7 @@ def _check_options(snapshot: Snapshot) -> bool:
 def _reached(case: Case, result: Result) -> bool:
     """Tell whether a result has come to the end of a case."""
     start = restored(result)
-    return case.time.finished(start.progress.steps, start.state.time)
+    return case.time.finished(int(start.progress.steps[0]), float(start.state.time[0]))
 
 
 def _progress(case: Case, time: float) -> str:
@@ -304,14 +304,15 @@ def _difference(before: Result, case: Case) -> str:
     if same != case or longer != case.time:
         return other
     reached = restored(before)
-    if case.time.adaptive and reached.state.time > case.time.end:
+    time, steps = float(reached.state.time[0]), int(reached.progress.steps[0])
+    if case.time.adaptive and time > case.time.end:
         return (
-            f"holds {reached.state.time:g} s, time.end = {case.time.end:g}: must be at least "
+            f"holds {time:g} s, time.end = {case.time.end:g}: must be at least "
             "as long with --restart"
         )
-    if not case.time.adaptive and reached.progress.steps > case.time.steps:
+    if not case.time.adaptive and steps > case.time.steps:
         return (
-            f"holds {reached.progress.steps} steps, time.steps = {case.time.steps}: must be at "
+            f"holds {steps} steps, time.steps = {case.time.steps}: must be at "
             "least as many with --restart"
         )
     return ""

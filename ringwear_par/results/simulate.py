@@ -7,9 +7,9 @@ from mpi4py import MPI
 from ringwear_par.cases.case import Case, need_case
 from ringwear_par.elasticity.pair import ContactPair
 from ringwear_par.errors import InputError
-from ringwear_par.history import simulate as history
 from ringwear_par.history.bodies import operator_key
 from ringwear_par.history.limits import check_case
+from ringwear_par.history.loop import simulate_one
 from ringwear_par.history.sensitivity import check_derivatives
 from ringwear_par.parallel import on_first_rank
 from ringwear_par.results.recorder import Recorder
@@ -46,7 +46,7 @@ def simulate(
     comm = MPI.COMM_WORLD if comm is None else comm
 
     def check() -> None:
-        check_derivatives(case, derivatives, comm.size)
+        check_derivatives(case, derivatives)
         check_case(case, comm.size, "case")
 
     on_first_rank(comm, check)
@@ -55,6 +55,6 @@ def simulate(
             "pair: was assembled for another shape, mesh, Poisson's ratio or grip; must be "
             "assemble(case) of a case that shares them"
         )
-    recorder = Recorder(case, comm, derivatives=derivatives)
-    history.simulate(case, comm, pair=pair, observers=[recorder], derivatives=derivatives)
+    recorder = Recorder([case], comm, derivatives=derivatives)
+    simulate_one(case, comm, pair=pair, observers=[recorder], derivatives=derivatives)
     return recorder.result()

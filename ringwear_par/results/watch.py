@@ -51,7 +51,7 @@ class Watch:
             self._comm.Allreduce(MPI.IN_PLACE, request, MPI.MAX)
             received, due = int(request[0]), bool(request[1])
         self.agreed = received
-        if due and not received and not snapshot.finished:
+        if due and not received and not snapshot.finished.all():
             self._write_checkpoint()
         return received != 0
 

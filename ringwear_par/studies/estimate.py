@@ -8,11 +8,11 @@ import numpy as np
 from mpi4py import MPI
 
 from ringwear_par.arrays import FloatArray
-from ringwear_par.contact.batch import has_own_options, load_batch_kernels
+from ringwear_par.contact.batch import load_batch_kernels
 from ringwear_par.elasticity.assembly import load_kernels
 from ringwear_par.elasticity.pair import ContactPair
+from ringwear_par.history.loop import simulate_one
 from ringwear_par.history.pairs import assemble
-from ringwear_par.history.simulate import simulate
 from ringwear_par.history.snapshots import Snapshot
 from ringwear_par.parallel import on_first_rank
 from ringwear_par.results.progress import duration
@@ -76,7 +76,7 @@ def _timed(plan: Plan) -> str:
     t0 = time.perf_counter()
     pair = assemble(case, MPI.COMM_SELF, use_kept=False)  # others may be unknown
     t1 = time.perf_counter()
-    recorder = Recorder(case, MPI.COMM_SELF)
+    recorder = Recorder([case], MPI.COMM_SELF)
     t2 = time.perf_counter()
 
     def enough(snapshot: Snapshot) -> bool:
@@ -84,9 +84,11 @@ def _timed(plan: Plan) -> str:
             return False  # adaptive steps grow: what the first ones take says little
         return time.perf_counter() - t2 > _TRIAL_SECONDS
 
-    state = simulate(case, MPI.COMM_SELF, pair=pair, observers=[recorder, enough])
+    simulate_one(case, MPI.COMM_SELF, pair=pair, observers=[recorder, enough])
+    assert recorder.last is not None
+    reached = float(recorder.last.state.time[0])
     t3 = time.perf_counter()
-    alone = (t3 - t2) * case.time.end / state.time
+    alone = (t3 - t2) * case.time.end / reached
     stepping = _stepping(plan, group, pair, alone)
     together = ""
     if stepping.begin:
@@ -95,10 +97,10 @@ def _timed(plan: Plan) -> str:
     count, memory = plan.cases_left, _BARE_BYTES * request.ranks + plan.memory_needed()
     seconds = _START_SECONDS + _CASE_SECONDS * count
     seconds += _dealt(plan, stepping, study.work / study.work[number], assembly)
-    size = sum(table.nbytes for table in recorder.arrays().values())
+    size = sum(table.nbytes for table in recorder.columns().histories.values())
     lines += [
         f"first case timed on one rank: {t1 - t0:.3g} s for its operator, {alone:.3g} s for its "
-        f"{case.time.scheme} steps{'' if state.time >= case.time.end else ' (the first of them)'}"
+        f"{case.time.scheme} steps{'' if reached >= case.time.end else ' (the first of them)'}"
         f"{together}",
         f"estimate for {count} cases on {request.ranks} rank(s) in {request.teams} team(s), from "
         f"these times: about {duration(float(f'{seconds:.2g}'))}, "
@@ -119,7 +121,7 @@ def _stepping(plan: Plan, group: int, pair: ContactPair, alone: float) -> _Stepp
     most = min(_TRIED, max(2, int(_TRIED_OF * plan.cases_left)))
     tried = min(len(numbers), most, int(_FEW * _TRIAL_SECONDS / alone))
     case = plan.study.case(int(numbers[0]))
-    if plan.request.ranks_per_case > 1 or has_own_options() or not goes_with_others(case):
+    if plan.request.ranks_per_case > 1 or not goes_with_others(case):
         tried = 1
     few, limit = max(tried // _FEW, 1), time.perf_counter() + _TRIAL_SECONDS
     seconds = []

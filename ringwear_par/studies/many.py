@@ -127,7 +127,7 @@ def _simulated(
     """Yield numbers and results of cases, by the pair that they share, on this rank alone."""
     for pair, numbers in work:
         own = [cases[number] for number in numbers]
-        for block in computed(own, pair, batch=batch, keep_ends=True, derivatives=derivatives):
+        for block in computed(own, pair, batch=batch, results=True, derivatives=derivatives):
             for place, result in zip(block.numbers, block.results(), strict=True):
                 if isinstance(result, Exception):
                     yield numbers[place], _failed(own[place], result)

@@ -11,21 +11,19 @@ from mpi4py import MPI
 
 from ringwear_par import __version__
 from ringwear_par.cases.case import Case
-from ringwear_par.contact.batch import has_own_options
-from ringwear_par.contact.solver import ContactSolver
 from ringwear_par.elasticity.pair import ContactPair
 from ringwear_par.errors import (
     ComputationError,
     InputError,
     RingwearError,
     UnfitError,
-    reason_of,
 )
-from ringwear_par.history.batch import stays_alone
-from ringwear_par.history.simulate import simulate
+from ringwear_par.history.lockstep import must_run_alone
+from ringwear_par.history.loop import simulate_one
 from ringwear_par.history.snapshots import Observer, Snapshot
 from ringwear_par.options import reject_unused_options
 from ringwear_par.parallel import on_first_rank, together
+from ringwear_par.results.columns import HistoryColumns
 from ringwear_par.results.files import open_result
 from ringwear_par.results.implausible import but_varied
 from ringwear_par.results.progress import SweepProgress
@@ -35,8 +33,8 @@ from ringwear_par.results.watch import Watch
 from ringwear_par.results.writing import write_result
 from ringwear_par.stopping import StopSignals
 from ringwear_par.studies.batches import computed
-from ringwear_par.studies.blocks import Block, Record
-from ringwear_par.studies.lending import Lender
+from ringwear_par.studies.blocks import Block
+from ringwear_par.studies.lending import PairResources
 from ringwear_par.studies.operators import (
     StorageError,
     map_operator,
@@ -53,8 +51,6 @@ log = logging.getLogger(__name__)
 #: how long a team that waits for an operator sleeps between two looks, and between two questions
 #: whether all are to stop
 _NAP_SECONDS, _ASK_SECONDS = 0.01, 0.5
-#: of histories that wait to be stored, s that single ones of them took
-_BLOCK_BYTES, _BLOCK_SECONDS = 16e6, 2.0
 #: histories of more steps are computed alone, with checkpoints
 LONG_STEPS = 20_000
 
@@ -74,11 +70,11 @@ class Timings:
 
 def goes_with_others(case: Case) -> bool:
     """Tell whether a case is stepped side by side with others, if there are some or not."""
-    return case.about_steps <= LONG_STEPS and not stays_alone(case)
+    return case.about_steps <= LONG_STEPS and not must_run_alone(case)
 
 
 class Worker:
-    """Where a team computes its cases: the contact pair and solver in use, and its shard.
+    """Where a team computes its cases: the contact pair in use, and its shard.
 
     A context manager; everything is collective on the team.
 
@@ -110,13 +106,12 @@ class Worker:
         self._options_checked = False
         self._saved: set[str] = set()  # cases that have left a checkpoint
         self._group = -1
-        self._lender: Lender | None = None
+        self._resources: PairResources | None = None
 
     def __enter__(self) -> "Worker":
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._close_lender()
         if self._shard is not None:
             self._shard.close()
 
@@ -160,32 +155,35 @@ class Worker:
         with together(self._team):
             cases, texts = self._plan.study.made(numbers)
         ids = [identity.decode() for identity in self._plan.study.identities[numbers]]
-        left: Sequence[int] = range(count)
-        if self._team.size == 1 and not has_own_options():
-            going_on = self._plan.interrupted
-            both = [i for i in left if ids[i] not in going_on and goes_with_others(cases[i])]
-            try:
-                lender = self._lent(group, first, cases[0]) if both else None
-            except _StoppedError:
-                return False
-            if lender is not None:
-                left = sorted(set(left) - set(both))
-                if not self._work_in_lock_step(lender, both, cases, ids, texts):
-                    return False
-        return self._work_one_by_one(group, first, left, cases, ids, texts)
-
-    def _lent(self, group: int, place: int, case: Case) -> Lender | None:
-        """Return the lender of a group; None where there is none, as its cases will tell."""
         try:
-            return self._lender_of(group, place, case)
+            resources = self._resources_of(group, first, cases[0])
+        except _StoppedError:
+            return False
         except StorageError:
             raise
-        except ComputationError:
-            return None
+        except ComputationError as error:  # the same for all of them
+            recorder = Recorder(cases, self._team, stresses=lambda case: None, results=False)
+            failures: dict[int, Exception] = dict.fromkeys(range(count), error)
+            self._store(recorder.columns(failures), cases, ids, texts, 0.0)
+            return True
+        side_by_side: list[int] = []
+        if self._team.size == 1:
+            begun = self._plan.interrupted
+            side_by_side = [
+                i for i in range(count) if ids[i] not in begun and goes_with_others(cases[i])
+            ]
+        if side_by_side and not self._work_side_by_side(resources, side_by_side, cases, ids, texts):
+            return False
+        for i in sorted(set(range(count)) - set(side_by_side)):
+            if self._stopping() or not self._work_alone(
+                resources, cases[i], ids[i], texts.part([i])
+            ):
+                return False
+        return True
 
-    def _work_in_lock_step(
+    def _work_side_by_side(
         self,
-        lender: Lender,
+        resources: PairResources,
         places: Sequence[int],
         cases: Sequence[Case],
         ids: Sequence[str],
@@ -195,72 +193,57 @@ class Worker:
 
         Parameters
         ----------
-        lender : of their pair.
+        resources : of their pair.
         places : which.
         """
-        self._check_options()
 
         def stop() -> bool:
+            self._check_options()
             self._scheduler.serve()
             if self._progress is not None:
                 self._progress()
             return bool(self._signals.received)
 
         before, ended = time.perf_counter(), 0
-        own_cases = [cases[i] for i in places]
-        for found in computed(own_cases, lender.pair, lender=lender, stop=stop):
-            self._timings.stepping += time.perf_counter() - before
-            own = [places[number] for number in found.numbers]
-            both = zip(found.columns.flags, [cases[i] for i in own], strict=True)
-            varied = self._plan.study.names
-            flags = tuple(but_varied(flags, case, varied) for flags, case in both)
-            columns = replace(found.columns, flags=flags)
-            block = Block.of_columns(
-                columns, cases[own[0]], [ids[i] for i in own], texts.part(own), __version__
-            )
-            self._timings.worst = max(self._timings.worst, float(block.columns.imbalance.max()))
-            self._store(block, time.perf_counter() - before)
+        chosen = [cases[i] for i in places]
+        for block in computed(chosen, resources.pair, resources=resources, stop=stop):
+            seconds = time.perf_counter() - before
+            self._timings.stepping += seconds
+            own = [places[number] for number in block.numbers]
+            self._store(
+                block.columns, [cases[i] for i in own], [ids[i] for i in own], texts.part(own),
+                seconds,
+            )  # fmt: skip
             ended += len(own)
             before = time.perf_counter()
         self._timings.stepping += time.perf_counter() - before
         return ended == len(places)
 
-    def _work_one_by_one(
-        self,
-        group: int,
-        first: int,
-        places: Sequence[int],
-        cases: Sequence[Case],
-        ids: Sequence[str],
-        texts: Texts,
+    def _work_alone(
+        self, resources: PairResources, case: Case, identity: str, texts: Texts
     ) -> bool:
-        """Do the same one after another."""
-        waiting: list[Record] = []
-        own: list[int] = []
-        size, before = 0.0, self._timings.stepping
-        for n, i in enumerate(places, 1):
-            record = None
-            if not self._stopping():
-                record = self._computed(group, first + i, ids[i], cases[i])
-            if record is not None:
-                waiting.append(record)
-                own.append(i)
-                size += sum(array.nbytes for array in record.arrays.values())
-            last = record is None or n == len(places)
-            much = self._enough(size, self._timings.stepping - before)
-            if last or much or cases[places[n]].output != cases[i].output:
-                if waiting:
-                    block = Block.of(waiting, texts.part(own))
-                    self._store(block, self._timings.stepping - before)
-                waiting, own, size, before = [], [], 0.0, self._timings.stepping
-            if record is None:
-                return False
-        return True
+        """Compute a case by itself, with checkpoints, and store it; tell whether it has ended.
 
-    def _enough(self, size: float, seconds: float) -> bool:
-        """Tell whether bytes or time are enough for a block, as the team's first rank sees it."""
-        enough = size > _BLOCK_BYTES or seconds > _BLOCK_SECONDS
-        return enough if self._team.size == 1 else bool(self._team.bcast(enough))
+        All ranks of the team go the same way: what fails on one of them is raised on all.
+        """
+        begun, failures = time.perf_counter(), dict[int, Exception]()
+        recorder = Recorder([case], self._team, self._stored(identity), stresses=resources.stresses)
+        try:
+            self._step(identity, case, resources.pair, recorder)
+            if not recorder.finished:
+                return False
+        except (StorageError, KeyboardInterrupt):
+            raise
+        except Exception as error:  # of the solver, or of a law that is not ours
+            if isinstance(error, InputError) and not isinstance(error, UnfitError):
+                raise  # an option for PETSc, not the case
+            failures[0] = error
+        finally:
+            self._timings.stepping += time.perf_counter() - begun
+        self._store(
+            recorder.columns(failures), [case], [identity], texts, time.perf_counter() - begun
+        )
+        return True
 
     def _stopping(self) -> bool:
         """Tell whether a signal has reached any rank of the team."""
@@ -268,14 +251,26 @@ class Worker:
             return bool(self._signals.received)
         return bool(self._team.allreduce(self._signals.received, MPI.MAX))
 
-    def _store(self, block: Block, seconds: float) -> None:
+    def _store(
+        self,
+        columns: HistoryColumns,
+        cases: Sequence[Case],
+        ids: Sequence[str],
+        texts: Texts,
+        seconds: float,
+    ) -> None:
         """Store cases that have ended in one piece, and count them.
 
         Parameters
         ----------
         seconds : that they took.
         """
-        t0 = time.perf_counter()
+        t0, varied = time.perf_counter(), self._plan.study.names
+        both = zip(columns.flags, cases, strict=True)
+        flags = tuple(but_varied(flags, case, varied) for flags, case in both)
+        columns = replace(columns, flags=flags)
+        block = Block.of_columns(columns, cases[0], ids, texts, __version__)
+        self._timings.worst = max(self._timings.worst, float(columns.imbalance.max()))
 
         def add() -> None:
             assert self._shard is not None
@@ -291,51 +286,11 @@ class Worker:
             failed = block.columns.status.count("failed")
             self._scheduler.count(len(block.ids) - failed, failed, seconds)
 
-    def _computed(self, group: int, place: int, identity: str, case: Case) -> Record | None:
-        """Return a case computed, or failed with its reason; None if it was interrupted.
-
-        All ranks of the team go the same way: what fails on one of them is raised on all.
-        """
-        started, text = time.perf_counter(), case.told
-        recorder: Recorder | None = None
-        try:
-            lender = self._lender_of(group, place, case)
-            solver = lender.solver(case)
-            if solver is not None:
-                self._check_options()  # by now everything has looked for its own
-            stored, stresses = self._stored(identity), lender.stresses(case)
-            recorder = Recorder(case, self._team, stored, stresses=stresses)
-            begun = time.perf_counter()
-            try:
-                self._step(identity, case, lender.pair, solver, recorder)
-            finally:
-                self._timings.stepping += time.perf_counter() - begun
-        except _StoppedError:
-            return None
-        except Exception as error:  # of the solver, or of a law that is not ours
-            unfit = isinstance(error, UnfitError)
-            if isinstance(error, StorageError | InputError) and not unfit:
-                raise  # the disk, or an option for PETSc, not the case
-            if self._lender is not None:
-                self._lender.drop()
-            arrays = {} if recorder is None else recorder.arrays()
-            seconds, reason = time.perf_counter() - started, reason_of(error)
-            return Record(identity, text, "failed", reason, seconds, 0.0, arrays, __version__)
-        if recorder.last is None or not recorder.last.finished:
-            return None
-        flags = but_varied([d.flag for d in recorder.doubts], case, self._plan.study.names)
-        worst = recorder.balances.worst
-        self._timings.worst = max(self._timings.worst, worst)
-        seconds = time.perf_counter() - started
-        arrays = recorder.arrays()
-        return Record(identity, text, "done", "", seconds, worst, arrays, __version__, flags)
-
     def _step(
         self,
         identity: str,
         case: Case,
         pair: ContactPair,
-        solver: ContactSolver | None,
         recorder: Recorder,
     ) -> None:
         """Step a case to its end, or to a checkpoint that is written when a signal stops it."""
@@ -352,8 +307,8 @@ class Worker:
         ]  # fmt: skip
         if self._progress is not None:
             observers.append(self._progress)
-        simulate(case, team, pair=pair, solver=solver, start=recorder.start, observers=observers)
-        if recorder.last is not None and not recorder.last.finished:
+        simulate_one(case, team, pair=pair, start=recorder.start, observers=observers)
+        if recorder.last is not None and not recorder.finished:
             try:
                 save()
             except ComputationError as error:
@@ -371,18 +326,12 @@ class Worker:
 
         return on_first_rank(self._team, read)
 
-    def _lender_of(self, group: int, place: int, case: Case) -> Lender:
-        """Return who has the pair of a group, and lends solvers for it."""
-        if self._lender is None or group != self._group:
-            self._close_lender()
-            self._lender = Lender(self._find_operator(group, place, case), self._team)
+    def _resources_of(self, group: int, place: int, case: Case) -> PairResources:
+        """Return the pair of a group, with what its cases share."""
+        if self._resources is None or group != self._group:
+            self._resources = PairResources(self._find_operator(group, place, case), self._team)
             self._group = group
-        return self._lender
-
-    def _close_lender(self) -> None:
-        if self._lender is not None:
-            self._lender.drop()
-        self._lender = None
+        return self._resources
 
     def _check_options(self, _: Snapshot | None = None) -> bool:
         """Refuse unused PETSc options, once: an observer, for cases that make their own solver."""

@@ -15,6 +15,7 @@ from scipy.interpolate import CubicSpline
 from scipy.linalg import eigh, solve
 
 from ringwear_par.arrays import FloatArray
+from ringwear_par.batched import one
 from ringwear_par.cases.case import Case, Load, Output, Ring, Stepping
 from ringwear_par.contact.problem import ContactState
 from ringwear_par.elasticity.body import compliance
@@ -154,8 +155,8 @@ def indented(profile: FloatArray, approach: float, big_r: float, n: int,
         0.1, None, None, Load(0.0, displacement=approach), Stepping("implicit", 1.0, 1),
         Mesh(n, grading=1.0), Output(),
     )  # fmt: skip
-    with WearModel(case, comm) as model:
-        return model.line, model.initial().contact
+    with WearModel([case], comm) as model:
+        return model.line, one(model.initial().contact, 0)
 
 
 def _indented_force(forces: Iterable[float], approach: float, power: float) -> float:

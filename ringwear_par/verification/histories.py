@@ -13,7 +13,7 @@ from ringwear_par.elasticity.pair import ContactPair
 from ringwear_par.elasticity.sections import Polyline
 from ringwear_par.history.model import WearModel
 from ringwear_par.history.pairs import assemble
-from ringwear_par.history.stability import stable_step
+from ringwear_par.history.stability import stable_steps
 from ringwear_par.history.trace import Trace, trace
 from ringwear_par.verification import reference
 from ringwear_par.verification.check import NU, SIZES, Check, bound, identity
@@ -198,8 +198,8 @@ def explicit_limit_error(n: int, comm: MPI.Comm) -> float:
         lower=replace(case.lower, r=(290.0, 310.0)),
         upper=replace(case.upper, r=(298.5, 301.5)),
     )
-    with WearModel(case, comm) as model:
-        step = stable_step(model)
+    with WearModel([case], comm) as model:
+        (step,) = stable_steps(model)
     fastest = 1e-7 * case.friction * OMEGA * float(model.line.arm.max())  # mm/s per MPa
     wear = step * fastest
     modulus = reference.contact_modulus((case.lower.young, NU))

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 from mpi4py import MPI
 
+from ringwear_par.batched import one
 from ringwear_par.cases.case import Case, Load, Output, Ring, Stepping
 from ringwear_par.elasticity.mesh import Mesh
 from ringwear_par.elasticity.pair import ContactPair
@@ -42,8 +43,8 @@ def paper_checks(comm: MPI.Comm) -> Iterator[Check]:
     values: list[list[float]] = []
     for n in sizes:
         case = paper_case(Mesh(n), pressure=50.0)
-        with WearModel(case, comm) as model:
-            contact = model.initial().contact
+        with WearModel([case], comm) as model:
+            contact = one(model.initial().contact, 0)
         p = contact.pressure
         values.append(
             [contact.approach / reference.PAPER_APPROACH - 1.0,

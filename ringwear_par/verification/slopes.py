@@ -9,6 +9,7 @@ import numpy as np
 from mpi4py import MPI
 
 from ringwear_par.arrays import FloatArray
+from ringwear_par.batched import one
 from ringwear_par.cases.case import Case
 from ringwear_par.elasticity.body import boundary_conditions, solve_body
 from ringwear_par.elasticity.boundary import boundary_mesh
@@ -66,8 +67,8 @@ def cone_errors(
 def _finite_element_rows(degrees: float, comm: MPI.Comm) -> Iterator[Check]:
     found: list[dict[str, float]] = []
     for n in SIZES:
-        with WearModel(ring_case(Rings(CONTACT, (1e4, 1e5), degrees), Mesh(n)), comm) as model:
-            first = model.initial().contact
+        with WearModel([ring_case(Rings(CONTACT, (1e4, 1e5), degrees), Mesh(n))], comm) as model:
+            first = one(model.initial().contact, 0)
         found.append(cone_errors(degrees, model.line, first.pressure, first.approach))
     way = {0.0: "flat", 1.0: "rising"}.get(degrees, "falling")
     said = f"matched cones of {abs(degrees):g} degree, {way}" if degrees else "flat flush rings"
@@ -87,7 +88,7 @@ def _fine_rows(name: str, comm: MPI.Comm) -> Iterator[Check]:
     yield from rows_against(name, [fine.on(Mesh(n)) for n in SIZES], histories)
     first, model = histories[-1].states[0].contact, histories[-1].model
     n, line = model.line.n, model.line
-    flat = model.given.friction * (line.area * line.arm) @ first.pressure
+    flat = model.inputs.friction * (line.area * line.arm) @ first.pressure
     error = abs(model.torque(first.pressure) / flat * math.cos(math.radians(rings.degrees)) - 1.0)
     yield identity(f"{name}: torque, 1 / cos alpha of a flat face's", n,
                    float(error), 1e-12)  # fmt: skip

@@ -101,8 +101,8 @@ def _under_a_disc(n: int, comm: MPI.Comm) -> tuple[float, ...]:
 def _paper_stresses(n: int, comm: MPI.Comm) -> list[float]:
     """Return the stresses of the paper's lower ring, in the order of the reference's."""
     case = paper_case(Mesh(n), pressure=50.0)
-    with WearModel(case, comm) as model:
-        pressure = model.initial().contact.pressure
+    with WearModel([case], comm) as model:
+        pressure = model.initial().contact.pressure[0]
     top = case.lower.z[1]
     keys = list(reference.PAPER_STRESS)
     points = np.array([[30.0, top - depth] for _, depth in keys])

@@ -1,4 +1,4 @@
-"""What is given of one history, or of B on one contact pair, whose numbers are stacked."""
+"""The inputs of B histories on one contact pair: loads, laws and gaps, stacked."""
 
 from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass, replace
@@ -7,7 +7,7 @@ from typing import Any, Self
 
 import numpy as np
 
-from ringwear_par.arrays import FloatArray, IntArray, Numbers
+from ringwear_par.arrays import FloatArray, IntArray
 from ringwear_par.cases.case import Case
 from ringwear_par.schedules import Quantity, stack, take
 from ringwear_par.wear.law import Law, stack_laws
@@ -15,15 +15,15 @@ from ringwear_par.wear.layered import LayeredLaw
 
 
 @dataclass(frozen=True)
-class Given:
-    """Loads, laws and gaps of one case, or of B cases: numbers are floats or (B,).
+class HistoryInputs:
+    """Loads, laws and gaps of B cases.
 
     Parameters
     ----------
-    cases : the one, or B.
-    initial_gap : (..., n) float, mm, of the unworn faces.
-    friction : float or (B,), coefficient.
-    tolerance : float or (B,), mm of wear, ``time.tolerance``.
+    cases : the B cases.
+    initial_gap : (B, n) float, mm, of the unworn faces.
+    friction : (B,) float, coefficient.
+    tolerance : (B,) float, mm of wear, ``time.tolerance``.
     omega : rad/s.
     force, displacement : N and mm; one of them is None.
     laws : of lower and upper, None where a body does not wear.
@@ -31,28 +31,22 @@ class Given:
 
     cases: tuple[Case, ...]
     initial_gap: FloatArray
-    friction: Numbers
-    tolerance: Numbers
+    friction: FloatArray
+    tolerance: FloatArray
     omega: Quantity
     force: Quantity | None
     displacement: Quantity | None
     laws: tuple[Law | None, ...]
 
     @classmethod
-    def of(cls, cases: Case | Sequence[Case]) -> Self:
-        """Return what is given of a case, or of several of one pair, if only of one: stacked.
+    def of(cls, cases: Sequence[Case]) -> Self:
+        """Return the inputs of cases of one pair.
 
         Raises
         ------
         ValueError : the cases cannot be stacked.
         """
-        if isinstance(cases, Case):
-            case, load = cases, cases.load
-            return cls(
-                (case,), case.initial_gap, case.friction, case.time.tolerance, load.omega,
-                load.force, load.displacement, case.laws,
-            )  # fmt: skip
-        if any(case.follows_wear for case in cases):
+        if len(cases) > 1 and any(case.follows_wear for case in cases):
             raise ValueError("histories with updated geometry cannot be stacked")
         loads = [case.load for case in cases]
         laws = zip(*(case.laws for case in cases), strict=True)
@@ -98,13 +92,8 @@ class Given:
         return replace(self, laws=tuple(map(at, self.laws, ends)))
 
     @property
-    def several(self) -> bool:
-        """Whether fields have an axis of histories."""
-        return self.initial_gap.ndim > 1
-
-    @property
     def shape(self) -> tuple[int, ...]:
-        """Of fields: (n,), or (B, n)."""
+        """The shape of fields, (B, n)."""
         return self.initial_gap.shape
 
     @cached_property

@@ -1,0 +1,61 @@
+"""Batches of histories: dataclasses of arrays with an axis of B histories, cut, joined and mixed.
+
+A field has its histories along axis 0, unless it is declared with the metadata ``along(axis)``.
+Fields that are None, and those with ``along(None)``, which all histories share, stay as they are;
+dataclasses within are treated alike.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import fields, is_dataclass, replace
+from typing import Any, TypeVar
+
+import numpy as np
+
+from ringwear_par.arrays import BoolArray, IntArray
+
+T = TypeVar("T")
+
+
+def along(axis: int | None) -> dict[str, int | None]:
+    """Return the metadata of a field whose histories are along an axis; None: along none."""
+    return {"histories": axis}
+
+
+def take(batch: T, histories: IntArray) -> T:
+    """Return some of the histories of a batch, in the order of their numbers (h,)."""
+    return _apply(lambda axis, values: np.take(values, histories, axis), batch)
+
+
+def one(batch: T, history: int) -> T:
+    """Return one of the histories of a batch, without the axis."""
+    return _apply(lambda axis, values: np.take(values, history, axis), batch)
+
+
+def concat(batches: Sequence[T]) -> T:
+    """Return one batch of the histories of several."""
+    return _apply(lambda axis, *values: np.concatenate(values, axis), *batches)
+
+
+def where(accepted: BoolArray, new: T, old: T) -> T:
+    """Return a batch whose histories are the new ones where accepted (B,), else the old ones."""
+
+    def choose(axis: int, after: Any, before: Any) -> Any:
+        trailing = np.ndim(after) - axis - 1
+        return np.where(accepted.reshape(-1, *(1,) * trailing), after, before)
+
+    return _apply(choose, new, old)
+
+
+def _apply(function: Callable[..., Any], *batches: Any) -> Any:
+    first: Any = batches[0]
+    changed: dict[str, Any] = {}
+    for declared in fields(first):
+        axis = declared.metadata.get("histories", 0)
+        values = [getattr(batch, declared.name) for batch in batches]
+        if axis is None or any(value is None for value in values):
+            continue
+        if is_dataclass(values[0]):
+            changed[declared.name] = _apply(function, *values)
+        else:
+            changed[declared.name] = function(axis, *values)
+    return replace(first, **changed)

@@ -1,0 +1,78 @@
+"""Which cases of one contact pair may step together."""
+
+from collections.abc import Hashable
+from dataclasses import fields, is_dataclass
+from functools import cache
+from typing import Any
+
+from ringwear_par.cases.case import Case
+from ringwear_par.wear.catalogue import LAWS
+from ringwear_par.wear.law import CompletedLaw, Law
+from ringwear_par.wear.layered import LayeredLaw, NoWear
+from ringwear_par.wear.parameters import Parameter, parameters_of
+from ringwear_par.wear.user import serves_many
+
+
+def must_run_alone(case: Case) -> bool:
+    """Tell whether a case steps alone: its elasticity is its own. Not collective."""
+    return case.follows_wear or case.output.boundary != "none"
+
+
+def batch_key(case: Case) -> Hashable | None:
+    """Return what cases of one pair share that step together; None for one that steps alone.
+
+    Of the case alone. Not collective.
+    """
+    if must_run_alone(case):
+        return None
+    output = case.output
+    kinds = tuple(None if law is None else _kind(law) for law in case.laws)
+    force = case.load.force is not None
+    stored = output.fields, output.profiles, bool(output.times), case.stress
+    return case.time.scheme, force, kinds, *stored
+
+
+def can_share(case: Case) -> bool:
+    """Tell whether cases of this one's ``batch_key`` may step together, as far as laws tell.
+
+    Laws that are not ours are tried. Not collective.
+    """
+    given = [law for law in case.laws if law is not None]
+    every = [each for law in given for each in (law.laws if isinstance(law, LayeredLaw) else [law])]
+    own = [law for law in every if type(law) not in (*LAWS.values(), NoWear)]
+    return all(serves_many(law, case.line.r) for law in own)
+
+
+def _kind(law: Law) -> Hashable:
+    """Return what laws have to share to be stacked."""
+    parts: list[Any] = [type(law)]
+    if isinstance(law, LayeredLaw):
+        return (*parts, law.thicknesses, law.own, *map(_kind, law.laws))
+    if isinstance(law, CompletedLaw):
+        return (*parts, *_own_kind(law.own))
+    for name, parameter in _fields_of(type(law)):  # type: ignore[arg-type]
+        value = getattr(law, name)
+        if parameter is not None and parameter.numeric:
+            parts.append(value is None)
+        elif parameter is not None and parameter.kind == "parameters":
+            parts.append(tuple(name for name, _ in value))
+        else:
+            parts.append(value)
+    return tuple(parts)
+
+
+@cache
+def _fields_of(law: type[Law]) -> tuple[tuple[str, Parameter | None], ...]:
+    """Return the fields of a law, each with its parameter if it is one."""
+    declared = parameters_of(law)
+    names: list[str] = [field.name for field in fields(law)] if is_dataclass(law) else []
+    return tuple((name, declared.get(name)) for name in names)
+
+
+def _own_kind(own: Any) -> tuple[Hashable, ...]:
+    """Return the same of a user's object: itself."""
+    try:
+        hash(own)
+    except TypeError:
+        return (id(own),)
+    return (own,)
