@@ -39,35 +39,9 @@ def share(weights: FloatArray, which: BoolArray) -> Any:
     return inner(weights, which.astype(float)) / inner(weights, np.ones(which.shape))
 
 
-def rows_of(values: Any, histories: IntArray) -> Any:
-    """Return numbers (B,), or fields (B, ...), of some histories; what is no array stays."""
-    return values[histories] if isinstance(values, np.ndarray) and values.ndim else values
-
-
-def chosen(which: Any, one: Any, other: Any) -> Any:
-    """Return one where it is so, else the other: of one history, or (B,) of B."""
-    return np.where(which, one, other) if isinstance(which, np.ndarray) else one if which else other
-
-
 def relative(off: Any, exact: Any) -> Any:
     """Return what numbers of histories are off relative to others, 0 where those are 0 or less.
 
     NaN where either is.
     """
-    if isinstance(exact, float):  # of one history, in every step
-        return 0.0 if exact <= 0.0 else off / exact
     return np.divide(off, exact, out=np.zeros_like(exact), where=~(exact <= 0.0))
-
-
-def larger(one: Any, other: Any) -> Any:
-    """Return the larger of numbers of histories: floats, or arrays (B,); NaN if either is."""
-    if isinstance(one, float) and isinstance(other, float):  # of one history, and quicker
-        return one if one > other or one != one else other
-    return np.maximum(one, other)
-
-
-def smaller(one: Any, other: Any) -> Any:
-    """Return the smaller of numbers of histories: floats, or arrays (B,); NaN if either is."""
-    if isinstance(one, float) and isinstance(other, float):  # of one history, and quicker
-        return one if one < other or one != one else other
-    return np.minimum(one, other)

@@ -47,7 +47,7 @@ from ringwear_par.elasticity.pair import assemble_pair
 from ringwear_par.elasticity.quadrature import quadrature
 from ringwear_par.elasticity.solve import solve_systems
 from ringwear_par.history.bodies import bodies, young
-from ringwear_par.history.simulate import simulate
+from ringwear_par.history.loop import simulate_one
 from ringwear_par.history.snapshots import Snapshot
 from ringwear_par.parallel import peak_memory
 from ringwear_par.verification.paper import paper_case
@@ -128,9 +128,8 @@ def measure(n: int, repeats: int, comm: MPI.Comm) -> dict[str, float]:
         with ContactSolver(matrix, area, comm) as solver:
             solver.solve(np.zeros(n), force=case.load.force)
 
-    def history(case: Case, replicated_limit: int = n) -> None:
-        with ContactSolver(matrix, area, comm, replicated_limit) as solver:
-            simulate(case, comm, pair=pair, solver=solver)
+    def history(case: Case) -> None:
+        simulate_one(case, comm, pair=pair)
 
     def updated() -> float:
         started: list[float] = []
@@ -140,12 +139,11 @@ def measure(n: int, repeats: int, comm: MPI.Comm) -> dict[str, float]:
                 started.append(time.perf_counter())
             return False
 
-        simulate(moving, comm, observers=[start])
+        simulate_one(moving, comm, observers=[start])
         return time.perf_counter() - started[0]
 
     contact = timed(comm, repeats, first_contact)
     stepping = timed(comm, repeats, lambda: history(case))
-    shared = timed(comm, repeats, lambda: history(case, 0))
     adaptive = timed(comm, repeats, lambda: history(grown))
     recorded = timed(comm, repeats, lambda: rw.simulate(case, comm, pair=pair))
     adaptive_recorded = timed(comm, repeats, lambda: rw.simulate(grown, comm, pair=pair))
@@ -159,7 +157,7 @@ def measure(n: int, repeats: int, comm: MPI.Comm) -> dict[str, float]:
                 n, comm.size, elements, sum(sizes),
                 evaluations, assembly, 1e9 * assembly * comm.size / evaluations, solution,
                 1e-9 * flops / solution, both,
-                1e3 * contact, stepping, shared, 5.0 * stepping, recorded, adaptive,
+                1e3 * contact, stepping, 5.0 * stepping, recorded, adaptive,
                 adaptive_recorded, followed, *commands, peak,
             ),
             strict=True,

@@ -20,7 +20,7 @@ from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.case import Case, Stepping
 from ringwear_par.elasticity.assembly import load_kernels
 from ringwear_par.elasticity.mesh import Mesh
-from ringwear_par.history.simulate import simulate
+from ringwear_par.history.loop import simulate_one
 from ringwear_par.history.snapshots import Snapshot
 from ringwear_par.history.trace import Trace
 from ringwear_par.results.drawing import COLOURS, DASHES
@@ -65,7 +65,7 @@ class Clock:
 def history(case: Case) -> Compared:
     """Run a case and keep what is compared; its clock starts with the contact before any wear."""
     seen, clock = Trace(), Clock()
-    simulate(case, MPI.COMM_SELF, observers=[seen, clock])
+    simulate_one(case, MPI.COMM_SELF, observers=[seen, clock])
     states = seen.states
     return Compared(
         np.array([s.time for s in states]),
@@ -73,7 +73,7 @@ def history(case: Case) -> Compared:
         np.array([s.contact.pressure for s in states]),
         np.array([s.wear[0].max() for s in states]),
         clock.shown[-1] - clock.shown[0],
-        0 if seen.model.following is None else seen.model.following.updates,
+        0 if seen.model.geometry is None else seen.model.geometry.updates,
     )
 
 

@@ -37,6 +37,7 @@ from matplotlib.ticker import NullFormatter, NullLocator
 from mpi4py import MPI
 
 from ringwear_par.arrays import FloatArray
+from ringwear_par.batched import one
 from ringwear_par.cases.case import Case, Stepping
 from ringwear_par.cases.reading import read_case
 from ringwear_par.elasticity.body import boundary_conditions, solve_body
@@ -46,9 +47,9 @@ from ringwear_par.elasticity.pair import ContactCompliance, ContactPair, largest
 from ringwear_par.errors import RingwearError
 from ringwear_par.history.bodies import young
 from ringwear_par.history.euler import backward, forward
+from ringwear_par.history.loop import simulate_one
 from ringwear_par.history.model import WearModel
 from ringwear_par.history.pairs import assemble
-from ringwear_par.history.simulate import simulate
 from ringwear_par.history.snapshots import Snapshot
 from ringwear_par.history.state import State
 from ringwear_par.results.drawing import COLOURS, STYLE
@@ -150,10 +151,10 @@ def worn(case: Case, pair: ContactPair, scheme: Scheme, step: float, comm: MPI.C
     states: list[State] = []
 
     def keep(snapshot: Snapshot) -> bool:
-        states.append(snapshot.state)
+        states.append(one(snapshot.state, 0))
         return False
 
-    simulate(replace(case, time=stepping), comm, pair=pair, observers=[keep])
+    simulate_one(replace(case, time=stepping), comm, pair=pair, observers=[keep])
     profiles = [1e3 * states[round(time / step)].wear[0] for time in TIMES]
     first, last = states[0].contact, states[-1].contact
     return Run(
@@ -189,7 +190,7 @@ def grows(model: WearModel, state: State, step: float, n_steps: int = 60) -> boo
     n = model.line.n
     sign = (-1.0) ** np.arange(n)
     bump = np.zeros_like(state.wear)
-    bump[0] = 1e-2 * (model.compliance.matrix @ sign) / model.area
+    bump[0, 0] = 1e-2 * (model.compliances.history(0).matrix @ sign) / model.area
     wear = state.wear + bump
     contact = model.contact(state.time, wear, state.contact.pressure)
     rates = model.rates_at(state.time, wear, contact.pressure)
@@ -210,10 +211,10 @@ def measured_limit(pair: ContactPair, case: Case, guess: float, comm: MPI.Comm) 
 
     By bisection to 0.2 %, from a worn state with all in contact; p0 = 0.
     """
-    with WearModel(case, comm, pair) as model:
+    with WearModel([case], comm, pair) as model:
         state = model.initial()
         for end in (100.0, 200.0, 300.0):  # until pressures hardly change
-            state = backward(model, state, end).state
+            state = backward(model, state, np.array([end])).state
         low = high = guess
         while grows(model, state, low):
             low, high = 0.5 * low, low
@@ -257,8 +258,8 @@ def limits(n: int, comm: MPI.Comm) -> Limits:
 
 def unworn(pair: ContactPair, case: Case, comm: MPI.Comm) -> FloatArray:
     """Return the pressure before any wear, (n,) MPa. Collective."""
-    with WearModel(case, comm, pair) as model:
-        return model.initial().contact.pressure
+    with WearModel([case], comm, pair) as model:
+        return model.initial().contact.pressure[0]
 
 
 def bilateral(case: Case, weighted: FloatArray) -> FloatArray:

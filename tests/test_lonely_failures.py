@@ -111,7 +111,7 @@ def test_a_model_that_fails_on_one_rank_does_not_wait_for_the_others(comm, paper
     solver = ContactSolver(compliance.matrix, pair.line.area, comm, replicated_limit=1)
     with solver:
         if comm.rank == comm.size - 1:
-            with pytest.raises(MemoryError), WearModel(case, comm, pair, solver) as model:
+            with pytest.raises(MemoryError), WearModel([case], comm, pair, solver) as model:
                 raise MemoryError
             assert not model.warm().scaled_pressure.any()
         comm.Barrier()

@@ -78,7 +78,7 @@ class HessianBlocks:
         """Make sure that the factors of some histories are of no element."""
         self._free[histories] = False
         self._valid[histories] = False
-        self.border[histories] = 0.0
+        self.border[histories], self.sums[histories] = 0.0, 0.0
 
     def refresh(self, histories: IntArray, free: BoolArray, weights: FloatArray) -> None:
         """Factor the blocks of those histories that have changed, on their free elements, (B, n).

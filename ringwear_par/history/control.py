@@ -20,6 +20,8 @@ from ringwear_par.history.state import Progress, State
 _SAFETY, _LARGEST_GROWTH, _LARGEST_CUT = 0.82, 5.0, 0.1
 #: length of the next try over one whose step could not be made
 _AFTER_FAILURE = 0.25
+#: end of a sentence about a step
+NO_STEP = "and no step is short enough"
 #: share of the tolerance that a step may miss whatever the history before it has missed
 _LEAST_ALLOWED = 0.05
 #: wear of the first step, in tolerances: edges wear fast and not for long
@@ -167,7 +169,7 @@ class ErrorControl:
         """Return the control of some cases."""
         times = [case.time for case in cases]
         return cls(
-            np.array([time.end for time in times]),
+            np.array([time.end for time in times], dtype=float),
             np.array([time.tolerance for time in times]),
             np.array([time.pressure_tolerance for time in times]),
             _padded([[*case.breakpoints, case.time.end] for case in cases]),
@@ -187,12 +189,13 @@ class ErrorControl:
         if (stuck := end - state.time <= 4.0 * np.spacing(state.time)).any():
             if len(stuck) > 1:
                 raise HistoriesError(stuck)
-            raise ComputationError(
-                f"errors exceed time.tolerance = {self.wear_tolerance[0]:g} mm or "
-                f"time.pressure_tolerance = {self.pressure_tolerance[0]:g} (larger ones may be "
-                f"met), however short the step: the last one would be "
-                f"{end[0] - state.time[0]:.3g} s"
+            why = (
+                "the estimated error of the step is not a number"
+                if progress.undefined[0]
+                else f"errors exceed time.tolerance = {self.wear_tolerance[0]:g} mm or "
+                f"time.pressure_tolerance = {self.pressure_tolerance[0]:g} (larger ones may be met)"
             )
+            raise ComputationError(f"{why}, {NO_STEP}")
         fresh = ~progress.begun
         return end, replace(
             progress,
@@ -250,6 +253,7 @@ class ErrorControl:
                 ~accepted,
                 pressed,
                 iterations,
+                ratio == np.inf,
             ),
         )
 

@@ -32,7 +32,7 @@ from ringwear_par.errors import (
     reason_of,
 )
 from ringwear_par.history import euler, sdirk2
-from ringwear_par.history.control import Control, ErrorControl, FixedSteps, step_times_of
+from ringwear_par.history.control import NO_STEP, Control, ErrorControl, FixedSteps, step_times_of
 from ringwear_par.history.following import update_geometry
 from ringwear_par.history.model import WearModel
 from ringwear_par.history.saving import stores, times_within
@@ -282,7 +282,7 @@ class _Batch:
         if not self._begun or not isinstance(error, ComputationError):
             return error
         case, state = self._run.cases[int(self.numbers[0])], self._state
-        why = f"{self._failure}, and no step is short enough" if self._failure else str(error)
+        why = f"{self._failure}, {NO_STEP}" if self._failure else str(error)
         wear = state.wear[:, 0]
         named = type(error)(
             f"{why}{unit_question(case, wear)}; in step {int(self._progress.steps[0]) + 1}, "
@@ -328,8 +328,6 @@ class _Batch:
         step = run.method.scheme(model, state, end)
         # ranks may differ by round-off, or by their processor: the first decides
         decision = as_on_first_rank(run.comm, control.decide(state, step, progress))
-        if not decision.accepted.all() and np.isnan(step.wear_error).any():
-            self._failure = "the estimated error of the step is not a number"
         snapshots = self._within(state, end, decision.accepted, decision.progress)
         self._progress, accepted = decision.progress, decision.accepted
         if accepted.all():

@@ -47,10 +47,10 @@ class Step:
     state: State
     wear_error: FloatArray
     history_error: FloatArray
-    energy_error: FloatArray | float = 0.0
-    power: FloatArray | float = 0.0
-    pressure_error: FloatArray | float = 0.0
-    carried_error: FloatArray | float = 0.0
+    energy_error: Any = 0.0
+    power: Any = 0.0
+    pressure_error: Any = 0.0
+    carried_error: Any = 0.0
     closing: Any = False
 
 

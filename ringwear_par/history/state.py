@@ -78,6 +78,7 @@ class Progress:
     begun : whether a try of the present step was made.
     pressed : whether a try of the present step failed by its pressure.
     tried_iterations : of the contact solver, in tries of the present step.
+    undefined : whether the error of the last try was not a number.
     """
 
     steps: IntArray
@@ -88,12 +89,13 @@ class Progress:
     begun: BoolArray
     pressed: BoolArray
     tried_iterations: IntArray
+    undefined: BoolArray
 
     @classmethod
     def at_start(cls, count: int) -> "Progress":
         """Return the progress of B histories before their first step."""
         zeros, no = np.zeros(count, dtype=np.int64), np.zeros(count, dtype=bool)
-        return cls(zeros, np.zeros(count), zeros, zeros, np.zeros(count), no, no, zeros)
+        return cls(zeros, np.zeros(count), zeros, zeros, np.zeros(count), no, no, zeros, no)
 
 
 @dataclass(frozen=True)

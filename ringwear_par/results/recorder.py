@@ -601,7 +601,10 @@ class Recorder:
 
     def results(self, failures: Mapping[int, Exception]) -> list[Result | Exception]:
         """Return the results of all histories, or why there is none."""
-        failures, columns = {**self.failures, **failures}, self.columns(failures)
+        failures = {**self.failures, **failures}
+        if len(self._cases) == 1:
+            return [failures[0] if failures else self.result()]
+        columns = self.columns(failures)
         return [
             failures[number]
             if number in failures

@@ -197,7 +197,7 @@ def steady_rows(
         history = trace(case, comm, pair=pair)
         before, last = (state.contact for state in history.states[-2:])
         rate = (last.approach - before.approach) / _STEADY.step
-        torque = float(history.model.torque(last.pressure))
+        torque = float(history.model.torque(last.pressure)[0])
         oblique = case.friction * c / math.cos(math.radians(rings.degrees))
         found.append(
             (

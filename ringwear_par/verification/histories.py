@@ -146,7 +146,7 @@ def pin_checks(comm: MPI.Comm) -> Iterator[Check]:
     p = history.last.contact.pressure
     for text, value, exact in (
         ("pressure F / (2 pi R r)", p * history.model.line.r, c),
-        ("torque mu F R / 2", history.model.torque(p), 0.5 * case.friction * force * radius),
+        ("torque mu F R / 2", history.model.torque(p)[0], 0.5 * case.friction * force * radius),
         ("approach rate mu k omega F / (2 pi R)", _approach_rate(history),
          case.friction * 1e-6 * 1.0 * c),
     ):  # fmt: skip

@@ -48,7 +48,7 @@ def paper_checks(comm: MPI.Comm) -> Iterator[Check]:
         p = contact.pressure
         values.append(
             [contact.approach / reference.PAPER_APPROACH - 1.0,
-             model.torque(p) / reference.PAPER_TORQUE - 1.0]
+             model.torque(p)[0] / reference.PAPER_TORQUE - 1.0]
             + [pressure_at(model.line, p, r) / v - 1.0 for r, v in pressures.items()]
         )  # fmt: skip
     names = ["approach", "torque", *(f"p({r:g})" for r in pressures)]

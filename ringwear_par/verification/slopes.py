@@ -88,8 +88,10 @@ def _fine_rows(name: str, comm: MPI.Comm) -> Iterator[Check]:
     yield from rows_against(name, [fine.on(Mesh(n)) for n in SIZES], histories)
     first, model = histories[-1].states[0].contact, histories[-1].model
     n, line = model.line.n, model.line
-    flat = model.inputs.friction * (line.area * line.arm) @ first.pressure
-    error = abs(model.torque(first.pressure) / flat * math.cos(math.radians(rings.degrees)) - 1.0)
+    flat = model.case.friction * (line.area * line.arm) @ first.pressure
+    error = abs(
+        model.torque(first.pressure)[0] / flat * math.cos(math.radians(rings.degrees)) - 1.0
+    )
     yield identity(f"{name}: torque, 1 / cos alpha of a flat face's", n,
                    float(error), 1e-12)  # fmt: skip
     for text, found in (

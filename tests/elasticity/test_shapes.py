@@ -94,7 +94,7 @@ def test_partly_overlapping_rings(comm):
     assert case.contact == (38.0, 40.0)
     assert case.open_ends == (False, False)
     history = trace(case, comm)
-    pair, states = history.model.compliance, history.states
+    pair, states = history.model.compliances.history(0), history.states
     assert pair.symmetry_defect < 1e-3
     # the inner edge digs in, at the free end of the lower ring the pressure is small and regular
     p = states[0].contact.pressure
@@ -175,7 +175,7 @@ def test_dense_samples_of_a_smooth_face_are_splined_and_kinks_stay():
 def test_the_sphere_of_the_case_file_is_that_of_hertz(comm):
     """200 N on a sphere of 20 mm (see sphere.toml), before any wear."""
     case = read_case(Path(__file__).parents[2] / "scripts/cases/sphere.toml")
-    with WearModel(case, comm) as model:
+    with WearModel([case], comm) as model:
         p = model.initial().contact.pressure
     modulus = contact_modulus(*((b.young, b.poisson) for b in case.rings))
     a = (0.75 * 200.0 * 20.0 / modulus) ** (1.0 / 3.0)

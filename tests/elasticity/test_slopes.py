@@ -157,7 +157,7 @@ def test_falling_cones_are_not_rising_ones(comm):
     mesh, found = Mesh(16), []
     for degrees in (10.0, -10.0):
         case = ring_case(Rings(CONTACT, (1e4, 1e5), degrees), mesh)
-        with WearModel(case, comm) as model:
+        with WearModel([case], comm) as model:
             found.append(model.initial().contact.pressure)
     assert np.abs(found[0] - found[1]).max() > 5.0
 
@@ -206,7 +206,7 @@ def test_displaced_faces_meet_along_the_common_normal(degrees, comm):
     case = ring_case(Rings(CONTACT, (1e4, 1e5), degrees), Mesh(32))
     t = math.tan(math.radians(degrees))
     cos = math.cos(math.radians(degrees))
-    with WearModel(case, comm) as model:
+    with WearModel([case], comm) as model:
         contact = model.initial().contact
     p, touching = contact.pressure, contact.pressure > 0.0
     recovery = boundary_recovery(case, comm)

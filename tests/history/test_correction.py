@@ -14,13 +14,14 @@ from stored import assert_same
 from ringwear_par.cases.case import Load, Stepping
 from ringwear_par.cases.reading import make_case, read_case
 from ringwear_par.contact import correction
+from ringwear_par.contact.batch import BatchSolver
 from ringwear_par.contact.solver import ContactSolver
 from ringwear_par.errors import ComputationError, HistoriesError
 from ringwear_par.history import euler
 from ringwear_par.history.bodies import young
+from ringwear_par.history.loop import METHODS
 from ringwear_par.history.model import WearModel
 from ringwear_par.history.pairs import assemble
-from ringwear_par.history.simulate import METHODS
 from ringwear_par.history.trace import trace
 from ringwear_par.schedules import in_time
 from ringwear_par.wear.threshold import ThresholdLaw
@@ -70,7 +71,7 @@ def test_first_pressures_are_those_of_the_collocated_equations(cases, number, co
     case, pair = cases[number]
     m = pair.line.area
     exact, approach = active_set.solve(weighted(case, pair), m, case.initial_gap, **loads(case, 0))
-    with WearModel(case, comm, pair) as model:
+    with WearModel([case], comm, pair) as model:
         first = model.initial().contact
         told, _ = model.asymmetry
     assert errors(first.pressure, exact, m).max() < 1e-3
@@ -100,21 +101,21 @@ def test_each_correction_leaves_a_fraction(cases, number, comm):
 
 def test_corrections_end_once_there_is_nothing_to_correct(cases, comm, monkeypatch):
     case, pair = cases[12]
-    solve, calls = ContactSolver.solve, []
+    solve, calls = BatchSolver.solve, []
 
     def counted(self, *args, **kwargs):
         calls.append(1)
         return solve(self, *args, **kwargs)
 
-    monkeypatch.setattr(ContactSolver, "solve", counted)
-    nothing = np.zeros((2, pair.line.n))
-    with WearModel(case, comm, pair) as model:
-        p = model.contact(0.0, nothing, nothing[0], exact=True).pressure
+    monkeypatch.setattr(BatchSolver, "solve", counted)
+    nothing, start = np.zeros((2, 1, pair.line.n)), np.zeros(1)
+    with WearModel([case], comm, pair) as model:
+        p = model.contact(start, nothing, nothing[0], exact=True).pressure
         made = len(calls)
         assert 2 <= made <= 6
-        again = model.contact(0.0, nothing, p, exact=True)  # from the solution on: none to make
+        again = model.contact(start, nothing, p, exact=True)  # from the solution on: none to make
         assert len(calls) == made + 1
-    assert errors(again.pressure, p, pair.line.area).max() < 1e-3
+    assert errors(again.pressure[0], p[0], pair.line.area).max() < 1e-3
 
 
 @pytest.mark.parametrize("exact", [False, True])
@@ -127,16 +128,17 @@ def test_pressures_of_an_implicit_step_are_those_of_the_collocated_equations(cas
     assert isinstance(omega, float)
     line = pair.line
     before = trace(case, comm, pair=pair).states[-2]
-    with WearModel(case, comm, pair) as model:
-        during = model.increment(step * 10, omega, before.wear, step)
-        found = model.contact(step * 10, before.wear, before.contact.pressure, during, exact=exact)
+    with WearModel([case], comm, pair) as model:
+        wear, end = before.wear[:, None], np.array([10.0 * step])
+        during = model.increment(end, np.array([omega]), wear, np.array([step]))
+        found = model.contact(end, wear, before.contact.pressure[None], during, exact=exact)
     rise = step * law.k * case.friction * omega * line.arm
     gap = case.initial_gap + before.wear.sum(axis=0)
     right, _ = active_set.solve(
         weighted(case, pair), line.area, gap, laws=[law.p0], rise=[rise],
         **loads(case, step * 10),
     )  # fmt: skip
-    assert errors(found.pressure, right, line.area).max() < (2e-4 if exact else 1e-2)
+    assert errors(found.pressure[0], right, line.area).max() < (2e-4 if exact else 1e-2)
 
 
 @pytest.mark.parametrize("number", NUMBERS)
@@ -148,7 +150,7 @@ def test_last_pressures_of_a_history_are_near_the_collocated_ones(cases, number,
     assert 0 <= e < pair.line.n
     assert told <= 1e-2
     scheme = METHODS[case.time.scheme].scheme
-    with WearModel(case, comm, pair) as model:
+    with WearModel([case], comm, pair) as model:
         contact = model.contact
 
         def corrected(time, wear, near, during=None, found=None, exact=False, along=None):
@@ -158,7 +160,8 @@ def test_last_pressures_of_a_history_are_near_the_collocated_ones(cases, number,
             return solution
 
         monkeypatch.setattr(model, "contact", corrected)
-        right = scheme(model, history.states[-2], history.last.time).state.contact.pressure
+        before, last = (snapshot.state for snapshot in history.snapshots[-2:])
+        right = scheme(model, before, last.time).state.contact.pressure[0]
     assert errors(history.last.contact.pressure, right, pair.line.area).max() < 0.02
 
 
@@ -209,7 +212,7 @@ def test_explicit_steps_are_corrected_each(comm):
 
 
 def test_histories_together_are_corrected_as_if_alone(cases, comm):
-    """To the last bit, though they need unlike numbers of corrections; nearly as a single one."""
+    """To the last bit, though they need unlike numbers of corrections."""
     base, pair = cases[12]
     force = base.load.force if isinstance(base.load.force, float) else 2e3
     several = [
@@ -230,13 +233,6 @@ def test_histories_together_are_corrected_as_if_alone(cases, comm):
                 of_all = getattr(together.contact, name)[i]
                 assert np.array_equal(of_all, getattr(mine.contact, name)[0]), name
             assert np.array_equal(together.wear[:, i], mine.wear[:, 0])
-        with WearModel(case, comm, pair) as model:
-            start = model.initial()
-            single = euler.forward(model, start, end).state
-        for together, mine in ((first, start), (second, single)):
-            p = mine.contact.pressure
-            assert np.abs(together.contact.pressure[i] - p).max() < 1e-9 * p.max()
-            assert np.abs(together.wear[:, i] - mine.wear).max() <= 1e-9 * mine.wear.max()
         exact, _ = active_set.solve(
             weighted(case, pair), pair.line.area, case.initial_gap, **loads(case, 0)
         )
@@ -270,26 +266,12 @@ def test_ranks_find_the_same(cases, number, comm):
     assert together.last.wear == pytest.approx(alone.last.wear, rel=1e-9, abs=1e-12)
 
 
-def test_a_problem_shared_out_by_rows_is_corrected_as_well(cases, comm):
-    case, pair = cases[100]
-    matrix, m = pair.compliance(young(case)).matrix, pair.line.area
-    exact, _ = active_set.solve(weighted(case, pair), m, case.initial_gap, **loads(case, 0))
-    with (
-        ContactSolver(matrix, m, comm, replicated_limit=4) as solver,
-        WearModel(case, comm, pair, solver) as model,
-    ):
-        assert solver.distributed == (comm.size > 1)
-        found = model.initial().contact.pressure
-    assert errors(found, exact, m).max() < 1e-3
-    assert len(set(comm.allgather(found.tobytes()))) == 1
-
-
 def test_a_contact_that_corrections_do_not_settle_is_refused(cases, comm, monkeypatch):
     """Alone with its error; among others it leaves."""
     case, pair = cases[12]
     monkeypatch.setattr(correction, "_EXACT", 1e-30)
     with (
-        WearModel(case, comm, pair) as model,
+        WearModel([case], comm, pair) as model,
         pytest.raises(ComputationError, match=r"after 10 corrections .* is off by .*allowed 1e-30"),
     ):
         model.initial()

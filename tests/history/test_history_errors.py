@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 from mpi4py import MPI
 
-from ringwear_par.arrays import larger, relative, smaller
+from ringwear_par.arrays import relative
+from ringwear_par.batched import one
 from ringwear_par.cases.case import Output, Stepping
 from ringwear_par.elasticity.mesh import Mesh
 from ringwear_par.errors import ComputationError
-from ringwear_par.history.batch import simulate_batch
+from ringwear_par.history.loop import METHODS, simulate
 from ringwear_par.history.pairs import assemble
-from ringwear_par.history.simulate import METHODS
 from ringwear_par.history.trace import trace
 from ringwear_par.verification.paper import paper_case
 from ringwear_par.wear.power import PowerLaw
@@ -95,19 +95,14 @@ def test_histories_in_lock_step_carry_the_same(paper):
 
     def observe(snapshot):
         for i in np.flatnonzero(snapshot.finished):
-            last[int(snapshot.numbers[i])] = snapshot.state.history(i)
+            last[int(snapshot.numbers[i])] = one(snapshot.state, i)
 
-    assert simulate_batch(cases, pair, observe) == []
-    for i, one in enumerate(cases):
-        alone = trace(one, ALONE, pair=pair).last
-        assert np.abs(last[i].error - alone.error).max() < 1e-9 * np.abs(alone.wear).max()
+    assert simulate(cases, ALONE, pair=pair, observers=[observe]).failures == {}
+    for i, case in enumerate(cases):
+        assert np.array_equal(last[i].error, trace(case, ALONE, pair=pair).last.error)
 
 
 def test_numbers_that_are_none_are_no_small_ones():
-    for one, other in ((np.nan, 1.0), (1.0, np.nan)):
-        assert np.isnan(larger(one, other))
-        assert np.isnan(smaller(one, other))
-    assert np.isnan(relative(1.0, np.nan))
     assert np.isnan(relative(np.ones(1), np.full(1, np.nan))[0])
 
 
@@ -125,30 +120,49 @@ def test_an_estimate_that_is_no_number_fails_the_case(paper, monkeypatch, name):
         history(paper, LAWS["threshold"], 1e-5)
     case, pair = paper
     case = replace(case, time=Stepping("adaptive", until=50.0))
-    assert simulate_batch([case, case], pair, lambda _: None) == [0, 1]
+    failures = simulate([case, case], ALONE, pair=pair).failures
+    assert len(failures) == 2
+    assert all("is not a number" in str(error) for error in failures.values())
 
 
 class FirstRank:
     """Two ranks, as the second sees them: the first one has decided."""
 
-    size = 2
+    size, rank = 2, 1
 
-    def __init__(self, decisions):
-        self._decisions = iter(decisions)
+    def __init__(self, decide):
+        self._decide = decide
 
-    def bcast(self, _):
-        """Return what the first has."""
-        return next(self._decisions)
+    def bcast(self, value):
+        """Return the first rank's."""
+        return self._decide(value)
+
+    def Allreduce(self, *_):  # noqa: N802
+        """Nobody has failed."""
 
 
-@pytest.mark.parametrize("taken", [True, False])
-def test_the_first_rank_decides_for_all_whether_a_step_is_taken(paper, taken):
+def test_the_first_rank_decides_for_all_whether_a_step_is_accepted(paper):
+    """It takes half of the step that this rank would try, and rejects its first try."""
     case, pair = paper
     case = replace(case, time=Stepping("adaptive", until=50.0))
-    make_control = METHODS["adaptive"].control
-    seen = trace(case, ALONE, pair=pair)
-    ratio = 0.5 if taken else 1.5
-    control = make_control(case, seen.snapshots[0].progress, FirstRank([0.25, (ratio, False, 0.5)]))
-    assert control.end(seen.states[0]) == 0.25
-    step = replace(seen.snapshots[1].step, wear_error=0.0 if not taken else 1.0)
-    assert control.accepts(step) == taken
+    tries = []
+
+    def decide(value):
+        if isinstance(value, tuple):  # the end of a try, and the progress
+            tries.append(0.5 * value[0])
+            return tries[-1], value[1]
+        if len(tries) == 1:
+            accepted = np.zeros(1, dtype=bool)
+            value = replace(value, accepted=accepted, progress=replace(
+                value.progress, steps=np.zeros(1, dtype=int), begun=~accepted))  # fmt: skip
+        return value
+
+    seen = []
+
+    def observe(snapshot):
+        seen.append(snapshot)
+        return len(seen) == 2
+
+    simulate([case], FirstRank(decide), pair=pair, observers=[observe])
+    assert len(tries) == 2
+    assert seen[1].state.time == tries[1]

@@ -8,9 +8,9 @@ import pytest
 from mpi4py import MPI
 
 import ringwear_par as rw
+from ringwear_par.history.loop import simulate_one
 from ringwear_par.history.pairs import assemble
 from ringwear_par.history.sensitivity import differentiable
-from ringwear_par.history.simulate import simulate
 from ringwear_par.results.recorder import Recorder
 from ringwear_par.results.variables import D_HISTORIES, D_PROFILES
 from ringwear_par.studies.batches import computed
@@ -56,9 +56,9 @@ def case_of(tmp_path, law="threshold", scheme="adaptive", elements=12, **changes
 
 def history(case, pair, keys=(), times=None):
     """The result of a history alone."""
-    recorder = Recorder(case, ALONE, derivatives=keys)
+    recorder = Recorder([case], ALONE, derivatives=keys)
     how = {"derivatives": keys, "step_times": times}
-    simulate(case, ALONE, pair=pair, observers=[recorder], **how)
+    simulate_one(case, ALONE, pair=pair, observers=[recorder], **how)
     return recorder.result()
 
 
@@ -244,9 +244,9 @@ def columns_of(cases, pair, keys=(), times=None, batch=None):
     """Results of cases computed together, in their order."""
     found = {}
     for block in computed(
-        cases, pair, batch=batch, keep_ends=True, derivatives=keys, step_times=times
+        cases, pair, batch=batch, results=True, derivatives=keys, step_times=times
     ):
-        assert not block.alone
+        assert not block.failures
         found.update(zip(block.numbers, block.results(), strict=True))
     return [found[number] for number in range(len(cases))]
 

@@ -6,7 +6,7 @@ import pytest
 from mpi4py import MPI
 
 import ringwear_par as rw
-from ringwear_par.history.simulate import simulate
+from ringwear_par.history.loop import simulate_one
 from ringwear_par.results.implausible import implausible
 
 CASES = Path(__file__).parents[2] / "scripts" / "cases"
@@ -102,7 +102,7 @@ def test_a_run_that_fails_by_deep_wear_asks_for_the_unit(scheme):
     if scheme == "implicit":
         keys |= {"time.step": keys["time.end"] / 2, "time.steps": 2, "time.end": None}
     with pytest.raises(rw.ComputationError) as failure:
-        simulate(rw.read_case(PAPER, keys), MPI.COMM_SELF)
+        simulate_one(rw.read_case(PAPER, keys), MPI.COMM_SELF)
     question = (
         '; wear.lower.k = 1.2e-06 is in 1/MPa: if it is in mm3/(N m), write "1.2e-06 mm3/(N m)"'
     )

@@ -166,7 +166,7 @@ def test_the_summary_names_closing_contact_where_elements_close(comm):
     told = "the mesh's error is not in it; closing contact is not in it (estimate)"
     alone = simulate(case, comm)
     assert told in alone.summary()
-    (together,) = computed([case], assemble(case, comm), keep_ends=True)
+    (together,) = computed([case], assemble(case, comm), results=True)
     (same,) = together.results()
     assert told in same.summary()
 

@@ -124,7 +124,7 @@ def test_columns_hold_what_results_do(case, profiles):
     """Failed and single ones among them, each history's rows together."""
     cases = cases_of(case, **{"output.profiles": profiles})
     pair, seen = assemble(case, ALONE), set()
-    for block in computed(cases, pair, batch=3, keep_ends=True):
+    for block in computed(cases, pair, batch=3, results=True):
         columns = block.columns
         assert isinstance(columns, HistoryColumns)
         assert columns.offsets[-1] == len(columns.steps)
@@ -162,7 +162,7 @@ def test_flags_are_those_of_single_cases(case):
     for block in computed(cases, pair):
         found.update(zip(block.numbers, block.columns.flags, strict=True))
     for i, one in enumerate(cases):
-        recorder = Recorder(one, ALONE)
+        recorder = Recorder([one], ALONE)
         rw.history.simulate.simulate(one, ALONE, pair=pair, observers=[recorder])
         assert found[i] == tuple(doubt.flag for doubt in recorder.doubts)
     assert "unstable_explicit_step" in found[0]
