@@ -56,7 +56,7 @@ COLUMNS = (
     "contact_elements", "ranks", "boundary_elements", "unknowns", "kernel_evaluations",
     "assembly_s", "ns_per_evaluation", "factor_solve_s", "gflop_per_s", "compliance_s",
     "first_contact_ms", "steps_200_s",
-    "steps_200_shared_s", "ms_per_step", "steps_200_recorded_s", "adaptive_200_s",
+    "ms_per_step", "steps_200_recorded_s", "adaptive_200_s",
     "adaptive_200_recorded_s", "updated_200_steps_s", "run_s", "run_known_s", "peak_MB_per_rank",
 )  # fmt: skip
 

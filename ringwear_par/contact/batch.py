@@ -253,10 +253,16 @@ class BatchSolver:
             self._newton.failed[newton.at_work] = True
         else:
             self._run_tao()
-        singles = {
-            int(i): self._solve_single(int(i), gap, force, approach, wear)
-            for i in np.flatnonzero(newton.failed)
-        }
+        singles, unsolved = {}, np.zeros(len(gap), dtype=bool)
+        for i in np.flatnonzero(newton.failed).tolist():
+            try:
+                singles[i] = self._solve_single(i, gap, force, approach, wear)
+            except ComputationError:
+                if len(gap) == 1:
+                    raise
+                unsolved[i] = True
+        if unsolved.any():
+            raise HistoriesError(unsolved)
         q, g = (v.getArray(readonly=True).reshape(gap.shape) for v in (self._x, self._g))
         worst, largest = self._defects(asked, q, g)
         off = np.divide(worst, largest, out=np.full(len(asked), np.inf), where=largest > 0.0)
@@ -296,22 +302,13 @@ class BatchSolver:
         scale, newton = self._scale[history], self._newton
         matrix = self._scaled[self._which[history]] * (scale[:, None] * scale)
         increment = None if wear is None else wear.history(history)
-        try:
-            with ContactSolver(matrix, self._area, MPI.COMM_SELF) as solver:
-                found = solver.solve(
-                    gap[history],
-                    force=None if force is None else float(force[history]),
-                    approach=None if approach is None else float(approach[history]),
-                    wear=increment,
-                )
-        except HistoriesError:
-            raise
-        except ComputationError as error:
-            if len(gap) == 1:
-                raise
-            which = np.zeros(len(gap), dtype=bool)
-            which[history] = True
-            raise HistoriesError(which) from error
+        with ContactSolver(matrix, self._area, MPI.COMM_SELF) as solver:
+            found = solver.solve(
+                gap[history],
+                force=None if force is None else float(force[history]),
+                approach=None if approach is None else float(approach[history]),
+                wear=increment,
+            )
         q, g = (v.getArray(readonly=True).reshape(gap.shape).copy() for v in (self._x, self._g))
         q[history], g[history] = found.pressure * scale, found.gap * self._weights[history]
         newton.approaches[history], newton.failed[history] = found.approach, False

@@ -385,6 +385,11 @@ class ContactSolver:
             d_approach = (d_force + by_gap @ weights) / (weights @ by_approach)
         return (by_approach * d_approach[:, None] - by_gap) / problem.scale, d_approach
 
+    def cold_start(self) -> None:
+        """Start the next solve as a new solver would. Not collective."""
+        self._x.set(0.0)
+        self._search.restart()
+
     def destroy(self) -> None:
         """Free the PETSc objects, if they are not yet. Collective on comm."""
         OPEN.pop(self, None)

@@ -5,7 +5,7 @@ import pytest
 
 from ringwear_par.contact import blocks, interleaved
 from ringwear_par.contact.batch import BatchSolver
-from ringwear_par.contact.problem import KKT_TOLERANCE
+from ringwear_par.contact.problem import KKT_TOLERANCE, WarmStart
 from ringwear_par.contact.solver import ContactSolver
 from ringwear_par.errors import HistoriesError
 from ringwear_par.wear.increment import WearIncrement, averaging
@@ -58,7 +58,7 @@ def test_the_gradient_is_that_of_the_objective(solver, name):
     tao, newton = solver._tao, solver._newton
     newton.at_work = np.arange(B)
     x, g = tao.getSolution().duplicate(), tao.getSolution().duplicate()
-    q = RNG.uniform(0.5, 2.0, B * N) * solver.scaled_pressures.max()
+    q = RNG.uniform(0.5, 2.0, B * N) * solver.warm.scaled_pressure.max()
     x.setArray(q)
     tao.computeGradient(x, g)
     gradient = g.getArray().copy()
@@ -80,7 +80,7 @@ def test_the_hessian_is_the_derivative_of_the_gradient(solver, name):
     tao, newton = solver._tao, solver._newton
     newton.at_work = np.arange(B)
     x, g, d, y = (tao.getSolution().duplicate() for _ in "xgdy")
-    q = RNG.uniform(0.5, 2.0, B * N) * solver.scaled_pressures.max()
+    q = RNG.uniform(0.5, 2.0, B * N) * solver.warm.scaled_pressure.max()
     x.setArray(q)
     d.setArray(direction := RNG.normal(size=B * N))
     tao.computeHessian(x, solver._h)
@@ -147,7 +147,7 @@ def test_digits_do_not_depend_on_the_company(solver, name, control):
     again = solver.take(np.arange(B))
     solver.solve(2.0 * GAP, **{control: given}, wear=wear, histories=some)
     left = np.setdiff1d(np.arange(B), some)
-    assert np.array_equal(solver.scaled_pressures[left], again.scaled_pressures[left])
+    assert np.array_equal(solver.warm.scaled_pressure[left], again.warm.scaled_pressure[left])
     assert np.array_equal(solver.response(change, kept)[left], response[left])
     again.destroy()
 
@@ -183,7 +183,7 @@ def test_what_a_law_raises_comes_out_as_it_is(solver):
 
     with pytest.raises(ZeroDivisionError, match="of a law"):
         solver.solve(GAP, force=FORCE, wear=Failing())
-    solver.start = np.zeros((B, N)), np.zeros(B)
+    solver.warm = WarmStart(np.zeros((B, N)), np.zeros(B))
     assert solver.solve(GAP, force=FORCE).force == pytest.approx(FORCE, rel=1e-12)
 
 

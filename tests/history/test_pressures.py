@@ -44,7 +44,7 @@ def pressure_errors(pairs):
 
 @pytest.mark.most_ranks(2)
 def test_the_crown_has_no_peaks_where_contact_grows(comm):
-    case = read_case(CASES / "crown.toml", {"mesh.contact_elements": 32, "time.end": 300.0})
+    case = read_case(CASES / "crown.toml", {"mesh.contact_elements": 64, "time.end": 300.0})
     history, pairs = compared(case, comm, 1e-8)
     errors = pressure_errors(pairs)
     loose = replace(case, time=replace(case.time, pressure_tolerance=1e3))
