@@ -9,6 +9,7 @@ from swept import CASE
 
 import ringwear_par as rw
 from ringwear_par.cases.reading import parse_case
+from ringwear_par.history.loop import simulate_one
 from ringwear_par.history.pairs import assemble
 from ringwear_par.results.checkpoints import restored
 from ringwear_par.results.columns import HistoryColumns
@@ -163,8 +164,8 @@ def test_flags_are_those_of_single_cases(case):
         found.update(zip(block.numbers, block.columns.flags, strict=True))
     for i, one in enumerate(cases):
         recorder = Recorder([one], ALONE)
-        rw.history.simulate.simulate(one, ALONE, pair=pair, observers=[recorder])
-        assert found[i] == tuple(doubt.flag for doubt in recorder.doubts)
+        simulate_one(one, ALONE, pair=pair, observers=[recorder])
+        assert found[i] == tuple(doubt.flag for doubt in recorder.warnings())
     assert "unstable_explicit_step" in found[0]
     assert "unstable_explicit_step" not in found[1]
 

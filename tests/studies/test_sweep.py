@@ -157,7 +157,7 @@ def test_again_recomputes_nothing_and_changes_nothing(write, shared_path, comm, 
     study, folder = write(STUDY), shared_path / "out"
     swept(study, folder, comm)
     before, rows = variables(folder), table(folder)
-    monkeypatch.setattr(workers, "simulate", None)  # any case would fail
+    monkeypatch.setattr(workers, "simulate_one", None)  # any case would fail
     swept(study, folder, comm)
     same(before, variables(folder))
     assert table(folder) == rows
@@ -351,7 +351,7 @@ def test_a_dry_run_whose_first_case_fails_ends_on_all_ranks(write, shared_path, 
     def failing(*_, **__):
         raise ComputationError("step 1: the contact failed")
 
-    monkeypatch.setattr(estimate, "simulate", failing)
+    monkeypatch.setattr(estimate, "simulate_one", failing)
     with pytest.raises(ComputationError, match="step 1: the contact failed"):
         sweep.run_sweep(write(STUDY), shared_path / "out", comm, dry_run=True)
 
