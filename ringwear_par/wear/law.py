@@ -390,6 +390,9 @@ class CompletedLaw(Law):
 
     def _ask(self, asked: Asked, p: FloatArray, local: LocalState, *first: str) -> FloatArray:
         """Return what the object gives, (..., n): checked; ``first`` is what it is asked first."""
+        if p.ndim == 2 and len(p) == 1:  # it may have been written for the (n,) of one history
+            alone: FloatArray = self._ask(asked, p[0], local.history(0), *first)
+            return alone[None]
 
         def answer(p: FloatArray, local: LocalState) -> Any:
             return getattr(self.own, asked)(*first, p, local)

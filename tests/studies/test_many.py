@@ -9,6 +9,8 @@ from swept import CASE
 from ringwear_par.cases.case import Load, Stepping
 from ringwear_par.cases.reading import parse_case
 from ringwear_par.errors import InputError, RingwearError
+from ringwear_par.history.loop import simulate_one
+from ringwear_par.history.trace import Trace
 from ringwear_par.results.checkpoints import restored
 from ringwear_par.results.result import FailedResult, Result
 from ringwear_par.results.simulate import simulate
