@@ -497,7 +497,6 @@ class Recorder:
                 self._pending_iterations,
                 self._worst.history(),
             ),
-            comm=self._comm,
             parameters=units_of(case, self._parameters),
             derivatives={name: arrays[name] for name in self._derivatives},
             layers={name: arrays[name] for name in self._layers},

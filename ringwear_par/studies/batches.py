@@ -4,7 +4,7 @@ import time
 from collections import defaultdict
 from collections.abc import Callable, Hashable, Iterator, Sequence
 from contextlib import nullcontext
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 from mpi4py import MPI
 
@@ -83,7 +83,7 @@ class Computed:
                 found.append(one.error)
             else:
                 assert one.recorder is not None
-                found.append(replace(one.recorder.result(), comm=None))
+                found.append(one.recorder.result())
         return found
 
 
