@@ -48,7 +48,7 @@ def test_run_plot_and_status_0(tmp_path, ranks):
     done = ringwear("run", PAPER, "-o", "a.h5", "--plot", "a.png", "--set", *SMALL,
                     ranks=ranks, cwd=tmp_path)  # fmt: skip
     assert done.returncode == 0, done.stderr
-    assert done.stdout.count("worst of all steps: contact (KKT)") == 1
+    assert done.stdout.count("contact conditions (KKT)") == 1
     assert "our reading" in done.stdout
     assert {p.name for p in tmp_path.iterdir()} == {"a.h5", "a.png"}
     assert ringwear("plot", "a.h5", "-o", "b.pdf", ranks=ranks, cwd=tmp_path).returncode == 0

@@ -276,7 +276,7 @@ class Page:
                 "summary": with_signs(result.summary()), "case": found.text,
                 "numbers": [(name, value, before.get(name, ""), unit)
                             for name, value, unit in key_rows(numbers)],
-                "worn": [worn.header, *worn.rows] if numbers.bodies else [],
+                "worn": [] if worn is None else [worn.header, *worn.rows],
                 "chosen": drawing.chosen_time, "charts": drawing.told(), "laid": columns,
                 "laid_fault": ". ".join(dict.fromkeys(faults)), "seconds": self._seconds,
                 "sketch": self._sketched and not self._faults,

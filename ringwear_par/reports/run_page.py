@@ -1,7 +1,7 @@
 """The page of a run."""
 
 import io
-from collections.abc import Sequence
+from collections.abc import Iterable
 
 import numpy as np
 
@@ -19,23 +19,16 @@ from ringwear_par.reports.blocks import (
     software,
 )
 from ringwear_par.reports.words import case_words
-from ringwear_par.results.edge_elements import EDGE_ERROR
 from ringwear_par.results.figures import plot
-from ringwear_par.results.key_numbers import KeyNumbers, WornLayers, key_numbers
+from ringwear_par.results.key_numbers import (
+    KeyNumber,
+    check_numbers,
+    in_groups,
+    key_numbers,
+)
 from ringwear_par.results.result import Result
 from ringwear_par.results.variables import DISPLAY_UNITS, HISTORIES
 
-_MICRO, _CUBIC = "\N{MICRO SIGN}m", "mm\N{SUPERSCRIPT THREE}"
-_BALANCES = {
-    "residual": "contact conditions (KKT residual)",
-    "force": "contact pressure against the applied force",
-    "volume": "worn profiles against the integrated rates",
-    "energy": "worn volume against dissipated energy",
-    "reaction": "force on the fixed faces against the contact's, vanishes with the mesh",
-    "torque": "torque on the fixed faces against the contact's, vanishes with the mesh",
-    "step_error": "estimated error of wear depth by time stepping, mm: over the whole history with "
-    "adaptive steps, of one step with fixed ones; the mesh's error is not in it",
-}
 _TOLD = [v for name, v in HISTORIES.items() if name not in ("twist", "contact_iterations")]
 #: panels of stresses, in words for those who do not see them
 _STRESS_PANELS = {
@@ -55,7 +48,7 @@ def run_page(result: Result) -> Page:
     ------
     InputError : the result was stored without its last state.
     """
-    found = key_numbers(result)
+    numbers = key_numbers(result)
     lines = with_signs(result.summary()).splitlines()
     title = str(result.attributes.get("title", ""))
     if title:
@@ -63,10 +56,10 @@ def run_page(result: Result) -> Page:
     doubts = [line for line in lines if line.startswith("WARNING")]
     blocks: list[Block] = [Lines(doubts, warning=True)] if doubts else []
     blocks.append(Lines([line for line in lines if line not in doubts]))
-    blocks.append(Table("Key numbers, at the end", ("quantity", "value", "unit"), key_rows(found)))
-    if found.bodies:
-        blocks.append(worn_table(found))
-    blocks += [_through(one.body, one.layers) for one in found.bodies if one.layers is not None]
+    header = ("quantity", "value", "unit")
+    blocks.append(Table("Key numbers, at the end", header, key_rows(numbers)))
+    if (worn := worn_table(numbers)) is not None:
+        blocks.append(worn)
     sections = [Section("Summary", blocks)]
     drawn = charts.profiles(result)
     told = "No profiles are stored at several times (output.fields, output.profiles)."
@@ -76,76 +69,35 @@ def run_page(result: Result) -> Page:
     sections.append(Section("Histories", [charts.histories(result), _told(result)]))
     sections += _stresses(result)
     sections.append(Section("The case", case_words(result)))
-    sections.append(Section("Balances", [_balances(result)]))
+    sections.append(Section("Balances", [_errors(result)]))
     sections.append(_reproduced(result))
     return Page("Wear history of a test", title or "Run without a title", sections)
 
 
-def key_rows(found: KeyNumbers) -> list[Sequence[str]]:
-    """Return the numbers of the summary, in as many digits."""
-    element = "of an element"
-    if found.largest_beside_edge:
-        element += f" at the edge of contact, which may be off by {100.0 * EDGE_ERROR:.0f} %"
-    rows: list[Sequence[str]] = [
-        ("mean pressure, over the nominal annulus", f"{found.mean_pressure:.4g}", "MPa"),
-        (f"largest pressure, {element}", f"{found.largest_pressure:.4g}", "MPa"),
-        ("at the radius", f"{found.largest_at:.6g}", "mm"),
-        ("smallest pressure", f"{found.smallest_pressure:.4g}", "MPa"),
-        ("elements in contact", f"{found.touching}", ""),
-    ]
-    if found.sliding is not None:
-        speed, p_v, distance = found.sliding
-        rows += [
-            ("sliding speed at the mean radius", f"{speed:.4g}", "mm/s"),
-            ("p V at the mean radius", f"{p_v:.4g}", "MPa mm/s"),
-            ("sliding distance at the mean radius", f"{distance:.4g}", "m"),
-        ]
-    rows.append(("penetration", f"{found.penetration:.6g}", _MICRO))
-    if found.worn_off is not None:
-        rows.append(("of it worn off", f"{found.worn_off:.6g}", _MICRO))
-        rows.append(("of it elastic", f"{found.elastic:.3g}", _MICRO))
-    return rows
-
-
-def worn_table(found: KeyNumbers) -> Table:
-    """Return what each body has lost, in the numbers of the summary."""
-    header = (
-        "body", f"deepest wear ({_MICRO})", f"worn volume ({_CUBIC})", "mass lost (mg)",
-        f"mean rate ({_MICRO}/h)", f"rate at the end ({_MICRO}/h)",
-        f"specific wear rate ({_CUBIC}/(N m))",
-    )  # fmt: skip
-    rows = [
+def key_rows(numbers: Iterable[KeyNumber]) -> list[tuple[str, str, str]]:
+    """Return key numbers as rows of name, value and unit; those of bodies have another table."""
+    return [
         (
-            one.body, f"{one.deepest:.6g}", f"{one.volume:.6g}",
-            one.no_mass or _or_dash(one.mass, 6),
-            _or_dash(one.rate, 4), _or_dash(one.rate_now, 4), _or_dash(one.specific, 4),
+            f"{number.group}, {number.label}" + f" ({number.note})" * bool(number.note),
+            number.text, in_signs(number.unit),
         )
-        for one in found.bodies
+        for number in numbers
+        if number.group not in BODIES
     ]  # fmt: skip
-    return Table("What has been worn off", header, rows)
 
 
-def _through(body: str, layers: WornLayers) -> Table:
-    """Return what has become of the layers of a body."""
-    names = [f"layer {i}" for i in range(len(layers.volumes) - 1)] + ["the body itself"]
+def worn_table(numbers: Iterable[KeyNumber]) -> Table | None:
+    """Return the wear of each body, None where nothing wears."""
+    bodies = {body: rows for body, rows in in_groups(numbers).items() if body in BODIES}
+    columns = {row.label: row.unit for rows in bodies.values() for row in rows}
+    if not bodies:
+        return None
+    header = ("body", *(f"{label} ({in_signs(unit)})" for label, unit in columns.items()))
+    cells = {body: {row.label: row.note or row.text for row in bodies[body]} for body in bodies}
     rows = [
-        (f"volume lost by {name}", f"{volume:.6g}", _CUBIC)
-        for name, volume in zip(names, layers.volumes, strict=True)
+        (body, *(cells[body].get(label, "\N{EN DASH}") for label in columns)) for body in bodies
     ]
-    for one in layers.each:
-        if one.layer < len(layers.volumes) - 2:
-            through = f"layer {one.layer} worn through"
-            rows.append((f"share of the contact area with {through}", f"{one.share:.4g}", ""))
-            rows.append((f"{through} first at the radius", f"{one.r:.6g}", "mm"))
-            rows.append((f"{through} there by", f"{one.time:.6g}", "s"))
-    rows.append(("share of the contact area worn through", f"{layers.share:.4g}", ""))
-    rows.append(("first worn through at", _or_dash(layers.time, 6), "s"))
-    for one in layers.each:
-        if one.layer == len(layers.volumes) - 2:
-            rows.append(("first worn through at the radius", f"{one.r:.6g}", "mm"))
-    rows.append(("least thickness left", f"{layers.thinnest:.4g}", _MICRO))
-    rows.append(("largest thickness left", f"{layers.thickest:.4g}", _MICRO))
-    return Table(f"Layers of {body}, at the end", ("quantity", "value", "unit"), rows)
+    return Table("Wear", header, rows)
 
 
 def _told(result: Result) -> Table:
@@ -162,19 +114,10 @@ def _told(result: Result) -> Table:
     return Table(caption, header, table, folded=True)
 
 
-def _or_dash(value: float | None, digits: int) -> str:
-    return "\N{EN DASH}" if value is None else f"{value:.{digits}g}"
-
-
-def _balances(result: Result) -> Table:
-    off = result.balances
-    rows = [
-        (words, f"{off[name]:.1e}")
-        for name, words in _BALANCES.items()
-        if name in off and (name != "energy" or result.attributes.get("energy_identity"))
-    ]
-    caption = "Errors, the worst of all steps; relative, but for that of a time step"
-    return Table(caption, ("what is held against what", "error"), rows)
+def _errors(result: Result) -> Table:
+    caption = "Errors, the worst of all steps"
+    rows = key_rows(check_numbers(result))
+    return Table(caption, ("check", "error", "unit"), rows)
 
 
 def _stresses(result: Result) -> list[Section]:

@@ -243,12 +243,11 @@ def _stress_table(result: Result) -> tuple[list[str], Iterable[Sequence[Any]]]:
         "mises (MPa)", "max_shear (MPa)", *(f"principal_{i} (MPa)" for i in (1, 2, 3)), "side",
     ]  # fmt: skip
     places = history.points.tolist()
-    sides = history.sides or ("",) * len(places)  # not known of older files
     rows = (
         [state.step, state.time, *place, *row, side]
         for state in history.states
         for place, side, row in zip(
-            places, sides,
+            places, history.sides,
             np.column_stack(
                 [state.points, mises(state.points), max_shear(state.points),
                  principal(state.points)]

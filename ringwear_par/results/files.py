@@ -18,7 +18,7 @@ from ringwear_par.results.reading import (
     read_text,
     reading,
 )
-from ringwear_par.results.result import Result, balance_attributes
+from ringwear_par.results.result import Result
 from ringwear_par.results.stress_variables import read_stress
 from ringwear_par.results.variables import (
     BOUNDARY_FIELDS,
@@ -42,28 +42,23 @@ from ringwear_par.results.variables import (
 )
 
 _WHAT = "a result file of ringwear"
-#: balances in the order in which files of version 0.1.0 have them, without names
-_BALANCES = ("force", "torque", "reaction", "volume", "energy", "residual")
-#: attributes that every file has; those that it may have, texts and numbers
-_ALWAYS = {"case", "title", "status", "version"}
-_TEXTS = _ALWAYS | {
-    "begun_by", "scheme", "user_laws", "law_lower", "law_upper", "doubts", "error",
-    "face_lower", "face_upper", "layers_lower", "layers_upper",
+#: texts and numbers that every file has, and those that it may have
+_TEXTS = {
+    "case", "title", "status", "version", "begun_by", "scheme", "user_laws", "law_lower",
+    "law_upper", "doubts",
 }  # fmt: skip
 _NUMBERS = {
     "ranks", "time_step", "time_steps", "time_end", "symmetry_defect", "energy_identity",
     "step_error_time", "closing_contact", "friction", "omega", "angle", "nominal_area",
-    "mean_radius", "density_lower", "density_upper", "time_through_lower", "time_through_upper",
+    "mean_radius",
+    "balance_force", "balance_torque", "balance_reaction", "balance_volume", "balance_energy",
+    "balance_residual",
 }  # fmt: skip
-_NUMBERED = ("balance_", "seconds_")
+_OPTIONAL_TEXTS = {"error", "face_lower", "face_upper", "layers_lower", "layers_upper"}
+_OPTIONAL_NUMBERS = {"density_lower", "density_upper", "time_through_lower", "time_through_upper"}
+_OPTIONAL_PREFIXES = ("balance_", "seconds_")
 #: densities of the layers of lower and upper
 _OF_LAYERS = dict(zip(("density_lower_layers", "density_upper_layers"), LAYER_VOLUMES, strict=True))
-#: numbers that files have beside another attribute
-_BESIDE = {
-    "case": {"symmetry_defect", *balance_attributes(dict.fromkeys(_BALANCES, 0.0))},
-    "scheme": {"time_step", "time_steps"},
-    "omega": {"angle"},
-}
 
 
 def read_status(path: Path) -> tuple[str, int] | None:
@@ -118,16 +113,7 @@ def result_of(source: Result | str | Path) -> Result:
 def _read(file: h5py.File, path: Path) -> Result:
     """Return what a file holds; any exception means that it is damaged."""
     attributes = _attributes(file)
-    ours = "line" in file  # not so in version 0.1.0
-    if ours:
-        edges = read_array(file["line"], EDGES, {})
-    else:
-        edges = read_array(file["checkpoint"], EDGES, {})
-        values = file["checkpoint"].attrs["balances"].tolist()
-        attributes |= balance_attributes(dict(zip(_BALANCES, values, strict=True)))
-    for name in _BESIDE.keys() & attributes.keys():
-        if missing := _BESIDE[name] - attributes.keys():
-            raise ValueError(missing)
+    edges = read_array(file["line"], EDGES, {})
     if not (len(edges) > 1 and np.isfinite(edges).all() and (np.diff(edges) > 0.0).all()):
         raise ValueError("edges")
     sizes = {"element": len(edges) - 1}
@@ -155,7 +141,6 @@ def _read(file: h5py.File, path: Path) -> Result:
         attributes,
         checkpoint,
         path,
-        None,
         *_read_derivatives(file, sizes),
         layers=layers,
         stress=read_stress(file, sizes),
@@ -202,16 +187,18 @@ def _attributes(file: h5py.File) -> dict[str, Any]:
     found = dict(file.attrs)
     for name in ("software", "coordinates"):
         del found[name]
-    for name in _TEXTS & (found.keys() | _ALWAYS):
+    for name in _TEXTS | (_OPTIONAL_TEXTS & found.keys()):
         read_text(found[name])
+    if missing := _NUMBERS - found.keys():
+        raise ValueError(missing)
     for name in found:
-        if name in _NUMBERS or name.startswith(_NUMBERED):
+        if name in _NUMBERS | _OPTIONAL_NUMBERS or name.startswith(_OPTIONAL_PREFIXES):
             read_number(found[name])
         elif name in _OF_LAYERS:
             found[name] = read_numbers(found[name])
     if found["status"] not in ("complete", "incomplete"):
         raise ValueError("status")
-    doubts, laws = json.loads(found.get("doubts", "[]")), json.loads(found.get("user_laws", "{}"))
+    doubts, laws = json.loads(found["doubts"]), json.loads(found["user_laws"])
     for text in (*doubts, *laws, *laws.values()):
         read_text(text)
     return found
@@ -239,9 +226,7 @@ def _read_boundary(file: h5py.File) -> tuple[BoundaryState, ...]:
     sizes: dict[str, int] = {}
     times = read_array(groups[0], BOUNDARY_TIME, sizes)
     _check_times(times)
-    made = BOUNDARY_STEPS_MADE  # of another name in version 0.1.0
-    numbers = made if made.name in groups[0] else made.named("step")
-    steps = read_array(groups[0], numbers, sizes).tolist()
+    steps = read_array(groups[0], BOUNDARY_STEPS_MADE, sizes).tolist()
     bodies = [_read_body(group, len(times)) for group in groups]
     return tuple(
         BoundaryState(step, time, (lower, upper))

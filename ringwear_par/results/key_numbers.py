@@ -1,6 +1,7 @@
-"""What a history comes to, in the numbers of a tribologist."""
+"""The key numbers of a run: one table, which the summary, the report and the explorer print."""
 
-from collections.abc import Mapping, Sequence
+import math
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -9,94 +10,73 @@ import numpy as np
 from ringwear_par.cases.case import density_keys
 from ringwear_par.elasticity.boundary_fields import BODIES, Which
 from ringwear_par.errors import InputError
-from ringwear_par.results.edge_elements import edge_elements
-from ringwear_par.results.layer_ends import WornThrough, worn_through
+from ringwear_par.results.edge_elements import EDGE_ERROR, edge_elements
+from ringwear_par.results.layer_ends import worn_through
 
 if TYPE_CHECKING:
     from ringwear_par.results.result import Result
 
-
-@dataclass(frozen=True)
-class Worn:
-    """What a body has lost; None is not known.
-
-    Parameters
-    ----------
-    body : "lower" or "upper".
-    deepest : um.
-    volume : mm3.
-    mass : mg.
-    no_mass : why there is none though something of the body has a density, "" else.
-    rate, rate_now : um/h, mean depth over the nominal area, over the whole time and at its end.
-    specific : mm3/(N m), volume by load and sliding distance.
-    layers : of a body with layers, which it may have though it does not wear.
-    """
-
-    body: str
-    deepest: float
-    volume: float
-    mass: float | None
-    rate: float | None
-    rate_now: float | None
-    specific: float | None
-    layers: "WornLayers | None" = None
-    no_mass: str = ""
+_ERRORS = "largest relative errors of all steps"
+_MESH_ERRORS = "relative errors of the boundary elements, smaller on a finer mesh"
+TIME_STEPS = "estimated error of wear depth from time steps"
+#: of results, with the group in which they are printed
+_BALANCES = {
+    "residual": (_ERRORS, "contact conditions (KKT)"),
+    "force": (_ERRORS, "contact force against the applied force"),
+    "volume": (_ERRORS, "worn profiles against integrated rates"),
+    "energy": (_ERRORS, "worn volume against energy"),
+    "reaction": (_MESH_ERRORS, "force on the fixed faces"),
+    "torque": (_MESH_ERRORS, "torque on the fixed faces"),
+}
 
 
 @dataclass(frozen=True)
-class WornLayers:
-    """What has become of the layers of a body.
+class KeyNumber:
+    """A number of a run and how it is printed.
 
     Parameters
     ----------
-    volumes : mm3, lost by each from the contact face inwards; the last by the body itself.
-    share : of the contact area where all of them are worn through.
-    time : s, when that began; None: not yet.
-    thinnest, thickest : um, least and most that is left of all of them.
-    each : of them, those that are worn through somewhere.
+    name : for programs.
+    group : the numbers that it is printed with.
+    label : its own name within the group.
+    value : in ``unit``; NaN where there is none.
+    spec : the format of the number.
+    note : what is printed in brackets after it.
     """
 
-    volumes: tuple[float, ...]
-    share: float
-    time: float | None
-    thinnest: float
-    thickest: float
-    each: tuple[WornThrough, ...]
+    name: str
+    group: str
+    label: str
+    value: float
+    unit: str = ""
+    spec: str = ".6g"
+    note: str = ""
+
+    @property
+    def text(self) -> str:
+        """The number as it is printed, without its unit."""
+        return "none" if math.isnan(self.value) else format(self.value, self.spec)
+
+    def __str__(self) -> str:
+        unit = "" if math.isnan(self.value) else f" {self.unit}".rstrip()
+        return f"{self.label} {self.text}{unit}" + f" ({self.note})" * bool(self.note)
 
 
-@dataclass(frozen=True)
-class KeyNumbers:
-    """What a history has come to at its last state.
-
-    Parameters
-    ----------
-    mean_pressure : MPa, over the nominal annulus, as load.pressure.
-    largest_pressure, smallest_pressure : MPa, of elements.
-    largest_at : mm, radius.
-    largest_beside_edge : whether that element is beside an edge of contact, see ``edge_elements``.
-    touching : elements in contact.
-    sliding : at the mean radius speed (mm/s), p V (MPa mm/s) and distance (m); None: not stored.
-    penetration, worn_off, elastic : um. The first is the sum of the others: the depth worn off
-        both faces in the mean over what presses, and the change of the elastic part. None where
-        a face is not flat: the approach also closes gaps there.
-    bodies : those that wear.
-    """
-
-    mean_pressure: float
-    largest_pressure: float
-    largest_at: float
-    largest_beside_edge: bool
-    smallest_pressure: float
-    touching: int
-    sliding: tuple[float, float, float] | None
-    penetration: float
-    worn_off: float | None
-    elastic: float | None
-    bodies: tuple[Worn, ...]
+def by_name(numbers: Iterable[KeyNumber]) -> dict[str, float]:
+    """Return the values of key numbers by name."""
+    return {number.name: number.value for number in numbers}
 
 
-def key_numbers(result: "Result") -> KeyNumbers:
-    """Return what a history has come to. Not collective.
+def in_groups(numbers: Iterable[KeyNumber]) -> dict[str, list[KeyNumber]]:
+    """Return key numbers by group, in order."""
+    groups: dict[str, list[KeyNumber]] = {}
+    for number in numbers:
+        groups.setdefault(number.group, []).append(number)
+    return groups
+
+
+def key_numbers(result: "Result") -> list[KeyNumber]:
+    """Return the numbers of a run at its last state. Not collective.
 
     Raises
     ------
@@ -104,88 +84,189 @@ def key_numbers(result: "Result") -> KeyNumbers:
     """
     if result.checkpoint is None:
         raise InputError(f"{result.name}: holds no last state; must be one of a run")
-    state, about, line = result.checkpoint.arrays, result.attributes, result.line
-    last = {name: float(values[-1]) for name, values in result.histories.items()}
-    p, load = state["pressure"], state["pressure"] * line.area
-    mean, sliding = result.checkpoint.numbers["force"] / nominal_area(result), None
-    if "omega" in about:
-        # which files of before it have not
-        radius = float(about.get("mean_radius", 0.5 * (line.edges[0] + line.edges[-1])))
-        speed = about["omega"] * radius
-        sliding = speed, mean * speed, 1e-3 * about["angle"] * radius
-    penetration, worn, elastic = 1e3 * last["penetration"], None, None
-    if not {"face_lower", "face_upper"} & about.keys() and load.sum() > 0:
-        worn = 1e3 * float(load @ state["wear"].sum(axis=0) / load.sum())
-        elastic = penetration - worn
-    return KeyNumbers(
-        mean, p.max(), line.r[p.argmax()], bool(edge_elements(p)[p.argmax()]), p.min(),
-        int(np.count_nonzero(p > 0.0)), sliding, penetration, worn, elastic,
-        tuple(
-            _worn(result, number, body)
-            for number, body in enumerate(BODIES)
-            if about.get(f"law_{body}", last[f"worn_volume_{body}"])
-        ),
-    )  # fmt: skip
+    return [
+        *_penetration(result, result.checkpoint.arrays),
+        *(number for i in (0, 1) for number in _worn(result, result.checkpoint.arrays, i)),
+        *(number for body in BODIES for number in _layers(result, body)),
+        *_pressures(result, result.checkpoint.arrays["pressure"]),
+        *_loads(result, result.checkpoint.numbers),
+        *_stresses(result),
+    ]
 
 
 def nominal_area(result: "Result") -> float:
-    """Return the area (mm2) where the bodies face each other; of older files, of the elements."""
-    return float(result.attributes.get("nominal_area", result.line.area.sum()))
+    """Return the area (mm2) where the bodies face each other."""
+    return float(result.attributes["nominal_area"])
 
 
-def _worn(result: "Result", number: int, body: Which) -> Worn:
-    assert result.checkpoint is not None
-    state, about, line = result.checkpoint.arrays, result.attributes, result.line
+def _penetration(result: "Result", state: Mapping[str, Any]) -> Iterator[KeyNumber]:
+    """Give the penetration and its parts.
+
+    The worn part is the mean of both depths over what presses, the elastic one the rest. Where a
+    face is not flat the approach also closes gaps: then there are no parts.
+    """
+    group, load = "penetration", state["pressure"] * result.line.area
+    total = 1e3 * float(result.histories["penetration"][-1])
+    yield KeyNumber("penetration", group, "total", total, "um")
+    if not {"face_lower", "face_upper"} & result.attributes.keys() and load.sum() > 0:
+        worn = 1e3 * float(load @ state["wear"].sum(axis=0) / load.sum())
+        yield KeyNumber("worn_off", group, "worn off", worn, "um")
+        yield KeyNumber("elastic", group, "elastic", total - worn, "um", ".3g")
+
+
+def _worn(result: "Result", state: Mapping[str, Any], i: int) -> Iterator[KeyNumber]:
+    """Give the wear of a body, nothing of one that does not wear."""
+    body, about, line = BODIES[i], result.attributes, result.line
+    if not about[f"law_{body}"]:
+        return
+
+    def number(name: str, label: str, value: float, unit: str, spec: str = ".6g") -> KeyNumber:
+        return KeyNumber(f"{body}_{name}", body, label, value, unit, spec)
+
     volume = float(result.histories[f"worn_volume_{body}"][-1])
     hours = float(result.histories["time"][-1]) / 3600.0
     energy, area = float(result.histories["dissipated_energy"][-1]), nominal_area(result)
-    rate = now = specific = None
-    layers = _layers(result, body)
-    mass, no_mass = _mass(about, body, (volume,) if layers is None else layers.volumes)
+    yield number("deepest_wear", "deepest wear", 1e3 * state["wear"][i].max(), "um")
+    yield number("worn_volume", "worn volume", volume, "mm3")
+    yield from _mass(result, body, volume)
     if hours > 0:
-        rate = 1e3 * volume / area / hours
-        now = 3.6e6 * float(state["rates"][number] @ line.area) / area
-    if about.get("friction") and energy > 0:
+        yield number("mean_rate", "mean rate", 1e3 * volume / area / hours, "um/h", ".4g")
+        now = 3.6e6 * float(state["rates"][i] @ line.area) / area
+        yield number("last_rate", "rate at the end", now, "um/h", ".4g")
+    if about["friction"] and energy > 0:
         # load times sliding distance of every place, which is energy over friction
         specific = 1e3 * volume * about["friction"] / energy
-    deepest = 1e3 * state["wear"][number].max()
-    return Worn(body, deepest, volume, mass, rate, now, specific, layers, no_mass)
+        yield number("specific_rate", "specific wear rate", specific, "mm3/(N m)", ".4g")
 
 
-def _mass(
-    about: Mapping[str, Any], body: Which, volumes: Sequence[float]
-) -> tuple[float | None, str]:
-    """Return the mass that a body has lost, mg; or None, and why where some density is known.
-
-    Parameters
-    ----------
-    volumes : mm3, lost by each layer from the contact face inwards, and by the body itself.
-    """
+def _mass(result: "Result", body: Which, volume: float) -> Iterator[KeyNumber]:
+    """Give the mass that a body has lost, nothing where no density is known."""
+    about, volumes = result.attributes, [volume]
+    if f"worn_volume_{body}_layers" in result.layers:
+        volumes = result.layers[f"worn_volume_{body}_layers"][-1].tolist()
     unknown = (np.nan,) * (len(volumes) - 1)
-    densities = (
+    densities: Sequence[float] = (
         *about.get(f"density_{body}_layers", unknown),
         about.get(f"density_{body}", np.nan),
     )
     if np.isnan(densities).all():
-        return None, ""
+        return
     keys = density_keys(body, len(unknown))
     lost = [part for part in zip(keys, densities, volumes, strict=True) if part[2] > 0.0]
-    if missing := ", ".join(key for key, density, _ in lost if np.isnan(density)):
-        return None, f"{missing} not given: no mass"
-    return 1e3 * float(sum(density * volume for _, density, volume in lost)), ""
+    missing = ", ".join(key for key, density, _ in lost if np.isnan(density))
+    mass = 1e3 * float(sum(density * volume for _, density, volume in lost))
+    note = f"{missing} not given" if missing else ""
+    yield KeyNumber(f"{body}_mass", body, "mass lost", mass, "mg", note=note)
 
 
-def _layers(result: "Result", body: Which) -> WornLayers | None:
-    """Return what has become of the layers of a body; None where it has none."""
+def _layers(result: "Result", body: Which) -> Iterator[KeyNumber]:
+    """Give the wear of the layers of a body, nothing of one without."""
     if f"share_through_{body}" not in result.layers:
-        return None
-    left = np.atleast_2d(result.layers[f"layer_left_{body}"])[-1]
+        return
+
+    def number(name: str, label: str, value: float, unit: str, spec: str = ".4g") -> KeyNumber:
+        return KeyNumber(f"{body}_{name}", f"worn layers of {body}", label, value, unit, spec)
+
+    *volumes, itself = result.layers[f"worn_volume_{body}_layers"][-1].tolist()
+    for i, volume in enumerate(volumes):
+        yield number(f"volume_layer_{i}", f"volume of layer {i}", volume, "mm3", ".6g")
+    yield number("volume_under_layers", "volume of the body itself", itself, "mm3", ".6g")
+    innermost, places = len(volumes) - 1, {one.layer: one for one in worn_through(result, body)}
+    for i, one in places.items():
+        if i < innermost:
+            share = 100.0 * one.share
+            yield number(f"share_through_layer_{i}", f"area without layer {i}", share, "%")
+            yield number(f"time_through_layer_{i}", "first by t =", one.time, "s")
+            yield number(f"r_through_layer_{i}", "at r =", one.r, "mm", ".6g")
+    share = 100.0 * float(result.layers[f"share_through_{body}"][-1])
     time = float(result.attributes.get(f"time_through_{body}", np.nan))
-    return WornLayers(
-        tuple(result.layers[f"worn_volume_{body}_layers"][-1].tolist()),
-        float(result.layers[f"share_through_{body}"][-1]),
-        None if np.isnan(time) else time,
-        1e3 * float(left.min()),
-        1e3 * float(left.max()),
-        tuple(worn_through(result, body)),
+    all_layers = "all layers" if innermost else "the layer"
+    yield number("share_through", f"area without {all_layers}", share, "%")
+    if not np.isnan(time):
+        yield number("time_through", "first at t =", time, "s")
+        if innermost in places:
+            yield number("r_through", "at r =", places[innermost].r, "mm", ".6g")
+    left = 1e3 * np.atleast_2d(result.layers[f"layer_left_{body}"])[-1]
+    yield number("least_left", "least thickness left", left.min(), "um")
+    yield number("most_left", "largest thickness left", left.max(), "um")
+
+
+def _pressures(result: "Result", p: Any) -> Iterator[KeyNumber]:
+    """Give the contact pressures."""
+    assert result.checkpoint is not None
+    group, n = "pressure", result.line.n
+    mean, touching = result.checkpoint.numbers["force"] / nominal_area(result), (p > 0.0).sum()
+    label = "mean over the nominal annulus"
+    yield KeyNumber("mean_pressure", group, label, mean, "MPa", ".4g")
+    if touching:
+        largest = int(p.argmax())
+        note = "at the edge of contact, where it may be off by "
+        note = f"{note}{100.0 * EDGE_ERROR:.0f} %" if edge_elements(p)[largest] else ""
+        label = "largest of an element"
+        yield KeyNumber("largest_pressure", group, label, p[largest], "MPa", ".4g", note)
+        yield KeyNumber("r_largest_pressure", group, "at r =", result.line.r[largest], "mm")
+        yield KeyNumber("smallest_pressure", group, "smallest", p.min(), "MPa", ".4g")
+    note = f"of {n}" if touching else f"of {n}: the faces do not touch"
+    yield KeyNumber("touching", group, "elements in contact", int(touching), spec="d", note=note)
+
+
+def _loads(result: "Result", reached: Mapping[str, Any]) -> Iterator[KeyNumber]:
+    """Give approach, force, torque and energy, and the sliding at the mean radius."""
+    about = result.attributes
+    last = {name: float(values[-1]) for name, values in result.histories.items()}
+    yield KeyNumber("force", "load", "force", reached["force"], "N")
+    yield KeyNumber("torque", "load", "torque", 1e-3 * last["torque"], "N m")
+    energy = 1e-3 * last["dissipated_energy"]
+    yield KeyNumber("dissipated_energy", "load", "dissipated energy", energy, "J")
+    yield KeyNumber("approach", "load", "approach", reached["approach"], "mm", ".7g")
+    group, radius = "sliding at the mean radius", about["mean_radius"]
+    speed, mean = about["omega"] * radius, reached["force"] / nominal_area(result)
+    yield KeyNumber("speed", group, "speed", speed, "mm/s", ".4g")
+    yield KeyNumber("p_v", group, "p V", mean * speed, "MPa mm/s", ".4g")
+    yield KeyNumber("distance", group, "distance", 1e-3 * about["angle"] * radius, "m", ".4g")
+
+
+def _stresses(result: "Result") -> Iterator[KeyNumber]:
+    """Give the largest stress of each body and its layers at the last state that has stresses."""
+    if result.stress is None or not result.stress.states:
+        return
+    state, exclude = result.stress.states[-1], result.stress.exclude
+    group = "largest von Mises stress"
+    if state.time != result.histories["time"][-1]:
+        group += f" at t = {state.time:g} s"
+    if exclude:
+        group += f", {exclude:g} mm and more from edges"
+    for body, largest, layers in zip(BODIES, state.largest, state.layers, strict=True):
+        if np.isfinite(largest.mises):
+            place = f"at r = {largest.r:.6g}, z = {largest.z:.6g} mm"
+            yield KeyNumber(f"{body}_mises", group, body, largest.mises, "MPa", ".5g", place)
+        for i, value in enumerate(np.asarray(layers).tolist()):
+            label = f"layer {i} of {body}" if i < len(layers) - 1 else f"{body} itself"
+            note = "nothing of it is left there" if np.isnan(value) else ""
+            yield KeyNumber(f"{body}_mises_{i}", group, label, value, "MPa", ".5g", note)
+
+
+def check_numbers(result: "Result") -> list[KeyNumber]:
+    """Return the errors of a run, the worst of all its steps. Not collective."""
+    about, off = result.attributes, result.balances
+    numbers = [
+        KeyNumber(
+            f"balance_{name}", group,
+            label.replace("volume", "volume by layer") if result.layers else label,
+            off[name], spec=".1e",
+        )
+        for name, (group, label) in _BALANCES.items()
+        if name in off and (name != "energy" or about["energy_identity"])
+    ]  # fmt: skip
+    defect, label = float(about["symmetry_defect"]), "asymmetry of the compliance matrix"
+    numbers.append(
+        KeyNumber("symmetry_defect", _MESH_ERRORS, label, defect, "", ".1e", "corrected for")
     )
+    if "step_error" in off:
+        adaptive = about["scheme"] == "adaptive"
+        label = "of the whole history" if adaptive else "of the worst single step"
+        error = 1e3 * off["step_error"]
+        when = f"in the step to t = {about['step_error_time']:g} s"
+        note = "" if adaptive or not about["step_error_time"] else when
+        numbers.append(KeyNumber("step_error", TIME_STEPS, label, error, "um", ".2g", note))
+    return numbers

@@ -654,7 +654,6 @@ class Recorder:
                 int(self._pending[number]),
                 self._worst_states.history(number),
             ),
-            comm=self._comm if self._comm.size > 1 else None,
             parameters=units_of(case, self._parameters),
             derivatives={
                 name: stored(name, values) for name, values in columns.derivatives.items()

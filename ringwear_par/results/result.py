@@ -64,7 +64,6 @@ class Result:
     attributes : of the file: ``case`` (its TOML text), ``title``, ``status``, ``version``, ...
     checkpoint : what a run goes on from, None where the result was made without.
     path : of its file, None for a result in memory.
-    comm : of the ranks that have it in memory, None where it was read or sent.
     parameters : keys of the numbers that there are derivatives with respect to, with their units.
     derivatives : (P, s) or (P, s, n) each, by name, see variables.D_HISTORIES and D_PROFILES;
         (P, n) where the last profiles are stored only.
@@ -82,7 +81,6 @@ class Result:
     attributes: Mapping[str, Any]
     checkpoint: "Checkpoint | None" = None
     path: Path | None = None
-    comm: Any = None
     parameters: Mapping[str, str] = field(default_factory=dict)
     derivatives: Mapping[str, FloatArray] = field(default_factory=dict)
     layers: Mapping[str, FloatArray] = field(default_factory=dict)
@@ -95,9 +93,6 @@ class Result:
             f"<Result: {title} ({self.name}): {self.line.n} contact elements, {len(self.step)} "
             f"states of {steps} steps until {end:g} s, {self.attributes['status']}>"
         )
-
-    def __getstate__(self) -> dict[str, Any]:
-        return {**vars(self), "comm": None}  # which no other process has
 
     @property
     def case(self) -> str:
@@ -120,16 +115,16 @@ class Result:
 
     @property
     def doubts(self) -> tuple[str, ...]:
-        """What makes the answer doubtful though it was computed, a sentence each."""
-        return tuple(json.loads(self.attributes.get("doubts", "[]")))
+        """Warnings about the validity of the answer, a sentence each."""
+        return tuple(json.loads(self.attributes["doubts"]))
 
     @property
     def user_laws(self) -> dict[str, str]:
         """Texts of the users' own laws by body."""
-        return dict(json.loads(self.attributes.get("user_laws", "{}")))
+        return dict(json.loads(self.attributes["user_laws"]))
 
     def summary(self) -> str:
-        """Return the result in a few lines, what can be wrong with it first."""
+        """Return the result in a few lines: warnings, key numbers, checks."""
         from ringwear_par.results.summary import summary
 
         return summary(self)
@@ -211,9 +206,10 @@ class Result:
         return dataset.set_coords(self.coordinates)
 
     def save(self, path: str | Path) -> None:
-        """Write the result's file.
+        """Write the result's file. Not collective.
 
-        Where several ranks have simulated it, all of them call this, and the first writes.
+        The process that calls this writes. Where several have the same result and write the same
+        file, it is whole at any time, and in the end that of one of them.
 
         Raises
         ------
@@ -223,20 +219,35 @@ class Result:
         from ringwear_par.results.writing import write_result
 
         path = Path(path)
+        check_writable(path)
+        try:
+            write_result(path, self)
+        except OSError as error:
+            raise ComputationError(f"{path}: {error.strerror or error}") from error
 
-        def write() -> None:
-            check_writable(path)
-            try:
-                write_result(path, self)
-            except OSError as error:
-                raise ComputationError(f"{path}: {error.strerror or error}") from error
+    def to_dict(self) -> dict[str, Any]:
+        """Return title, status, warnings and key numbers with their units, as JSON can hold them.
 
-        if self.comm is None:
-            write()
-        else:
-            from ringwear_par.parallel import on_first_rank
+        Raises
+        ------
+        InputError : the result was stored without its last state.
+        """
+        from ringwear_par.results.key_numbers import check_numbers, key_numbers
 
-            on_first_rank(self.comm, write)
+        numbers = [*key_numbers(self), *check_numbers(self)]
+        return {
+            "title": self.attributes["title"],
+            "status": self.attributes["status"],
+            "error": self.attributes.get("error", ""),
+            "warnings": list(self.doubts),
+            "numbers": {
+                number.name: {
+                    "value": None if np.isnan(number.value) else float(number.value),
+                    "unit": number.unit,
+                }
+                for number in numbers
+            },
+        }
 
 
 @dataclass(frozen=True)

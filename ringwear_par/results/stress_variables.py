@@ -31,7 +31,6 @@ COMPONENT = Variable("component", ("component",), "1", "component of stress")
 POINT = Variable("point", ("point",), "1", "point of stress.points", integer=True)
 POINT_R = Variable("point_r", ("point",), "mm", "radius of the point")
 POINT_Z = Variable("point_z", ("point",), "mm", "height of the point")
-#: of which older files do not tell
 POINT_SIDE = Variable(
     "point_side", ("point",), "1",
     "side of the face or interface that the point lies on, as in stress.points",
@@ -298,10 +297,9 @@ def read_stress(file: h5py.File, sizes: dict[str, int]) -> StressHistory | None:
     if STRESS.name in file:
         points = np.stack([read(POINT_R), read(POINT_Z)], axis=1)
         at_points = read(STRESS)
-        if POINT_SIDE.name in file:
-            sides = tuple(find_texts(file, POINT_SIDE.name, sizes, "point")[()].tolist())
-            if not set(sides) <= set(_POINT_SIDES):
-                raise ValueError(POINT_SIDE.name)
+        sides = tuple(find_texts(file, POINT_SIDE.name, sizes, "point")[()].tolist())
+        if not set(sides) <= set(_POINT_SIDES):
+            raise ValueError(POINT_SIDE.name)
     axes, on_grid = (np.empty(0), np.empty(0)), np.empty((count, 0, 0, 6))
     if STRESS_GRID.name in file:
         axes = read(GRID_R), read(GRID_Z)

@@ -18,6 +18,7 @@ from ringwear_par.results.export import export
 from ringwear_par.results.figures import plot
 from ringwear_par.results.implausible import implausible
 from ringwear_par.results.key_numbers import key_numbers
+from ringwear_par.results.layer_ends import worn_through
 
 CASE = Path(__file__).parents[2] / "scripts" / "cases" / "wear_through.toml"
 LAYER = {"thickness": 0.003, "young": 10e3, "poisson": 0.3}
@@ -81,19 +82,19 @@ def test_the_summary_says_what_has_become_of_layers(result):
     assert "layers of lower: 0.5 um of E = 10000 MPa, nu = 0.3, then 3 um of E" in told
     share = 100.0 * result.layers["share_through_lower"][-1]
     time = result.attributes["time_through_lower"]
-    assert f"worn through over {share:.4g} % of the contact area, first at t = {time:.4g} s" in told
-    assert "of the body itself 0 mm3; nowhere worn through" in told  # upper
+    assert f"area without all layers {share:.4g} %, first at t = {time:.4g} s" in told
+    assert "of the body itself 0 mm3, area without the layer 0 %, least" in told  # upper
     # and of the first layer by itself, when and where as far as stored states tell
     wear = result.profiles["wear_lower"]
     gone = wear >= 5e-4 * (1.0 - 1e-12)
     first = int(gone.any(axis=1).argmax())
     share = 100.0 * (result.line.area @ gone[-1]) / result.line.area.sum()
     assert (
-        f"layer 0 worn through over {share:.4g} % of the contact area, first at "
-        f"r = {result.line.r[wear[first].argmax()]:.6g} mm, by "
-        f"t = {result.histories['time'][first]:.4g} s; all worn through over"
+        f"area without layer 0 {share:.4g} %, first by "
+        f"t = {result.histories['time'][first]:.4g} s, at "
+        f"r = {result.line.r[wear[first].argmax()]:.6g} mm, area without all layers"
     ) in told
-    assert "layer 1 worn" not in told
+    assert "area without layer 1" not in told
     assert "worn volume by layer against energy" in told
 
 
@@ -107,8 +108,9 @@ def told_mass(result, **attributes):
     """Return mass and why there is none, of lower and upper, with some attributes instead."""
     about = {**result.attributes, **DENSITIES, **attributes}
     there = {name: value for name, value in about.items() if value is not None}
-    found = key_numbers(replace(result, attributes=there))
-    return [(body.mass, body.no_mass) for body in found.bodies]
+    found = {n.name: n for n in key_numbers(replace(result, attributes=there))}
+    masses = [found.get(f"{body}_mass") for body in ("lower", "upper")]
+    return [None if mass is None else (mass.value, mass.note) for mass in masses]
 
 
 def test_the_mass_lost_is_that_of_each_layer(result):
@@ -120,17 +122,21 @@ def test_the_mass_lost_is_that_of_each_layer(result):
     assert upper == (pytest.approx(4.0 * volumes["upper"][0], rel=1e-13), "")
     # what is not worn needs no density
     assert told_mass(result, density_upper=None)[1] == upper
-    assert told_mass(result, density_upper=None, density_upper_layers=None)[1] == (None, "")
+    assert told_mass(result, density_upper=None, density_upper_layers=None)[1] is None
 
 
 def test_no_mass_is_told_where_a_density_is_missing(result):
-    said = "lower.layers[1].density not given: no mass"
-    assert told_mass(result, density_lower_layers=(1.2e-3, np.nan))[0] == (None, said)
-    assert told_mass(result, density_lower=None)[0] == (None, "lower.density not given: no mass")
-    # as in files from before layers had densities
-    both = "lower.layers[0].density, lower.layers[1].density not given: no mass"
-    older = told_mass(result, density_lower_layers=None, density_upper_layers=None)
-    assert older == [(None, both), (None, "upper.layers[0].density not given: no mass")]
+    first, second, upper = (f"{name}.density" for name in ("lower.layers[0]", "lower.layers[1]",
+                                                           "upper.layers[0]"))  # fmt: skip
+    for changes, keys in (
+        ({"density_lower_layers": (1.2e-3, np.nan)}, [second]),
+        ({"density_lower": None}, ["lower.density"]),
+        ({"density_lower_layers": None, "density_upper_layers": None},
+         [f"{first}, {second}", upper]),
+    ):  # fmt: skip
+        for (mass, why), key in zip(told_mass(result, **changes), keys, strict=False):
+            assert np.isnan(mass)
+            assert why == f"{key} not given"
 
 
 def test_densities_of_layers_are_stored(tmp_path):
@@ -139,22 +145,18 @@ def test_densities_of_layers_are_stored(tmp_path):
     run = rw.simulate(case, MPI.COMM_SELF)
     told = run.summary()
     assert "0.5 um of E = 10000 MPa, nu = 0.3, 0.0012 g/mm3, then 3 um of E" in told
-    assert "mm3 (lower.layers[1].density not given: no mass); mean depth" in told
+    assert "mm3, mass lost none (lower.layers[1].density not given), mean rate" in told
     run.save(tmp_path / "run.h5")
     again = rw.open_result(tmp_path / "run.h5")
     assert again.summary() == told
     stored = again.attributes["density_lower_layers"]
     np.testing.assert_array_equal(stored, [1.2e-3, np.nan])
-    assert worn_table(key_numbers(again)).rows[0][3] == "lower.layers[1].density not given: no mass"
+    assert worn_table(key_numbers(again)).rows[0][3] == "lower.layers[1].density not given"
     for wrong in ((1.2e-3,), "1.2e-3"):
         with h5py.File(tmp_path / "run.h5", "r+") as file:
             file.attrs["density_lower_layers"] = wrong
         with pytest.raises(rw.InputError, match=r"run\.h5"):
             rw.open_result(tmp_path / "run.h5")
-    with h5py.File(tmp_path / "run.h5", "r+") as file:  # as before layers had densities
-        del file.attrs["density_lower_layers"]
-    both = "lower.layers[0].density, lower.layers[1].density not given: no mass"
-    assert both in rw.open_result(tmp_path / "run.h5").summary()
 
 
 def test_a_layer_denser_than_any_material_is_doubted():
@@ -181,7 +183,7 @@ def test_all_that_is_worn_through_is_a_share_of_one(n):
     for found in (alone, other):
         assert found.layers["layer_left_lower"][-1].max() == 0.0
         assert found.layers["share_through_lower"][-1] == 1.0
-        assert key_numbers(found).bodies[0].layers.each[-1].share == 1.0
+        assert worn_through(found, "lower")[-1].share == 1.0
 
 
 def test_a_worn_layer_of_another_modulus_is_a_doubt(result):

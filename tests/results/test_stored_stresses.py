@@ -99,20 +99,6 @@ def test_points_tell_their_side_of_an_interface(tmp_path):
     assert [float(row["mises (MPa)"]) for row in rows] == data.mises.values[0].tolist()
 
 
-@pytest.mark.serial
-def test_files_that_do_not_tell_sides_are_read(tmp_path):
-    """Those of before; "" would say that the case names none."""
-    known = rw.simulate(case_of())
-    old = replace(known, stress=replace(known.stress, sides=()))
-    old.save(tmp_path / "old.h5")
-    read = rw.open_result(tmp_path / "old.h5")
-    same(read, old)
-    assert "point_side" not in read.to_xarray()
-    assert read.to_xarray().point_z.values.tolist() == [19.9, 20.0, 22.0]
-    export(read, tmp_path / "points.csv", stress=True)
-    assert ",side\n" in (tmp_path / "points.csv").read_text()
-
-
 def test_the_same_on_all_ranks(comm):
     from mpi4py import MPI
 
@@ -194,7 +180,7 @@ def test_summary_and_doubt():
     unworn = rw.simulate(case_of(stress__times="last", time__steps=1, time__step=1e-6))
     (line,) = [line for line in unworn.summary().splitlines() if line.startswith("largest von")]
     state = unworn.stress.states[-1]
-    assert f"lower {state.largest[0].mises:.5g} MPa" in line
+    assert f"lower {state.largest[0].mises:.5g} MPa (at r = " in line
     assert "0.1 mm and more from edges" in line
     assert any("stress.exclude" in doubt for doubt in unworn.doubts)
     worn = rw.simulate(case_of(wear__lower__p0=0.0, wear__upper__law="archard", wear__upper__k=1e-7,
@@ -439,8 +425,9 @@ def test_the_largest_of_each_layer(tmp_path):
     assert read.stress.layers == result.stress.layers == (3, 2)
     assert data.max_mises_lower_layers.dims == ("stress_step", "layer")
     assert data.max_mises_upper_layers.dims == ("stress_step", "layer_upper")
-    values = ", ".join(f"{value:.5g}" for value in result.stress.states[-1].layers[0])
-    assert f"lower by layer {values} MPa" in result.summary()
+    names = ("layer 0 of lower", "layer 1 of lower", "lower itself")
+    values = zip(names, result.stress.states[-1].layers[0], strict=True)
+    assert ", ".join(f"{name} {value:.5g} MPa" for name, value in values) in result.summary()
 
 
 @pytest.mark.serial
@@ -453,8 +440,9 @@ def test_layers_that_are_gone_have_no_largest_stress(geometry, tmp_path):
     assert result.layers["share_through_upper"][-1] == 1.0
     ((gone, left),) = (state.layers[1] for state in result.stress.states)
     assert np.isnan(gone)
-    said = f"upper by layer none, {left:.5g} MPa (none: nothing of that layer is left, 0.05 mm and "
-    assert f"{said}more from edges)" in result.summary()
+    said = "layer 0 of upper none (nothing of it is left there)"
+    assert f"{said}, upper itself {left:.5g} MPa" in result.summary()
+    assert "stress, 0.05 mm and more from edges: " in result.summary()
     assert "nan" not in result.summary()
     result.save(tmp_path / "run.h5")
     assert rw.open_result(tmp_path / "run.h5").summary() == result.summary()
