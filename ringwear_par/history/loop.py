@@ -220,8 +220,7 @@ class _Batch:
         count = len(self.numbers)
         warm = self._model.warm if self._begun else None
         try:
-            with together(self._run.comm):
-                snapshots = self._round() if self._begun else self._start()
+            snapshots = self._round() if self._begun else self._start()
         except Exception as error:
             if isinstance(error, InputError) and not isinstance(error, UnfitError):
                 raise  # an option for PETSc
@@ -302,7 +301,8 @@ class _Batch:
             if run.start is not None:
                 self._state, self._progress = self._model.resume(run.start), run.start.progress
             else:
-                self._state = self._model.initial()
+                with together(run.comm):
+                    self._state = self._model.initial()
                 self._progress = Progress.at_start(len(numbers))
         except BaseException:
             self._model.close()
@@ -325,10 +325,12 @@ class _Batch:
         before = self._progress
         end, progress = as_on_first_rank(run.comm, control.next_try(state, before))
         self._progress, self._tried = progress, end
-        step = run.method.scheme(model, state, end)
+        with together(run.comm):  # a law may raise on one rank alone
+            step = run.method.scheme(model, state, end)
         # ranks may differ by round-off, or by their processor: the first decides
         decision = as_on_first_rank(run.comm, control.decide(state, step, progress))
-        snapshots = self._within(state, end, decision.accepted, decision.progress)
+        with together(run.comm):
+            snapshots = self._within(state, end, decision.accepted, decision.progress)
         self._progress, accepted = decision.progress, decision.accepted
         if accepted.all():
             self._state = step.state
