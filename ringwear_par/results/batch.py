@@ -22,15 +22,6 @@ from ringwear_par.history.tangent import variables as derivatives_of
 from ringwear_par.history.validity import WorstStates
 from ringwear_par.results.checkpoints import take
 from ringwear_par.results.columns import HistoryColumns
-from ringwear_par.results.doubts import (
-    doubts_of,
-    infinite_at_interfaces,
-    infinite_edge,
-    infinite_stress,
-    unstable,
-    worn_points,
-)
-from ringwear_par.results.implausible import Doubt
 from ringwear_par.results.recorder import (
     Recorder,
     attributes,
@@ -41,11 +32,20 @@ from ringwear_par.results.recorder import (
 )
 from ringwear_par.results.result import Result
 from ringwear_par.results.stress_variables import point_columns, stress_rows
+from ringwear_par.results.unit_suspicions import ValidityWarning
 from ringwear_par.results.variables import (
     D_PROFILES,
     HISTORIES,
     LAYER_PROFILES,
     LAYER_VOLUMES,
+)
+from ringwear_par.results.warnings import (
+    infinite_at_interfaces,
+    infinite_edge,
+    infinite_stress,
+    unstable,
+    validity_warnings,
+    worn_points,
 )
 
 _BALANCES = [each.name for each in fields(Balances)]
@@ -138,7 +138,7 @@ class BatchRecorder:
         self._worst_states = WorstStates(cases[0], count)
         self._step_error_time = np.zeros(count)
         self._closing_contact = np.zeros(count, dtype=bool)
-        self._doubts: list[tuple[Doubt, ...]] = [()] * count
+        self._doubts: list[tuple[ValidityWarning, ...]] = [()] * count
         self._ends: list[_End] = []
         #: of cases that ask for stress; grids and faces are for results alone
         self._stress = {
@@ -237,7 +237,7 @@ class BatchRecorder:
             self._through[:, numbers] = state.through
         for number in numbers.tolist():
             case, worst = self._cases[number], self._worst_states.history(number)
-            self._doubts[number] += doubts_of(case, worst, self.balances(number))
+            self._doubts[number] += validity_warnings(case, worst, self.balances(number))
             if number in self._stress:
                 found = self._stress[number].history()
                 self._doubts[number] += infinite_stress(found, worst)

@@ -28,17 +28,9 @@ from ringwear_par.history.tangent import variables as derivatives_of
 from ringwear_par.history.validity import WorstStates
 from ringwear_par.info import versions
 from ringwear_par.results.checkpoints import restored, take
-from ringwear_par.results.doubts import (
-    doubts_of,
-    infinite_at_interfaces,
-    infinite_edge,
-    infinite_stress,
-    instability,
-    worn_points,
-)
-from ringwear_par.results.implausible import Doubt
 from ringwear_par.results.result import Result, balance_attributes
 from ringwear_par.results.stress_variables import point_columns, stress_rows
+from ringwear_par.results.unit_suspicions import ValidityWarning
 from ringwear_par.results.variables import (
     D_HISTORIES,
     D_PROFILES,
@@ -46,6 +38,14 @@ from ringwear_par.results.variables import (
     LAYER_PROFILES,
     TIMES_THROUGH,
     layer_names,
+)
+from ringwear_par.results.warnings import (
+    infinite_at_interfaces,
+    infinite_edge,
+    infinite_stress,
+    instability,
+    validity_warnings,
+    worn_points,
 )
 from ringwear_par.schedules import in_time, integral
 from ringwear_par.wear.layered import LayeredLaw
@@ -111,7 +111,7 @@ def attributes(
     finished: bool,
     seconds: Mapping[str, float],
     symmetry_defect: float,
-    doubts: Sequence[Doubt],
+    doubts: Sequence[ValidityWarning],
     error: str,
     balances: Balances,
     step_error_time: float,
@@ -262,7 +262,7 @@ class Recorder:
         self._pending_iterations = 0
         self._last: Snapshot | None = None
         self._seconds: dict[str, float] = {}
-        self._instability: tuple[Doubt, ...] = ()
+        self._instability: tuple[ValidityWarning, ...] = ()
         self._begun = time.perf_counter()
         #: s, spent by others on output, which is no time of stepping
         self.seconds_output = 0.0
@@ -391,14 +391,14 @@ class Recorder:
         return self._balances.worst
 
     @property
-    def doubts(self) -> tuple[Doubt, ...]:
+    def doubts(self) -> tuple[ValidityWarning, ...]:
         """What makes the answer doubtful, if anything."""
         if self._last is None:
             return ()
         worst = self._worst.history()
         return (
             *self._instability,
-            *doubts_of(self._case, worst, self.balances),
+            *validity_warnings(self._case, worst, self.balances),
             *infinite_stress(self.stress, worst),
             *infinite_at_interfaces(self._case, self.stress),
             *worn_points(self._case, self.stress, self._stress),

@@ -1,6 +1,6 @@
 """Numbers of a case that are more likely in another unit than meant so."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 from ringwear_par.cases.case import Case
@@ -10,7 +10,7 @@ from ringwear_par.schedules import largest
 from ringwear_par.wear.archard import ArchardLaw
 from ringwear_par.wear.threshold import AboveThreshold
 
-_IMPLAUSIBLE = "implausible_numbers"
+_FLAG = "implausible_numbers"
 #: moduli (MPa) that are those of materials in Pa; smaller ones may be meant, of rigid bodies
 _PASCALS = (1e9, 2e12)
 #: g/mm^3, osmium's and a little more
@@ -34,14 +34,14 @@ _GIGAPASCALS = 1000.0
 
 
 @dataclass(frozen=True)
-class Doubt:
-    """One reason to doubt an answer.
+class ValidityWarning:
+    """A reason why an answer may not be valid, though it was computed.
 
     Parameters
     ----------
     flag : short name, of letters and underscores.
     text : the whole sentence.
-    key : of the number that is doubted, and that a study may vary by purpose; "" for none.
+    key : of the number that may be wrong, and that a study may vary by purpose; "" for none.
     """
 
     flag: str
@@ -49,7 +49,7 @@ class Doubt:
     key: str = ""
 
 
-def implausible(case: Case) -> tuple[Doubt, ...]:
+def unit_suspicions(case: Case) -> tuple[ValidityWarning, ...]:
     """Return numbers of a case that are more likely in another unit than meant so. Not collective.
 
     Its mean pressures are those of the nominal annulus.
@@ -73,12 +73,22 @@ def implausible(case: Case) -> tuple[Doubt, ...]:
             f"in MPa{_or_gigapascals(smallest_modulus(case))}"
         )
     fast = dict(_too_fast(case))
-    deep = [(key, text) for key, text in _too_deep(case) if key not in fast]
-    keyed = (*_too_thin(case), *fast.items(), *deep, *_in_gigapascals(case))
     return (
-        *(Doubt(_IMPLAUSIBLE, text) for text in found),
-        *(Doubt(_IMPLAUSIBLE, text, key) for key, text in keyed),
+        *(ValidityWarning(_FLAG, text) for text in found),
+        *_keyed(_too_thin(case)),
+        *_keyed(fast.items()),
+        *(warning for warning in deep_wear(case) if warning.key not in fast),
+        *_keyed(_in_gigapascals(case)),
     )
+
+
+def _keyed(faults: Iterable[tuple[str, str]]) -> list[ValidityWarning]:
+    return [ValidityWarning(_FLAG, text, key) for key, text in faults]
+
+
+def deep_wear(case: Case) -> list[ValidityWarning]:
+    """Return the wear coefficients that are to wear off much of a body. Not collective."""
+    return _keyed(_too_deep(case))
 
 
 def smallest_modulus(case: Case) -> float:
@@ -104,13 +114,13 @@ def but_varied(flags: Sequence[str], case: Case, varied: Sequence[str]) -> tuple
     ----------
     varied : keys of the study.
     """
-    if _IMPLAUSIBLE not in flags:
+    if _FLAG not in flags:
         return tuple(flags)
     by_purpose = all(
         any(doubt.key == key or doubt.key.startswith(f"{key}[") for key in varied)
-        for doubt in implausible(case)
+        for doubt in unit_suspicions(case)
     )
-    return tuple(flag for flag in flags if not (by_purpose and flag == _IMPLAUSIBLE))
+    return tuple(flag for flag in flags if not (by_purpose and flag == _FLAG))
 
 
 def _too_thin(case: Case) -> Iterator[tuple[str, str]]:

@@ -7,7 +7,8 @@ from mpi4py import MPI
 
 import ringwear_par as rw
 from ringwear_par.history.simulate import simulate
-from ringwear_par.results.implausible import implausible
+from ringwear_par.results.run import run_case
+from ringwear_par.results.unit_suspicions import unit_suspicions
 
 CASES = Path(__file__).parents[2] / "scripts" / "cases"
 LAYERED = CASES / "wear_through.toml"
@@ -15,7 +16,7 @@ LAYERED = CASES / "wear_through.toml"
 
 def told(path, **changes):
     """Return what is doubted of a case with some of its keys changed, by key."""
-    doubts = implausible(rw.read_case(path, changes))
+    doubts = unit_suspicions(rw.read_case(path, changes))
     assert {doubt.flag for doubt in doubts} <= {"implausible_numbers"}
     return {doubt.key: doubt.text for doubt in doubts}
 
@@ -108,6 +109,26 @@ def test_a_run_that_fails_by_deep_wear_asks_for_the_unit(scheme):
     )
     assert f"{question}; in step " in str(failure.value)
     assert "more than half of its height" in str(failure.value)
+
+
+@pytest.mark.serial
+def test_much_wear_is_one_warning_that_asks_for_the_unit():
+    keys = washer(1.2e-6, 0.6) | {"mesh.contact_elements": 12}
+    result = rw.simulate(rw.read_case(PAPER, keys), MPI.COMM_SELF)
+    (text,) = [text for text in result.doubts if "wear.lower.k" in text]
+    assert "more than 5 % of a body's height" in text
+    assert text.endswith('if it is in mm3/(N m), write "1.2e-06 mm3/(N m)"')
+    assert result.to_dict()["warnings"].count(text) == 1
+
+
+@pytest.mark.serial
+def test_a_run_that_fails_asks_for_a_unit_once(tmp_path, caplog):
+    keys = washer(1.2e-6, 10.0) | {"mesh.contact_elements": 12, "lower.young": 2.1e11}
+    (tmp_path / "case.toml").write_text(rw.read_case(PAPER, keys).text)
+    with pytest.raises(rw.ComputationError, match=r"wear\.lower\.k = 1\.2e-06 is in 1/MPa"):
+        run_case(tmp_path / "case.toml", tmp_path / "run.h5", comm=MPI.COMM_SELF)
+    assert "wear.lower.k" not in caplog.text
+    assert caplog.text.count("lower.young = 2.1e+11 MPa is stiffer") == 1
 
 
 def soft(young, poisson, pressure):
