@@ -159,16 +159,19 @@ def _too_fast(case: Case) -> Iterator[tuple[str, str]]:
 
 
 def _too_deep(case: Case) -> Iterator[tuple[str, str]]:
-    """Give the wear coefficients, key and sentence, that wear off much of a body."""
+    """Give the wear coefficients or laws, key and sentence, that wear off much of a body."""
     for forecast in forecasts(case):
         z = case.rings[forecast.body].z
         if forecast.depth > DEEP * (z[1] - z[0]):
+            key = f"{forecast.table}.k" if forecast.k else forecast.table
+            what = f"{key} = {forecast.k:g} 1/MPa" if forecast.k else key
+            question = f'; if it is in mm3/(N m), write "{forecast.k:g} mm3/(N m)"'
             yield (
-                forecast.key,
-                f"{forecast.key} = {forecast.k:g} 1/MPa is to wear {forecast.depth:.3g} mm off "
-                f"{BODIES[forecast.body]} by t = {case.time.end:g} s, more than a tenth of its "
-                f"height, {z[1] - z[0]:g} mm; if it is in mm3/(N m), "
-                f'write "{forecast.k:g} mm3/(N m)"',
+                key,
+                f"{what} is to wear {forecast.depth:.3g} mm off {BODIES[forecast.body]} by "
+                f"t = {case.time.end:g} s, more than a tenth of its height, {z[1] - z[0]:g} mm"
+                + question
+                * bool(forecast.k),
             )
 
 

@@ -87,6 +87,29 @@ def test_a_k_that_wears_much_off_is_doubted():
     assert told(PAPER, **washer("1.2e-6 mm3/(N m)", 0.4)) == {}
 
 
+@pytest.mark.parametrize(
+    ("law", "key"),
+    [
+        ({"law": "power", "k": 1.2e-6, "m": 1.0}, "wear.lower"),
+        ({"law": "power", "k": [[0.0, 0.6e-6], [8.0, 1.8e-6]], "m": 1.0}, "wear.lower"),
+        ({"law": "threshold", "k": 1.2e-5}, "wear.lower.k"),
+        ({"law": "running-in", "k": 1.2e-5, "k_start": 2e-5, "depth": 0.01}, "wear.lower.k"),
+        ({"law": "non-local", "k": 1.2e-5, "length": 0.1}, "wear.lower.k"),
+    ],
+)
+def test_each_law_forecasts_the_wear_at_the_mean_pressure(law, key):
+    """Archard's 1.2e-6, the others' at friction 0.1: 10 mm."""
+    keys = washer(1.2e-6, 10.0) | {"wear.lower": None, "contact.friction": 0.1}
+    keys = {k: v for k, v in keys.items() if not k.startswith("wear.lower.")}
+    end = keys["time.end"]
+    law = {k: [[t * end / 8.0, x] for t, x in v] if isinstance(v, list) else v
+           for k, v in law.items()}  # fmt: skip
+    (text,) = [told(PAPER, **keys, **{f"wear.lower.{k}": v for k, v in law.items()})[key]]
+    assert " is to wear 10 mm off lower by t = " in text
+    assert told(PAPER, **keys | {"time.end": end / 100.0},
+                **{f"wear.lower.{k}": v for k, v in law.items()}) == {}  # fmt: skip
+
+
 def test_wear_through_a_slow_layer_is_not_that_of_the_body():
     """The body's k would wear off all of it, but for the layer."""
     layer = {"thickness": 0.1, "young": 1e4, "poisson": 0.3, "wear": {"law": "archard", "k": 1e-12}}
