@@ -54,27 +54,27 @@ def unit_suspicions(case: Case) -> tuple[ValidityWarning, ...]:
 
     Its mean pressures are those of the nominal annulus.
     """
-    found: list[str] = []
+    texts: list[str] = []
     for name, ring in zip(BODIES, case.rings, strict=True):
-        found += _in_pascals(f"{name}.young", ring.young)
-        found += _too_dense(f"{name}.density", ring.density)
+        texts += _in_pascals(f"{name}.young", ring.young)
+        texts += _too_dense(f"{name}.density", ring.density)
         if max(ring.r[1], ring.z[1] - ring.z[0]) > _LARGEST:
-            found.append(
+            texts.append(
                 f"{name} measures {max(ring.r[1], ring.z[1] - ring.z[0]):g} mm: in um? lengths "
                 "are in mm"
             )
         for i, layer in enumerate(ring.layers):
-            found += _in_pascals(f"{name}.layers[{i}].young", layer.young)
-            found += _too_dense(f"{name}.layers[{i}].density", layer.density)
+            texts += _in_pascals(f"{name}.layers[{i}].young", layer.young)
+            texts += _too_dense(f"{name}.layers[{i}].density", layer.density)
     if too_much_load(case):
-        found.append(
+        texts.append(
             f"the mean pressure of {_load(case):.3g} MPa is more than a tenth of a Young's "
             f"modulus, {smallest_modulus(case):g} MPa: not linear elastic; loads are in N, moduli "
             f"in MPa{_or_gigapascals(smallest_modulus(case))}"
         )
     fast = dict(_too_fast(case))
     return (
-        *(ValidityWarning(_FLAG, text) for text in found),
+        *(ValidityWarning(_FLAG, text) for text in texts),
         *_keyed(_too_thin(case)),
         *_keyed(fast.items()),
         *(warning for warning in deep_wear(case) if warning.key not in fast),
@@ -117,8 +117,8 @@ def but_varied(flags: Sequence[str], case: Case, varied: Sequence[str]) -> tuple
     if _FLAG not in flags:
         return tuple(flags)
     by_purpose = all(
-        any(doubt.key == key or doubt.key.startswith(f"{key}[") for key in varied)
-        for doubt in unit_suspicions(case)
+        any(warning.key == key or warning.key.startswith(f"{key}[") for key in varied)
+        for warning in unit_suspicions(case)
     )
     return tuple(flag for flag in flags if not (by_purpose and flag == _FLAG))
 
