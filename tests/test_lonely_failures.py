@@ -101,17 +101,12 @@ def test_a_rank_that_computes_nothing_more_keeps_nobody_waiting(comm, monkeypatc
     comm.Barrier()
 
 
-def test_a_model_that_fails_on_one_rank_does_not_wait_for_the_others(comm, paper_pair, monkeypatch):
-    from ringwear_par.contact.solver import ContactSolver
-    from ringwear_par.history.bodies import young
+def test_a_model_that_fails_on_one_rank_does_not_wait_for_the_others(comm, paper_pair):
     from ringwear_par.history.model import WearModel
 
     case, pair = paper_pair
-    compliance = pair.compliance(young(case))
-    solver = ContactSolver(compliance.matrix, pair.line.area, comm, replicated_limit=1)
-    with solver:
-        if comm.rank == comm.size - 1:
-            with pytest.raises(MemoryError), WearModel([case], comm, pair, solver) as model:
-                raise MemoryError
-            assert not model.warm().scaled_pressure.any()
-        comm.Barrier()
+    if comm.rank == comm.size - 1:
+        with pytest.raises(MemoryError), WearModel([case], comm, pair) as model:
+            raise MemoryError
+        assert not model.warm.scaled_pressure.any()
+    comm.Barrier()

@@ -4,14 +4,16 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 
+import numpy as np
+
 from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.case import Case
 from ringwear_par.elasticity.boundary_fields import BODIES
 from ringwear_par.schedules import Quantity, Table, largest, mean
-from ringwear_par.wear.archard import ArchardLaw
-from ringwear_par.wear.law import WearLaw
+from ringwear_par.wear.catalogue import LAWS
+from ringwear_par.wear.law import Law, LocalState, WearLaw
 from ringwear_par.wear.parameters import parameters_of
-from ringwear_par.wear.threshold import AboveThreshold
+from ringwear_par.wear.user import UserLaw
 
 #: wear, in heights of a body, from which on the unit of its wear coefficient is in question
 DEEP = 0.1
@@ -25,20 +27,21 @@ class Forecast:
     ----------
     body : 0 for lower, 1 for upper.
     depth : mm.
-    key, k : wear coefficient, 1/MPa, by which most of it is worn off.
+    table : of the law by which most of it is worn off.
+    k : its wear coefficient, 1/MPa, 0 for one without.
     """
 
     body: int
     depth: float
-    key: str
+    table: str
     k: float
 
 
 def forecasts(case: Case) -> Iterator[Forecast]:
-    """Give the wear of bodies whose laws have a wear coefficient. Not collective.
+    """Give the wear of bodies, at the mean pressure by the laws' own rates. Not collective.
 
     That of the steady state at mean load and speed, without running-in; layers one after the other.
-    Nothing is told where a displacement is given, for wear takes the load off.
+    There is no forecast where a displacement is given: wear takes the load off.
     """
     if case.load.force is None:
         return
@@ -53,10 +56,18 @@ def forecasts(case: Case) -> Iterator[Forecast]:
                 break
             depth = min(rate * left, thickness)
             left -= depth / rate
-            worn.append((depth, f"{table}.k", largest(getattr(law, "k", 0.0))))
+            worn.append((depth, table, _coefficient(law)))
         if worn:
-            _, key, k = max(worn)
-            yield Forecast(i, sum(depth for depth, *_ in worn), key, k)
+            _, table, k = max(worn)
+            yield Forecast(i, sum(depth for depth, *_ in worn), table, k)
+
+
+def _coefficient(law: WearLaw | None) -> float:
+    """Return the wear coefficient k of a law, 1/MPa; 0 where it has none in this unit."""
+    parameter = parameters_of(type(law)).get("k")
+    if law is None or parameter is None or parameter.unit != "1/MPa":
+        return 0.0
+    return largest(getattr(law, "k"))  # noqa: B009
 
 
 def unit_question(case: Case, wear: FloatArray) -> str:
@@ -99,14 +110,18 @@ def _strata(case: Case) -> list[list[tuple[str, WearLaw | None, float]]]:
 
 
 def _rate(case: Case, law: WearLaw | None, pressure: float, speed: float) -> float:
-    """Return the rate of wear of a law at a pressure (MPa) and a speed (mm/s); 0: not known."""
-    if isinstance(law, ArchardLaw):
-        return _mean(case, law.k) * pressure * speed
-    if isinstance(law, AboveThreshold):
-        k: Quantity = getattr(law, "k", 0.0)
-        above = max(pressure - _mean(case, law.p0), 0.0)
-        return _mean(case, k) * case.friction * above * speed
-    return 0.0
+    """Return the rate of wear of a law at a pressure (MPa) and a speed (mm/s); 0: not known.
+
+    After running-in, at the mean of each parameter. Laws of users are not run.
+    """
+    if not isinstance(law, Law) or type(law) not in LAWS.values() or isinstance(law, UserLaw):
+        return 0.0
+    for name in law.numeric:
+        if isinstance(quantity := law.quantity(name), Table):
+            law = law.with_parameter(name, _mean(case, quantity))
+    long, r = np.array([np.inf]), np.array([0.5 * sum(case.overlap)])
+    local = LocalState(0.0, r, np.array([speed]), case.friction, long, long)
+    return float(law.rate(np.array([pressure]), local)[0])
 
 
 def _mean(case: Case, quantity: Quantity) -> float:

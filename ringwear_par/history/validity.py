@@ -1,6 +1,6 @@
 """The worst of what can make an answer doubtful, over a history or over B of them, and its time.
 
-Every step costs a few sums over the elements: sentences are for the end, see ``results.doubts``.
+Every step costs a few sums over the elements: sentences are for the end, see ``results.warnings``.
 """
 
 from collections.abc import Mapping, Sequence

@@ -22,7 +22,7 @@ class HistoryColumns:
     profiles : (rows, n) each, by name, see ``variables.PROFILES``; or (B, n), where the last ones
         are stored only: NaN where a history has none.
     imbalance : (B,) float, the worst balance of each, see ``Balances.worst``.
-    flags : what makes each doubtful, see ``Doubt.flag``.
+    flags : what makes each doubtful, see ``ValidityWarning.flag``.
     seconds : (B,) float, s, that each took: of those that are stepped together, its share.
     status : "done" or "failed".
     reason : why it failed, one line; "" for one that has not.

@@ -149,16 +149,16 @@ def _read(file: h5py.File, path: Path) -> Result:
 
 def _read_layers(file: h5py.File, sizes: dict[str, int]) -> dict[str, Any]:
     """Return the variables of layers by name; nothing of most."""
-    found = {}
+    layers = {}
     for name, variable in LAYERS.items():
         if name not in file:
             continue
         if name in LAYER_VOLUMES:  # which may have a dimension of their own
-            found[name] = read_array(file, variable, {"step": sizes["step"]})
+            layers[name] = read_array(file, variable, {"step": sizes["step"]})
         else:
             last = name in LAYER_PROFILES
-            found[name] = read_array(file, _as_stored(file, variable) if last else variable, sizes)
-    return found
+            layers[name] = read_array(file, _as_stored(file, variable) if last else variable, sizes)
+    return layers
 
 
 def _read_derivatives(
@@ -171,7 +171,7 @@ def _read_derivatives(
         [read_text(text) for text in find_texts(file, name, sizes, PARAMETER.name)[()].tolist()]
         for name in (PARAMETER.name, PARAMETER_UNIT.name)
     )
-    found = {
+    derivatives = {
         name: read_array(file, variable, sizes)
         for name, variable in D_HISTORIES.items()
         if name in file
@@ -179,29 +179,31 @@ def _read_derivatives(
     for name, variable in D_PROFILES.items():
         if name in file:
             last = file[name].ndim == 2
-            found[name] = read_array(file, variable.at_last_step() if last else variable, sizes)
-    return dict(zip(keys, units, strict=True)), found
+            derivatives[name] = read_array(
+                file, variable.at_last_step() if last else variable, sizes
+            )
+    return dict(zip(keys, units, strict=True)), derivatives
 
 
 def _attributes(file: h5py.File) -> dict[str, Any]:
-    found = dict(file.attrs)
+    attributes = dict(file.attrs)
     for name in ("software", "coordinates"):
-        del found[name]
-    for name in _TEXTS | (_OPTIONAL_TEXTS & found.keys()):
-        read_text(found[name])
-    if missing := _NUMBERS - found.keys():
+        del attributes[name]
+    for name in _TEXTS | (_OPTIONAL_TEXTS & attributes.keys()):
+        read_text(attributes[name])
+    if missing := _NUMBERS - attributes.keys():
         raise ValueError(missing)
-    for name in found:
+    for name in attributes:
         if name in _NUMBERS | _OPTIONAL_NUMBERS or name.startswith(_OPTIONAL_PREFIXES):
-            read_number(found[name])
+            read_number(attributes[name])
         elif name in _OF_LAYERS:
-            found[name] = read_numbers(found[name])
-    if found["status"] not in ("complete", "incomplete"):
+            attributes[name] = read_numbers(attributes[name])
+    if attributes["status"] not in ("complete", "incomplete"):
         raise ValueError("status")
-    doubts, laws = json.loads(found["doubts"]), json.loads(found["user_laws"])
+    doubts, laws = json.loads(attributes["doubts"]), json.loads(attributes["user_laws"])
     for text in (*doubts, *laws, *laws.values()):
         read_text(text)
-    return found
+    return attributes
 
 
 def _check_times(times: Any) -> None:

@@ -89,7 +89,7 @@ def worn_through(result: "Result", body: Which) -> list[WornThrough]:
         last = result.checkpoint
         wear = last.arrays["wear"][BODIES.index(body)][None]
         times = np.array([last.numbers["time"]])
-    found, area = [], result.line.area
+    layers, area = [], result.line.area
     for end in layer_ends(result, body):
         gone = wear >= end.depth * (1.0 - _ON)
         if gone.any():
@@ -97,5 +97,5 @@ def worn_through(result: "Result", body: Which) -> list[WornThrough]:
             deepest = int(np.where(gone[first], wear[first] - end.depth, -np.inf).argmax())
             r = float(result.line.r[deepest])
             through = share(area, gone[-1])
-            found.append(WornThrough(end.layer, through, r, float(times[first])))
-    return found
+            layers.append(WornThrough(end.layer, through, r, float(times[first])))
+    return layers

@@ -68,8 +68,8 @@ def reading(path: Path, software: str, what: str, must: str = "") -> Iterator[h5
     """
     try:
         if not path.is_file():
-            told = "is not a file" if path.exists() else "does not exist"
-            raise InputError(f"{path}: {told}; must be {what}")
+            fault = "is not a file" if path.exists() else "does not exist"
+            raise InputError(f"{path}: {fault}; must be {what}")
         about = path.stat()
         if not _is_whole(path, about.st_ino, about.st_size, about.st_mtime_ns):
             raise InputError(f"{path}: is damaged: its checksum is not that of its contents{must}")
@@ -92,11 +92,11 @@ def _is_whole(path: Path, inode: int, size: int, changed: int) -> bool:
         if size < _SEAL_BYTES:
             return True
         file.seek(size - _SEAL_BYTES)
-        found = file.read()
-        if not found.startswith(_SEAL):
+        ending = file.read()
+        if not ending.startswith(_SEAL):
             log.warning("%s: carries no checksum (another program wrote it): not verified", path)
             return True
-        return found[len(_SEAL) :] == b"%0*x\n" % (_DIGITS, _checksum(file, size - _SEAL_BYTES))
+        return ending[len(_SEAL) :] == b"%0*x\n" % (_DIGITS, _checksum(file, size - _SEAL_BYTES))
 
 
 def _checksum(file: BinaryIO, size: int) -> int:
@@ -143,10 +143,10 @@ def find_words(
     group: h5py.Group, name: str, sizes: dict[str, int], dimensions: Sequence[str] = ("case",)
 ) -> h5py.Dataset:
     """Return a variable of texts as ``find_array`` does."""
-    found = _find(group, name, dimensions, sizes)
-    if h5py.check_string_dtype(found.dtype) is None:
+    dataset = _find(group, name, dimensions, sizes)
+    if h5py.check_string_dtype(dataset.dtype) is None:
         raise ValueError(name)
-    return found
+    return dataset
 
 
 def read_words(group: h5py.Group, name: str, sizes: dict[str, int]) -> Any:

@@ -33,17 +33,9 @@ from ringwear_par.history.validity import WorstStates
 from ringwear_par.info import versions
 from ringwear_par.results.checkpoints import restored, take
 from ringwear_par.results.columns import HistoryColumns
-from ringwear_par.results.doubts import (
-    doubts_of,
-    infinite_at_interfaces,
-    infinite_edge,
-    infinite_stress,
-    unstable,
-    worn_points,
-)
-from ringwear_par.results.implausible import Doubt
 from ringwear_par.results.result import Result, balance_attributes
 from ringwear_par.results.stress_variables import point_columns, stress_rows
+from ringwear_par.results.unit_suspicions import ValidityWarning
 from ringwear_par.results.variables import (
     D_HISTORIES,
     D_PROFILES,
@@ -52,6 +44,14 @@ from ringwear_par.results.variables import (
     LAYER_VOLUMES,
     TIMES_THROUGH,
     layer_names,
+)
+from ringwear_par.results.warnings import (
+    infinite_at_interfaces,
+    infinite_edge,
+    infinite_stress,
+    unstable,
+    validity_warnings,
+    worn_points,
 )
 from ringwear_par.schedules import in_time, integral
 from ringwear_par.wear.layered import LayeredLaw
@@ -148,7 +148,7 @@ def attributes(
     finished: bool,
     seconds: Mapping[str, float],
     symmetry_defect: float,
-    doubts: Sequence[Doubt],
+    doubts: Sequence[ValidityWarning],
     error: str,
     balances: Balances,
     step_error_time: float,
@@ -308,7 +308,7 @@ class Recorder:
         #: iterations of the contact solver since the last stored state
         self._pending = np.zeros(count, dtype=np.int64)
         self.balances, self._worst_states = WorstBalances(count), WorstStates(cases[0], count)
-        self._warnings: list[tuple[Doubt, ...]] = [()] * count
+        self._warnings: list[tuple[ValidityWarning, ...]] = [()] * count
         self._through = np.full((2, count), np.inf)
         #: why histories cannot be recorded
         self.failures: dict[int, Exception] = {}
@@ -477,13 +477,13 @@ class Recorder:
         """Whether a single history has come to its end."""
         return self._last is not None and bool(self._last.finished.all())
 
-    def warnings(self, number: int = 0) -> tuple[Doubt, ...]:
+    def warnings(self, number: int = 0) -> tuple[ValidityWarning, ...]:
         """Return the warnings of a history so far."""
         case, worst = self._cases[number], self._worst_states.history(number)
         stress = self.stress(number)
         return (
             *self._warnings[number],
-            *doubts_of(case, worst, self.balances.history(number)),
+            *validity_warnings(case, worst, self.balances.history(number)),
             *infinite_stress(stress, worst),
             *infinite_at_interfaces(case, stress),
             *worn_points(case, stress, self._stress.get(number)),

@@ -132,23 +132,23 @@ class Result:
     def variables(self) -> list[tuple[Variable, Any]]:
         """Return every variable on the contact line and in time, with its values."""
         numbered = not np.array_equal(self.step, self.steps_made)
-        found: list[tuple[Variable, Any]] = [(STATE_NUMBER if numbered else STEP, self.step)]
+        pairs: list[tuple[Variable, Any]] = [(STATE_NUMBER if numbered else STEP, self.step)]
         if numbered:
-            found.append((STEPS_MADE, self.steps_made))
-        found.append((ELEMENT, np.arange(self.line.n)))
-        found += [(HISTORIES[name], values) for name, values in self.histories.items()]
-        found += [(variable, getattr(self.line, name)) for name, variable in LINE.items()]
+            pairs.append((STEPS_MADE, self.steps_made))
+        pairs.append((ELEMENT, np.arange(self.line.n)))
+        pairs += [(HISTORIES[name], values) for name, values in self.histories.items()]
+        pairs += [(variable, getattr(self.line, name)) for name, variable in LINE.items()]
         for name, values in self.profiles.items():
             variable = PROFILES[name]
-            found.append((variable if values.ndim == 2 else variable.at_last_step(), values))
+            pairs.append((variable if values.ndim == 2 else variable.at_last_step(), values))
         if (pressure := self.profiles.get("pressure")) is not None:
             variable = EDGE_ELEMENT if pressure.ndim == 2 else EDGE_ELEMENT.at_last_step()
-            found.append((variable, edge_elements(pressure).astype(variable.dtype)))
-        found += self._layer_variables()
+            pairs.append((variable, edge_elements(pressure).astype(variable.dtype)))
+        pairs += self._layer_variables()
         if self.parameters:
-            found.append((PARAMETER, list(self.parameters)))
-            found.append((PARAMETER_UNIT, list(self.parameters.values())))
-        found += [
+            pairs.append((PARAMETER, list(self.parameters)))
+            pairs.append((PARAMETER_UNIT, list(self.parameters.values())))
+        pairs += [
             (D_HISTORIES[name], values)
             for name, values in self.derivatives.items()
             if name in D_HISTORIES
@@ -156,26 +156,26 @@ class Result:
         for name, values in self.derivatives.items():
             if name in D_PROFILES:
                 variable = D_PROFILES[name]
-                found.append((variable if values.ndim == 3 else variable.at_last_step(), values))
+                pairs.append((variable if values.ndim == 3 else variable.at_last_step(), values))
         if self.stress is not None and self.stress.states:
-            found += stress_variables(self.stress)
-        return found
+            pairs += stress_variables(self.stress)
+        return pairs
 
     def _layer_variables(self) -> list[tuple[Variable, Any]]:
         """Return those of layers, with their coordinates."""
-        found: list[tuple[Variable, Any]] = []
+        pairs: list[tuple[Variable, Any]] = []
         counts = [self.layers[v].shape[1] if v in self.layers else 0 for v in LAYER_VOLUMES]
         for name, values in self.layers.items():
             variable = LAYERS[name]
             if name in LAYER_VOLUMES:
                 layer = layer_axis(list(LAYER_VOLUMES).index(name), counts)
-                if layer not in [there for there, _ in found]:
-                    found.insert(0, (layer, np.arange(values.shape[1])))
+                if layer not in [there for there, _ in pairs]:
+                    pairs.insert(0, (layer, np.arange(values.shape[1])))
                 variable = replace(variable, dimensions=("step", layer.name))
             if name in LAYER_PROFILES and values.ndim == 1:
                 variable = variable.at_last_step()
-            found.append((variable, values))
-        return found
+            pairs.append((variable, values))
+        return pairs
 
     @property
     def coordinates(self) -> tuple[str, ...]:

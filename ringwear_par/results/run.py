@@ -24,10 +24,10 @@ from ringwear_par.options import reject_unused_options
 from ringwear_par.parallel import on_first_rank, warn_of_threads
 from ringwear_par.results.checkpoints import restored
 from ringwear_par.results.files import open_result, read_error, read_status
-from ringwear_par.results.implausible import implausible
 from ringwear_par.results.progress import Progress
 from ringwear_par.results.recorder import Recorder
 from ringwear_par.results.result import Result
+from ringwear_par.results.unit_suspicions import unit_suspicions
 from ringwear_par.results.watch import Watch
 from ringwear_par.results.writing import write_result
 from ringwear_par.stopping import StopSignals, remark
@@ -157,13 +157,14 @@ def run_case(
 
 @contextmanager
 def _doubting(case: Case, path: Path, comm: MPI.Comm) -> Iterator[None]:
-    """Say which numbers of a case are doubtful where it fails; else its summary says so."""
+    """Log the suspicious units of a case that fails, but for those that its error names."""
     try:
         yield
-    except RingwearError:
+    except RingwearError as error:
         if comm.rank == 0:
-            for doubt in implausible(case):
-                log.warning("%s: %s", path, doubt.text)
+            for warning in unit_suspicions(case):
+                if not warning.key or f"{warning.key} = " not in str(error):
+                    log.warning("%s: %s", path, warning.text)
         raise
 
 

@@ -25,10 +25,10 @@ from ringwear_par.options import reject_unused_options
 from ringwear_par.parallel import on_first_rank, together
 from ringwear_par.results.columns import HistoryColumns
 from ringwear_par.results.files import open_result
-from ringwear_par.results.implausible import but_varied
 from ringwear_par.results.progress import SweepProgress
 from ringwear_par.results.recorder import Recorder
 from ringwear_par.results.result import Result
+from ringwear_par.results.unit_suspicions import but_varied
 from ringwear_par.results.watch import Watch
 from ringwear_par.results.writing import write_result
 from ringwear_par.stopping import StopSignals

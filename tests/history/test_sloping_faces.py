@@ -22,7 +22,7 @@ from ringwear_par.history.model import WearModel
 from ringwear_par.history.pairs import assemble, updated_geometry
 from ringwear_par.history.trace import trace
 from ringwear_par.history.validity import WorstStates
-from ringwear_par.results.doubts import doubts_of
+from ringwear_par.results.warnings import validity_warnings
 from ringwear_par.verification.fine import CONTACT, Rings, ring_case
 from ringwear_par.verification.paper import paper_case
 from ringwear_par.wear.archard import ArchardLaw
@@ -310,7 +310,7 @@ def flags(case, comm):
         if snapshot.finished:
             worst, alone = WorstStates(case), np.zeros(1, dtype=np.int64)
             worst(snapshot.model, snapshot.state, alone, alone)
-            own = doubts_of(case, worst.history(), Balances())
+            own = validity_warnings(case, worst.history(), Balances())
             found.update({doubt.flag: doubt.text for doubt in own})
         return False
 

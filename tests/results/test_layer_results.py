@@ -16,9 +16,9 @@ from ringwear_par.reports.charts import profiles
 from ringwear_par.reports.run_page import worn_table
 from ringwear_par.results.export import export
 from ringwear_par.results.figures import plot
-from ringwear_par.results.implausible import implausible
 from ringwear_par.results.key_numbers import key_numbers
 from ringwear_par.results.layer_ends import worn_through
+from ringwear_par.results.unit_suspicions import unit_suspicions
 
 CASE = Path(__file__).parents[2] / "scripts" / "cases" / "wear_through.toml"
 LAYER = {"thickness": 0.003, "young": 10e3, "poisson": 0.3}
@@ -160,7 +160,7 @@ def test_densities_of_layers_are_stored(tmp_path):
 
 
 def test_a_layer_denser_than_any_material_is_doubted():
-    (doubt,) = implausible(rw.read_case(CASE, {"lower.layers[0].density": 1.2}))
+    (doubt,) = unit_suspicions(rw.read_case(CASE, {"lower.layers[0].density": 1.2}))
     assert doubt.text.startswith("lower.layers[0].density = 1.2 g/mm3 is denser than any material")
 
 

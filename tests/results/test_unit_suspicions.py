@@ -7,7 +7,8 @@ from mpi4py import MPI
 
 import ringwear_par as rw
 from ringwear_par.history.loop import simulate_one
-from ringwear_par.results.implausible import implausible
+from ringwear_par.results.run import run_case
+from ringwear_par.results.unit_suspicions import unit_suspicions
 
 CASES = Path(__file__).parents[2] / "scripts" / "cases"
 LAYERED = CASES / "wear_through.toml"
@@ -15,7 +16,7 @@ LAYERED = CASES / "wear_through.toml"
 
 def told(path, **changes):
     """Return what is doubted of a case with some of its keys changed, by key."""
-    doubts = implausible(rw.read_case(path, changes))
+    doubts = unit_suspicions(rw.read_case(path, changes))
     assert {doubt.flag for doubt in doubts} <= {"implausible_numbers"}
     return {doubt.key: doubt.text for doubt in doubts}
 
@@ -86,6 +87,29 @@ def test_a_k_that_wears_much_off_is_doubted():
     assert told(PAPER, **washer("1.2e-6 mm3/(N m)", 0.4)) == {}
 
 
+@pytest.mark.parametrize(
+    ("law", "key"),
+    [
+        ({"law": "power", "k": 1.2e-6, "m": 1.0}, "wear.lower"),
+        ({"law": "power", "k": [[0.0, 0.6e-6], [8.0, 1.8e-6]], "m": 1.0}, "wear.lower"),
+        ({"law": "threshold", "k": 1.2e-5}, "wear.lower.k"),
+        ({"law": "running-in", "k": 1.2e-5, "k_start": 2e-5, "depth": 0.01}, "wear.lower.k"),
+        ({"law": "non-local", "k": 1.2e-5, "length": 0.1}, "wear.lower.k"),
+    ],
+)
+def test_each_law_forecasts_the_wear_at_the_mean_pressure(law, key):
+    """Archard's 1.2e-6, the others' at friction 0.1: 10 mm."""
+    keys = washer(1.2e-6, 10.0) | {"wear.lower": None, "contact.friction": 0.1}
+    keys = {k: v for k, v in keys.items() if not k.startswith("wear.lower.")}
+    end = keys["time.end"]
+    law = {k: [[t * end / 8.0, x] for t, x in v] if isinstance(v, list) else v
+           for k, v in law.items()}  # fmt: skip
+    (text,) = [told(PAPER, **keys, **{f"wear.lower.{k}": v for k, v in law.items()})[key]]
+    assert " is to wear 10 mm off lower by t = " in text
+    assert told(PAPER, **keys | {"time.end": end / 100.0},
+                **{f"wear.lower.{k}": v for k, v in law.items()}) == {}  # fmt: skip
+
+
 def test_wear_through_a_slow_layer_is_not_that_of_the_body():
     """The body's k would wear off all of it, but for the layer."""
     layer = {"thickness": 0.1, "young": 1e4, "poisson": 0.3, "wear": {"law": "archard", "k": 1e-12}}
@@ -108,6 +132,26 @@ def test_a_run_that_fails_by_deep_wear_asks_for_the_unit(scheme):
     )
     assert f"{question}; in step " in str(failure.value)
     assert "more than half of its height" in str(failure.value)
+
+
+@pytest.mark.serial
+def test_much_wear_is_one_warning_that_asks_for_the_unit():
+    keys = washer(1.2e-6, 0.6) | {"mesh.contact_elements": 12}
+    result = rw.simulate(rw.read_case(PAPER, keys), MPI.COMM_SELF)
+    (text,) = [text for text in result.doubts if "wear.lower.k" in text]
+    assert "more than 5 % of a body's height" in text
+    assert text.endswith('if it is in mm3/(N m), write "1.2e-06 mm3/(N m)"')
+    assert result.to_dict()["warnings"].count(text) == 1
+
+
+@pytest.mark.serial
+def test_a_run_that_fails_asks_for_a_unit_once(tmp_path, caplog):
+    keys = washer(1.2e-6, 10.0) | {"mesh.contact_elements": 12, "lower.young": 2.1e11}
+    (tmp_path / "case.toml").write_text(rw.read_case(PAPER, keys).text)
+    with pytest.raises(rw.ComputationError, match=r"wear\.lower\.k = 1\.2e-06 is in 1/MPa"):
+        run_case(tmp_path / "case.toml", tmp_path / "run.h5", comm=MPI.COMM_SELF)
+    assert "wear.lower.k" not in caplog.text
+    assert caplog.text.count("lower.young = 2.1e+11 MPa is stiffer") == 1
 
 
 def soft(young, poisson, pressure):

@@ -1,4 +1,4 @@
-"""What makes an answer doubtful though it was computed: said by ``run``, flagged by ``sweep``."""
+"""Warnings about the validity of an answer: printed by ``run``, flagged by ``sweep``."""
 
 from collections.abc import Iterator, Mapping, Sequence
 
@@ -15,12 +15,13 @@ from ringwear_par.history.stability import stable_steps
 from ringwear_par.history.state import State
 from ringwear_par.history.stresses import StressObserver
 from ringwear_par.history.validity import FEW_ELEMENTS, MOST_ANGLE, force_on, worn_share
-from ringwear_par.results.implausible import (
+from ringwear_par.results.unit_suspicions import (
     MOST_PRESSED,
-    Doubt,
-    implausible,
+    ValidityWarning,
+    deep_wear,
     smallest_modulus,
     too_much_load,
+    unit_suspicions,
 )
 
 #: share of the largest force of a history under which contact need not be resolved
@@ -46,9 +47,9 @@ _MOST_OF_LAYER, _OTHER_MODULUS = 0.25, 0.1
 _RISING = 1.2
 
 
-def doubts_of(
+def validity_warnings(
     case: Case, worst: Mapping[str, Sequence[float]], balances: Balances
-) -> tuple[Doubt, ...]:
+) -> tuple[ValidityWarning, ...]:
     """Return where the states of a case left what the method is made for. Not collective.
 
     Parameters
@@ -56,22 +57,25 @@ def doubts_of(
     worst : the worst of its history, see ``WorstStates.history``.
     balances : likewise.
     """
-    found = list(implausible(case))
+    found = list(unit_suspicions(case))
     height = min(ring.z[1] - ring.z[0] for ring in case.rings)
     moved, when, *_ = worst["moved"]
     if moved > _MOST_MOVED * height:
+        # one warning for one thing: wear that much was forecast for is there
+        forecast = deep_wear(case)
+        found = [warning for warning in found if warning not in forecast]
         found.append(
-            Doubt(
+            ValidityWarning(
                 "large_displacement",
                 f"approach or wear of {moved:.3g} mm at t = {when:g} s is more than 5 % of a "
                 "body's height: small displacements and the mesh of the unworn rings no longer "
-                "describe it",
+                "describe it" + "".join(f". {warning.text}" for warning in forecast),
             )
         )
     approach, when, *_ = worst["approach"]
     if any(case.open_ends) and approach > case.smallest_gaps[1]:
         found.append(
-            Doubt(
+            ValidityWarning(
                 "contact_beyond_mesh",
                 f"the approach of {approach:.6g} mm at t = {when:g} s exceeds the smallest gap, "
                 f"{case.smallest_gaps[1]:.6g} mm, of the faces that mesh.contact leaves out: they "
@@ -85,15 +89,15 @@ def doubts_of(
     defect = max(held, 0.0 if layered else symmetry_defect)
     if held > _MOST_DEFECT or (not layered and symmetry_defect > _MOST_ASYMMETRIC):
         found.append(
-            Doubt(
+            ValidityWarning(
                 "coarse_mesh",
-                f"the boundary elements' own balances are wrong by {defect:.2g}: a finer mesh "
-                "(mesh.contact_elements) or thicker bodies are needed",
+                f"the boundary elements' own balances are wrong by {defect:.2g} at worst: a finer "
+                "mesh (mesh.contact_elements) or thicker bodies are needed",
             )
         )
     elif layered and symmetry_defect > _MOST_FILM_DEFECT:
         found.append(
-            Doubt(
+            ValidityWarning(
                 "coarse_film",
                 f"the compliance of bodies with layers is asymmetric by "
                 f"{symmetry_defect:.2g}, as of thin films that are soft or nearly "
@@ -104,14 +108,14 @@ def doubts_of(
     return (*found, *_other_stack(case, worst), *_unlike_slopes(case, worst), *_asymmetric(worst))
 
 
-def _high_pressure(case: Case, worst: Mapping[str, Sequence[float]]) -> list[Doubt]:
+def _high_pressure(case: Case, worst: Mapping[str, Sequence[float]]) -> list[ValidityWarning]:
     """Return whether a pressure was too high for linear elasticity."""
     pressure, when, *_ = worst["mean_pressure"]
     young = smallest_modulus(case)
     if pressure <= MOST_PRESSED * young or too_much_load(case):
         return []
     return [
-        Doubt(
+        ValidityWarning(
             "high_pressure",
             f"the mean pressure in contact, {pressure:.3g} MPa at t = {when:g} s, is more than a "
             f"tenth of a Young's modulus, {young:g} MPa: no linear elasticity",
@@ -119,14 +123,14 @@ def _high_pressure(case: Case, worst: Mapping[str, Sequence[float]]) -> list[Dou
     ]
 
 
-def _few_elements(case: Case, worst: Mapping[str, Sequence[float]]) -> list[Doubt]:
+def _few_elements(case: Case, worst: Mapping[str, Sequence[float]]) -> list[ValidityWarning]:
     """Return whether few elements bore a load that counts among those of the history."""
     most = worst["force"][0]
     for count in range(1, FEW_ELEMENTS):
         force, when, *_ = worst.get(force_on(count), (0.0, 0.0))
         if force > _SLIGHT_LOAD * most:
             return [
-                Doubt(
+                ValidityWarning(
                     "few_elements_in_contact",
                     f"{count} of {case.line.n} elements are in contact at t = {when:g} s, under "
                     f"{force:.4g} N: too few to resolve it; more of them "
@@ -137,7 +141,7 @@ def _few_elements(case: Case, worst: Mapping[str, Sequence[float]]) -> list[Doub
     return []
 
 
-def _other_stack(case: Case, worst: Mapping[str, Sequence[float]]) -> list[Doubt]:
+def _other_stack(case: Case, worst: Mapping[str, Sequence[float]]) -> list[ValidityWarning]:
     """Return whether layers of another modulus were worn that elasticity still has."""
     found = []
     for i, (body, ring) in enumerate(zip(BODIES, case.rings, strict=True)):
@@ -146,24 +150,24 @@ def _other_stack(case: Case, worst: Mapping[str, Sequence[float]]) -> list[Doubt
             share, when, *_ = worst.get(worn_share(i, number), (0.0, 0.0))
             if share > _MOST_OF_LAYER and abs(layer.young / below - 1.0) > _OTHER_MODULUS:
                 found.append(
-                    Doubt(
+                    ValidityWarning(
                         "worn_layer",
                         f"{100.0 * share:.0f} % of {body}.layers[{number}] is worn off where it "
-                        f"bears load at t = {when:g} s, and its modulus, {layer.young:g} MPa, is "
-                        f"not the {below:g} MPa under it: elasticity is that of the unworn "
-                        'layers, with mesh.geometry = "updated" that of what is left of them',
+                        f"bears load at t = {when:g} s. Its modulus, {layer.young:g} MPa, is not "
+                        f"the {below:g} MPa under it, and the computed elasticity is that of the "
+                        'unworn layers. mesh.geometry = "updated" follows their wear',
                     )
                 )
     return found
 
 
-def _unlike_slopes(case: Case, worst: Mapping[str, Sequence[float]]) -> list[Doubt]:
+def _unlike_slopes(case: Case, worst: Mapping[str, Sequence[float]]) -> list[ValidityWarning]:
     """Return whether faces that touched sloped by different angles, or from what elements have."""
     share, when, r, lower, upper, acts = worst["unlike_slopes"]
     if share <= _LOAD_ASIDE:
         return []
     return [
-        Doubt(
+        ValidityWarning(
             "unlike_slopes",
             f"{100.0 * share:.2g} % of the load at t = {when:g} s is borne where the pressure acts "
             f"along a normal more than {MOST_ANGLE:g} degrees off that of a face: at "
@@ -174,13 +178,13 @@ def _unlike_slopes(case: Case, worst: Mapping[str, Sequence[float]]) -> list[Dou
     ]
 
 
-def _asymmetric(worst: Mapping[str, Sequence[float]]) -> list[Doubt]:
+def _asymmetric(worst: Mapping[str, Sequence[float]]) -> list[ValidityWarning]:
     """Return whether making the compliance symmetric spoiled pressures."""
     error, when, r, *_ = worst["asymmetry"]
     if error <= _MOST_ASYMMETRY:
         return []
     return [
-        Doubt(
+        ValidityWarning(
             "asymmetric_compliance",
             f"a pressure at r = {r:.6g} mm was about {error:.2g} off that of the collocated "
             f"equations at t = {when:g} s, whose matrix was made symmetric: a finer mesh or a "
@@ -191,13 +195,13 @@ def _asymmetric(worst: Mapping[str, Sequence[float]]) -> list[Doubt]:
 
 def infinite_stress(
     history: StressHistory | None, worst: Mapping[str, Sequence[float]]
-) -> tuple[Doubt, ...]:
+) -> tuple[ValidityWarning, ...]:
     """Return whether the largest stress was where it would be infinite. Not collective."""
     mises, when, r, *_ = worst["infinite_stress"]
     if history is None or mises == 0.0 or when not in [state.time for state in history.states]:
         return ()
     return (
-        Doubt(
+        ValidityWarning(
             "infinite_stress",
             f"the largest von Mises stress at t = {when:g} s, {mises:.5g} MPa, is found beside the "
             f"edge of contact at r = {r:.6g} mm, where it is infinite as long as no wear has "
@@ -230,7 +234,7 @@ def infinite_edge(
 
 def worn_points(
     case: Case, history: StressHistory | None, seen: StressObserver | None
-) -> tuple[Doubt, ...]:
+) -> tuple[ValidityWarning, ...]:
     """Return whether points of stress lie where wear has been at the last of its states.
 
     Not asked of points on faces, which are of the faces as they are, nor of those that have no
@@ -254,7 +258,7 @@ def worn_points(
     first, *more = found
     r, z, _ = case.stress.points[first]
     return (
-        Doubt(
+        ValidityWarning(
             "worn_points",
             f"stress.points[{first}], at r = {r:.6g}, z = {z:.6g} mm, lies {depths[first]:.4g} mm "
             f"under the face of {BODIES[bodies[first]]}, of which {worn[first]:.4g} mm is worn off "
@@ -266,18 +270,20 @@ def worn_points(
     )
 
 
-def infinite_at_interfaces(case: Case, history: StressHistory | None) -> tuple[Doubt, ...]:
+def infinite_at_interfaces(
+    case: Case, history: StressHistory | None
+) -> tuple[ValidityWarning, ...]:
     """Return which bodies' largest stress was beside the end of an interface. Not collective.
 
     Of each end the last state where it was so.
     """
-    found: dict[tuple[int, int, float], Doubt] = {}
+    found: dict[tuple[int, int, float], ValidityWarning] = {}
     for state in () if history is None else history.states:
         assert history is not None
         for i, (body, largest) in enumerate(zip(BODIES, state.largest, strict=True)):
             for number, r, z, reach in _infinite_ends(case, history, state, i):
                 if np.hypot(largest.r - r, largest.z - z) <= reach:
-                    found[i, number, r] = Doubt(
+                    found[i, number, r] = ValidityWarning(
                         "infinite_stress_at_interface",
                         f"the largest von Mises stress of {body} at t = {state.time:g} s, "
                         f"{largest.mises:.5g} MPa, is found beside the free edge of the interface "
@@ -304,7 +310,7 @@ def _infinite_ends(
                 yield number, r, float(z), reach
 
 
-def unstable(model: WearModel) -> dict[int, Doubt]:
+def unstable(model: WearModel) -> dict[int, ValidityWarning]:
     """Return which of B histories have explicit steps that are too long."""
     if model.case.time.scheme != "explicit":
         return {}
@@ -313,8 +319,8 @@ def unstable(model: WearModel) -> dict[int, Doubt]:
     return {i: _unstable(step, limit) for i, (step, limit) in both if step > limit}
 
 
-def _unstable(step: float, limit: float) -> Doubt:
-    return Doubt(
+def _unstable(step: float, limit: float) -> ValidityWarning:
+    return ValidityWarning(
         "unstable_explicit_step",
         f"explicit scheme: time.step = {step:.6g} s is {step / limit:.3g} times its stability "
         f"limit; the largest stable step on this mesh is {limit:.6g} s (beyond it profiles "

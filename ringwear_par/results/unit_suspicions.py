@@ -1,6 +1,6 @@
 """Numbers of a case that are more likely in another unit than meant so."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 from ringwear_par.cases.case import Case
@@ -10,7 +10,7 @@ from ringwear_par.schedules import largest
 from ringwear_par.wear.archard import ArchardLaw
 from ringwear_par.wear.threshold import AboveThreshold
 
-_IMPLAUSIBLE = "implausible_numbers"
+_FLAG = "implausible_numbers"
 #: moduli (MPa) that are those of materials in Pa; smaller ones may be meant, of rigid bodies
 _PASCALS = (1e9, 2e12)
 #: g/mm^3, osmium's and a little more
@@ -34,14 +34,14 @@ _GIGAPASCALS = 1000.0
 
 
 @dataclass(frozen=True)
-class Doubt:
-    """One reason to doubt an answer.
+class ValidityWarning:
+    """A reason why an answer may not be valid, though it was computed.
 
     Parameters
     ----------
     flag : short name, of letters and underscores.
     text : the whole sentence.
-    key : of the number that is doubted, and that a study may vary by purpose; "" for none.
+    key : of the number that may be wrong, and that a study may vary by purpose; "" for none.
     """
 
     flag: str
@@ -49,36 +49,46 @@ class Doubt:
     key: str = ""
 
 
-def implausible(case: Case) -> tuple[Doubt, ...]:
+def unit_suspicions(case: Case) -> tuple[ValidityWarning, ...]:
     """Return numbers of a case that are more likely in another unit than meant so. Not collective.
 
     Its mean pressures are those of the nominal annulus.
     """
-    found: list[str] = []
+    texts: list[str] = []
     for name, ring in zip(BODIES, case.rings, strict=True):
-        found += _in_pascals(f"{name}.young", ring.young)
-        found += _too_dense(f"{name}.density", ring.density)
+        texts += _in_pascals(f"{name}.young", ring.young)
+        texts += _too_dense(f"{name}.density", ring.density)
         if max(ring.r[1], ring.z[1] - ring.z[0]) > _LARGEST:
-            found.append(
+            texts.append(
                 f"{name} measures {max(ring.r[1], ring.z[1] - ring.z[0]):g} mm: in um? lengths "
                 "are in mm"
             )
         for i, layer in enumerate(ring.layers):
-            found += _in_pascals(f"{name}.layers[{i}].young", layer.young)
-            found += _too_dense(f"{name}.layers[{i}].density", layer.density)
+            texts += _in_pascals(f"{name}.layers[{i}].young", layer.young)
+            texts += _too_dense(f"{name}.layers[{i}].density", layer.density)
     if too_much_load(case):
-        found.append(
+        texts.append(
             f"the mean pressure of {_load(case):.3g} MPa is more than a tenth of a Young's "
             f"modulus, {smallest_modulus(case):g} MPa: not linear elastic; loads are in N, moduli "
             f"in MPa{_or_gigapascals(smallest_modulus(case))}"
         )
     fast = dict(_too_fast(case))
-    deep = [(key, text) for key, text in _too_deep(case) if key not in fast]
-    keyed = (*_too_thin(case), *fast.items(), *deep, *_in_gigapascals(case))
     return (
-        *(Doubt(_IMPLAUSIBLE, text) for text in found),
-        *(Doubt(_IMPLAUSIBLE, text, key) for key, text in keyed),
+        *(ValidityWarning(_FLAG, text) for text in texts),
+        *_keyed(_too_thin(case)),
+        *_keyed(fast.items()),
+        *(warning for warning in deep_wear(case) if warning.key not in fast),
+        *_keyed(_in_gigapascals(case)),
     )
+
+
+def _keyed(faults: Iterable[tuple[str, str]]) -> list[ValidityWarning]:
+    return [ValidityWarning(_FLAG, text, key) for key, text in faults]
+
+
+def deep_wear(case: Case) -> list[ValidityWarning]:
+    """Return the wear coefficients that are to wear off much of a body. Not collective."""
+    return _keyed(_too_deep(case))
 
 
 def smallest_modulus(case: Case) -> float:
@@ -104,13 +114,13 @@ def but_varied(flags: Sequence[str], case: Case, varied: Sequence[str]) -> tuple
     ----------
     varied : keys of the study.
     """
-    if _IMPLAUSIBLE not in flags:
+    if _FLAG not in flags:
         return tuple(flags)
     by_purpose = all(
-        any(doubt.key == key or doubt.key.startswith(f"{key}[") for key in varied)
-        for doubt in implausible(case)
+        any(warning.key == key or warning.key.startswith(f"{key}[") for key in varied)
+        for warning in unit_suspicions(case)
     )
-    return tuple(flag for flag in flags if not (by_purpose and flag == _IMPLAUSIBLE))
+    return tuple(flag for flag in flags if not (by_purpose and flag == _FLAG))
 
 
 def _too_thin(case: Case) -> Iterator[tuple[str, str]]:
@@ -149,16 +159,19 @@ def _too_fast(case: Case) -> Iterator[tuple[str, str]]:
 
 
 def _too_deep(case: Case) -> Iterator[tuple[str, str]]:
-    """Give the wear coefficients, key and sentence, that wear off much of a body."""
+    """Give the wear coefficients or laws, key and sentence, that wear off much of a body."""
     for forecast in forecasts(case):
         z = case.rings[forecast.body].z
         if forecast.depth > DEEP * (z[1] - z[0]):
+            key = f"{forecast.table}.k" if forecast.k else forecast.table
+            what = f"{key} = {forecast.k:g} 1/MPa" if forecast.k else key
+            question = f'; if it is in mm3/(N m), write "{forecast.k:g} mm3/(N m)"'
             yield (
-                forecast.key,
-                f"{forecast.key} = {forecast.k:g} 1/MPa is to wear {forecast.depth:.3g} mm off "
-                f"{BODIES[forecast.body]} by t = {case.time.end:g} s, more than a tenth of its "
-                f"height, {z[1] - z[0]:g} mm; if it is in mm3/(N m), "
-                f'write "{forecast.k:g} mm3/(N m)"',
+                key,
+                f"{what} is to wear {forecast.depth:.3g} mm off {BODIES[forecast.body]} by "
+                f"t = {case.time.end:g} s, more than a tenth of its height, {z[1] - z[0]:g} mm"
+                + question
+                * bool(forecast.k),
             )
 
 
