@@ -176,7 +176,7 @@ def test_the_sphere_of_the_case_file_is_that_of_hertz(comm):
     """200 N on a sphere of 20 mm (see sphere.toml), before any wear."""
     case = read_case(Path(__file__).parents[2] / "scripts/cases/sphere.toml")
     with WearModel([case], comm) as model:
-        p = model.initial().contact.pressure
+        p = model.initial().contact.pressure[0]
     modulus = contact_modulus(*((b.young, b.poisson) for b in case.rings))
     a = (0.75 * 200.0 * 20.0 / modulus) ** (1.0 / 3.0)
     exact = 1.5 * 200.0 / (np.pi * a * a) * np.sqrt(np.maximum(1.0 - (case.line.r / a) ** 2, 0.0))
