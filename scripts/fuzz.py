@@ -48,7 +48,7 @@ from ringwear_par.results.variables import HISTORIES
 from ringwear_par.results.writing import write_result
 from ringwear_par.studies.ensemble import read_ensemble
 from ringwear_par.studies.figures import plot_sweep
-from ringwear_par.studies.index import DamagedError, read_stored
+from ringwear_par.studies.index import DamagedError
 from ringwear_par.studies.results_file import read_entries
 from ringwear_par.studies.study import read_study
 
@@ -116,10 +116,11 @@ def read_an_ensemble(folder: Path, rng: random.Random) -> None:
     found = read_entries(path)
     looks: list[Callable[[], object]] = [lambda: read_ensemble(folder)]
     if found is not None:
-        (source,) = found.sources
-        for name in ("step", *HISTORIES):
-            looks.append(partial(read_stored, source, 0, name))
-        looks.append(lambda: source.texts(0, found.place.tolist()))
+        for block in found.blocks[:1]:
+            for name in ("step", *HISTORIES):
+                looks.append(partial(block.read, [name]))
+            places = found["place"][found["block"] == 0].tolist()
+            looks.append(partial(block.texts, places))
     if rng.random() < _DRAWN:
         looks.append(lambda: plot_sweep(folder, folder / "a.png"))
     _look(looks)

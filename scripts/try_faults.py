@@ -15,7 +15,6 @@ import random
 import re
 import shutil
 import signal
-import sqlite3
 import subprocess
 import sys
 import tempfile
@@ -25,6 +24,8 @@ from pathlib import Path
 
 import h5py
 import numpy as np
+
+from ringwear_par.studies.shards import read_shard
 
 CASES = Path(__file__).parent / "cases"
 RINGWEAR = [sys.executable, "-m", "ringwear_par"]
@@ -147,23 +148,12 @@ def done_before(output: Path) -> dict[str, float]:
                 if status != "incomplete":
                     found[identity] = float(seconds)
     with tempfile.TemporaryDirectory() as name:
-        copies = Path(name)
-        try:
-            for path in (output / "shards").glob("*.sqlite*"):
-                shutil.copy(path, copies)
-        except FileNotFoundError:  # the journal of a transaction that has ended meanwhile
-            return done_before(output)
-        for path in copies.glob("*.sqlite"):
-            connection = sqlite3.connect(path)
-            try:
-                for ids, seconds in connection.execute("SELECT ids, seconds FROM blocks"):
-                    numbers = np.frombuffer(seconds).tolist()
-                    found.update(zip(ids.split("\n"), numbers, strict=True))
-            except sqlite3.OperationalError as error:
-                if "no such table" not in str(error):  # killed before its first case
-                    raise
-            finally:
-                connection.close()
+        for path in (output / "shards").glob("*.blocks"):
+            copy = shutil.copy(path, name)  # the shard itself is in use
+            contents = read_shard(Path(copy))
+            if contents is not None:
+                index = contents.index
+                found.update(zip(index["id"].astype(str), index["seconds"].tolist(), strict=True))
     return found
 
 

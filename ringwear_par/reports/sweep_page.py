@@ -24,7 +24,7 @@ from ringwear_par.studies.ensemble import Ensemble, read_ensemble
 from ringwear_par.studies.figures import Choice, choose
 from ringwear_par.studies.finals import entry_of, final_name
 from ringwear_par.studies.index_bars import IndexBars, index_bars
-from ringwear_par.studies.results_file import told_flags
+from ringwear_par.studies.results_file import count_flags
 from ringwear_par.studies.sensitivity import done_cases
 from ringwear_par.studies.surrogate import surrogate
 from ringwear_par.studies.swept import told_entry
@@ -68,7 +68,7 @@ def _summary(ensemble: Ensemble) -> list[Block]:
     here = np.flatnonzero(ensemble.in_study)
     status = Counter(ensemble.status[i] for i in here)
     flags = Counter(ensemble.flags[i] for i in here if ensemble.flags[i])
-    doubts = [told_flags(flags)] if flags else []
+    doubts = [count_flags(flags)] if flags else []
     if status["failed"]:
         doubts.append(f"{status['failed']} of {len(here)} cases failed; the table of cases has why")
     if status["incomplete"]:

@@ -42,14 +42,14 @@ from ringwear_par.studies.finals import (
     last_asked,
 )
 from ringwear_par.studies.index import (
+    ENTRY,
     STATUS,
     Index,
     Kind,
     Piece,
+    StoredBlock,
     join_flags,
     put,
-    read_stored,
-    telling_damage,
     with_body_last,
 )
 from ringwear_par.studies.results_file import (
@@ -134,117 +134,97 @@ class _Writer:
     def __init__(self, file: h5py.File, listing: Listing, check_disk: Callable[[], None]) -> None:
         self._file, self._listing, self._check_disk = file, listing, check_disk
         index, entry = listing.index, listing.entry
-        self._there = entry >= 0
-        begun = entry[self._there]
-        self._kinds = [index.kinds[kind] for kind in np.unique(index.kind[begun]).tolist()]
-        self._deep = any(kind.deep for kind in self._kinds)
-        self._rows = self._of_cases(index.rows, 0)
-        self._elements = self._of_cases(index.elements, 0)
+        #: of each case what is stored; nothing is of a case that was not begun
+        self._cases = np.zeros(len(entry), dtype=ENTRY)
+        self._cases["seconds"] = self._cases["imbalance"] = np.nan
+        self._cases["kind"] = self._cases["block"] = -1
+        self._stored = entry >= 0
+        self._cases[self._stored] = index.entries[entry[self._stored]]
+        numbers = np.unique(self._cases["block"][self._stored])
+        self._blocks = [index.blocks[block] for block in numbers.tolist()]
+        self._deep = any(block.deep for block in self._blocks)
+        self._rows = self._cases["rows"]
         #: by name, (cases,) or (cases, layers or points)
-        self._final: dict[str, FloatArray] = {}
+        self._end_values: dict[str, FloatArray] = {}
         #: raw values of the varied keys of the cases that the columns do not have
         self._looked_up: list[tuple[Any, ...]] = []
-        # cases that are stored together are read together
-        stored = index.source.astype(np.int64) * (int(index.block.max(initial=0)) + 1) + index.block
-        self._block = self._of_cases(np.unique(stored, return_inverse=True)[1], -1)
+        axes: dict[str, int] = {}
+        for block in self._blocks:
+            for axis, size in block.sizes.items():
+                axes[axis] = max(size, axes.get(axis, 0))
         make_scales(
             file, listing.ids, int(self._rows.max(initial=0)) or 1,
-            int(self._elements.max(initial=0)) or 1, self._axes,
+            int(self._cases["elements"].max(initial=0)) or 1, axes,
         )  # fmt: skip
 
     @property
     def finals(self) -> dict[str, FloatArray]:
         """The last values of cases by the names of the table's columns."""
-        found: dict[str, FloatArray] = {}
+        columns: dict[str, FloatArray] = {}
         for name in FINALS:
-            if name in self._final:
-                found |= entries(FINALS[name], self._final[name])
-        return found
+            if name in self._end_values:
+                columns |= entries(FINALS[name], self._end_values[name])
+        return columns
 
-    @property
-    def _axes(self) -> dict[str, int]:
-        """Sizes of the axes beside steps and elements."""
-        found: dict[str, int] = {}
-        for kind in self._kinds:
-            for axis, size in kind.sizes:
-                found[axis] = max(size, found.get(axis, 0))
-        return found
-
-    def _of_cases(self, values: Any, otherwise: Any) -> Any:
-        """Return what the index has of each case."""
-        found = np.full(len(self._there), otherwise, dtype=values.dtype)
-        found[self._there] = values[self._listing.entry[self._there]]
-        return found
-
-    def _blocks(self, start: int, stop: int, full: bool) -> Iterator[tuple[Any, int, IntArray]]:
-        """Yield source, block and the stored cases of a window that are there, block by block.
-
-        Parameters
-        ----------
-        full : those only that have any history.
-        """
-        index, entry = self._listing.index, self._listing.entry
-        wanted = self._there[start:stop] & ((self._rows[start:stop] > 0) | (not full))
-        cases = start + np.flatnonzero(wanted)
-        cases = cases[np.argsort(self._block[cases], kind="stable")]
-        cuts = np.flatnonzero(np.diff(self._block[cases])) + 1
-        for own in np.split(cases, cuts) if len(cases) else ():
-            first = int(entry[own[0]])
-            yield index.sources[int(index.source[first])], int(index.block[first]), own
+    def _by_block(self, cases: IntArray) -> Iterator[tuple[StoredBlock, IntArray]]:
+        """Yield the blocks of some stored cases, with the cases of each."""
+        cases = cases[np.argsort(self._cases["block"][cases], kind="stable")]
+        numbers = self._cases["block"][cases]
+        for own in np.split(cases, np.flatnonzero(np.diff(numbers)) + 1) if len(cases) else ():
+            yield self._listing.index.blocks[self._cases["block"][own[0]]], own
 
     def write_histories(self) -> None:
-        """Write what cases have over steps and elements."""
-        file, entry, place = self._file, self._listing.entry, self._listing.index.place
-        fields = {name for kind in self._kinds for name in kind.fields}
-        variables = [
-            *(v for name, v in ROWS.items() if name in HISTORIES or name in fields),
-            *LINE.values(),
-            *(variable for name, variable in EACH.items() if name in fields),
-            *(
-                variable if self._deep else variable.at_last_step()
-                for name, variable in {**FIELDS, EDGE_ELEMENT.name: EDGE_ELEMENT}.items()
-                if name in fields or (variable is EDGE_ELEMENT and "pressure" in fields)
-            ),
-        ]
-        shapes = {v.name: tuple(len(file[axis]) for axis in v.dimensions) for v in variables}
-        window = cases_at_once(8 * max(map(math.prod, shapes.values())))
+        """Write what cases have over steps and elements, block by block of a window of cases."""
+        file, place = self._file, self._cases["place"]
+        fields = {name for block in self._blocks for name in block.fields}
+        profiles = {**FIELDS, EDGE_ELEMENT.name: EDGE_ELEMENT}
+        variables = {
+            variable.name: variable
+            for variable in (
+                *(v for name, v in ROWS.items() if name in HISTORIES or name in fields),
+                *LINE.values(),
+                *(variable for name, variable in EACH.items() if name in fields),
+                *(
+                    variable if self._deep else variable.at_last_step()
+                    for name, variable in profiles.items()
+                    if name in fields or (variable is EDGE_ELEMENT and "pressure" in fields)
+                ),
+            )
+        }
+        shapes = {
+            name: tuple(len(file[axis]) for axis in variable.dimensions)
+            for name, variable in variables.items()
+        }
+        window = cases_at_once(8 * sum(map(math.prod, shapes.values())))
         columns: dict[str, ColumnWriter] = {}
         common = _CommonSteps()
-        for start in range(0, max(len(entry), 1), window):
-            stop = min(start + window, len(entry))
-            asked = self._rows[start:stop] - 1
-            blocks = list(self._blocks(start, stop, full=True))
-            for source, block, cases in blocks:
-                piece = read_stored(source, block, "step")
-                common.look(piece, place[entry[cases]], self._rows[cases])
-            for variable in variables:
-                name = variable.name
-                table = np.full((stop - start, *shapes[name]), np.nan)
-                for source, block, cases in blocks:
-                    piece = read_stored(source, block, name)
-                    if piece is not None:
-                        if has_layers(variable):
-                            piece = with_body_last(piece, table.shape[-1])
-                        places = place[entry[cases]]
-                        put(table, cases - start, piece, places, self._rows[cases])
-                if name == "pressure":
-                    pressure = table
-                if name == EDGE_ELEMENT.name:  # comes after the pressure, which says it all
-                    table = np.where(np.isnan(pressure), np.nan, edge_elements(pressure))
-                if name == STRESS_ASKED:
-                    asked = last_asked(table)
-                if name in BY_SOURCE:
-                    last = asked if name in STRESS else self._rows[start:stop] - 1
-                    self._take_last(name, start, table, last)
+        for start in range(0, max(len(place), 1), window):
+            stop = min(start + window, len(place))
+            tables = {
+                name: np.full((stop - start, *shape), np.nan) for name, shape in shapes.items()
+            }
+            for block, cases in self._by_block(start + np.flatnonzero(self._rows[start:stop])):
+                pieces = block.read(("step", *variables))
+                rows = self._rows[cases]
+                common.look(pieces.pop("step", None), place[cases], rows)
+                for name, piece in pieces.items():
+                    if has_layers(variables[name]):
+                        piece = with_body_last(piece, tables[name].shape[-1])
+                    put(tables[name], cases - start, piece, place[cases], rows)
+            if EDGE_ELEMENT.name in tables:
+                pressure = tables["pressure"]
+                edges = np.where(np.isnan(pressure), np.nan, edge_elements(pressure))
+                tables[EDGE_ELEMENT.name] = edges
+            self._note_end_values(start, tables)
+            for name, table in tables.items():
                 kind: Any = float
                 if name == POINT_SIDE.name:
                     words = side_words(table)
                     kind = text_dtype(words.dtype.itemsize)
                     table = words.astype(kind)
                 if not start:
-                    own = over_cases(variable)
                     columns[name] = ColumnWriter(
-                        make_variable(file, own, kind, window, sample=table)
+                        make_variable(file, over_cases(variables[name]), kind, window, sample=table)
                     )
                 columns[name].write(start, table)
                 self._check_disk()
@@ -253,52 +233,55 @@ class _Writer:
             file["step"].attrs["long_name"] = "number of time steps made"
             file["step"].attrs[SAME_STEPS] = 1
 
-    def _take_last(self, source: str, start: int, table: FloatArray, last: IntArray) -> None:
-        """Take the last values of a window of cases."""
-        final = BY_SOURCE[source]
-        values = final.of(table, last)
-        if not start:
-            self._final[final.name] = np.full((len(self._there), *values.shape[1:]), np.nan)
-        self._final[final.name][start : start + len(values)] = values
+    def _note_end_values(self, start: int, tables: Mapping[str, FloatArray]) -> None:
+        """Note the end values of a window of cases."""
+        stressed = tables.get(STRESS_ASKED)
+        for source in tables.keys() & BY_SOURCE.keys():
+            final, table = BY_SOURCE[source], tables[source]
+            last = self._rows[start : start + len(table)] - 1
+            if source in STRESS and stressed is not None:
+                last = last_asked(stressed)
+            values = final.of(table, last)
+            if not start:
+                shape = len(self._cases), *values.shape[1:]
+                self._end_values[final.name] = np.full(shape, np.nan)
+            self._end_values[final.name][start : start + len(values)] = values
 
     def write_cases(self) -> None:
         """Write what cases have one of each, and the varied keys."""
         self._write_texts()
-        index, file = self._listing.index, self._file
+        file = self._file
         for name, words in self._words.items():
             self._write_words(OF_CASES[name], words)
-        for name, values in (
-            ("seconds", self._of_cases(index.seconds, np.nan)),
-            ("imbalance", self._of_cases(index.imbalance, np.nan)),
-            ("steps_stored", self._rows),
-            ("elements", self._elements),
-        ):
+        for name, column in (
+            ("seconds", "seconds"), ("imbalance", "imbalance"), ("steps_stored", "rows"),
+            ("elements", "elements"),
+        ):  # fmt: skip
+            values = self._cases[column]
             make_variable(file, OF_CASES[name], values.dtype, WINDOW)[:] = values
-        for name, values in self._final.items():
-            if FINALS[name].stored.name not in file:
-                make_variable(file, FINALS[name].stored, float, WINDOW)[:] = values
+        for name in FINALS:
+            if name in self._end_values and FINALS[name].stored.name not in file:
+                own = self._end_values[name]
+                make_variable(file, FINALS[name].stored, float, WINDOW)[:] = own
         self._write_varied()
 
     @cached_property
     def _words(self) -> dict[str, "_Words"]:
         """The short texts of cases."""
-        index = self._listing.index
-        kinds = [*index.kinds, Kind("")]  # the last of which nothing is known
-        kind = self._of_cases(index.kind, -1)
-        reasons, error = {"": 0}, np.zeros(len(index), dtype=np.int64)
-        for place, reason in index.errors.items():
-            error[place] = reasons.setdefault(reason, len(reasons))
+        used, code = np.unique(self._cases["kind"], return_inverse=True)
+        nothing = Kind("")
+        kinds = [self._listing.index.kinds[i] if i >= 0 else nothing for i in used.tolist()]
         return {
-            "status": _Words(_bytes(STATUS), self._of_cases(index.status, 0)),
-            "error": _Words(_bytes(list(reasons)), self._of_cases(error, 0)),
+            "status": _Words(_bytes(STATUS), self._cases["status"]),
+            "error": _Words(_bytes([kind.error for kind in kinds]), code),
             "in_study": _Words(_bytes(("no", "yes")), self._listing.in_study.astype(int)),
-            "version": _Words(_bytes([each.version for each in kinds]), kind),
-            "flags": _Words(_bytes([join_flags(each.flags) for each in kinds]), kind),
+            "version": _Words(_bytes([kind.version for kind in kinds]), code),
+            "flags": _Words(_bytes([join_flags(kind.flags) for kind in kinds]), code),
         }
 
     def _write_words(self, variable: Variable, words: "_Words") -> None:
         """Write texts of cases, window by window."""
-        kind = text_dtype(words.there.dtype.itemsize)
+        kind = text_dtype(words.distinct.dtype.itemsize)
         window = text_window(kind)
         column = ColumnWriter(make_variable(self._file, variable, kind, window, gzip=True))
         for start in range(0, len(words.codes), window):
@@ -307,10 +290,10 @@ class _Writer:
 
     def _write_texts(self) -> None:
         """Write the texts of all cases, and look up varied keys that nobody knows any more."""
-        listing, count = self._listing, len(self._there)
+        listing, count, stored = self._listing, len(self._cases), self._stored
         known = len(listing.columns[0]) if listing.columns else count
-        longest = listing.index.longest if self._there.any() else 1
-        missing = np.flatnonzero(~self._there)
+        longest = max((block.longest for block in self._blocks), default=1)
+        missing = np.flatnonzero(~stored)
         for start in range(0, len(missing), WINDOW):
             texts = listing.texts(missing[start : start + WINDOW])
             longest = max(longest, *map(_size, texts))
@@ -321,21 +304,16 @@ class _Writer:
         )
         for start in range(0, count, window):
             stop = min(start + window, count)
-            found: list[str] = [""] * (stop - start)
-            for source, block, cases in self._blocks(start, stop, full=False):
-                places = listing.index.place[listing.entry[cases]].tolist()
-                with telling_damage(source.path):
-                    texts = source.texts(block, places)
-                for case, text in zip((cases - start).tolist(), texts, strict=True):
-                    found[case] = text
-            here = start + np.flatnonzero(~self._there[start:stop])
-            if len(here):
-                for case, text in zip((here - start).tolist(), listing.texts(here), strict=True):
-                    found[case] = text
-            column.write(start, np.array([text.encode() for text in found], dtype=kind))
+            words = np.empty(stop - start, dtype=object)
+            for block, cases in self._by_block(start + np.flatnonzero(stored[start:stop])):
+                words[cases - start] = block.texts(self._cases["place"][cases].tolist())
+            absent = start + np.flatnonzero(~stored[start:stop])
+            if len(absent):
+                words[absent - start] = listing.texts(absent)
+            column.write(start, np.array([text.encode() for text in words], dtype=kind))
             self._check_disk()
             self._looked_up += [
-                _looked_up(text, listing.names) for text in found[max(known - start, 0) :]
+                _looked_up(text, listing.names) for text in words[max(known - start, 0) :]
             ]
 
     def _write_varied(self) -> None:
@@ -361,8 +339,8 @@ class _Writer:
 
     def rows(self) -> Iterator[Iterator[tuple[str, ...]]]:
         """Yield the rows of cases.csv, window by window."""
-        listing, count, words = self._listing, len(self._there), self._words
-        seconds = self._of_cases(listing.index.seconds, np.nan)
+        listing, count, words = self._listing, len(self._cases), self._words
+        seconds = self._cases["seconds"]
         known = len(listing.columns[0]) if listing.columns else count
         for start in range(0, count, WINDOW):
             here = slice(start, min(start + WINDOW, count))
@@ -412,12 +390,12 @@ class _Words(NamedTuple):
     codes : (cases,) int, which of them each case has.
     """
 
-    there: Any
+    distinct: Any
     codes: IntArray
 
     def of(self, cases: slice) -> Any:
         """Return the texts of some cases."""
-        return self.there[self.codes[cases]]
+        return self.distinct[self.codes[cases]]
 
 
 def _texts(words: Any) -> list[str]:

@@ -115,7 +115,7 @@ class Plan:
     def count(self, index: Index) -> tuple[int, int]:
         """Return how many of the cases are stored, done and failed."""
         entry = index.find(self.study.identities[self.mine])
-        status = index.status[entry[entry >= 0]]
+        status = index["status"][entry[entry >= 0]]
         return int((status == DONE).sum()), int((status == FAILED).sum())
 
     @property
@@ -179,13 +179,16 @@ def make_plan(study: Study, request: Request, held: ExitStack | None) -> Plan:
             index, _ = store.scan(study.identities, mend=False)
     mine = _slice(study, part)
     entry = index.find(study.identities)
-    status = np.where(entry >= 0, index.status[entry], -1) if len(index) else entry
+    status = np.where(entry >= 0, index["status"][entry], -1) if len(index) else entry
     ended = (status == DONE) | ((status == FAILED) & (not request.retry_failed))
     todo = study.members.only(mine & ~ended)
     if not request.mix_versions:
         _refuse_other_versions(folder, index, entry[ended], bool(len(todo.cases)))
     kept = mine & ended
-    flags = Counter(index.kind[entry[kept]].tolist())
+    flags: Counter[tuple[str, ...]] = Counter()
+    for kind, n in Counter(index["kind"][entry[kept]].tolist()).items():
+        if index.kinds[kind].flags:
+            flags[index.kinds[kind].flags] += n
     in_flight = frozenset(path.stem for path in store.interrupted())
     plan = Plan(
         request,
@@ -198,9 +201,7 @@ def make_plan(study: Study, request: Request, held: ExitStack | None) -> Plan:
         int((status[kept] == DONE).sum()),
         int((status[kept] == FAILED).sum()),
         len(index) - int((entry >= 0).sum()),
-        Counter({
-            own: n for kind, n in flags.items() if (own := index.kinds[kind].flags)
-        }),
+        flags,
         len(study.members) <= request.teams,
     )  # fmt: skip
     _check_memory(plan)
@@ -213,14 +214,16 @@ def _interrupted(
     """Return the cases that go on from a checkpoint: a case has one version from start to end."""
     if not in_flight:
         return frozenset()
-    stored = entry[entry >= 0]
-    mine = stored[np.isin(index.ids[stored], [os.fsencode(name) for name in in_flight])]
-    return frozenset(
-        path.stem
-        for path, kind in zip(index.paths(mine), index.kind[mine].tolist(), strict=True)
-        if path == store.inflight(path.stem)
-        and index.kinds[kind].version == ringwear_par.__version__
-    )
+    stored = index.entries[entry[entry >= 0]]
+    going_on = set()
+    for identity, kind, block in stored[["id", "kind", "block"]][
+        np.isin(stored["id"], [os.fsencode(name) for name in in_flight])
+    ].tolist():
+        path = store.inflight(identity.decode())
+        same_version = index.kinds[kind].version == ringwear_par.__version__
+        if index.blocks[block].path == path and same_version:
+            going_on.add(path.stem)
+    return frozenset(going_on)
 
 
 def _refuse_other_versions(folder: Path, index: Index, kept: IntArray, more: bool) -> None:
@@ -232,14 +235,14 @@ def _refuse_other_versions(folder: Path, index: Index, kept: IntArray, more: boo
     more : whether this version computes others.
     """
     counts: Counter[str] = Counter()
-    for kind, n in Counter(index.kind[kept].tolist()).items():
+    for kind, n in Counter(index["kind"][kept].tolist()).items():
         counts[index.kinds[kind].version] += n
     if more:
         counts.setdefault(ringwear_par.__version__, 0)
     if len(counts) > 1:
-        there = ", ".join(f"{n} by {version}" for version, n in counts.most_common() if n)
+        known = ", ".join(f"{n} by {version}" for version, n in counts.most_common() if n)
         raise InputError(
-            f"{folder}: holds cases computed by another version of ringwear-par ({there}; this is "
+            f"{folder}: holds cases computed by another version of ringwear-par ({known}; this is "
             f"{ringwear_par.__version__}); must be a new folder, or --mix-versions (in Python "
             "mix_versions=True), and the variable version tells them apart"
         )
@@ -248,13 +251,13 @@ def _refuse_other_versions(folder: Path, index: Index, kept: IntArray, more: boo
 def _check_memory(plan: Plan) -> None:
     """Refuse what this machine cannot hold, as if all ranks were on it."""
     needed = plan.memory_needed()
-    there = float(os.sysconf("SC_PAGE_SIZE")) * os.sysconf("SC_PHYS_PAGES")
+    memory = float(os.sysconf("SC_PAGE_SIZE")) * os.sysconf("SC_PHYS_PAGES")
     teams, m = plan.request.teams, plan.request.ranks_per_case
-    if needed > 0.9 * there:
+    if needed > 0.9 * memory:
         raise InputError(
             f"{plan.study.name}: {teams} team{'s' if teams > 1 else ''} of {m} "
             f"rank{'s' if m > 1 else ''} need about {needed / 1e9:.3g} GB of memory at once, this "
-            f"machine has {there / 1e9:.3g} GB; must be less: fewer ranks, more of them a case "
+            f"machine has {memory / 1e9:.3g} GB; must be less: fewer ranks, more of them a case "
             "(--ranks-per-case), or smaller cases"
         )
 

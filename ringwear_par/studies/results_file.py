@@ -2,8 +2,8 @@
 
 import math
 from collections import Counter
-from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import h5py
@@ -20,8 +20,16 @@ from ringwear_par.results.reading import (
 )
 from ringwear_par.results.stress_variables import POINT_SIDE, side_numbers
 from ringwear_par.results.variables import LINE, STEP, Variable
-from ringwear_par.studies.earlier import UNKNOWN_VERSION
-from ringwear_par.studies.index import STATUS, Index, Kind, Piece, index_of, split_flags
+from ringwear_par.studies.index import (
+    ENTRY,
+    STATUS,
+    Index,
+    Kind,
+    Piece,
+    StoredBlock,
+    reporting_damage,
+    split_flags,
+)
 from ringwear_par.studies.swept import AXES, EACH, FIELDS, OPTIONAL, ROWS
 
 SOFTWARE = "ringwear-par sweep"
@@ -34,8 +42,6 @@ TABLE_MEANINGS = "cases.csv-metadata.json"
 _WINDOW_BYTES = 24e6
 #: attribute of ``step``: whether all histories begin with the same numbers of steps made
 SAME_STEPS = "same_in_all_cases"
-#: variables that older files do not have, and what is said of their cases
-_OLDER = {"version": UNKNOWN_VERSION, "flags": ""}
 #: variables with dimension (case,)
 OF_CASES = {
     variable.name: variable
@@ -67,14 +73,14 @@ def power_of_2(number: float) -> int:
     return 1 << max(int(number).bit_length() - 1, 0)
 
 
-def told_flags(flagged: Mapping[tuple[str, ...], int]) -> str:
-    """Return how many cases are flagged, and what for."""
+def count_flags(flagged: Mapping[tuple[str, ...], int]) -> str:
+    """Return a sentence on how many cases are flagged, and what for."""
     counts: Counter[str] = Counter()
     for flags, n in flagged.items():
         counts.update(dict.fromkeys(flags, n))
-    told = ", ".join(f"{flag.replace('_', ' ')} ({n})" for flag, n in counts.most_common())
+    words = ", ".join(f"{flag.replace('_', ' ')} ({n})" for flag, n in counts.most_common())
     total = sum(flagged.values())
-    return f"{total} case{'' if total == 1 else 's'} flagged: {told}; see flags in {TABLE}"
+    return f"{total} case{'' if total == 1 else 's'} flagged: {words}; see flags in {TABLE}"
 
 
 def cases_at_once(size: float) -> int:
@@ -100,47 +106,40 @@ def read_entries(path: Path) -> Index | None:
 
 def _index(path: Path, file: h5py.File) -> Index:
     sizes: dict[str, int] = {}
-    ids, status, errors = (read_words(file, name, sizes) for name in ("case", "status", "error"))
-    rows, elements, seconds, imbalance = (
-        read_array(file, OF_CASES[name], sizes)
-        for name in ("steps_stored", "elements", "seconds", "imbalance")
+    ids, status, error, version, flags = (
+        read_words(file, name, sizes) for name in ("case", "status", "error", "version", "flags")
     )
-    fields = tuple(name for name in OPTIONAL if name in file)
-    deep = any(file[name].ndim == 3 for name in fields if name in FIELDS)
-    version, flags = (
-        read_words(file, name, sizes)
-        if name in file
-        else np.full(len(ids), default.encode() or b"", dtype=f"S{len(default) or 1}")
-        for name, default in _OLDER.items()
-    )
+    entries = np.zeros(len(ids), dtype=ENTRY)
+    entries["id"] = ids
+    for column, name in (
+        ("rows", "steps_stored"), ("elements", "elements"), ("seconds", "seconds"),
+        ("imbalance", "imbalance"),
+    ):  # fmt: skip
+        entries[column] = read_array(file, OF_CASES[name], sizes)
     tables = _tables(file, sizes)
-    for numbers, axis in ((rows, "step"), (elements, "element")):
+    for column, axis in (("rows", "step"), ("elements", "element")):
+        numbers = entries[column]
         if not ((numbers >= 0) & (numbers <= sizes.get(axis, 0))).all():
             raise ValueError(axis)
-    there, state = np.unique(status, return_inverse=True)
-    states = np.array([STATUS.index(word.decode()) for word in there], dtype=np.int64)[state]
-    _, first, which = np.unique(
-        np.char.add(np.char.add(version, b"\0x"), flags), return_index=True, return_inverse=True
-    )
-    axes = tuple((axis, sizes[axis]) for axis in AXES if axis in sizes)
-    kinds = [
-        Kind(version[i].decode(), split_flags(flags[i].decode()), fields, deep, axes) for i in first
-    ]
+    names, code = np.unique(status, return_inverse=True)
+    places = np.array([STATUS.index(name.decode()) for name in names], dtype=np.int8)
+    entries["status"] = places[code]
+    codes: dict[tuple[bytes, bytes, bytes], int] = {}
+    columns = zip(version.tolist(), flags.tolist(), error.tolist(), strict=True)
+    entries["kind"] = [codes.setdefault(words, len(codes)) for words in columns]
+    kinds = tuple(Kind(v.decode(), split_flags(f.decode()), e.decode()) for v, f, e in codes)
     longest = _longest(file["case_toml"])
     each = [math.prod(table.shape[1:]) * table.dtype.itemsize for table in tables.values()]
     stretch = cases_at_once(max(longest, 1, *each))
-    source = Results(path, set(tables), stretch)
-    whole = replace(
-        index_of(
-            source, 0, ids, states, rows, elements, seconds, imbalance, kinds[:1] or [Kind("")],
-            errors={int(i): errors[i].decode() for i in np.flatnonzero(errors)},
-            longest=longest,
-        ),
-        kind=which, kinds=tuple(kinds) or (Kind(""),),
-        block=np.arange(len(ids)) // stretch, place=np.arange(len(ids)) % stretch,
-    )  # fmt: skip
-    begun = np.flatnonzero(~np.isnan(seconds))
-    return whole if len(begun) == len(ids) else whole.only(begun)
+    fields = tuple(name for name in OPTIONAL if name in tables)
+    deep = any(tables[name].ndim == 3 for name in fields if name in FIELDS)
+    axes = {axis: sizes[axis] for axis in AXES if axis in sizes}
+    blocks = tuple(
+        ResultsBlock(path, fields, deep, axes, longest, slice(first, first + stretch))
+        for first in range(0, len(ids), stretch)
+    )
+    entries["block"], entries["place"] = np.divmod(np.arange(len(ids)), stretch)
+    return Index(entries[~np.isnan(entries["seconds"])], kinds, blocks)
 
 
 def _longest(dataset: h5py.Dataset) -> int:
@@ -150,64 +149,48 @@ def _longest(dataset: h5py.Dataset) -> int:
     return max((len(word) for word in dataset[:].tolist()), default=1)
 
 
-class Results:
-    """The cases of a results file, in stretches of them; see ``Source``.
+@dataclass(frozen=True, eq=False)
+class ResultsBlock(StoredBlock):
+    """A stretch of the cases of a results file.
 
     Parameters
     ----------
-    path : of the file.
-    names : variables of a case that it has.
-    stretch : number of cases that are read at once.
+    cases : which.
     """
 
-    def __init__(self, path: Path, names: set[str], stretch: int) -> None:
-        self.path, self._names, self._stretch = path, names, stretch
+    cases: slice
 
-    def read(self, block: int, name: str) -> Piece | None:
-        """Return a variable of the cases of a stretch; None where it is not stored.
+    def read(self, names: Iterable[str]) -> dict[str, Piece]:
+        """Return those of some variables that are stored."""
+        pieces = {}
+        with reporting_damage(self.path), reading(self.path, SOFTWARE, WHAT) as file:
+            for name in names:
+                if name == "step":
+                    if file["step"].attrs[SAME_STEPS]:
+                        pieces[name] = Piece(read_array(file, STEP, {}).astype(float)[None])
+                elif name in file:
+                    values = file[name][self.cases]
+                    pieces[name] = Piece(
+                        side_numbers(values) if name == POINT_SIDE.name else values
+                    )
+        return pieces
 
-        Raises
-        ------
-        InputError : the file is damaged.
-        """
-        if name != "step" and name not in self._names:
-            return None
-        with reading(self.path, SOFTWARE, WHAT) as file:
-            if name != "step":
-                values = file[name][self._cases(block)]
-                return Piece(side_numbers(values) if name == POINT_SIDE.name else values)
-            steps = read_array(file, STEP, {}).astype(float)
-            # files of before the attribute: only where they are not just numbered does it matter
-            same = file["step"].attrs.get(SAME_STEPS, (steps != np.arange(len(steps))).any())
-            return Piece(steps[None]) if same else None
-
-    def texts(self, block: int, places: Sequence[int]) -> list[str]:
-        """Return the texts of some cases of a stretch.
-
-        Raises
-        ------
-        InputError : the file is damaged.
-        """
-        with reading(self.path, SOFTWARE, WHAT) as file:
-            words = file["case_toml"][self._cases(block)]
+    def texts(self, places: Sequence[int]) -> list[str]:
+        """Return the TOML texts of some of the cases."""
+        with reporting_damage(self.path), reading(self.path, SOFTWARE, WHAT) as file:
+            words = file["case_toml"][self.cases]
             return [words[place].decode() for place in places]
-
-    def _cases(self, block: int) -> slice:
-        return slice(block * self._stretch, (block + 1) * self._stretch)
-
-    def close(self) -> None:
-        """Let the file go, which is opened for each answer."""
 
 
 def _tables(file: h5py.File, sizes: dict[str, int]) -> dict[str, h5py.Dataset]:
     """Return the variables of a case over all of them."""
-    found = {}
+    tables = {}
     for name, variable in {**ROWS, **LINE, **FIELDS, **EACH}.items():
         if name in file:
             last = name in FIELDS and file[name].ndim == 2
             own = over_cases(variable.at_last_step() if last else variable)
             if name == POINT_SIDE.name:
-                found[name] = find_words(file, name, sizes, own.dimensions)
+                tables[name] = find_words(file, name, sizes, own.dimensions)
             else:
-                found[name] = find_array(file, own, sizes)
-    return found
+                tables[name] = find_array(file, own, sizes)
+    return tables

@@ -1,56 +1,55 @@
-"""What a sweep has computed while it is at work, in blocks of cases: one SQLite file a team.
+"""What a sweep has computed while it is at work: one file a team, blocks of cases end to end.
 
-A case is done once its block is committed. A process that is killed leaves a file that SQLite mends
-by itself; what a power failure can take is what was committed in the last second. Earlier versions
-stored a row a case, in a table of another name, which is still read.
+Blocks are added at the end, and never changed. A case is done once its block is written: a process
+that is killed loses the block that it was writing; what a power failure can take is what was
+written in the last second. The headers of the blocks are the index (see ``blocks``).
 """
 
-import json
-import sqlite3
+import fcntl
+import mmap
+import os
+import shutil
 import time
-import zlib
-from collections.abc import Iterable, Iterator, Sequence
-from contextlib import ExitStack, closing, contextmanager
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager, suppress
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import BinaryIO
 
-import numpy as np
-
-from ringwear_par.arrays import IntArray
+from ringwear_par.atomic import atomic_write
 from ringwear_par.errors import ComputationError
-from ringwear_par.studies.blocks import Block
-from ringwear_par.studies.connections import ReadFile, columns_there, connect, holds_tables_only
-from ringwear_par.studies.earlier import read_cases
-from ringwear_par.studies.index import (
-    DONE,
-    FAILED,
-    MOST_BLOCKS,
-    STATUS,
-    Index,
-    Kind,
-    Piece,
-    index_of,
-    is_damage,
-    join,
-)
-from ringwear_par.studies.swept import FIELDS, OPTIONAL, is_wide, sizes_of, width
-from ringwear_par.studies.texts import Texts
+from ringwear_par.files import open_ordinary
+from ringwear_par.studies.blocks import MARKER, Block, PackedBlock, is_torn, unpack_header
+from ringwear_par.studies.index import DamagedError, Index, join
 
 _SYNC_SECONDS = 1.0
-#: of a block: ids, one a line; see ``Texts``; what is not a column as JSON; columns of its cases;
-#: a checksum of these. Its arrays are by themselves, to be read one by one, each with its checksum
-_BLOCKS = {
-    "number": "INTEGER PRIMARY KEY", "ids": "TEXT", "texts": "TEXT", "about": "TEXT",
-    "status": "BLOB", "rows": "BLOB", "seconds": "BLOB", "imbalance": "BLOB", "crc": "INTEGER",
-}  # fmt: skip
-_ARRAYS = {"block": "INTEGER", "name": "TEXT", "data": "BLOB", "crc": "INTEGER"}
-#: how the arrays of a block are laid out: a value a stored step, a case, or a block
-_ROWS, _EACH, _ONCE = "rows", "cases", "block"
+#: how long to wait for processes of a killed sweep to end, and between two looks
+_BUSY_SECONDS, _NAP_SECONDS = 5.0, 0.05
+
+
+def _lock(file: BinaryIO, path: Path, kind: int) -> None:
+    """Lock a shard for as long as it is open.
+
+    Raises
+    ------
+    ComputationError : another process has it.
+    """
+    limit = time.monotonic() + _BUSY_SECONDS
+    while True:
+        try:
+            fcntl.flock(file, kind | fcntl.LOCK_NB)
+            return
+        except BlockingIOError:
+            if time.monotonic() > limit:
+                raise ComputationError(
+                    f"{path}: is in use by a process of another sweep, perhaps one that was killed"
+                ) from None
+        time.sleep(_NAP_SECONDS)
 
 
 @contextmanager
-def _telling_unwritable(path: Path) -> Iterator[None]:
-    """Tell why a shard cannot be written.
+def _reporting_unwritable(path: Path) -> Iterator[None]:
+    """Say why a shard cannot be written.
 
     Raises
     ------
@@ -58,12 +57,12 @@ def _telling_unwritable(path: Path) -> Iterator[None]:
     """
     try:
         yield
-    except sqlite3.Error as error:
-        raise ComputationError(f"{path}: cannot be written: {error}") from error
+    except OSError as error:
+        raise ComputationError(f"{path}: cannot be written: {error.strerror or error}") from error
 
 
 class Shard:
-    """The file that a team writes its cases to; a context manager.
+    """The file that a team adds its cases to; a context manager.
 
     Parameters
     ----------
@@ -76,15 +75,11 @@ class Shard:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        with _telling_unwritable(path), ExitStack() as at_failure:
-            self._connection = connect(path)
-            at_failure.callback(self._connection.close)
-            self._connection.execute("PRAGMA journal_mode=WAL")
-            self._connection.execute("PRAGMA synchronous=NORMAL")
-            for name, columns in (("arrays", _ARRAYS), ("blocks", _BLOCKS)):
-                table = ", ".join(f"{column} {kind}" for column, kind in columns.items())
-                key = ", PRIMARY KEY (block, name)" if name == "arrays" else ""
-                self._connection.execute(f"CREATE TABLE IF NOT EXISTS {name} ({table}{key})")
+        with _reporting_unwritable(path), ExitStack() as at_failure:
+            self._file = open_ordinary(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW)
+            at_failure.callback(self._file.close)
+            _lock(self._file, path, fcntl.LOCK_EX)
+            self._end = os.fstat(self._file.fileno()).st_size
             at_failure.pop_all()
         self._synced = time.monotonic()
 
@@ -95,62 +90,27 @@ class Shard:
         ------
         ComputationError : the disk, or somebody has removed the file.
         """
-        columns, layout = block.columns, {}
-        arrays: dict[str, Any] = {"step": block.step, **columns.histories}
-        layout.update(dict.fromkeys(arrays, _ROWS))
-        arrays.update(columns.profiles)
-        layout.update(dict.fromkeys(columns.profiles, _ROWS if block.deep else _EACH))
-        arrays.update(block.line)
-        layout.update(dict.fromkeys(block.line, _ONCE))
-        arrays.update(columns.each)
-        layout.update(dict.fromkeys(columns.each, _EACH))
-        texts = block.texts
-        about = {
-            "version": block.version,
-            "elements": len(block.line.get("r", ())),
-            "layout": layout,
-            "sizes": sizes_of(arrays),
-            "errors": {i: reason for i, reason in enumerate(columns.reason) if reason},
-            "flags": {i: flags for i, flags in enumerate(columns.flags) if flags},
-            "longest": texts.longest,
-        }
-        row: dict[str, Any] = {
-            "ids": "\n".join(block.ids),
-            "texts": texts.packed(),
-            "about": json.dumps(about),
-            "status": bytes(map(STATUS.index, columns.status)),
-            "rows": np.diff(columns.offsets).astype(np.int64).tobytes(),
-            "seconds": np.asarray(columns.seconds, dtype=np.float64).tobytes(),
-            "imbalance": np.asarray(columns.imbalance, dtype=np.float64).tobytes(),
-        }
-        row["crc"] = _checksum(row.values())
-        with _telling_unwritable(self.path):
-            execute = self._connection.execute
-            execute("BEGIN")
+        with _reporting_unwritable(self.path):
+            packed, at, handle = memoryview(block.packed()), self._end, self._file.fileno()
             try:
-                number = execute(
-                    f"INSERT INTO blocks ({', '.join(row)}) VALUES ({', '.join('?' for _ in row)})",
-                    tuple(row.values()),
-                ).lastrowid
-                for name, values in arrays.items():
-                    data = np.ascontiguousarray(values, dtype=_dtype(name)).tobytes()
-                    row_of_array = number, name, data, _checksum([data])
-                    execute("INSERT INTO arrays VALUES (?, ?, ?, ?)", row_of_array)
-                execute("COMMIT")
+                while packed:
+                    written = os.pwrite(handle, packed, at)
+                    packed, at = packed[written:], at + written
             except BaseException:
-                if self._connection.in_transaction:
-                    execute("ROLLBACK")
+                with suppress(OSError):
+                    os.ftruncate(handle, self._end)
                 raise
+            self._end = at
             if time.monotonic() - self._synced > _SYNC_SECONDS:
-                self._connection.execute("PRAGMA wal_checkpoint")
+                os.fsync(handle)
                 self._synced = time.monotonic()
                 if not self.path.exists():
                     raise ComputationError(f"{self.path}: was removed while it was written to")
 
     def close(self) -> None:
         """Bring everything to the disk."""
-        with _telling_unwritable(self.path):
-            self._connection.close()
+        with _reporting_unwritable(self.path), self._file:
+            os.fsync(self._file.fileno())
 
     def __enter__(self) -> "Shard":
         return self
@@ -159,164 +119,111 @@ class Shard:
         self.close()
 
 
-def _dtype(name: str) -> Any:
-    return np.int64 if name == "step" else np.float64
+@dataclass(frozen=True, eq=False)
+class ShardContents:
+    """The cases of a shard.
+
+    Parameters
+    ----------
+    index : of its good blocks.
+    damaged : how many stretches of the file are no good blocks.
+    end : where the last good block ends; behind it, if anything, is one that was cut off.
+    """
+
+    index: Index
+    damaged: int
+    end: int
 
 
-def _checksum(values: Iterable[str | bytes]) -> int:
-    checksum = 0
-    for value in values:
-        checksum = zlib.crc32(value.encode() if isinstance(value, str) else value, checksum)
-    return checksum
+def read_shard(path: Path) -> ShardContents | None:
+    """Return the cases of a shard, by the headers of its blocks; None if there is none in it.
 
-
-class _Blocks:
-    """The blocks of a shard, see ``Source``."""
-
-    def __init__(self, file: ReadFile) -> None:
-        self.path, self._file = file.path, file
-        #: by block: number of elements, layout of the arrays, sizes of their other axes
-        self.layouts: dict[int, tuple[int, dict[str, str], dict[str, int]]] = {}
-        self.offsets: dict[int, IntArray] = {}
-
-    def read(self, block: int, name: str) -> Piece | None:
-        """Return a variable of the cases of a block; None where it is not stored."""
-        elements, layout, sizes = self.layouts[block]
-        if name not in layout:
-            return None
-        query = "SELECT data, crc FROM arrays WHERE block = ? AND name = ?"
-        data, crc = self._file.ask(query, block, name)
-        if _checksum([data]) != crc:
-            raise ValueError(name)
-        values = np.frombuffer(data, dtype=_dtype(name))
-        if is_wide(name):
-            values = values.reshape(-1, width(name, elements, sizes))
-        return Piece(values, self.offsets[block] if layout[name] == _ROWS else None)
-
-    def texts(self, block: int, places: Sequence[int]) -> list[str]:
-        """Return the texts of some cases of a block."""
-        (packed,) = self._file.ask("SELECT texts FROM blocks WHERE number = ?", block)
-        return Texts.unpacked(packed, len(self.offsets[block]) - 1).each(places)
-
-    def close(self) -> None:
-        """Let the file go."""
-        self._file.close()
-
-
-def read_index(path: Path) -> tuple[Index, int] | None:
-    """Return the cases of a shard, and how many rows are damaged. Not collective.
-
-    None if it is damaged as a whole. A file without contents, or without a table, holds nothing:
-    its sweep was killed before its first case.
+    Not collective. An empty file holds no case: its sweep was killed before the first.
 
     Raises
     ------
-    ComputationError : it is in use, or cannot be read.
+    ComputationError : it cannot be read.
     """
     if not path.is_file():  # a pipe may keep its reader waiting
         return None
-    tail = Path(f"{path}-wal")
-    if not path.stat().st_size and tail.exists() and tail.stat().st_size:
-        return None  # SQLite would take it for new
+    parts: list[Index] = []
+    damaged = end = 0
+    for begin, block in _scan(path):
+        if isinstance(block, bytes):
+            if is_torn(block):
+                return ShardContents(join(parts), damaged, begin)
+            damaged += 1
+        else:
+            parts.append(block[1])
+            end = block[0].stop
+    return None if damaged and not parts else ShardContents(join(parts), damaged, end)
+
+
+def _scan(path: Path) -> Iterator[tuple[int, bytes | tuple[PackedBlock, Index]]]:
+    """Yield where each block begins, with its index, and stretches that are none, in their order.
+
+    Of these what tells whether they are the beginning of a block.
+    """
     try:
-        with closing(connect(path)) as connection:
-            if not holds_tables_only(connection):
-                return None
-            if connection.execute("PRAGMA quick_check").fetchone()[0] != "ok":
-                return None
-            parts, bad = [], 0
-            file = ReadFile(path)
-            for read in (read_cases, _read_blocks):  # the newer ones are the later
-                found = read(file, connection)
-                if found is None:
-                    return None
-                parts += found[0]
-                bad += len(found[1])
-            return join(parts), bad
-    except sqlite3.DatabaseError as error:
-        if not is_damage(error):
-            raise ComputationError(f"{path}: cannot be read: {error}") from error
-        return None
+        with open_ordinary(path) as file:
+            _lock(file, path, fcntl.LOCK_SH)
+            if not os.fstat(file.fileno()).st_size:
+                return
+            with mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as content:
+                at = 0
+                while at < len(content):
+                    begin = at
+                    while (block := unpack_header(content, at, path)) is None:
+                        at = content.find(MARKER, at + 1)
+                        if at < 0:
+                            at = len(content)
+                            break
+                    if at > begin:
+                        yield begin, content[begin:at] if block is None else b"\0"
+                    if block is not None:
+                        yield at, block
+                        at = block[0].stop
+    except OSError as error:
+        raise ComputationError(f"{path}: cannot be read: {error.strerror or error}") from error
 
 
-def drop_damaged_rows(path: Path) -> None:
-    """Drop rows that ``read_index`` counts as damaged. Not collective.
+def cut(path: Path, end: int) -> None:
+    """Cut off a block without end, which a killed process was writing.
 
     Raises
     ------
     ComputationError : the file cannot be written.
     """
-    with _telling_unwritable(path), closing(connect(path)) as connection:
-        for table, read in (("cases", read_cases), ("blocks", _read_blocks)):
-            found = read(ReadFile(path), connection)
-            for row in found[1] if found is not None else ():
-                if table == "blocks":
-                    connection.execute("DELETE FROM arrays WHERE block = ?", (row,))
-                connection.execute(f"DELETE FROM {table} WHERE rowid = ?", (row,))
+    with _reporting_unwritable(path):
+        os.truncate(path, end)
 
 
-def _read_blocks(
-    file: ReadFile, connection: sqlite3.Connection
-) -> tuple[list[Index], list[int]] | None:
-    """Return the indices of the blocks of a shard, and which are damaged; None if all of it is."""
-    there = columns_there(connection, "blocks")
-    if not there:
-        return [], []
-    if _BLOCKS.keys() - there or _ARRAYS.keys() - columns_there(connection, "arrays"):
-        return None
-    sizes: dict[int, dict[str, int]] = {}
-    lengths = "CASE typeof(data) WHEN 'blob' THEN length(data) END"
-    for block, name, size in connection.execute(f"SELECT block, name, {lengths} FROM arrays"):
-        sizes.setdefault(block, {})[name] = size
-    source, parts, bad = _Blocks(file), [], []
-    for number, *row, crc in connection.execute(f"SELECT {', '.join(_BLOCKS)} FROM blocks"):
-        try:
-            parts.append(_index_block(source, number, row, crc, sizes.get(number, {})))
-        except (ValueError, TypeError, LookupError, AttributeError, RecursionError):
-            bad.append(number)
-    return parts, bad
+def drop_damaged_blocks(path: Path, copy: Path) -> bool:
+    """Leave of a shard its good blocks alone; return whether there was anything else.
 
+    Not collective.
 
-def _index_block(
-    source: _Blocks, number: int, row: Sequence[Any], crc: int, sizes: dict[str, int]
-) -> Index:
-    """Return the index of a block, and note how it is laid out.
+    Parameters
+    ----------
+    copy : name of a copy of what there was.
 
     Raises
     ------
-    ValueError, TypeError, LookupError, AttributeError : it is damaged.
+    ComputationError : the file cannot be read or written.
     """
-    if _checksum(row) != crc or not 0 < number < MOST_BLOCKS:
-        raise ValueError("checksum")
-    ids, _, text, status, *numbers = row
-    rows = np.frombuffer(numbers[0], dtype=np.int64)
-    seconds, imbalance = (np.frombuffer(data) for data in numbers[1:])
-    about = json.loads(text)
-    elements, layout = about["elements"], about["layout"]
-    axes = about.get("sizes", {})  # which older blocks do not have
-    names = np.array(ids.encode().split(b"\n"))
-    states = np.frombuffer(status, dtype=np.uint8).astype(np.int64)
-    version, longest = about["version"], about["longest"]
-    same = len(names) == len(states) == len(rows) == len(seconds) == len(imbalance)
-    if not (same and isinstance(version, str) and longest >= 0 and rows.min() >= 0):
-        raise ValueError(text)
-    if not ((states == FAILED) | (states == DONE)).all():
-        raise ValueError(status)
-    count = {_ROWS: int(rows.sum()), _EACH: len(names), _ONCE: 1}
-    for name, how in layout.items():
-        if sizes[name] != 8 * width(name, elements, axes) * count[how]:
-            raise ValueError(name)
-    flags = {int(i): tuple(own) for i, own in about["flags"].items()}
-    fields = tuple(name for name in OPTIONAL if name in layout)
-    deep = any(layout[name] == _ROWS for name in fields if name in FIELDS)
-    plain = Kind(version, (), fields, deep, tuple(axes.items()))
-    kinds = [plain] if not flags else [
-        plain._replace(flags=flags.get(i, ())) for i in range(len(names))
-    ]  # fmt: skip
-    source.layouts[number] = elements, layout, axes
-    source.offsets[number] = np.concatenate([[0], np.cumsum(rows)])
-    return index_of(
-        source, number, names, states, rows, np.where(rows > 0, elements, 0), seconds, imbalance,
-        kinds, errors={int(i): error for i, error in about["errors"].items()},
-        longest=longest,
-    )  # fmt: skip
+    good, size = [], 0
+    for begin, block in _scan(path):
+        if not isinstance(block, bytes):
+            with suppress(DamagedError):  # of its data
+                block[0].check()
+                good.append((begin, block[0].stop))
+                size += block[0].stop - begin
+    if size == path.stat().st_size:
+        return False
+    with _reporting_unwritable(path):
+        shutil.copy(path, copy)
+        with copy.open("rb") as source, atomic_write(path) as name, name.open("wb") as target:
+            for begin, stop in good:
+                source.seek(begin)
+                target.write(source.read(stop - begin))
+    return True

@@ -6,11 +6,9 @@ of a study keep to files of their own until the whole is merged.
 """
 
 import os
-import shutil
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
-from functools import cached_property
 from itertools import chain, count
 from pathlib import Path
 from typing import Any
@@ -27,15 +25,15 @@ from ringwear_par.results.reading import UnreadableError
 from ringwear_par.results.stress_variables import point_columns, stress_rows
 from ringwear_par.results.variables import TIMES_THROUGH
 from ringwear_par.studies import results_file, shards
-from ringwear_par.studies.blocks import Record, index_record, piece_of
+from ringwear_par.studies.blocks import Block, Record, unpack_header
 from ringwear_par.studies.identities import case_id
-from ringwear_par.studies.index import DAMAGE, INCOMPLETE, Index, Piece, join, latest
+from ringwear_par.studies.index import DAMAGE, INCOMPLETE, Index, join, latest
 from ringwear_par.studies.locks import forget_slices
 from ringwear_par.studies.results_file import RESULTS
 
 
 @contextmanager
-def telling_unreadable() -> Iterator[None]:
+def reporting_unreadable() -> Iterator[None]:
     """Have a sweep fail where a file of its folder cannot be read now: that is no bad input."""
     try:
         yield
@@ -43,6 +41,8 @@ def telling_unreadable() -> Iterator[None]:
         raise ComputationError(str(error)) from error
 
 
+#: how names of shards end
+SHARD = ".blocks"
 _FOLDERS = ("shards", "inflight", "operators")
 
 
@@ -61,7 +61,7 @@ class Store:
 
     def shard(self, team: int) -> Path:
         """Return the file that a team writes to."""
-        return self.folder / "shards" / f"{self.part or 'all'}_{team:04d}.sqlite"
+        return self.folder / "shards" / f"{self.part or 'all'}_{team:04d}{SHARD}"
 
     def inflight(self, identity: str) -> Path:
         """Return the file of a case that was interrupted."""
@@ -110,14 +110,14 @@ class Store:
         for path in (self.folder / "operators").glob(f"{self.part or '*'}_*"):
             path.unlink(missing_ok=True)
 
-    @telling_unreadable()
+    @reporting_unreadable()
     def scan(self, ids: Any, mend: bool) -> tuple[Index, list[str]]:
         """Return the stored cases, and sentences on what is damaged. Needs the lock.
 
         Parameters
         ----------
         ids : (cases,) bytes, of the study, whose checkpoints have to be theirs.
-        mend : move damaged files aside, drop damaged rows.
+        mend : set damaged files and blocks aside, cut off what a killed process was writing.
 
         Raises
         ------
@@ -127,26 +127,21 @@ class Store:
         notes = []
         results = self.folder / RESULTS
         if results.exists():
-            found = results_file.read_entries(results)
-            if found is None:
+            index = results_file.read_entries(results)
+            if index is None:
                 notes.append(self.set_aside(results, mend))
             else:
-                parts.append(found)
-        for path in sorted((self.folder / "shards").glob(f"{self.part or '*'}_*.sqlite")):
-            index = shards.read_index(path)
-            if index is None:
+                parts.append(index)
+        for path in sorted((self.folder / "shards").glob(f"{self.part or '*'}_*{SHARD}")):
+            contents = shards.read_shard(path)
+            if contents is None:
                 notes.append(self.set_aside(path, mend))
                 continue
-            if index[1]:
-                aside = _free_name(path)
-                if mend:
-                    shutil.copy(path, aside)
-                    shards.drop_damaged_rows(path)
-                notes.append(
-                    f"{path}: {index[1]} of its rows are damaged (kept in {aside.name}); their "
-                    "cases run again"
-                )
-            parts.append(index[0])
+            if contents.damaged:
+                notes.append(self.mend(path, mend))
+            elif mend:
+                shards.cut(path, contents.end)
+            parts.append(contents.index)
         # a failure never hides a success
         stored = latest(join(parts))
         interrupted, more = self._in_flight(stored, ids, mend)
@@ -157,9 +152,9 @@ class Store:
         paths = self.interrupted()
         names = np.array([os.fsencode(path.stem) for path in paths] or [b""])[: len(paths)]
         entries, mine = stored.find(names), np.isin(names, ids)
-        found, notes = [], []
+        parts, notes = [], []
         for path, entry, own in zip(paths, entries.tolist(), mine.tolist(), strict=True):
-            if entry >= 0 and stored.status[entry] != INCOMPLETE:
+            if entry >= 0 and stored["status"][entry] != INCOMPLETE:
                 if mend:  # killed between storing the case and this
                     path.unlink(missing_ok=True)
                 continue
@@ -167,7 +162,10 @@ class Store:
                 record = _interrupted(path)
                 if own and _id_of(record) != path.stem:
                     raise InputError(f"{path}: is of another case than its name says")
-                found.append(index_record(record, _InFlight(path), 0))
+                packed = Block.of([record]).packed()
+                block = unpack_header(packed, 0, path, packed)
+                assert block is not None
+                parts.append(block[1])
             except UnreadableError:
                 raise
             except InputError as error:
@@ -175,7 +173,21 @@ class Store:
                     if mend:
                         path.unlink(missing_ok=True)
                     notes.append(f"{error}; this case starts anew")
-        return found, notes
+        return parts, notes
+
+    def mend(self, path: Path, mend: bool = True) -> str:
+        """Drop what is damaged of a shard, or set another file aside; return a sentence on it.
+
+        Parameters
+        ----------
+        mend : False: return the sentence only.
+        """
+        if path.suffix != SHARD:
+            return self.set_aside(path, mend)
+        copy = _free_name(path)
+        if mend and not shards.drop_damaged_blocks(path, copy):
+            return self.set_aside(path)
+        return f"{path}: some of it is damaged (kept in {copy.name}); its cases run again"
 
     def set_aside(self, path: Path, mend: bool = True) -> str:
         """Give a damaged file another name, which no file has, and return a sentence on it.
@@ -186,14 +198,13 @@ class Store:
         """
         aside = _free_name(path)
         if mend:
-            for tail in ("", "-wal", "-journal", "-shm"):  # those of SQLite
-                with suppress(FileNotFoundError):  # there is none, or another slice was first
-                    Path(f"{path}{tail}").replace(f"{aside}{tail}")
+            with suppress(FileNotFoundError):  # another slice was first
+                path.replace(aside)
         return f"{path}: is damaged (kept as {aside.name}); its cases run again"
 
     def forget_shards(self) -> None:
         """Remove what results.h5 holds by now, and what slices have left."""
-        for path in (self.folder / "shards").glob("*.sqlite*"):
+        for path in (self.folder / "shards").glob(f"*{SHARD}*"):
             path.unlink(missing_ok=True)
         forget_slices(self.folder)
         for name in _FOLDERS:  # what is damaged or interrupted stays
@@ -207,33 +218,6 @@ def _free_name(path: Path) -> Path:
     numbers = chain([""], count(2))
     names = (path.with_name(f"{path.stem}.damaged{number}{ending}") for number in numbers)
     return next(name for name in names if not name.exists())
-
-
-class _InFlight:
-    """An interrupted case, see ``Source``.
-
-    Parameters
-    ----------
-    path : of its file.
-    """
-
-    def __init__(self, path: Path) -> None:
-        self.path = path
-
-    @cached_property
-    def _record(self) -> Record:
-        return _interrupted(self.path)
-
-    def read(self, _: int, name: str) -> Piece | None:
-        """Return a variable of the case; None where it is not stored."""
-        return piece_of(self._record, name)
-
-    def texts(self, _: int, places: Sequence[int]) -> list[str]:
-        """Return its text."""
-        return [self._record.toml] * len(places)
-
-    def close(self) -> None:
-        """Let the file go, which is read at once."""
 
 
 def _interrupted(path: Path) -> Record:

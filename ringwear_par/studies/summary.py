@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from ringwear_par.results.progress import duration
-from ringwear_par.studies.results_file import RESULTS, TABLE, told_flags
+from ringwear_par.studies.results_file import RESULTS, TABLE, count_flags
 from ringwear_par.studies.workers import Timings
 
 _KNOWN = ("stepping", "assembly", "waiting", "output")
@@ -63,7 +63,7 @@ class Summary:
         if worst > 0.0:
             lines.append(f"worst balance (force, volume, energy, KKT) of these cases: {worst:.1e}")
         if self.flagged:
-            lines.append(told_flags(self.flagged))
+            lines.append(count_flags(self.flagged))
         if self.part:
             lines.append(
                 "the same command without --slice computes what is left and merges all slices"

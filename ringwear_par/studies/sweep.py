@@ -35,7 +35,7 @@ from ringwear_par.studies.operators import PATIENCE_SECONDS, StorageError
 from ringwear_par.studies.plan import Plan, Request, make_plan
 from ringwear_par.studies.results_file import RESULTS, TABLE
 from ringwear_par.studies.scheduling import Scheduler
-from ringwear_par.studies.store import telling_unreadable
+from ringwear_par.studies.store import reporting_unreadable
 from ringwear_par.studies.study import Study, read_study_together
 from ringwear_par.studies.summary import Summary
 from ringwear_par.studies.workers import Timings, Worker, provide_operator
@@ -291,7 +291,7 @@ def _mark(path: Path) -> None:
         log.warning("%s: cannot be written: %s", path, error.strerror)
 
 
-@telling_unreadable()
+@reporting_unreadable()
 def _settle(plan: Plan, summary: Summary, well: bool) -> tuple[int, int]:
     """Merge if all is well and this is no slice; return what is stored, done and failed.
 
@@ -314,7 +314,7 @@ def _settle(plan: Plan, summary: Summary, well: bool) -> tuple[int, int]:
             if not plan.store.part:
                 _merge(plan, summary, index)
         except DamagedError as error:
-            log.warning("%s", plan.store.set_aside(error.path))
+            log.warning("%s", plan.store.mend(error.path))
             awaited = 0  # what was in it will not come to light
             continue
         return plan.count(index)
@@ -355,7 +355,7 @@ def _merge(plan: Plan, summary: Summary, index: Index) -> None:
     listing = Listing(
         study.names,
         study.cases.columns,
-        np.concatenate([study.identities, index.ids[gone]]),
+        np.concatenate([study.identities, index["id"][gone]]),
         np.arange(len(entry) + len(gone)) < len(entry),
         index,
         np.concatenate([entry, gone]),
@@ -370,10 +370,6 @@ def _merge(plan: Plan, summary: Summary, index: Index) -> None:
         "ranks": ranks,
         **versions(),
     }
-    try:
-        write_ensemble(store.folder, listing, attributes)
-    finally:
-        for source in index.sources:
-            source.close()
+    write_ensemble(store.folder, listing, attributes)
     if ended >= summary.done + summary.failed:  # else they may yet come to light
         store.forget_shards()

@@ -19,7 +19,7 @@ from ringwear_par.studies.bad_cases import LOOKED_AT, told_faults
 from ringwear_par.studies.designs import read_draft
 from ringwear_par.studies.groups import Groups
 from ringwear_par.studies.identities import case_id
-from ringwear_par.studies.index import Piece, index_of, join, latest, put
+from ringwear_par.studies.index import ENTRY, Index, Piece, join, latest, put
 from ringwear_par.studies.study import read_study
 from ringwear_par.studies.texts import Texts
 from ringwear_par.studies.variations import column_of, split_key, varied_keys
@@ -259,12 +259,10 @@ def test_groups_keep_their_numbers_when_cases_go():
     assert left.sizes.tolist() == [1, 0, 2]
 
 
-def an_index(ids, status, source="a"):
-    count = len(ids)
-    return index_of(
-        source, 0, np.array(ids, dtype="S"), np.array(status), *np.zeros((2, count), dtype=int),
-        *np.zeros((2, count)), ["kind"],
-    )  # fmt: skip
+def an_index(ids, status, block="a"):
+    entries = np.zeros(len(ids), dtype=ENTRY)
+    entries["id"], entries["status"] = ids, status
+    return Index(entries, ("kind",), (block,))
 
 
 def test_what_is_stored_twice_counts_once():
@@ -274,8 +272,8 @@ def test_what_is_stored_twice_counts_once():
     third = an_index(["c", "d"], [2, 2], "c")
     index = latest(join([first, second, third]))
     found = {
-        identity.decode(): (int(status), index.sources[source])
-        for identity, status, source in zip(index.ids, index.status, index.source, strict=True)
+        identity.decode(): (status, index.blocks[block])
+        for identity, status, block in index.entries[["id", "status", "block"]].tolist()
     }
     assert found == {"a": (1, "b"), "b": (2, "a"), "c": (2, "c"), "d": (2, "a"), "longer": (0, "b")}
     assert index.find(np.array([b"d", b"x", b"longer"]))[1] == -1

@@ -1,8 +1,5 @@
 """Versions and doubts of stored cases: never mixed in silence, never silent."""
 
-import sqlite3
-
-import h5py
 import pytest
 from swept import CASE, table, variables, write_study
 
@@ -10,10 +7,7 @@ import ringwear_par
 from ringwear_par import info
 from ringwear_par.errors import ComputationError, InputError
 from ringwear_par.studies import workers
-from ringwear_par.studies.blocks import Block, Record
 from ringwear_par.studies.ensemble import open_ensemble
-from ringwear_par.studies.index import Kind
-from ringwear_par.studies.shards import Shard, read_index
 from ringwear_par.studies.sweep import sweep
 
 THRESHOLDS = '[vary]\n"wear.lower.p0" = {{ values = [{}] }}\n'
@@ -74,46 +68,6 @@ def test_interrupted_cases_of_another_version_start_anew(
     assert comm.rank > 0 or "1 interrupted cases of another version start anew" in caplog.text
     (row,) = table(shared_path / "out")
     assert row["version"] == "99.0"
-
-
-def test_results_of_before_versions_are_of_an_unknown_one(swept, shared_path, comm):
-    swept("0, 20")
-    if comm.rank == 0:
-        with h5py.File(shared_path / "out" / "results.h5", "r+") as file:
-            del file["version"], file["flags"]
-            del file["step"].attrs["same_in_all_cases"]
-    comm.Barrier()
-    with pytest.raises(InputError, match="2 by unknown"):
-        swept("0, 20, 40")
-    swept("0, 20, 40", mix_versions=True)
-    rows = table(shared_path / "out")
-    assert [row["version"] for row in rows] == ["unknown", "unknown", ringwear_par.__version__]
-    assert [row["flags"] for row in rows] == [""] * 3
-
-
-@pytest.mark.serial
-def test_shards_of_before_versions_are_of_an_unknown_one(tmp_path):
-    path = tmp_path / "all_0000.sqlite"
-    with sqlite3.connect(path) as old:
-        old.execute(
-            "CREATE TABLE cases (id TEXT PRIMARY KEY, toml TEXT, status TEXT, error TEXT, "
-            "seconds REAL, imbalance REAL, layout TEXT, data BLOB)"
-        )
-        old.execute("INSERT INTO cases VALUES ('a', 'x', 'done', '', 1.0, 0.0, '{}', x'')")
-    old.close()
-    size = path.stat().st_size
-    index, damaged = read_index(path)
-    assert (index.kinds, damaged) == ((Kind("unknown"),), 0)
-    assert index.sources[0].texts(1, [0]) == ["x"]
-    index.sources[0].close()
-    assert path.stat().st_size == size  # a look changes nothing
-    with Shard(path) as shard:
-        record = Record("b", "y", "done", "", 2.0, 0.0, {}, "3.0", ("one", "two"))
-        shard.add(Block.of([record]))
-    index, _ = read_index(path)
-    assert {key: index.kinds[kind] for key, kind in zip(index.ids, index.kind, strict=True)} == {
-        b"a": Kind("unknown"), b"b": Kind("3.0", ("one", "two")),
-    }  # fmt: skip
 
 
 UNSTABLE = CASE.replace('scheme = "implicit"', 'scheme = "explicit"').replace(

@@ -289,14 +289,12 @@ def test_damaged_shard(tmp_path, held):
         end(process)
     waiting.release()
     assert 0 < len(faults.done_before(output)) <= waiting.cases // 2
-    shard = sorted((output / "shards").glob("*.sqlite"))[0]
-    for path in shard.parent.glob(f"{shard.name}-*"):
-        path.unlink()
+    shard = sorted((output / "shards").glob("*.blocks"))[0]
     with shard.open("ab") as file:
         file.truncate(shard.stat().st_size // 2)
         file.write(b"nonsense" * 100)
     with shard.open("rb+") as file:
-        file.write(b"no database any more")
+        file.write(b"no block any more")
     result = sweep(waiting.study, output)
     assert result.returncode == 0, result.stderr
     (told,) = [line for line in sentences(result.stderr) if "is damaged" in line]
@@ -315,7 +313,7 @@ def test_two_sweeps_in_one_folder(tmp_path, held):
     (waiting, reference), output = held, tmp_path / "out"
     process = start(waiting.study, output)
     try:
-        until(lambda: any((output / "shards").glob("*.sqlite")), process)
+        until(lambda: any((output / "shards").glob("*.blocks")), process)
         second = sweep(waiting.study, output, ranks=0)
         assert second.returncode == 2, second.stderr
         (told,) = sentences(second.stderr)

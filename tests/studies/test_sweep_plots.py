@@ -17,7 +17,7 @@ from ringwear_par.studies.ensemble import Ensemble, read_ensemble
 from ringwear_par.studies.figures import choose, draw_sweep, plot_sweep
 from ringwear_par.studies.index_bars import index_bars
 from ringwear_par.studies.sensitivity import sensitivity
-from ringwear_par.studies.shards import Shard, read_index
+from ringwear_par.studies.shards import Shard, read_shard
 from ringwear_par.studies.variations import column_of
 
 pytestmark = [pytest.mark.serial, pytest.mark.slow]
@@ -53,9 +53,9 @@ def write(
                 arrays=arrays, version="1",
             )  # fmt: skip
 
-    with Shard(folder / "all_0000.sqlite") as shard:
+    with Shard(folder / "all_0000.blocks") as shard:
         shard.add(Block.of(list(records())))
-    index, _ = read_index(folder / "all_0000.sqlite")
+    index = read_shard(folder / "all_0000.blocks").index
     columns = tuple(map(column_of, map(list, zip(*rows, strict=True))))
     ids, entry = np.array([f"{n:016x}".encode() for n in range(count)]), np.full(count, -1)
     entry[stored] = np.arange(len(stored))
@@ -70,8 +70,7 @@ def write(
     )
     attributes = {"method": method, "study": "", "status": "complete", "ranks": 1}
     write_ensemble(folder, listing, attributes)
-    index.sources[0].close()
-    (folder / "all_0000.sqlite").unlink()
+    (folder / "all_0000.blocks").unlink()
     return read_ensemble(folder)
 
 

@@ -117,7 +117,7 @@ def test_an_operator_that_one_rank_never_sees(swept, comm, monkeypatch):
 def test_a_signal_to_any_rank_ends_the_wait_for_an_operator(shared_path, comm):
     """That another team was to provide."""
     store = SimpleNamespace(
-        shard=lambda team: shared_path / f"{team}.sqlite",
+        shard=lambda team: shared_path / f"{team}.blocks",
         operator=lambda group: shared_path / f"{group}.npy",
     )
     plan = SimpleNamespace(store=store, all_assemble=False)
