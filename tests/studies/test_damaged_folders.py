@@ -190,9 +190,9 @@ def test_shards_that_are_removed_under_a_sweep(tmp_path, swept, comm, monkeypatc
     output, store_one = tmp_path / "out", workers.Worker._store
     stored = []
 
-    def storing(self, block, *more):
-        store_one(self, block, *more)
-        stored.extend(block.ids)
+    def storing(self, columns, cases, ids, *more):
+        store_one(self, columns, cases, ids, *more)
+        stored.extend(ids)
         if len(stored) == 2:
             shutil.rmtree(output / "shards")
 

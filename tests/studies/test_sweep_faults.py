@@ -25,8 +25,8 @@ pytestmark = [
 ]
 #: cases of the short study
 SHORT = 60
-#: who has options for the solver of single contacts has single cases
-_ONE_BY_ONE = ("--", "-contact_tao_type", "python")
+#: a team of ranks has one case at a time, with checkpoints
+_ONE_BY_ONE = ("--ranks-per-case", "2")
 
 
 def sweep(study, output, *words, ranks=2, patience=100):
@@ -95,15 +95,6 @@ def unhurried(tmp_path_factory):
     waiting = Waiting(folder)
     faults.run_reference(faults.command(waiting.study, folder / "reference", 2), SHELL_ENVIRONMENT)
     return waiting, folder / "reference"
-
-
-@pytest.fixture(scope="module")
-def one_by_one_reference(unhurried):
-    """The same folder of results, of cases that are computed one by one."""
-    waiting, reference = unhurried
-    result = sweep(waiting.study, reference.with_name("one_by_one"), *_ONE_BY_ONE)
-    assert result.returncode == 0, result.stderr
-    return reference.with_name("one_by_one")
 
 
 @pytest.fixture
@@ -221,7 +212,7 @@ def test_case_that_raises(tmp_path, short, monkeypatch, one_by_one, comm):
 
 def test_cases_that_never_converge(tmp_path, short):
     study, reference = short[0], tmp_path / "reference"
-    result = sweep(study, reference, *_ONE_BY_ONE)
+    result = sweep(study, reference)
     assert result.returncode == 0, result.stderr
     result = sweep(study, tmp_path / "out", "--", "-contact_tao_max_it", "1")
     assert result.returncode == 1
@@ -231,7 +222,7 @@ def test_cases_that_never_converge(tmp_path, short):
     assert failed
     assert f"{failed} of {SHORT} cases failed" in sentences(result.stderr)[-1]
     assert all(bool(e) == (s == "failed") for s, e in zip(status, error, strict=True))
-    result = sweep(study, tmp_path / "out", "--retry-failed", *_ONE_BY_ONE)
+    result = sweep(study, tmp_path / "out", "--retry-failed")
     assert result.returncode == 0, result.stderr
     assert not faults.differences(tmp_path / "out", reference)
 
@@ -327,8 +318,8 @@ def test_two_sweeps_in_one_folder(tmp_path, held):
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGUSR1])
-def test_signal_to_one_rank(tmp_path, one_by_one_reference, held, number):
-    waiting, output = held[0], tmp_path / "out"
+def test_signal_to_one_rank(tmp_path, held, number):
+    (waiting, reference), output = held, tmp_path / "out"
     process = start(waiting.study, output, *_ONE_BY_ONE)
     try:
         until(lambda: waiting.waits == 2, process)
@@ -353,7 +344,7 @@ def test_signal_to_one_rank(tmp_path, one_by_one_reference, held, number):
     result = sweep(waiting.study, output, *_ONE_BY_ONE)
     assert result.returncode == 0, result.stderr
     assert kept(before, output)
-    assert not faults.differences(output, one_by_one_reference)
+    assert not faults.differences(output, reference)
 
 
 def test_no_checkpoint_is_left(tmp_path, monkeypatch, one_by_one, comm):
