@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from ringwear_par.cases.reading import read_case
     from ringwear_par.elasticity.pair import ContactPair
     from ringwear_par.errors import ComputationError, InputError
-    from ringwear_par.history.pairs import assemble
+    from ringwear_par.history.elastic.pairs import assemble
     from ringwear_par.identification.design import DesignResult, design
     from ringwear_par.identification.fit import fit
     from ringwear_par.identification.outcome import FitResult
@@ -33,12 +33,12 @@ if TYPE_CHECKING:
     from ringwear_par.results.files import open_result
     from ringwear_par.results.result import FailedResult, Result
     from ringwear_par.results.simulate import simulate
-    from ringwear_par.studies.ensemble import open_ensemble
-    from ringwear_par.studies.many import simulate_all
-    from ringwear_par.studies.plot import plot
-    from ringwear_par.studies.study import Study, read_study
-    from ringwear_par.studies.surrogate import surrogate
-    from ringwear_par.studies.sweep import sweep
+    from ringwear_par.studies.analysis.surrogate import surrogate
+    from ringwear_par.studies.definition.study import Study, read_study
+    from ringwear_par.studies.execution.many import simulate_all
+    from ringwear_par.studies.execution.sweep import sweep
+    from ringwear_par.studies.pictures.plot import plot
+    from ringwear_par.studies.storage.ensemble import open_ensemble
     from ringwear_par.wear.law import LocalState, WearLaw
 
 _PUBLIC = {
@@ -51,21 +51,21 @@ _PUBLIC = {
     "InputError": "errors",
     "LocalState": "wear.law",
     "Result": "results.result",
-    "Study": "studies.study",
+    "Study": "studies.definition.study",
     "WearLaw": "wear.law",
-    "assemble": "history.pairs",
+    "assemble": "history.elastic.pairs",
     "design": "identification.design",
     "fit": "identification.fit",
-    "open_ensemble": "studies.ensemble",
+    "open_ensemble": "studies.storage.ensemble",
     "open_result": "results.files",
-    "plot": "studies.plot",
+    "plot": "studies.pictures.plot",
     "read_case": "cases.reading",
-    "read_study": "studies.study",
+    "read_study": "studies.definition.study",
     "report": "reports.report",
     "simulate": "results.simulate",
-    "simulate_all": "studies.many",
-    "surrogate": "studies.surrogate",
-    "sweep": "studies.sweep",
+    "simulate_all": "studies.execution.many",
+    "surrogate": "studies.analysis.surrogate",
+    "sweep": "studies.execution.sweep",
 }
 __all__ = [
     "Case", "ComputationError", "ContactPair", "DesignResult", "FailedResult", "FitResult",

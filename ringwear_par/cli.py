@@ -276,7 +276,7 @@ def _run(args: argparse.Namespace, comm: Any) -> None:
 
 
 def _sweep(args: argparse.Namespace, comm: Any) -> None:
-    from ringwear_par.studies.sweep import run_sweep
+    from ringwear_par.studies.execution.sweep import run_sweep
 
     run_sweep(
         args.study, args.output, comm, ranks_per_case=args.ranks_per_case, part=args.part,
@@ -310,7 +310,7 @@ def _plot(args: argparse.Namespace, comm: Any) -> None:
         on_first_rank(comm, lambda: plot_files(args.results, args.output, *chosen))
         return
     from ringwear_par.folders import refuse_drawn
-    from ringwear_par.studies.figures import plot_sweep
+    from ringwear_par.studies.pictures.figures import plot_sweep
 
     refuse_drawn(folders[0])
     if len(args.results) > 1:

@@ -25,7 +25,7 @@ from mpi4py import MPI
 from scipy.stats import qmc
 
 import ringwear_par as rw
-from ringwear_par.history.bodies import young
+from ringwear_par.history.elastic.bodies import young
 
 CASES = Path(__file__).parent / "cases"
 _ADAPTIVE = {

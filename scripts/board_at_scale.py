@@ -15,7 +15,7 @@ import time
 
 import numpy as np
 
-from ringwear_par.studies.scheduling import _NAP_SECONDS, Board
+from ringwear_par.studies.execution.scheduling import _NAP_SECONDS, Board
 
 #: s, of a draw however small, of each of its cases, and of storing it: adaptive histories on 64
 #: elements, measured by ``benchmark.py --ensembles``

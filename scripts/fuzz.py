@@ -46,11 +46,11 @@ from ringwear_par.results.figures import plot_files
 from ringwear_par.results.files import open_result, read_error, read_status
 from ringwear_par.results.variables import HISTORIES
 from ringwear_par.results.writing import write_result
-from ringwear_par.studies.ensemble import read_ensemble
-from ringwear_par.studies.figures import plot_sweep
-from ringwear_par.studies.index import DamagedError
-from ringwear_par.studies.results_file import read_entries
-from ringwear_par.studies.study import read_study
+from ringwear_par.studies.definition.study import read_study
+from ringwear_par.studies.pictures.figures import plot_sweep
+from ringwear_par.studies.storage.ensemble import read_ensemble
+from ringwear_par.studies.storage.index import DamagedError
+from ringwear_par.studies.storage.results_file import read_entries
 
 CASES = Path(__file__).parent / "cases"
 SMALL = ["--set", "mesh.contact_elements=8", "time.steps=4"]
@@ -151,7 +151,7 @@ def read_words(folder: Path, _: random.Random) -> None:
     if args.command in ("run", "laws"):
         check_case(read_case(args.case, args.overrides), 1, str(args.case))
     elif args.command == "sweep":
-        from ringwear_par.studies.plan import Request
+        from ringwear_par.studies.execution.plan import Request
 
         Request(args.output, 1, args.ranks_per_case, args.part).check()
         read_study(args.study)

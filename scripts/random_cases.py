@@ -22,10 +22,10 @@ import numpy as np
 from mpi4py import MPI
 
 from ringwear_par.cases.reading import make_case
-from ringwear_par.elasticity.assembly import load_kernels
+from ringwear_par.elasticity.bem.assembly import load_kernels
 from ringwear_par.errors import RingwearError
-from ringwear_par.history.balances import Balances
-from ringwear_par.history.trace import Trace, trace
+from ringwear_par.history.observers.balances import Balances
+from ringwear_par.history.observers.trace import Trace, trace
 
 #: defects that a case must not exceed, of force, volume, energy and the contact's KKT conditions
 ALLOWED = {"force": 1e-10, "volume": 1e-10, "energy": 1e-10, "residual": 1e-9}

@@ -21,11 +21,11 @@ from random_cases import random_case
 
 from ringwear_par.cases.case import Case, Output, Stepping
 from ringwear_par.cases.reading import make_case
-from ringwear_par.elasticity.mesh import Mesh
+from ringwear_par.elasticity.geometry.mesh import Mesh
 from ringwear_par.errors import RingwearError
+from ringwear_par.history.elastic.pairs import assemble
 from ringwear_par.history.model import WearModel
-from ringwear_par.history.pairs import assemble
-from ringwear_par.history.trace import Trace, trace
+from ringwear_par.history.observers.trace import Trace, trace
 from ringwear_par.verification.paper import paper_case
 
 #: how much smaller the tolerance of what counts as exact is

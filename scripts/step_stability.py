@@ -40,21 +40,21 @@ from ringwear_par.arrays import FloatArray
 from ringwear_par.batched import one
 from ringwear_par.cases.case import Case, Stepping
 from ringwear_par.cases.reading import read_case
-from ringwear_par.elasticity.body import boundary_conditions, solve_body
-from ringwear_par.elasticity.boundary import boundary_mesh
-from ringwear_par.elasticity.mesh import ContactLine
+from ringwear_par.elasticity.bem.body import boundary_conditions, solve_body
+from ringwear_par.elasticity.bem.boundary import boundary_mesh
+from ringwear_par.elasticity.geometry.mesh import ContactLine
 from ringwear_par.elasticity.pair import ContactCompliance, ContactPair, largest_stable_step
 from ringwear_par.errors import RingwearError
-from ringwear_par.history.bodies import young
-from ringwear_par.history.euler import backward, forward
+from ringwear_par.history.elastic.bodies import young
+from ringwear_par.history.elastic.pairs import assemble
 from ringwear_par.history.loop import simulate_one
 from ringwear_par.history.model import WearModel
-from ringwear_par.history.pairs import assemble
+from ringwear_par.history.schemes.euler import backward, forward
 from ringwear_par.history.snapshots import Snapshot
 from ringwear_par.history.state import State
 from ringwear_par.results.drawing import COLOURS, STYLE
 from ringwear_par.verification.reference import EXPLICIT_LIMIT, contact_modulus
-from ringwear_par.wear.threshold import ThresholdLaw
+from ringwear_par.wear.laws.threshold import ThresholdLaw
 
 CASE = Path(__file__).parent / "cases" / "paper.toml"
 #: times of the worn profiles, s: the later ones of the paper

@@ -65,7 +65,7 @@ def study(folder: Path, comm: MPI.Intracomm) -> dict[str, float]:
     comm : must be COMM_WORLD, with PETSc initialised.
     """
     from ringwear_par.parallel import on_first_rank
-    from ringwear_par.studies.sweep import run_sweep
+    from ringwear_par.studies.execution.sweep import run_sweep
 
     run_sweep(STUDY, folder, comm)
     return on_first_rank(comm, partial(_evaluated, folder))
@@ -73,8 +73,8 @@ def study(folder: Path, comm: MPI.Intracomm) -> dict[str, float]:
 
 def _evaluated(folder: Path) -> dict[str, float]:
     """Draw the picture and return the numbers. On one rank."""
-    from ringwear_par.studies.ensemble import read_ensemble
-    from ringwear_par.studies.study import read_study
+    from ringwear_par.studies.definition.study import read_study
+    from ringwear_par.studies.storage.ensemble import read_ensemble
 
     case = read_study(STUDY).case(0)
     sliding = case.friction * case.load.omega * sum(case.contact) / 2  # mm/s

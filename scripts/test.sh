@@ -12,7 +12,7 @@ unset PYTHONDONTWRITEBYTECODE
 python - <<COMPILE
 from mpi4py import MPI
 from ringwear_par.contact.batch import load_batch_kernels
-from ringwear_par.elasticity.assembly import load_kernels
+from ringwear_par.elasticity.bem.assembly import load_kernels
 load_kernels(MPI.COMM_SELF)
 load_batch_kernels(MPI.COMM_SELF)
 COMPILE

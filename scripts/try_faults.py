@@ -25,7 +25,7 @@ from pathlib import Path
 import h5py
 import numpy as np
 
-from ringwear_par.studies.shards import read_shard
+from ringwear_par.studies.storage.shards import read_shard
 
 CASES = Path(__file__).parent / "cases"
 RINGWEAR = [sys.executable, "-m", "ringwear_par"]

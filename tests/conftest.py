@@ -99,7 +99,7 @@ def shared_path(tmp_path, comm):
 @pytest.fixture
 def one_by_one(monkeypatch):
     """Cases of sweeps are computed alone, as long ones are."""
-    from ringwear_par.studies import workers
+    from ringwear_par.studies.execution import workers
 
     monkeypatch.setattr(workers, "LONG_STEPS", 0)
 
@@ -111,7 +111,7 @@ def stopped_after(monkeypatch, comm):
     Or of a case of a sweep, where all of them are as long as those that are computed alone.
     """
     from ringwear_par.results import watch
-    from ringwear_par.studies import workers
+    from ringwear_par.studies.execution import workers
 
     call = watch.Watch.__call__
 
@@ -150,8 +150,8 @@ def restarted(shared_path, comm, stopped_after):
 @pytest.fixture(scope="session")
 def paper_pair(comm):
     """The paper's case at 80 MPa and p0 = 40 MPa, and its contact pair."""
-    from ringwear_par.elasticity.mesh import Mesh
-    from ringwear_par.history.pairs import assemble
+    from ringwear_par.elasticity.geometry.mesh import Mesh
+    from ringwear_par.history.elastic.pairs import assemble
     from ringwear_par.verification.paper import paper_case
 
     case = paper_case(Mesh())

@@ -189,12 +189,12 @@ def test_loaded_code_is_the_code_that_assembles():
     """Otherwise all ranks would compile again, at once, in the middle of the assembly."""
     program = """
 from mpi4py import MPI
-from ringwear_par.elasticity.assembly import load_kernels
-from ringwear_par.elasticity.mesh import Mesh
-from ringwear_par.history.pairs import assemble
+from ringwear_par.elasticity.bem.assembly import load_kernels
+from ringwear_par.elasticity.geometry.mesh import Mesh
+from ringwear_par.history.elastic.pairs import assemble
 from ringwear_par.verification.paper import paper_case
 load_kernels(MPI.COMM_SELF)
-from ringwear_par.elasticity.rows import assemble_rows
+from ringwear_par.elasticity.bem.rows import assemble_rows
 loaded = list(assemble_rows.signatures)
 assemble(paper_case(Mesh(8)), MPI.COMM_SELF)
 assert len(loaded) == 1

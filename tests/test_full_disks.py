@@ -15,12 +15,12 @@ from conftest import SHELL_ENVIRONMENT
 from stored import contents
 
 from ringwear_par.atomic import atomic_write
-from ringwear_par.elasticity import assembly
+from ringwear_par.elasticity.bem import assembly
 from ringwear_par.results import watch
 from ringwear_par.results.files import open_result, read_status
 from ringwear_par.results.hdf5 import atomic_hdf5
 from ringwear_par.results.run import run_case
-from ringwear_par.studies.sweep import run_sweep
+from ringwear_par.studies.execution.sweep import run_sweep
 
 pytestmark = [pytest.mark.serial, pytest.mark.slow]
 TESTS = Path(__file__).parent

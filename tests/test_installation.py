@@ -80,7 +80,7 @@ def unwritable(tmp_path):
     }  # fmt: skip
 
 
-ELLIPTIC = "from ringwear_par.elasticity.kernels import elliptic; print(elliptic(0.5)[0])"
+ELLIPTIC = "from ringwear_par.elasticity.bem.kernels import elliptic; print(elliptic(0.5)[0])"
 
 
 def test_compiled_code_is_kept_in_a_private_folder_where_nothing_else_may_be_written(

@@ -15,10 +15,10 @@ from full_disk import resize
 from mpi4py import MPI
 
 from ringwear_par import kept
-from ringwear_par.elasticity.mesh import Mesh
-from ringwear_par.elasticity.solve import solved_whole
-from ringwear_par.history import pairs
-from ringwear_par.history.bodies import operator_key
+from ringwear_par.elasticity.bem.solve import solved_whole
+from ringwear_par.elasticity.geometry.mesh import Mesh
+from ringwear_par.history.elastic import pairs
+from ringwear_par.history.elastic.bodies import operator_key
 from ringwear_par.petsc import PETSc
 from ringwear_par.verification.paper import paper_case
 
@@ -269,7 +269,7 @@ def test_options_for_petsc_ask_for_assembly(folder, assembled, comm):
 
 
 def test_systems_that_ranks_share_are_not_kept(folder, assembled, comm, monkeypatch):
-    from ringwear_par.elasticity import solve
+    from ringwear_par.elasticity.bem import solve
 
     monkeypatch.setattr(solve, "WHOLE_LIMIT", 50)
     case = paper_case(Mesh(N))

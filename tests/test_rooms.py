@@ -8,7 +8,7 @@ import pytest
 from conftest import SHELL_ENVIRONMENT
 
 ROOT = Path(__file__).parents[1]
-HEAVY = ("mpi4py.MPI", "petsc4py.PETSc", "numba", "ringwear_par.elasticity.assembly")
+HEAVY = ("mpi4py.MPI", "petsc4py.PETSc", "numba", "ringwear_par.elasticity.bem.assembly")
 
 pytestmark = pytest.mark.serial
 

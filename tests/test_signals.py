@@ -91,9 +91,9 @@ FIRST_STEP = " before the first step; nothing written"
             ("ringwear_par.history.model:assemble", n, ["run", PAPER, "-o", "a.h5"], FIRST_STEP)
             for n in (signal.SIGINT, signal.SIGTERM)
         ),
-        ("ringwear_par.studies.sweep", signal.SIGINT, ["sweep", STUDY, "-o", "out"],
+        ("ringwear_par.studies.execution.sweep", signal.SIGINT, ["sweep", STUDY, "-o", "out"],
          "; the same command goes on"),
-        ("ringwear_par.studies.estimate:assemble", signal.SIGTERM,
+        ("ringwear_par.studies.execution.estimate:assemble", signal.SIGTERM,
          ["sweep", STUDY, "-o", "out", "--dry-run"], "; nothing written"),
         ("matplotlib", signal.SIGINT, ["plot", "r.h5", "-o", "a.png"], "; nothing written"),
         ("ringwear_par.results.export", signal.SIGHUP, ["export", "r.h5", "-o", "a.csv"],

@@ -14,7 +14,7 @@ from case_words import first_case_of, write
 from mpi4py import MPI
 
 import ringwear_par as rw
-from ringwear_par.elasticity.assembly import load_kernels
+from ringwear_par.elasticity.bem.assembly import load_kernels
 from ringwear_par.verification.check import Check, Kind
 from ringwear_par.verification.verify import checks
 

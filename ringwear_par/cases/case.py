@@ -11,9 +11,9 @@ import numpy as np
 from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.schema import FIELDS
 from ringwear_par.cases.stress import Stress
-from ringwear_par.elasticity.mesh import ContactLine, Mesh, contact_line
-from ringwear_par.elasticity.profiles import CLOSE
-from ringwear_par.elasticity.sections import Grip, Polyline, Section
+from ringwear_par.elasticity.geometry.mesh import ContactLine, Mesh, contact_line
+from ringwear_par.elasticity.geometry.profiles import CLOSE
+from ringwear_par.elasticity.geometry.sections import Grip, Polyline, Section
 from ringwear_par.errors import InputError
 from ringwear_par.schedules import Quantity, breakpoints
 from ringwear_par.wear.law import Law, WearLaw, complete

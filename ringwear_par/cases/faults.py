@@ -8,8 +8,8 @@ from typing import Any
 from ringwear_par.cases.case import SAME_TIME, Case, RingLayer
 from ringwear_par.cases.schema import BY_PATH
 from ringwear_par.cases.text import shortened
-from ringwear_par.elasticity.mesh import contact_pieces
-from ringwear_par.elasticity.profiles import (
+from ringwear_par.elasticity.geometry.mesh import contact_pieces
+from ringwear_par.elasticity.geometry.profiles import (
     CLOSE,
     Shape,
     chamfer_face,
@@ -19,7 +19,7 @@ from ringwear_par.elasticity.profiles import (
     shape_face,
     shape_faults,
 )
-from ringwear_par.elasticity.sections import Polyline, corners
+from ringwear_par.elasticity.geometry.sections import Polyline, corners
 from ringwear_par.errors import InputError
 from ringwear_par.schedules import Quantity, largest, told
 from ringwear_par.textfiles import value_fault

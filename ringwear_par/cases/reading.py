@@ -34,8 +34,8 @@ from ringwear_par.cases.suggestions import nearest_keys, unknown_key
 from ringwear_par.cases.text import shortened, toml_text
 from ringwear_par.cases.units import without_units
 from ringwear_par.cases.values import RejectedError
-from ringwear_par.elasticity.mesh import Mesh
-from ringwear_par.elasticity.sections import Grip, Polyline
+from ringwear_par.elasticity.geometry.mesh import Mesh
+from ringwear_par.elasticity.geometry.sections import Grip, Polyline
 from ringwear_par.errors import MOST_FAULTS, InputError, legible
 from ringwear_par.schedules import Quantity, Table
 from ringwear_par.textfiles import read_text

@@ -33,7 +33,7 @@ from ringwear_par.cases.values import (
     which_times,
     whole,
 )
-from ringwear_par.elasticity.profiles import SHAPE_UNITS
+from ringwear_par.elasticity.geometry.profiles import SHAPE_UNITS
 from ringwear_par.wear.catalogue import LAWS
 from ringwear_par.wear.law import Law
 from ringwear_par.wear.parameters import Parameter, parameters_of

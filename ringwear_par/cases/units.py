@@ -6,7 +6,7 @@ from functools import cache
 from typing import TYPE_CHECKING, Any
 
 from ringwear_par.cases.values import RejectedError
-from ringwear_par.elasticity.profiles import SHAPE_UNITS
+from ringwear_par.elasticity.geometry.profiles import SHAPE_UNITS
 from ringwear_par.errors import legible
 
 if TYPE_CHECKING:

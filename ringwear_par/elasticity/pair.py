@@ -9,12 +9,12 @@ from mpi4py import MPI
 from scipy.linalg import eigh
 
 from ringwear_par.arrays import FloatArray
-from ringwear_par.elasticity.body import Compliance, compliances
-from ringwear_par.elasticity.layer_derivatives import ComplianceChange
-from ringwear_par.elasticity.mesh import ContactLine, Mesh, pair_key
-from ringwear_par.elasticity.reciprocity import symmetric
-from ringwear_par.elasticity.sections import Body
-from ringwear_par.elasticity.slopes import obliquity, pair_slope
+from ringwear_par.elasticity.bem.body import Compliance, compliances
+from ringwear_par.elasticity.bem.layer_derivatives import ComplianceChange
+from ringwear_par.elasticity.bem.reciprocity import symmetric
+from ringwear_par.elasticity.geometry.mesh import ContactLine, Mesh, pair_key
+from ringwear_par.elasticity.geometry.sections import Body
+from ringwear_par.elasticity.geometry.slopes import obliquity, pair_slope
 from ringwear_par.errors import ComputationError
 
 #: by which the compliance is changed to see what that does to the symmetric one

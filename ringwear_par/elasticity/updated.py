@@ -14,8 +14,8 @@ import numpy as np
 from mpi4py import MPI
 
 from ringwear_par.arrays import FloatArray
-from ringwear_par.elasticity.assembly import Assembly, Moving, Zone, assemble, number_dofs
-from ringwear_par.elasticity.body import (
+from ringwear_par.elasticity.bem.assembly import Assembly, Moving, Zone, assemble, number_dofs
+from ringwear_par.elasticity.bem.body import (
     Assembled,
     Compliance,
     body_zones,
@@ -24,12 +24,12 @@ from ringwear_par.elasticity.body import (
     contact_problem,
     solve_assembled,
 )
-from ringwear_par.elasticity.boundary import node_wear, zone_meshes
-from ringwear_par.elasticity.mesh import ContactLine, Mesh, pair_key
+from ringwear_par.elasticity.bem.boundary import node_wear, zone_meshes
+from ringwear_par.elasticity.bem.quadrature import quadrature
+from ringwear_par.elasticity.geometry.mesh import ContactLine, Mesh, pair_key
+from ringwear_par.elasticity.geometry.sections import Body, Section
+from ringwear_par.elasticity.geometry.slopes import case_slopes, pair_slope
 from ringwear_par.elasticity.pair import ContactPair, join_bodies
-from ringwear_par.elasticity.quadrature import quadrature
-from ringwear_par.elasticity.sections import Body, Section
-from ringwear_par.elasticity.slopes import case_slopes, pair_slope
 
 
 def moving_parts(

@@ -12,7 +12,7 @@ from ringwear_par.cases.numbers import number_faults
 from ringwear_par.cases.stress import Stress, check_stress
 from ringwear_par.cases.text import toml_value
 from ringwear_par.contact.problem import REPLICATED_LIMIT
-from ringwear_par.elasticity.boundary import count_elements, face_elements, zone_meshes
+from ringwear_par.elasticity.bem.boundary import count_elements, face_elements, zone_meshes
 from ringwear_par.errors import InputError
 
 #: about how many points of both bodies are looked at for the largest stress
@@ -85,7 +85,7 @@ def _numbers_of_systems(unknowns: float, loads: float, ranks: int) -> float:
     of_a_body = 1.25 * matrix + 1.5 * right
     if ranks == 1:  # one body after another: its rows, their factors
         return 2.0 * of_a_body
-    from ringwear_par.elasticity.solve import has_scalapack, solved_whole
+    from ringwear_par.elasticity.bem.solve import has_scalapack, solved_whole
 
     if solved_whole(round(unknowns), ranks):  # both at once: rows, gathered ones, factors
         return 6.0 * of_a_body

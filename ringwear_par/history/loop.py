@@ -31,14 +31,20 @@ from ringwear_par.errors import (
     UnfitError,
     reason_of,
 )
-from ringwear_par.history import euler, sdirk2
-from ringwear_par.history.control import NO_STEP, Control, ErrorControl, FixedSteps, step_times_of
-from ringwear_par.history.following import update_geometry
 from ringwear_par.history.model import WearModel
+from ringwear_par.history.moving_geometry import update_geometry
 from ringwear_par.history.saving import stores, times_within
-from ringwear_par.history.schemes import Scheme
+from ringwear_par.history.schemes import euler, sdirk2
+from ringwear_par.history.schemes.step import Scheme
 from ringwear_par.history.snapshots import Observer, Snapshot
 from ringwear_par.history.state import Progress, Start, State
+from ringwear_par.history.step_control import (
+    NO_STEP,
+    Control,
+    ErrorControl,
+    FixedSteps,
+    step_times_of,
+)
 from ringwear_par.parallel import as_on_first_rank, together
 
 log = logging.getLogger(__name__)

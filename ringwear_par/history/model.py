@@ -23,11 +23,11 @@ from ringwear_par.contact.problem import ContactState, WarmStart
 from ringwear_par.elasticity.pair import ContactCompliance, ContactPair
 from ringwear_par.errors import ComputationError, HistoriesError
 from ringwear_par.history.admissible import check_interpenetration, checked
-from ringwear_par.history.bodies import young
-from ringwear_par.history.compliances import Compliances
-from ringwear_par.history.following import MovingGeometry
+from ringwear_par.history.elastic.bodies import young
+from ringwear_par.history.elastic.compliances import Compliances
+from ringwear_par.history.elastic.pairs import assemble
 from ringwear_par.history.inputs import HistoryInputs
-from ringwear_par.history.pairs import assemble
+from ringwear_par.history.moving_geometry import MovingGeometry
 from ringwear_par.history.sensitivity import Sensitivity
 from ringwear_par.history.state import Start, State
 from ringwear_par.history.tangent import Along
@@ -37,7 +37,7 @@ from ringwear_par.wear.law import LocalState
 from ringwear_par.wear.layered_increment import LayeredIncrement
 
 if TYPE_CHECKING:
-    from ringwear_par.history.entering import Entering
+    from ringwear_par.history.schemes.closing_elements import Entering
 
 
 class WearModel:

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from ringwear_par.arrays import BoolArray, IntArray
 from ringwear_par.batched import along, one
 from ringwear_par.history.model import WearModel
-from ringwear_par.history.schemes import Step
+from ringwear_par.history.schemes.step import Step
 from ringwear_par.history.state import Progress, State
 
 

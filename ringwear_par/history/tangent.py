@@ -24,8 +24,8 @@ from ringwear_par.wear.increment import VariedIncrement, WearIncrement
 from ringwear_par.wear.layered_increment import VariedLayers
 
 if TYPE_CHECKING:
-    from ringwear_par.history.entering import Entering
     from ringwear_par.history.model import WearModel
+    from ringwear_par.history.schemes.closing_elements import Entering
 
 
 # -- along one step --------------------------------------------------------------------------------

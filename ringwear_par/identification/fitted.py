@@ -18,7 +18,7 @@ from ringwear_par.history.elastic_numbers import elastic_numbers
 from ringwear_par.history.sensitivity import differentiable
 from ringwear_par.identification.problem import FittedParameter, Problem
 from ringwear_par.identification.tables import TableReader
-from ringwear_par.studies.variations import split_key
+from ringwear_par.studies.definition.variations import split_key
 
 SCALES = ("linear", "log")
 _ENTRIES = frozenset({"start", "bounds", "scale", "prior"})

@@ -13,16 +13,16 @@ from ringwear_par.contact.batch import load_batch_kernels
 from ringwear_par.elasticity.boundary_fields import BODIES
 from ringwear_par.elasticity.pair import ContactPair
 from ringwear_par.errors import ComputationError, InputError, reason_of
-from ringwear_par.history.bodies import operator_key
+from ringwear_par.history.elastic.bodies import operator_key
+from ringwear_par.history.elastic.pairs import assemble
 from ringwear_par.history.elastic_numbers import is_elastic
-from ringwear_par.history.pairs import assemble
 from ringwear_par.identification.problem import Problem
 from ringwear_par.identification.readings import Reader
 from ringwear_par.identification.steps import STEPS, step_times
 from ringwear_par.identification.trajectory import Trajectory, lost_mass
 from ringwear_par.results.result import Result
-from ringwear_par.studies.batches import computed
-from ringwear_par.studies.variations import split_key
+from ringwear_par.studies.definition.variations import split_key
+from ringwear_par.studies.execution.batches import computed
 
 #: most operators kept of points that have some of their own
 _MOST_PAIRS = 32

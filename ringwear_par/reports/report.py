@@ -10,7 +10,7 @@ from ringwear_par.errors import ComputationError, InputError
 from ringwear_par.reports.blocks import Page
 from ringwear_par.results.files import result_of
 from ringwear_par.results.result import Result
-from ringwear_par.studies.results_file import RESULTS
+from ringwear_par.studies.storage.results_file import RESULTS
 
 _ENDINGS = (".html", ".htm")
 

@@ -15,14 +15,14 @@ from ringwear_par.reports import charts
 from ringwear_par.reports.blocks import Chart, Charts
 from ringwear_par.results.drawing import COLOURS
 from ringwear_par.results.instants import time_unit
-from ringwear_par.studies.axes import LOG_VALUE, least_range, spans
-from ringwear_par.studies.effects import Plan, running_median, values_told
-from ringwear_par.studies.ensemble import Ensemble
-from ringwear_par.studies.fan import FEW, Fan, fan_of, labels_of
-from ringwear_par.studies.figures import Choice
-from ringwear_par.studies.finals import final_name, shown
-from ringwear_par.studies.index_bars import IndexBars
-from ringwear_par.studies.sensitivity import chosen_cases
+from ringwear_par.studies.analysis.effects import Plan, running_median, values_told
+from ringwear_par.studies.analysis.sensitivity import chosen_cases
+from ringwear_par.studies.definition.axes import LOG_VALUE, least_range, spans
+from ringwear_par.studies.pictures.fan import FEW, Fan, fan_of, labels_of
+from ringwear_par.studies.pictures.figures import Choice
+from ringwear_par.studies.pictures.index_bars import IndexBars
+from ringwear_par.studies.storage.end_values import final_name, shown
+from ringwear_par.studies.storage.ensemble import Ensemble
 
 #: cases with a line of their own beside quantiles, and points against a key
 _LINES, _POINTS = 40, 1000

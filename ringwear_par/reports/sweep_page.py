@@ -20,15 +20,15 @@ from ringwear_par.reports.blocks import (
     software,
 )
 from ringwear_par.results.drawing import in_words
-from ringwear_par.studies.ensemble import Ensemble, read_ensemble
-from ringwear_par.studies.figures import Choice, choose
-from ringwear_par.studies.finals import entry_of, final_name
-from ringwear_par.studies.index_bars import IndexBars, index_bars
-from ringwear_par.studies.results_file import count_flags
-from ringwear_par.studies.sensitivity import done_cases
-from ringwear_par.studies.surrogate import surrogate
-from ringwear_par.studies.swept import told_entry
-from ringwear_par.studies.variations import own_key
+from ringwear_par.studies.analysis.sensitivity import done_cases
+from ringwear_par.studies.analysis.surrogate import surrogate
+from ringwear_par.studies.definition.variations import own_key
+from ringwear_par.studies.pictures.figures import Choice, choose
+from ringwear_par.studies.pictures.index_bars import IndexBars, index_bars
+from ringwear_par.studies.storage.end_values import entry_of, final_name
+from ringwear_par.studies.storage.ensemble import Ensemble, read_ensemble
+from ringwear_par.studies.storage.results_file import count_flags
+from ringwear_par.studies.storage.stored_variables import told_entry
 from ringwear_par.textfiles import parse_value
 
 #: cases of the table

@@ -8,8 +8,8 @@ import numpy as np
 
 from ringwear_par.arrays import FloatArray, IntArray
 from ringwear_par.elasticity.boundary_fields import BoundaryFields, BoundaryState
-from ringwear_par.elasticity.stress_fields import StressHistory, StressState
-from ringwear_par.elasticity.stress_measures import COMPONENTS, max_shear, mises
+from ringwear_par.elasticity.stress.fields import StressHistory, StressState
+from ringwear_par.elasticity.stress.measures import COMPONENTS, max_shear, mises
 from ringwear_par.results.stored_stresses import Interface
 
 

@@ -170,7 +170,7 @@ def read_checkpoint(group: "h5py.Group", sizes: Mapping[str, int]) -> Checkpoint
     ------
     Exception : it is damaged, see ``reading``.
     """
-    from ringwear_par.history.validity import ENTRIES
+    from ringwear_par.history.observers.validity import ENTRIES
     from ringwear_par.results.reading import read_array, read_number, read_numbers
 
     known = {**sizes, "body": 2}

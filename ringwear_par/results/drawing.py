@@ -11,7 +11,7 @@ from ringwear_par.atomic import atomic_write, check_writable
 from ringwear_par.cases.text import shortened
 from ringwear_par.cases.units import in_signs
 from ringwear_par.cases.values import is_number
-from ringwear_par.elasticity.profiles import SHAPE_UNITS
+from ringwear_par.elasticity.geometry.profiles import SHAPE_UNITS
 from ringwear_par.errors import InputError, legible
 
 STYLE: dict[Any, Any] = {

@@ -8,8 +8,8 @@ import numpy as np
 
 from ringwear_par.arrays import BoolArray, FloatArray
 from ringwear_par.cases.reading import outlines
-from ringwear_par.elasticity.stress_fields import StressState
-from ringwear_par.elasticity.stress_measures import COMPONENTS, SIDES, mises
+from ringwear_par.elasticity.stress.fields import StressState
+from ringwear_par.elasticity.stress.measures import COMPONENTS, SIDES, mises
 from ringwear_par.results.drawing import COLOURS, DASHES, set_legend
 from ringwear_par.results.instants import time_words
 from ringwear_par.results.result import Result

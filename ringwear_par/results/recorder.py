@@ -17,19 +17,19 @@ from ringwear_par.cases.law_trials import law_sources
 from ringwear_par.contact.problem import WarmStart
 from ringwear_par.elasticity.boundary_fields import BODIES, BoundaryState
 from ringwear_par.elasticity.pair import BodyCost
-from ringwear_par.elasticity.stress_fields import StressHistory, StressState
+from ringwear_par.elasticity.stress.fields import StressHistory, StressState
 from ringwear_par.errors import reason_of
-from ringwear_par.history.balances import Balances, WorstBalances
-from ringwear_par.history.boundaries import BoundaryObserver
 from ringwear_par.history.layers import layer_left, layer_volumes
 from ringwear_par.history.model import WearModel
+from ringwear_par.history.observers.balances import Balances, WorstBalances
+from ringwear_par.history.observers.boundaries import BoundaryObserver
+from ringwear_par.history.observers.stresses import CaseStresses, StressObserver
+from ringwear_par.history.observers.validity import WorstStates
 from ringwear_par.history.saving import stores
 from ringwear_par.history.sensitivity import units_of
 from ringwear_par.history.snapshots import Snapshot
 from ringwear_par.history.state import Progress, Start, State
-from ringwear_par.history.stresses import CaseStresses, StressObserver
 from ringwear_par.history.tangent import variables as derivatives_of
-from ringwear_par.history.validity import WorstStates
 from ringwear_par.info import versions
 from ringwear_par.results.checkpoints import restored, take
 from ringwear_par.results.columns import HistoryColumns

@@ -10,8 +10,8 @@ from matplotlib.ticker import MaxNLocator
 from ringwear_par.arrays import BoolArray, FloatArray
 from ringwear_par.cases.reading import Outline, outlines
 from ringwear_par.elasticity.boundary_fields import BODIES
-from ringwear_par.elasticity.stress_fields import StressState
-from ringwear_par.elasticity.stress_measures import mises
+from ringwear_par.elasticity.stress.fields import StressState
+from ringwear_par.elasticity.stress.measures import mises
 from ringwear_par.results.drawing import COLOURS, DASHES, set_legend, stage_colour
 from ringwear_par.results.instants import time_unit, time_words
 from ringwear_par.results.result import Result

@@ -9,8 +9,8 @@ import numpy as np
 
 from ringwear_par.arrays import FloatArray
 from ringwear_par.elasticity.boundary_fields import BODIES
-from ringwear_par.elasticity.stress_fields import Interfaces, Largest, StressHistory, StressState
-from ringwear_par.elasticity.stress_measures import COMPONENTS, SIDES, max_shear, mises, principal
+from ringwear_par.elasticity.stress.fields import Interfaces, Largest, StressHistory, StressState
+from ringwear_par.elasticity.stress.measures import COMPONENTS, SIDES, max_shear, mises, principal
 from ringwear_par.results.reading import find_texts, read_array
 from ringwear_par.results.variables import (
     HISTORIES,

@@ -7,8 +7,8 @@ from ringwear_par.cases.case import Case
 from ringwear_par.cases.forecast import DEEP, forecasts
 from ringwear_par.elasticity.boundary_fields import BODIES
 from ringwear_par.schedules import largest
-from ringwear_par.wear.archard import ArchardLaw
-from ringwear_par.wear.threshold import AboveThreshold
+from ringwear_par.wear.laws.archard import ArchardLaw
+from ringwear_par.wear.laws.threshold import AboveThreshold
 
 _FLAG = "implausible_numbers"
 #: moduli (MPa) that are those of materials in Pa; smaller ones may be meant, of rigid bodies

@@ -6,15 +6,15 @@ import numpy as np
 
 from ringwear_par.cases.case import Case
 from ringwear_par.elasticity.boundary_fields import BODIES
-from ringwear_par.elasticity.mesh import ContactLine
-from ringwear_par.elasticity.stress_fields import StressHistory, StressState
-from ringwear_par.elasticity.stress_measures import mises
-from ringwear_par.history.balances import Balances
+from ringwear_par.elasticity.geometry.mesh import ContactLine
+from ringwear_par.elasticity.stress.fields import StressHistory, StressState
+from ringwear_par.elasticity.stress.measures import mises
 from ringwear_par.history.model import WearModel
+from ringwear_par.history.observers.balances import Balances
+from ringwear_par.history.observers.stresses import StressObserver
+from ringwear_par.history.observers.validity import FEW_ELEMENTS, MOST_ANGLE, force_on, worn_share
 from ringwear_par.history.stability import stable_steps
 from ringwear_par.history.state import State
-from ringwear_par.history.stresses import StressObserver
-from ringwear_par.history.validity import FEW_ELEMENTS, MOST_ANGLE, force_on, worn_share
 from ringwear_par.results.unit_suspicions import (
     MOST_PRESSED,
     ValidityWarning,

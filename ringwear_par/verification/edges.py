@@ -8,9 +8,9 @@ from mpi4py import MPI
 
 from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.case import Stepping
-from ringwear_par.elasticity.mesh import ContactLine, Mesh, contact_line
+from ringwear_par.elasticity.geometry.mesh import ContactLine, Mesh, contact_line
 from ringwear_par.elasticity.pair import ContactPair
-from ringwear_par.history.trace import Trace, trace
+from ringwear_par.history.observers.trace import Trace, trace
 from ringwear_par.verification import reference
 from ringwear_par.verification.check import SIZES, Check, identity
 from ringwear_par.verification.fine import (

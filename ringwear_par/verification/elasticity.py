@@ -7,12 +7,12 @@ from functools import partial
 import numpy as np
 from mpi4py import MPI
 
-from ringwear_par.elasticity.assembly import BoundaryConditions
-from ringwear_par.elasticity.body import boundary_conditions, compliance, solve_body
-from ringwear_par.elasticity.boundary import boundary_mesh
-from ringwear_par.elasticity.kernels import ring_kernels
-from ringwear_par.elasticity.mesh import ContactLine, Mesh, contact_line
-from ringwear_par.elasticity.sections import Body, Section
+from ringwear_par.elasticity.bem.assembly import BoundaryConditions
+from ringwear_par.elasticity.bem.body import boundary_conditions, compliance, solve_body
+from ringwear_par.elasticity.bem.boundary import boundary_mesh
+from ringwear_par.elasticity.bem.kernels import ring_kernels
+from ringwear_par.elasticity.geometry.mesh import ContactLine, Mesh, contact_line
+from ringwear_par.elasticity.geometry.sections import Body, Section
 from ringwear_par.verification import reference
 from ringwear_par.verification.check import NU, Check, converging
 

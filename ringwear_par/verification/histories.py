@@ -8,17 +8,17 @@ import numpy as np
 from mpi4py import MPI
 
 from ringwear_par.cases.case import Case, Load, Output, Ring, Stepping
-from ringwear_par.elasticity.mesh import Mesh
+from ringwear_par.elasticity.geometry.mesh import Mesh
+from ringwear_par.elasticity.geometry.sections import Polyline
 from ringwear_par.elasticity.pair import ContactPair
-from ringwear_par.elasticity.sections import Polyline
+from ringwear_par.history.elastic.pairs import assemble
 from ringwear_par.history.model import WearModel
-from ringwear_par.history.pairs import assemble
+from ringwear_par.history.observers.trace import Trace, trace
 from ringwear_par.history.stability import stable_steps
-from ringwear_par.history.trace import Trace, trace
 from ringwear_par.verification import reference
 from ringwear_par.verification.check import NU, SIZES, Check, bound, identity
 from ringwear_par.verification.paper import OMEGA, paper_case
-from ringwear_par.wear.threshold import ThresholdLaw
+from ringwear_par.wear.laws.threshold import ThresholdLaw
 
 #: contact elements of the paper's rings
 _N = 64

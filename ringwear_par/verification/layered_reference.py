@@ -14,7 +14,7 @@ from scipy.linalg import expm
 from scipy.special import ellipe, j0, j1
 
 from ringwear_par.arrays import FloatArray
-from ringwear_par.elasticity.sections import Material
+from ringwear_par.elasticity.geometry.sections import Material
 from ringwear_par.verification import reference
 
 #: of the wave number times the thickness, from which on a layer hides what is below to 1e-15

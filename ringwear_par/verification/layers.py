@@ -12,18 +12,18 @@ from mpi4py import MPI
 from scipy.special import j0, j1, jn_zeros
 
 from ringwear_par.arrays import FloatArray
-from ringwear_par.elasticity.assembly import BoundaryConditions, Zone
-from ringwear_par.elasticity.body import (
+from ringwear_par.elasticity.bem.assembly import BoundaryConditions, Zone
+from ringwear_par.elasticity.bem.body import (
     Problem,
     body_zones,
     contact_problem,
     solve_bodies,
 )
-from ringwear_par.elasticity.boundary import boundary_mesh
-from ringwear_par.elasticity.mesh import ContactLine, Mesh, contact_line
+from ringwear_par.elasticity.bem.boundary import boundary_mesh
+from ringwear_par.elasticity.geometry.mesh import ContactLine, Mesh, contact_line
+from ringwear_par.elasticity.geometry.sections import Body, Material, Section
 from ringwear_par.elasticity.pair import assemble_pair
-from ringwear_par.elasticity.sections import Body, Material, Section
-from ringwear_par.history.bodies import bodies
+from ringwear_par.history.elastic.bodies import bodies
 from ringwear_par.verification import layered_reference, reference
 from ringwear_par.verification.check import NU, SIZES, Check
 from ringwear_par.verification.half_space import GRADED, pressure_at, without_truncation

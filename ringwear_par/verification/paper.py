@@ -8,14 +8,14 @@ from mpi4py import MPI
 
 from ringwear_par.batched import one
 from ringwear_par.cases.case import Case, Load, Output, Ring, Stepping
-from ringwear_par.elasticity.mesh import Mesh
+from ringwear_par.elasticity.geometry.mesh import Mesh
 from ringwear_par.elasticity.pair import ContactPair
+from ringwear_par.history.elastic.pairs import assemble
 from ringwear_par.history.model import WearModel
-from ringwear_par.history.pairs import assemble
 from ringwear_par.verification import reference
 from ringwear_par.verification.check import NU, Check
 from ringwear_par.verification.half_space import pressure_at
-from ringwear_par.wear.threshold import ThresholdLaw
+from ringwear_par.wear.laws.threshold import ThresholdLaw
 
 #: our reading of the paper's speed, rad/s
 OMEGA = 85.0 / 24.0

@@ -11,14 +11,14 @@ from mpi4py import MPI
 from ringwear_par.arrays import FloatArray
 from ringwear_par.batched import one
 from ringwear_par.cases.case import Case
-from ringwear_par.elasticity.body import boundary_conditions, solve_body
-from ringwear_par.elasticity.boundary import boundary_mesh
-from ringwear_par.elasticity.mesh import ContactLine, Mesh, contact_line
-from ringwear_par.elasticity.sections import Body, Section
-from ringwear_par.history.bodies import bodies, young
+from ringwear_par.elasticity.bem.body import boundary_conditions, solve_body
+from ringwear_par.elasticity.bem.boundary import boundary_mesh
+from ringwear_par.elasticity.geometry.mesh import ContactLine, Mesh, contact_line
+from ringwear_par.elasticity.geometry.sections import Body, Section
+from ringwear_par.history.elastic.bodies import bodies, young
+from ringwear_par.history.elastic.pairs import assemble
 from ringwear_par.history.model import WearModel
-from ringwear_par.history.pairs import assemble
-from ringwear_par.history.trace import trace
+from ringwear_par.history.observers.trace import trace
 from ringwear_par.verification import reference
 from ringwear_par.verification.check import NU, SIZES, Check, converging, identity
 from ringwear_par.verification.edges import both_wear, rows_against, steady_rows

@@ -13,17 +13,17 @@ from mpi4py import MPI
 from scipy.linalg import solve
 
 from ringwear_par.arrays import FloatArray
-from ringwear_par.elasticity.body import boundary_responses
-from ringwear_par.elasticity.mesh import Mesh, contact_line
-from ringwear_par.elasticity.sections import Body, Section
-from ringwear_par.elasticity.stress import ZoneStress
-from ringwear_par.elasticity.stress_measures import max_shear, mises
-from ringwear_par.elasticity.stress_recovery import (
+from ringwear_par.elasticity.bem.body import boundary_responses
+from ringwear_par.elasticity.geometry.mesh import Mesh, contact_line
+from ringwear_par.elasticity.geometry.sections import Body, Section
+from ringwear_par.elasticity.stress.measures import max_shear, mises
+from ringwear_par.elasticity.stress.recovery import (
     StressPoints,
     StressRecovery,
     load_stress_kernels,
 )
-from ringwear_par.history.bodies import bodies
+from ringwear_par.elasticity.stress.recovery_inside import ZoneStress
+from ringwear_par.history.elastic.bodies import bodies
 from ringwear_par.history.model import WearModel
 from ringwear_par.verification import reference
 from ringwear_par.verification.check import NU, SIZES, Check

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 from mpi4py import MPI
 
-from ringwear_par.elasticity.assembly import load_kernels
+from ringwear_par.elasticity.bem.assembly import load_kernels
 from ringwear_par.errors import ComputationError
 from ringwear_par.options import reject_unused_options
 from ringwear_par.verification.check import Check, Kind

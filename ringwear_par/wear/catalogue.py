@@ -2,13 +2,13 @@
 
 from collections.abc import Mapping
 
-from ringwear_par.wear.archard import ArchardLaw
 from ringwear_par.wear.law import Law
-from ringwear_par.wear.non_local import NonLocalLaw
-from ringwear_par.wear.power import PowerLaw
-from ringwear_par.wear.running_in import RunningInLaw
-from ringwear_par.wear.table import TableLaw
-from ringwear_par.wear.threshold import ThresholdLaw
+from ringwear_par.wear.laws.archard import ArchardLaw
+from ringwear_par.wear.laws.non_local import NonLocalLaw
+from ringwear_par.wear.laws.power import PowerLaw
+from ringwear_par.wear.laws.running_in import RunningInLaw
+from ringwear_par.wear.laws.table import TableLaw
+from ringwear_par.wear.laws.threshold import ThresholdLaw
 from ringwear_par.wear.user import UserLaw
 
 _ALL: tuple[type[Law], ...] = (

@@ -10,9 +10,9 @@ from ringwear_par.cases.reading import parse_case, read_case
 from ringwear_par.cases.schema import KEYS, schema
 from ringwear_par.cases.text import toml_text
 from ringwear_par.errors import InputError
-from ringwear_par.history.bodies import operator_key
+from ringwear_par.history.elastic.bodies import operator_key
 from ringwear_par.history.limits import check_memory, check_mesh
-from ringwear_par.wear.threshold import ThresholdLaw
+from ringwear_par.wear.laws.threshold import ThresholdLaw
 
 PAPER = Path(__file__).parents[2] / "scripts" / "cases" / "paper.toml"
 TEXT = PAPER.read_text()

@@ -13,14 +13,14 @@ from ringwear_par.cases.keys import read_keys
 from ringwear_par.cases.numbers import interval_of, with_numbers
 from ringwear_par.cases.reading import parse_case
 from ringwear_par.cases.schema import schema, unit_of
-from ringwear_par.elasticity.sections import Material
-from ringwear_par.history.bodies import bodies, operator_key
+from ringwear_par.elasticity.geometry.sections import Material
+from ringwear_par.history.elastic.bodies import bodies, operator_key
 from ringwear_par.history.limits import check_mesh
-from ringwear_par.studies.identities import case_id
-from ringwear_par.studies.variations import split_key, value_of, varied_keys
-from ringwear_par.wear.archard import ArchardLaw
+from ringwear_par.studies.definition.identities import case_id
+from ringwear_par.studies.definition.variations import split_key, value_of, varied_keys
+from ringwear_par.wear.laws.archard import ArchardLaw
+from ringwear_par.wear.laws.threshold import ThresholdLaw
 from ringwear_par.wear.layered import LayeredLaw, NoWear
-from ringwear_par.wear.threshold import ThresholdLaw
 
 CASE = Path(__file__).parents[2] / "scripts" / "cases" / "wear_through.toml"
 TEXT = CASE.read_text()

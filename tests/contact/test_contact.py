@@ -8,8 +8,8 @@ from wearing import step_wear
 
 from ringwear_par.contact.solver import TAO_TYPES, ContactSolver
 from ringwear_par.errors import ComputationError, InputError
-from ringwear_par.history.bodies import young
-from ringwear_par.wear.threshold import ThresholdLaw
+from ringwear_par.history.elastic.bodies import young
+from ringwear_par.wear.laws.threshold import ThresholdLaw
 
 N = 40
 FORCE = 45000.0
@@ -18,7 +18,7 @@ FORCE = 45000.0
 @pytest.fixture
 def problem(paper_pair):
     """A small contact line: the paper's rings, every other element joined to its neighbour."""
-    from ringwear_par.elasticity.mesh import ContactLine
+    from ringwear_par.elasticity.geometry.mesh import ContactLine
 
     case, pair = paper_pair
     keep = np.sort(np.random.default_rng(3).choice(np.arange(1, 64), N - 1, replace=False))

@@ -7,12 +7,12 @@ import pytest
 from mpi4py import MPI
 from petsc4py import PETSc
 
-from ringwear_par.elasticity import rows, solve
-from ringwear_par.elasticity.assembly import Rows
-from ringwear_par.elasticity.body import boundary_responses, compliance, in_case_frame
-from ringwear_par.elasticity.mesh import Mesh, contact_line
-from ringwear_par.elasticity.sections import Body, Material, Section
-from ringwear_par.elasticity.solve import has_scalapack
+from ringwear_par.elasticity.bem import rows, solve
+from ringwear_par.elasticity.bem.assembly import Rows
+from ringwear_par.elasticity.bem.body import boundary_responses, compliance, in_case_frame
+from ringwear_par.elasticity.bem.solve import has_scalapack
+from ringwear_par.elasticity.geometry.mesh import Mesh, contact_line
+from ringwear_par.elasticity.geometry.sections import Body, Material, Section
 from ringwear_par.errors import ComputationError
 from ringwear_par.verification.elasticity import (
     bar_error,
@@ -151,10 +151,10 @@ def test_a_singular_system_fails_on_all_ranks(comm):
 
 
 def test_no_rank_holds_a_whole_matrix(comm):
-    from ringwear_par.elasticity.assembly import Zone, assemble, number_dofs
-    from ringwear_par.elasticity.body import boundary_conditions
-    from ringwear_par.elasticity.boundary import boundary_mesh
-    from ringwear_par.elasticity.quadrature import quadrature
+    from ringwear_par.elasticity.bem.assembly import Zone, assemble, number_dofs
+    from ringwear_par.elasticity.bem.body import boundary_conditions
+    from ringwear_par.elasticity.bem.boundary import boundary_mesh
+    from ringwear_par.elasticity.bem.quadrature import quadrature
 
     body = boundary_mesh(LOWER, contact_line(CONTACT, Mesh(16)), Mesh(16))
     zones = [Zone(body, boundary_conditions(body, "clamped"), Material(1.0, 0.3))]

@@ -9,8 +9,8 @@ from stored import assert_same
 
 from ringwear_par.cases.reading import read_case
 from ringwear_par.elasticity.boundary_fields import FACES
-from ringwear_par.history.bodies import young
-from ringwear_par.history.pairs import assemble, boundary_recovery, updated_geometry
+from ringwear_par.history.elastic.bodies import young
+from ringwear_par.history.elastic.pairs import assemble, boundary_recovery, updated_geometry
 from ringwear_par.results.files import open_result
 from ringwear_par.results.run import run_case
 

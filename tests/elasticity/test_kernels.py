@@ -4,7 +4,7 @@ import mpmath
 import numpy as np
 import pytest
 
-from ringwear_par.elasticity.kernels import (
+from ringwear_par.elasticity.bem.kernels import (
     TILE,
     TILE_ROWS,
     _from_moments,

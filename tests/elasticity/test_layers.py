@@ -7,19 +7,19 @@ import numpy as np
 import pytest
 from mpi4py import MPI
 
-from ringwear_par.elasticity.assembly import assemble, number_dofs
-from ringwear_par.elasticity.body import (
+from ringwear_par.elasticity.bem.assembly import assemble, number_dofs
+from ringwear_par.elasticity.bem.body import (
     body_zones,
     boundary_responses,
     compliance,
     contact_problem,
 )
-from ringwear_par.elasticity.boundary import node_wear, zone_meshes
-from ringwear_par.elasticity.mesh import Mesh, contact_line
+from ringwear_par.elasticity.bem.boundary import node_wear, zone_meshes
+from ringwear_par.elasticity.bem.quadrature import quadrature
+from ringwear_par.elasticity.geometry.mesh import Mesh, contact_line
+from ringwear_par.elasticity.geometry.sections import Body, Material, Section
+from ringwear_par.elasticity.geometry.slopes import pair_slope
 from ringwear_par.elasticity.pair import assemble_pair
-from ringwear_par.elasticity.quadrature import quadrature
-from ringwear_par.elasticity.sections import Body, Material, Section
-from ringwear_par.elasticity.slopes import pair_slope
 from ringwear_par.elasticity.updated import UpdatedGeometry, moving_parts
 
 CONTACT = (28.5, 31.5)

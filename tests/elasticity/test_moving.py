@@ -7,17 +7,17 @@ import numpy as np
 import pytest
 
 from ringwear_par.cases.reading import read_case
-from ringwear_par.elasticity.body import compliance
-from ringwear_par.elasticity.boundary import node_wear
-from ringwear_par.elasticity.mesh import Mesh, contact_line
-from ringwear_par.elasticity.slopes import case_slopes, common_slope
+from ringwear_par.elasticity.bem.body import compliance
+from ringwear_par.elasticity.bem.boundary import node_wear
+from ringwear_par.elasticity.geometry.mesh import Mesh, contact_line
+from ringwear_par.elasticity.geometry.slopes import case_slopes, common_slope
 from ringwear_par.elasticity.updated import moving_parts
 from ringwear_par.errors import ComputationError
-from ringwear_par.history.bodies import bodies
-from ringwear_par.history.pairs import assemble, updated_geometry
+from ringwear_par.history.elastic.bodies import bodies
+from ringwear_par.history.elastic.pairs import assemble, updated_geometry
 from ringwear_par.verification.fine import SORTS, ring_case
 from ringwear_par.verification.paper import paper_case
-from ringwear_par.wear.threshold import ThresholdLaw
+from ringwear_par.wear.laws.threshold import ThresholdLaw
 
 CASES = Path(__file__).parents[2] / "scripts" / "cases"
 

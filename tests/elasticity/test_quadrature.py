@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 from scipy.integrate import quad
 
-from ringwear_par.elasticity.assembly import BoundaryConditions, Zone, assemble, number_dofs
-from ringwear_par.elasticity.boundary import boundary_mesh
-from ringwear_par.elasticity.mesh import Mesh, contact_line
-from ringwear_par.elasticity.quadrature import MAX_POINTS, quadrature
-from ringwear_par.elasticity.sections import Material, Section
+from ringwear_par.elasticity.bem.assembly import BoundaryConditions, Zone, assemble, number_dofs
+from ringwear_par.elasticity.bem.boundary import boundary_mesh
+from ringwear_par.elasticity.bem.quadrature import MAX_POINTS, quadrature
+from ringwear_par.elasticity.geometry.mesh import Mesh, contact_line
+from ringwear_par.elasticity.geometry.sections import Material, Section
 
 
 @pytest.mark.parametrize("power", range(5))
@@ -56,8 +56,8 @@ def rows(tolerance, comm):
 @pytest.mark.parametrize("bore", [0.01, 0.3, 10.0])
 def test_bars_with_small_bores_stay_exact(bore, comm):
     """u_z = s z, u_r = -nu s r is in the discrete space: what is left is quadrature."""
-    from ringwear_par.elasticity.body import compliance
-    from ringwear_par.elasticity.sections import Body
+    from ringwear_par.elasticity.bem.body import compliance
+    from ringwear_par.elasticity.geometry.sections import Body
 
     section = Section((bore, 20.0), 20.0)
     for tolerance in (1e-4, 1e-7):

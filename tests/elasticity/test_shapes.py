@@ -8,13 +8,13 @@ import pytest
 
 from ringwear_par.cases.case import Stepping
 from ringwear_par.cases.reading import parse_case, read_case
-from ringwear_par.elasticity.mesh import Mesh
-from ringwear_par.elasticity.sections import Section
+from ringwear_par.elasticity.geometry.mesh import Mesh
+from ringwear_par.elasticity.geometry.sections import Section
 from ringwear_par.errors import InputError
-from ringwear_par.history.bodies import young
+from ringwear_par.history.elastic.bodies import young
+from ringwear_par.history.elastic.pairs import assemble
 from ringwear_par.history.model import WearModel
-from ringwear_par.history.pairs import assemble
-from ringwear_par.history.trace import trace
+from ringwear_par.history.observers.trace import trace
 from ringwear_par.verification.paper import paper_case
 from ringwear_par.verification.reference import contact_modulus
 

@@ -4,16 +4,16 @@ import numpy as np
 import pytest
 
 import ringwear_par as rw
-from ringwear_par.elasticity.body import BoundaryResponse
-from ringwear_par.elasticity.boundary import boundary_mesh
-from ringwear_par.elasticity.largest_stress import Search, edges
-from ringwear_par.elasticity.mesh import Mesh, contact_line
+from ringwear_par.elasticity.bem.body import BoundaryResponse
+from ringwear_par.elasticity.bem.boundary import boundary_mesh
+from ringwear_par.elasticity.geometry.mesh import Mesh, contact_line
+from ringwear_par.elasticity.geometry.sections import Body, Material, Section
 from ringwear_par.elasticity.pair import assemble_pair
-from ringwear_par.elasticity.sections import Body, Material, Section
-from ringwear_par.elasticity.stress import ZoneStress, locate
-from ringwear_par.elasticity.stress_measures import max_shear, mises, principal
-from ringwear_par.elasticity.stress_recovery import StressPoints, StressRecovery
-from ringwear_par.elasticity.surface_stress import faces
+from ringwear_par.elasticity.stress.largest import Search, edges
+from ringwear_par.elasticity.stress.measures import max_shear, mises, principal
+from ringwear_par.elasticity.stress.recovery import StressPoints, StressRecovery
+from ringwear_par.elasticity.stress.recovery_inside import ZoneStress, locate
+from ringwear_par.elasticity.stress.surface import faces
 
 NU = 0.3
 RING = Section((20.0, 40.0), 20.0)

@@ -4,8 +4,8 @@ import mpmath
 import numpy as np
 import pytest
 
-from ringwear_par.elasticity.kernels import TILE
-from ringwear_par.elasticity.stress_kernels import (
+from ringwear_par.elasticity.bem.kernels import TILE
+from ringwear_par.elasticity.stress.kernels import (
     N_KERNELS,
     STRESS_TILE_ROWS,
     fill_stress_tile,

@@ -11,18 +11,18 @@ import pytest
 from ringwear_par.batched import one
 from ringwear_par.cases.case import Load, Output, Stepping
 from ringwear_par.errors import ComputationError
-from ringwear_par.history import sdirk2
-from ringwear_par.history.balances import balances
 from ringwear_par.history.loop import METHODS
 from ringwear_par.history.model import WearModel
-from ringwear_par.history.trace import trace
+from ringwear_par.history.observers.balances import balances
+from ringwear_par.history.observers.trace import trace
+from ringwear_par.history.schemes import sdirk2
 from ringwear_par.results import files as results
 from ringwear_par.schedules import Table, integral
 from ringwear_par.verification.paper import OMEGA
-from ringwear_par.wear.non_local import NonLocalLaw
-from ringwear_par.wear.power import PowerLaw
-from ringwear_par.wear.running_in import RunningInLaw
-from ringwear_par.wear.threshold import ThresholdLaw
+from ringwear_par.wear.laws.non_local import NonLocalLaw
+from ringwear_par.wear.laws.power import PowerLaw
+from ringwear_par.wear.laws.running_in import RunningInLaw
+from ringwear_par.wear.laws.threshold import ThresholdLaw
 
 FORCE = 45238.934
 LAW = ThresholdLaw(1e-7, 40.0)

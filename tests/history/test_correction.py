@@ -17,14 +17,14 @@ from ringwear_par.contact import correction
 from ringwear_par.contact.batch import BatchSolver
 from ringwear_par.contact.solver import ContactSolver
 from ringwear_par.errors import ComputationError, HistoriesError
-from ringwear_par.history import euler
-from ringwear_par.history.bodies import young
+from ringwear_par.history.elastic.bodies import young
+from ringwear_par.history.elastic.pairs import assemble
 from ringwear_par.history.loop import METHODS
 from ringwear_par.history.model import WearModel
-from ringwear_par.history.pairs import assemble
-from ringwear_par.history.trace import trace
+from ringwear_par.history.observers.trace import trace
+from ringwear_par.history.schemes import euler
 from ringwear_par.schedules import in_time
-from ringwear_par.wear.threshold import ThresholdLaw
+from ringwear_par.wear.laws.threshold import ThresholdLaw
 
 CHAMFER = Path(__file__).parents[2] / "scripts" / "cases" / "chamfer.toml"
 #: of scripts/random_cases.py with seed 1: contact that does not reach the edges, or has a corner

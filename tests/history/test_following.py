@@ -10,15 +10,15 @@ import pytest
 
 import ringwear_par as rw
 from ringwear_par.cases.case import Load, Ring, Stepping
-from ringwear_par.elasticity.mesh import Mesh
+from ringwear_par.elasticity.geometry.mesh import Mesh
 from ringwear_par.errors import ComputationError, InputError
-from ringwear_par.history.following import update_geometry
 from ringwear_par.history.limits import check_mesh
 from ringwear_par.history.model import WearModel
-from ringwear_par.history.trace import trace
+from ringwear_par.history.moving_geometry import update_geometry
+from ringwear_par.history.observers.trace import trace
 from ringwear_par.verification.histories import round_face
 from ringwear_par.verification.paper import paper_case
-from ringwear_par.wear.threshold import ThresholdLaw
+from ringwear_par.wear.laws.threshold import ThresholdLaw
 
 PAPER = Path(__file__).parents[2] / "scripts/cases/paper.toml"
 UPDATED = Mesh(24, geometry="updated", geometry_tolerance=0.003)

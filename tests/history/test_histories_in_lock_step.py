@@ -8,21 +8,21 @@ from mpi4py import MPI
 
 from ringwear_par.batched import one
 from ringwear_par.cases.case import Load, Output, Stepping
-from ringwear_par.elasticity.mesh import Mesh
+from ringwear_par.elasticity.geometry.mesh import Mesh
 from ringwear_par.errors import ComputationError, LawError
 from ringwear_par.history import loop
+from ringwear_par.history.elastic.pairs import assemble
 from ringwear_par.history.lockstep import batch_key
 from ringwear_par.history.loop import simulate, simulate_one
-from ringwear_par.history.pairs import assemble
-from ringwear_par.history.trace import trace
+from ringwear_par.history.observers.trace import trace
 from ringwear_par.schedules import Table
 from ringwear_par.verification.paper import OMEGA, paper_case
-from ringwear_par.wear.archard import ArchardLaw
-from ringwear_par.wear.non_local import NonLocalLaw
-from ringwear_par.wear.power import PowerLaw
-from ringwear_par.wear.running_in import RunningInLaw
-from ringwear_par.wear.table import TableLaw
-from ringwear_par.wear.threshold import ThresholdLaw
+from ringwear_par.wear.laws.archard import ArchardLaw
+from ringwear_par.wear.laws.non_local import NonLocalLaw
+from ringwear_par.wear.laws.power import PowerLaw
+from ringwear_par.wear.laws.running_in import RunningInLaw
+from ringwear_par.wear.laws.table import TableLaw
+from ringwear_par.wear.laws.threshold import ThresholdLaw
 from ringwear_par.wear.user import UserLaw
 
 ADAPTIVE = Stepping("adaptive", until=60.0)

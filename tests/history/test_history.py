@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 
 from ringwear_par.cases.case import Load, Stepping
-from ringwear_par.history.bodies import young
+from ringwear_par.history.elastic.bodies import young
+from ringwear_par.history.elastic.pairs import assemble
 from ringwear_par.history.model import WearModel
-from ringwear_par.history.pairs import assemble
+from ringwear_par.history.observers.trace import trace
 from ringwear_par.history.stability import stable_steps
-from ringwear_par.history.trace import trace
-from ringwear_par.wear.threshold import ThresholdLaw
+from ringwear_par.wear.laws.threshold import ThresholdLaw
 
 
 @pytest.fixture
@@ -111,7 +111,7 @@ def test_fixed_approach_unloads(stepped):
 @pytest.mark.most_ranks(2)
 def test_both_schemes_are_of_first_order_and_meet(stepped):
     """Against a fine run, at 20 s on a coarse mesh, where explicit steps are stable."""
-    from ringwear_par.elasticity.mesh import Mesh
+    from ringwear_par.elasticity.geometry.mesh import Mesh
     from ringwear_par.verification.paper import paper_case
 
     case = paper_case(Mesh(16, grading=1.0), p0=(0.0, None))

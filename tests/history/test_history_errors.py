@@ -11,15 +11,15 @@ from mpi4py import MPI
 from ringwear_par.arrays import relative
 from ringwear_par.batched import one
 from ringwear_par.cases.case import Output, Stepping
-from ringwear_par.elasticity.mesh import Mesh
+from ringwear_par.elasticity.geometry.mesh import Mesh
 from ringwear_par.errors import ComputationError
+from ringwear_par.history.elastic.pairs import assemble
 from ringwear_par.history.loop import METHODS, simulate
-from ringwear_par.history.pairs import assemble
-from ringwear_par.history.trace import trace
+from ringwear_par.history.observers.trace import trace
 from ringwear_par.verification.paper import paper_case
-from ringwear_par.wear.power import PowerLaw
-from ringwear_par.wear.running_in import RunningInLaw
-from ringwear_par.wear.threshold import ThresholdLaw
+from ringwear_par.wear.laws.power import PowerLaw
+from ringwear_par.wear.laws.running_in import RunningInLaw
+from ringwear_par.wear.laws.threshold import ThresholdLaw
 
 ALONE = MPI.COMM_SELF
 LAWS = {

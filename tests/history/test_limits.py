@@ -8,9 +8,9 @@ from dataclasses import replace
 import pytest
 
 import ringwear_par as rw
-from ringwear_par.elasticity.mesh import Mesh
+from ringwear_par.elasticity.geometry.mesh import Mesh
+from ringwear_par.history.elastic.pairs import assemble
 from ringwear_par.history.limits import check_memory, memory_needed
-from ringwear_par.history.pairs import assemble
 from ringwear_par.verification.paper import paper_case
 
 

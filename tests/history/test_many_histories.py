@@ -6,16 +6,16 @@ import numpy as np
 import pytest
 
 from ringwear_par.cases.case import Load
-from ringwear_par.elasticity.mesh import Mesh
-from ringwear_par.history import euler, sdirk2
-from ringwear_par.history.balances import balances
+from ringwear_par.elasticity.geometry.mesh import Mesh
+from ringwear_par.history.elastic.pairs import assemble
 from ringwear_par.history.model import WearModel
-from ringwear_par.history.pairs import assemble
+from ringwear_par.history.observers.balances import balances
+from ringwear_par.history.schemes import euler, sdirk2
 from ringwear_par.schedules import Table
 from ringwear_par.verification.paper import OMEGA, paper_case
-from ringwear_par.wear.non_local import NonLocalLaw
-from ringwear_par.wear.running_in import RunningInLaw
-from ringwear_par.wear.threshold import ThresholdLaw
+from ringwear_par.wear.laws.non_local import NonLocalLaw
+from ringwear_par.wear.laws.running_in import RunningInLaw
+from ringwear_par.wear.laws.threshold import ThresholdLaw
 
 #: no rank of a batch knows of others
 pytestmark = pytest.mark.most_ranks(2)

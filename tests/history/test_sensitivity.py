@@ -8,12 +8,12 @@ import pytest
 from mpi4py import MPI
 
 import ringwear_par as rw
+from ringwear_par.history.elastic.pairs import assemble
 from ringwear_par.history.loop import simulate_one
-from ringwear_par.history.pairs import assemble
 from ringwear_par.history.sensitivity import differentiable
 from ringwear_par.results.recorder import Recorder
 from ringwear_par.results.variables import D_HISTORIES, D_PROFILES
-from ringwear_par.studies.batches import computed
+from ringwear_par.studies.execution.batches import computed
 
 CASES = Path(__file__).parents[2] / "scripts" / "cases"
 ALONE = MPI.COMM_SELF
@@ -183,7 +183,7 @@ def test_derivatives_are_central_differences(tmp_path, law, scheme, changes):
 
 
 def test_elements_that_enter_within_steps_are_differentiated(tmp_path, monkeypatch):
-    from ringwear_par.history import sdirk2
+    from ringwear_par.history.schemes import sdirk2
 
     entering, late = sdirk2.entering, []
 

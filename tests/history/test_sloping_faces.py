@@ -10,27 +10,27 @@ from wearing import sliding
 
 from ringwear_par.cases.case import Stepping
 from ringwear_par.cases.reading import read_case
-from ringwear_par.elasticity.body import compliance
-from ringwear_par.elasticity.boundary import node_wear
-from ringwear_par.elasticity.mesh import Mesh
-from ringwear_par.elasticity.slopes import case_slopes, common_slope
-from ringwear_par.history import euler, sdirk2
-from ringwear_par.history.balances import Balances, balances
-from ringwear_par.history.bodies import bodies
+from ringwear_par.elasticity.bem.body import compliance
+from ringwear_par.elasticity.bem.boundary import node_wear
+from ringwear_par.elasticity.geometry.mesh import Mesh
+from ringwear_par.elasticity.geometry.slopes import case_slopes, common_slope
+from ringwear_par.history.elastic.bodies import bodies
+from ringwear_par.history.elastic.pairs import assemble, updated_geometry
 from ringwear_par.history.loop import simulate_one
 from ringwear_par.history.model import WearModel
-from ringwear_par.history.pairs import assemble, updated_geometry
-from ringwear_par.history.trace import trace
-from ringwear_par.history.validity import WorstStates
+from ringwear_par.history.observers.balances import Balances, balances
+from ringwear_par.history.observers.trace import trace
+from ringwear_par.history.observers.validity import WorstStates
+from ringwear_par.history.schemes import euler, sdirk2
 from ringwear_par.results.warnings import validity_warnings
 from ringwear_par.verification.fine import CONTACT, Rings, ring_case
 from ringwear_par.verification.paper import paper_case
-from ringwear_par.wear.archard import ArchardLaw
 from ringwear_par.wear.increment import WearIncrement, averaging
-from ringwear_par.wear.non_local import NonLocalLaw
-from ringwear_par.wear.power import PowerLaw
-from ringwear_par.wear.running_in import RunningInLaw
-from ringwear_par.wear.threshold import ThresholdLaw
+from ringwear_par.wear.laws.archard import ArchardLaw
+from ringwear_par.wear.laws.non_local import NonLocalLaw
+from ringwear_par.wear.laws.power import PowerLaw
+from ringwear_par.wear.laws.running_in import RunningInLaw
+from ringwear_par.wear.laws.threshold import ThresholdLaw
 
 CASES = Path(__file__).parents[2] / "scripts" / "cases"
 CHAMFER, PAPER = CASES / "chamfer.toml", CASES / "paper.toml"

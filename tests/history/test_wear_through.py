@@ -7,13 +7,13 @@ import pytest
 from mpi4py import MPI
 
 import ringwear_par as rw
+from ringwear_par.history.elastic.pairs import assemble
 from ringwear_par.history.layers import layer_left, layer_volumes
 from ringwear_par.history.loop import simulate_one
-from ringwear_par.history.pairs import assemble
+from ringwear_par.history.observers.trace import Trace, trace
 from ringwear_par.history.sensitivity import differentiable
-from ringwear_par.history.trace import Trace, trace
 from ringwear_par.results import files
-from ringwear_par.studies.batches import computed
+from ringwear_par.studies.execution.batches import computed
 
 CASE = Path(__file__).parents[2] / "scripts" / "cases" / "wear_through.toml"
 ALONE = MPI.COMM_SELF

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import ringwear_par as rw
-from ringwear_par.elasticity.stress_measures import SIDES, mises
+from ringwear_par.elasticity.stress.measures import SIDES, mises
 from ringwear_par.results.export import export
 from ringwear_par.results.run import run_case
 

@@ -10,10 +10,10 @@ import pytest
 import ringwear_par as rw
 from ringwear_par import read_case, simulate
 from ringwear_par.errors import ComputationError, InputError
-from ringwear_par.history.pairs import assemble
+from ringwear_par.history.elastic.pairs import assemble
 from ringwear_par.results.files import open_result, read_status
 from ringwear_par.results.run import run_case
-from ringwear_par.studies.batches import computed
+from ringwear_par.studies.execution.batches import computed
 
 PAPER = Path(__file__).parents[2] / "scripts" / "cases" / "paper.toml"
 SMALL = ["mesh.contact_elements=16", "time.steps=20"]

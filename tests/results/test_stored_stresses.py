@@ -8,8 +8,8 @@ import pytest
 
 import ringwear_par as rw
 from ringwear_par.cases.stress import Stress
-from ringwear_par.elasticity.stress_measures import COMPONENTS, max_shear, mises, principal
-from ringwear_par.elasticity.stress_recovery import StressRecovery
+from ringwear_par.elasticity.stress.measures import COMPONENTS, max_shear, mises, principal
+from ringwear_par.elasticity.stress.recovery import StressRecovery
 from ringwear_par.history.limits import stress_numbers
 from ringwear_par.results.export import export
 

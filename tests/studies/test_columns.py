@@ -14,15 +14,15 @@ from ringwear_par.cases.reading import make_case
 from ringwear_par.cases.text import toml_text
 from ringwear_par.errors import InputError
 from ringwear_par.history.limits import check_ranks
-from ringwear_par.studies import study as studies
-from ringwear_par.studies.bad_cases import LOOKED_AT, told_faults
-from ringwear_par.studies.designs import read_draft
-from ringwear_par.studies.groups import Groups
-from ringwear_par.studies.identities import case_id
-from ringwear_par.studies.index import ENTRY, Index, Piece, join, latest, put
-from ringwear_par.studies.study import read_study
-from ringwear_par.studies.texts import Texts
-from ringwear_par.studies.variations import column_of, split_key, varied_keys
+from ringwear_par.studies.definition import study as studies
+from ringwear_par.studies.definition.bad_cases import LOOKED_AT, told_faults
+from ringwear_par.studies.definition.designs import read_draft
+from ringwear_par.studies.definition.groups import Groups
+from ringwear_par.studies.definition.identities import case_id
+from ringwear_par.studies.definition.study import read_study
+from ringwear_par.studies.definition.texts import Texts
+from ringwear_par.studies.definition.variations import column_of, split_key, varied_keys
+from ringwear_par.studies.storage.index import ENTRY, Index, Piece, join, latest, put
 
 pytestmark = pytest.mark.serial
 CASES = Path(__file__).parents[2] / "scripts/cases"

@@ -18,11 +18,12 @@ from conftest import SHELL_ENVIRONMENT
 from swept import write_study
 
 from ringwear_par.errors import ComputationError, InputError
-from ringwear_par.studies import blocks, scheduling, shards, store, sweep, workers
-from ringwear_par.studies.blocks import Block, Record
-from ringwear_par.studies.index import DamagedError
-from ringwear_par.studies.shards import Shard, read_shard
-from ringwear_par.studies.sweep import run_sweep
+from ringwear_par.studies.execution import scheduling, sweep, workers
+from ringwear_par.studies.execution.sweep import run_sweep
+from ringwear_par.studies.storage import blocks, shards, store
+from ringwear_par.studies.storage.blocks import Block, Record
+from ringwear_par.studies.storage.index import DamagedError
+from ringwear_par.studies.storage.shards import Shard, read_shard
 
 pytestmark = [pytest.mark.serial, pytest.mark.slow]
 STUDY = """
@@ -155,7 +156,7 @@ import os, signal, sys
 from pathlib import Path
 from mpi4py import MPI
 from ringwear_par.studies import scheduling
-from ringwear_par.studies.sweep import run_sweep
+from ringwear_par.studies.execution.sweep import run_sweep
 
 for name in {DRAWS}:  # one by one
     setattr(scheduling, name, 0.0)

@@ -6,7 +6,7 @@ from swept import CASE, write_study
 from ringwear_par.cases.reading import parse_case
 from ringwear_par.errors import InputError
 from ringwear_par.petsc import PETSc
-from ringwear_par.studies.sweep import sweep
+from ringwear_par.studies.execution.sweep import sweep
 
 FOLLOWS = {"mesh.geometry": "updated", "mesh.geometry_tolerance": 1.0}
 

@@ -10,15 +10,15 @@ from ringwear_par.cases.case import Load, Stepping
 from ringwear_par.cases.reading import parse_case
 from ringwear_par.errors import InputError, RingwearError
 from ringwear_par.history.loop import simulate_one
-from ringwear_par.history.trace import Trace
+from ringwear_par.history.observers.trace import Trace
 from ringwear_par.results.checkpoints import restored
 from ringwear_par.results.result import FailedResult, Result
 from ringwear_par.results.simulate import simulate
 from ringwear_par.results.variables import HISTORIES
 from ringwear_par.schedules import Table
-from ringwear_par.studies import batches, many
-from ringwear_par.studies.many import simulate_all
-from ringwear_par.wear.threshold import ThresholdLaw
+from ringwear_par.studies.execution import batches, many
+from ringwear_par.studies.execution.many import simulate_all
+from ringwear_par.wear.laws.threshold import ThresholdLaw
 
 
 @pytest.fixture(scope="module")

@@ -6,9 +6,9 @@ from swept import CASE, table, variables, write_study
 import ringwear_par
 from ringwear_par import info
 from ringwear_par.errors import ComputationError, InputError
-from ringwear_par.studies import workers
-from ringwear_par.studies.ensemble import open_ensemble
-from ringwear_par.studies.sweep import sweep
+from ringwear_par.studies.execution import workers
+from ringwear_par.studies.execution.sweep import sweep
+from ringwear_par.studies.storage.ensemble import open_ensemble
 
 THRESHOLDS = '[vary]\n"wear.lower.p0" = {{ values = [{}] }}\n'
 
@@ -62,7 +62,7 @@ def test_interrupted_cases_of_another_version_start_anew(
     for module in (ringwear_par, info, workers):
         monkeypatch.setattr(module, "__version__", "99.0")
     read = []
-    monkeypatch.setattr("ringwear_par.studies.workers.open_result", read.append)
+    monkeypatch.setattr("ringwear_par.studies.execution.workers.open_result", read.append)
     assert swept("0", ranks_per_case=comm.size).done == 1
     assert not read
     assert comm.rank > 0 or "1 interrupted cases of another version start anew" in caplog.text

@@ -4,8 +4,8 @@ from itertools import pairwise
 
 import pytest
 
-from ringwear_par.studies import scheduling
-from ringwear_par.studies.scheduling import Board, Cases, Scheduler
+from ringwear_par.studies.execution import scheduling
+from ringwear_par.studies.execution.scheduling import Board, Cases, Scheduler
 
 
 @pytest.fixture

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from ringwear_par.errors import ComputationError
-from ringwear_par.studies import shards
-from ringwear_par.studies.blocks import Block, Record, unpack_header
-from ringwear_par.studies.index import DamagedError, Kind
-from ringwear_par.studies.shards import Shard, drop_damaged_blocks, read_shard
+from ringwear_par.studies.storage import shards
+from ringwear_par.studies.storage.blocks import Block, Record, unpack_header
+from ringwear_par.studies.storage.index import DamagedError, Kind
+from ringwear_par.studies.storage.shards import Shard, drop_damaged_blocks, read_shard
 
 pytestmark = pytest.mark.serial
 

@@ -17,12 +17,12 @@ from ringwear_par.cases.keys import read_keys
 from ringwear_par.cases.reading import make_case, parse_case
 from ringwear_par.cases.schema import BY_PATH
 from ringwear_par.errors import InputError
-from ringwear_par.studies import plan
-from ringwear_par.studies import study as studies
-from ringwear_par.studies.designs import SAMPLED
-from ringwear_par.studies.identities import case_id
-from ringwear_par.studies.study import read_study, read_study_together
-from ringwear_par.wear.power import PowerLaw
+from ringwear_par.studies.definition import study as studies
+from ringwear_par.studies.definition.designs import SAMPLED
+from ringwear_par.studies.definition.identities import case_id
+from ringwear_par.studies.definition.study import read_study, read_study_together
+from ringwear_par.studies.execution import plan
+from ringwear_par.wear.laws.power import PowerLaw
 
 CASE = (Path(__file__).parents[2] / "scripts/cases/paper.toml").read_text()
 GRID = """
@@ -433,7 +433,9 @@ def test_all_teams_have_to_fit_into_the_machine(write, tmp_path, monkeypatch):
 def test_reading_studies_and_results_starts_neither_mpi_nor_petsc_nor_numba():
     code = """
 import sys
-import ringwear_par.studies.study, ringwear_par.studies.ensemble, ringwear_par.studies.figures
+import ringwear_par.studies.definition.study
+import ringwear_par.studies.storage.ensemble
+import ringwear_par.studies.pictures.figures
 print([name for name in ("mpi4py.MPI", "petsc4py.PETSc", "numba") if name in sys.modules])
 """
     told = subprocess.run(

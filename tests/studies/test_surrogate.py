@@ -11,10 +11,10 @@ import pytest
 from test_sweep_plots import sample, write
 
 import ringwear_par as rw
-from ringwear_par.studies import surrogate as module
-from ringwear_par.studies import surrogate_file
-from ringwear_par.studies.figures import draw_sweep_and_surrogate
-from ringwear_par.studies.sensitivity import sobol_indices
+from ringwear_par.studies.analysis import surrogate as module
+from ringwear_par.studies.analysis import surrogate_file
+from ringwear_par.studies.analysis.sensitivity import sobol_indices
+from ringwear_par.studies.pictures.figures import draw_sweep_and_surrogate
 
 pytestmark = pytest.mark.serial
 
@@ -413,7 +413,7 @@ def test_times_that_not_all_cases_have(tmp_path):
 
 
 def test_sobol_indices_of_a_product(tmp_path, monkeypatch):
-    monkeypatch.setattr("ringwear_par.studies.sensitivity._EVALUATIONS", 1e5)
+    monkeypatch.setattr("ringwear_par.studies.analysis.sensitivity._EVALUATIONS", 1e5)
     written(tmp_path, power, 128)
     (part,) = rw.surrogate(tmp_path).parts
     (found,) = sobol_indices(part, ["penetration"])
@@ -434,8 +434,8 @@ def test_sobol_indices_of_a_product(tmp_path, monkeypatch):
 
 
 def test_it_is_drawn(tmp_path, monkeypatch):
-    monkeypatch.setattr("ringwear_par.studies.sensitivity._EVALUATIONS", 1e4)
-    monkeypatch.setattr("ringwear_par.studies.sensitivity._RESAMPLES", 20)
+    monkeypatch.setattr("ringwear_par.studies.analysis.sensitivity._EVALUATIONS", 1e4)
+    monkeypatch.setattr("ringwear_par.studies.analysis.sensitivity._RESAMPLES", 20)
     ensemble = written(tmp_path, power, 128)
     figure = draw_sweep_and_surrogate(ensemble)
     # histories, Sobol' indices, responses with the cases
@@ -511,6 +511,6 @@ def test_a_sweep_is_answered_for(swept, monkeypatch):
     middle = 0.5 * (depth[:, 3] + depth[:, 4])  # at 35 s, between two steps
     error = np.sqrt(np.mean((then["penetration"] - np.stack([middle, depth[:, -1]], 1)) ** 2))
     assert error < 3.0 * early.error["penetration"]
-    monkeypatch.setattr("ringwear_par.studies.sensitivity._EVALUATIONS", 1e4)
+    monkeypatch.setattr("ringwear_par.studies.analysis.sensitivity._EVALUATIONS", 1e4)
     figure = rw.plot(swept / "a")
     assert "surrogate of 64 cases" in figure.subfigs[-1].get_suptitle()

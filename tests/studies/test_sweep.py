@@ -17,17 +17,10 @@ from ringwear_par.errors import ComputationError, InputError
 from ringwear_par.results.files import open_result
 from ringwear_par.results.run import run_case
 from ringwear_par.results.variables import HISTORIES, PROFILES
-from ringwear_par.studies import (
-    case_variables,
-    dataset,
-    estimate,
-    operators,
-    results_file,
-    sweep,
-    workers,
-)
-from ringwear_par.studies.ensemble import open_ensemble, read_ensemble
-from ringwear_par.studies.study import read_study
+from ringwear_par.studies.definition.study import read_study
+from ringwear_par.studies.execution import estimate, operators, sweep, workers
+from ringwear_par.studies.storage import case_variables, dataset, results_file
+from ringwear_par.studies.storage.ensemble import open_ensemble, read_ensemble
 
 
 @pytest.fixture
@@ -243,7 +236,7 @@ def test_sizes_that_do_not_divide_are_refused(write, shared_path, comm):
 def test_a_failed_case_is_a_row_and_the_others_go_on(
     write, shared_path, comm, monkeypatch, stopped_after
 ):
-    from ringwear_par.wear.threshold import ThresholdLaw
+    from ringwear_par.wear.laws.threshold import ThresholdLaw
 
     original = ThresholdLaw.rate
 

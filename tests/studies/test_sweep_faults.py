@@ -14,9 +14,9 @@ from waiting import STEPS, Waiting
 
 from ringwear_par.errors import ComputationError
 from ringwear_par.results import watch
-from ringwear_par.studies import workers
-from ringwear_par.studies.sweep import run_sweep
-from ringwear_par.wear.threshold import ThresholdLaw
+from ringwear_par.studies.execution import workers
+from ringwear_par.studies.execution.sweep import run_sweep
+from ringwear_par.wear.laws.threshold import ThresholdLaw
 
 pytestmark = [
     pytest.mark.serial,

@@ -11,14 +11,14 @@ from scipy.stats import qmc
 
 from ringwear_par.errors import InputError
 from ringwear_par.results.variables import HISTORIES
-from ringwear_par.studies.blocks import Block, Record
-from ringwear_par.studies.dataset import Listing, write_ensemble
-from ringwear_par.studies.ensemble import Ensemble, read_ensemble
-from ringwear_par.studies.figures import choose, draw_sweep, plot_sweep
-from ringwear_par.studies.index_bars import index_bars
-from ringwear_par.studies.sensitivity import sensitivity
-from ringwear_par.studies.shards import Shard, read_shard
-from ringwear_par.studies.variations import column_of
+from ringwear_par.studies.analysis.sensitivity import sensitivity
+from ringwear_par.studies.definition.variations import column_of
+from ringwear_par.studies.pictures.figures import choose, draw_sweep, plot_sweep
+from ringwear_par.studies.pictures.index_bars import index_bars
+from ringwear_par.studies.storage.blocks import Block, Record
+from ringwear_par.studies.storage.dataset import Listing, write_ensemble
+from ringwear_par.studies.storage.ensemble import Ensemble, read_ensemble
+from ringwear_par.studies.storage.shards import Shard, read_shard
 
 pytestmark = [pytest.mark.serial, pytest.mark.slow]
 
@@ -83,8 +83,8 @@ def sample(keys, count, seed=3):
 @pytest.fixture
 def few_resamples(monkeypatch):
     """Where it does not matter how well it is all known: nearly all of the time goes there."""
-    monkeypatch.setattr("ringwear_par.studies.sensitivity._RESAMPLES", 20)
-    monkeypatch.setattr("ringwear_par.studies.sensitivity._EVALUATIONS", 1e4)
+    monkeypatch.setattr("ringwear_par.studies.analysis.sensitivity._RESAMPLES", 20)
+    monkeypatch.setattr("ringwear_par.studies.analysis.sensitivity._EVALUATIONS", 1e4)
 
 
 KEYS = ("load.pressure", "load.omega", "upper.r[1]")
@@ -440,7 +440,7 @@ def test_many_cases_are_drawn_from_a_part_of_their_histories(tmp_path, monkeypat
         return table
 
     monkeypatch.setattr(Ensemble, "histories", counted)
-    monkeypatch.setattr("ringwear_par.studies.fan._BLOCK_BYTES", 2e5)
+    monkeypatch.setattr("ringwear_par.studies.pictures.fan._BLOCK_BYTES", 2e5)
     plot_sweep(tmp_path / "a", tmp_path / "a.png")
     assert sum(cases for name, cases, _ in read if name == "penetration") == 2000
     assert {name for name, _, _ in read} == {"time", "penetration"}
@@ -459,7 +459,7 @@ def test_many_cases_are_drawn_from_a_part_of_their_histories(tmp_path, monkeypat
 def test_round_off_looks_like_no_effect(tmp_path, keys, method):
     """Values that differ by it lie on a level line; 2 % are seen as ever."""
     from ringwear_par.reports.sweep_charts import effects
-    from ringwear_par.studies.surrogate import surrogate
+    from ringwear_par.studies.analysis.surrogate import surrogate
 
     u = sample(KEYS[:keys], 32) if method == "sobol" else np.array(
         list(itertools.product(*[np.linspace(0.1, 1.0, 4)] * keys))

@@ -9,16 +9,16 @@ from mpi4py import MPI
 from swept import CASE, table, variables, write_study
 
 import ringwear_par as rw
-from ringwear_par.elasticity.stress_recovery import StressRecovery
+from ringwear_par.elasticity.stress.recovery import StressRecovery
 from ringwear_par.errors import ComputationError
 from ringwear_par.reports import sweep_charts
-from ringwear_par.studies import workers
-from ringwear_par.studies.ensemble import read_ensemble
-from ringwear_par.studies.figures import choose
-from ringwear_par.studies.sensitivity import outputs_of
-from ringwear_par.studies.store import Store
-from ringwear_par.studies.surrogate import surrogate
-from ringwear_par.studies.sweep import sweep
+from ringwear_par.studies.analysis.sensitivity import outputs_of
+from ringwear_par.studies.analysis.surrogate import surrogate
+from ringwear_par.studies.execution import workers
+from ringwear_par.studies.execution.sweep import sweep
+from ringwear_par.studies.pictures.figures import choose
+from ringwear_par.studies.storage.ensemble import read_ensemble
+from ringwear_par.studies.storage.store import Store
 
 LAYER = """
 [[lower.layers]]

@@ -11,10 +11,10 @@ from swept import CASE, table, write_study
 from ringwear_par.errors import ComputationError
 from ringwear_par.history.model import WearModel
 from ringwear_par.stopping import StopSignals
-from ringwear_par.studies import operators, workers
-from ringwear_par.studies.scheduling import Scheduler
-from ringwear_par.studies.sweep import sweep
-from ringwear_par.wear.threshold import ThresholdLaw
+from ringwear_par.studies.execution import operators, workers
+from ringwear_par.studies.execution.scheduling import Scheduler
+from ringwear_par.studies.execution.sweep import sweep
+from ringwear_par.wear.laws.threshold import ThresholdLaw
 
 pytestmark = pytest.mark.mpi(min_size=2)
 #: of the twelve cases, those with one of three coefficients

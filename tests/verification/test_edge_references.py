@@ -8,10 +8,10 @@ import pytest
 from mpi4py import MPI
 
 from ringwear_par.cases.case import Stepping
-from ringwear_par.elasticity.mesh import Mesh
-from ringwear_par.history.bodies import young
-from ringwear_par.history.pairs import assemble
-from ringwear_par.history.trace import trace
+from ringwear_par.elasticity.geometry.mesh import Mesh
+from ringwear_par.history.elastic.bodies import young
+from ringwear_par.history.elastic.pairs import assemble
+from ringwear_par.history.observers.trace import trace
 from ringwear_par.verification.edges import finite_element_errors, pressure_errors
 from ringwear_par.verification.fine import (
     CONTACT,

@@ -5,10 +5,10 @@ from collections import Counter
 import numpy as np
 import pytest
 
-from ringwear_par.elasticity.mesh import Mesh
+from ringwear_par.elasticity.geometry.mesh import Mesh
 from ringwear_par.errors import ComputationError
-from ringwear_par.history.bodies import young
-from ringwear_par.history.pairs import assemble
+from ringwear_par.history.elastic.bodies import young
+from ringwear_par.history.elastic.pairs import assemble
 from ringwear_par.verification import reference, verify
 from ringwear_par.verification.check import NU, Check
 from ringwear_par.verification.fine import SORTS, TIMES

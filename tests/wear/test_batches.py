@@ -9,14 +9,14 @@ from ringwear_par import schedules
 from ringwear_par.errors import ComputationError
 from ringwear_par.schedules import Stacked, Table
 from ringwear_par.wear import LocalState
-from ringwear_par.wear.archard import ArchardLaw
 from ringwear_par.wear.increment import WearIncrement, averaging
 from ringwear_par.wear.law import complete, stack_laws
-from ringwear_par.wear.non_local import NonLocalLaw
-from ringwear_par.wear.power import PowerLaw
-from ringwear_par.wear.running_in import RunningInLaw
-from ringwear_par.wear.table import TableLaw
-from ringwear_par.wear.threshold import ThresholdLaw
+from ringwear_par.wear.laws.archard import ArchardLaw
+from ringwear_par.wear.laws.non_local import NonLocalLaw
+from ringwear_par.wear.laws.power import PowerLaw
+from ringwear_par.wear.laws.running_in import RunningInLaw
+from ringwear_par.wear.laws.table import TableLaw
+from ringwear_par.wear.laws.threshold import ThresholdLaw
 from ringwear_par.wear.user import UserLaw, serves_many
 
 N = 37

@@ -12,11 +12,11 @@ from ringwear_par.cases.law_trials import check_laws
 from ringwear_par.cases.reading import read_case
 from ringwear_par.errors import ComputationError, InputError, LawError
 from ringwear_par.results.run import run_case
-from ringwear_par.studies.sweep import run_sweep
+from ringwear_par.studies.execution.sweep import run_sweep
 from ringwear_par.textfiles import read_text
 from ringwear_par.wear import LocalState
-from ringwear_par.wear.archard import ArchardLaw
 from ringwear_par.wear.law import complete
+from ringwear_par.wear.laws.archard import ArchardLaw
 
 PAPER = Path(__file__).parents[2] / "scripts/cases/paper.toml"
 GOOD = """

@@ -10,7 +10,6 @@ from wearing import sliding, step_wear
 from ringwear_par.errors import ComputationError, InputError
 from ringwear_par.schedules import Table
 from ringwear_par.wear import increment
-from ringwear_par.wear.archard import ArchardLaw
 from ringwear_par.wear.derivative_test import (
     taylor_test,
     taylor_test_parameter,
@@ -19,11 +18,12 @@ from ringwear_par.wear.derivative_test import (
 from ringwear_par.wear.derivatives import derivative
 from ringwear_par.wear.increment import WearIncrement, averaging
 from ringwear_par.wear.law import Law, complete
-from ringwear_par.wear.non_local import NonLocalLaw
-from ringwear_par.wear.power import PowerLaw
-from ringwear_par.wear.running_in import RunningInLaw
-from ringwear_par.wear.table import TableLaw
-from ringwear_par.wear.threshold import ThresholdLaw
+from ringwear_par.wear.laws.archard import ArchardLaw
+from ringwear_par.wear.laws.non_local import NonLocalLaw
+from ringwear_par.wear.laws.power import PowerLaw
+from ringwear_par.wear.laws.running_in import RunningInLaw
+from ringwear_par.wear.laws.table import TableLaw
+from ringwear_par.wear.laws.threshold import ThresholdLaw
 from ringwear_par.wear.user import UserLaw, check_user_law
 
 

@@ -1,0 +1,399 @@
+"""A body condensed to its contact line: compliance in the normal direction and in torsion.
+
+Both are computed at Young's modulus 1 and scale by 1/E, so one assembly serves every modulus,
+load, speed and wear law at the same shape and Poisson's ratio. Of layers the ratio of their modulus
+to that of the body itself counts.
+"""
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+from mpi4py import MPI
+
+from ringwear_par.arrays import FloatArray, IntArray
+from ringwear_par.elasticity.bem.assembly import (
+    Assembly,
+    BoundaryConditions,
+    DofMap,
+    Zone,
+    assemble,
+    number_dofs,
+)
+from ringwear_par.elasticity.bem.boundary import BoundaryMesh, zone_meshes
+from ringwear_par.elasticity.bem.quadrature import quadrature
+from ringwear_par.elasticity.bem.solve import solve_systems, solved_whole
+from ringwear_par.elasticity.geometry.mesh import ContactLine, Mesh
+from ringwear_par.elasticity.geometry.sections import Body, Grip, Material
+from ringwear_par.elasticity.geometry.slopes import obliquity
+
+
+@dataclass(frozen=True)
+class Response:
+    """Boundary values for each load, on every rank, those of one zone after those of another.
+
+    Parameters
+    ----------
+    displacement : (wanted nodes, 3, n_loads) float, mm at E = 1.
+    traction : (wanted elements, 3, n_loads) float, MPa, unknown ones; 0 where they were given.
+    kernel_evaluations : on all ranks together.
+    seconds_assembly, seconds_solution : wall time on this rank.
+    """
+
+    displacement: FloatArray
+    traction: FloatArray
+    kernel_evaluations: int
+    seconds_assembly: float
+    seconds_solution: float
+
+
+@dataclass(frozen=True)
+class Compliance:
+    """Compliance of a body's contact line at Young's modulus 1.
+
+    Parameters
+    ----------
+    normal : (n, n) float, mm/MPa; what element i gives way along the axis, -(u_z - t u_r) with the
+        slope t, under unit pressure on element j.
+    torsion : (n, n) float, mm/MPa; circumferential displacement under unit shear.
+    force_reaction : (n,) float, mm^2; axial force on the fixed face per unit pressure. Equilibrium
+        asks for the contact element's projected area.
+    torque_reaction : (n,) float, mm^3; torque on the fixed face per unit shear.
+    response : the work and the times.
+    """
+
+    normal: FloatArray
+    torsion: FloatArray
+    force_reaction: FloatArray
+    torque_reaction: FloatArray
+    response: Response
+
+
+def boundary_conditions(
+    boundary: BoundaryMesh, grip: Grip, slope: FloatArray | None = None
+) -> BoundaryConditions:
+    """Return those of a zone in contact: fixed face, one right-hand side per contact element.
+
+    Right-hand side j is unit pressure along the common normal (normal system) and unit
+    circumferential traction (torsion) on the true area of contact element j. Tractions are scaled
+    by dr/ds of the element, so that the axial force is the projected area times the pressure
+    whatever its own slope. "clamped" fixes u_r, u_z and u_theta, "platen" leaves u_r free of
+    traction.
+
+    Parameters
+    ----------
+    slope : (n,) float, tan alpha of the common normal in the body's own frame, see ``slopes``;
+        None: none.
+    """
+    k, n = len(boundary.elements), len(boundary.contact)
+    slope = np.zeros(n) if slope is None else slope
+    fixed = np.zeros((k, 3), dtype=bool)
+    fixed[boundary.fixed] = [grip == "clamped", True, True]
+    load = np.full((k, 3), -1)
+    traction = np.zeros((k, 3))
+    load[boundary.contact] = np.arange(n)[:, None]
+    ends = boundary.nodes[boundary.elements[boundary.contact]]
+    along = ends[:, 2] - ends[:, 0]
+    projected = np.abs(along[:, 0]) / np.hypot(*along.T)
+    directions = np.stack([slope, -np.ones(n), obliquity(slope)], axis=1)
+    traction[boundary.contact] = projected[:, None] * directions
+    return BoundaryConditions(fixed, load, traction, n)
+
+
+@dataclass(frozen=True)
+class Problem:
+    """Equation (5) of a body, and what is wanted of its solution.
+
+    Parameters
+    ----------
+    zones : the body.
+    tolerance : relative accuracy of the element integrals.
+    nodes, elements : of each zone, whose displacements and whose tractions are wanted.
+    """
+
+    zones: tuple[Zone, ...]
+    tolerance: float
+    nodes: tuple[IntArray, ...]
+    elements: tuple[IntArray, ...]
+
+
+@dataclass(frozen=True)
+class Assembled:
+    """The assembled systems of a body, and what is wanted of their solution.
+
+    Parameters
+    ----------
+    rows : this rank's part of them.
+    displacement, traction : (wanted, 3) int, columns of the values wanted, -1 for none.
+    sign : (wanted,) float, of the tractions.
+    seconds : wall time of the assembly.
+    """
+
+    rows: Assembly
+    displacement: IntArray
+    traction: IntArray
+    sign: FloatArray
+    seconds: float
+
+    @classmethod
+    def of(
+        cls, rows: Assembly, problem: Problem, dofs: Sequence[DofMap], seconds: float
+    ) -> "Assembled":
+        """Return the systems of a problem."""
+        nodes, elements = problem.nodes, problem.elements
+        return cls(
+            rows,
+            np.concatenate([own.displacement[at] for own, at in zip(dofs, nodes, strict=True)]),
+            np.concatenate([own.traction[at] for own, at in zip(dofs, elements, strict=True)]),
+            np.concatenate([own.sign[at] for own, at in zip(dofs, elements, strict=True)]),
+            seconds,
+        )
+
+
+def solve_body(
+    boundary: BoundaryMesh,
+    conditions: BoundaryConditions,
+    poisson: float,
+    tolerance: float,
+    nodes: IntArray,
+    elements: IntArray,
+    comm: MPI.Comm,
+) -> Response:
+    """Solve (5) of one zone; return some nodes' displacements and some elements' tractions.
+
+    Collective on comm.
+    """
+    zone = Zone(boundary, conditions, Material(1.0, poisson))
+    return solve_bodies([Problem((zone,), tolerance, (nodes,), (elements,))], comm)[0]
+
+
+def solve_bodies(problems: Sequence[Problem], comm: MPI.Comm) -> list[Response]:
+    """Solve (5) of several bodies: at once where ranks can share their systems. Collective."""
+    largest = max(
+        2 * sum(len(zone.boundary.nodes) for zone in problem.zones) for problem in problems
+    )
+    if comm.size > 1 and solved_whole(largest, comm.size):
+        return solve_assembled([_assembled(problem, comm) for problem in problems], comm)
+    # one after another: not all in memory
+    return [solve_assembled([_assembled(problem, comm)], comm)[0] for problem in problems]
+
+
+def _assembled(problem: Problem, comm: MPI.Comm) -> Assembled:
+    started = time.perf_counter()
+    dofs = number_dofs(problem.zones)
+    rows = assemble(problem.zones, dofs, quadrature(problem.tolerance), comm)
+    return Assembled.of(rows, problem, dofs, time.perf_counter() - started)
+
+
+def solve_assembled(bodies: Sequence[Assembled], comm: MPI.Comm) -> list[Response]:
+    """Solve the assembled systems of bodies. Collective on comm."""
+    started = time.perf_counter()
+    solutions = solve_systems(
+        [system for body in bodies for system in (body.rows.normal, body.rows.torsion)], comm
+    )
+    found = []
+    for i, body in enumerate(bodies):
+        n_loads = body.rows.normal.loads.shape[1]
+        displacement, traction = (
+            np.zeros((*columns.shape, n_loads)) for columns in (body.displacement, body.traction)
+        )
+        for (x, start), components in zip(
+            solutions[2 * i : 2 * i + 2], ((0, 1), (2,)), strict=True
+        ):
+            for c in components:
+                for target, columns in (
+                    (displacement, body.displacement),
+                    (traction, body.traction),
+                ):
+                    local = columns[:, c] - start
+                    here = (columns[:, c] >= 0) & (local >= 0) & (local < len(x))
+                    target[here, c] = x[local[here]]
+        for array in (displacement, traction):  # each entry is known to one rank: the sum is exact
+            comm.Allreduce(MPI.IN_PLACE, array, MPI.SUM)
+        traction *= body.sign[:, None, None]
+        evaluations = comm.allreduce(body.rows.kernel_evaluations)
+        found.append((displacement, traction, evaluations, body.seconds))
+    seconds = (time.perf_counter() - started) / len(bodies)
+    return [Response(*each, seconds) for each in found]
+
+
+@dataclass(frozen=True)
+class BoundaryResponse:
+    """Values on the whole boundary of a zone, for loads on each contact element of its body.
+
+    At Young's modulus 1 of the body itself.
+
+    Load j is unit pressure (components r and z) and unit circumferential traction (theta) on
+    contact element j, see ``boundary_conditions``.
+
+    Parameters
+    ----------
+    boundary : the boundary elements.
+    displacement : (m, 3, n) float, mm/MPa, of every node in r, z and theta.
+    traction : (k, 3, n) float, MPa/MPa, on every element, the loads included.
+    material : of the zone, its modulus over that of the body itself.
+    """
+
+    boundary: BoundaryMesh
+    displacement: FloatArray
+    traction: FloatArray
+    material: Material
+
+
+def boundary_responses(
+    body: Body,
+    line: ContactLine,
+    mesh: Mesh,
+    comm: MPI.Comm,
+    worn: FloatArray | None = None,
+    slope: FloatArray | None = None,
+    *,
+    fine: bool = False,
+) -> list[BoundaryResponse]:
+    """Return displacements and tractions on the boundaries of all zones, in the body's own frame.
+
+    Collective on comm. ``worn`` and ``fine`` are those of ``zone_meshes``, ``slope`` of
+    ``boundary_conditions``.
+    """
+    zones = body_zones(body, line, mesh, worn, slope, fine=fine)
+    counts = [(len(zone.boundary.nodes), len(zone.boundary.elements)) for zone in zones]
+    nodes, elements = (tuple(map(np.arange, of)) for of in zip(*counts, strict=True))
+    problem = Problem(zones, mesh.quadrature_tolerance, nodes, elements)
+    response = solve_bodies([problem], comm)[0]
+    found, after = [], np.cumsum(counts, axis=0)[:-1]
+    displacements = np.split(response.displacement, after[:, 0])
+    tractions = np.split(response.traction, after[:, 1])
+    for zone, displacement, traction in zip(zones, displacements, tractions, strict=True):
+        conditions = zone.conditions
+        e, c = np.nonzero(conditions.load >= 0)
+        traction[e, c, conditions.load[e, c]] += conditions.traction[e, c]
+        found.append(BoundaryResponse(zone.boundary, displacement, traction, zone.material))
+    return found
+
+
+def in_case_frame(
+    response: BoundaryResponse, which: Literal["lower", "upper"], plane: float
+) -> BoundaryResponse:
+    """Return a boundary response in the frame of the case. Not collective.
+
+    z is counted from the case's origin, ``plane`` (mm) being lower.z[1] or upper.z[0]. The upper
+    body is mirrored back: u_z and t_z change sign, and elements change direction, so that their
+    outward normals still lie to the right. Unit shear becomes what unit friction does: it drags
+    lower towards +theta and holds upper back towards -theta, so that u_theta and t_theta of the
+    upper body change sign too. Multiplied by 1/E (displacements), p (r, z) and mu p (theta) and
+    summed over the loads, these are the fields of the case.
+    """
+    boundary, nodes = response.boundary, response.boundary.nodes.copy()
+    if which == "lower":
+        nodes[:, 1] += plane
+        return replace(response, boundary=boundary._replace(nodes=nodes))
+    nodes[:, 1] = plane - nodes[:, 1]
+    signs = np.array([1.0, -1.0, -1.0])[None, :, None]
+    return replace(
+        response,
+        boundary=boundary._replace(nodes=nodes, elements=boundary.elements[:, ::-1].copy()),
+        displacement=signs * response.displacement,
+        traction=signs * response.traction,
+    )
+
+
+def compliance(
+    body: Body,
+    line: ContactLine,
+    mesh: Mesh,
+    comm: MPI.Comm,
+    worn: FloatArray | None = None,
+    slope: FloatArray | None = None,
+) -> Compliance:
+    """Return the compliance of a body's contact line.
+
+    Collective on comm. ``worn`` is that of ``zone_meshes``, ``slope`` of ``boundary_conditions``.
+    """
+    problem = contact_problem(body, line, mesh, worn, slope)
+    return condense(problem, solve_bodies([problem], comm)[0], slope)
+
+
+def compliances(
+    bodies: Sequence[Body],
+    line: ContactLine,
+    mesh: Mesh,
+    comm: MPI.Comm,
+    slopes: Sequence[FloatArray],
+) -> list[Compliance]:
+    """Return the compliances of unworn bodies, as ``compliance`` does of one. Collective on comm.
+
+    Ranks share their systems.
+    """
+    problems = [
+        contact_problem(body, line, mesh, None, slope)
+        for body, slope in zip(bodies, slopes, strict=True)
+    ]
+    responses = solve_bodies(problems, comm)
+    return [
+        condense(problem, response, slope)
+        for problem, response, slope in zip(problems, responses, slopes, strict=True)
+    ]
+
+
+def body_zones(
+    body: Body,
+    line: ContactLine,
+    mesh: Mesh,
+    worn: FloatArray | None = None,
+    slope: FloatArray | None = None,
+    *,
+    fine: bool = False,
+) -> tuple[Zone, ...]:
+    """Return the zones of a body in contact, from the contact face downwards. Not collective.
+
+    Arguments are those of ``compliance``, and of ``zone_meshes``.
+    """
+    meshes = zone_meshes(body.section, line, mesh, worn, fine=fine)
+    slopes = slope, *(None for _ in body.layers)  # the first zone alone has the contact
+    return tuple(
+        Zone(boundary, boundary_conditions(boundary, body.grip, own), material)
+        for boundary, own, material in zip(meshes, slopes, body.relative, strict=True)
+    )
+
+
+def contact_problem(
+    body: Body, line: ContactLine, mesh: Mesh, worn: FloatArray | None, slope: FloatArray | None
+) -> Problem:
+    """Return a body under unit loads on its contact elements. Not collective.
+
+    Displacements are collocated at the elements' mid-points; taking them from the end nodes would
+    give pressures of alternating sign almost no displacement.
+    """
+    zones = body_zones(body, line, mesh, worn, slope)
+    boundaries = [zone.boundary for zone in zones]
+    return Problem(
+        zones,
+        mesh.quadrature_tolerance,
+        tuple(boundary.elements[boundary.contact, 1] for boundary in boundaries),
+        tuple(boundary.fixed for boundary in boundaries),
+    )
+
+
+def condense(problem: Problem, response: Response, slope: FloatArray | None = None) -> Compliance:
+    """Return the compliance of a solved body. Not collective.
+
+    Parameters
+    ----------
+    problem : of ``contact_problem``.
+    slope : that of ``boundary_conditions``.
+    """
+    boundary = problem.zones[-1].boundary
+    radial, axial = response.displacement[:, 0], response.displacement[:, 1]
+    inner = boundary.nodes[boundary.elements[boundary.fixed, 0], 0]
+    outer = boundary.nodes[boundary.elements[boundary.fixed, 2], 0]
+    area = np.pi * (outer**2 - inner**2)
+    moment = 2.0 * np.pi / 3.0 * (outer**3 - inner**3)
+    return Compliance(
+        normal=-axial if slope is None else slope[:, None] * radial - axial,
+        torsion=response.displacement[:, 2],
+        force_reaction=area @ response.traction[:, 1],
+        torque_reaction=-(moment @ response.traction[:, 2]),
+        response=response,
+    )

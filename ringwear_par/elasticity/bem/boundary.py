@@ -1,0 +1,348 @@
+"""Boundary elements of meridian sections, zone by zone.
+
+A body without layers is one zone. Layers make more of it, each with a closed boundary of its own:
+zones are bonded along interfaces, where the boundaries on both sides have the same nodes.
+"""
+
+import itertools
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from ringwear_par.arrays import FloatArray, IntArray
+from ringwear_par.elasticity.geometry.mesh import ContactLine, Mesh, graded, pieces
+from ringwear_par.elasticity.geometry.sections import Section, corners
+from ringwear_par.errors import ComputationError, InputError
+
+#: grading exponent of the free and fixed faces towards every corner and contact edge
+CORNER_GRADING = 3.5
+#: elements of the contact face beside the contact: how many times as many as on a body without
+#: layers, and grading towards the contact and towards the face's ends
+_PLAIN = 1.0, CORNER_GRADING, CORNER_GRADING
+_LAYERED = 1.6, 3.5, 1.3
+#: where stresses beside the contact are wanted
+_FINE = 3.0, 4.0, 1.3
+#: contact elements from which on dense systems are beyond any machine's memory
+_MOST_MADE = 100_000
+#: fewest elements of a free or fixed face
+_FEWEST = 4
+#: longest elements of the fixed face, in distances from the contact line over the number of contact
+#: elements; under the contact of a thin body they would be long against its height
+_FIXED_LENGTH = 16.0
+#: mm of a layer, or half of one that is thinner, that stays where elements follow the wear
+_RESIDUAL = 1e-3
+
+
+class BoundaryMesh(NamedTuple):
+    """Straight quadratic elements along a zone's boundary, counter-clockwise.
+
+    A named tuple because compiled code reads it.
+
+    Parameters
+    ----------
+    nodes : (m, 2) float, mm, radius and height of element ends and mid-points.
+    elements : (k, 3) int, first, middle and last node of each element; the outward normal lies to
+        the right of the direction of travel.
+    contact : (n,) int, elements of the contact line, by increasing radius; none but in the zone at
+        the contact face.
+    fixed : (h,) int, elements of the fixed face; none but in the zone there.
+    inner_side, outer_side : int arrays, elements of the free cylindrical faces.
+    above, below : (q,) int, elements of the interfaces to the zones towards the contact face and
+        towards the fixed face, by increasing radius.
+    """
+
+    nodes: FloatArray
+    elements: IntArray
+    contact: IntArray
+    fixed: IntArray
+    inner_side: IntArray
+    outer_side: IntArray
+    above: IntArray
+    below: IntArray
+
+
+class _Piece(NamedTuple):
+    """A piece of a boundary: its element ends, (n+1, 2) mm, and the names of its elements."""
+
+    ends: FloatArray
+    names: list[str]
+
+
+def _named(name: str, ends: FloatArray) -> _Piece:
+    return _Piece(ends, [name] * (len(ends) - 1))
+
+
+def _along(points: FloatArray, n: int, grading: tuple[float, float]) -> FloatArray:
+    """Return n+1 element ends graded along the arc of a polyline."""
+    if len(points) == 2:
+        return np.stack([graded(x0, x1, n, *grading) for x0, x1 in points.T], axis=1)
+    arc = np.append(0.0, np.cumsum(np.hypot(*np.diff(points, axis=0).T)))
+    at = graded(0.0, arc[-1], n, *grading)
+    return np.stack([np.interp(at, arc, x) for x in points.T], axis=1)
+
+
+def _between(section: Section, a: float, b: float) -> FloatArray:
+    """Return the vertices of the contact face from radius a to radius b > a, ends included."""
+    radii = section.points[:, 0]
+    inside = radii[(radii > a) & (radii < b)]
+    r = np.concatenate([[a], inside, [b]])
+    return np.stack([r, section.depth(r)], axis=1)
+
+
+def _beside(section: Section, fine: bool) -> tuple[float, float, float]:
+    return _FINE if fine else _LAYERED if section.layers else _PLAIN
+
+
+def _flats(
+    section: Section, contact: tuple[float, float], mesh: Mesh, fine: bool = False
+) -> tuple[list[tuple[float, float, int]], list[tuple[float, float, int]]]:
+    """Return the free pieces of the contact face inside and outside the contact, by radius.
+
+    Of each its ends and its number of elements: as many as its length asks.
+    """
+    (inner, outer), (a, b) = section.r, contact
+    times, *_ = _beside(section, fine)
+    n = 0.1 * mesh.contact_elements * times
+
+    def of(start: float, end: float) -> list[tuple[float, float, int]]:
+        if start == end:
+            return []
+        cuts = [cut for cut in corners(section) if start < cut < end]
+        return [
+            (low, high, max(_FEWEST, round(n * (1.0 + math.log1p((high - low) / (b - a))))))
+            for low, high in itertools.pairwise(pieces(start, end, cuts, outer))
+        ]
+
+    return of(inner, a), of(b, outer)
+
+
+def _face(section: Section, line: ContactLine, mesh: Mesh, fine: bool) -> _Piece:
+    """Return the contact face, from its outer to its inner end."""
+    contact_ends = float(line.edges[0]), float(line.edges[-1])
+    inside, outside = _flats(section, contact_ends, mesh, fine)
+    _, near, far = _beside(section, fine)
+
+    def flats(ends: list[tuple[float, float, int]]) -> list[_Piece]:
+        lines = []
+        for a, b, n in reversed(ends):
+            towards_b, towards_a = (far if end in section.r else near for end in (b, a))
+            grading = towards_b, 1.0 if a == 0 else towards_a
+            lines.append(_named("flat", _along(_between(section, a, b)[::-1], n, grading)))
+        return lines
+
+    contact = np.stack([line.edges, section.depth(line.edges)], axis=1)[::-1]
+    return _joined([*flats(outside), _named("contact", contact), *flats(inside)])
+
+
+def _joined(pieces: Sequence[_Piece]) -> _Piece:
+    """Return pieces one after another as one."""
+    ends = [pieces[0].ends, *(piece.ends[1:] for piece in pieces[1:])]
+    return _Piece(np.concatenate(ends), [name for piece in pieces for name in piece.names])
+
+
+def _levels(section: Section) -> list[float]:
+    """Return the heights of the contact plane, of the interfaces and of the fixed face, mm."""
+    return [0.0, *(-depth for depth in itertools.accumulate(section.layers)), -section.height]
+
+
+def _fixed_face(section: Section, contact: tuple[float, float], mesh: Mesh) -> FloatArray:
+    """Return the radii of the element ends of the fixed face, from its outer to its inner end, mm.
+
+    Half as many elements as the contact line has, graded towards the corners. Those that are long
+    against their distance from the contact line are split in equal parts, but none below the mean
+    length of contact elements.
+    """
+    (inner, outer), (a, b) = section.r, contact
+    n = max(_FEWEST, mesh.contact_elements // 2)
+    ends = graded(outer, inner, n, CORNER_GRADING, 1.0 if inner == 0 else CORNER_GRADING)
+    r = 0.5 * (ends[:-1] + ends[1:])
+    nearest = np.clip(r, a, b)
+    distance = np.hypot(section.height + section.depth(nearest), r - nearest)
+    longest = np.maximum(_FIXED_LENGTH * distance, b - a) / mesh.contact_elements
+    parts = np.ceil(-np.diff(ends) / longest).astype(int)
+    splits = [
+        np.linspace(start, end, count, endpoint=False)
+        for start, end, count in zip(ends[:-1], ends[1:], parts, strict=True)
+    ]
+    return np.append(np.concatenate(splits), inner)
+
+
+def _side_elements(section: Section, at_contact_edge: bool, height: float, mesh: Mesh) -> int:
+    """Return the number of elements of a zone's side face.
+
+    On a body without layers half of ``mesh.contact_elements``, so that one number refines
+    everything, or a quarter where the face does not end at a contact edge. On zones that are less
+    high so many that the smallest elements are about as large as there.
+    """
+    whole = max(_FEWEST, mesh.contact_elements // (2 if at_contact_edge else 4))
+    return max(_FEWEST, math.ceil(whole * (height / section.height) ** (1.0 / CORNER_GRADING)))
+
+
+def face_elements(
+    section: Section, contact: tuple[float, float], mesh: Mesh, *, fine: bool = False
+) -> int:
+    """Return how many elements the contact face has, and each side of an interface."""
+    flats = sum(n for of in _flats(section, contact, mesh, fine) for *_, n in of)
+    return mesh.contact_elements + flats
+
+
+def count_elements(section: Section, contact: tuple[float, float], mesh: Mesh) -> int:
+    """Return the number of boundary elements that ``zone_meshes`` would make."""
+    (inner, outer), (a, b) = section.r, contact
+    face = face_elements(section, contact, mesh)
+    sides = [outer == b, *([] if inner == 0 else [inner == a])]
+    # larger meshes than any machine holds are counted, never made: in proportion to a smaller one
+    counted = replace(mesh, contact_elements=min(mesh.contact_elements, _MOST_MADE))
+    fixed = len(_fixed_face(section, contact, counted)) - 1
+    count = fixed * mesh.contact_elements // counted.contact_elements
+    count += (1 + 2 * len(section.layers)) * face
+    for top, bottom in itertools.pairwise(_levels(section)):
+        count += sum(_side_elements(section, there, top - bottom, mesh) for there in sides)
+    return count
+
+
+def _side(
+    radius: float, unmoved: tuple[float, float], moved: tuple[float, float], n: int
+) -> FloatArray:
+    """Return n+1 element ends of a side face, upwards, between heights unmoved and moved by wear.
+
+    Where but the upper end has moved, and by less than half of the face, the lower half stays where
+    it is, so that its elements need not be integrated again.
+    """
+    (low, high), (below, above) = unmoved, moved
+    z = graded(low, high, n, CORNER_GRADING, CORNER_GRADING)
+    middle = 0.5 * (low + high)
+    if below == low and above > middle:
+        upper = 2 * np.arange(n + 1) > n  # by number: round-off would make the middle node move
+        z[upper] -= (high - above) / (high - middle) * (z[upper] - middle)
+    else:
+        z = below + (above - below) / (high - low) * (z - low)
+    z[-1] = above  # exactly: faces share their ends
+    return np.stack([np.full(n + 1, radius), z], axis=1)
+
+
+def _lower_face(section: Section, line: ContactLine, face: FloatArray, worn: FloatArray) -> None:
+    """Lower the contact line's part of the element ends of a face by (n+1,) mm of wear.
+
+    Raises
+    ------
+    ComputationError : more is worn than half of the body's height.
+    """
+    first = int(np.flatnonzero(face[:, 0] == line.edges[-1])[0])
+    contact = face[first : first + line.n + 1]
+    thinnest = section.height + contact[:, 1].min()
+    if not worn.max() < 0.5 * thinnest:
+        raise ComputationError(
+            f"wear of {worn.max():.3g} mm is more than half of the height of its body, "
+            f"{thinnest:g} mm: the elements cannot follow it"
+        )
+    contact[:, 1] -= worn[::-1]
+
+
+def boundary_mesh(
+    section: Section, line: ContactLine, mesh: Mesh, worn: FloatArray | None = None
+) -> BoundaryMesh:
+    """Return the boundary elements of a section without layers, see ``zone_meshes``."""
+    (only,) = zone_meshes(section, line, mesh, worn)
+    return only
+
+
+def zone_meshes(
+    section: Section,
+    line: ContactLine,
+    mesh: Mesh,
+    worn: FloatArray | None = None,
+    *,
+    fine: bool = False,
+) -> tuple[BoundaryMesh, ...]:
+    """Return the boundary elements of a section's zones, from the contact face downwards.
+
+    Element ends of interfaces lie below those of the contact face.
+
+    Parameters
+    ----------
+    line : contact elements, within the section's radii.
+    worn : (n+1,) mm >= 0, lowering of the contact line's nodes in the body's own frame. Where the
+        line ends inside the face, the neighbouring free element becomes the wall of the wear track;
+        where it ends at a side face, that face is shortened. Interfaces give way where less than a
+        residual film of a layer would stay.
+    fine : whether the contact face has more elements beside the contact than pressures need, for
+        stresses there.
+
+    Raises
+    ------
+    InputError : the contact line leaves the section.
+    ComputationError : more is worn than half of the body's height.
+    """
+    a, b = float(line.edges[0]), float(line.edges[-1])
+    inner, outer = section.r
+    if not inner <= a < b <= outer:
+        raise InputError(f"section r = {section.r}: the contact line {a}, {b} must lie within")
+    top, names = _face(section, line, mesh, fine)
+    worn_top = top.copy()
+    if worn is not None:
+        _lower_face(section, line, worn_top, worn)
+    zones = []
+    for k, (high, low) in enumerate(itertools.pairwise(_levels(section))):
+        base = np.stack([top[:, 0], np.full(len(top), low)], axis=1)
+        base_name = "below" if k < len(section.layers) else "fixed"
+        if base_name == "fixed":
+            radii = _fixed_face(section, (a, b), mesh)
+            base = np.stack([radii, np.full(len(radii), low)], axis=1)
+        worn_base = base.copy()
+        if base_name == "below":
+            film = np.minimum(min(_RESIDUAL, 0.5 * (high - low)), top[:, 1] - low)
+            worn_base[:, 1] = np.minimum(low, worn_top[:, 1] - film)
+        up, down = (
+            _side(
+                top[at, 0],
+                (base[at, 1], top[at, 1]),
+                (worn_base[at, 1], worn_top[at, 1]),
+                _side_elements(section, top[at, 0] == edge, high - low, mesh),
+            )
+            for at, edge in ((0, b), (-1, a))
+        )
+        contour = [_named(base_name, worn_base[::-1]), _named("outer_side", up)]
+        contour.append(_Piece(worn_top, names))
+        if inner > 0:  # otherwise the contour runs from axis to axis
+            contour.append(_named("inner_side", down[::-1]))
+        zones.append(_closed(contour))
+        top, worn_top, names = base, worn_base, ["above"] * (len(base) - 1)
+    return tuple(zones)
+
+
+def _closed(contour: Sequence[_Piece]) -> BoundaryMesh:
+    """Return the elements of pieces one after another, counter-clockwise."""
+    ends, labels = _joined(contour)
+    k, names = len(labels), np.array(labels)
+    nodes = np.empty((2 * k + 1, 2))
+    nodes[0::2], nodes[1::2] = ends, 0.5 * (ends[:-1] + ends[1:])
+    if np.array_equal(ends[0], ends[-1]):
+        nodes = nodes[:-1]
+    first = 2 * np.arange(k)
+    elements = np.stack([first, first + 1, (first + 2) % len(nodes)], axis=1)
+
+    def of(name: str) -> IntArray:
+        found = np.flatnonzero(names == name)
+        inwards = name in ("contact", "above")
+        return found[::-1].copy() if inwards else found
+
+    return BoundaryMesh(nodes, elements, *(of(name) for name in BoundaryMesh._fields[2:]))
+
+
+def node_wear(line: ContactLine, worn: FloatArray) -> FloatArray:
+    """Return (n+1,) mm, the wear at the line's nodes from (n,) that of its elements.
+
+    Linear between the gap points; at the ends extrapolated, but not below the last element's own.
+    """
+    if line.n == 1:
+        return np.repeat(worn, 2)
+    x, r = line.gap_point, line.edges
+    nodes = np.interp(r, x, worn)
+    for end, a, b in ((0, 0, 1), (-1, -1, -2)):
+        slope = (worn[a] - worn[b]) / (x[a] - x[b])
+        nodes[end] = max(worn[a] + slope * (r[end] - x[a]), worn[a], 0.0)
+    return nodes

@@ -1,0 +1,29 @@
+"""The elastic bodies of a case."""
+
+from collections.abc import Hashable
+
+from ringwear_par.cases.case import Case
+from ringwear_par.elasticity.geometry.mesh import pair_key
+from ringwear_par.elasticity.geometry.sections import Body, Material
+
+
+def bodies(case: Case) -> tuple[Body, Body]:
+    """Return lower and upper. Not collective."""
+    lower, upper = (
+        Body(
+            case.section(ring), ring.young, ring.poisson, ring.grip,
+            tuple(Material(each.young, each.poisson) for each in ring.layers),
+        )
+        for ring in case.rings
+    )  # fmt: skip
+    return lower, upper
+
+
+def young(case: Case) -> tuple[float, float]:
+    """Return Young's moduli of lower and upper, MPa. Not collective."""
+    return case.lower.young, case.upper.young
+
+
+def operator_key(case: Case) -> Hashable:
+    """Return what the contact pair of a case depends on; equal for cases that can share it."""
+    return pair_key(bodies(case), case.contact, case.mesh)

@@ -1,0 +1,172 @@
+"""The worst of what can make an answer doubtful, over a history or over B of them, and its time.
+
+Every step costs a few sums over the elements: sentences are for the end, see ``results.warnings``.
+"""
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ringwear_par.arrays import FloatArray, IntArray, inner
+from ringwear_par.cases.case import Case
+from ringwear_par.elasticity.boundary_fields import BODIES
+from ringwear_par.elasticity.geometry.slopes import case_slopes
+
+if TYPE_CHECKING:
+    from ringwear_par.history.model import WearModel
+    from ringwear_par.history.state import State
+
+#: fewer elements in contact than this do not resolve it
+FEW_ELEMENTS = 10
+#: largest angle (degrees) between faces that touch
+MOST_ANGLE = 15.0
+#: relative difference of two values of a measure that are the same
+_ROUND_OFF = 1e-9
+#: numbers of a measure: value, time (s), and up to four that tell where it was
+ENTRIES = 6
+
+_MOVED, _APPROACH, _FORCE = "moved", "approach", "force"
+_MEAN_PRESSURE, _ASYMMETRY = "mean_pressure", "asymmetry"
+_SYMMETRY_DEFECT, _UNLIKE_SLOPES = "symmetry_defect", "unlike_slopes"
+_INFINITE_STRESS = "infinite_stress"
+
+
+def force_on(count: int) -> str:
+    """Return the measure of so few elements in contact: the largest force on them, N."""
+    return f"force_on_{count}"
+
+
+def worn_share(body: int, layer: int) -> str:
+    """Return the measure of a layer: the share of it that is worn off, meant by load."""
+    return f"worn_share_{BODIES[body]}.layers[{layer}]"
+
+
+class WorstStates:
+    """The largest value of each measure of B histories so far, with its time and place.
+
+    Measures are the approach (mm), the larger of approach and depths of wear (mm), the force (N),
+    the mean pressure on the elements in contact (MPa), where they are enough to tell it; the force
+    on few elements, see ``force_on``; the error that a symmetric compliance leaves, with its radius
+    (mm); the compliance's symmetry defect; the share of the load between faces of unlike slopes,
+    with the radius (mm) where it is largest and the angles there of lower, of upper and of the
+    pressure (degrees); shares of worn layers, see ``worn_share``; and, of the last state where it
+    is so, the largest stress (MPa) that is beside an edge where it is infinite, with that radius.
+
+    Parameters
+    ----------
+    case : the case, or one of B on the same pair.
+    count : B.
+    """
+
+    def __init__(self, case: Case, count: int = 1) -> None:
+        self._sloping = any(ring.face for ring in case.rings)  # wear alone slopes faces apart
+        self._layered = [] if case.follows_wear else [i for i in (0, 1) if case.rings[i].layers]
+        names = [
+            _MOVED, _APPROACH, _FORCE, _MEAN_PRESSURE, _ASYMMETRY, _SYMMETRY_DEFECT,
+            _UNLIKE_SLOPES, _INFINITE_STRESS, *map(force_on, range(1, FEW_ELEMENTS)),
+        ]  # fmt: skip
+        for i in self._layered:
+            names += [worn_share(i, layer) for layer in range(len(case.rings[i].layers))]
+        self._rows = {name: row for row, name in enumerate(names)}
+        #: (measures, ENTRIES, B)
+        self._table = np.zeros((len(names), ENTRIES, count))
+
+    def __call__(
+        self, model: "WearModel", state: "State", numbers: IntArray, places: IntArray | slice
+    ) -> None:
+        """Take new states of some histories. Not collective.
+
+        Parameters
+        ----------
+        model, state : of one history, or of several.
+        numbers : (h,) int, of the histories among the B.
+        places : (h,) int, of the same in the state.
+        """
+        p, wear = np.atleast_2d(state.contact.pressure), state.wear
+        wear = wear if wear.ndim == 3 else wear[:, None]
+        approach, force, time = map(
+            np.atleast_1d, (state.contact.approach, state.contact.force, state.time)
+        )
+        n, bearing = p.shape[1], p > 0.0
+        count = np.count_nonzero(bearing, axis=1)
+
+        def take(name: str, values: Any, *more: Any) -> None:
+            """Take the values (B,) of a measure, and numbers that tell their places."""
+            row, values = self._table[self._rows[name]], values[places]
+            # by more than round-off, which would choose the time of what is constant
+            worse = values > row[0, numbers] * (1.0 + _ROUND_OFF)
+            if worse.any():
+                there = numbers[worse]
+                for entry, each in enumerate((values, time[places], *(m[places] for m in more))):
+                    row[entry, there] = each[worse]
+
+        take(_APPROACH, approach)
+        take(_MOVED, np.maximum(approach, wear.max(axis=(0, 2))))
+        take(_FORCE, force)
+        enough = count >= min(FEW_ELEMENTS, n)
+        area = inner(model.area, bearing.astype(float))
+        take(_MEAN_PRESSURE, np.divide(force, area, out=np.zeros_like(force), where=enough))
+        for few in np.unique(count[~enough & (count > 0)]).tolist():
+            take(force_on(few), np.where(count == few, force, 0.0))
+        errors, elements = map(np.atleast_1d, model.asymmetry)
+        take(_ASYMMETRY, errors, model.line.r[elements])
+        take(_SYMMETRY_DEFECT, np.atleast_1d(model.compliances.symmetry_defect))
+        if self._sloping:
+            take(_UNLIKE_SLOPES, *_unlike_slopes(model, p, wear))
+        for i in self._layered:
+            for layer, share in enumerate(_worn_shares(model, i, p, wear[i])):
+                take(worn_share(i, layer), share)
+
+    def take_infinite_stress(self, number: int, mises: float, time: float, r: float) -> None:
+        """Take a stress of one history that is infinite; it replaces an earlier one."""
+        self._table[self._rows[_INFINITE_STRESS], :3, number] = mises, time, r
+
+    def history(self, number: int = 0) -> dict[str, tuple[float, ...]]:
+        """Return the measures of one of B histories by name, ENTRIES numbers each."""
+        own = self._table[:, :, number].tolist()
+        return {name: tuple(own[row]) for name, row in self._rows.items()}
+
+    def restore(self, before: Mapping[str, Sequence[float]]) -> None:
+        """Take the measures that an interrupted single history had."""
+        for name in self._rows.keys() & before.keys():
+            self._table[self._rows[name], :, 0] = before[name]
+
+
+def _worn_shares(model: "WearModel", body: int, p: FloatArray, wear: FloatArray) -> FloatArray:
+    """Return the shares of a body's layers that are worn off, meant by load, (layers, B).
+
+    Parameters
+    ----------
+    p, wear : (B, n), MPa and mm.
+    """
+    ends = model.layer_ends[body]
+    assert ends is not None
+    starts = np.concatenate([np.zeros_like(ends[:1]), ends[:-1]])
+    load = model.area * p
+    total = load.sum(axis=1)
+    shares = [
+        np.einsum("bi,bi->b", (np.clip(wear, start, end) - start) / (end - start), load)
+        for start, end in zip(starts, ends, strict=True)
+    ]
+    return np.divide(shares, total, out=np.zeros((len(ends), len(p))), where=total > 0.0)
+
+
+def _unlike_slopes(model: "WearModel", p: FloatArray, wear: FloatArray) -> tuple[FloatArray, ...]:
+    """Return the share of the load between faces of unlike slopes, and where; see ``WorstStates``.
+
+    Slopes are those of the faces now, and the one along whose normal elements have the pressure.
+
+    Parameters
+    ----------
+    p, wear : (B, n) MPa, (2, B, n) mm.
+    """
+    line, acts = model.line, model.compliances.every[0].slope
+    lower, upper = case_slopes(model.case.sections, line, model.case.mesh, wear)
+    slopes = np.stack([lower, upper, np.broadcast_to(acts, lower.shape)])
+    angles = np.degrees(np.arctan(slopes))  # (3, B, n)
+    load = line.area * p
+    apart = np.where(np.ptp(angles, axis=0) > MOST_ANGLE, load, 0.0)
+    total, rows, e = load.sum(axis=1), np.arange(len(p)), apart.argmax(axis=1)
+    share = np.divide(apart.sum(axis=1), total, out=np.zeros(len(p)), where=total > 0.0)
+    return share, line.r[e], *angles[:, rows, e]

@@ -1,0 +1,311 @@
+"""Step control: how far the next step of each history goes, and whether a try is accepted.
+
+A control is frozen data of B histories; what changes from step to step is their ``Progress``, which
+its functions take and return. Another control is a class with the same methods and a line in
+``schemes.SCHEMES``.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Protocol, Self
+
+import numpy as np
+
+from ringwear_par.arrays import BoolArray, FloatArray, IntArray, relative
+from ringwear_par.cases.case import Case
+from ringwear_par.errors import ComputationError, HistoriesError
+from ringwear_par.history.schemes.step import Step
+from ringwear_par.history.state import Progress, State
+
+_SAFETY, _LARGEST_GROWTH, _LARGEST_CUT = 0.82, 5.0, 0.1
+#: length of the next try over one whose step could not be made
+_AFTER_FAILURE = 0.25
+#: end of a sentence about a step
+NO_STEP = "and no step is short enough"
+#: share of the tolerance that a step may miss whatever the history before it has missed
+_LEAST_ALLOWED = 0.05
+#: wear of the first step, in tolerances: edges wear fast and not for long
+_FIRST_WEAR = 50.0
+#: largest error of the dissipated energy of one step, relative to that of the whole history as it
+#: would be if the power stayed
+_ENERGY_TOLERANCE = 1e-4
+
+
+@dataclass(frozen=True)
+class Decision:
+    """What a control makes of tries.
+
+    Parameters
+    ----------
+    accepted : (B,) bool, which histories go on from the end of their try.
+    progress : afterwards.
+    """
+
+    accepted: BoolArray
+    progress: Progress
+
+
+class Control(Protocol):
+    """The step control of B histories."""
+
+    @classmethod
+    def of(cls, cases: Sequence[Case], step_times: Sequence[Sequence[float]] | None) -> Self:
+        """Return the control of some cases; ``step_times`` (s) are ends of steps for each."""
+        ...
+
+    def next_try(self, state: State, progress: Progress) -> tuple[FloatArray, Progress]:
+        """Return the times to which steps are tried, (B,) s, and the progress with their lengths.
+
+        Raises
+        ------
+        ComputationError : there is no such step; HistoriesError of several histories.
+        """
+        ...
+
+    def decide(self, before: State, step: Step, progress: Progress) -> Decision:
+        """Return which tries are accepted."""
+        ...
+
+    def shorten(self, before: State, end: FloatArray, progress: Progress) -> Progress | None:
+        """Return the progress for a shorter try, where one failed; None: there is none."""
+        ...
+
+    def finished(self, state: State, progress: Progress) -> BoolArray:
+        """Return which histories are at their end, (B,)."""
+        ...
+
+
+def step_times_of(times: Sequence[float], case: Case) -> list[float]:
+    """Return the ends of steps of a case as numbers.
+
+    Raises
+    ------
+    ValueError : they do not increase to its end, or there are more or less than fixed ones.
+    """
+    ends = [float(time) for time in times]
+    if not ends or ends[-1] != case.time.end or not np.all(np.diff([0.0, *ends]) > 0.0):
+        raise ValueError(f"step_times: must increase from 0 to {case.time.end:g} s")
+    if not case.time.adaptive and len(ends) != case.time.steps:
+        raise ValueError(f"step_times: must be {case.time.steps} of them")
+    return ends
+
+
+def _padded(rows: Sequence[Sequence[float]]) -> FloatArray:
+    """Return rows of unlike lengths as one array, each row's last number repeated."""
+    most = max(map(len, rows))
+    return np.array([[*row, *[row[-1]] * (most - len(row))] for row in rows])
+
+
+@dataclass(frozen=True)
+class FixedSteps:
+    """Steps of one length, or to given times; their errors are estimated, not held.
+
+    Parameters
+    ----------
+    length : (B,) s.
+    steps : (B,) number of them.
+    ends : (B, m) s, given times, each history's last one repeated; None: multiples of the length.
+    """
+
+    length: FloatArray
+    steps: IntArray
+    ends: FloatArray | None = None
+
+    @classmethod
+    def of(cls, cases: Sequence[Case], step_times: Sequence[Sequence[float]] | None) -> Self:
+        """Return the control of some cases."""
+        length = np.array([case.time.step for case in cases])
+        if step_times is None:
+            return cls(length, np.array([case.time.steps for case in cases]))
+        ends = [step_times_of(*both) for both in zip(step_times, cases, strict=True)]
+        return cls(length, np.array([len(times) for times in ends]), _padded(ends))
+
+    def next_try(self, state: State, progress: Progress) -> tuple[FloatArray, Progress]:
+        """Return the times of the next steps' ends."""
+        if self.ends is None:
+            return (progress.steps + 1) * self.length, progress
+        return self.ends[np.arange(len(self.ends)), progress.steps], progress
+
+    def decide(self, before: State, step: Step, progress: Progress) -> Decision:
+        """Accept every step."""
+        iterations = progress.iterations + step.state.contact.iterations
+        every = np.ones(len(self.length), dtype=bool)
+        return Decision(every, replace(progress, steps=progress.steps + 1, iterations=iterations))
+
+    def shorten(self, before: State, end: FloatArray, progress: Progress) -> Progress | None:
+        """Return None: there is no other step."""
+        return None
+
+    def finished(self, state: State, progress: Progress) -> BoolArray:
+        """Return which histories have made all of their steps."""
+        return progress.steps >= self.steps
+
+
+@dataclass(frozen=True)
+class ErrorControl:
+    """Steps whose estimated errors of wear, pressure and energy are within tolerances.
+
+    The error of wear is that of the history: a step may miss what the error that is left of the
+    steps before it leaves of the tolerance. Steps end at the times at which a schedule or a
+    parameter bends, and while elements follow the wear they wear about the tolerance of the
+    geometry at most.
+
+    Parameters
+    ----------
+    end : (B,) s, of the histories.
+    wear_tolerance, pressure_tolerance : (B,) mm, and relative to the mean pressure.
+    limits : (B, m) s, times at which steps end, each history's last one repeated.
+    meshed_wear : (B,) mm, most wear of a step of elements that follow it; infinite for others.
+    """
+
+    end: FloatArray
+    wear_tolerance: FloatArray
+    pressure_tolerance: FloatArray
+    limits: FloatArray
+    meshed_wear: FloatArray
+
+    @classmethod
+    def of(cls, cases: Sequence[Case], step_times: Sequence[Sequence[float]] | None) -> Self:
+        """Return the control of some cases."""
+        times = [case.time for case in cases]
+        return cls(
+            np.array([time.end for time in times], dtype=float),
+            np.array([time.tolerance for time in times]),
+            np.array([time.pressure_tolerance for time in times]),
+            _padded([[*case.breakpoints, case.time.end] for case in cases]),
+            np.array(
+                [case.mesh.geometry_tolerance if case.follows_wear else np.inf for case in cases]
+            ),
+        )
+
+    def next_try(self, state: State, progress: Progress) -> tuple[FloatArray, Progress]:
+        """Return the times to which the next steps are tried.
+
+        Raises
+        ------
+        ComputationError : no step, however short, meets the tolerance.
+        """
+        end, _, length = self._try(state, progress)
+        if (stuck := end - state.time <= 4.0 * np.spacing(state.time)).any():
+            if len(stuck) > 1:
+                raise HistoriesError(stuck)
+            why = (
+                "the estimated error of the step is not a number"
+                if progress.undefined[0]
+                else f"errors exceed time.tolerance = {self.wear_tolerance[0]:g} mm or "
+                f"time.pressure_tolerance = {self.pressure_tolerance[0]:g} (larger ones may be met)"
+            )
+            raise ComputationError(f"{why}, {NO_STEP}")
+        fresh = ~progress.begun
+        return end, replace(
+            progress,
+            length=length,
+            begun=np.ones_like(fresh),
+            pressed=progress.pressed & ~fresh,
+            tried_iterations=np.where(fresh, 0, progress.tried_iterations),
+        )
+
+    def _try(self, state: State, progress: Progress) -> tuple[FloatArray, BoolArray, FloatArray]:
+        """Return the end of the next try, whether a limit of time cuts it, and its length uncut."""
+        limit = self.limits[:, 0]
+        if self.limits.shape[1] > 1:
+            ahead = self.limits > state.time[:, None]
+            limit = np.take_along_axis(self.limits, ahead.argmax(axis=1)[:, None], axis=1)[:, 0]
+        fresh, length = ~progress.begun, progress.length
+        if fresh.any():
+            fastest = state.rates.max(axis=(0, 2))
+            wears = fastest > 0.0
+            first = _FIRST_WEAR * self.wear_tolerance
+            worn = np.divide(first, fastest, out=self.end.copy(), where=wears)
+            wanted = np.where(
+                progress.next_step == 0.0, np.minimum(self.end, worn), progress.next_step
+            )
+            meshed = np.divide(
+                self.meshed_wear, fastest, out=np.full_like(fastest, np.inf), where=wears
+            )
+            length = np.where(fresh, np.minimum(wanted, meshed), length)
+        left = limit - state.time
+        cut = length >= left * (1.0 - 1e-9)
+        whole = (length < 0.5 * left) | (length > 0.9 * left)  # no sliver at the end
+        end = np.where(cut, limit, state.time + np.where(whole, length, 0.5 * left))
+        return end, cut, length
+
+    def decide(self, before: State, step: Step, progress: Progress) -> Decision:
+        """Accept steps within the tolerances; change the next one with the third root of its error.
+
+        The energy is held too: schedules may change it where nothing wears.
+        """
+        length = step.state.time - before.time
+        _, cut, _ = self._try(before, progress)
+        iterations = progress.tried_iterations + step.state.contact.iterations
+        ratio, pressing, ahead = self._ratios(before, step)
+        pressed = progress.pressed | pressing
+        accepted = ratio <= 1.0
+        following = _following(length, _change(ahead), pressed, cut, progress.length)
+        return Decision(
+            accepted,
+            Progress(
+                progress.steps + accepted,
+                np.where(accepted, following, progress.next_step),
+                progress.rejected + ~accepted,
+                progress.iterations + np.where(accepted, iterations, 0),
+                np.where(accepted, progress.length, length * _change(ratio)),
+                ~accepted,
+                pressed,
+                iterations,
+                ratio == np.inf,
+            ),
+        )
+
+    def shorten(self, before: State, end: FloatArray, progress: Progress) -> Progress | None:
+        """Return the progress for a try of a quarter."""
+        return replace(
+            progress,
+            length=_AFTER_FAILURE * (end - before.time),
+            rejected=progress.rejected + 1,
+        )
+
+    def finished(self, state: State, progress: Progress) -> BoolArray:
+        """Return which histories are at their end."""
+        return state.time >= self.end
+
+    def _ratios(self, before: State, step: Step) -> tuple[FloatArray, BoolArray, FloatArray]:
+        """Return the errors of a step over the allowed ones, and what they say of the next step.
+
+        That is whether the error of pressure was too large, and the errors of a step like this one
+        over what the next may miss. NaN counts as infinite.
+        """
+        state, missed = step.state, np.abs(before.error).max(axis=-1)
+        whole = state.energy + step.power * (self.end - state.time)
+        energy = np.maximum(relative(step.energy_error, _ENERGY_TOLERANCE * whole), 1e-6)
+        ratio = np.maximum(energy, step.wear_error / self._allowed(step.carried_error))
+        # the next step is to leave as much of the error before it as this one does
+        decay = relative(missed - step.carried_error, missed)
+        left = step.history_error * np.minimum(1.0 - decay, 1.0)
+        ahead = np.maximum(energy, step.wear_error / self._allowed(left))
+        over = _or_infinite(step.pressure_error / self.pressure_tolerance)
+        pressing = over > 1.0
+        ratio = np.where(pressing, np.maximum(ratio, over), ratio)
+        return _or_infinite(ratio), pressing, _or_infinite(ahead)
+
+    def _allowed(self, missed: FloatArray) -> FloatArray:
+        """Return the error of a step, mm, that is allowed where the history has missed so much."""
+        return np.maximum(self.wear_tolerance - missed, _LEAST_ALLOWED * self.wear_tolerance)
+
+
+def _or_infinite(ratio: FloatArray) -> FloatArray:
+    return np.where(ratio == ratio, ratio, np.inf)
+
+
+def _change(ratio: FloatArray) -> FloatArray:
+    """Return the factor of the length of the next try: the third root of the error, with care."""
+    return np.maximum(_SAFETY * ratio ** (-1.0 / 3.0), _LARGEST_CUT)
+
+
+def _following(
+    length: FloatArray, change: FloatArray, pressed: BoolArray, cut: BoolArray, uncut: FloatArray
+) -> FloatArray:
+    """Return the length of the next step, s; ``uncut`` is the length of this one without limits."""
+    # errors of pressure come and go with elements: they limit steps, but do not foretell them
+    following = length * np.minimum(change, np.where(pressed, 1.0, _LARGEST_GROWTH))
+    return np.where(cut, np.maximum(following, uncut), following)

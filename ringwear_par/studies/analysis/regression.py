@@ -1,0 +1,361 @@
+"""Regressions over places between the ends of keys, with the error that they make.
+
+Each response is interpolated by cubic radial functions and a linear polynomial (SciPy's
+``RBFInterpolator``) over the keys, stretched such that cases that are left out are met best. Of the
+response itself, its roots or its logarithm that is taken with which they are met best: wear grows
+with powers of the keys, and stays near zero where pressures hardly pass a threshold.
+
+Of grids, cases left out by lot tell nothing of what is between the values of a key: there, whole
+values are left out, too. Where a key has few values, cubic functions swing between them by the
+distance of these over the range of another key: stretches keep that below one.
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ringwear_par.arrays import BoolArray, FloatArray, IntArray
+from ringwear_par.studies.analysis.responses import most_of
+from ringwear_par.studies.analysis.sensitivity import SEED
+
+if TYPE_CHECKING:
+    from scipy.interpolate import RBFInterpolator
+
+#: most cases that stretches of the keys are found from
+_MOST_STRETCHED = 150
+#: of places of keys, by which their values are told apart
+_DIGITS = 6
+#: of what values left out of a key are off by, what is told: they leave a hole twice as wide as
+#: those of the design, and where a response has kinks errors go by the width
+_HOLE = 0.5
+#: parts that are left out in turn, of the errors told and of the search for stretches
+_FOLDS, _FEW_FOLDS = 10, 4
+
+
+def _square(values: FloatArray) -> FloatArray:
+    return np.square(np.maximum(values, 0.0))
+
+
+#: what of a response is interpolated: there and back
+_FORMS: dict[str, tuple[Any, Any]] = {
+    "logarithm": (np.log, np.exp),
+    "cube root": (np.cbrt, lambda values: values**3),
+    "square root": (np.sqrt, _square),
+    "itself": (np.asarray, np.asarray),
+}
+
+
+@dataclass(frozen=True)
+class Response:
+    """A response in the cases of a part, and how well it is met where they are left out.
+
+    Parameters
+    ----------
+    values : (cases, columns), one column a time, or an element of a profile.
+    form : what of it is interpolated, a name in the table of forms.
+    error : root mean square of leave-out errors, in the response's unit.
+    form_error : the same of what is interpolated.
+    shape : of a case's values, whose product is the number of columns: () of one number.
+    most : what it cannot be above.
+    """
+
+    values: FloatArray
+    form: str
+    error: float
+    form_error: float
+    shape: tuple[int, ...]
+    most: float = math.inf
+
+    @cached_property
+    def spread(self) -> float:
+        """Root mean square of the distance from the mean, in the response's unit."""
+        return _rms(self.values - self.values.mean(axis=0))
+
+    @property
+    def relative_error(self) -> float:
+        """Leave-out error as a part of the spread, 0 of what does not vary."""
+        varies = self.spread > 1e-12 * float(np.abs(self.values).max())
+        return self.error / self.spread if varies else 0.0
+
+    def shifted(self, values: FloatArray, errors: float) -> FloatArray:
+        """Return values of the response, shifted by a number of leave-out errors of its form."""
+        shifted = _FORMS[self.form][0](values) + errors * self.form_error
+        return self.back(shifted)
+
+    def back(self, table: FloatArray) -> FloatArray:
+        """Return the response of what of it was interpolated, where it can be."""
+        return _back(table, self.form, self.values, self.most)
+
+
+@dataclass(frozen=True)
+class Part:
+    """The surrogate of the cases that share all texts.
+
+    Parameters
+    ----------
+    texts : values of the varied keys that are no numbers.
+    keys : the varied keys that are numbers and differ.
+    low, high : (keys,) ends of their ranges.
+    logarithmic : (keys,) whether a key goes by its logarithm.
+    points : (cases, keys) places between the ends, about 0 to 1.
+    stretches : (keys,) what they are multiplied by.
+    responses : by name.
+    """
+
+    texts: tuple[str, ...]
+    keys: tuple[str, ...]
+    low: FloatArray
+    high: FloatArray
+    logarithmic: BoolArray
+    points: FloatArray
+    stretches: FloatArray
+    responses: dict[str, Response]
+
+    def values_at(self, key: int, places: FloatArray) -> FloatArray:
+        """Return the values of a key at places from 0 to 1 of its range."""
+        low, high = self.low[key], self.high[key]
+        if self.logarithmic[key]:
+            return low * (high / low) ** places
+        return low + (high - low) * places
+
+    def places_of(self, values: FloatArray) -> FloatArray:
+        """Return places from 0 to 1 of values of the keys (..., keys)."""
+        return places_between(values, self.low, self.high, self.logarithmic)
+
+    def at(self, points: FloatArray, names: Sequence[str]) -> dict[str, FloatArray]:
+        """Return responses (len(points), columns) at points (., keys) from 0 to 1."""
+        interpolator, start, found = self._interpolator(tuple(names)), 0, {}
+        table = interpolator(points * self.stretches)
+        for name in names:
+            response = self.responses[name]
+            stop = start + response.values.shape[1]
+            found[name] = response.back(table[:, start:stop])
+            start = stop
+        return found
+
+    def _interpolator(self, names: tuple[str, ...]) -> "RBFInterpolator":
+        if names not in self._interpolators:
+            table = [_FORMS[self.responses[n].form][0](self.responses[n].values) for n in names]
+            self._interpolators[names] = _interpolator(
+                self.points * self.stretches, np.concatenate(table, axis=1)
+            )
+        return self._interpolators[names]
+
+    @cached_property
+    def _interpolators(self) -> dict[tuple[str, ...], "RBFInterpolator"]:
+        return {}
+
+
+def places_between(
+    values: FloatArray, low: FloatArray, high: FloatArray, logarithmic: BoolArray
+) -> FloatArray:
+    """Return where values (..., keys) are between the ends: 0 to 1."""
+    places = np.empty(values.shape)
+    for i, by_log in enumerate(logarithmic):
+        if by_log:
+            places[..., i] = np.log(values[..., i] / low[i]) / math.log(high[i] / low[i])
+        else:
+            places[..., i] = (values[..., i] - low[i]) / (high[i] - low[i])
+    return places
+
+
+def _interpolator(points: FloatArray, table: FloatArray) -> "RBFInterpolator":
+    from scipy.interpolate import RBFInterpolator  # slow to import
+
+    return RBFInterpolator(points, table, kernel="cubic", degree=1)
+
+
+def _left_out(
+    points: FloatArray, table: FloatArray, folds: Sequence[BoolArray]
+) -> tuple[FloatArray, IntArray]:
+    """Return rows of a table as they are found where their fold is left out, and their cases."""
+    found = [_interpolator(points[~out], table[~out])(points[out]) for out in folds]
+    return np.concatenate(found), np.concatenate([np.flatnonzero(out) for out in folds])
+
+
+def _by_lot(count: int, parts: int) -> list[BoolArray]:
+    """Return which cases are left out, in turn."""
+    parts = min(parts, count)
+    of_part = np.random.default_rng(SEED).permutation(count) % parts
+    return [of_part == part for part in range(parts)]
+
+
+def _by_value(points: FloatArray, parts: int) -> list[list[BoolArray]]:
+    """Return, for each key whose values repeat, which of those between its ends are left out."""
+    found = []
+    for column in np.round(points, _DIGITS).T:
+        values = np.unique(column)
+        if 2 * len(values) > len(points):
+            continue
+        inner = values[1:-1]
+        each = [np.isin(column, inner[i::parts]) for i in range(min(parts, len(inner)))]
+        each = [out for out in each if _suffice(points[~out])]
+        if each:
+            found.append(each)
+    return found
+
+
+def _suffice(points: FloatArray) -> bool:
+    """Tell whether points tell a linear polynomial, and more."""
+    count, keys = points.shape
+    return count > keys + 1 and bool(
+        np.linalg.matrix_rank(np.insert(points, 0, 1.0, axis=1), tol=1e-6) > keys
+    )
+
+
+def untested(points: FloatArray) -> list[int]:
+    """Return the keys that have two values only: no case tells what is between them."""
+    return [i for i, column in enumerate(np.round(points, _DIGITS).T) if len(set(column)) < 3]
+
+
+def fitted(
+    points: FloatArray, values: Mapping[str, FloatArray]
+) -> tuple[FloatArray, dict[str, Response]]:
+    """Return the stretches of the keys, and the responses with their leave-out errors.
+
+    These are the largest of those of cases left out by lot, and half of those of values of each
+    key. Few cases are left out of the choice of stretches and forms, too. That of many hardly
+    depends on the tenth that is left out, and would take long; so would it for values of keys.
+    """
+    flat = {name: array.reshape(len(array), -1) for name, array in values.items()}
+    chosen = _chosen(points, flat)
+    errors = dict.fromkeys(flat, (0.0, 0.0))
+    sets = [_by_lot(len(points), _FOLDS), *_by_value(points, _FOLDS)]
+    for number, folds in enumerate(sets):
+        anew = not number and len(points) <= _MOST_STRETCHED
+        for name, found in _errors(points, flat, folds, chosen, anew=anew).items():
+            share = _HOLE if number else 1.0
+            errors[name] = max(errors[name], (share * found[0], share * found[1]))
+    stretches, forms = chosen
+    return stretches, {
+        name: Response(array, forms[name], *errors[name], values[name].shape[1:], most_of(name))
+        for name, array in flat.items()
+    }
+
+
+def _errors(
+    points: FloatArray, values: Mapping[str, FloatArray], folds: Sequence[BoolArray],
+    chosen: tuple[FloatArray, dict[str, str]], *, anew: bool,
+) -> dict[str, tuple[float, float]]:  # fmt: skip
+    """Return the errors of what is left out in turn, and those of its form, of each response.
+
+    Parameters
+    ----------
+    chosen : stretches and forms.
+    anew : whether to choose others without each fold; errors of forms are of those above.
+    """
+    apart: dict[str, list[FloatArray]] = {name: [] for name in values}
+    of_form: dict[str, list[FloatArray]] = {name: [] for name in values}
+    for out in folds:
+        rest = {name: array[~out] for name, array in values.items()}
+        stretches, forms = _chosen(points[~out], rest) if anew else chosen
+        stretches = _held(stretches, points[~out])
+        for name, array in rest.items():
+            interpolator = _interpolator(points[~out] * stretches, _FORMS[forms[name]][0](array))
+            found = interpolator(points[out] * stretches)
+            found = _back(found, forms[name], array, most_of(name))
+            expected = values[name][out]
+            apart[name].append(found - expected)
+            there, _ = _FORMS[chosen[1][name]]
+            with np.errstate(divide="ignore"):  # logarithms, where others were chosen meanwhile
+                differences = there(found) - there(expected)
+            of_form[name].append(differences[np.isfinite(differences)])
+    return {
+        name: (_rms(np.concatenate(apart[name])), _rms(np.concatenate(of_form[name])))
+        for name in values
+    }
+
+
+def _chosen(
+    points: FloatArray, values: Mapping[str, FloatArray]
+) -> tuple[FloatArray, dict[str, str]]:
+    """Return the stretches of the keys, and the forms, with which what is left out is met best."""
+    stretches = np.ones(points.shape[1])
+    if len(stretches) > 1:
+        from scipy.optimize import minimize  # slow to import
+
+        some = np.random.default_rng(SEED).permutation(len(points))[:_MOST_STRETCHED]
+        few, at = {name: array[some] for name, array in values.items()}, points[some]
+        table = np.concatenate(
+            [_evened(_FORMS[form][0](few[name])) for name, form in _best_forms(at, few).items()],
+            axis=1,
+        )
+        folds = _folds(at)
+
+        def error(logarithms: FloatArray) -> float:
+            found, cases = _left_out(at * _stretched(logarithms, at), table, folds)
+            return _rms(found - table[cases])
+
+        found = minimize(
+            error, np.zeros_like(stretches), method="Nelder-Mead",
+            options={
+                "initial_simplex": np.vstack([0.0 * stretches, np.eye(len(stretches))]),
+                "maxfev": 25 * len(stretches), "xatol": 0.05,
+            },
+        )  # fmt: skip
+        stretches = _stretched(found.x, points)
+    return stretches, _best_forms(points * stretches, values)
+
+
+def _folds(points: FloatArray) -> list[BoolArray]:
+    """Return which cases are left out in turn by a search."""
+    by_value = _by_value(points, _FEW_FOLDS)
+    return [*_by_lot(len(points), _FEW_FOLDS), *(out for each in by_value for out in each)]
+
+
+def _stretched(logarithms: FloatArray, points: FloatArray) -> FloatArray:
+    """Return stretches of points whose product is about 1: cubic functions know no length."""
+    stretches: FloatArray = np.exp(np.clip(logarithms - logarithms.mean(), -4.0, 4.0))
+    return _held(stretches, points)
+
+
+def _held(stretches: FloatArray, points: FloatArray) -> FloatArray:
+    """Return stretches with which no hole in a key is wider than the range of another one."""
+    values = [np.unique(column) for column in points.T]
+    holes = [np.diff(v).max() / np.ptp(v) if len(v) > 1 else 1.0 for v in values]
+    held: FloatArray = np.minimum(stretches, stretches.min() / np.array(holes))
+    return held
+
+
+def _evened(table: FloatArray) -> FloatArray:
+    """Return the columns of a response such that every response weighs the same, or none."""
+    spread = _rms(table - table.mean(axis=0))
+    varies = spread > 1e-12 * float(np.abs(table).max())
+    return table / (math.sqrt(table.shape[1]) * spread) if varies else 0.0 * table
+
+
+def _best_forms(points: FloatArray, values: Mapping[str, FloatArray]) -> dict[str, str]:
+    tried = [(name, form) for name, array in values.items() for form in forms_for(array)]
+    tables = [_FORMS[form][0](values[name]) for name, form in tried]
+    found, cases = _left_out(points, np.concatenate(tables, axis=1), _folds(points))
+    best: dict[str, tuple[float, str]] = {}
+    start = 0
+    for (name, form), table in zip(tried, tables, strict=True):
+        stop = start + table.shape[1]
+        back = _back(found[:, start:stop], form, values[name], most_of(name))
+        error = _rms(back - values[name][cases])
+        best[name] = min(best.get(name, (math.inf, form)), (error, form))
+        start = stop
+    return {name: form for name, (_, form) in best.items()}
+
+
+def _back(table: FloatArray, form: str, values: FloatArray, most: float) -> FloatArray:
+    """Return a response of what of it was interpolated; not negative where no case is."""
+    with np.errstate(over="ignore"):
+        found = _FORMS[form][1](table)
+    return np.clip(found, 0.0 if values.min() >= 0.0 else -math.inf, most)
+
+
+def _rms(values: FloatArray) -> float:
+    return float(np.sqrt(np.mean(values**2))) if values.size else 0.0
+
+
+def forms_for(array: FloatArray) -> list[str]:
+    """Return the forms that a response has."""
+    least = float(array.min())
+    kept = {"logarithm": least > 0.0, "square root": least >= 0.0}
+    return [form for form in _FORMS if kept.get(form, True)]

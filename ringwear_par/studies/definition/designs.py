@@ -1,0 +1,265 @@
+"""Study files: a base case, the keys that vary, and the design that draws rows of values."""
+
+import csv
+import json
+import math
+import re
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ringwear_par.cases.case import Case
+from ringwear_par.cases.keys import base_keys, in_full, kinds
+from ringwear_par.cases.layers import LAYERS
+from ringwear_par.cases.suggestions import unknown_key
+from ringwear_par.cases.text import shortened, toml_value
+from ringwear_par.errors import MOST_FAULTS, InputError, legible
+from ringwear_par.studies.definition.variations import (
+    MOST_CASES,
+    Column,
+    Variation,
+    column_of,
+    has_entry,
+    is_known,
+    is_whole,
+    path_of,
+    read_variations,
+    split_key,
+    whole_name,
+)
+from ringwear_par.textfiles import parse_toml, parse_value, read_text, refuse_depth
+
+METHODS = ("grid", "sobol", "latin-hypercube", "random", "list")
+SAMPLED = ("sobol", "latin-hypercube", "random")
+#: faults of a table told one by one
+_FAULTS_TOLD = 5
+#: numbers as TOML has them, without its rarer spellings
+_WHOLE = re.compile(r"-?(0|[1-9][0-9]{0,17})", re.ASCII)
+_DECIMAL = re.compile(r"-?(0|[1-9][0-9]*)(\.[0-9]+)?(e[-+]?[0-9]+)?", re.ASCII)
+
+
+@dataclass(frozen=True)
+class Draft:
+    """A study whose cases have not been looked at yet.
+
+    Parameters
+    ----------
+    name : what messages call it.
+    text : the TOML text of the study.
+    base : dotted keys and raw values of the base case.
+    names : the varied keys, as the study names them.
+    method : of the design.
+    columns : raw values in all cases, in the order of ``names``.
+    """
+
+    name: str
+    text: str
+    base: Mapping[str, Any]
+    names: tuple[str, ...]
+    method: str
+    columns: tuple[Column, ...]
+
+    @property
+    def count(self) -> int:
+        """Number of the cases."""
+        return len(self.columns[0])
+
+
+def read_draft(source: Path | str | Mapping[str, Any]) -> Draft:
+    """Read a study: its name or its tables. Not collective.
+
+    Raises
+    ------
+    InputError : its faults, those of single cases excepted.
+    """
+    if isinstance(source, Mapping):
+        if isinstance(source.get("case"), Case):
+            raise InputError(
+                "study: case is a Case; must be the name of a case file, or its tables as a dict"
+            )
+        refuse_depth(source, "study")
+        name, folder, tables = "study", Path(), _plain(source)
+        text = "".join(f"{toml_value(key)} = {toml_value(v)}\n" for key, v in tables.items())
+    else:
+        path = Path(source)
+        name, folder, text = str(path), path.parent, read_text(path)
+        tables = parse_toml(text, name)
+    if kinds(tables) == {"case"}:
+        raise InputError(f"{name}: is a case, not a study; ringwear run computes it")
+    faults = [
+        f"{name}: {legible(key)}: unknown key; must be one of case, vary, design"
+        for key in tables.keys() - {"case", "vary", "design"}
+    ]
+    base = base_keys(name, folder, tables, isinstance(source, Mapping), faults) or {}
+    vary, design = tables.get("vary", {}), tables.get("design", {})
+    for key, table in (("vary", vary), ("design", design)):
+        if not isinstance(table, dict):
+            faults.append(f"{name}: {key} = {shortened(table)}: must be a table, [{key}]")
+            raise InputError(*faults)
+    method = design.get("method", "grid")
+    if method not in METHODS:
+        faults.append(
+            f"{name}: design.method = {shortened(method)}: must be one of {', '.join(METHODS)}"
+        )
+        raise InputError(*faults)
+    faults += design_faults(name, design, method)
+    variations = read_variations(name, vary, method, faults)
+    if faults:
+        raise InputError(*faults)
+    if method == "list":
+        names, columns = listed(folder / design["file"])
+    else:
+        names = tuple(v.name for v in variations)
+        columns = drawn(name, variations, method, design)
+    asked = dict(zip(names, (column.there for column in columns), strict=True))
+    boundary = asked.get("output.boundary", [base.get("output.boundary", "none")])
+    if unknown := [value for value in boundary if value != "none"]:
+        raise InputError(
+            f"{name}: output.boundary = {shortened(unknown[0])}: fields on whole boundaries are "
+            'stored by ringwear run only; must be absent from the case, or "output.boundary" = '
+            '{ values = ["none"] } in [vary]'
+        )
+    if varied := [key for key in names if key.startswith("stress.")]:
+        raise InputError(
+            f"{name}: {varied[0]}: must not vary; what [stress] asks for is that of the base case"
+        )
+    found = tuple(  # files are relative to the study
+        column.mapped(partial(_found, key, folder)) if column.numbers is None else column
+        for key, column in zip(names, columns, strict=True)
+    )
+    return Draft(name, text, base, names, method, found)
+
+
+def _found(name: str, folder: Path, value: Any) -> Any:
+    path, entry = split_key(name)
+    whole = whole_name(path, entry) if isinstance(entry, str) else path
+    (found,) = in_full({whole: value}, folder).values()
+    return found
+
+
+def _plain(tables: Mapping[str, Any]) -> dict[str, Any]:
+    """Return tables of Python with the values that TOML would give."""
+
+    def plain(value: Any) -> Any:
+        if isinstance(value, Mapping):
+            return dict(value)
+        return value.tolist() if isinstance(value, np.ndarray | np.generic) else str(value)
+
+    found: dict[str, Any] = json.loads(json.dumps(dict(tables), default=plain))
+    return found
+
+
+def design_faults(name: str, design: Mapping[str, Any], method: str) -> list[str]:
+    """Return what is wrong with the table [design], whose method is known."""
+    allowed = {"grid": (), "list": ("file",)}.get(method, ("count", "seed"))
+    faults = []
+    for key, value in design.items():
+        if key != "method" and key not in allowed:
+            faults.append(
+                f"{name}: design.{legible(key)} = {shortened(value)}: must be absent; method = "
+                f'"{method}" knows {", ".join(("method", *allowed))}'
+            )
+    if method in SAMPLED:
+        count, seed = design.get("count"), design.get("seed", 0)
+        if not (isinstance(count, int) and is_whole(count) and 1 <= count <= MOST_CASES):
+            said = "is missing" if count is None else f"= {shortened(count)}"
+            faults.append(
+                f"{name}: design.count {said}: must be a whole number from 1 to {MOST_CASES}"
+            )
+        if not is_whole(seed) or seed < 0:
+            faults.append(f"{name}: design.seed = {shortened(seed)}: must be a whole number >= 0")
+    if method == "list" and not isinstance(design.get("file"), str):
+        said = f"= {shortened(design['file'])}" if "file" in design else "is missing"
+        faults.append(
+            f"{name}: design.file {said}: must be the name of a CSV file, relative to this one"
+        )
+    return faults
+
+
+def drawn(
+    name: str, variations: Sequence[Variation], method: str, design: Mapping[str, Any]
+) -> list[Column]:
+    """Return the columns of a grid or of a sampled design; the design must have no faults.
+
+    Raises
+    ------
+    InputError : it has too many cases or keys.
+    """
+    if method == "grid":
+        sizes = [v.count or len(v.values) for v in variations]
+        count = math.prod(sizes)
+        if count > MOST_CASES:
+            raise InputError(f"{name}: the grid has {count} cases; must be at most {MOST_CASES}")
+        numbers = np.arange(count)
+        columns = []
+        for i, variation in enumerate(variations):  # the last one varies fastest
+            codes = numbers // math.prod(sizes[i + 1 :]) % sizes[i]
+            columns.append(Column(tuple(variation.grid()), codes))
+        return columns
+    from scipy.stats import qmc  # slow to import, and not needed to draw a figure
+
+    count, seed, d = design["count"], design.get("seed", 0), len(variations)
+    if method == "sobol":  # whole powers of 2, cut: a longer design begins with a shorter one
+        if d > qmc.Sobol.MAXDIM:
+            raise InputError(f"{name}: [vary] has {d} keys; must be at most {qmc.Sobol.MAXDIM}")
+        points = qmc.Sobol(d, scramble=True, seed=seed).random_base2((count - 1).bit_length())
+        points = points[:count]
+    elif method == "latin-hypercube":
+        points = qmc.LatinHypercube(d, seed=seed).random(count)
+    else:
+        points = np.random.default_rng(seed).random((count, d))
+    return [v.at(u) for v, u in zip(variations, points.T, strict=True)]
+
+
+def listed(table: Path) -> tuple[tuple[str, ...], list[Column]]:
+    """Return the varied keys and columns of a CSV file: a line of keys, and one line a case.
+
+    Raises
+    ------
+    InputError : its first faults, one sentence each.
+    """
+    try:
+        lines = [line for line in csv.reader(read_text(table).splitlines()) if line]
+    except csv.Error as error:
+        raise InputError(f"{table}: is not a table of comma-separated values: {error}") from error
+    if len(lines) < 2:
+        raise InputError(f"{table}: has no cases; must be a line of case keys and one line a case")
+    names = tuple(cell.strip() for cell in lines[0])
+    if any(";" in name for name in names):
+        raise InputError(f"{table}: columns must be separated by commas, not ;")
+    faults: list[str] = []
+    times = Counter(names)
+    for name in names:
+        if not is_known(name) or name == "title":
+            path = path_of(name)
+            near = len(faults) < MOST_FAULTS
+            said = unknown_key(name if path in LAYERS else path) if near else "unknown key"
+            faults.append(f"{table}: column {legible(name)}: {said}")
+        elif not has_entry(name):
+            faults.append(f"{table}: column {name}: has no entries; must be the key itself")
+        elif times[name] > 1:
+            faults.append(f"{table}: column {name}: is there more than once")
+    values: list[list[Any]] = [[] for _ in names]
+    for number, line in enumerate(lines[1:], start=2):
+        if len(line) != len(names):
+            faults.append(
+                f"{table}: line {number}: has {len(line)} values; must have {len(names)}, as the "
+                "first line"
+            )
+        for column, cell in zip(values, line, strict=False):
+            column.append(_parsed(cell.strip()))
+    if faults:
+        raise InputError(*faults[:_FAULTS_TOLD])
+    return names, [column_of(column) for column in values]
+
+
+def _parsed(cell: str) -> Any:
+    """Return the value of a cell; most are plain numbers, a tenth of the time of any TOML."""
+    if _WHOLE.fullmatch(cell):
+        return int(cell)
+    return float(cell) if _DECIMAL.fullmatch(cell) else parse_value(cell)

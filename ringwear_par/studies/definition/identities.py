@@ -1,0 +1,131 @@
+"""Ids of cases, by their content: for one case, and for all of a study by column.
+
+An id does not depend on the study that a case belongs to, on the order of its keys or on how a
+number is written, so that a study may grow, shrink or change and the cases that stay the same keep
+their results.
+"""
+
+import hashlib
+import itertools
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ringwear_par.cases.layers import LAYERS, entries_of
+from ringwear_par.cases.numbers import Number
+from ringwear_par.cases.schema import BY_PATH, key_of
+from ringwear_par.studies.definition.rows import Rows, by_kind
+from ringwear_par.textfiles import read_text
+
+#: defaults of before keys had to be given: the ids of the cases of then have to stay
+_NOT_IN_IDS = {f"wear.{body}.law": "threshold" for body in ("lower", "upper")}
+#: cases whose ids are made at once
+_WINDOW = 2**14
+
+
+def case_id(case_keys: Mapping[str, Any]) -> str:
+    """Return the id of a case, from all that its results depend on: 16 hexadecimal digits.
+
+    Parameters
+    ----------
+    case_keys : dotted keys and raw values of a good case.
+    """
+    pieces = _id_pieces(case_keys, {})
+    return _digest("".join(map(str, pieces)))
+
+
+def _digest(contents: str) -> str:
+    """Return the id of JSON pairs, each of which begins with a comma."""
+    return hashlib.sha256(f"{{{contents[2:]}}}".encode()).hexdigest()[:16]
+
+
+def _id_pieces(case_keys: Mapping[str, Any], numbers: Mapping[Number, int]) -> list[str | int]:
+    """Return the JSON pairs that an id is made of, and numbers of columns in their places.
+
+    Parameters
+    ----------
+    case_keys : dotted keys and raw values of a good case, Places for numbers.
+    numbers : their columns.
+    """
+    pieces: list[str | int] = []
+    for path in sorted(case_keys.keys() - {"title"}):
+        raw, key = case_keys[path], BY_PATH[path]
+        if (path, None) in numbers:
+            pieces.append(numbers[path, None])
+        elif path.startswith("wear.") and path.endswith(".file"):  # what it says, not where it is
+            pieces.append(_pair(path, read_text(Path(raw))))
+        elif path in LAYERS:
+            for entry, value in sorted((entries_of(raw) or {}).items()):
+                known, own = (path, entry) in numbers, key_of(f"{path}{entry}")
+                assert own is not None
+                if known:
+                    pieces.append(numbers[path, entry])
+                elif (value := own.read(value)) != own.default:
+                    pieces.append(_pair(f"{path}{entry}", value))
+        elif isinstance(raw, dict) and any((path, name) in numbers for name in raw):
+            there = key.read({n: 0.0 if (path, n) in numbers else v for n, v in raw.items()})
+            pieces.append(f", {json.dumps(path)}: [")
+            for i, (name, value) in enumerate(there):
+                pieces.append(f"{', ' if i else ''}[{json.dumps(name)}, ")
+                known = (path, name) in numbers
+                pieces.append(numbers[path, name] if known else json.dumps(value, default=repr))
+                pieces.append("]")
+            pieces.append("]")
+        else:
+            value = key.read(raw)
+            if value != _NOT_IN_IDS.get(path, key.default):
+                pieces.append(_pair(path, value))
+    return pieces
+
+
+def _pair(path: str, value: Any) -> str:
+    return f", {json.dumps(path)}: {json.dumps(value, default=repr)}"
+
+
+def identities_of(rows: Rows, firsts: Mapping[int, int]) -> Any:
+    """Return (cases,) bytes, the ids of good cases.
+
+    Parameters
+    ----------
+    firsts : a good case of each kind that has one.
+    """
+    found = np.zeros(len(rows.kinds), dtype="S16")
+    for start in range(0, len(found), _WINDOW):
+        window = slice(start, start + _WINDOW)
+        part = rows.part(window)
+        written: list[list[str]] = [[]] * len(rows.columns)
+        for (path, entry), i in rows.numbers.items():
+            name = path if entry is None else f"{path}{entry}" if path in LAYERS else ""
+            written[i] = part.columns[i].each(_Told(name) if name else _told)
+        for kind, here in by_kind(rows.kinds[window]):
+            if kind in firsts:
+                pieces = _id_pieces(rows.keys(firsts[kind], places=True), rows.numbers)
+                columns = [
+                    itertools.repeat(piece, len(here))
+                    if isinstance(piece, str)
+                    else [written[piece][i] for i in here.tolist()]
+                    for piece in pieces
+                ]
+                found[start + here] = [_digest("".join(e)) for e in zip(*columns, strict=True)]
+    return found
+
+
+def _told(raw: Any) -> str:
+    """Return a number as JSON has it."""
+    return repr(float(raw))
+
+
+class _Told:
+    """Writes the numbers of a key as JSON pairs, but for its default."""
+
+    def __init__(self, path: str) -> None:
+        key = key_of(path)
+        assert key is not None
+        self._begin, self._default = f", {json.dumps(path)}: ", key.default
+
+    def __call__(self, raw: Any) -> str:
+        value = float(raw)
+        return "" if value == self._default else self._begin + repr(value)

@@ -1,0 +1,133 @@
+"""Cases of one contact pair, computed side by side where they can be."""
+
+from collections import defaultdict
+from collections.abc import Callable, Hashable, Iterator, Sequence
+from dataclasses import dataclass
+
+from mpi4py import MPI
+
+from ringwear_par.cases.case import Case
+from ringwear_par.elasticity.pair import ContactPair
+from ringwear_par.history.elastic.bodies import young
+from ringwear_par.history.limits import stress_numbers
+from ringwear_par.history.lockstep import batch_key, can_share
+from ringwear_par.history.loop import simulate
+from ringwear_par.results.columns import HistoryColumns
+from ringwear_par.results.recorder import Recorder
+from ringwear_par.results.result import Result
+from ringwear_par.results.variables import HISTORIES
+from ringwear_par.studies.execution.pair_resources import PairResources
+
+#: numbers of a batch's Hessians, and most histories of it: see ``default_batch``
+_NUMBERS, _MOST = 2**21, 512
+#: batches of a block: as histories end others take their places, until none are left in it
+_BATCHES = 4
+#: of what is stored of a block, which waits in memory until all of it has ended; derivatives come
+#: on top, as many times as much as there are: smaller blocks would be slower than these are large
+_BLOCK_BYTES = 64e6
+
+
+def default_batch(case: Case) -> int:
+    """Return how many histories to step together, where nobody says.
+
+    More histories share what Python takes for each operation, but their factors are to stay in the
+    cache.
+    """
+    return min(max(_NUMBERS // case.mesh.contact_elements**2, 16), _MOST)
+
+
+def _block(case: Case, most: int) -> int:
+    """Return how many histories to store together, of which ``most`` step at a time."""
+    profiles = case.stored_rows if case.output.profiles == "all" else 1.0
+    each = 8.0 * profiles * case.mesh.contact_elements * len(case.output.fields)
+    each += 8.0 * case.stored_rows * (len(HISTORIES) + 2)  # with their numbers and steps
+    if case.stress is not None:
+        each += 8.0 * stress_numbers(case)[1]
+    return max(min(_BATCHES * most, int(_BLOCK_BYTES / each)), 1)
+
+
+@dataclass(frozen=True)
+class Computed:
+    """Cases that were computed together.
+
+    Parameters
+    ----------
+    numbers : of the cases among all.
+    recorder : of their histories.
+    failures : why some of them failed, by place in ``numbers``.
+    """
+
+    numbers: tuple[int, ...]
+    recorder: Recorder
+    failures: dict[int, Exception]
+
+    @property
+    def columns(self) -> HistoryColumns:
+        """What is stored, in the order of the numbers."""
+        return self.recorder.columns(self.failures)
+
+    def results(self) -> list[Result | Exception]:
+        """Return the results, or why there are none."""
+        return self.recorder.results(self.failures)
+
+
+def computed(
+    cases: Sequence[Case],
+    pair: ContactPair,
+    *,
+    resources: PairResources | None = None,
+    batch: int | None = None,
+    stop: Callable[[], bool] = lambda: False,
+    results: bool = False,
+    derivatives: Sequence[str] = (),
+    step_times: Sequence[Sequence[float]] | None = None,
+) -> Iterator[Computed]:
+    """Yield blocks of cases as they are computed, on this rank alone, until ``stop`` says so.
+
+    Each case gets the same, to the last bit, in whatever company. Failures are among what is
+    computed. What was begun when all are stopped is thrown away.
+
+    Parameters
+    ----------
+    cases : that share a contact pair.
+    resources : of the pair; None: those of these cases alone.
+    batch : most histories that step at a time; a block has some times as many.
+    stop : asked between two steps, and may answer others meanwhile.
+    results : whether there are to be results.
+    derivatives : keys that the histories are to have derivatives with respect to.
+    step_times : s, ends of the steps of each case, its own end the last; None: as cases say.
+    """
+    resources = resources or PairResources(pair, MPI.COMM_SELF)
+    for numbers in _together(cases):
+        numbers.sort(key=lambda n: young(cases[n]))  # those of the same moduli share a matrix
+        most = batch or default_batch(cases[numbers[0]])
+        longest = max((cases[n] for n in numbers), key=lambda case: case.stored_rows)
+        size = _block(longest, most)
+        for first in range(0, len(numbers), size):
+            part = numbers[first : first + size]
+            block = [cases[number] for number in part]
+            recorder = Recorder(
+                block, MPI.COMM_SELF, derivatives=derivatives, stresses=resources.stresses,
+                results=results,
+            )  # fmt: skip
+            outcome = simulate(
+                block, MPI.COMM_SELF, pair=pair, observers=[recorder, lambda _: stop()], most=most,
+                derivatives=derivatives,
+                step_times=None if step_times is None else [step_times[n] for n in part],
+            )  # fmt: skip
+            if outcome.stopped:
+                return
+            yield Computed(tuple(part), recorder, outcome.failures)
+
+
+def _together(cases: Sequence[Case]) -> list[list[int]]:
+    """Return the numbers of cases that step together, and those of cases that step alone."""
+    groups: dict[Hashable, list[int]] = defaultdict(list)
+    for number, case in enumerate(cases):
+        key = batch_key(case)
+        groups[("alone", number) if key is None else key].append(number)
+    parts: list[list[int]] = []
+    for numbers in groups.values():
+        alone = len(numbers) > 1 and not can_share(cases[numbers[0]])
+        parts += [[number] for number in numbers] if alone else [numbers]
+    return parts

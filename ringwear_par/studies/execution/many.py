@@ -1,0 +1,144 @@
+"""``rw.simulate_all``: many cases at once, shared out over the ranks."""
+
+import logging
+from collections import defaultdict
+from collections.abc import Hashable, Iterator, Mapping, Sequence
+from pathlib import Path
+
+from mpi4py import MPI
+
+from ringwear_par.cases.case import Case, need_case
+from ringwear_par.contact.batch import load_batch_kernels
+from ringwear_par.elasticity.pair import ContactPair
+from ringwear_par.elasticity.stress.recovery import load_stress_kernels
+from ringwear_par.errors import InputError
+from ringwear_par.history.elastic.bodies import operator_key
+from ringwear_par.history.elastic.pairs import assemble
+from ringwear_par.history.limits import check_case
+from ringwear_par.history.sensitivity import check_derivatives
+from ringwear_par.parallel import as_ours, together
+from ringwear_par.results.result import FailedResult, Result
+from ringwear_par.studies.definition.variations import is_whole
+from ringwear_par.studies.execution.batches import computed
+
+log = logging.getLogger(__name__)
+
+
+def simulate_all(
+    cases: Sequence[Case],
+    comm: MPI.Comm | None = None,
+    *,
+    batch: int | None = None,
+    derivatives: Sequence[str] = (),
+) -> list[Result | FailedResult]:
+    """Return the wear histories of many cases, in their order.
+
+    Collective on comm, the world's where none is given; every rank gets all of them. Cases that can
+    share a contact pair do; each is simulated by one rank. A case that fails does not disturb the
+    others.
+
+    Parameters
+    ----------
+    cases : the same on all ranks.
+    batch : most histories that a rank steps side by side; None: as many as are quickest. Results
+        do not depend on it.
+    derivatives : keys that all results are to have derivatives with respect to, as of ``simulate``.
+
+    Raises
+    ------
+    InputError : ``batch`` is no whole number >= 1, or there is something else than cases.
+    """
+    if batch is not None and not (is_whole(batch) and batch >= 1):
+        raise InputError(f"batch = {batch!r}: must be a whole number >= 1")
+    if isinstance(cases, Case | Mapping | str | Path):
+        raise InputError(
+            f"simulate_all: a list of cases is needed, not {type(cases).__name__}; simulate "
+            "takes one case"
+        )
+    cases = list(cases)
+    for number, case in enumerate(cases):
+        need_case(case, f"simulate_all: cases[{number}]")
+    comm = MPI.COMM_WORLD if comm is None else comm
+    found: dict[int, Result | FailedResult] = {}
+    groups: dict[Hashable, list[int]] = defaultdict(list)
+    for number, checked in enumerate(_checked(cases, comm, derivatives)):
+        if isinstance(checked, FailedResult):
+            found[number] = checked
+        else:
+            groups[checked].append(number)
+    if groups:
+        load_batch_kernels(comm)
+        if any(case.stress is not None for case in cases):
+            load_stress_kernels(comm)
+    dealt: list[int] = []  # in turn to all ranks, whatever the groups
+    waiting: list[tuple[ContactPair, list[int]]] = []
+    for numbers in groups.values():
+        try:
+            with together(comm):
+                pair = assemble(cases[numbers[0]], comm)
+        except Exception as error:
+            found.update((n, _failed(cases[n], error)) for n in numbers)
+            continue
+        rounds = len(dealt) // comm.size
+        mine = numbers[(comm.rank - len(dealt)) % comm.size :: comm.size]
+        dealt += numbers
+        if mine:
+            waiting.append((pair, mine))
+        if len(dealt) // comm.size > rounds:  # every rank has something to do
+            with together(comm):
+                found.update(_simulated(cases, waiting, batch, derivatives))
+            waiting = []
+    with together(comm):  # or the others would wait for its results
+        found.update(_simulated(cases, waiting, batch, derivatives))
+    if comm.size > 1:
+        for place, number in enumerate(dealt):  # one by one: all might be too much for a message
+            found[number] = comm.bcast(found.get(number), place % comm.size)
+    return [found[number] for number in range(len(cases))]
+
+
+def _checked(
+    cases: Sequence[Case], comm: MPI.Comm, derivatives: Sequence[str]
+) -> list[Hashable | FailedResult]:
+    """Return what the pair of each case depends on, or why it cannot be computed.
+
+    Collective on comm: every rank checks its share.
+    """
+    own: list[Hashable | FailedResult] = []
+    known: set[Hashable] = set()
+    for case in cases[comm.rank :: comm.size]:
+        try:
+            key = operator_key(case)
+            check_derivatives(case, derivatives)
+            check_case(case, 1, "case", known_mesh=key in known)
+            known.add(key)
+            own.append(key)
+        except Exception as error:
+            own.append(_failed(case, error))
+    parts = comm.allgather(own)
+    return [parts[number % comm.size][number // comm.size] for number in range(len(cases))]
+
+
+def _simulated(
+    cases: Sequence[Case],
+    work: Sequence[tuple[ContactPair, Sequence[int]]],
+    batch: int | None,
+    derivatives: Sequence[str],
+) -> Iterator[tuple[int, Result | FailedResult]]:
+    """Yield numbers and results of cases, by the pair that they share, on this rank alone."""
+    for pair, numbers in work:
+        own = [cases[number] for number in numbers]
+        for block in computed(own, pair, batch=batch, results=True, derivatives=derivatives):
+            for place, result in zip(block.numbers, block.results(), strict=True):
+                if isinstance(result, Exception):
+                    yield numbers[place], _failed(own[place], result)
+                else:
+                    yield numbers[place], result
+
+
+def _failed(case: Case, error: Exception) -> FailedResult:
+    """Return what is told of a case that failed."""
+    log.debug("a case failed", exc_info=error)
+    told = as_ours(error)
+    # they hold the model and its matrices
+    told.__traceback__ = told.__cause__ = told.__context__ = None
+    return FailedResult(case.told, told)

@@ -1,0 +1,89 @@
+"""The contact pairs that cases share, each in a file that every team maps: a node holds it once."""
+
+import io
+import time
+from pathlib import Path
+
+import numpy as np
+from mpi4py import MPI
+
+from ringwear_par.arrays import FloatArray
+from ringwear_par.atomic import atomic_write
+from ringwear_par.cases.case import Case
+from ringwear_par.elasticity.pair import ContactPair
+from ringwear_par.errors import ComputationError, InputError
+from ringwear_par.history.elastic.pairs import assemble, from_stacked, to_stacked
+from ringwear_par.parallel import on_first_rank, together
+
+#: how long a file that is there may stay unseen by another machine (NFS: a minute by default), and
+#: between two looks
+PATIENCE_SECONDS = 75.0
+_NAP_SECONDS = 0.05
+
+
+class StorageError(ComputationError):
+    """The disk; not the fault of a case."""
+
+
+def write_operator(path: Path, case: Case, comm: MPI.Comm) -> None:
+    """Assemble the pair of a case into a file, or leave the reason of a failure beside it.
+
+    Collective on comm.
+
+    Raises
+    ------
+    InputError : an option for PETSc.
+    StorageError : the disk.
+    """
+    reason = ""
+    try:
+        with together(comm):
+            stacked = to_stacked(assemble(case, comm))
+    except InputError:
+        raise
+    except Exception as error:  # those who wait for it must hear of it
+        reason = str(error) or repr(error)
+
+    def write() -> None:
+        content = io.BytesIO()  # to a disk, numpy.save does not tell why it fails
+        if reason:
+            content.write(reason.encode())
+        else:
+            np.save(content, stacked)
+        try:
+            with atomic_write(reason_of_failure(path) if reason else path) as temporary:
+                temporary.write_bytes(content.getbuffer())
+        except OSError as error:
+            raise StorageError(f"{path}: {error.strerror or error}") from error
+
+    on_first_rank(comm, write)
+
+
+def reason_of_failure(path: Path) -> Path:
+    """Return the file that says why there is no operator."""
+    return path.with_suffix(".error")
+
+
+def map_operator(path: Path, case: Case, comm: MPI.Comm) -> ContactPair:
+    """Map the pair of a case from its file. Collective on comm.
+
+    Raises
+    ------
+    StorageError : one of the ranks does not see the file, or not the whole of it.
+    """
+    with together(comm):
+        stacked = _mapped(path)
+    return from_stacked(case, stacked)
+
+
+def _mapped(path: Path) -> FloatArray:
+    """Return two stacked (n + 3, n) matrices; network disks show files late, and piece by piece."""
+    limit = time.monotonic() + PATIENCE_SECONDS
+    while True:
+        try:
+            stacked: FloatArray = np.load(path, mmap_mode="r")
+            return stacked
+        except (OSError, EOFError, ValueError) as error:
+            if time.monotonic() > limit:
+                raise StorageError(f"{path}: cannot be mapped: {error}") from error
+        time.sleep(_NAP_SECONDS)

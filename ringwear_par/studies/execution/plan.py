@@ -1,0 +1,276 @@
+"""What a sweep has to do: the cases of a study, or of a slice of it, that are not stored yet."""
+
+import logging
+import os
+from collections import Counter
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+import ringwear_par
+from ringwear_par.arrays import BoolArray, IntArray
+from ringwear_par.errors import InputError
+from ringwear_par.history.limits import memory_needed
+from ringwear_par.studies.definition.groups import Groups
+from ringwear_par.studies.definition.study import Study
+from ringwear_par.studies.storage.index import DONE, FAILED, NOTHING, Index
+from ringwear_par.studies.storage.locks import locked
+from ringwear_par.studies.storage.results_file import RESULTS
+from ringwear_par.studies.storage.store import Store
+
+log = logging.getLogger(__name__)
+
+_MOST_SLICES = 100_000
+
+
+@dataclass(frozen=True)
+class Request:
+    """How a study is to be computed.
+
+    Parameters
+    ----------
+    folder : of the results.
+    ranks : of the sweep.
+    ranks_per_case : size of the teams; divides the number of ranks.
+    part : which slice, and of how many; None for the whole, which merges.
+    retry_failed : compute failed cases again.
+    mix_versions : go on where another version has computed cases.
+    """
+
+    folder: Path
+    ranks: int
+    ranks_per_case: int = 1
+    part: tuple[int, int] | None = None
+    retry_failed: bool = False
+    mix_versions: bool = False
+
+    @property
+    def teams(self) -> int:
+        """Number of teams."""
+        return self.ranks // self.ranks_per_case
+
+    def check(self) -> None:
+        """Refuse numbers that do not go together. Not collective.
+
+        Raises
+        ------
+        InputError : with what is allowed.
+        """
+        if self.part is not None:
+            number, count = self.part
+            if not 1 <= number <= count <= _MOST_SLICES:
+                raise InputError(
+                    f"--slice {number}/{count}: must be I/N with I from 1 to N, and N at most "
+                    f"{_MOST_SLICES}"
+                )
+        m = self.ranks_per_case
+        if m < 1 or self.ranks % m:
+            sizes = ", ".join(str(d) for d in range(1, self.ranks + 1) if self.ranks % d == 0)
+            raise InputError(
+                f"--ranks-per-case {m}: {self.ranks} ranks do not divide into teams of {m}; must "
+                f"be one of {sizes}"
+            )
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What is to be done, the same on all ranks.
+
+    Parameters
+    ----------
+    request : how.
+    study : the study.
+    store : its folder.
+    todo : for each group of the study, its cases that are to be computed here.
+    in_flight : ids of cases that were interrupted.
+    interrupted : those of them that go on from their checkpoint.
+    mine : (cases,) which cases are of this slice.
+    done, failed : how many of them had ended before.
+    others : how many cases the folder holds that are not of the study.
+    flagged : how many have the same flags, by these.
+    all_assemble : whether all ranks assemble each operator (there are fewer than teams) or the team
+        that takes its group.
+    """
+
+    request: Request
+    study: Study
+    store: Store
+    todo: Groups
+    in_flight: frozenset[str]
+    interrupted: frozenset[str]
+    mine: BoolArray
+    done: int
+    failed: int
+    others: int
+    flagged: Counter[tuple[str, ...]]
+    all_assemble: bool
+
+    @property
+    def total(self) -> int:
+        """Number of the cases of this study, or slice."""
+        return int(self.mine.sum())
+
+    def count(self, index: Index) -> tuple[int, int]:
+        """Return how many of the cases are stored, done and failed."""
+        entry = index.find(self.study.identities[self.mine])
+        status = index["status"][entry[entry >= 0]]
+        return int((status == DONE).sum()), int((status == FAILED).sum())
+
+    @property
+    def cases_left(self) -> int:
+        """Number of the cases that are to be computed."""
+        return len(self.todo.cases)
+
+    @property
+    def left(self) -> list[int]:
+        """Numbers of the groups that still have cases."""
+        found: list[int] = np.flatnonzero(self.todo.sizes).tolist()
+        return found
+
+    def memory_needed(self) -> float:
+        """Return an estimate of the bytes that all ranks need together, libraries excluded.
+
+        Where teams assemble, as many as there are do so at once; the largest operators come first.
+        """
+        request, left = self.request, self.left
+        if not left:
+            return 0.0
+        first = [self.study.case(int(self.todo[group][0])) for group in left]
+        if self.all_assemble:
+            # beside the one history that this counts, every other team has its own
+            histories = max(
+                8.0 * len(case.output.fields) * case.mesh.contact_elements * case.stored_rows
+                for case in first
+            )
+            largest = max(memory_needed(case, request.ranks) for case in first)
+            return largest + (request.teams - 1) * histories
+        each = sorted((memory_needed(case, request.ranks_per_case) for case in first), reverse=True)
+        return sum(each[: request.teams])
+
+
+def make_plan(study: Study, request: Request, held: ExitStack | None) -> Plan:
+    """Look what is done of a study. On one rank.
+
+    Parameters
+    ----------
+    held : keeps the lock on the folder; None: for a look only, which changes nothing.
+
+    Raises
+    ------
+    InputError : the folder, or what it holds; or the memory that all teams need together.
+    ComputationError : the folder is in use by a process of a killed sweep.
+    """
+    folder, part = request.folder, request.part
+    store = Store(folder, f"{part[0]}-{part[1]}" if part else "")
+    index = NOTHING
+    if folder.exists() and not folder.is_dir():
+        raise InputError(f"{folder}: is a file; must be a folder, or a new name")
+    if held is not None:
+        store.open()
+        held.enter_context(locked(folder, store.part))
+        store.clear()
+        index, notes = store.scan(study.identities, mend=True)
+        for note in notes:
+            log.warning("%s", note)
+    elif (folder / "shards").is_dir() or (folder / RESULTS).exists():
+        with locked(folder, store.part):
+            index, _ = store.scan(study.identities, mend=False)
+    mine = _slice(study, part)
+    entry = index.find(study.identities)
+    status = np.where(entry >= 0, index["status"][entry], -1) if len(index) else entry
+    ended = (status == DONE) | ((status == FAILED) & (not request.retry_failed))
+    todo = study.members.only(mine & ~ended)
+    if not request.mix_versions:
+        _refuse_other_versions(folder, index, entry[ended], bool(len(todo.cases)))
+    kept = mine & ended
+    flags: Counter[tuple[str, ...]] = Counter()
+    for kind, n in Counter(index["kind"][entry[kept]].tolist()).items():
+        if index.kinds[kind].flags:
+            flags[index.kinds[kind].flags] += n
+    in_flight = frozenset(path.stem for path in store.interrupted())
+    plan = Plan(
+        request,
+        study,
+        store,
+        todo,
+        in_flight,
+        _interrupted(store, in_flight, index, entry),
+        mine,
+        int((status[kept] == DONE).sum()),
+        int((status[kept] == FAILED).sum()),
+        len(index) - int((entry >= 0).sum()),
+        flags,
+        len(study.members) <= request.teams,
+    )  # fmt: skip
+    _check_memory(plan)
+    return plan
+
+
+def _interrupted(
+    store: Store, in_flight: frozenset[str], index: Index, entry: IntArray
+) -> frozenset[str]:
+    """Return the cases that go on from a checkpoint: a case has one version from start to end."""
+    if not in_flight:
+        return frozenset()
+    stored = index.entries[entry[entry >= 0]]
+    going_on = set()
+    for identity, kind, block in stored[["id", "kind", "block"]][
+        np.isin(stored["id"], [os.fsencode(name) for name in in_flight])
+    ].tolist():
+        path = store.inflight(identity.decode())
+        same_version = index.kinds[kind].version == ringwear_par.__version__
+        if index.blocks[block].path == path and same_version:
+            going_on.add(path.stem)
+    return frozenset(going_on)
+
+
+def _refuse_other_versions(folder: Path, index: Index, kept: IntArray, more: bool) -> None:
+    """Raise where cases of several versions would come together.
+
+    Parameters
+    ----------
+    kept : what is stored and not computed again.
+    more : whether this version computes others.
+    """
+    counts: Counter[str] = Counter()
+    for kind, n in Counter(index["kind"][kept].tolist()).items():
+        counts[index.kinds[kind].version] += n
+    if more:
+        counts.setdefault(ringwear_par.__version__, 0)
+    if len(counts) > 1:
+        known = ", ".join(f"{n} by {version}" for version, n in counts.most_common() if n)
+        raise InputError(
+            f"{folder}: holds cases computed by another version of ringwear-par ({known}; this is "
+            f"{ringwear_par.__version__}); must be a new folder, or --mix-versions (in Python "
+            "mix_versions=True), and the variable version tells them apart"
+        )
+
+
+def _check_memory(plan: Plan) -> None:
+    """Refuse what this machine cannot hold, as if all ranks were on it."""
+    needed = plan.memory_needed()
+    memory = float(os.sysconf("SC_PAGE_SIZE")) * os.sysconf("SC_PHYS_PAGES")
+    teams, m = plan.request.teams, plan.request.ranks_per_case
+    if needed > 0.9 * memory:
+        raise InputError(
+            f"{plan.study.name}: {teams} team{'s' if teams > 1 else ''} of {m} "
+            f"rank{'s' if m > 1 else ''} need about {needed / 1e9:.3g} GB of memory at once, this "
+            f"machine has {memory / 1e9:.3g} GB; must be less: fewer ranks, more of them a case "
+            "(--ranks-per-case), or smaller cases"
+        )
+
+
+def _slice(study: Study, part: tuple[int, int] | None) -> BoolArray:
+    """Return which cases are of a slice: a stretch of the groups, by estimated work."""
+    groups = study.members
+    if part is None:
+        return np.ones(len(groups.cases), dtype=bool)
+    share = np.repeat(study.assembly / groups.sizes, groups.sizes)
+    work = study.work[groups.cases] + share
+    middle = (np.cumsum(work) - 0.5 * work) / work.sum()
+    number = np.minimum((middle * part[1]).astype(int), part[1] - 1)
+    mine = np.zeros(len(number), dtype=bool)
+    mine[groups.cases] = number == part[0] - 1
+    return mine

@@ -1,0 +1,215 @@
+"""The results of a sweep, to be looked at: with xarray, or variable by variable."""
+
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import h5py
+import numpy as np
+
+from ringwear_par.arrays import BoolArray, FloatArray, IntArray
+from ringwear_par.cases.schema import BY_PATH
+from ringwear_par.errors import InputError
+from ringwear_par.results.reading import (
+    find_array,
+    find_texts,
+    read_array,
+    read_number,
+    read_text,
+    reading,
+)
+from ringwear_par.results.variables import HISTORIES, LINE, Variable
+from ringwear_par.studies.definition.variations import path_of, read_variations
+from ringwear_par.studies.storage.end_values import FINAL, FINALS, entries
+from ringwear_par.studies.storage.index import split_flags
+from ringwear_par.studies.storage.results_file import (
+    OF_CASES,
+    RESULTS,
+    SOFTWARE,
+    WHAT,
+    over_cases,
+)
+from ringwear_par.studies.storage.stored_variables import FIELDS, ROWS
+from ringwear_par.textfiles import parse_toml
+
+if TYPE_CHECKING:
+    import xarray
+
+
+@dataclass(frozen=True)
+class Ensemble:
+    """A sweep's results without their histories, which ``histories`` reads.
+
+    Parameters
+    ----------
+    path : of results.h5.
+    ids, status, error : (cases,) str.
+    in_study : (cases,) bool.
+    seconds : (cases,) float.
+    steps_stored : (cases,) int.
+    varied : values by varied key, (cases,) float, or str where they are not numbers.
+    final : last stored values by name, (cases,) float, see ``finals``; NaN where nothing is stored.
+    attributes : of the file: ``method`` of the design, ``study``, ``status``, versions.
+    flags : what makes the answer of a case doubtful, (cases,).
+    """
+
+    path: Path
+    ids: tuple[str, ...]
+    status: tuple[str, ...]
+    error: tuple[str, ...]
+    in_study: BoolArray
+    seconds: FloatArray
+    steps_stored: IntArray
+    varied: dict[str, Any]
+    final: dict[str, FloatArray]
+    attributes: dict[str, Any]
+    flags: tuple[tuple[str, ...], ...] = ()
+
+    @cached_property
+    def spacings(self) -> dict[str, tuple[bool, tuple[float, float]]]:
+        """Of the keys that the design varies by ranges: whether by logarithms, and the ends."""
+        try:
+            tables = parse_toml(read_text(self.attributes["study"]), "study")
+        except (InputError, KeyError, ValueError):
+            return {}
+        vary, design = tables.get("vary"), tables.get("design", {})
+        if not isinstance(vary, dict) or not isinstance(design, dict):
+            return {}
+        varied = read_variations("study", vary, str(design.get("method", "grid")), [])
+        return {
+            each.name: (each.spacing == "log", (each.values[0], each.values[1]))
+            for each in varied
+            if each.spacing != "values"
+        }
+
+    def histories(self, name: str, cases: IntArray) -> FloatArray:
+        """Read the histories of some cases (increasing numbers), (len(cases), steps, ...).
+
+        Raises
+        ------
+        InputError : the file is damaged.
+        """
+        with reading(self.path, SOFTWARE, WHAT) as file:
+            sizes = {"case": len(self.ids)}
+            return find_array(file, over_cases(ROWS[name]), sizes)[cases]
+
+    def text(self, case: int) -> str:
+        """Read a case as a case file.
+
+        Raises
+        ------
+        InputError : the file is damaged.
+        """
+        with reading(self.path, SOFTWARE, WHAT) as file:
+            return read_text(find_texts(file, "case_toml", {"case": len(self.ids)})[case])
+
+    def profiles(self, name: str, cases: IntArray) -> FloatArray | None:
+        """Read profiles of some cases (increasing numbers), or the mid-points "r" of elements.
+
+        They are (len(cases), steps, elements), or (len(cases), elements) of "r" and where those of
+        the last step alone are stored, NaN where a case has none; None where no case has.
+
+        Raises
+        ------
+        InputError : the file is damaged.
+        """
+        variable = {**LINE, **FIELDS}[name]
+        with reading(self.path, SOFTWARE, WHAT) as file:
+            if name not in file:
+                return None
+            if name in FIELDS and file[name].ndim == 2:
+                variable = variable.at_last_step()
+            return find_array(file, over_cases(variable), {"case": len(self.ids)})[cases]
+
+
+def read_ensemble(folder: Path) -> Ensemble:
+    """Read a sweep's results. Not collective.
+
+    Parameters
+    ----------
+    folder : of the sweep, or its results.h5.
+
+    Raises
+    ------
+    InputError : the folder holds none.
+    """
+    path = folder if folder.name == RESULTS and folder.is_file() else folder / RESULTS
+    if not path.exists():
+        raise InputError(
+            f"{path}: does not exist; must be written by ringwear sweep (without --slice), which "
+            "goes on where it was interrupted"
+        )
+    with reading(path, SOFTWARE, WHAT) as file:
+        sizes: dict[str, int] = {}
+        ids, status, error, in_study = (
+            tuple(map(read_text, find_texts(file, name, sizes)[:]))
+            for name in ("case", "status", "error", "in_study")
+        )
+        attributes = dict(file.attrs)
+        for name in ("method", "study", "status", "coordinates"):
+            read_text(attributes[name])
+        read_number(attributes["ranks"])
+        steps = find_array(file, over_cases(HISTORIES["time"]), sizes).shape[1]
+        stored = read_array(file, OF_CASES["steps_stored"], sizes)
+        if not ((stored >= 0) & (stored <= steps)).all():
+            raise ValueError("steps_stored")
+        return Ensemble(
+            path, ids, status, error, np.array([word == "yes" for word in in_study]),
+            read_array(file, OF_CASES["seconds"], sizes), stored,
+            {name: _varied(file, name, sizes) for name in attributes["coordinates"].split()},
+            _final(file, sizes), attributes, _flags(file, sizes),
+        )  # fmt: skip
+
+
+def _final(file: h5py.File, sizes: dict[str, int]) -> dict[str, FloatArray]:
+    """Return the last values that all cases have, and those others that are stored."""
+    found: dict[str, FloatArray] = {}
+    for final in FINALS.values():
+        if final.name in FINAL or final.stored.name in file:
+            found |= entries(final, read_array(file, final.stored, sizes))
+    return found
+
+
+def _flags(file: h5py.File, sizes: dict[str, int]) -> tuple[tuple[str, ...], ...]:
+    """Return the flags of each case, none where the file is older than they are."""
+    if "flags" not in file:
+        return ((),) * sizes["case"]
+    return tuple(split_flags(read_text(text)) for text in find_texts(file, "flags", sizes)[:])
+
+
+def _varied(file: h5py.File, name: str, sizes: dict[str, int]) -> Any:
+    """Return the values of a varied key: numbers, or texts."""
+    if path_of(name) not in BY_PATH:
+        raise ValueError(name)
+    if file[name].dtype.kind == "f":
+        return read_array(file, Variable(name, ("case",), "", ""), sizes)
+    texts = find_texts(file, name, sizes)[:]
+    for text in texts:
+        read_text(text)
+    return texts
+
+
+def open_ensemble(folder: Path | str) -> "xarray.Dataset":
+    """Open the results of a sweep in xarray; arrays are read when they are used. Not collective.
+
+    Dimensions case, step and element, each varied key a coordinate on ``case``. Close it, or use it
+    in a ``with`` block, before the sweep goes on.
+
+    Parameters
+    ----------
+    folder : of the sweep, or its results.h5.
+
+    Raises
+    ------
+    InputError : the folder holds none, or xarray and h5netcdf are not installed.
+    """
+    path = read_ensemble(Path(folder)).path
+    try:
+        import xarray
+    except ImportError as error:
+        raise InputError(
+            f"{path}: needs xarray and h5netcdf to be opened so; pip install "
+            '"ringwear-par[xarray]" installs them'
+        ) from error
+    return xarray.open_dataset(path, engine="h5netcdf")

@@ -1,0 +1,110 @@
+"""Running in: the paper's law with a coefficient that falls with worn depth or distance slid."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Annotated, Any
+
+import numpy as np
+
+from ringwear_par.arrays import FloatArray
+from ringwear_par.errors import InputError
+from ringwear_par.schedules import Quantity, largest, smallest, told, value
+from ringwear_par.wear.law import LocalState
+from ringwear_par.wear.laws.threshold import AboveThreshold
+from ringwear_par.wear.parameters import Coefficient, Parameter, Threshold
+
+
+@dataclass(frozen=True)
+class RunningInLaw(AboveThreshold):
+    """Wear that is faster at first and settles with worn depth or distance slid.
+
+    The threshold law with a coefficient that falls from k_start to k (both in 1/MPa, volume lost by
+    friction energy). What it has above k falls by the factor e with every ``depth`` worn off, or
+    every ``distance`` slid, at the same place; one of these is given, in mm. With p0 = 0 the
+    specific wear rate is k_start mu at first, k mu in the end.
+
+    Use it where the first hours of a test wear faster than the rest at the same load: ``depth`` if
+    a layer or the roughness is worn off, ``distance`` if surfaces or a transfer film settle. Fits
+    need readings from both parts.
+
+    k_start is k at least: wear that becomes faster with time needs tables in time or a law of one's
+    own. What is remembered is that of each place: a body that is turned to a fresh face, or
+    refilled with lubricant, is a new case.
+
+    Raises
+    ------
+    InputError : neither or both of them are given.
+    """
+
+    name = "running-in"
+    formula = "(k + (k_start - k) exp(-s)) mu max(0, p - p0) V (s = wear/depth or slid/distance)"
+
+    k: Coefficient
+    k_start: Annotated[Quantity, Parameter("1/MPa", "wear coefficient at the start, k or larger")]
+    p0: Threshold = 0.0
+    depth: Annotated[
+        float | None,
+        Parameter(
+            "mm", "worn depth over which k_start - k falls by the factor e", "number", ends=False
+        ),
+    ] = None
+    distance: Annotated[
+        float | None,
+        Parameter("mm", "distance slid over which it does, instead of depth", "number", ends=False),
+    ] = None
+
+    def __post_init__(self) -> None:
+        if (self.depth is None) == (self.distance is None):
+            raise InputError("depth, distance: one of them must be given (mm)")
+
+    @classmethod
+    def faults(cls, table: str, values: Mapping[str, Any]) -> list[str]:
+        """Return what is wrong with depth and distance, or k and k_start, together."""
+        faults = []
+        if {"depth", "distance"} <= values.keys() and (values["depth"] is None) == (
+            values["distance"] is None
+        ):
+            faults.append(f"{table}depth, {table}distance: one of them must be given (mm)")
+        k, start = values.get("k"), values.get("k_start")
+        if k is not None and start is not None and smallest(start) < largest(k):
+            faults.append(f"{table}k_start = {told(start)}: must be at least {table}k = {told(k)}")
+        return faults
+
+    @property
+    def remembers(self) -> bool:
+        """Whether worn depth is what it remembers."""
+        return self.depth is not None
+
+    def _over(self, local: LocalState) -> tuple[FloatArray, float]:
+        """Return the memory, mm, and over how much of it, mm, the coefficient falls."""
+        if self.depth is not None:
+            return local.wear, self.depth
+        assert self.distance is not None
+        return local.slid, self.distance
+
+    def _fresh(self, local: LocalState) -> FloatArray:
+        """Return (k_start - k) exp(-s)."""
+        fall = value(self.k_start, local.time, local.r) - value(self.k, local.time, local.r)
+        memory, over = self._over(local)
+        return fall * np.exp(-(memory / over))
+
+    def _rise(self, local: LocalState) -> FloatArray:
+        return (value(self.k, local.time, local.r) + self._fresh(local)) * local.power
+
+    def d_rate_dwear(self, p: FloatArray, local: LocalState) -> FloatArray:
+        """Return the derivative of the rate with respect to ``local.wear``, 1/s."""
+        if self.depth is None:
+            return np.zeros_like(p)
+        return -self._fresh(local) / self.depth * local.power * self._excess(p, local)
+
+    def d_rate_dparameter(self, name: str, p: FloatArray, local: LocalState) -> FloatArray:
+        """Return the derivative of the rate with respect to a numeric parameter's value there."""
+        memory, over = self._over(local)
+        wearing = local.power * self._excess(p, local)
+        if name == "k":
+            return -np.expm1(-(memory / over)) * wearing
+        if name == "k_start":
+            return np.exp(-(memory / over)) * wearing
+        if name in self.numeric and name in ("depth", "distance"):
+            return self._fresh(local) * memory / over**2 * wearing
+        return super().d_rate_dparameter(name, p, local)
