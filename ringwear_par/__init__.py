@@ -22,17 +22,17 @@ __version__ = "0.2.0"
 
 if TYPE_CHECKING:
     from ringwear_par.cases.case import Case
-    from ringwear_par.cases.reading import read_case
+    from ringwear_par.cases.files.reading import read_case
     from ringwear_par.elasticity.pair import ContactPair
     from ringwear_par.errors import ComputationError, InputError
     from ringwear_par.history.elastic.pairs import assemble
-    from ringwear_par.identification.design import DesignResult, design
     from ringwear_par.identification.fit import fit
     from ringwear_par.identification.outcome import FitResult
+    from ringwear_par.identification.test_design.design import DesignResult, design
     from ringwear_par.reports.report import report
-    from ringwear_par.results.files import open_result
+    from ringwear_par.results.execution.simulate import simulate
     from ringwear_par.results.result import FailedResult, Result
-    from ringwear_par.results.simulate import simulate
+    from ringwear_par.results.storage.result_reading import open_result
     from ringwear_par.studies.analysis.surrogate import surrogate
     from ringwear_par.studies.definition.study import Study, read_study
     from ringwear_par.studies.execution.many import simulate_all
@@ -45,7 +45,7 @@ _PUBLIC = {
     "Case": "cases.case",
     "ComputationError": "errors",
     "ContactPair": "elasticity.pair",
-    "DesignResult": "identification.design",
+    "DesignResult": "identification.test_design.design",
     "FailedResult": "results.result",
     "FitResult": "identification.outcome",
     "InputError": "errors",
@@ -54,15 +54,15 @@ _PUBLIC = {
     "Study": "studies.definition.study",
     "WearLaw": "wear.law",
     "assemble": "history.elastic.pairs",
-    "design": "identification.design",
+    "design": "identification.test_design.design",
     "fit": "identification.fit",
     "open_ensemble": "studies.storage.ensemble",
-    "open_result": "results.files",
+    "open_result": "results.storage.result_reading",
     "plot": "studies.pictures.plot",
-    "read_case": "cases.reading",
+    "read_case": "cases.files.reading",
     "read_study": "studies.definition.study",
     "report": "reports.report",
-    "simulate": "results.simulate",
+    "simulate": "results.execution.simulate",
     "simulate_all": "studies.execution.many",
     "surrogate": "studies.analysis.surrogate",
     "sweep": "studies.execution.sweep",

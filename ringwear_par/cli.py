@@ -267,7 +267,7 @@ def _path(text: str) -> Path:
 
 
 def _run(args: argparse.Namespace, comm: Any) -> None:
-    from ringwear_par.results.run import run_case
+    from ringwear_par.results.execution.run import run_case
 
     run_case(
         args.case, args.output, args.overrides, comm=comm, restart=args.restart,
@@ -294,7 +294,7 @@ def _fit(args: argparse.Namespace, comm: Any) -> None:
 
 
 def _design(args: argparse.Namespace, comm: Any) -> None:
-    from ringwear_par.identification.design import run_design
+    from ringwear_par.identification.test_design.design import run_design
 
     run_design(args.fit, args.output, comm, after=args.after, criterion=args.criterion)
 
@@ -304,7 +304,7 @@ def _plot(args: argparse.Namespace, comm: Any) -> None:
 
     folders = [path for path in args.results if path.is_dir()]
     if not folders:
-        from ringwear_par.results.figures import plot_files
+        from ringwear_par.results.pictures.figures import plot_files
 
         chosen = args.panels or PANELS, args.steps or "", args.profiles_of or (), args.times or ""
         on_first_rank(comm, lambda: plot_files(args.results, args.output, *chosen))
@@ -327,7 +327,7 @@ def _plot(args: argparse.Namespace, comm: Any) -> None:
 def _export(args: argparse.Namespace, comm: Any) -> None:
     from ringwear_par.cases.units import seconds
     from ringwear_par.parallel import on_first_rank
-    from ringwear_par.results.export import export
+    from ringwear_par.results.storage.export import export
 
     time = None if args.time is None else seconds(args.time)
     chosen = time, args.revolve, args.scale, args.fields, args.stress, args.time or ""
@@ -351,7 +351,7 @@ def _explore(args: argparse.Namespace, comm: Any) -> None:
 
 
 def _laws(args: argparse.Namespace, comm: Any) -> None:
-    from ringwear_par.cases.law_trials import check_laws
+    from ringwear_par.cases.files.law_trials import check_laws
     from ringwear_par.parallel import on_first_rank
 
     on_first_rank(comm, lambda: check_laws(args.case, args.overrides))
@@ -365,7 +365,7 @@ def _verify(args: argparse.Namespace, comm: Any) -> None:
 
 def _info(args: argparse.Namespace, comm: Any) -> None:
     if args.schema == "fit":
-        from ringwear_par.identification.schema import schema as fit_schema
+        from ringwear_par.identification.definition.schema import schema as fit_schema
 
         print(fit_schema())
         return

@@ -20,14 +20,14 @@ import numpy as np
 from mpi4py import MPI
 
 from ringwear_par.arrays import FloatArray
-from ringwear_par.identification.fit_file import read_fit
-from ringwear_par.identification.histories import Histories
-from ringwear_par.identification.intervals import estimates
-from ringwear_par.identification.least_squares import LeastSquares
-from ringwear_par.identification.lockstep import Meet, side_by_side
-from ringwear_par.identification.minimise import minimise
-from ringwear_par.identification.problem import Problem
-from ringwear_par.identification.steps import STEPS
+from ringwear_par.identification.definition.fit_file import read_fit
+from ringwear_par.identification.definition.problem import Problem
+from ringwear_par.identification.estimation.intervals import estimates
+from ringwear_par.identification.estimation.least_squares import LeastSquares
+from ringwear_par.identification.estimation.minimise import minimise
+from ringwear_par.identification.model.histories import Histories
+from ringwear_par.identification.model.lockstep import Meet, side_by_side
+from ringwear_par.identification.model.steps import STEPS
 from ringwear_par.options import start_petsc
 
 TRUTH = {"wear.lower.k": 1e-7, "wear.lower.p0": 40.0}

@@ -35,17 +35,17 @@ from mutations import WORDS, edited, mutated_bytes, mutated_table, mutated_text
 
 from ringwear_par import cli
 from ringwear_par.atomic import check_writable
-from ringwear_par.cases.reading import read_case
+from ringwear_par.cases.files.reading import read_case
 from ringwear_par.cases.units import seconds
 from ringwear_par.errors import InputError, RingwearError
 from ringwear_par.history.limits import check_case
 from ringwear_par.options import _refuse_words
 from ringwear_par.reports.report import report
-from ringwear_par.results.export import export
-from ringwear_par.results.figures import plot_files
-from ringwear_par.results.files import open_result, read_error, read_status
+from ringwear_par.results.pictures.figures import plot_files
+from ringwear_par.results.result_writing import write_result
+from ringwear_par.results.storage.export import export
+from ringwear_par.results.storage.result_reading import open_result, read_error, read_status
 from ringwear_par.results.variables import HISTORIES
-from ringwear_par.results.writing import write_result
 from ringwear_par.studies.definition.study import read_study
 from ringwear_par.studies.pictures.figures import plot_sweep
 from ringwear_par.studies.storage.ensemble import read_ensemble

@@ -21,7 +21,7 @@ from collections import Counter
 import numpy as np
 from mpi4py import MPI
 
-from ringwear_par.cases.reading import make_case
+from ringwear_par.cases.files.reading import make_case
 from ringwear_par.elasticity.bem.assembly import load_kernels
 from ringwear_par.errors import RingwearError
 from ringwear_par.history.observers.balances import Balances

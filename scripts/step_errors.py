@@ -20,7 +20,7 @@ from mpi4py import MPI
 from random_cases import random_case
 
 from ringwear_par.cases.case import Case, Output, Stepping
-from ringwear_par.cases.reading import make_case
+from ringwear_par.cases.files.reading import make_case
 from ringwear_par.elasticity.geometry.mesh import Mesh
 from ringwear_par.errors import RingwearError
 from ringwear_par.history.elastic.pairs import assemble

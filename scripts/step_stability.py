@@ -39,7 +39,7 @@ from mpi4py import MPI
 from ringwear_par.arrays import FloatArray
 from ringwear_par.batched import one
 from ringwear_par.cases.case import Case, Stepping
-from ringwear_par.cases.reading import read_case
+from ringwear_par.cases.files.reading import read_case
 from ringwear_par.elasticity.bem.body import boundary_conditions, solve_body
 from ringwear_par.elasticity.bem.boundary import boundary_mesh
 from ringwear_par.elasticity.geometry.mesh import ContactLine
@@ -52,7 +52,7 @@ from ringwear_par.history.model import WearModel
 from ringwear_par.history.schemes.euler import backward, forward
 from ringwear_par.history.snapshots import Snapshot
 from ringwear_par.history.state import State
-from ringwear_par.results.drawing import COLOURS, STYLE
+from ringwear_par.results.pictures.drawing import COLOURS, STYLE
 from ringwear_par.verification.reference import EXPLICIT_LIMIT, contact_modulus
 from ringwear_par.wear.laws.threshold import ThresholdLaw
 

@@ -110,7 +110,7 @@ def stopped_after(monkeypatch, comm):
 
     Or of a case of a sweep, where all of them are as long as those that are computed alone.
     """
-    from ringwear_par.results import watch
+    from ringwear_par.results.execution import watch
     from ringwear_par.studies.execution import workers
 
     call = watch.Watch.__call__
@@ -134,7 +134,7 @@ def stopped_after(monkeypatch, comm):
 def restarted(shared_path, comm, stopped_after):
     """Run a case at once, and again stopped after a step and restarted; return both files."""
     from ringwear_par.errors import ComputationError
-    from ringwear_par.results.run import run_case
+    from ringwear_par.results.execution.run import run_case
 
     def restarted(case, overrides, step, match="SIGTERM after step"):
         whole, parts = shared_path / "whole.h5", shared_path / "parts.h5"

@@ -72,7 +72,7 @@ def _run(kind, folder, before, words, sizes, keep, checkpoint_seconds=1e9, again
     """
     from shutil import copy, copytree, rmtree
 
-    from ringwear_par.results import watch
+    from ringwear_par.results.execution import watch
 
     watch.CHECKPOINT_SECONDS = checkpoint_seconds
     for size in sizes:

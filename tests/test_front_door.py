@@ -12,7 +12,7 @@ import xarray
 from conftest import SHELL_ENVIRONMENT
 
 import ringwear_par as rw
-from ringwear_par.results.run import run_case
+from ringwear_par.results.execution.run import run_case
 
 PAPER = Path(__file__).parents[1] / "scripts/cases/paper.toml"
 SMALL = {"mesh.contact_elements": 16, "time.steps": 10}

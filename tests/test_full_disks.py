@@ -16,10 +16,10 @@ from stored import contents
 
 from ringwear_par.atomic import atomic_write
 from ringwear_par.elasticity.bem import assembly
-from ringwear_par.results import watch
-from ringwear_par.results.files import open_result, read_status
-from ringwear_par.results.hdf5 import atomic_hdf5
-from ringwear_par.results.run import run_case
+from ringwear_par.results.execution import watch
+from ringwear_par.results.execution.run import run_case
+from ringwear_par.results.hdf5_writing import atomic_hdf5
+from ringwear_par.results.storage.result_reading import open_result, read_status
 from ringwear_par.studies.execution.sweep import run_sweep
 
 pytestmark = [pytest.mark.serial, pytest.mark.slow]
@@ -287,7 +287,7 @@ def test_the_disk_is_told_by_the_name_of_the_file(tmp_path):
 
 
 def test_checkpoints_are_missed_once_a_cause(shared_path, comm, monkeypatch, caplog):
-    from ringwear_par.results import run as driver
+    from ringwear_par.results.execution import run as driver
 
     caplog.set_level("INFO")
     write, calls = driver.write_result, []

@@ -85,7 +85,7 @@ def test_a_law_that_interrupts_one_rank_ends_all_with_a_sentence(tmp_path):
 
 def test_a_rank_that_computes_nothing_more_keeps_nobody_waiting(comm, monkeypatch):
     """What fails on one rank between two collective calls is raised on all."""
-    from ringwear_par.cases.reading import read_case
+    from ringwear_par.cases.files.reading import read_case
     from ringwear_par.studies.execution import many
 
     def simulated(*args, **options):

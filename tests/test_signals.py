@@ -96,9 +96,9 @@ FIRST_STEP = " before the first step; nothing written"
         ("ringwear_par.studies.execution.estimate:assemble", signal.SIGTERM,
          ["sweep", STUDY, "-o", "out", "--dry-run"], "; nothing written"),
         ("matplotlib", signal.SIGINT, ["plot", "r.h5", "-o", "a.png"], "; nothing written"),
-        ("ringwear_par.results.export", signal.SIGHUP, ["export", "r.h5", "-o", "a.csv"],
+        ("ringwear_par.results.storage.export", signal.SIGHUP, ["export", "r.h5", "-o", "a.csv"],
          "; nothing written"),
-        ("ringwear_par.cases.law_trials", signal.SIGINT, ["laws", PAPER], ""),
+        ("ringwear_par.cases.files.law_trials", signal.SIGINT, ["laws", PAPER], ""),
         ("ringwear_par.verification.verify", signal.SIGTERM, ["verify"], ""),
     ],
 )  # fmt: skip

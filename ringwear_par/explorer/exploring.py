@@ -8,8 +8,8 @@ from typing import Any
 from mpi4py import MPI
 
 from ringwear_par.cases.case import Case
-from ringwear_par.cases.keys import flatten, in_full, override, parse_overrides, read_keys
-from ringwear_par.cases.reading import make_case, read_case
+from ringwear_par.cases.files.keys import flatten, in_full, override, parse_overrides, read_keys
+from ringwear_par.cases.files.reading import make_case, read_case
 from ringwear_par.cases.text import toml_text
 from ringwear_par.elasticity.pair import ContactPair
 from ringwear_par.explorer.controls import controls_of
@@ -20,7 +20,7 @@ from ringwear_par.history.elastic.pairs import assemble
 from ringwear_par.history.limits import check_case
 from ringwear_par.history.loop import simulate_one
 from ringwear_par.history.snapshots import Snapshot
-from ringwear_par.results.recorder import Recorder
+from ringwear_par.results.execution.recorder import Recorder
 from ringwear_par.results.result import Result
 from ringwear_par.textfiles import read_text
 

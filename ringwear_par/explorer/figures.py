@@ -14,9 +14,9 @@ from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.case import Case
 from ringwear_par.errors import InputError
 from ringwear_par.explorer.measured import Laid
-from ringwear_par.results.drawing import COLOURS, stage_colour
-from ringwear_par.results.history_panels import HISTORY_PANELS
 from ringwear_par.results.instants import pressure_peak, stages, time_unit, time_words
+from ringwear_par.results.pictures.drawing import COLOURS, stage_colour
+from ringwear_par.results.pictures.history_panels import HISTORY_PANELS
 from ringwear_par.results.result import Result
 from ringwear_par.results.variables import DISPLAY_UNITS
 

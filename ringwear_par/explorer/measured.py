@@ -12,7 +12,7 @@ from ringwear_par.cases.case import Case, density_keys
 from ringwear_par.cases.units import assumption, factor, told_unit, unit_of_column
 from ringwear_par.cases.values import RejectedError
 from ringwear_par.errors import InputError, legible
-from ringwear_par.identification.problem import BASE
+from ringwear_par.identification.definition.problem import BASE
 from ringwear_par.measurements import measurements_in
 from ringwear_par.results.result import Result
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from ringwear_par.cases.case import Case, Ring
-from ringwear_par.cases.law_trials import refuse_bad_laws
+from ringwear_par.cases.files.law_trials import refuse_bad_laws
 from ringwear_par.cases.numbers import number_faults
 from ringwear_par.cases.stress import Stress, check_stress
 from ringwear_par.cases.text import toml_value

@@ -11,20 +11,25 @@ from mpi4py import MPI
 
 from ringwear_par.arrays import FloatArray
 from ringwear_par.errors import ComputationError, InputError, reason_of
-from ringwear_par.identification.fit_file import read_fit
-from ringwear_par.identification.intervals import estimates
-from ringwear_par.identification.least_squares import LeastSquares
-from ringwear_par.identification.lockstep import StoppedError
-from ringwear_par.identification.minimise import Optimum, minimise
+from ringwear_par.identification.definition.fit_file import read_fit
+from ringwear_par.identification.definition.planned import fill
+from ringwear_par.identification.definition.problem import Problem
+from ringwear_par.identification.estimation.intervals import estimates
+from ringwear_par.identification.estimation.least_squares import LeastSquares
+from ringwear_par.identification.estimation.minimise import Optimum, minimise
+from ringwear_par.identification.estimation.plausible import refuse_idle, refuse_reversed
+from ringwear_par.identification.estimation.posterior import missing_for, sample_posterior
+from ringwear_par.identification.estimation.profile import likelihood_profiles
+from ringwear_par.identification.estimation.starts import (
+    Progress,
+    Started,
+    solve_from,
+    solve_starts,
+)
+from ringwear_par.identification.model.lockstep import StoppedError
+from ringwear_par.identification.model.rounds import Rounds
+from ringwear_par.identification.model.steps import ENOUGH, STEPS
 from ringwear_par.identification.outcome import FitResult
-from ringwear_par.identification.planned import fill
-from ringwear_par.identification.plausible import refuse_idle, refuse_reversed
-from ringwear_par.identification.posterior import missing_for, sample_posterior
-from ringwear_par.identification.problem import Problem
-from ringwear_par.identification.profile import likelihood_profiles
-from ringwear_par.identification.rounds import Rounds
-from ringwear_par.identification.starts import Progress, Started, solve_from, solve_starts
-from ringwear_par.identification.steps import ENOUGH, STEPS
 from ringwear_par.info import versions
 from ringwear_par.options import reject_unused_options
 from ringwear_par.parallel import on_first_rank, together, warn_of_threads

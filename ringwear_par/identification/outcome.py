@@ -10,13 +10,13 @@ import numpy as np
 from scipy.stats import chi2
 
 from ringwear_par.arrays import FloatArray
-from ringwear_par.identification.doubts import Doubt, doubts
-from ringwear_par.identification.fitted import units_of
-from ringwear_par.identification.information import without_nuisances
-from ringwear_par.identification.intervals import ParameterEstimate, information, told
-from ringwear_par.identification.least_squares import Evaluation, LeastSquares
-from ringwear_par.identification.posterior import Posterior
-from ringwear_par.identification.starts import Started
+from ringwear_par.identification.definition.fitted import units_of
+from ringwear_par.identification.estimation.doubts import Doubt, doubts
+from ringwear_par.identification.estimation.information import without_nuisances
+from ringwear_par.identification.estimation.intervals import ParameterEstimate, information, told
+from ringwear_par.identification.estimation.least_squares import Evaluation, LeastSquares
+from ringwear_par.identification.estimation.posterior import Posterior
+from ringwear_par.identification.estimation.starts import Started
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -14,10 +14,10 @@ import numpy as np
 from ringwear_par.atomic import atomic_write, check_writable
 from ringwear_par.errors import ComputationError, InputError
 from ringwear_par.folders import CURVES, ESTIMATES, FIT, READINGS
-from ringwear_par.identification.fitted import units_of
-from ringwear_par.identification.problem import Problem
-from ringwear_par.identification.starts import PROGRESS
-from ringwear_par.results.hdf5 import atomic_hdf5, write_variable
+from ringwear_par.identification.definition.fitted import units_of
+from ringwear_par.identification.definition.problem import Problem
+from ringwear_par.identification.estimation.starts import PROGRESS
+from ringwear_par.results.hdf5_writing import atomic_hdf5, write_variable
 from ringwear_par.results.variables import PARAMETER, PARAMETER_UNIT, SOFTWARE, Variable
 from ringwear_par.textfiles import parse_json, read_text
 
@@ -153,6 +153,6 @@ def _write(file: h5py.File, found: "FitResult") -> None:
 
 
 def _unit(quantity: str) -> str:
-    from ringwear_par.identification.problem import BASE
+    from ringwear_par.identification.definition.problem import BASE
 
     return BASE[quantity.partition(".")[0]]

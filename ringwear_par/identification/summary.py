@@ -4,16 +4,16 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ringwear_par.identification.fitted import units_of
-from ringwear_par.identification.intervals import ParameterEstimate
-from ringwear_par.identification.posterior import FEW, missing_for
-from ringwear_par.identification.problem import Problem
-from ringwear_par.identification.starts import Started
-from ringwear_par.identification.steps import ENOUGH
+from ringwear_par.identification.definition.fitted import units_of
+from ringwear_par.identification.definition.problem import Problem
+from ringwear_par.identification.estimation.intervals import ParameterEstimate
+from ringwear_par.identification.estimation.posterior import FEW, missing_for
+from ringwear_par.identification.estimation.starts import Started
+from ringwear_par.identification.model.steps import ENOUGH
 
 if TYPE_CHECKING:
+    from ringwear_par.identification.estimation.posterior import Posterior
     from ringwear_par.identification.outcome import FitResult
-    from ringwear_par.identification.posterior import Posterior
 
 #: correlations that are told
 _STRONG = 0.9

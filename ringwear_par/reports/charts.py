@@ -12,10 +12,10 @@ from ringwear_par.arrays import IntArray
 from ringwear_par.elasticity.boundary_fields import BODIES, Which
 from ringwear_par.errors import InputError
 from ringwear_par.reports.blocks import Chart, Charts
-from ringwear_par.results.drawing import COLOURS, stage_colour
-from ringwear_par.results.history_panels import HISTORY_PANELS
 from ringwear_par.results.instants import pressure_peak, stages, time_unit, time_words
 from ringwear_par.results.layer_ends import ends_near
+from ringwear_par.results.pictures.drawing import COLOURS, stage_colour
+from ringwear_par.results.pictures.history_panels import HISTORY_PANELS
 from ringwear_par.results.result import Result
 
 #: as matplotlib's in ``drawing``

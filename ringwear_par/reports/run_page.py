@@ -19,13 +19,13 @@ from ringwear_par.reports.blocks import (
     software,
 )
 from ringwear_par.reports.words import case_words
-from ringwear_par.results.figures import plot
 from ringwear_par.results.key_numbers import (
     KeyNumber,
     check_numbers,
     in_groups,
     key_numbers,
 )
+from ringwear_par.results.pictures.figures import plot
 from ringwear_par.results.result import Result
 from ringwear_par.results.variables import DISPLAY_UNITS, HISTORIES
 

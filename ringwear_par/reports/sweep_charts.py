@@ -13,8 +13,8 @@ import numpy as np
 from ringwear_par.arrays import FloatArray, IntArray
 from ringwear_par.reports import charts
 from ringwear_par.reports.blocks import Chart, Charts
-from ringwear_par.results.drawing import COLOURS
 from ringwear_par.results.instants import time_unit
+from ringwear_par.results.pictures.drawing import COLOURS
 from ringwear_par.studies.analysis.effects import Plan, running_median, values_told
 from ringwear_par.studies.analysis.sensitivity import chosen_cases
 from ringwear_par.studies.definition.axes import LOG_VALUE, least_range, spans

@@ -19,7 +19,7 @@ from ringwear_par.reports.blocks import (
     Table,
     software,
 )
-from ringwear_par.results.drawing import in_words
+from ringwear_par.results.pictures.drawing import in_words
 from ringwear_par.studies.analysis.sensitivity import done_cases
 from ringwear_par.studies.analysis.surrogate import surrogate
 from ringwear_par.studies.definition.variations import own_key

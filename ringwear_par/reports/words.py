@@ -3,8 +3,8 @@
 import math
 
 from ringwear_par.cases.case import CHANGED, Case, Ring
-from ringwear_par.cases.keys import read_keys
-from ringwear_par.cases.reading import make_case
+from ringwear_par.cases.files.keys import read_keys
+from ringwear_par.cases.files.reading import make_case
 from ringwear_par.errors import InputError
 from ringwear_par.reports.blocks import Block, Lines, Source, Table
 from ringwear_par.results.result import Result

@@ -149,7 +149,7 @@ def restored(result: "Result") -> "Start":
 
 def write_checkpoint(group: "h5py.Group", checkpoint: Checkpoint) -> None:
     """Write a checkpoint to a group of a result file, whose elements it has."""
-    from ringwear_par.results.hdf5 import write_variable
+    from ringwear_par.results.hdf5_writing import write_variable
 
     group.attrs.update(checkpoint.numbers)
     group.attrs.update({f"{_WORST}{name}": values for name, values in checkpoint.worst.items()})
@@ -171,7 +171,7 @@ def read_checkpoint(group: "h5py.Group", sizes: Mapping[str, int]) -> Checkpoint
     Exception : it is damaged, see ``reading``.
     """
     from ringwear_par.history.observers.validity import ENTRIES
-    from ringwear_par.results.reading import read_array, read_number, read_numbers
+    from ringwear_par.results.hdf5_reading import read_array, read_number, read_numbers
 
     known = {**sizes, "body": 2}
     arrays = {v.name: read_array(group, v, known) for v in _ARRAYS if v.name in group}

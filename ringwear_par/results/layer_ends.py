@@ -7,7 +7,7 @@ import numpy as np
 
 from ringwear_par.arrays import FloatArray, share
 from ringwear_par.cases.case import CHANGED
-from ringwear_par.cases.reading import outlines
+from ringwear_par.cases.files.reading import outlines
 from ringwear_par.elasticity.boundary_fields import BODIES, Which
 
 if TYPE_CHECKING:

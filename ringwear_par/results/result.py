@@ -216,7 +216,7 @@ class Result:
         InputError : a file that cannot be written.
         ComputationError : the disk.
         """
-        from ringwear_par.results.writing import write_result
+        from ringwear_par.results.result_writing import write_result
 
         path = Path(path)
         check_writable(path)

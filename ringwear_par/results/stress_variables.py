@@ -11,7 +11,7 @@ from ringwear_par.arrays import FloatArray
 from ringwear_par.elasticity.boundary_fields import BODIES
 from ringwear_par.elasticity.stress.fields import Interfaces, Largest, StressHistory, StressState
 from ringwear_par.elasticity.stress.measures import COMPONENTS, SIDES, max_shear, mises, principal
-from ringwear_par.results.reading import find_texts, read_array
+from ringwear_par.results.hdf5_reading import find_texts, read_array
 from ringwear_par.results.variables import (
     HISTORIES,
     LAYER,

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 from ringwear_par.cases.case import CHANGED
-from ringwear_par.cases.keys import read_keys
+from ringwear_par.cases.files.keys import read_keys
 from ringwear_par.cases.schema import BY_PATH
 from ringwear_par.cases.values import is_number
 from ringwear_par.elasticity.boundary_fields import BODIES

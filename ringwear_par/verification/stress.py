@@ -22,7 +22,7 @@ from ringwear_par.elasticity.stress.recovery import (
     StressRecovery,
     load_stress_kernels,
 )
-from ringwear_par.elasticity.stress.recovery_inside import ZoneStress
+from ringwear_par.elasticity.stress.zone import ZoneStress
 from ringwear_par.history.elastic.bodies import bodies
 from ringwear_par.history.model import WearModel
 from ringwear_par.verification import reference

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ringwear_par.cases.reading import parse_case, read_case
+from ringwear_par.cases.files.reading import parse_case, read_case
 from ringwear_par.cases.schema import KEYS, schema
 from ringwear_par.cases.text import toml_text
 from ringwear_par.errors import InputError

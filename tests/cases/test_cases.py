@@ -6,7 +6,7 @@ from pathlib import Path
 import h5py
 import pytest
 
-from ringwear_par.results.run import run_case
+from ringwear_par.results.execution.run import run_case
 from ringwear_par.wear.catalogue import LAWS
 
 CASES = Path(__file__).parents[2] / "scripts/cases"

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from ringwear_par.cases.law_trials import check_laws
-from ringwear_par.cases.reading import parse_case, read_case
+from ringwear_par.cases.files.law_trials import check_laws
+from ringwear_par.cases.files.reading import parse_case, read_case
 from ringwear_par.cases.schema import BY_PATH, schema
 from ringwear_par.errors import InputError
 from ringwear_par.history import limits
@@ -113,7 +113,8 @@ def test_ringwear_laws_tells_formulas_and_tests_parameters(capsys):
 @pytest.mark.serial
 def test_laws_are_read_and_tried_without_mpi_petsc_and_compiled_code():
     code = (
-        "import sys; from pathlib import Path; import ringwear_par.cases.law_trials as trials; "
+        "import sys; from pathlib import Path; "
+        "import ringwear_par.cases.files.law_trials as trials; "
         f"trials.check_laws(Path({str(CASES / 'user_law.toml')!r}), []); "
         "print(*[m for m in ('mpi4py.MPI', 'petsc4py', 'numba', 'scipy') if m in sys.modules])"
     )

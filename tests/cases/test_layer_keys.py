@@ -9,9 +9,9 @@ import pytest
 
 import ringwear_par as rw
 from ringwear_par.cases.case import Case, RingLayer
-from ringwear_par.cases.keys import read_keys
+from ringwear_par.cases.files.keys import read_keys
+from ringwear_par.cases.files.reading import parse_case
 from ringwear_par.cases.numbers import interval_of, with_numbers
-from ringwear_par.cases.reading import parse_case
 from ringwear_par.cases.schema import schema, unit_of
 from ringwear_par.elasticity.geometry.sections import Material
 from ringwear_par.history.elastic.bodies import bodies, operator_key

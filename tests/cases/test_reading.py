@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 from conftest import SHELL_ENVIRONMENT
 
-from ringwear_par.cases.keys import read_keys
-from ringwear_par.cases.reading import parse_case, read_case
+from ringwear_par.cases.files.keys import read_keys
+from ringwear_par.cases.files.reading import parse_case, read_case
 from ringwear_par.errors import InputError
 
 CASES = Path(__file__).parents[2] / "scripts" / "cases"
@@ -227,7 +227,7 @@ def test_reading_a_case_starts_neither_mpi_nor_petsc_nor_compiled_code():
     """Nor the parts of scipy, slow to import, that only meshes and profiles need."""
     program = f"""
 import sys
-from ringwear_par.cases.reading import read_case
+from ringwear_par.cases.files.reading import read_case
 case = read_case({str(PAPER)!r}, {{"load.pressure": 50}})
 assert case.replace({{"wear.lower.k": 2e-7}}).load == case.load
 heavy = ("mpi4py.MPI", "petsc4py.PETSc", "numba", "h5py", "matplotlib", "scipy")

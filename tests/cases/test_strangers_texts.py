@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from ringwear_par import read_case, read_study
-from ringwear_par.cases import suggestions
-from ringwear_par.cases.reading import parse_case
+from ringwear_par.cases.files import suggestions
+from ringwear_par.cases.files.reading import parse_case
 from ringwear_par.errors import ComputationError, InputError, legible
 
 CASES = Path(__file__).parents[2] / "scripts" / "cases"

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ringwear_par.cases.reading import parse_case
+from ringwear_par.cases.files.reading import parse_case
 from ringwear_par.cases.stress import Grid, grid_bodies, point_bodies
 from ringwear_par.errors import InputError
 from ringwear_par.history.limits import check_memory

@@ -2,9 +2,9 @@
 
 import pytest
 
-from ringwear_par.cases import suggestions
+from ringwear_par.cases.files import suggestions
+from ringwear_par.cases.files.suggestions import nearest_key, unknown_key
 from ringwear_par.cases.schema import KEYS
-from ringwear_par.cases.suggestions import nearest_key, unknown_key
 
 
 @pytest.mark.parametrize(

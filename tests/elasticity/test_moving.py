@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ringwear_par.cases.reading import read_case
+from ringwear_par.cases.files.reading import read_case
 from ringwear_par.elasticity.bem.body import compliance
 from ringwear_par.elasticity.bem.boundary import node_wear
 from ringwear_par.elasticity.geometry.mesh import Mesh, contact_line

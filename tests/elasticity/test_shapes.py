@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from ringwear_par.cases.case import Stepping
-from ringwear_par.cases.reading import parse_case, read_case
+from ringwear_par.cases.files.reading import parse_case, read_case
 from ringwear_par.elasticity.geometry.mesh import Mesh
 from ringwear_par.elasticity.geometry.sections import Section
 from ringwear_par.errors import InputError

@@ -9,7 +9,7 @@ import pytest
 
 from ringwear_par.batched import one
 from ringwear_par.cases.case import Stepping
-from ringwear_par.cases.reading import read_case
+from ringwear_par.cases.files.reading import read_case
 from ringwear_par.elasticity.bem.body import compliance
 from ringwear_par.elasticity.boundary_fields import FACES
 from ringwear_par.elasticity.geometry.mesh import Mesh, contact_line

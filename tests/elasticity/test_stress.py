@@ -12,8 +12,8 @@ from ringwear_par.elasticity.pair import assemble_pair
 from ringwear_par.elasticity.stress.largest import Search, edges
 from ringwear_par.elasticity.stress.measures import max_shear, mises, principal
 from ringwear_par.elasticity.stress.recovery import StressPoints, StressRecovery
-from ringwear_par.elasticity.stress.recovery_inside import ZoneStress, locate
 from ringwear_par.elasticity.stress.surface import faces
+from ringwear_par.elasticity.stress.zone import ZoneStress, locate
 
 NU = 0.3
 RING = Section((20.0, 40.0), 20.0)

@@ -12,7 +12,7 @@ from mpi4py import MPI
 from stored import assert_same
 
 from ringwear_par.cases.case import Load, Stepping
-from ringwear_par.cases.reading import make_case, read_case
+from ringwear_par.cases.files.reading import make_case, read_case
 from ringwear_par.contact import correction
 from ringwear_par.contact.batch import BatchSolver
 from ringwear_par.contact.solver import ContactSolver

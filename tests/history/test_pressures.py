@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 
 from ringwear_par.cases.case import Output
-from ringwear_par.cases.reading import read_case
+from ringwear_par.cases.files.reading import read_case
 from ringwear_par.history.elastic.pairs import assemble
 from ringwear_par.history.model import WearModel
 from ringwear_par.history.observers.balances import balances
 from ringwear_par.history.observers.trace import trace
-from ringwear_par.history.schemes.closing_elements import entering
 from ringwear_par.history.schemes import sdirk2
+from ringwear_par.history.schemes.closing_elements import entering
 from ringwear_par.wear import LocalState
 from ringwear_par.wear.increment import Closing, WearIncrement
 from ringwear_par.wear.laws.archard import ArchardLaw

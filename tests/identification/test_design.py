@@ -14,12 +14,12 @@ from matplotlib.figure import Figure
 from mpi4py import MPI
 
 import ringwear_par as rw
-from ringwear_par.identification.candidates import candidates
-from ringwear_par.identification.design import run_design
-from ringwear_par.identification.design_summary import FILES
+from ringwear_par.identification.definition.candidates import candidates
+from ringwear_par.identification.definition.fit_file import read_fit
 from ringwear_par.identification.fit import fit, predicted
-from ringwear_par.identification.fit_file import read_fit
-from ringwear_par.identification.next_tests import next_tests
+from ringwear_par.identification.test_design.design import run_design
+from ringwear_par.identification.test_design.design_summary import FILES
+from ringwear_par.identification.test_design.next_tests import next_tests
 from ringwear_par.stopping import Stopped
 
 VARY = {"load.pressure": [40.0, 96.0]}

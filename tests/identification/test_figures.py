@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from laboratory import FITTED, fit_tables, write_tests
 
+from ringwear_par.identification.definition.fit_file import read_fit
+from ringwear_par.identification.definition.problem import Series
 from ringwear_par.identification.figures import _axis, label, pieces
 from ringwear_par.identification.fit import predicted
-from ringwear_par.identification.fit_file import read_fit
-from ringwear_par.identification.problem import Series
 
 pytestmark = pytest.mark.serial
 

@@ -9,10 +9,10 @@ import pytest
 from laboratory import CASE, FITTED, PEN, PROF, K, changed, fit_tables, write_tests
 
 from ringwear_par.errors import InputError
-from ringwear_par.identification import fit_file
-from ringwear_par.identification.fit_file import read_fit
-from ringwear_par.identification.inline_tables import on_one_line
-from ringwear_par.identification.problem import FittedParameter
+from ringwear_par.identification.definition import fit_file
+from ringwear_par.identification.definition.fit_file import read_fit
+from ringwear_par.identification.definition.inline_tables import on_one_line
+from ringwear_par.identification.definition.problem import FittedParameter
 
 #: every key that a fit file may have
 FULL = """

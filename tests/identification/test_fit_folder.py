@@ -23,10 +23,10 @@ from ringwear_par.cases.text import toml_value
 from ringwear_par.errors import ComputationError, InputError
 from ringwear_par.folders import FIT
 from ringwear_par.identification import fit as fit_room
-from ringwear_par.identification import starts as starts_room
 from ringwear_par.identification import storing
+from ringwear_par.identification.definition.fit_file import read_fit
+from ringwear_par.identification.estimation import starts as starts_room
 from ringwear_par.identification.fit import fit, fitted, run_fit
-from ringwear_par.identification.fit_file import read_fit
 from ringwear_par.stopping import StopSignals
 
 

@@ -8,11 +8,11 @@ import pytest
 from laboratory import PEN, PROF, changed, fit_tables, write_table, write_tests
 
 from ringwear_par.errors import InputError
+from ringwear_par.identification.definition.fit_file import read_fit
+from ringwear_par.identification.estimation.least_squares import LeastSquares
+from ringwear_par.identification.estimation.plausible import refuse_reversed
 from ringwear_par.identification.fit import fit, predicted
-from ringwear_par.identification.fit_file import read_fit
-from ringwear_par.identification.histories import Histories
-from ringwear_par.identification.least_squares import LeastSquares
-from ringwear_par.identification.plausible import refuse_reversed
+from ringwear_par.identification.model.histories import Histories
 from ringwear_par.identification.summary import prediction
 
 

@@ -7,8 +7,8 @@ import pytest
 from laboratory import PEN, PROF, changed, fit_tables, write_tests
 
 from ringwear_par.errors import InputError
+from ringwear_par.identification.definition.fit_file import read_fit
 from ringwear_par.identification.fit import predicted
-from ringwear_par.identification.fit_file import read_fit
 
 
 @pytest.fixture(scope="module")

@@ -10,14 +10,14 @@ from laboratory import FITTED, fit_tables, write_tests
 from scipy.stats import truncnorm
 
 from ringwear_par.errors import ComputationError
-from ringwear_par.identification import chain
-from ringwear_par.identification.chain import Keeper
+from ringwear_par.identification.definition.fit_file import read_fit
+from ringwear_par.identification.definition.problem import Prior
+from ringwear_par.identification.estimation import chain
+from ringwear_par.identification.estimation.chain import Keeper
+from ringwear_par.identification.estimation.intervals import estimates
+from ringwear_par.identification.estimation.least_squares import LeastSquares
+from ringwear_par.identification.estimation.posterior import sample_posterior
 from ringwear_par.identification.fit import fit, fitted, predicted
-from ringwear_par.identification.fit_file import read_fit
-from ringwear_par.identification.intervals import estimates
-from ringwear_par.identification.least_squares import LeastSquares
-from ringwear_par.identification.posterior import sample_posterior
-from ringwear_par.identification.problem import Prior
 
 NOWHERE = Keeper(None, "")
 

@@ -8,11 +8,16 @@ from laboratory import fit_tables, write_tests
 from mpi4py import MPI
 
 import ringwear_par as rw
-from ringwear_par.identification.fit_file import read_fit
-from ringwear_par.identification.histories import Histories
-from ringwear_par.identification.problem import Nuisance, Series
-from ringwear_par.identification.readings import InSteps, log_volume, nuisance_columns, whitened
-from ringwear_par.identification.steps import step_times
+from ringwear_par.identification.definition.fit_file import read_fit
+from ringwear_par.identification.definition.problem import Nuisance, Series
+from ringwear_par.identification.model.histories import Histories
+from ringwear_par.identification.model.readings import (
+    InSteps,
+    log_volume,
+    nuisance_columns,
+    whitened,
+)
+from ringwear_par.identification.model.steps import step_times
 from ringwear_par.textfiles import parse_toml
 
 SERIES = Series("a", "penetration", np.arange(1.0, 6.0), np.zeros(5), np.ones(5), factor=1e-3)

@@ -14,15 +14,15 @@ from laboratory import FITTED, TRUTH, fit_tables, write_tests
 
 from ringwear_par.errors import ComputationError, RingwearError
 from ringwear_par.identification import fit as fit_room
-from ringwear_par.identification import histories as histories_room
-from ringwear_par.identification import lockstep
-from ringwear_par.identification import profile as profile_room
+from ringwear_par.identification.definition.fit_file import read_fit
+from ringwear_par.identification.estimation import profile as profile_room
+from ringwear_par.identification.estimation.minimise import minimise
 from ringwear_par.identification.fit import fit, fitted
-from ringwear_par.identification.fit_file import read_fit
-from ringwear_par.identification.histories import Histories
-from ringwear_par.identification.lockstep import StoppedError, side_by_side
-from ringwear_par.identification.minimise import minimise
-from ringwear_par.identification.rounds import Rounds
+from ringwear_par.identification.model import histories as histories_room
+from ringwear_par.identification.model import lockstep
+from ringwear_par.identification.model.histories import Histories
+from ringwear_par.identification.model.lockstep import StoppedError, side_by_side
+from ringwear_par.identification.model.rounds import Rounds
 from ringwear_par.stopping import StopSignals
 
 

@@ -10,9 +10,9 @@ import pytest
 
 from ringwear_par.cli import main
 from ringwear_par.errors import InputError
-from ringwear_par.identification.fit_file import read_fit
-from ringwear_par.identification.inline_tables import on_one_line
-from ringwear_par.identification.schema import KEYS, schema
+from ringwear_par.identification.definition.fit_file import read_fit
+from ringwear_par.identification.definition.inline_tables import on_one_line
+from ringwear_par.identification.definition.schema import KEYS, schema
 
 FIT = Path(__file__).parents[2] / "scripts/fit"
 PARAMETER = {"start": 1e-7, "bounds": [1e-9, 1e-5]}

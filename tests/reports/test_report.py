@@ -19,8 +19,8 @@ from test_front_door import PAPER
 
 import ringwear_par as rw
 from ringwear_par.cases.units import with_signs
-from ringwear_par.results.history_panels import HISTORY_PANELS
 from ringwear_par.results.key_numbers import key_numbers
+from ringwear_par.results.pictures.history_panels import HISTORY_PANELS
 
 pytestmark = pytest.mark.serial
 

@@ -13,10 +13,10 @@ import pytest
 from test_cli import ringwear, sentences
 
 from ringwear_par.errors import InputError
-from ringwear_par.results import export as module
-from ringwear_par.results.export import export
-from ringwear_par.results.files import open_result
-from ringwear_par.results.run import run_case
+from ringwear_par.results.execution.run import run_case
+from ringwear_par.results.storage import export as module
+from ringwear_par.results.storage.export import export
+from ringwear_par.results.storage.result_reading import open_result
 
 pytestmark = pytest.mark.serial
 CASES = Path(__file__).parents[2] / "scripts" / "cases"

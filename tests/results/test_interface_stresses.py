@@ -9,8 +9,8 @@ import pytest
 
 import ringwear_par as rw
 from ringwear_par.elasticity.stress.measures import SIDES, mises
-from ringwear_par.results.export import export
-from ringwear_par.results.run import run_case
+from ringwear_par.results.execution.run import run_case
+from ringwear_par.results.storage.export import export
 
 HARD = {"thickness": 0.05, "young": 1e5, "poisson": 0.3}
 SOFT = {"thickness": 0.2, "young": 2e3, "poisson": 0.4}

@@ -14,10 +14,10 @@ import ringwear_par as rw
 from ringwear_par.arrays import share
 from ringwear_par.reports.charts import profiles
 from ringwear_par.reports.run_page import worn_table
-from ringwear_par.results.export import export
-from ringwear_par.results.figures import plot
 from ringwear_par.results.key_numbers import key_numbers
 from ringwear_par.results.layer_ends import worn_through
+from ringwear_par.results.pictures.figures import plot
+from ringwear_par.results.storage.export import export
 from ringwear_par.results.unit_suspicions import unit_suspicions
 
 CASE = Path(__file__).parents[2] / "scripts" / "cases" / "wear_through.toml"
@@ -274,7 +274,7 @@ def test_sweeps_over_thicknesses_and_laws_of_layers(tmp_path):
 
 def rw_tables():
     """The case without its comments, by dotted keys."""
-    from ringwear_par.cases.keys import read_keys
+    from ringwear_par.cases.files.keys import read_keys
 
     keys = read_keys(CASE.read_text())
     return {path: value for path, value in keys.items() if path != "time.end"}

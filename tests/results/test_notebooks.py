@@ -8,7 +8,7 @@ from conftest import SHELL_ENVIRONMENT
 from nbclient import NotebookClient
 from test_plots import PAPER
 
-from ringwear_par.results.run import run_case
+from ringwear_par.results.execution.run import run_case
 
 pytestmark = pytest.mark.serial
 

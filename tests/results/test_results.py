@@ -9,10 +9,10 @@ import xarray
 from stored import assert_same, contents
 
 from ringwear_par.errors import ComputationError, InputError
-from ringwear_par.results import files as results
-from ringwear_par.results import run as driver
-from ringwear_par.results import watch as monitor
-from ringwear_par.results.run import run_case
+from ringwear_par.results.execution import run as driver
+from ringwear_par.results.execution import watch as monitor
+from ringwear_par.results.execution.run import run_case
+from ringwear_par.results.storage import result_reading as results
 from ringwear_par.results.variables import HISTORIES
 
 PAPER = Path(__file__).parents[2] / "scripts" / "cases" / "paper.toml"

@@ -11,8 +11,8 @@ import ringwear_par as rw
 from ringwear_par import read_case, simulate
 from ringwear_par.errors import ComputationError, InputError
 from ringwear_par.history.elastic.pairs import assemble
-from ringwear_par.results.files import open_result, read_status
-from ringwear_par.results.run import run_case
+from ringwear_par.results.execution.run import run_case
+from ringwear_par.results.storage.result_reading import open_result, read_status
 from ringwear_par.studies.execution.batches import computed
 
 PAPER = Path(__file__).parents[2] / "scripts" / "cases" / "paper.toml"
@@ -221,7 +221,7 @@ def test_a_boundary_field_is_not_lost_in_a_lengthened_run(shared_path, comm):
 
 def test_a_run_of_another_version_says_so(shared_path, comm, monkeypatch, caplog):
     from ringwear_par import __version__, info
-    from ringwear_par.results import recorder
+    from ringwear_par.results.execution import recorder
 
     path = shared_path / "run.h5"
     with monkeypatch.context() as patch:

@@ -11,7 +11,7 @@ from ringwear_par.cases.stress import Stress
 from ringwear_par.elasticity.stress.measures import COMPONENTS, max_shear, mises, principal
 from ringwear_par.elasticity.stress.recovery import StressRecovery
 from ringwear_par.history.limits import stress_numbers
-from ringwear_par.results.export import export
+from ringwear_par.results.storage.export import export
 
 BASE = {
     "mesh.contact_elements": 16, "time.steps": 6, "time.step": 30.0,
@@ -231,7 +231,7 @@ def stored(tmp_path_factory, comm):
 
 @pytest.mark.serial
 def test_pictures_show_what_is_stored(stored, tmp_path):
-    from ringwear_par.results.figures import plot_files
+    from ringwear_par.results.pictures.figures import plot_files
 
     result = rw.open_result(stored)
     r, z = result.stress.grid
@@ -313,7 +313,7 @@ def test_exports(stored, tmp_path):
     import h5py
     from test_export import read_vtk
 
-    from ringwear_par.results.export import export
+    from ringwear_par.results.storage.export import export
 
     result = rw.open_result(stored)
     state = result.stress.states[-1]
@@ -353,7 +353,7 @@ def test_exports(stored, tmp_path):
     ],
 )
 def test_exports_that_cannot_be(stored, tmp_path, name, more, said):
-    from ringwear_par.results.export import export
+    from ringwear_par.results.storage.export import export
 
     with pytest.raises(rw.InputError, match=said):
         export(stored, tmp_path / name, stress=True, **more)

@@ -7,7 +7,7 @@ from mpi4py import MPI
 
 import ringwear_par as rw
 from ringwear_par.history.loop import simulate_one
-from ringwear_par.results.run import run_case
+from ringwear_par.results.execution.run import run_case
 from ringwear_par.results.unit_suspicions import unit_suspicions
 
 CASES = Path(__file__).parents[2] / "scripts" / "cases"

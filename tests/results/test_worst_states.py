@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 import ringwear_par as rw
-from ringwear_par.results.run import run_case
+from ringwear_par.results.execution.run import run_case
 
 CASES = Path(__file__).parents[2] / "scripts/cases"
 

@@ -8,14 +8,14 @@ from mpi4py import MPI
 from swept import CASE
 
 import ringwear_par as rw
-from ringwear_par.cases.reading import parse_case
+from ringwear_par.cases.files.reading import parse_case
 from ringwear_par.history.elastic.pairs import assemble
 from ringwear_par.history.loop import simulate_one
 from ringwear_par.results.checkpoints import restored
 from ringwear_par.results.columns import HistoryColumns
-from ringwear_par.results.recorder import Recorder
+from ringwear_par.results.execution.recorder import Recorder
+from ringwear_par.results.execution.run import run_case
 from ringwear_par.results.result import FailedResult
-from ringwear_par.results.run import run_case
 from ringwear_par.results.variables import HISTORIES
 from ringwear_par.studies.execution.batches import computed
 from ringwear_par.studies.execution.many import simulate_all

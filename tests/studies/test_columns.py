@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from swept import write_study
 
-from ringwear_par.cases.law_trials import refuse_bad_laws
-from ringwear_par.cases.reading import make_case
+from ringwear_par.cases.files.law_trials import refuse_bad_laws
+from ringwear_par.cases.files.reading import make_case
 from ringwear_par.cases.text import toml_text
 from ringwear_par.errors import InputError
 from ringwear_par.history.limits import check_ranks

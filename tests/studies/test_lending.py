@@ -3,7 +3,7 @@
 import pytest
 from swept import CASE, write_study
 
-from ringwear_par.cases.reading import parse_case
+from ringwear_par.cases.files.reading import parse_case
 from ringwear_par.errors import InputError
 from ringwear_par.petsc import PETSc
 from ringwear_par.studies.execution.sweep import sweep

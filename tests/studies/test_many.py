@@ -7,13 +7,13 @@ import pytest
 from swept import CASE
 
 from ringwear_par.cases.case import Load, Stepping
-from ringwear_par.cases.reading import parse_case
+from ringwear_par.cases.files.reading import parse_case
 from ringwear_par.errors import InputError, RingwearError
 from ringwear_par.history.loop import simulate_one
 from ringwear_par.history.observers.trace import Trace
 from ringwear_par.results.checkpoints import restored
+from ringwear_par.results.execution.simulate import simulate
 from ringwear_par.results.result import FailedResult, Result
-from ringwear_par.results.simulate import simulate
 from ringwear_par.results.variables import HISTORIES
 from ringwear_par.schedules import Table
 from ringwear_par.studies.execution import batches, many

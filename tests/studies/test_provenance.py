@@ -77,7 +77,7 @@ UNSTABLE = CASE.replace('scheme = "implicit"', 'scheme = "explicit"').replace(
 
 def test_doubts_of_run_are_flags_of_a_sweep(swept, shared_path, comm, capsys):
     """Those that a run of the same case warns of; a slice counts its own."""
-    from ringwear_par.results.run import run_case
+    from ringwear_par.results.execution.run import run_case
 
     text = UNSTABLE.replace("omega = 3.541666666666667", "omega = 35.0")
     assert text.count("explicit") == 1

@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 from swept import write_study
 
-from ringwear_par.cases.keys import read_keys
-from ringwear_par.cases.reading import make_case, parse_case
+from ringwear_par.cases.files.keys import read_keys
+from ringwear_par.cases.files.reading import make_case, parse_case
 from ringwear_par.cases.schema import BY_PATH
 from ringwear_par.errors import InputError
 from ringwear_par.studies.definition import study as studies

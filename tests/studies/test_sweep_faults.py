@@ -13,7 +13,7 @@ from conftest import SHELL_ENVIRONMENT
 from waiting import STEPS, Waiting
 
 from ringwear_par.errors import ComputationError
-from ringwear_par.results import watch
+from ringwear_par.results.execution import watch
 from ringwear_par.studies.execution import workers
 from ringwear_par.studies.execution.sweep import run_sweep
 from ringwear_par.wear.laws.threshold import ThresholdLaw

@@ -5,10 +5,10 @@ import numpy as np
 import pytest
 from swept import CASE, table, variables, write_study
 
-from ringwear_par.cases.reading import parse_case
+from ringwear_par.cases.files.reading import parse_case
 from ringwear_par.elasticity.geometry.slopes import case_slopes
 from ringwear_par.history.elastic.pairs import assemble
-from ringwear_par.results.run import run_case
+from ringwear_par.results.execution.run import run_case
 from ringwear_par.results.variables import HISTORIES
 from ringwear_par.studies.execution.operators import map_operator, write_operator
 from ringwear_par.studies.execution.sweep import sweep

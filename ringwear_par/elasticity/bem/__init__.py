@@ -1,1 +1,1 @@
-"""bem."""
+"""Boundary elements of one body, eq. (5)."""

@@ -1,1 +1,1 @@
-"""geometry."""
+"""Sections, faces and meshes."""

@@ -1,1 +1,1 @@
-"""stress."""
+"""Stresses inside bodies, on faces and at interfaces."""

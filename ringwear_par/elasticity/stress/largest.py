@@ -14,8 +14,8 @@ import numpy as np
 from ringwear_par.arrays import BoolArray, FloatArray, IntArray
 from ringwear_par.elasticity.bem.boundary import BoundaryMesh
 from ringwear_par.elasticity.stress.fields import Largest
-from ringwear_par.elasticity.stress.recovery_inside import locate
 from ringwear_par.elasticity.stress.surface import faces
+from ringwear_par.elasticity.stress.zone import locate
 
 #: columns under the contact, and depths in each: those of the deepest and the shallowest point
 #: over the width of the contact line

@@ -19,7 +19,7 @@ from ringwear_par.elasticity.recovery import BoundaryRecovery
 from ringwear_par.elasticity.stress.fields import Interfaces, Largest
 from ringwear_par.elasticity.stress.largest import Search, edges, zones_of
 from ringwear_par.elasticity.stress.measures import mises
-from ringwear_par.elasticity.stress.recovery_inside import Influence, ZoneStress
+from ringwear_par.elasticity.stress.zone import Influence, ZoneStress
 
 #: points that a rank does in one go; the same whatever the ranks, and so the digits
 _BLOCK = 64

@@ -1,1 +1,1 @@
-"""elastic."""
+"""Contact pairs and compliances of cases."""

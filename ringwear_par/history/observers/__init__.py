@@ -1,1 +1,1 @@
-"""observers."""
+"""What looks at histories: balances, validity, stresses, boundaries."""

@@ -1,1 +1,1 @@
-"""schemes."""
+"""Schemes of time steps: one step and its error."""

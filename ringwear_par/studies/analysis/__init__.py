@@ -1,1 +1,1 @@
-"""analysis."""
+"""Surrogates and sensitivity indices of sweeps."""

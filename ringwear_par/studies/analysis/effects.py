@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from ringwear_par.arrays import FloatArray, IntArray
-from ringwear_par.results.drawing import COLOURS, DASHES, in_words, plain, set_legend
+from ringwear_par.results.pictures.drawing import COLOURS, DASHES, in_words, plain, set_legend
 from ringwear_par.studies.analysis.sensitivity import SEED
 from ringwear_par.studies.definition.axes import (
     GREY,

@@ -1,1 +1,1 @@
-"""definition."""
+"""Study files: cases, keys that vary, designs."""

@@ -14,9 +14,9 @@ from typing import Any
 import numpy as np
 
 from ringwear_par.cases.case import Case
-from ringwear_par.cases.keys import base_keys, in_full, kinds
+from ringwear_par.cases.files.keys import base_keys, in_full, kinds
+from ringwear_par.cases.files.suggestions import unknown_key
 from ringwear_par.cases.layers import LAYERS
-from ringwear_par.cases.suggestions import unknown_key
 from ringwear_par.cases.text import shortened, toml_value
 from ringwear_par.errors import MOST_FAULTS, InputError, legible
 from ringwear_par.studies.definition.variations import (

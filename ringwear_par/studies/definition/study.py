@@ -11,10 +11,10 @@ import numpy as np
 
 from ringwear_par.arrays import FloatArray, IntArray
 from ringwear_par.cases.case import Case
-from ringwear_par.cases.keys import naming
-from ringwear_par.cases.law_trials import law_sources, refuse_bad_laws
+from ringwear_par.cases.files.keys import naming
+from ringwear_par.cases.files.law_trials import law_sources, refuse_bad_laws
+from ringwear_par.cases.files.reading import make_case
 from ringwear_par.cases.numbers import doubtful, with_numbers
-from ringwear_par.cases.reading import make_case
 from ringwear_par.cases.text import toml_value
 from ringwear_par.elasticity.bem.boundary import count_elements
 from ringwear_par.errors import InputError

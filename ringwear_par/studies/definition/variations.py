@@ -9,10 +9,10 @@ from typing import Any, Literal
 import numpy as np
 
 from ringwear_par.arrays import FloatArray, IntArray
-from ringwear_par.cases.keys import override
+from ringwear_par.cases.files.keys import override
+from ringwear_par.cases.files.suggestions import unknown_key
 from ringwear_par.cases.layers import LAYERS, entries_of
 from ringwear_par.cases.schema import BY_PATH, Key, key_of, layer_entry
-from ringwear_par.cases.suggestions import unknown_key
 from ringwear_par.cases.text import shortened, toml_value
 from ringwear_par.cases.units import without_units
 from ringwear_par.cases.values import RejectedError, is_finite, is_number

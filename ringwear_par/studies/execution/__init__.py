@@ -1,1 +1,1 @@
-"""execution."""
+"""Sweeps at work: plans, teams, cases side by side."""

@@ -15,8 +15,8 @@ from ringwear_par.history.elastic.pairs import assemble
 from ringwear_par.history.loop import simulate_one
 from ringwear_par.history.snapshots import Snapshot
 from ringwear_par.parallel import on_first_rank
-from ringwear_par.results.progress import duration
-from ringwear_par.results.recorder import Recorder
+from ringwear_par.results.execution.progress import duration
+from ringwear_par.results.execution.recorder import Recorder
 from ringwear_par.studies.execution.batches import computed
 from ringwear_par.studies.execution.plan import Plan
 from ringwear_par.studies.execution.scheduling import Board

@@ -4,7 +4,7 @@ from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
 
-from ringwear_par.results.progress import duration
+from ringwear_par.results.execution.progress import duration
 from ringwear_par.studies.execution.workers import Timings
 from ringwear_par.studies.storage.results_file import RESULTS, TABLE, count_flags
 

@@ -1,1 +1,1 @@
-"""pictures."""
+"""Figures of sweeps."""

@@ -17,13 +17,13 @@ import numpy as np
 
 from ringwear_par.arrays import BoolArray, FloatArray, IntArray
 from ringwear_par.atomic import atomic_write
-from ringwear_par.cases.keys import read_keys
+from ringwear_par.cases.files.keys import read_keys
 from ringwear_par.cases.schema import unit_of
 from ringwear_par.cases.text import toml_value
 from ringwear_par.cases.values import is_number
 from ringwear_par.errors import InputError
 from ringwear_par.results.edge_elements import edge_elements
-from ringwear_par.results.hdf5 import atomic_hdf5
+from ringwear_par.results.hdf5_writing import atomic_hdf5
 from ringwear_par.results.stress_variables import POINT_SIDE, side_words
 from ringwear_par.results.variables import EDGE_ELEMENT, HISTORIES, LINE, Variable
 from ringwear_par.studies.definition.variations import Column, own_key, value_of

@@ -10,7 +10,7 @@ import h5py
 import numpy as np
 
 from ringwear_par.errors import InputError
-from ringwear_par.results.reading import (
+from ringwear_par.results.hdf5_reading import (
     UnreadableError,
     find_array,
     find_words,

@@ -1,1 +1,1 @@
-"""laws."""
+"""Wear laws, one file each."""

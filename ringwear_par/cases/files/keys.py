@@ -1,0 +1,294 @@
+"""Dotted keys of a case: out of TOML or a dict, and some of them set anew."""
+
+import itertools
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ringwear_par.cases.files.faults import LOADS, unread_keys
+from ringwear_par.cases.laws import law_keys
+from ringwear_par.cases.layers import LAYERS, changed_layers, layers_in_full
+from ringwear_par.cases.schema import BY_PATH, TABLES, key_of
+from ringwear_par.cases.text import shortened
+from ringwear_par.cases.traces import read_trace
+from ringwear_par.cases.units import without_units
+from ringwear_par.cases.values import RejectedError
+from ringwear_par.errors import InputError, legible
+from ringwear_par.textfiles import parse_toml, parse_value, read_text, refuse_depth
+
+#: keys that exclude each other: an overriding one takes the place of the others
+_ALTERNATIVES = (
+    LOADS,
+    frozenset({"upper.chamfer", "upper.profile"}),
+    frozenset({"output.every", "output.times"}),
+)
+_FILES = frozenset({"wear.lower.file", "wear.upper.file"})
+_PROFILES = frozenset({"lower.profile", "upper.profile"})
+#: tables that say something by being there
+_NEVER_EMPTY = {"stress", "stress.grid"}
+_FIXED_STEPS = frozenset({"time.step", "time.steps"})
+
+
+@contextmanager
+def naming(said: str) -> Iterator[None]:
+    """Say where faults are that do not tell: "--set", "case.toml:"."""
+    try:
+        yield
+    except InputError as error:
+        raise InputError(*(f"{said} {fault}" for fault in error.faults)) from error
+
+
+def read_keys(text: str, name: str = "case") -> dict[str, Any]:
+    """Return the dotted keys and raw values of a case's TOML text.
+
+    Raises
+    ------
+    InputError : it is no TOML, or a study.
+    """
+    tables = parse_toml(text, name)
+    refuse_study(tables, name)
+    return flatten(tables, name)
+
+
+def base_keys(
+    name: str, folder: Path, tables: Mapping[str, Any], in_python: bool, faults: list[str]
+) -> dict[str, Any] | None:
+    """Return the dotted keys of the case that a study or a fit file begins from.
+
+    None where something is wrong with it, which is added to the faults.
+
+    Parameters
+    ----------
+    name : what messages call the file.
+    folder : from which names of files count.
+    tables : of the file; ``case`` is the name of a case file.
+    in_python : whether ``case`` may be the tables of the case.
+    """
+    base = tables.get("case")
+    try:
+        if in_python and isinstance(base, Mapping):
+            given = flatten(base, f"{name}: case")
+            with naming(f"{name}: case:"):
+                return override({}, in_full(given, folder))
+        if isinstance(base, str):
+            path = folder / base
+            try:
+                text = read_text(path)
+            except InputError as error:
+                faults.append(f"{name}: case = {shortened(base)}: {error}")
+                return None
+            keys = read_keys(text, str(path))
+            with naming(f"{path}:"):
+                return in_full(keys, path.parent)
+    except InputError as error:
+        faults += error.faults
+        return None
+    said = "is missing" if base is None else f"= {shortened(base)}"
+    faults.append(f"{name}: case {said}: must be the name of a case file, relative to this one")
+    return None
+
+
+def kinds(tables: Mapping[str, Any]) -> set[str]:
+    """Return what tables have the keys of: "case", "study", both or neither."""
+    names = {path.partition(".")[0] for path in tables}
+    own = {path.partition(".")[0] for path in BY_PATH}
+    found = {"case": names & own, "study": names & {"case", "vary", "design"}}
+    return {kind for kind, keys in found.items() if keys}
+
+
+def refuse_study(tables: Mapping[str, Any], name: str) -> None:
+    """Refuse a study, or a fit file, where a case is to be read.
+
+    Raises
+    ------
+    InputError : it is one.
+    """
+    names = {path.partition(".")[0] for path in tables}
+    if kinds(tables) <= {"study"} and names & {"fit", "experiment"}:
+        raise InputError(f"{name}: is a fit file, not a case; ringwear fit computes it")
+    if kinds(tables) == {"study"}:
+        raise InputError(f"{name}: is a study, not a case; ringwear sweep computes it")
+
+
+def parse_overrides(overrides: Sequence[str]) -> dict[str, Any]:
+    """Return dotted keys and values of ``--set a.b=value`` options.
+
+    Raises
+    ------
+    InputError : an option without "=".
+    """
+    values: dict[str, Any] = {}
+    faults = []
+    for item in overrides:
+        path, equals, text = item.partition("=")
+        if not equals or not path.strip():
+            faults.append(f"--set {legible(item)}: must be KEY=VALUE, such as load.pressure=50")
+            continue
+        values[path.strip()] = parse_value(text)
+    if faults:
+        raise InputError(*faults)
+    return values
+
+
+def flatten(tables: Mapping[str, Any], name: str) -> dict[str, Any]:
+    """Return dotted keys and plain values of nested tables that messages call ``name``.
+
+    Raises
+    ------
+    InputError : a key is given twice, or values are nested too deeply.
+    """
+    refuse_depth(tables, name)
+    flat: dict[str, Any] = {}
+    twice = []
+    for path, value in _entries(tables, ""):
+        if path in flat:
+            shown = legible(path)
+            twice.append(f"{name}: {shown}: is given twice, in a table and by its dotted name")
+        flat[path] = value
+    if twice:
+        raise InputError(*twice)
+    return flat
+
+
+def _entries(tables: Mapping[str, Any], prefix: str) -> Iterator[tuple[str, Any]]:
+    for name, value in tables.items():
+        path = f"{prefix}{name}"
+        if isinstance(value, Mapping) and path not in BY_PATH:
+            yield from _entries(value, f"{path}.")
+            if not value and path not in TABLES - _NEVER_EMPTY:  # to be told so
+                yield path, value
+        else:
+            yield path, _plain(value)
+
+
+def _plain(value: Any) -> Any:
+    """Return a value of a dict as TOML would give it."""
+    if isinstance(value, np.generic | np.ndarray):
+        return value.tolist()
+    if isinstance(value, Mapping):
+        return {str(name): _plain(entry) for name, entry in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(entry) for entry in value]
+    return str(value) if isinstance(value, Path) else value
+
+
+def named_files(keys: Mapping[str, Any]) -> dict[str, Any]:
+    """Return those of dotted keys that name files, Python code that a case would run."""
+    return {path: value for path, value in keys.items() if path in _FILES}
+
+
+def in_full(keys: Mapping[str, Any], folder: Path) -> dict[str, Any]:
+    """Return dotted keys with numbers in the units of a case, and files with their whole names.
+
+    A trace of a profile is in the place of its file.
+
+    Parameters
+    ----------
+    keys : in which numbers may have units of their own; wrong ones stay, for who reads them.
+    folder : from which the names of files count.
+
+    Raises
+    ------
+    InputError : a trace of a profile cannot be read.
+    """
+    return dict(_in_full(path, value, folder) for path, value in keys.items())
+
+
+def _in_full(path: str, value: Any, folder: Path) -> tuple[str, Any]:
+    table, _, entry = path.rpartition(".")
+    if table in _PROFILES:  # an entry, the one of its table
+        shape = _face_in_full(table, {entry: value}, folder)
+        (name,) = shape
+        return f"{table}.{name}", shape[name]
+    return path, _value_in_full(path, value, folder)
+
+
+def _face_in_full(path: str, shape: dict[str, Any], folder: Path) -> dict[str, Any]:
+    """Return the shape of a face, with the points of a trace in the place of its file."""
+    file = shape.get("file")
+    if len(shape) == 1 and isinstance(file, str):
+        try:
+            return {"trace": read_trace(folder / file)}
+        except InputError as error:
+            raise InputError(*(f"{path}: {fault}" for fault in error.faults)) from error
+    try:
+        return {name: without_units(BY_PATH[path], value, name) for name, value in shape.items()}
+    except RejectedError:
+        return shape
+
+
+def _value_in_full(path: str, value: Any, folder: Path) -> Any:
+    if path in _FILES and isinstance(value, str):
+        try:
+            return str((folder / value).resolve())
+        except (OSError, RuntimeError, ValueError):  # who reads it will be told
+            return value
+    if path in _PROFILES and isinstance(value, dict):
+        return _face_in_full(path, value, folder)
+    if path in LAYERS:
+        return layers_in_full(path, value)
+    key = key_of(path)
+    if isinstance(value, str | list | dict) and key is not None:
+        try:
+            return without_units(key, value)
+        except RejectedError:
+            return value
+    return value
+
+
+def override(keys: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
+    """Return dotted keys with some of them replaced.
+
+    A new load takes the place of the old one, as do other keys that exclude each other; keys that
+    had a meaning and have none any more (of another law, scheme or geometry) go. None takes a key
+    away, or all keys of a table. ``wear.lower.parameters.NAME`` is one entry of that table, as are
+    ``upper.profile.crown`` and ``lower.layers[0].wear.k``.
+
+    Raises
+    ------
+    InputError : a layer is changed that is not there.
+    """
+    changes = changed_layers(keys, _with_parameters(keys, changes))
+    gone = {path for path, value in changes.items() if value is None}
+    keys = {path: v for path, v in keys.items() if gone.isdisjoint({path, *_tables_of(path)})}
+    changes = {path: value for path, value in changes.items() if value is not None}
+    for table in ("wear.lower", "wear.upper"):
+        known = law_keys(table, changes.get(f"{table}.law"))
+        if known:
+            keys = {p: v for p, v in keys.items() if not p.startswith(f"{table}.") or p in known}
+    for group in _ALTERNATIVES:
+        if not group.isdisjoint(changes):
+            keys = {path: value for path, value in keys.items() if path not in group}
+    if changes.keys() >= _FIXED_STEPS:  # they say the end of an adaptive history too
+        keys.pop("time.end", None)
+    merged = {**keys, **changes}
+    lost = unread_keys(merged).keys() - changes.keys()
+    if lost:  # what the file gave in vain is for it to be told
+        lost -= unread_keys(keys).keys()
+    return {path: value for path, value in merged.items() if path not in lost}
+
+
+def _tables_of(path: str) -> Iterator[str]:
+    """Return the tables that a dotted key is in: of "wear.lower.k", "wear" and "wear.lower"."""
+    return itertools.accumulate(path.split(".")[:-1], "{}.{}".format)
+
+
+def _with_parameters(keys: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
+    """Return changes of which those of single parameters are one of their whole table.
+
+    So is the size of a face's shape, ``upper.profile.crown``; it takes the place of another shape.
+    """
+    changes = dict(changes)
+    for table in ("wear.lower.parameters", "wear.upper.parameters", *_PROFILES):
+        named = {path: v for path, v in changes.items() if path.startswith(f"{table}.")}
+        if named:
+            before = None if table in _PROFILES else changes.get(table, keys.get(table))
+            entries = dict(before) if isinstance(before, dict) else {}
+            for path, value in named.items():
+                entries[path.removeprefix(f"{table}.")] = value
+                del changes[path]
+            changes[table] = {name: value for name, value in entries.items() if value is not None}
+    return changes

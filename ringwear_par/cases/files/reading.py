@@ -1,0 +1,317 @@
+"""Reading cases: from a text or tables to dotted keys, overrides, and from keys to a ``Case``."""
+
+import itertools
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ringwear_par.arrays import FloatArray
+from ringwear_par.cases.case import Case, Load, Output, Overrides, Ring, RingLayer, Stepping
+from ringwear_par.cases.files.faults import (
+    Origin,
+    check_contact,
+    contact_faces,
+    joint_faults,
+    layer_faults,
+)
+from ringwear_par.cases.files.keys import (
+    flatten,
+    in_full,
+    naming,
+    override,
+    parse_overrides,
+    read_keys,
+    refuse_study,
+)
+from ringwear_par.cases.files.suggestions import nearest_keys, unknown_key
+from ringwear_par.cases.laws import read_law
+from ringwear_par.cases.layers import LAYERS, expanded, layer_tables, of_refused_law
+from ringwear_par.cases.schema import KEYS, TABLES, key_of, keys_of_layer
+from ringwear_par.cases.stress import Grid, Stress, check_stress
+from ringwear_par.cases.text import shortened, toml_text
+from ringwear_par.cases.units import without_units
+from ringwear_par.cases.values import RejectedError
+from ringwear_par.elasticity.geometry.mesh import Mesh
+from ringwear_par.elasticity.geometry.sections import Grip, Polyline
+from ringwear_par.errors import MOST_FAULTS, InputError, legible
+from ringwear_par.schedules import Quantity, Table
+from ringwear_par.textfiles import read_text
+from ringwear_par.wear.law import Law
+
+_WEAR = ("wear.lower", "wear.upper")
+
+
+def read_case(source: str | Path | Mapping[str, Any], overrides: Overrides = ()) -> Case:
+    """Read a case and its overrides. Not collective.
+
+    Parameters
+    ----------
+    source : the name of a case file, or its tables as a dict: nested, or with dotted keys. Files
+        that it names are looked for in the folder of the case file, or the current one.
+    overrides : dotted keys and values, as a dict or as "KEY=VALUE" texts; files that they name are
+        looked for in the current folder. None takes a key or a table away. See ``override`` for
+        their rules.
+
+    Raises
+    ------
+    InputError : all faults, one sentence each.
+    """
+    if not isinstance(source, Mapping):
+        path = Path(source)
+        return parse_case(read_text(path), str(path), overrides, path.parent)
+    refuse_study(source, "case")
+    given = flatten(source, "case")
+    with naming("case:"):
+        keys = override({}, in_full(given, Path()))
+    return _changed(keys, "case", overrides, None)
+
+
+def parse_case(text: str, name: str, overrides: Overrides = (), folder: Path | None = None) -> Case:
+    """Make a case of a TOML text; ``name`` is what messages call it. Not collective.
+
+    Files that it names are looked for in ``folder``; the case's own text then has them in full.
+
+    Raises
+    ------
+    InputError : all faults, one sentence each.
+    """
+    keys = read_keys(text, name)
+    with naming(f"{name}:"):
+        found = in_full(keys, folder) if folder is not None else keys
+    return _changed(found, name, overrides, text if found == keys else None)
+
+
+def _changed(keys: Mapping[str, Any], name: str, overrides: Overrides, text: str | None) -> Case:
+    if isinstance(overrides, Mapping):
+        setting, changes = "override", flatten(overrides, "overrides")
+    else:
+        setting, changes = "--set", flatten(parse_overrides(overrides), "--set")
+    if not changes:
+        return make_case(keys, name, text)
+    with naming(setting):
+        merged = override(keys, in_full(changes, Path()))
+    return make_case(merged, Origin(name, frozenset(changes), setting))
+
+
+def make_case(keys: Mapping[str, Any], origin: Origin | str, text: str | None = None) -> Case:
+    """Make a case of dotted keys and raw values. Not collective.
+
+    Parameters
+    ----------
+    keys : dotted keys and values, as TOML gives them.
+    origin : what messages call the case.
+    text : the case's TOML text, if it is not to be made of the keys.
+
+    Raises
+    ------
+    InputError : all faults, one sentence each.
+    """
+    origin = Origin(origin) if isinstance(origin, str) else origin
+    values, faults = _read_values(keys, origin)
+    faults += joint_faults(origin, keys, values)
+    laws = [read_law(origin.name, table, keys, values, faults) for table in _WEAR]
+    faces = contact_faces(origin.whole, values, faults)
+    layers = {path: _read_layers(origin, path, keys, values, faults) for path in LAYERS}
+    faults += layer_faults(origin.whole, values, faces, layers)
+    if faults:
+        raise InputError(*faults)
+    case = _build(values, laws, faces, layers, toml_text(keys) if text is None else text)
+    if any(path.startswith("stress.") for path in keys):
+        case = replace(case, stress=_stress(values))
+    check_contact(origin.whole, case, values["load.displacement"])
+    check_stress(origin.whole, case)
+    object.__setattr__(case, "rebuild", _rebuilt)  # a copy by dataclasses.replace has none
+    return case
+
+
+class Outline(NamedTuple):
+    """What a section looks like, in the frame of the case.
+
+    Parameters
+    ----------
+    contour : (m, 2) float, mm, r and z of the corners around the unworn body; the contact face
+        from the inner to the outer radius comes first, two corners of the held face last.
+    interfaces : (l,) float, mm, heights between layers, from the contact face on.
+    plane : mm, height of the contact plane, which depths of the face count from.
+    """
+
+    contour: FloatArray
+    interfaces: FloatArray
+    plane: float
+
+
+def outlines(text: str, name: str) -> tuple[Outline, Outline]:
+    """Return what the sections of lower and upper look like. Not collective.
+
+    Unlike a case, they need no wear laws; no file is opened.
+
+    Parameters
+    ----------
+    text : TOML text of a case as results have it: in full, with the points of traces.
+    name : what messages call it.
+
+    Raises
+    ------
+    InputError : all faults of their keys, one sentence each.
+    """
+    keys = {path: v for path, v in read_keys(text, name).items() if not path.startswith("wear.")}
+    values, faults = _read_values(keys, Origin(name))
+    faces = contact_faces(name, values, faults)
+    if faults:
+        raise InputError(*faults)
+    found = []
+    for ring, sign in (("lower", 1.0), ("upper", -1.0)):
+        r, z = values[f"{ring}.r"], values[f"{ring}.z"]
+        plane, held = (z[1], z[0]) if ring == "lower" else z
+        face = np.array(faces[ring] or [(r[0], 0.0), (r[1], 0.0)])
+        face = np.stack([face[:, 0], plane + sign * face[:, 1]], axis=1)
+        thicknesses = [layer["thickness"] for layer in keys.get(f"{ring}.layers", ())]
+        found.append(
+            Outline(
+                np.concatenate([face, [(r[1], held), (r[0], held)]]),
+                plane - sign * np.cumsum(thicknesses),
+                plane,
+            )
+        )
+    return found[0], found[1]
+
+
+def _rebuilt(text: str, changes: Overrides) -> Case:
+    return parse_case(text, "case", changes)
+
+
+def _read_layers(
+    origin: Origin,
+    path: str,
+    keys: Mapping[str, Any],
+    values: Mapping[str, Any],
+    faults: list[str],
+) -> tuple[RingLayer, ...]:
+    """Return the layers of a body as far as they are right; add to the faults.
+
+    Parameters
+    ----------
+    keys, values : dotted keys as given, and as read, layers entry by entry.
+    """
+    found, given = [], expanded(keys)
+    for table in layer_tables(keys):
+        if table.startswith(path):
+            law = read_law(origin.name, f"{table}.wear", given, values, faults)
+            names = [f"{table}.{name}" for name in ("thickness", "young", "poisson")]
+            if values.keys() >= set(names):
+                thickness, young, poisson = (values[name] for name in names)
+                density = values.get(f"{table}.density")
+                found.append(RingLayer(thickness, young, poisson, law, density))
+    return tuple(found)
+
+
+def _read_values(keys: Mapping[str, Any], origin: Origin) -> tuple[dict[str, Any], list[str]]:
+    """Return what the keys hold, with defaults, and the faults of each by itself.
+
+    Layers are read entry by entry. Keys that are wrong have no value, nor those that a misspelt one
+    means.
+    """
+    faults: list[str] = []
+    values: dict[str, Any] = {}
+    given = expanded(keys)
+    meant: set[str] = set()
+    for path, value in given.items():
+        key = key_of(path)
+        if key is not None:
+            try:
+                values[path] = key.read(without_units(key, value))
+            except RejectedError as reason:
+                told = origin.typed_fault(path, value) or str(reason)
+                why = f"{key.rule} ({told})" if told else key.rule
+                faults.append(f"{origin.of(path)}{path} = {shortened(value)}: {why}")
+        elif path in TABLES and value == {}:
+            faults.append(f"{origin.of(path)}[{path}]: is empty; must have one of its keys")
+        elif path in TABLES or (path.endswith(".wear") and path.startswith(LAYERS)):
+            said = f"{path} = {shortened(value)}"
+            must = " of a law" if path not in TABLES else f", [{path}]"
+            faults.append(f"{origin.of(path)}{said}: must be a table{must}")
+        elif not of_refused_law(path, given):
+            said = f"{origin.of(path)}{legible(path)}"
+            if len(faults) < MOST_FAULTS:
+                faults.append(f"{said}: {unknown_key(path)}")
+                meant.update(nearest_keys(path))
+            else:
+                faults.append(f"{said}: unknown key")
+    for key in itertools.chain(KEYS, *map(keys_of_layer, layer_tables(keys))):
+        if key.path not in given and key.path not in meant:
+            if key.default is not ...:
+                values[key.path] = key.default
+            else:
+                faults.append(f"{origin.name}: {key.path} is missing: {key.rule}")
+    return values, faults
+
+
+def _build(
+    values: Mapping[str, Any],
+    laws: Sequence[Law | None],
+    faces: Mapping[str, Polyline],
+    layers: Mapping[str, tuple[RingLayer, ...]],
+    text: str,
+) -> Case:
+    def ring(which: str, grip: Grip) -> Ring:
+        r, z, young, poisson = (values[f"{which}.{k}"] for k in ("r", "z", "young", "poisson"))
+        density = values[f"{which}.density"]
+        return Ring(r, z, young, poisson, grip, faces[which], density, layers[f"{which}.layers"])
+
+    case = Case(
+        lower=ring("lower", "clamped"),
+        upper=ring("upper", values["upper.grip"]),
+        friction=values["contact.friction"],
+        wear_lower=laws[0],
+        wear_upper=laws[1],
+        load=Load(values["load.omega"], values["load.force"], values["load.displacement"]),
+        time=_stepping(values),
+        mesh=Mesh(
+            values["mesh.contact_elements"],
+            values["mesh.grading"],
+            values["mesh.quadrature_tolerance"],
+            values["mesh.contact"],
+            values["mesh.geometry"],
+            values["mesh.geometry_tolerance"],
+        ),
+        output=Output(
+            values["output.every"],
+            values["output.fields"],
+            values["output.profiles"],
+            values["output.times"] or (),
+            values["output.boundary"],
+        ),
+        title=values["title"],
+        text=text,
+    )
+    if values["load.pressure"] is not None:
+        pressure, area = values["load.pressure"], case.area
+        force: Quantity = (
+            Table(pressure.x, tuple(area * p for p in pressure.y))
+            if isinstance(pressure, Table)
+            else pressure * area
+        )
+        case = replace(case, load=Load(case.load.omega, force))
+    return case
+
+
+def _stress(values: Mapping[str, Any]) -> Stress:
+    points, times, exclude = (values[f"stress.{key}"] for key in ("points", "times", "exclude"))
+    body, r, z, n = (values[f"stress.grid.{key}"] for key in ("body", "r", "z", "n"))
+    return Stress(points or (), Grid(body, r, z, n) if n else None, times, exclude)
+
+
+def _stepping(values: Mapping[str, Any]) -> Stepping:
+    scheme, step, steps = (values[f"time.{key}"] for key in ("scheme", "step", "steps"))
+    if scheme != "adaptive":
+        return Stepping(scheme, step, steps)
+    end = values["time.end"]
+    return Stepping(
+        scheme,
+        until=step * steps if end is None else end,
+        tolerance=values["time.tolerance"],
+        pressure_tolerance=values["time.pressure_tolerance"],
+    )

@@ -1,0 +1,1 @@
+"""Fit files: parameters, measurements, designs of tests."""

@@ -1,0 +1,294 @@
+"""Tests that could be made, by ``[design]``: experiments that are measured like a given one."""
+
+import itertools
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, get_args
+
+import numpy as np
+
+from ringwear_par.arrays import FloatArray
+from ringwear_par.cases.case import Case
+from ringwear_par.cases.schema import unit_of
+from ringwear_par.cases.units import in_unit_where_right
+from ringwear_par.cases.values import is_number
+from ringwear_par.identification.definition.problem import Criterion, Experiment, Series, Space
+from ringwear_par.identification.definition.tables import TableReader
+
+CRITERIA = get_args(Criterion)
+#: keys of the load, of which one may vary, and of all that may
+LOADS = ("load.pressure", "load.force")
+_STEPS, _PROFILES, _AT = "load.steps", "profiles", "profile.at"
+INSTANTS = (_PROFILES, _AT)
+VARY = (*LOADS, "load.omega", "time.end", _STEPS, _PROFILES, _AT)
+COUNTS = {_STEPS: 4, _PROFILES: 4}
+MOST_EXPERIMENTS, MOST_CANDIDATES = 6, 2000
+
+#: values of a range that are tried; of loads where a test has several; of durations
+_LEVELS, _STEP_LEVELS, _DURATIONS, _SPEEDS = 15, 6, 10, 3
+#: instants of a profile; of several
+_INSTANTS, _FEW_INSTANTS = 10, 5
+#: how long a load takes to change, of the test
+_RAMP = 1e-3
+#: readings over time that are a record, which goes on at its rate in a longer test
+_RECORD = 10
+
+
+@dataclass(frozen=True, eq=False)
+class Candidate:
+    """One test that could be made.
+
+    Parameters
+    ----------
+    keys : of the case, with plain numbers; of several loads one after another a tuple.
+    profiles : s, when profiles are measured, if they are.
+    experiment : its case, and readings without data. Tests that differ in the instants of profiles
+        share their cases, and the series that both have.
+    instants_vary : whether tests differ in when profiles are measured.
+    """
+
+    keys: Mapping[str, float | tuple[float, ...]]
+    profiles: tuple[float, ...]
+    experiment: Experiment
+    instants_vary: bool = False
+
+    @property
+    def seconds(self) -> float:
+        """How long it takes."""
+        return self.experiment.case.time.end
+
+    @property
+    def loads(self) -> tuple[float, ...]:
+        """Loads one after another, where they vary."""
+        for key in LOADS:
+            if key in self.keys:
+                value = self.keys[key]
+                return value if isinstance(value, tuple) else (value,)
+        return ()
+
+    @property
+    def kind(self) -> tuple[float, ...]:
+        """What differs first: loads, or speed, duration and instants where they do not vary."""
+        speed = self.keys.get("load.omega", 0.0)
+        return self.loads or (float(speed), self.seconds, *self.profiles)  # type: ignore[arg-type]
+
+    def told(self) -> dict[str, Any]:
+        """Return what design.json says of it."""
+        entry: dict[str, Any] = {
+            key: list(value) if isinstance(value, tuple) else value
+            for key, value in self.keys.items()
+        }
+        if self.profiles:
+            entry |= {_PROFILES: len(self.profiles), _AT: list(self.profiles)}
+        return entry
+
+    def changes(self) -> dict[str, Any]:
+        """Return the case keys as a case file has them."""
+        return _changes(self.keys, self.seconds)
+
+
+def read_space(said: str, table: Any, faults: list[str]) -> Space:
+    """Return what ``[design]`` asks, and add what is wrong with it to the faults."""
+    reader = TableReader(said, table, faults)
+    criterion = reader.choice("criterion", CRITERIA, "D")
+    vary, budget = (reader.raw(key, {}) for key in ("vary", "budget"))
+    reader.finish()
+    ranges: dict[str, tuple[float, float]] = {}
+    vary = TableReader(f"{said}.vary", vary, faults)
+    for key in VARY:
+        if key in vary and (found := _range(vary, key)) is not None:
+            ranges[key] = found
+    for key in VARY:
+        vary.raw(key)
+    vary.finish()
+    if all(key in ranges for key in LOADS):
+        vary.fault("load.pressure and load.force: only one of them may vary")
+    if _STEPS in ranges and not any(key in ranges for key in LOADS):
+        vary.wrong(_STEPS, "needs load.pressure or load.force beside it, the range of the loads")
+    limits = TableReader(f"{said}.budget", budget, faults)
+    seconds, count = in_unit_where_right(limits.raw("time.end"), "s"), limits.raw("experiments", 1)
+    limits.finish()
+    if seconds is not None and not (is_number(seconds) and 0.0 < seconds < np.inf):
+        limits.wrong("time.end", "must be a number above 0, s of all experiments together")
+        seconds = None
+    if not (isinstance(count, int) and not isinstance(count, bool)) or not (
+        1 <= count <= MOST_EXPERIMENTS
+    ):
+        limits.wrong("experiments", f"must be a whole number from 1 to {MOST_EXPERIMENTS}")
+        count = 1
+    return Space(criterion, ranges, seconds, count)  # type: ignore[arg-type]
+
+
+def _range(reader: TableReader, key: str) -> tuple[float, float] | None:
+    value = in_unit_where_right(reader.raw(key), unit_of(key))
+    most = COUNTS.get(key)
+    fine = (
+        isinstance(value, list | tuple)
+        and len(value) == 2
+        and all(is_number(v) and np.isfinite(v) for v in value)
+        and 0.0 < value[0] <= value[1]
+    )
+    if fine and most is not None:
+        fine = all(float(v).is_integer() and v <= most for v in value)
+    if not fine or (key == _AT and value[1] > 1.0):
+        allowed = "above 0" if most is None else f"whole, from 1 to {most}"
+        if key == _AT:
+            allowed = "above 0 and at most 1, parts of the test"
+        reader.wrong(key, f"must be [lowest, highest], two numbers, {allowed}")
+        return None
+    return float(value[0]), float(value[1])
+
+
+def count_of(space: Space) -> int:
+    """Return how many tests a space has."""
+    load = next((key for key in LOADS if key in space.ranges), None)
+    found = len(_sequences(space, load, _counts(space, _STEPS, 1)))
+    found *= len(_instants(space))
+    for key, count in (("time.end", _DURATIONS), ("load.omega", _SPEEDS)):
+        found *= max(len(_levels(space, key, count)), 1)
+    return found
+
+
+def candidates(space: Space, template: Experiment) -> list[Candidate]:
+    """Return the tests of a space, measured as ``template`` is.
+
+    Raises
+    ------
+    InputError : values that a case does not allow.
+    """
+    load = next((key for key in LOADS if key in space.ranges), None)
+    steps = _counts(space, _STEPS, 1)
+    instants: list[tuple[float, ...]] = [()]
+    if any(series.profile for series in template.series):
+        instants = _instants(space)
+    instants_vary = len(instants) > 1
+    ends = _levels(space, "time.end", _DURATIONS) or [template.case.time.end]
+    found: list[Candidate] = []
+    for omega in _levels(space, "load.omega", _SPEEDS) or [None]:
+        for sequence in _sequences(space, load, steps):
+            for end in ends:
+                if space.seconds is not None and end > space.seconds * (1.0 + 1e-9):
+                    continue
+                keys: dict[str, Any] = {}
+                if load is not None:
+                    keys[load] = sequence if len(sequence) > 1 else sequence[0]
+                if omega is not None:
+                    keys["load.omega"] = omega
+                if "time.end" in space.ranges:
+                    keys["time.end"] = end
+                case = template.case.replace(_changes(keys, end))
+                series = _Measured(template, case)
+                for parts in instants:
+                    at = tuple(end * part for part in parts)
+                    experiment = Experiment(f"candidate {len(found) + 1}", case, series.at(at))
+                    found.append(Candidate(keys, at, experiment, instants_vary))
+    return found
+
+
+def _instants(space: Space) -> list[tuple[float, ...]]:
+    """Return when profiles are measured, parts of the test.
+
+    Unless that may vary, at equal intervals, the last one at the end.
+    """
+    counts = _counts(space, _PROFILES, 1)
+    if _AT not in space.ranges:
+        return [tuple(i / count for i in range(1, count + 1)) for count in counts]
+    found: list[tuple[float, ...]] = []
+    for count in counts:
+        levels = _levels(space, _AT, _INSTANTS if count == 1 else _FEW_INSTANTS)
+        found += itertools.combinations(levels, count)
+    return found
+
+
+def _levels(space: Space, key: str, count: int) -> list[Any]:
+    if key not in space.ranges:
+        return []
+    low, high = space.ranges[key]
+    return [low] if low == high else np.linspace(low, high, count).tolist()
+
+
+def _counts(space: Space, key: str, usual: int) -> list[int]:
+    low, high = space.ranges.get(key, (usual, usual))
+    return list(range(int(low), int(high) + 1))
+
+
+def _sequences(space: Space, load: str | None, steps: Sequence[int]) -> list[tuple[float, ...]]:
+    """Return the loads of tests: several of one grow."""
+    if load is None:
+        return [()]
+    found: list[tuple[float, ...]] = []
+    for count in steps:
+        levels = _levels(space, load, _LEVELS if count == 1 else _STEP_LEVELS)
+        found += itertools.combinations(levels, count)
+    return found
+
+
+def _changes(keys: Mapping[str, Any], end: float) -> dict[str, Any]:
+    """Return case keys, several loads as a schedule of equal parts."""
+    changes = dict(keys)
+    for key in LOADS:
+        if isinstance(loads := keys.get(key), tuple):
+            points = [[0.0, loads[0]]]
+            for i, value in enumerate(loads[1:], start=1):
+                at = end * i / len(loads)
+                points += [[at, loads[i - 1]], [at + _RAMP * end, value]]
+            changes[key] = points
+    return changes
+
+
+class _Measured:
+    """What would be read of a case: records at their rate, all else at its part of the test.
+
+    Noise is that of the template, of records its median. Of profiles of one body at several times
+    the last one serves.
+    """
+
+    def __init__(self, template: Experiment, case: Case) -> None:
+        longer = case.time.end / template.case.time.end
+        self._last = last_profiles(template.series)
+        self._series = [
+            series if series.profile else _scaled(series, longer) for series in template.series
+        ]
+        self._profiles: dict[tuple[str, float], Series] = {}
+
+    def at(self, instants: Sequence[float]) -> tuple[Series, ...]:
+        """Return it with profiles at some instants, s."""
+        found: list[Series] = []
+        for series in self._series:
+            if not series.profile:
+                found.append(series)
+            elif series is self._last[series.quantity]:
+                found += [self._profile(series, at) for at in instants]
+        return tuple(found)
+
+    def _profile(self, series: Series, at: float) -> Series:
+        name = f"{series.quantity} at {at:.6g} s"
+        key = (series.quantity, at)
+        if key not in self._profiles:
+            self._profiles[key] = replace(series, name=name, at=at)
+        return self._profiles[key]
+
+
+def last_profiles(every: Sequence[Series]) -> dict[str, Series]:
+    """Return of all profiles of one body the last one, by quantity."""
+    found: dict[str, Series] = {}
+    for series in every:
+        known = found.get(series.quantity)
+        if series.profile and (known is None or _at(series) > _at(known)):
+            found[series.quantity] = series
+    return found
+
+
+def _scaled(series: Series, longer: float) -> Series:
+    """Return what is read over time in a longer test."""
+    if series.n < _RECORD:
+        return replace(series, x=series.x * longer)
+    span = series.x[-1] - series.x[0]
+    count = max(round(series.n * longer), 2)
+    x = longer * (series.x[0] + span * np.linspace(0.0, 1.0, count))
+    sd: FloatArray = np.full(count, np.median(series.sd))
+    return replace(series, x=x, value=np.zeros(count), sd=sd, lines=None)
+
+
+def _at(series: Series) -> float:
+    return 0.0 if series.at is None else series.at

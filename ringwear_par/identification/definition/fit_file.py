@@ -1,0 +1,346 @@
+"""Fit files: a base case, the keys sought, and experiments with their measurements."""
+
+import difflib
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ringwear_par.cases.case import Case
+from ringwear_par.cases.files.faults import Origin
+from ringwear_par.cases.files.keys import base_keys, flatten, in_full, kinds, override, read_keys
+from ringwear_par.cases.files.reading import make_case
+from ringwear_par.cases.text import shortened, toml_value
+from ringwear_par.cases.values import number, some_of, text, whole
+from ringwear_par.errors import MOST_FAULTS, InputError, legible
+from ringwear_par.history.limits import check_case
+from ringwear_par.identification.definition.candidates import read_space
+from ringwear_par.identification.definition.fitted import read_parameters, refuse_both, refuse_fixed
+from ringwear_par.identification.definition.inline_tables import on_one_line
+from ringwear_par.identification.definition.problem import (
+    Experiment,
+    FittedParameter,
+    Problem,
+    Series,
+    Settings,
+)
+from ringwear_par.identification.definition.series import FileStore, read_series
+from ringwear_par.identification.definition.tables import TableReader
+from ringwear_par.textfiles import parse_toml, read_text, refuse_depth
+
+#: what a fit needs of histories, and how they are stepped
+_STEPPING = {"time.scheme": "adaptive"}
+_OUTPUT = {
+    "output.every": 1, "output.profiles": "all", "output.fields": ["wear_lower", "wear_upper"],
+    "output.boundary": "none", "stress": None,
+}  # fmt: skip
+_TABLES = ("case", "fit", "experiment", "compare", "design")
+INTERVALS = ("linear", "profile", "posterior")
+MOST_STARTS, MOST_SAMPLES = 10_000, 10_000_000
+
+
+def read_fit(source: Path | str | Mapping[str, Any], *, plans: bool = False) -> Problem:
+    """Read a fit file with its case and all its measurements, or the same as a dict.
+
+    Not collective.
+
+    Parameters
+    ----------
+    plans : whether readings may be planned ones.
+
+    Raises
+    ------
+    InputError : all faults, one sentence each.
+    """
+    if isinstance(source, Mapping):
+        refuse_depth(source, "fit")
+        name, folder, tables = "fit", Path(), _plain(source)
+        written = "".join(f"{toml_value(key)} = {toml_value(v)}\n" for key, v in tables.items())
+    else:
+        path = Path(source)
+        name, folder, written = str(path), path.parent, read_text(path)
+        tables = parse_toml(on_one_line(written), name)
+    if "experiment" not in tables and (kind := kinds(tables)) & {"case", "study"}:
+        told = "a case" if "case" in kind and "case" not in tables else "a study"
+        raise InputError(f"{name}: is {told}, not a fit file; [[experiment]] is missing")
+    faults: list[str] = []
+    for key in tables.keys() - set(_TABLES):
+        near = difflib.get_close_matches(key.lower(), _TABLES, n=1)
+        hint = f" (did you mean {near[0]}?)" if near else ""
+        faults.append(
+            f"{name}: {legible(key)}: unknown key{hint}; must be one of {', '.join(_TABLES)}"
+        )
+    base = base_keys(name, folder, tables, isinstance(source, Mapping), faults)
+    settings, parameters = _read_settings(f"{name}: fit", tables.get("fit", {}), faults)
+    files = FileStore(folder)
+    read = _Experiments(name, folder, base, files, plans)
+    experiments = read.all(tables.get("experiment"), parameters, faults)
+    design = read_space(f"{name}: design", tables.get("design", {}), faults)
+    others = _read_alternatives(f"{name}: compare", tables.get("compare", {}), faults)
+    if faults:
+        raise InputError(*faults)
+    _check_counts(name, parameters, experiments, faults)
+    alternatives = {}
+    for other, (changes, own) in others.items():
+        alternatives[other] = Problem(
+            f"{name}: compare.{other}", written, settings, own,
+            read.changed(other, experiments, changes, own, faults), {}, files.hashes, design,
+        )  # fmt: skip
+        _check_counts(f"{name}: compare.{other}", own, experiments, faults)
+    if faults:
+        raise InputError(*faults)
+    return Problem(
+        name, written, settings, parameters, experiments, alternatives, files.hashes, design
+    )
+
+
+def _plain(value: Any) -> Any:
+    """Return tables of Python with the values that TOML would give."""
+    if isinstance(value, Mapping):
+        return {str(key): _plain(entry) for key, entry in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(entry) for entry in value]
+    if isinstance(value, np.ndarray | np.generic):
+        return value.tolist()
+    if isinstance(value, Case):
+        if value.rebuild is None:
+            raise InputError(
+                "fit: case: its text does not tell its keys; must be one that was read"
+            )
+        return read_keys(value.text)
+    return str(value) if isinstance(value, Path) else value
+
+
+def _read_settings(
+    said: str, table: Any, faults: list[str]
+) -> tuple[Settings, tuple[FittedParameter, ...]]:
+    reader = TableReader(said, table, faults)
+    parameters = read_parameters(f"{said}.parameters", reader.raw("parameters"), faults)
+    usual = Settings()
+    starts = reader.read("starts", whole(1, MOST_STARTS), usual.starts)
+    method = reader.choice("method", ("brgn", "lm"), usual.method)
+    intervals = reader.read("intervals", some_of(*INTERVALS), usual.intervals)
+    level = reader.read("level", number(0.5, 1.0), usual.level)
+    loss = reader.choice("loss", ("gaussian", "student"), usual.loss)
+    samples = reader.read("samples", whole(1, MOST_SAMPLES), usual.samples)
+    reader.finish()
+    intervals = ("linear", *(each for each in intervals if each != "linear"))
+    return (
+        Settings(starts, method, intervals, samples, level, loss),  # type: ignore[arg-type]
+        parameters,
+    )
+
+
+class _Experiments:
+    """Reads the experiments, of a base case and of others made from them.
+
+    Parameters
+    ----------
+    name : what messages call the fit file.
+    folder : from which names of files count.
+    base : dotted keys of the base case; None where it has faults.
+    plans : whether readings may be planned ones.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        folder: Path,
+        base: dict[str, Any] | None,
+        files: FileStore,
+        plans: bool,
+    ) -> None:
+        self._name, self._folder, self._base, self._files = name, folder, base, files
+        self._plans = plans
+        self._keys: dict[str, dict[str, Any]] = {}
+        #: what was wrong with cases; of fitted keys the same need not be said of every experiment
+        self._told: set[str] = set()
+
+    def all(
+        self, tables: Any, parameters: tuple[FittedParameter, ...], faults: list[str]
+    ) -> tuple[Experiment, ...]:
+        """Return all experiments, and add what is wrong with them to the faults."""
+        if not isinstance(tables, list) or not tables:
+            told = "is missing" if tables is None else f"= {shortened(tables)}"
+            faults.append(f"{self._name}: experiment {told}: must be tables, [[experiment]]")
+            return ()
+        found: list[Experiment] = []
+        for i, table in enumerate(tables, start=1):
+            experiment = self._experiment(i, table, parameters, faults)
+            if experiment is None:
+                continue
+            for other in found:
+                self._refuse_twin(experiment, other, faults)
+            found.append(experiment)
+        return tuple(found)
+
+    def _experiment(
+        self, i: int, table: Any, parameters: tuple[FittedParameter, ...], faults: list[str]
+    ) -> Experiment | None:
+        reader = TableReader(f"{self._name}: experiment {i}", table, faults)
+        name = reader.read("name", text("a text, its name"))
+        if name is None:
+            return None
+        said = reader.said = f'{self._name}: experiment "{legible(name)}"'
+        changes = self._changes(reader, faults)
+        refuse_both(f"{said}: set", parameters, changes, faults)
+        case = None
+        if self._base is not None and len(faults) < MOST_FAULTS:  # no more are told
+            keys = override(override(self._base, _STEPPING), changes)
+            self._keys[name] = override(keys, {**_STEPPING, **_OUTPUT})
+            case = self._case(said, self._keys[name], changes, parameters, faults)
+        data = reader.raw("data")
+        reader.finish()
+        if not isinstance(data, list) or not data:
+            reader.wrong("data", "must be tables, [[experiment.data]]")
+            return None
+        series: list[Series] = []
+        for number_, entry in enumerate(data, start=1):
+            found = read_series(
+                f"{said}: data {number_}", entry, case, self._files, faults, plans=self._plans
+            )
+            if found is None:
+                continue
+            if any(_same_readings(found, other) for other in series):
+                reader.fault(
+                    f"data {number_} ({found.quantity}): {found.file} is there twice; must be once"
+                )
+            series.append(found)
+        return None if case is None else Experiment(name, case, _named(series))
+
+    def _changes(self, reader: TableReader, faults: list[str]) -> dict[str, Any]:
+        given = reader.raw("set", {})
+        if not isinstance(given, Mapping):
+            reader.wrong("set", "must be a table of case keys")
+            return {}
+        try:
+            return in_full(flatten(given, f"{reader.said}: set"), self._folder)
+        except InputError as error:
+            faults += error.faults
+            return {}
+
+    def _case(
+        self,
+        said: str,
+        keys: Mapping[str, Any],
+        changes: Mapping[str, Any],
+        parameters: tuple[FittedParameter, ...],
+        faults: list[str],
+    ) -> Case | None:
+        """Return a case with the parameters at their starts."""
+        starts = {parameter.key: parameter.start for parameter in parameters}
+        changed = frozenset({*changes, *starts})
+        try:
+            case = make_case(override(keys, starts), Origin(said, changed, f"{said}: set"))
+            check_case(case, 1, said)
+        except InputError as error:
+            tables = {parameter.key.rpartition(".")[0] for parameter in parameters}
+            for fault in error.faults:
+                what = fault.replace(said, "")
+                if what not in self._told or not any(table in what for table in tables):
+                    faults.append(fault)
+                self._told.add(what)
+            return None
+        if case.mesh.geometry == "updated":
+            faults.append(f'{said}: mesh.geometry = "updated": must be "fixed" in a fit')
+            return None
+        refuse_fixed(said, parameters, case, faults)
+        return case
+
+    def _refuse_twin(self, one: Experiment, other: Experiment, faults: list[str]) -> None:
+        """Refuse an experiment that is there already."""
+        said = f'{self._name}: experiment "{legible(one.name)}"'
+        if one.name == other.name:
+            faults.append(f"{said}: is there twice; names must differ")
+            return
+        for series in one.series:
+            if any(_same_readings(series, twin) for twin in other.series):
+                faults.append(
+                    f"{said}: {series.quantity}: {series.file} has the readings of experiment "
+                    f'"{legible(other.name)}"; every experiment must have its own'
+                )
+
+    def changed(
+        self,
+        name: str,
+        experiments: tuple[Experiment, ...],
+        changes: Mapping[str, Any],
+        parameters: tuple[FittedParameter, ...],
+        faults: list[str],
+    ) -> tuple[Experiment, ...]:
+        """Return the experiments under another law."""
+        found = []
+        for experiment in experiments:
+            said = f'{self._name}: compare.{legible(name)}: experiment "{legible(experiment.name)}"'
+            refuse_both(said, parameters, changes, faults)
+            own = in_full(changes, self._folder)
+            keys = override(self._keys[experiment.name], own)
+            case = self._case(said, keys, changes, parameters, faults)
+            if case is None:
+                break  # the others have the same fault
+            found.append(Experiment(experiment.name, case, experiment.series))
+        return tuple(found)
+
+
+def _same_readings(one: Series, other: Series) -> bool:
+    """Tell whether two series share lines of a file, with the same readings."""
+    if one.lines is None or other.lines is None or one.file != other.file:
+        return False
+    _, here, there = np.intersect1d(one.lines, other.lines, return_indices=True)
+    same = len(here) and one.quantity == other.quantity
+    return bool(same and np.array_equal(one.value[here], other.value[there]))
+
+
+def _named(series: list[Series]) -> tuple[Series, ...]:
+    """Return series with names that differ."""
+    counts: dict[str, int] = {}
+    named = []
+    for one in series:
+        name = one.quantity if one.at is None else f"{one.quantity} at {one.at:g} s"
+        counts[name] = counts.get(name, 0) + 1
+        if counts[name] > 1:
+            name = f"{name} ({counts[name]})"
+        named.append(replace(one, name=name))
+    return tuple(named)
+
+
+def _read_alternatives(
+    said: str, table: Any, faults: list[str]
+) -> dict[str, tuple[dict[str, Any], tuple[FittedParameter, ...]]]:
+    found = {}
+    if not isinstance(table, Mapping):
+        faults.append(f"{said} = {shortened(table)}: must be a table")
+        return {}
+    for name, entry in table.items():
+        reader = TableReader(f"{said}.{legible(name)}", entry, faults)
+        given = reader.raw("set", {})
+        parameters = read_parameters(f"{reader.said}.parameters", reader.raw("parameters"), faults)
+        reader.finish()
+        try:
+            changes = flatten(given if isinstance(given, Mapping) else {"": given}, reader.said)
+        except InputError as error:
+            faults += error.faults
+            continue
+        found[name] = changes, parameters
+    return found
+
+
+def _check_counts(
+    name: str,
+    parameters: tuple[FittedParameter, ...],
+    experiments: tuple[Experiment, ...],
+    faults: list[str],
+) -> None:
+    """Refuse what has fewer readings than are sought."""
+    readings = sum(experiment.n for experiment in experiments)
+    series = [one for experiment in experiments for one in experiment.series]
+    free = sum(p.prior is None for p in parameters) + sum(
+        n.free for one in series for n in one.nuisances
+    )
+    if readings < free:
+        faults.append(
+            f"{name}: {readings} readings: must be at least as many as are sought, {free} "
+            "parameters and nuisances"
+        )

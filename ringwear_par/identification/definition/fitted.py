@@ -1,0 +1,152 @@
+"""``fit.parameters``: which case keys are sought, from where and within which bounds."""
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from ringwear_par.cases.case import Case
+from ringwear_par.cases.files.suggestions import nearest_key
+from ringwear_par.cases.numbers import interval_of
+from ringwear_par.cases.schema import BY_PATH, key_of, layer_entry, unit_of
+from ringwear_par.cases.text import shortened
+from ringwear_par.cases.units import in_unit
+from ringwear_par.cases.values import RejectedError, number
+from ringwear_par.errors import MOST_FAULTS, InputError, legible
+from ringwear_par.history.elastic_numbers import elastic_numbers
+from ringwear_par.history.sensitivity import differentiable
+from ringwear_par.identification.definition.problem import FittedParameter, Problem
+from ringwear_par.identification.definition.tables import TableReader
+from ringwear_par.studies.definition.variations import split_key
+
+SCALES = ("linear", "log")
+_ENTRIES = frozenset({"start", "bounds", "scale", "prior"})
+
+
+def unnested(table: Mapping[str, Any]) -> dict[str, Any]:
+    """Return entries by dotted key, whether written quoted or not."""
+    flat: dict[str, Any] = {}
+    for key, entry in table.items():
+        if isinstance(entry, Mapping) and entry and not _ENTRIES & entry.keys():
+            flat.update({f"{key}.{inner}": value for inner, value in unnested(entry).items()})
+        else:
+            flat[key] = entry
+    return flat
+
+
+def read_parameters(said: str, table: Any, faults: list[str]) -> tuple[FittedParameter, ...]:
+    """Return the fitted keys, and add what is wrong with them to the faults.
+
+    Parameters
+    ----------
+    said : how sentences about the table begin.
+    """
+    if not isinstance(table, Mapping) or not table:
+        faults.append(f"{said}: is missing or empty; must name one case key at least")
+        return ()
+    found = (_parameter(f'{said}."{legible(k)}"', k, v, faults) for k, v in unnested(table).items())
+    return tuple(parameter for parameter in found if parameter is not None)
+
+
+def _parameter(said: str, key: str, table: Any, faults: list[str]) -> FittedParameter | None:
+    path, entry = split_key(key)
+    allowed = None if isinstance(entry, int) else interval_of((path, entry))
+    if layer_entry(key) is not None and (of_layer := key_of(key)) is not None:
+        allowed = of_layer.numbers
+    if allowed is None or path.startswith("time."):
+        near = ""
+        if path not in BY_PATH and len(faults) < MOST_FAULTS:
+            near = nearest_key(path)
+        faults.append(
+            f"{said}: cannot be fitted{near}; must be a number of a wear law, "
+            "contact.friction, a load, load.omega, a modulus, or a layer's thickness or "
+            "Poisson's ratio"
+        )
+        return None
+    before = len(faults)
+    if isinstance(table, Mapping):
+        unit, made = unit_of(key), dict[str, Any]()
+        for name, value in table.items():
+            try:
+                made[name] = in_unit(value, unit)
+            except RejectedError as reason:
+                faults.append(f"{said}: {name} = {shortened(value)}: must be in {unit} ({reason})")
+        if len(made) < len(table):
+            return None
+        table = made
+    reader = TableReader(said, table, faults)
+    start = reader.read("start", number(-math.inf))
+    bounds = reader.bounds()
+    log = reader.choice("scale", SCALES, "linear") == "log"
+    prior = reader.prior()
+    reader.finish()
+    if bounds is not None:
+        if log and bounds[0] <= 0:
+            reader.wrong("bounds", 'must be two increasing numbers > 0 where scale = "log"')
+        if not allowed.holds(np.array(bounds)).all():
+            told = f"{'>=' if allowed.ends else '>'} {allowed.low:g}"
+            if allowed.high < math.inf:
+                told += f" and {'<=' if allowed.ends else '<'} {allowed.high:g}"
+            reader.wrong("bounds", f"must be values that {path} may have, {told}")
+        if start is not None and not bounds[0] <= start <= bounds[1]:
+            reader.wrong("start", f"must be within its bounds, {bounds[0]:g} to {bounds[1]:g}")
+    if len(faults) > before or start is None or bounds is None:
+        return None
+    return FittedParameter(key, start, bounds, log, prior)
+
+
+def units_of(problem: Problem) -> dict[str, str]:
+    """Return the units of the fitted keys, "1" for none."""
+    known = differentiable(problem.experiments[0].case)
+    return {key: known[key] for key in problem.keys}
+
+
+def refuse_fixed(
+    said: str, parameters: Sequence[FittedParameter], case: Case, faults: list[str]
+) -> None:
+    """Add a fault for each key that histories of a case have no derivative with respect to.
+
+    Parameters
+    ----------
+    said : how sentences about it begin.
+    """
+    allowed, elastic = differentiable(case), elastic_numbers(case)
+    for parameter in parameters:
+        if parameter.key in elastic:
+            faults += _faults_of_bounds(said, parameter, case)
+        if parameter.key not in allowed:
+            faults.append(
+                f"{said}: {parameter.key}: cannot be fitted here, the history does not depend on "
+                f"it smoothly; must be one of {', '.join(allowed)}"
+            )
+
+
+def _faults_of_bounds(said: str, parameter: FittedParameter, case: Case) -> list[str]:
+    """Return why there is no case at a bound, as of a layer that is thicker than its body."""
+    for bound in parameter.bounds:
+        try:
+            case.replace({parameter.key: bound})
+        except InputError as error:
+            return [f"{said}: {parameter.key}: no case at its bound {bound:g}: {error.faults[0]}"]
+    return []
+
+
+def refuse_both(
+    said: str, parameters: Sequence[FittedParameter], changes: Mapping[str, Any], faults: list[str]
+) -> None:
+    """Add a fault for each key that is both set and fitted.
+
+    Parameters
+    ----------
+    said : how sentences about what is set begin.
+    changes : dotted keys that are set.
+    """
+    loads = {"load.force", "load.pressure", "load.displacement"}
+    for parameter in parameters:
+        path = split_key(parameter.key)[0]
+        same = {parameter.key, path} | (loads if path in loads else set())
+        for key in same & changes.keys():
+            faults.append(
+                f"{said}: {key}: is set, and {parameter.key} is fitted; must be one or the other"
+            )

@@ -1,0 +1,230 @@
+"""What the readings tell of each parameter: covariance, one-sided limits, and what they do not."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from scipy.stats import chi2, norm
+
+from ringwear_par.arrays import FloatArray
+from ringwear_par.identification.definition.problem import Loss
+from ringwear_par.identification.estimation.least_squares import NU, Evaluation, LeastSquares
+
+Verdict = Literal["identified", "at bound", "not identified"]
+
+#: of the information matrix with a unit diagonal: below it nothing is known of a direction
+_NOTHING = 1e-10
+#: of such a direction: others up to it are as weak
+_AS_WEAK = 10.0
+#: components of a direction that are told
+_TOLD = 0.15
+#: largest half interval of a logarithm
+_WIDEST_LOG = 1.5
+#: correlation with keys of which nothing is known at which nothing is known of another
+_ONE = 0.999
+#: of a prior's sd: more is but the prior
+_MERE_PRIOR = 0.95
+
+
+@dataclass(frozen=True)
+class ParameterEstimate:
+    """A fitted key.
+
+    Parameters
+    ----------
+    estimate, sd : in the case's unit; sd None where there is none to speak of.
+    interval : None on a side that is not limited.
+    verdict : whether the readings tell it.
+    direction : what they tell instead, "" where they tell it.
+    """
+
+    key: str
+    estimate: float
+    sd: float | None
+    interval: tuple[float | None, float | None]
+    verdict: Verdict
+    direction: str = ""
+
+
+def share_of_loss(loss: Loss) -> float:
+    """Return what readings tell under a loss, of what they would with Gaussian noise."""
+    return (NU + 1.0) / (NU + 3.0) if loss == "student" else 1.0
+
+
+def information(squares: LeastSquares, found: Evaluation, priors: bool = True) -> FloatArray:
+    """Return the Fisher information (u, u) of the unknowns.
+
+    Parameters
+    ----------
+    priors : whether those of the fitted keys count; those of nuisances always do.
+    """
+    share = share_of_loss(squares.problem.settings.loss)
+    matrix: FloatArray = share * found.noise_jacobian.T @ found.noise_jacobian
+    m = len(squares.problem.parameters)
+    for row, (j, _) in enumerate(squares.priors, start=squares.n):
+        if priors or j >= m:
+            matrix[j, j] += found.jacobian[row, j] ** 2
+    return matrix
+
+
+@dataclass(frozen=True, eq=False)
+class Spectrum:
+    """An information matrix taken apart.
+
+    Parameters
+    ----------
+    size : (u,) square roots of its diagonal, 1 for none.
+    values, vectors : eigenvalues, increasing, and eigenvectors of the matrix with a unit diagonal.
+    """
+
+    size: FloatArray
+    values: FloatArray
+    vectors: FloatArray
+
+    @classmethod
+    def of(cls, matrix: FloatArray) -> "Spectrum":
+        """Take a matrix (u, u) apart."""
+        diagonal = np.sqrt(np.diag(matrix))
+        size = np.where(diagonal > 0, diagonal, 1.0)
+        values, vectors = np.linalg.eigh(matrix / np.outer(size, size))
+        return cls(size, np.maximum(values, 0.0), vectors)
+
+    @property
+    def covariance(self) -> FloatArray:
+        """(u, u) inverse; infinite variances of what nothing is known of."""
+        known = self.values > _NOTHING
+        part = self.vectors[:, known] / np.sqrt(self.values[known]) / self.size[:, None]
+        covariance: FloatArray = part @ part.T
+        lost = (np.abs(self.vectors[:, ~known]) > 1e-3).any(axis=1)
+        covariance[lost, lost] = np.inf
+        return covariance
+
+    def weakest(self, unknown: int) -> FloatArray:
+        """Return the projector (u, u) on directions as weak as an unknown's weakest."""
+        share = self.vectors[unknown] ** 2 / np.maximum(self.values, _NOTHING)
+        value = max(float(self.values[int(np.argmax(share))]), _NOTHING)
+        part = self.vectors[:, self.values <= _AS_WEAK * value]
+        projector: FloatArray = part @ part.T
+        return projector
+
+
+def estimates(
+    squares: LeastSquares, x: FloatArray, found: Evaluation
+) -> tuple[tuple[ParameterEstimate, ...], FloatArray]:
+    """Return what is known of each fitted key, and the covariance (u, u) of the unknowns."""
+    whole = Spectrum.of(information(squares, found))
+    covariance = whole.covariance
+    alone = Spectrum.of(information(squares, found, priors=False))
+    finite = np.where(np.isfinite(covariance), covariance, 0.0)
+    free = x - finite @ found.jacobian.T @ found.residuals  # where no bound is in the way
+    values = squares.values(x)
+    sds = np.sqrt(np.diag(covariance))
+    judged = [_judged(squares, j, x[j], free[j], float(sds[j])) for j in range(len(values))]
+    vague = [
+        j for j, sd in enumerate(sds[: len(values)]) if np.isfinite(sd) and _vague(squares, j, sd)
+    ]
+    told = []
+    for j, (verdict, limits, sd) in enumerate(judged):
+        if vague and _follows(finite, j, vague):
+            verdict, limits = "not identified", (None, None)
+        parameter = squares.problem.parameters[j]
+        natural = None if sd is None else sd * parameter.slope(values[j])
+        low, high = (
+            None if limit is None or not math.isfinite(limit) else parameter.value(limit)
+            for limit in limits
+        )
+        unclear = verdict == "not identified"
+        told.append(
+            ParameterEstimate(
+                parameter.key, float(values[j]), natural, (low, high), verdict,
+                direction(squares, alone, j) if unclear else "",
+            )
+        )  # fmt: skip
+    return tuple(told), covariance
+
+
+def _follows(covariance: FloatArray, j: int, others: Sequence[int]) -> bool:
+    """Tell whether an unknown would be known if all of some others were."""
+    part = covariance[np.ix_([j, *others], [j, *others])]
+    sds = np.sqrt(np.diag(part))
+    part = part / np.outer(*[np.where(sds > 0.0, sds, 1.0)] * 2)
+    told = part[0, 1:] @ np.linalg.pinv(part[1:, 1:], rcond=_NOTHING, hermitian=True) @ part[1:, 0]
+    return bool(told > _ONE**2)
+
+
+def _vague(squares: LeastSquares, j: int, sd: float) -> bool:
+    """Tell whether the interval of an unknown is wider than its bounds, or than one may be."""
+    level = squares.problem.settings.level
+    half = float(norm.ppf(0.5 + 0.5 * level)) * sd
+    widest = 0.5 * (squares.upper[j] - squares.lower[j])
+    if squares.problem.parameters[j].log:
+        widest = min(widest, _WIDEST_LOG)
+    return not half <= widest
+
+
+def _judged(
+    squares: LeastSquares, j: int, x: float, free: float, sd: float
+) -> tuple[Verdict, tuple[float | None, float | None], float | None]:
+    """Return the verdict on an unknown, its limits, and its sd."""
+    parameter, level = squares.problem.parameters[j], squares.problem.settings.level
+    low, high = squares.lower[j], squares.upper[j]
+    half = float(norm.ppf(0.5 + 0.5 * level)) * sd
+    prior = parameter.prior
+    mere = prior is not None and sd * parameter.slope(parameter.value(x)) > _MERE_PRIOR * prior.sd
+    if _vague(squares, j, sd) or mere:
+        return "not identified", (None, None), sd if math.isfinite(sd) else None
+    near = 1e-3 * sd
+    if x - low <= near or high - x <= near:
+        quantile = float(chi2.ppf(2.0 * level - 1.0, 1)) * sd * sd
+        if x - low <= near:
+            centre = min(free, low)
+            return "at bound", (None, centre + math.sqrt((low - centre) ** 2 + quantile)), sd
+        centre = max(free, high)
+        return "at bound", (centre - math.sqrt((high - centre) ** 2 + quantile), None), sd
+    below, above = x - half, x + half
+    return "identified", (below if below > low else None, above if above < high else None), sd
+
+
+def direction(squares: LeastSquares, spectrum: Spectrum, j: int) -> str:
+    """Return in words what the readings tell instead of an unknown.
+
+    Parameters
+    ----------
+    spectrum : of the information of the readings.
+    """
+    names, parameters = squares.names, squares.problem.parameters
+    weak = spectrum.weakest(j)
+    taking = np.flatnonzero(np.abs(weak[j]) > _TOLD * np.abs(weak[j]).max()).tolist()
+    keys = [i for i in taking if i < len(parameters)]
+    if taking == [j]:
+        return f"the readings hardly respond to {names[j]}"
+    if taking == keys and all(parameters[i].log for i in keys):
+        values, vectors = np.linalg.eigh(weak[np.ix_(keys, keys)])
+        strong = vectors[:, values < 0.5]
+        if strong.shape[1] == 1:
+            return f"only {_product(squares, keys, strong[:, 0] * spectrum.size[keys])}"
+        return f"only products of {', '.join(sorted(str(names[i]) for i in keys))}"
+    mine = str(names[j])
+    rest = [told(names[i]) for i in taking if i != j]
+    return f"{mine} against {' and '.join([', '.join(rest[:-1]), rest[-1]] if rest[1:] else rest)}"
+
+
+def _product(squares: LeastSquares, keys: Sequence[int], powers: FloatArray) -> str:
+    """Return the product of powers of keys, that of the first by name being 1."""
+    named = sorted((str(squares.names[i]), float(p)) for i, p in zip(keys, powers, strict=True))
+    words = [named[0][0]]
+    for name, power in named[1:]:
+        power /= named[0][1]
+        exponent = "" if abs(abs(power) - 1.0) < 0.05 else f"^{abs(power):.2g}"
+        words.append(f"{'x' if power > 0 else '/'} {name}{exponent}")
+    return " ".join(words)
+
+
+def told(name: str | tuple[str, str, str]) -> str:
+    """Return what messages call an unknown."""
+    if isinstance(name, str):
+        return name
+    experiment, series, kind = name
+    return f"{kind} of {series} ({experiment})"

@@ -1,0 +1,305 @@
+"""The least squares problem of a fit: unknowns, residuals and their derivatives.
+
+Unknowns are those of the fitted keys, then the nuisances of all series. Residuals are those of all
+readings, in units of their noise, then those of all priors. Nuisances are linear, so that they cost
+no histories.
+"""
+
+import logging
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import lsq_linear
+
+from ringwear_par.arrays import BoolArray, FloatArray
+from ringwear_par.identification.definition.problem import Prior, Problem
+from ringwear_par.identification.model.histories import Histories
+from ringwear_par.identification.model.readings import log_volume, nuisance_columns, whitened
+from ringwear_par.identification.model.steps import STEPS
+
+log = logging.getLogger(__name__)
+
+#: degrees of freedom of the loss "student"
+NU = 4.0
+
+
+@dataclass(frozen=True, eq=False)
+class Evaluation:
+    """Residuals at some unknowns.
+
+    Parameters
+    ----------
+    model : (n,) readings as the model has them, nuisances included.
+    noise : (n,) residuals of the readings over their sd, uncorrelated.
+    noise_jacobian : (n, u).
+    residuals : (n + priors,) what is squared and summed.
+    jacobian : (n + priors, u).
+    sensitivity : (n, m) derivatives of the readings with respect to the fitted keys' values.
+    """
+
+    model: FloatArray
+    noise: FloatArray
+    noise_jacobian: FloatArray
+    residuals: FloatArray
+    jacobian: FloatArray
+    sensitivity: FloatArray
+
+    @property
+    def objective(self) -> float:
+        """Half the sum of squares."""
+        return float(0.5 * self.residuals @ self.residuals)
+
+
+class LeastSquares:
+    """Residuals of a problem over its unknowns.
+
+    Parameters
+    ----------
+    problem : the problem.
+    histories : of its experiments.
+
+    Attributes
+    ----------
+    names : (u,) of the unknowns: keys, then (experiment, series, kind) of nuisances.
+    data : (n,) the readings.
+    nuisance_columns : (n, u - m) what nuisances add to the readings, by their units.
+    lower, upper : (u,) bounds.
+    noise_scale : of each series, by which its sd is multiplied.
+    steps : about how many a history makes.
+    known : what histories gave, or failed with, by the bytes of the fitted keys' values.
+    """
+
+    def __init__(self, problem: Problem, histories: Histories) -> None:
+        self.problem, self._histories = problem, histories
+        self._m = len(problem.parameters)
+        self.series = [(e, s) for e in problem.experiments for s in e.series]
+        ends = np.cumsum([series.n for _, series in self.series])
+        self.parts = [slice(end - s.n, end) for end, (_, s) in zip(ends, self.series, strict=True)]
+        self.n = int(ends[-1])
+        self.data = np.concatenate([series.value for _, series in self.series])
+        self.noise_scale = np.ones(len(self.series))
+        self.steps = STEPS
+        self.known: dict[bytes, FloatArray | Exception] = {}
+        self._pose()
+
+    def _pose(self) -> None:
+        """Lay the unknowns out."""
+        self.names: list[str | tuple[str, str, str]] = list(self.problem.keys)
+        limits = [[p.unknown(b) for b in p.bounds] for p in self.problem.parameters]
+        priors: list[tuple[int, Prior]] = [
+            (j, p.prior) for j, p in enumerate(self.problem.parameters) if p.prior is not None
+        ]
+        columns = []
+        for (experiment, series), part in zip(self.series, self.parts, strict=True):
+            own = nuisance_columns(series, experiment.case)
+            for nuisance, values in zip(series.nuisances, own.T, strict=True):
+                column = np.zeros(self.n)
+                column[part] = values
+                columns.append(column)
+                if nuisance.prior is not None:
+                    priors.append((len(self.names), nuisance.prior))
+                self.names.append((experiment.name, series.name, nuisance.kind))
+                limits.append(list(nuisance.bounds))
+        self.lower, self.upper = np.array(limits).T
+        self.nuisance_columns = np.stack(columns, axis=1) if columns else np.zeros((self.n, 0))
+        self.priors = priors
+
+    @property
+    def sd(self) -> FloatArray:
+        """(n,) noise of the readings."""
+        scaled = zip(self.series, self.noise_scale.tolist(), strict=True)
+        return np.concatenate([scale * series.sd for (_, series), scale in scaled])
+
+    def values(self, x: FloatArray) -> FloatArray:
+        """Return the fitted keys' values (m,) of unknowns."""
+        parameters = self.problem.parameters
+        return np.array([p.value(u) for p, u in zip(parameters, x, strict=False)])
+
+    def slopes(self, values: FloatArray) -> FloatArray:
+        """Return the derivatives (m,) of the values with respect to their unknowns."""
+        return np.array([p.slope(v) for p, v in zip(self.problem.parameters, values, strict=True)])
+
+    def allowed(self, points: FloatArray) -> BoolArray:
+        """Return at which unknowns (p, m) of the fitted keys all rules of the laws hold, (p,)."""
+        return self._histories.allowed(np.array([self.values(x) for x in points]))
+
+    def knows(self, x: FloatArray) -> bool:
+        """Tell whether the histories at unknowns are there."""
+        return self.values(x).tobytes() in self.known
+
+    def forget(self, points: Sequence[FloatArray], but: FloatArray) -> None:
+        """Forget the histories at unknowns, but for those at some."""
+        kept = self.values(but).tobytes()
+        for key in {self.values(x).tobytes() for x in points} - {kept}:
+            self.known.pop(key, None)
+
+    def keep(self, x: FloatArray) -> None:
+        """Forget all histories but those at unknowns. Not collective."""
+        self.look_up([x])
+        key = self.values(x).tobytes()
+        self.known = {key: self.known[key]}
+
+    def look_up(self, points: Sequence[FloatArray]) -> None:
+        """Have the histories at unknowns computed together, and keep them. Not collective."""
+        values = [self.values(x) for x in points]
+        new = {v.tobytes(): v for v in values if v.tobytes() not in self.known}
+        if new:
+            found = self._histories.responses(np.array(list(new.values())), self.steps)
+            self.known.update(zip(new, found, strict=True))
+
+    def refine(self) -> None:
+        """Have histories make twice as many steps from now on."""
+        self.steps *= 2
+        self.known = {}
+
+    def moved(self, x: FloatArray, found: Evaluation, covariance: FloatArray) -> FloatArray | None:
+        """Return by how many sd (m,) steps half as long would move the fitted keys' unknowns.
+
+        To the first order, and 0 of those of which nothing is known; None, and a warning, where no
+        history comes of such steps. Not collective.
+
+        Parameters
+        ----------
+        x, found, covariance : the optimum, the residuals there, (u, u) of the unknowns.
+        """
+        values = self.values(x)
+        (finer,) = self._histories.responses(values[None], 2 * self.steps, derivatives=False)
+        if isinstance(finer, Exception):
+            log.warning("what shorter steps would change is not known: %s", finer)
+            return None
+        change = self.whitened(finer[:, 0] - self.bare(x))
+        growth = self._loss(found.noise + change)[0] - found.residuals[: self.n]
+        known = np.where(np.isfinite(covariance), covariance, 0.0)[: self._m]
+        sd = np.sqrt(np.diag(known))
+        shift = known @ (found.jacobian[: self.n].T @ growth)
+        return np.divide(-shift, sd, out=np.zeros(self._m), where=sd > 0.0)
+
+    def _response(self, x: FloatArray) -> FloatArray:
+        self.look_up([x])
+        found = self.known[self.values(x).tobytes()]
+        if isinstance(found, Exception):
+            raise found
+        return found
+
+    def bare(self, x: FloatArray) -> FloatArray:
+        """Return the readings (n,) as the model has them without nuisances. Not collective.
+
+        Raises
+        ------
+        ComputationError : a history.
+        """
+        return self._response(x)[:, 0]
+
+    def columns(self, x: FloatArray) -> FloatArray:
+        """Return derivatives (n, u) of the readings with respect to the unknowns. Not collective.
+
+        Raises
+        ------
+        ComputationError : a history.
+        """
+        own = self._response(x)[:, 1:] * self.slopes(self.values(x))
+        return np.concatenate([own, self.nuisance_columns], axis=1)
+
+    def evaluate(self, x: FloatArray) -> Evaluation:
+        """Return the residuals at unknowns (u,). Not collective.
+
+        Raises
+        ------
+        ComputationError : a history.
+        """
+        values, response = self.values(x), self._response(x)
+        model = response[:, 0] + self.nuisance_columns @ x[self._m :]
+        jacobian = self.columns(x)
+        rows = np.concatenate([(model - self.data)[:, None], jacobian], axis=1)
+        rows = self.whitened(rows)
+        noise, noise_jacobian = rows[:, 0], rows[:, 1:]
+        loss, slope = self._loss(noise)
+        residuals = np.append(loss, np.zeros(len(self.priors)))
+        whole = np.concatenate(
+            [slope[:, None] * noise_jacobian, np.zeros((len(self.priors), len(x)))]
+        )
+        for row, (j, prior) in enumerate(self.priors, start=self.n):
+            at, by = (values[j], self.slopes(values)[j]) if j < self._m else (x[j], 1.0)
+            residuals[row], whole[row, j] = (at - prior.mean) / prior.sd, by / prior.sd
+        return Evaluation(model, noise, noise_jacobian, residuals, whole, response[:, 1:])
+
+    def whitened(self, rows: FloatArray) -> FloatArray:
+        """Return rows (n, ...) of all readings in units of their noise, uncorrelated."""
+        rows = rows / self.sd.reshape(-1, *(1,) * (rows.ndim - 1))
+        parts = zip(self.series, self.parts, strict=True)
+        return np.concatenate([whitened(series, rows[part]) for (_, series), part in parts])
+
+    def _loss(self, noise: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return what is squared in place of residuals (n,), and its derivative.
+
+        Of the loss "student" the sum of squares is twice the negative logarithm of the likelihood,
+        but for a constant.
+        """
+        if self.problem.settings.loss == "gaussian":
+            return noise, np.ones(self.n)
+        square = noise * noise
+        loss = np.sign(noise) * np.sqrt((NU + 1.0) * np.log1p(square / NU))
+        small = np.abs(noise) < 1e-6
+        slope = (NU + 1.0) * noise / ((NU + square) * np.where(small, 1.0, loss))
+        return loss, np.where(small, np.sqrt((NU + 1.0) / NU), slope)
+
+    def weights(self, noise: FloatArray) -> FloatArray:
+        """Return how much each reading (n,) counts for its series' scatter."""
+        if self.problem.settings.loss == "gaussian":
+            return np.ones(self.n)
+        return (NU + 1.0) / (NU + noise * noise)
+
+    def log_likelihood(self, evaluation: Evaluation) -> float:
+        """Return the logarithm of the likelihood of the readings."""
+        scatter = float(np.log(self.sd).sum()) + sum(log_volume(s) for _, s in self.series)
+        loss = evaluation.residuals[: self.n]
+        constant = 0.5 * np.log(2.0 * np.pi)
+        if self.problem.settings.loss == "student":
+            from scipy.special import gammaln
+
+            constant = 0.5 * np.log(NU * np.pi) + gammaln(NU / 2.0) - gammaln((NU + 1.0) / 2.0)
+        return float(-0.5 * loss @ loss - scatter - self.n * constant)
+
+    def started(self, values: Sequence[float]) -> FloatArray:
+        """Return unknowns (u,) at values of the fitted keys, with the best nuisances for them.
+
+        Raises
+        ------
+        ComputationError : a history.
+        """
+        own = [p.unknown(v) for p, v in zip(self.problem.parameters, values, strict=True)]
+        x = np.concatenate(
+            [own, np.clip(np.zeros(len(self.names) - self._m), *self._nuisance_limits)]
+        )
+        if len(x) == self._m:
+            return x
+        found = self.evaluate(x)
+        rows = np.array([True] * self.n + [j >= self._m for j, _ in self.priors])
+        columns = found.jacobian[rows, self._m :]
+        size = np.linalg.norm(columns, axis=0)
+        size[size == 0] = 1.0  # one that does nothing
+        low, high = ((limit - x[self._m :]) * size for limit in self._nuisance_limits)
+        step = lsq_linear(columns / size, -found.residuals[rows], (low, high)).x
+        x[self._m :] = np.clip(x[self._m :] + step / size, *self._nuisance_limits)
+        return x
+
+    @property
+    def _nuisance_limits(self) -> tuple[FloatArray, FloatArray]:
+        return self.lower[self._m :], self.upper[self._m :]
+
+    @property
+    def linear(self) -> BoolArray:
+        """(u,) bool, unknowns on which residuals depend linearly, and which have no bounds."""
+        free = np.isinf(self.lower) & np.isinf(self.upper)
+        free[: self._m] = False
+        return free & (self.problem.settings.loss == "gaussian")
+
+    @property
+    def idle(self) -> BoolArray:
+        """(u,) bool, which nuisances do nothing to any reading and have no prior."""
+        known = {j for j, _ in self.priors}
+        does = np.append(
+            np.ones(self._m, dtype=bool), np.abs(self.nuisance_columns).sum(axis=0) > 0
+        )
+        return ~does & ~np.isin(np.arange(len(does)), list(known))

@@ -1,0 +1,270 @@
+"""Minimisers of least squares within bounds: TAO's ``brgn``, and SciPy's as the second opinion."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from ringwear_par.arrays import BoolArray, FloatArray
+from ringwear_par.contact.tao import Guard
+from ringwear_par.errors import ComputationError, LawError
+from ringwear_par.identification.estimation.least_squares import Evaluation, LeastSquares
+from ringwear_par.identification.model.lockstep import Meet, StoppedError
+from ringwear_par.identification.model.steps import bends_within
+from ringwear_par.options import FIT_PREFIX, set_from_options
+from ringwear_par.petsc import PETSc
+
+Residuals = Callable[[FloatArray], Evaluation]
+
+#: of the gradient, in units in which one is a standard deviation away from the optimum
+_GRADIENT = 1e-5
+#: largest gradient of what still counts as an optimum, where a line search sees round-off only
+_GOOD_GRADIENT = 1e-2
+#: iterations on one scale, and how often the scale is that of the place reached
+_ITERATIONS, _SCALES = 8, 10
+#: decrease of half the sum of squares on one scale that is none: 0.01 sd along the valley
+_NO_GAIN = 1e-4
+#: trials one after another without such a decrease that end the search where readings bend, and
+#: what may be between them
+_STILL, _NEAR = 4, 1e-2
+#: how much larger residuals are where there is no history
+_FAR = 1e3
+#: singular values of nuisances below it, over the largest: they are one
+_DEPENDENT = 1e-10
+#: relative to the Jacobian: keeps steps finite in directions that nothing is known of
+_REGULARISER = 1e-10
+
+
+@dataclass(frozen=True, eq=False)
+class Optimum:
+    """Where a minimiser ended.
+
+    Parameters
+    ----------
+    x : (u,) unknowns.
+    evaluation : residuals there.
+    converged : whether the gradient within the bounds vanishes.
+    iterations : of the minimiser.
+    points : at which it has had histories computed.
+    """
+
+    x: FloatArray
+    evaluation: Evaluation
+    converged: bool
+    iterations: int
+    points: int
+
+
+def minimise(
+    squares: LeastSquares, start: FloatArray, meet: Meet | None = None, held: int | None = None
+) -> Optimum:
+    """Return the least squares near a start, within bounds. Not collective.
+
+    Unknowns without bounds on which residuals depend linearly are at every trial the best for the
+    others. Histories of trials are forgotten, but for those at the optimum.
+
+    Parameters
+    ----------
+    start : (u,) within the bounds.
+    meet : has the histories at a point computed, and others' with them.
+    held : a fitted key that stays where it is.
+
+    Raises
+    ------
+    ComputationError : a history.
+    """
+    asked: list[FloatArray] = []
+
+    def evaluate(x: FloatArray) -> Evaluation:
+        if not squares.knows(x):
+            asked.append(x)
+            if meet is not None:
+                meet(x)
+        return squares.evaluate(x)
+
+    bounds, free = (squares.lower, squares.upper), ~squares.idle
+    if held is not None:
+        free[held] = False
+    sought, projected = free & ~squares.linear, free & squares.linear
+    bent = any(bends_within(experiment) for experiment in squares.problem.experiments)
+    x, iterations, still = start, 0, False
+    solve = _brgn if squares.problem.settings.method == "brgn" else _scipy
+    for _ in range(_SCALES):
+        problem = _Reduced(evaluate, x, bounds, sought, projected)
+        if not sought.any():
+            x = problem.whole(x[sought])
+            break
+        before = problem.residuals(problem.start)
+        problem.patience = _STILL if bent else None
+        try:
+            part, more = solve(problem)
+        except _StillError:
+            x, still = problem.best, True
+            break
+        x, iterations = problem.whole(part), iterations + more
+        gain = 0.5 * float(before @ before) - evaluate(x).objective
+        if more < _ITERATIONS or not gain > _NO_GAIN:
+            break
+    found = evaluate(x)
+    squares.forget(asked, x)
+    good = still or _gradient(found, x, bounds, free) <= _GOOD_GRADIENT
+    return Optimum(x, found, good, iterations, len(asked))
+
+
+def _gradient(
+    found: Evaluation, x: FloatArray, bounds: tuple[FloatArray, FloatArray], free: BoolArray
+) -> float:
+    """Return the norm of the gradient, without what bounds hold, by each unknown's own sd."""
+    size = np.linalg.norm(found.jacobian, axis=0)
+    slope = found.jacobian.T @ found.residuals / np.where(size > 0, size, 1.0)
+    out = ((x <= bounds[0]) & (slope > 0)) | ((x >= bounds[1]) & (slope < 0)) | ~free
+    return float(np.linalg.norm(np.where(out, 0.0, slope)))
+
+
+class _StillError(Exception):
+    """No trial of late was better by as much as counts."""
+
+
+class _Reduced:
+    """A problem over the unknowns sought, in units of their scale where it starts.
+
+    Remembers its last point, as minimisers ask for residuals and Jacobian one after the other.
+
+    Parameters
+    ----------
+    x : (u,) where it starts.
+    sought, projected : (u,) bool.
+
+    Attributes
+    ----------
+    patience : trials in vain after which it raises ``_StillError``; None: it never does.
+    best : (u,) the unknowns of the best trial since then.
+    """
+
+    def __init__(
+        self,
+        evaluate: Residuals,
+        x: FloatArray,
+        bounds: tuple[FloatArray, FloatArray],
+        sought: BoolArray,
+        projected: BoolArray,
+    ) -> None:
+        self._evaluate, self._x, self._sought, self._projected = evaluate, x, sought, projected
+        self._low, self._high = (bound[sought] for bound in bounds)
+        self._scale = np.ones(int(sought.sum()))
+        self.patience: int | None = None
+        self.best, self._least, self._vain = x, np.inf, 0
+        self._last: tuple[bytes, FloatArray, FloatArray, FloatArray] | None = None
+        sizes = np.linalg.norm(self._at(x[sought])[2], axis=0)
+        widths = np.where(np.isfinite(self._high - self._low), self._high - self._low, 1.0)
+        self._scale = np.where(sizes > 0, 1.0 / np.where(sizes > 0, sizes, 1.0), widths)
+        #: where it starts, and the bounds
+        self.start, self.low, self.high = (
+            value / self._scale for value in (x[sought], self._low, self._high)
+        )
+        self._last = None
+        self._at(self.start)
+
+    def _at(self, y: FloatArray) -> tuple[bytes, FloatArray, FloatArray, FloatArray]:
+        """Return residuals, Jacobian and unknowns."""
+        if self._last is None or self._last[0] != y.tobytes():
+            x = self._x.copy()
+            x[self._sought] = np.clip(y * self._scale, self._low, self._high)
+            try:
+                found = self._evaluate(x)
+            except (StoppedError, LawError):
+                raise
+            except ComputationError:  # a trial too far: a ring worn through, say
+                if self._last is None:
+                    raise
+                far = np.full_like(self._last[1], _FAR * (1.0 + np.abs(self._last[1]).max()))
+                self._last = y.tobytes(), far, np.zeros_like(self._last[2]), x
+                return self._last
+            residuals, jacobian = found.residuals, found.jacobian[:, self._sought] * self._scale
+            if self._projected.any():
+                columns = found.jacobian[:, self._projected]
+                size = np.linalg.norm(columns, axis=0)
+                left, values, right = np.linalg.svd(columns / size, full_matrices=False)
+                left = left[:, values > _DEPENDENT * values[0]]
+                part = left.T @ residuals
+                own = right[: len(part)].T @ (part / values[: len(part)])
+                x[self._projected] -= own / size
+                residuals = residuals - left @ part
+                jacobian = jacobian - left @ (left.T @ jacobian)
+            self._last = y.tobytes(), residuals, jacobian, x
+            self._judge(x, 0.5 * float(residuals @ residuals))
+        return self._last
+
+    def _judge(self, x: FloatArray, objective: float) -> None:
+        """Count trials near the best one that are in vain: gradients jump where readings bend."""
+        if objective < self._least - _NO_GAIN:
+            self._vain = 0
+        elif objective < self._least + _NEAR:
+            self._vain += 1
+        if objective < self._least:
+            self.best, self._least = x, objective
+        if self.patience is not None and self._vain >= self.patience:
+            raise _StillError
+
+    def residuals(self, y: FloatArray) -> FloatArray:
+        """Return the residuals with the best of what is projected."""
+        return self._at(y)[1]
+
+    def jacobian(self, y: FloatArray) -> FloatArray:
+        """Return their derivatives, but for terms that vanish with the residuals."""
+        return self._at(y)[2]
+
+    def whole(self, y: FloatArray) -> FloatArray:
+        """Return all unknowns."""
+        return self._at(y)[3]
+
+
+def _brgn(problem: _Reduced) -> tuple[FloatArray, int]:
+    """Return the optimum of TAO's regularised Gauss-Newton method, and its iterations."""
+    y = problem.start
+    guard = Guard()
+
+    def residuals(_: PETSc.TAO, at: PETSc.Vec, f: PETSc.Vec) -> None:
+        f.setArray(problem.residuals(at.getArray(readonly=True).copy()))
+
+    def jacobian(_: PETSc.TAO, at: PETSc.Vec, j: PETSc.Mat, __: PETSc.Mat) -> None:
+        j.getDenseArray()[:] = problem.jacobian(at.getArray(readonly=True).copy())
+        j.assemble()
+
+    count = len(problem.residuals(y))
+    x, f = PETSc.Vec().createSeq(len(y)), PETSc.Vec().createSeq(count)
+    matrix = PETSc.Mat().createDense((count, len(y)), comm=PETSc.COMM_SELF)
+    matrix.setUp()
+    low, high = x.duplicate(), x.duplicate()
+    x.setArray(y)
+    low.setArray(np.maximum(problem.low, PETSc.NINFINITY))
+    high.setArray(np.minimum(problem.high, PETSc.INFINITY))
+    tao = PETSc.TAO().create(PETSc.COMM_SELF)
+    try:
+        tao.setOptionsPrefix(FIT_PREFIX)
+        tao.setType("brgn")
+        tao.setResidual(guard.kept(residuals), f)
+        tao.setJacobianResidual(guard.kept(jacobian), matrix, matrix)
+        tao.setBRGNRegularizerWeight(_REGULARISER)
+        tao.setVariableBounds((low, high))
+        tao.setTolerances(gatol=_GRADIENT, grtol=0.0, gttol=0.0)
+        tao.setMaximumIterations(_ITERATIONS)
+        tao.setSolution(x)
+        set_from_options(tao, FIT_PREFIX)
+        guard.solve(tao, "brgn")
+        return x.getArray(readonly=True).copy(), tao.getIterationNumber()
+    finally:
+        for each in (tao, matrix, f, x, low, high):
+            each.destroy()
+
+
+def _scipy(problem: _Reduced) -> tuple[FloatArray, int]:
+    """Return the optimum of SciPy's trust region method, and its evaluations."""
+    from scipy.optimize import least_squares
+
+    inside = np.clip(problem.start, problem.low, problem.high)
+    found = least_squares(
+        problem.residuals, inside, problem.jacobian, (problem.low, problem.high), x_scale="jac",
+        xtol=1e-10, ftol=1e-12, gtol=_GRADIENT, max_nfev=_ITERATIONS,
+    )  # fmt: skip
+    return found.x, found.nfev

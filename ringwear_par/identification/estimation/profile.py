@@ -1,0 +1,174 @@
+"""Likelihood profiles: how the best fit worsens as one parameter is held elsewhere.
+
+Their limits need no linear model: a parameter is as far from its estimate as the sum of squares
+allows when all other unknowns make the best of it.
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import NamedTuple
+
+import numpy as np
+from scipy.stats import chi2
+
+from ringwear_par.arrays import FloatArray
+from ringwear_par.errors import ComputationError, LawError
+from ringwear_par.identification.estimation.intervals import ParameterEstimate
+from ringwear_par.identification.estimation.least_squares import LeastSquares
+from ringwear_par.identification.estimation.minimise import Optimum, minimise
+from ringwear_par.identification.model.lockstep import Meet, StoppedError, side_by_side
+
+#: of the root of the growth of the sum of squares, at which a limit is found
+_CLOSE = 0.01
+_MOST_POINTS = 8
+#: decrease of the sum of squares that is a better optimum, and no rest of the minimiser's
+_BETTER = 1e-2
+
+
+@dataclass(frozen=True, eq=False)
+class Profiles:
+    """What likelihood profiles tell.
+
+    Parameters
+    ----------
+    estimates : with their limits.
+    tables : for each key (2, points): values of the parameter, increasing, and what twice the
+        objective grows by.
+    unsure : keys of which a limit is not known as closely as it should be.
+    better : (u,) unknowns on the way that are better than the optimum; None: there are none.
+    """
+
+    estimates: tuple[ParameterEstimate, ...]
+    tables: Mapping[str, FloatArray]
+    unsure: tuple[str, ...] = ()
+    better: FloatArray | None = None
+
+
+class _Limit(NamedTuple):
+    """The unknown at a limit, None for no limit; whether it is as close as it should be."""
+
+    at: float | None
+    close: bool = True
+    better: Optimum | None = None
+
+
+def likelihood_profiles(
+    squares: LeastSquares,
+    optimum: Optimum,
+    estimates: Sequence[ParameterEstimate],
+    covariance: FloatArray,
+) -> Profiles:
+    """Return what profiles tell, or the estimates as they are where none are asked for.
+
+    All limits are sought side by side. Not collective.
+
+    Parameters
+    ----------
+    estimates : with linear limits.
+    covariance : (u, u) of the unknowns.
+    """
+    if "profile" not in squares.problem.settings.intervals:
+        return Profiles(tuple(estimates), {})
+    level = squares.problem.settings.level
+    tables: dict[int, dict[float, float]] = {}
+    sought = []
+    for j, estimate in enumerate(estimates):
+        if estimate.verdict == "not identified":
+            continue
+        tables[j] = {float(optimum.x[j]): 0.0}
+        one_sided = estimate.verdict == "at bound"
+        root = math.sqrt(float(chi2.ppf(2.0 * level - 1.0 if one_sided else level, 1)))
+        sought += [
+            (j, side, root)
+            for side in (0, 1)
+            if not one_sided or estimate.interval[side] is not None
+        ]
+    searches = [
+        partial(_limit, squares, optimum, covariance, j, (-1.0, 1.0)[side], root, tables[j])
+        for j, side, root in sought
+    ]
+    outcomes = side_by_side(searches, squares.look_up)
+    better = [one.better for one in outcomes if one.better is not None]
+    if better:
+        best = min(better, key=lambda one: one.evaluation.objective)
+        return Profiles(tuple(estimates), {}, better=best.x)
+    limits = {(j, side): one.at for (j, side, _), one in zip(sought, outcomes, strict=True)}
+    unsure = {j for (j, _, _), one in zip(sought, outcomes, strict=True) if not one.close}
+    found, profiles = list(estimates), {}
+    for j, points in tables.items():
+        parameter = squares.problem.parameters[j]
+        ends = (limits.get((j, side)) for side in (0, 1))
+        low, high = (None if end is None else parameter.value(end) for end in ends)
+        found[j] = replace(estimates[j], interval=(low, high))
+        table = np.array(sorted(points.items())).T
+        table[0] = [parameter.value(u) for u in table[0]]
+        profiles[parameter.key] = table
+    keys = squares.problem.keys
+    return Profiles(tuple(found), profiles, tuple(keys[j] for j in sorted(unsure)))
+
+
+def _limit(
+    squares: LeastSquares,
+    optimum: Optimum,
+    covariance: FloatArray,
+    j: int,
+    side: float,
+    wanted: float,
+    points: dict[float, float],
+    meet: Meet,
+) -> _Limit:
+    """Return the unknown at which the root of the growth is ``wanted``.
+
+    The root grows nearly linearly, so that secants find it.
+
+    Parameters
+    ----------
+    side : -1 below the optimum, 1 above.
+    points : of the profile, to which those on the way are added.
+    """
+    bounds = squares.lower, squares.upper
+    sd = math.sqrt(covariance[j, j])
+    centre, end = float(optimum.x[j]), float(bounds[0][j] if side < 0 else bounds[1][j])
+    # how the others follow where the model is linear
+    follow = np.where(np.isfinite(covariance[:, j]), covariance[:, j], 0.0) / covariance[j, j]
+    least = optimum.evaluation.objective
+    inner, outer = (0.0, 0.0), (math.inf, math.inf)
+    step, x = wanted * sd, optimum.x
+    before = centre
+    for _ in range(_MOST_POINTS):
+        at = centre + side * step
+        at = max(at, end) if side < 0 else min(at, end)
+        start = x + follow * (at - before)
+        start[j] = at
+        try:
+            best = minimise(squares, np.clip(start, *bounds), meet, held=j)
+        except (StoppedError, LawError):
+            raise
+        except ComputationError:  # too far: no case by the rules of a law, or worn through
+            outer = abs(at - centre), math.inf
+            step = 0.5 * (inner[0] + outer[0])
+            continue
+        growth = 2.0 * (best.evaluation.objective - least)
+        if growth < -_BETTER:
+            return _Limit(None, better=best)
+        points[at] = growth = max(growth, 0.0)
+        root, step, x, before = math.sqrt(growth), abs(at - centre), best.x, at
+        if abs(root - wanted) <= _CLOSE * wanted:
+            return _Limit(at)
+        if root < wanted:
+            if at == end:
+                return _Limit(None)
+            inner = step, root
+        else:
+            outer = step, root
+        if math.isinf(outer[0]):
+            step = step * min(wanted / max(root, 0.1 * wanted), 4.0)
+        elif math.isinf(outer[1]):
+            step = 0.5 * (inner[0] + outer[0])
+        else:
+            share = (wanted - inner[1]) / (outer[1] - inner[1])
+            step = inner[0] + (outer[0] - inner[0]) * min(max(share, 0.05), 0.95)
+    beyond = math.isfinite(outer[0]) and math.isinf(outer[1])  # trials there never gave residuals
+    return _Limit(None if beyond else centre + side * step, close=False)

@@ -1,0 +1,198 @@
+"""The best tests to make together: information adds, so that single tests tell of all together."""
+
+import itertools
+from collections.abc import Hashable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ringwear_par.arrays import FloatArray, IntArray
+from ringwear_par.identification.definition.candidates import Candidate
+from ringwear_par.identification.definition.prior_information import Belief, widths
+from ringwear_par.identification.definition.problem import Problem
+
+#: information, over the widths of bounds, that is none; and beside the largest
+_NOTHING, _ROUND_OFF = 1e-9, 1e-13
+#: pairs of candidates that are looked at together
+_AT_ONCE = 20_000
+#: designs that are told, and rounds of exchange in their search
+_TOLD, _ROUNDS = 10, 20
+#: best exchanges of two tests that are looked at as designs of their own
+_NEAR = 200
+
+
+@dataclass(frozen=True, eq=False)
+class Design:
+    """Tests to make together, and what they would tell.
+
+    Parameters
+    ----------
+    tests : their candidates, by number.
+    score : by the criterion, larger is better.
+    sd : (m,) predicted standard deviations of the keys' values, as far as they are what they seem.
+    range : (2, m) smallest and largest over the draws.
+    correlation : (m, m).
+    """
+
+    tests: tuple[int, ...]
+    score: float
+    sd: FloatArray
+    range: FloatArray
+    correlation: FloatArray
+
+
+class Search:
+    """Looks for the best tests.
+
+    Parameters
+    ----------
+    told : what is known before.
+    information : (d, c, m, m) of each candidate, at each draw.
+    tests : the candidates.
+    """
+
+    def __init__(
+        self,
+        problem: Problem,
+        told: Belief,
+        information: FloatArray,
+        tests: Sequence[Candidate],
+    ) -> None:
+        self._parameters, self._space = problem.parameters, problem.design
+        self._nominal = told.nominal
+        self._seconds = np.array([test.seconds for test in tests])
+        self._kinds = [test.kind for test in tests]
+        self._widths = widths(self._parameters)
+        scale = np.outer(self._widths, self._widths)
+        # over the widths of bounds, and never singular
+        self._before = told.information * scale
+        self._floor = _NOTHING * np.eye(len(self._widths))
+        self._information = information * scale
+
+    def best(self, count: int) -> list[Design]:
+        """Return the best designs of so many tests."""
+        c = len(self._seconds)
+        nothing = np.zeros_like(self._information[:, 0])
+        limit = np.inf if self._space.seconds is None else self._space.seconds * (1.0 + 1e-9)
+        if count == 1:
+            numbers = np.flatnonzero(self._seconds <= limit)
+            return self._told(numbers[:, None])
+        pairs = np.stack(np.triu_indices(c), axis=1)
+        spent = self._seconds[pairs].sum(axis=1)
+        shortest = float(self._seconds.min())
+        left = limit - shortest * (count - 2)
+        if count == 2:
+            return self._told(pairs[spent <= limit])
+        # from the best pair with the shortest others on, two are exchanged at a time; what the last
+        # exchanges could have been is told as well
+        there = pairs[spent <= left]
+        start = there[int(self._scores(there, nothing).argmax())]
+        tests = np.append(start, [int(self._seconds.argmin())] * (count - 2))
+        score = self._score(self._information[:, tests].sum(axis=1)[:, None])[0]
+        for _ in range(_ROUNDS):
+            before, near = score, []
+            for i, j in itertools.combinations(range(count), 2):
+                others = np.delete(tests, [i, j])
+                rest = self._information[:, others].sum(axis=1)
+                room = limit - self._seconds[others].sum()
+                there = pairs[spent <= room]
+                scores = self._scores(there, rest)
+                first = there[np.argsort(-scores, kind="stable")[:_NEAR]]
+                near.append(np.column_stack([np.tile(others, (len(first), 1)), first]))
+                changed = np.append(others, first[0])
+                new = self._score(self._information[:, changed].sum(axis=1)[:, None])[0]
+                if new > score:
+                    tests, score = changed, new
+            if score <= before:
+                break
+        return self._told(np.unique(np.sort([tests, *np.concatenate(near)], axis=1), axis=0))
+
+    def _scores(self, tests: IntArray, rest: FloatArray | None = None) -> FloatArray:
+        """Return the score of each row of tests, (rows, count)."""
+        found = []
+        for first in range(0, len(tests), _AT_ONCE):
+            part = tests[first : first + _AT_ONCE]
+            whole = np.sum([self._information[:, column] for column in part.T], axis=0)
+            found.append(self._score(whole if rest is None else whole + rest[:, None]))
+        return np.concatenate(found)
+
+    def _score(self, information: FloatArray) -> FloatArray:
+        """Return the mean over draws of the criterion of information (d, rows, m, m)."""
+        after = information + self._before + self._floor
+        if self._space.criterion == "A":
+            scores = -np.trace(_inverse(after), axis1=-2, axis2=-1)
+        else:
+            scores = 0.5 * np.linalg.slogdet(after)[1]
+            if self._space.criterion == "eig":
+                scores = scores - 0.5 * np.linalg.slogdet(self._before)[1]
+        mean: FloatArray = scores.mean(axis=0)
+        return mean
+
+    def _told(self, tests: IntArray) -> list[Design]:
+        scores = self._scores(tests)
+        found: dict[Hashable, Design] = {}
+        for i in np.argsort(-scores, kind="stable").tolist():
+            # of the same loads the best durations and instants are told
+            kind = tuple(sorted(self._kinds[test] for test in tests[i]))
+            if kind not in found:
+                found[kind] = self._design(tests[i], float(scores[i]))
+            if len(found) == _TOLD:
+                break
+        return list(found.values())
+
+    def _design(self, tests: IntArray, score: float) -> Design:
+        return self._predicted(
+            tuple(tests.tolist()), self._information[:, tests].sum(axis=1), score
+        )
+
+    def planned(self, information: FloatArray) -> Design:
+        """Return what tests of information (d, tests, m, m) tell together."""
+        whole = information.sum(axis=1) * np.outer(self._widths, self._widths)
+        return self._predicted((), whole, float(self._score(whole[:, None])[0]))
+
+    def _predicted(self, tests: tuple[int, ...], whole: FloatArray, score: float) -> Design:
+        covariance = _inverse(whole + self._before + self._floor)
+        spread = self._natural(covariance)
+        nominal = covariance[0]
+        root = np.sqrt(np.diag(nominal))
+        return Design(
+            tests, score, spread[0], np.stack([spread.min(axis=0), spread.max(axis=0)]),
+            nominal / np.outer(root, root),
+        )  # fmt: skip
+
+    def _natural(self, covariance: FloatArray) -> FloatArray:
+        """Return standard deviations (..., m) of values; infinite beyond the bounds' widths."""
+        share = np.sqrt(np.diagonal(covariance, axis1=-2, axis2=-1))
+        slopes = [p.slope(v) for p, v in zip(self._parameters, self._nominal.tolist(), strict=True)]
+        spread: FloatArray = np.where(share < 1.0, share * self._widths * slopes, np.inf)
+        return spread
+
+    def singles(self) -> tuple[FloatArray, FloatArray]:
+        """Return predicted standard deviations after each candidate alone, (c, m), and scores."""
+        alone = _inverse(self._information[0] + self._before + self._floor)
+        return self._natural(alone), self._score(self._information)
+
+    def pairs(self) -> tuple[FloatArray, FloatArray]:
+        """Return those after two candidates, (c, c, m), and their scores (c, c).
+
+        Scores are -inf beyond the budget.
+        """
+        information, c = self._information[0], len(self._seconds)
+        rows = [
+            self._natural(_inverse(information + one + self._before + self._floor))
+            for one in information
+        ]
+        upper = np.stack(np.triu_indices(c), axis=1)
+        scores = np.full((c, c), -np.inf)
+        limit = np.inf if self._space.seconds is None else self._space.seconds * (1.0 + 1e-9)
+        upper = upper[self._seconds[upper].sum(axis=1) <= limit]
+        scores[upper[:, 0], upper[:, 1]] = scores[upper[:, 1], upper[:, 0]] = self._scores(upper)
+        return np.array(rows), scores
+
+
+def _inverse(information: FloatArray) -> FloatArray:
+    """Return the inverse (..., m, m), lost directions as large as round-off has it."""
+    values, vectors = np.linalg.eigh(information)
+    values = np.maximum(values, np.maximum(_NOTHING, _ROUND_OFF * values[..., -1:]))
+    inverse: FloatArray = (vectors / values[..., None, :]) @ np.swapaxes(vectors, -1, -2)
+    return inverse

@@ -1,0 +1,1 @@
+"""Readings of histories at trial parameters."""

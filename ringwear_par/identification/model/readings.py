@@ -1,0 +1,167 @@
+"""What instruments would read of a history: the model of each series, and its nuisances.
+
+Readings lie between steps: splines in time over them, and over the contact elements in radius, cost
+no contact solution. Where a schedule bends, one spline ends and another begins.
+"""
+
+import itertools
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+
+from ringwear_par.arrays import FloatArray, IntArray
+from ringwear_par.cases.case import Case
+from ringwear_par.identification.definition.problem import Experiment, Series
+from ringwear_par.identification.model.trajectory import Trajectory
+from ringwear_par.schedules import in_time
+
+#: of a segment's length: within it steps are equal, beyond it their logarithms
+_EARLY = 5e-4
+#: grids of steps whose weights are kept
+_GRIDS = 4
+#: relative, for times that are one
+_CLOSE = 1e-9
+
+
+class InSteps:
+    """What values at other times are of those at the ends of steps.
+
+    Parameters
+    ----------
+    time : (s,) s, of the steps, the breaks among them.
+    at : (t,) s.
+    breaks : from the start to the end, s.
+    """
+
+    def __init__(self, time: FloatArray, at: FloatArray, breaks: Sequence[float]) -> None:
+        self._count = len(at)
+        self._parts: list[tuple[IntArray, IntArray, FloatArray]] = []
+        for low, high in itertools.pairwise(breaks):
+            close = _CLOSE * breaks[-1]
+            steps = np.flatnonzero((time >= low - close) & (time <= high + close))
+            wanted = np.flatnonzero((at >= low) & (at <= high + close))
+            if not len(wanted):
+                continue
+            own, there = (
+                np.log1p(np.clip(t - low, 0.0, high - low) / (_EARLY * (high - low)))
+                for t in (time[steps], at[wanted])
+            )
+            units = np.eye(len(steps))
+            if len(steps) > 3:
+                weights = CubicSpline(own, units)(there)
+            else:
+                weights = np.stack([np.interp(there, own, unit) for unit in units], axis=1)
+            self._parts.append((wanted, steps, weights))
+
+    def __call__(self, values: FloatArray) -> FloatArray:
+        """Return values (s, ...) at the other times, (t, ...)."""
+        result = np.empty((self._count, *values.shape[1:]))
+        for wanted, steps, weights in self._parts:
+            result[wanted] = np.tensordot(weights, values[steps], axes=1)
+        return result
+
+
+class Reader:
+    """Reads all series of an experiment.
+
+    Parameters
+    ----------
+    experiment : its case may have other values of the fitted keys than the histories.
+    """
+
+    def __init__(self, experiment: Experiment) -> None:
+        case = experiment.case
+        self._series = experiment.series
+        self._breaks = (0.0, *case.breakpoints, case.time.end)
+        self._radial = {s.name: _radial(s, case) for s in self._series if s.profile}
+        # histories share their steps
+        self._steps: dict[bytes, dict[str, InSteps]] = {}
+
+    def read(self, trajectory: Trajectory) -> FloatArray:
+        """Return the readings of all series, one after another, (n, q), without nuisances."""
+        time = trajectory.time
+        key = time.tobytes()
+        if key not in self._steps:
+            at = {s.name: np.array([s.at]) if s.profile else s.x for s in self._series}
+            if len(self._steps) == _GRIDS:
+                self._steps.clear()
+            self._steps[key] = {name: InSteps(time, t, self._breaks) for name, t in at.items()}
+        own = self._steps[key]
+        return np.concatenate([self._of(s, trajectory, own[s.name]) for s in self._series])
+
+    def _of(self, series: Series, found: Trajectory, in_steps: InSteps) -> FloatArray:
+        body = ("lower", "upper").index(series.body)
+        if series.profile:
+            profile: FloatArray = self._radial[series.name] @ in_steps(found.wear[body])[0]
+            return profile
+        if series.quantity in ("penetration", "approach"):
+            values = found.approach
+            if series.quantity == "penetration":
+                values = values - values[0]
+        elif series.quantity == "torque":
+            values = found.torque
+        elif series.density is None:
+            values = found.mass[body]
+        else:
+            values = series.density * found.volume[body]
+        return in_steps(values)
+
+
+def _radial(series: Series, case: Case) -> FloatArray:
+    """Return (n, elements) what a profile's points are of the elements' depths.
+
+    Outside the contact it is unworn.
+    """
+    a, b = case.contact
+    mid_points = case.line.r
+    close = _CLOSE * b
+    inside = (series.x >= a - close) & (series.x <= b + close)
+    # the outermost half elements are thinner than any stylus
+    r = np.clip(series.x[inside], mid_points[0], mid_points[-1])
+    weights = np.zeros((series.n, len(mid_points)))
+    weights[inside] = CubicSpline(mid_points, np.eye(len(mid_points)))(r)
+    return weights
+
+
+def nuisance_columns(series: Series, case: Case) -> FloatArray:
+    """Return (n, nuisances) what each nuisance of a series adds to its readings, by its unit.
+
+    The offset and the level are constant; the drift grows to 1 at the end of the test; the
+    compliance goes with the load in kN (of a penetration with what it has changed since the start);
+    the tilt with the distance in mm from the middle of the contact.
+    """
+    columns = []
+    for nuisance in series.nuisances:
+        if nuisance.kind == "drift":
+            column = series.x / case.time.end
+        elif nuisance.kind == "compliance":
+            assert case.load.force is not None
+            start = 0.0 if series.quantity == "approach" else in_time(case.load.force, 0.0)
+            column = 1e-3 * (in_time(case.load.force, series.x) - start)
+        elif nuisance.kind == "tilt":
+            column = series.x - 0.5 * sum(case.contact)
+        else:
+            column = np.ones(series.n)
+        columns.append(series.factor * column)
+    return np.stack(columns, axis=1) if columns else np.zeros((series.n, 0))
+
+
+def whitened(series: Series, rows: FloatArray) -> FloatArray:
+    """Return rows (n, ...) of a series, in units of its noise, without their correlation in time.
+
+    The noise is an AR(1) process of the series' ``correlation_time``.
+    """
+    if not series.correlation_time or series.n < 2:
+        return rows
+    steps = (np.diff(series.x) / series.correlation_time).reshape(-1, *(1,) * (rows.ndim - 1))
+    rest = (rows[1:] - np.exp(-steps) * rows[:-1]) / np.sqrt(-np.expm1(-2.0 * steps))
+    return np.concatenate([rows[:1], rest])
+
+
+def log_volume(series: Series) -> float:
+    """Return the logarithm of what ``whitened`` divides volumes by."""
+    if not series.correlation_time or series.n < 2:
+        return 0.0
+    steps = np.diff(series.x) / series.correlation_time
+    return float(0.5 * np.log(-np.expm1(-2.0 * steps)).sum())

@@ -1,0 +1,278 @@
+"""``rw.design`` and ``ringwear design``: the next tests that tell most of the fitted keys.
+
+The information of tests adds, nuisances of each being eliminated, so that the histories of all
+candidates, one each, tell what every combination of them would. It is averaged over what the keys
+may be: draws from an earlier fit or from priors.
+"""
+
+import itertools
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from mpi4py import MPI
+
+from ringwear_par.arrays import FloatArray
+from ringwear_par.errors import ComputationError, InputError
+from ringwear_par.identification.definition.candidates import (
+    INSTANTS,
+    LOADS,
+    MOST_CANDIDATES,
+    Candidate,
+    candidates,
+    count_of,
+)
+from ringwear_par.identification.definition.fit_file import read_fit
+from ringwear_par.identification.definition.prior_information import Belief, belief, with_noise
+from ringwear_par.identification.definition.problem import Criterion, Problem
+from ringwear_par.identification.estimation.information import informations
+from ringwear_par.identification.estimation.search import Design, Search
+from ringwear_par.info import versions
+from ringwear_par.parallel import on_first_rank
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+Source = Path | str | Mapping[str, Any]
+
+
+@dataclass(frozen=True, eq=False)
+class DesignResult:
+    """What ``design`` found, with a fixed set of names in ``to_dict``.
+
+    Parameters
+    ----------
+    problem : the fit.
+    criterion : what was compared.
+    candidates : all tests.
+    single : (c, m) predicted standard deviations after each candidate alone.
+    single_scores : (c,) of each alone.
+    designs : the best ones, the best first.
+    planned : what the experiments of the fit file tell by themselves.
+    nominal : (m,) values of the keys, as they seem to be.
+    information : (m, m) of the unknowns, known before.
+    draws : how many values of the keys were looked at.
+    after : the earlier fit whose information counts, "" for none.
+    pairs, pair_scores : of two tests: (c, c, m) predicted standard deviations, and (c, c) scores;
+        empty otherwise.
+    failed : candidates whose histories fail, and why.
+    histories : computed.
+    versions : of the software.
+    comm : of the ranks that have looked.
+    """
+
+    problem: Problem
+    criterion: Criterion
+    candidates: tuple[Candidate, ...]
+    single: FloatArray
+    single_scores: FloatArray
+    designs: tuple[Design, ...]
+    planned: Design
+    nominal: FloatArray
+    information: FloatArray
+    draws: int
+    after: str
+    pairs: FloatArray
+    pair_scores: FloatArray
+    failed: Mapping[Candidate, str]
+    histories: int
+    versions: Mapping[str, str]
+    comm: Any
+
+    def __repr__(self) -> str:
+        tests = " + ".join(str(self.candidates[i].told()) for i in self.designs[0].tests)
+        return f"<DesignResult: {tests}>"
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return what design.json holds."""
+        keys = self.problem.keys
+        return {
+            "criterion": self.criterion,
+            "parameters": dict(zip(keys, self.nominal.tolist(), strict=True)),
+            "after": self.after or None,
+            "draws": self.draws,
+            "candidates": len(self.candidates),
+            "failed": [
+                {"experiment": test.told(), "error": why} for test, why in self.failed.items()
+            ],
+            "histories": self.histories,
+            "measured_as": self.problem.experiments[0].name,
+            "designs": [self._told(each) for each in self.designs],
+            "fit_file": self._predicted(self.planned),
+            "versions": dict(self.versions),
+        }
+
+    def _told(self, one: Design) -> dict[str, Any]:
+        tests = [self.candidates[i] for i in one.tests]
+        return {
+            "experiments": [test.told() for test in tests],
+            "seconds": sum(test.seconds for test in tests),
+            **self._predicted(one),
+        }
+
+    def _predicted(self, one: Design) -> dict[str, Any]:
+        keys = self.problem.keys
+        pairs = itertools.combinations(range(len(keys)), 2)
+        return {
+            "score": _finite(one.score),
+            "sd": {key: _finite(v) for key, v in zip(keys, one.sd.tolist(), strict=True)},
+            "sd_range": {
+                key: [_finite(v) for v in ends]
+                for key, ends in zip(keys, one.range.T.tolist(), strict=True)
+            },
+            "correlation": {
+                f"{keys[i]}, {keys[j]}": _finite(float(one.correlation[i, j])) for i, j in pairs
+            },
+        }
+
+    def summary(self) -> str:
+        """Return the outcome in a few lines."""
+        from ringwear_par.identification.test_design.design_summary import summary
+
+        return summary(self)
+
+    def plot(self) -> "Figure":
+        """Return the map of predicted standard deviations."""
+        from ringwear_par.identification.test_design.design_figures import figure
+
+        return figure(self)
+
+    def save(self, folder: str | Path) -> None:
+        """Write design.json, next.toml and design.png to a folder, which is made.
+
+        Where several ranks have looked, all of them call this, and the first writes.
+
+        Raises
+        ------
+        InputError : a folder that cannot be written.
+        ComputationError : the disk.
+        """
+        from ringwear_par.identification.test_design.design_summary import save
+
+        on_first_rank(self.comm, lambda: save(self, Path(folder)))
+
+
+def _finite(value: float) -> float | None:
+    return value if np.isfinite(value) else None
+
+
+def design(
+    source: Source,
+    comm: MPI.Intracomm | None = None,
+    *,
+    after: str | Path | None = None,
+    criterion: Criterion | None = None,
+) -> DesignResult:
+    """Return the tests that would tell most of the fitted keys, from ``[design]`` of a fit file.
+
+    Collective on comm, the world's where none is given; the same on all ranks.
+
+    Parameters
+    ----------
+    source : the name of a fit file, or the same as a dict.
+    after : folder of an earlier fit of the same keys, whose information counts.
+    criterion : instead of the file's.
+
+    Raises
+    ------
+    InputError : all faults of the file and its data, or of the earlier fit.
+    ComputationError : a history of a candidate.
+    """
+    comm = MPI.COMM_WORLD if comm is None else comm
+
+    def read() -> tuple[Problem, Belief, tuple[Candidate, ...]]:
+        problem = read_fit(source, plans=True)
+        if criterion is not None:
+            problem = replace(problem, design=replace(problem.design, criterion=criterion))
+        told = belief(problem, after)
+        problem = with_noise(problem, told)
+        _check(problem, told)
+        return problem, told, tuple(candidates(problem.design, problem.experiments[0]))
+
+    problem, told, tests = on_first_rank(comm, read)
+    planned, failures, more = informations(problem, problem.experiments, told.draws, comm)
+    if failures:
+        number, why = min(failures.items())
+        raise ComputationError(
+            f'{problem.name}: experiment "{problem.experiments[number].name}": {why}'
+        )
+    experiments = [test.experiment for test in tests]
+    information, failures, histories = informations(problem, experiments, told.draws, comm)
+    left = [number for number in range(len(tests)) if number not in failures]
+    shortest = min((tests[number].seconds for number in left), default=np.inf)
+    space = problem.design
+    limit = np.inf if space.seconds is None else space.seconds * (1.0 + 1e-9)
+    if not left or shortest * space.experiments > limit:
+        why = next(iter(failures.values()), "")
+        raise ComputationError(
+            f"{problem.name}: design: {len(failures)} of {len(tests)} tests cannot be computed, "
+            f"which leaves too few: {why}"
+        )
+    search = Search(problem, told, information[:, left], [tests[number] for number in left])
+    best = search.best(space.experiments)
+    pairs, scores = search.pairs() if space.experiments == 2 else (np.zeros((0, 0, 0)),) * 2
+    single, single_scores = search.singles()
+    failed = {tests[number]: why for number, why in failures.items()}
+    return DesignResult(
+        problem, space.criterion, tuple(tests[number] for number in left), single, single_scores,
+        tuple(best), search.planned(planned), told.nominal, told.information, len(told.draws),
+        told.after, pairs, scores, failed, histories + more, versions(), comm,
+    )  # fmt: skip
+
+
+def _check(problem: Problem, told: Belief) -> None:
+    """Refuse designs that cannot be. Raises InputError."""
+    space, name = problem.design, f"{problem.name}: design"
+    if space.criterion == "eig" and not told.whole:
+        raise InputError(
+            f'{name}: criterion = "eig": needs something that is known before, a prior of every '
+            "parameter or an earlier fit (--after)"
+        )
+    if not space.ranges:
+        raise InputError(
+            f"{name}.vary: is missing or empty; must name what may differ between tests, as the "
+            "range of load.pressure"
+        )
+    for key in space.ranges:
+        if key in problem.keys or (key in LOADS and set(LOADS) & set(problem.keys)):
+            raise InputError(f"{name}.vary: {key}: is fitted as well; must be one or the other")
+    first = problem.experiments[0]
+    for key in INSTANTS:
+        if key in space.ranges and not any(series.profile for series in first.series):
+            raise InputError(
+                f'{name}.vary: {key}: needs a profile in experiment "{first.name}", as which tests '
+                "are measured"
+            )
+    end = first.case.time.end
+    shortest = space.experiments * space.ranges.get("time.end", (end, end))[0]
+    if space.seconds is not None and shortest > space.seconds * (1.0 + 1e-9):
+        raise InputError(
+            f"{name}.budget: time.end = {space.seconds:g}: must be at least {shortest:g}, "
+            f"{space.experiments} of the shortest tests"
+        )
+    if (count := count_of(space)) > MOST_CANDIDATES:
+        raise InputError(
+            f"{name}.vary: makes {count} tests; must be at most {MOST_CANDIDATES}: fewer keys, or "
+            "narrower load.steps or profiles"
+        )
+
+
+def run_design(
+    source: Path,
+    folder: Path,
+    comm: MPI.Intracomm,
+    *,
+    after: Path | None = None,
+    criterion: Criterion | None = None,
+) -> None:
+    """Find the next tests and write them to a folder. Collective on comm."""
+    from ringwear_par.identification.storing import check
+    from ringwear_par.identification.test_design.design_summary import FILES
+
+    on_first_rank(comm, lambda: check(folder, FILES))
+    found = design(source, comm, after=after, criterion=criterion)
+    found.save(folder)
+    if comm.rank == 0:
+        print(found.summary())

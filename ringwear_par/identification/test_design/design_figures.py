@@ -1,0 +1,138 @@
+"""The map of a test design: predicted standard deviations over loads, or over load and duration."""
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from matplotlib.colors import LogNorm
+from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator, NullLocator
+
+from ringwear_par.arrays import FloatArray, IntArray
+from ringwear_par.cases.units import in_signs
+from ringwear_par.identification.definition.candidates import Candidate
+from ringwear_par.identification.summary import unit_of
+from ringwear_par.identification.test_design.design_summary import name_of
+from ringwear_par.results.pictures.drawing import COLOURS, NotebookFigure
+
+if TYPE_CHECKING:
+    from ringwear_par.identification.test_design.design import DesignResult
+
+_MAP = "viridis_r"
+
+
+def figure(found: "DesignResult") -> Figure:
+    """Return a map for each key: of two tests over their loads, of one over load and duration.
+
+    Of two tests a cell has the durations of the best score within the budget.
+
+    Where neither varies, bars of the best designs. Of several tests the map is that of one.
+    """
+    parameters = found.problem.parameters
+    m = len(parameters)
+    lines = sum(len(one.tests) for one in found.designs)
+    chart = NotebookFigure(figsize=(4.6 * m, max(4.2, 0.2 * lines)), layout="constrained")
+    panels = chart.subplots(1, m, squeeze=False)[0]
+    plain = np.array(
+        [i for i, test in enumerate(found.candidates) if _is_plain(test)], dtype=np.int64
+    )
+    for j, (axes, parameter) in enumerate(zip(panels, parameters, strict=True)):
+        scale = 100.0 / found.nominal[j] if parameter.log else 1.0
+        unit = "%" if parameter.log else in_signs(unit_of(found.problem, parameter.key).strip())
+        label = f"predicted sd of {parameter.key}" + (f" ({unit})" if unit else "")
+        if len(plain) and len(found.pairs):
+            _map_of_pairs(axes, found, plain, scale * found.pairs[..., j], label, first=j == 0)
+        elif len({found.candidates[i].seconds for i in plain}) > 1:
+            _map_of_tests(axes, found, plain, scale * found.single[:, j], label)
+        else:
+            _bars(axes, found, j, scale, label)
+    return chart
+
+
+def _is_plain(test: Candidate) -> bool:
+    return len(test.loads) == 1 and len(test.profiles) <= 1 and "load.omega" not in test.keys
+
+
+def _axis_of(found: "DesignResult", plain: IntArray) -> tuple[str, list[float]]:
+    first = found.candidates[plain[0]]
+    unit = "MPa" if "load.pressure" in first.keys else "N"
+    what = "mean pressure" if unit == "MPa" else "force"
+    return f"{what} ({unit})", sorted({found.candidates[i].loads[0] for i in plain})
+
+
+def _map_of_pairs(
+    axes: Any,
+    found: "DesignResult",
+    plain: IntArray,
+    values: FloatArray,
+    label: str,
+    first: bool,
+) -> None:
+    """Draw the sd that two tests of these loads give, their durations being the best by score."""
+    name, loads = _axis_of(found, plain)
+    place = {load: k for k, load in enumerate(loads)}
+    own = np.array([place[found.candidates[i].loads[0]] for i in plain])
+    best = np.full((len(loads), len(loads)), -np.inf)
+    table = np.full_like(best, np.nan)
+    part = np.ix_(plain, plain)
+    for row, column in np.argwhere(np.isfinite(found.pair_scores[part])).tolist():
+        cell = own[row], own[column]
+        score = found.pair_scores[plain[row], plain[column]]
+        if score > best[cell]:
+            best[cell], table[cell] = score, values[plain[row], plain[column]]
+    _draw(axes, loads, loads, np.where(np.isfinite(table), table, np.nan), label)
+    axes.set_xlabel(f"{name} of one test")
+    axes.set_ylabel(f"{name} of the other")
+    tests = [found.candidates[i] for i in found.designs[0].tests]
+    if all(map(_is_plain, tests)):
+        (x,), (y,) = (test.loads for test in tests)
+        _mark(axes, [x, y], [y, x], " + ".join(map(name_of, tests)) if first else "")
+
+
+def _map_of_tests(
+    axes: Any, found: "DesignResult", plain: IntArray, values: FloatArray, label: str
+) -> None:
+    """Draw the sd of one test over its load and duration, a profile being at its best instant."""
+    name, loads = _axis_of(found, plain)
+    seconds = sorted({found.candidates[i].seconds for i in plain})
+    table = np.full((len(seconds), len(loads)), np.nan)
+    for i in plain[np.argsort(found.single_scores[plain], kind="stable")]:  # the best one the last
+        test = found.candidates[i]
+        table[seconds.index(test.seconds), loads.index(test.loads[0])] = values[i]
+    _draw(axes, loads, seconds, np.where(np.isfinite(table), table, np.nan), label)
+    axes.set_xlabel(f"{name} of one test")
+    axes.set_ylabel("duration (s)")
+    best = [found.candidates[i] for i in found.designs[0].tests]
+    if all(map(_is_plain, best)):
+        _mark(
+            axes, [test.loads[0] for test in best], [test.seconds for test in best],
+            " + ".join(map(name_of, best)),
+        )  # fmt: skip
+
+
+def _draw(axes: Any, x: list[float], y: list[float], table: FloatArray, label: str) -> None:
+    known = table[np.isfinite(table)]
+    wide = len(known) > 0 and known.max() > 5.0 * known.min() > 0.0
+    drawn = axes.pcolormesh(
+        x, y, table, cmap=_MAP, shading="nearest", norm=LogNorm() if wide else None
+    )
+    bar = axes.figure.colorbar(drawn, ax=axes)
+    if wide:
+        bar.ax.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+        bar.ax.yaxis.set_minor_locator(NullLocator())
+    bar.ax.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
+    bar.set_label(label)
+
+
+def _mark(axes: Any, x: list[float], y: list[float], told: str) -> None:
+    axes.plot(x, y, "o", mfc="none", mec=COLOURS[1], mew=2, ms=10, label=f"best: {told}")
+    if told:
+        axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), fontsize=8, frameon=False)
+
+
+def _bars(axes: Any, found: "DesignResult", j: int, scale: float, label: str) -> None:
+    names = ["\n+ ".join(name_of(found.candidates[i]) for i in one.tests) for one in found.designs]
+    values = [scale * one.sd[j] for one in found.designs]
+    axes.barh(range(len(values)), np.where(np.isfinite(values), values, 0.0), color=COLOURS[0])
+    axes.set_yticks(range(len(values)), names if j == 0 else [], fontsize=7)
+    axes.invert_yaxis()
+    axes.set_xlabel(label)

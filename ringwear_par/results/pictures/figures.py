@@ -1,0 +1,401 @@
+"""Figures from stored results: profiles at some times, histories, deformed sections."""
+
+import logging
+import re
+from collections.abc import Callable, Iterable, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import matplotlib
+import numpy as np
+from matplotlib.figure import Figure
+
+from ringwear_par.cases.case import Output
+from ringwear_par.cases.files.keys import read_keys
+from ringwear_par.cases.layers import expanded
+from ringwear_par.cases.schema import unit_of
+from ringwear_par.cases.units import seconds
+from ringwear_par.cases.values import RejectedError
+from ringwear_par.errors import InputError, legible
+from ringwear_par.results.instants import stages
+from ringwear_par.results.pictures.drawing import (
+    STYLE,
+    NotebookFigure,
+    check_format,
+    in_words,
+    plain,
+    save_figure,
+)
+from ringwear_par.results.pictures.history_panels import HISTORY_PANELS, draw_history
+from ringwear_par.results.pictures.interface_panels import interface_drawings
+from ringwear_par.results.pictures.profile_panels import (
+    draw_peak,
+    draw_pressure,
+    draw_wear,
+    merge_labels,
+    stored_field,
+)
+from ringwear_par.results.pictures.section_panel import draw_section
+from ringwear_par.results.pictures.stress_panels import (
+    draw_depth,
+    draw_largest,
+    draw_map,
+    highest,
+)
+from ringwear_par.results.result import FailedResult, Result
+from ringwear_par.results.storage.export import choose_state
+from ringwear_par.results.storage.result_reading import result_of
+from ringwear_par.results.storage.stored_stresses import (
+    check_grid,
+    interfaces_of,
+    nearest_states,
+    stresses,
+)
+
+log = logging.getLogger(__name__)
+
+Source = Result | str | Path
+#: the name of a panel, and what draws it
+Drawing = tuple[str, partial[None]]
+
+#: panels along the radius, one a result
+_PROFILES = {"wear": draw_wear, "pressure": draw_pressure}
+#: what is drawn in them once their common scale is known
+_ON_SCALE = {"wear": merge_labels, "pressure": draw_peak}
+#: panels of stresses, one a result or more
+_STRESSES = ("stress", "depth", "interfaces")
+#: panels that all results share
+_OF_ALL = ("mises", *HISTORY_PANELS)
+PANELS = (*_PROFILES, "section", *_STRESSES, *_OF_ALL)
+#: panels with the same scale along both axes and a bar of colours, and how much larger they are
+_SECTIONS, _LARGER = {"section", "stress"}, 1.15
+#: what is drawn where nothing else is asked for
+DEFAULT = "wear,penetration"
+_MOST_COLUMNS = 3
+#: of a time that is asked for: how far off that of the state shown may be unsaid
+_NOTICED = 0.01
+#: what panels need of a result: refused where it is not stored
+_NEEDED: dict[str, Callable[[Result], Any]] = {
+    "wear": lambda result: [stored_field(result, f"wear_{body}") for body in ("lower", "upper")],
+    "pressure": lambda result: stored_field(result, "pressure"),
+    "section": lambda result: choose_state(result, None),
+    "stress": check_grid,
+    "depth": check_grid,
+    "interfaces": interfaces_of,
+    "mises": stresses,
+    **{name: panel.curves for name, panel in HISTORY_PANELS.items()},
+}
+
+
+def plot(
+    results: Source | Sequence[Source],
+    panels: str | Sequence[str] = DEFAULT,
+    steps: str = "",
+    profiles_of: Sequence[Source] = (),
+    times: str = "",
+) -> Figure:
+    """Return the panels of one or more results side by side. Not collective.
+
+    Profiles (``wear``, ``pressure``) and deformed sections (``section``, the last one stored) are
+    drawn of every result, one panel each, profiles on one scale; the histories of all of them share
+    a panel (``penetration``, ``approach``, ``force``, ``torque``, ``energy``, ``volume``, ``rate``,
+    ``pv`` and, of bodies with layers, ``through``). Of stored stresses: ``stress``, von Mises in
+    the section, one panel each; ``depth``, it along the height in the middle of the contact;
+    ``interfaces``, along each of them the tractions and von Mises on both sides, two panels each;
+    ``mises``, the largest over time. A panel for which a result holds nothing is left out, with a
+    warning, if there are others.
+
+    Parameters
+    ----------
+    results : a result or a result file, or several.
+    panels : names, in a list or separated by commas.
+    steps : comma-separated step numbers of the profiles.
+    profiles_of : those of the results whose profiles and sections are drawn; () for all.
+    times : comma-separated times of the profiles, s or with a unit ("1 h"), instead of steps; the
+        stored states nearest to them are drawn. Without either: the first step and four quarters;
+        the last one of stresses.
+
+    Raises
+    ------
+    InputError : a file that is not a result, an unknown panel, a step not stored, a time outside
+        of the history, nothing that can be drawn.
+    """
+    given: Any = results
+    one = isinstance(given, str) or not isinstance(given, Iterable)
+    sources = [given] if one else [*given]
+    for number, source in enumerate(sources, 1):
+        if isinstance(source, FailedResult):
+            why = str(source.error).partition("\n")[0]
+            raise InputError(f"plot: result {number} failed ({why}); must be results only")
+        if not isinstance(source, Result | str | Path):
+            told = type(source).__name__
+            raise InputError(f"plot: result {number} is a {told}; must be a result or its file")
+    names = panels.split(",") if isinstance(panels, str) else list(panels)
+    if steps and times:
+        raise InputError("--times: must be absent beside --steps")
+    with matplotlib.rc_context(STYLE):
+        return _drawn_panels(
+            [_place(s) for s in sources], names, steps, times, map(_place, profiles_of)
+        )
+
+
+def plot_files(
+    paths: Sequence[Path],
+    output: Path,
+    panels: str = DEFAULT,
+    steps: str = "",
+    profiles_of: Sequence[Path] = (),
+    times: str = "",
+) -> None:
+    """Write a picture of one or more result files, see ``plot``. On one rank.
+
+    Parameters
+    ----------
+    output : its ending chooses the format.
+
+    Raises
+    ------
+    InputError : what ``plot`` refuses, or another format.
+    """
+    check_format(output)
+    save_figure(plot(paths, panels, steps, profiles_of, times), output)
+
+
+def check_figure(output: Path, stored: Output | None) -> None:
+    """Refuse a picture that cannot be written, or drawn from what a case stores. Not collective.
+
+    Raises
+    ------
+    InputError : the reason.
+    """
+    check_format(output)
+    if stored is None:
+        return
+    missing = {"wear_lower", "wear_upper"} - set(stored.fields)
+    if missing:
+        raise InputError(
+            f"{output}: needs {' and '.join(sorted(missing))}, which output.fields leaves out"
+        )
+    if stored.profiles != "all":
+        raise InputError(f'{output}: needs output.profiles = "all"')
+
+
+def _place(source: Source) -> Result | Path:
+    return Path(source) if isinstance(source, str) else source
+
+
+def _drawn_panels(
+    sources: Sequence[Result | Path],
+    panels: Sequence[str],
+    steps: str,
+    times: str,
+    profiles_of: Iterable[Result | Path],
+) -> Figure:
+    results = [result_of(source) for source in sources]
+    chosen = list(profiles_of)
+    for source in chosen:
+        if source not in sources:
+            name = source.name if isinstance(source, Result) else source
+            raise InputError(f"--profiles-of {name}: must be one of the result files to be drawn")
+    told = list(zip(results, _labels(results), strict=True))
+    profiled = [
+        both for source, both in zip(sources, told, strict=True) if not chosen or source in chosen
+    ]
+    for panel in panels:
+        if panel not in PANELS:
+            raise InputError(
+                f"--panels {legible(','.join(panels))}: {legible(panel)!r} must be one of "
+                f"{', '.join(PANELS)}"
+            )
+    rows: list[list[int]] = []
+    if not {*_PROFILES, *_STRESSES}.isdisjoint(panels):
+        rows = [_at_times(r, times) if times else _rows(r, steps) for r, _ in profiled]
+    drawings: list[Drawing] = []
+    left_out: list[tuple[str, str]] = []
+    for panel in panels:
+        if panel in _OF_ALL:
+            found, faults = _of_all(panel, told)
+        elif panel in _STRESSES:
+            wished = rows if steps or times else [[]] * len(profiled)
+            found, faults = _of_stresses(panel, profiled, wished)
+        else:
+            found, faults = _of_each(panel, profiled, rows)
+        drawings += [(panel, draw) for draw in found]
+        left_out += [(panel, fault) for fault in faults]
+    if not drawings:
+        raise InputError(*(fault for _, fault in left_out))
+    for panel, fault in left_out:
+        log.warning("%s is not drawn: %s", panel, fault)
+    figure = _laid_out(drawings)
+    titles = {str(result.attributes["title"]) for result in results} - {""}
+    if len(titles) == 1:
+        figure.suptitle(plain(titles.pop()), fontsize=8.0)
+    return figure
+
+
+def _laid_out(drawings: Sequence[Drawing]) -> Figure:
+    """Return a figure of panels, which are named, and drawn side by side."""
+    lines = -(-len(drawings) // _MOST_COLUMNS)
+    columns = -(-len(drawings) // lines)
+    names = [panel for panel, _ in drawings]
+
+    def size(of: Sequence[str]) -> float:
+        return 1.0 if _SECTIONS.isdisjoint(of) else _LARGER
+
+    widths = [size(names[column::columns]) for column in range(columns)]
+    heights = [size(names[line * columns : (line + 1) * columns]) for line in range(lines)]
+    # sections have the same scale along both axes and leave room that constrained ones keep
+    layout: Any = "compressed" if set(names) <= _SECTIONS else "constrained"
+    figure = NotebookFigure(figsize=(3.6 * sum(widths), 3.3 * sum(heights)), layout=layout)
+    grid = figure.add_gridspec(lines, columns, width_ratios=widths, height_ratios=heights)
+    shared: dict[str, list[tuple[Any, Result]]] = {panel: [] for panel in _PROFILES}
+    for number, (panel, draw) in enumerate(drawings):
+        axes = figure.add_subplot(grid[number // columns, number % columns])
+        # else taken when the figure is drawn, where another style may hold
+        axes.tick_params(labelsize=STYLE["font.size"])
+        draw(axes)
+        if panel in shared:
+            shared[panel].append((axes, draw.keywords["result"]))
+    for panel, alike in shared.items():  # one scale, or one cannot compare
+        if alike:
+            low, high = zip(*(axes.get_ylim() for axes, _ in alike), strict=True)
+            for axes, result in alike:
+                axes.set_ylim(min(low), max(high))
+                _ON_SCALE[panel](axes, result)
+    return figure
+
+
+def _not_stored(panel: str, results: Iterable[Result]) -> list[str]:
+    """Return what results do not hold of what a panel needs, a sentence each."""
+    faults: list[str] = []
+    for result in results:
+        try:
+            _NEEDED[panel](result)
+        except InputError as error:
+            faults += error.faults
+    return faults
+
+
+def _of_all(
+    panel: str, told: Sequence[tuple[Result, str]]
+) -> tuple[list[partial[None]], list[str]]:
+    """Return the panel that results with their labels share, and why there is none."""
+    results, labels = [result for result, _ in told], [label for _, label in told]
+    if faults := _not_stored(panel, results):
+        return [], faults
+    draw: Callable[..., None] = draw_largest
+    if panel in HISTORY_PANELS:
+        draw = partial(draw_history, panel=HISTORY_PANELS[panel])
+    return [partial(draw, results=results, labels=labels)], []
+
+
+def _of_each(
+    panel: str, profiled: Sequence[tuple[Result, str]], rows: Sequence[Sequence[int]]
+) -> tuple[list[partial[None]], list[str]]:
+    """Return a profile or section of each result, and why some have none.
+
+    Parameters
+    ----------
+    rows : of each result, the stored states whose profiles are drawn.
+    """
+    drawn: list[partial[None]] = []
+    left_out: list[str] = []
+    for number, (result, label) in enumerate(profiled):
+        if faults := _not_stored(panel, [result]):
+            left_out += faults
+        elif panel == "section":
+            drawn.append(partial(draw_section, result=result, label=label))
+        else:
+            own = rows[number]
+            drawn.append(partial(_PROFILES[panel], result=result, label=label, rows=own))
+    return drawn, left_out
+
+
+def _rows(result: Result, steps: str) -> list[int]:
+    stored, last = result.step, int(result.step[-1])
+    if not steps:
+        return stages(result.histories["time"])
+    rows = []
+    for word in steps.split(","):
+        if not re.fullmatch(r"\s*[0-9]{1,18}\s*", word) or int(word) not in stored:
+            raise InputError(
+                f"--steps {legible(steps)}: {legible(word)!r} is not a stored step of "
+                f"{result.name}; must be among 0..{last} as stored (output.every)"
+            )
+        rows.append(int(np.flatnonzero(stored == int(word))[0]))
+    return rows
+
+
+def _at_times(result: Result, times: str) -> list[int]:
+    """Return the stored states nearest to times, and say which where these are others."""
+    there = result.histories["time"]
+    rows = set()
+    for word in map(str.strip, times.split(",")):
+        try:
+            time = seconds(word)
+            if not 0 <= time <= there[-1] * (1 + 1e-9):
+                raise RejectedError
+        except RejectedError as error:
+            raise InputError(
+                f"--times {legible(times)}: {legible(word)!r} is no time of {result.name}; "
+                f'must be from 0 to {there[-1]:g} (s), or with a unit, such as "1 h"'
+            ) from error
+        row = int(np.abs(there - time).argmin())
+        if abs(there[row] - time) > _NOTICED * time:
+            log.warning(
+                "--times %s: %s has no state stored there; that of %.4g s is shown",
+                word, result.name, there[row],
+            )  # fmt: skip
+        rows.add(row)
+    return sorted(rows)
+
+
+def _of_stresses(
+    panel: str, profiled: Sequence[tuple[Result, str]], rows: Sequence[Sequence[int]]
+) -> tuple[list[partial[None]], list[str]]:
+    """Return maps, one a state and on one scale, courses along depth, or interfaces of results.
+
+    And why there are none.
+
+    Parameters
+    ----------
+    rows : of each result, the stored states nearest to which stresses are drawn; none: the last.
+    """
+    if faults := _not_stored(panel, (result for result, _ in profiled)):
+        return [], faults
+    states = [
+        nearest_states(stresses(result).states, result.histories["time"][list(own)].tolist())
+        for (result, _), own in zip(profiled, rows, strict=True)
+    ]
+    top = highest([state for some in states for state in some]) if panel == "stress" else 0.0
+    drawn: list[partial[None]] = []
+    for (result, label), some in zip(profiled, states, strict=True):
+        if panel == "interfaces":
+            drawn += interface_drawings(result, label, some)
+        elif panel == "depth":
+            drawn.append(partial(draw_depth, result=result, label=label, states=some))
+        else:
+            of = partial(draw_map, result=result, label=label, top=top)
+            drawn += [partial(of, state=state) for state in some]
+    return drawn, []
+
+
+def _labels(results: Sequence[Result]) -> list[str]:
+    """Name each result by what sets its case apart, or by its file where that is too much."""
+    cases = [expanded(read_keys(result.case, result.name)) for result in results]
+    known = dict.fromkeys(path for case in cases for path in case if path != "title")
+    paths = [path for path in known if len({str(c.get(path)) for c in cases}) > 1]
+    if not 1 <= len(paths) <= 2 or any(path not in case for path in paths for case in cases):
+        return [
+            f"result {number}" if result.path is None else plain(result.path.stem)
+            for number, result in enumerate(results, 1)
+        ]
+    names = [path.rpartition(".")[2] for path in paths]
+    return [
+        ", ".join(
+            plain(f"{name} = {in_words(case[path], unit_of(path))}")
+            for name, path in zip(names, paths, strict=True)
+        )
+        for case in cases
+    ]

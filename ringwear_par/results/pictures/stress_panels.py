@@ -1,0 +1,212 @@
+"""Panels of stresses: a map in the section, along depth, and the largest in time."""
+
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+import numpy as np
+from matplotlib.patches import Polygon
+from matplotlib.ticker import MaxNLocator
+
+from ringwear_par.arrays import BoolArray, FloatArray
+from ringwear_par.cases.files.reading import Outline, outlines
+from ringwear_par.elasticity.boundary_fields import BODIES
+from ringwear_par.elasticity.stress.fields import StressState
+from ringwear_par.elasticity.stress.measures import mises
+from ringwear_par.results.instants import time_unit, time_words
+from ringwear_par.results.pictures.drawing import COLOURS, DASHES, set_legend, stage_colour
+from ringwear_par.results.pictures.section_panel import magnification
+from ringwear_par.results.result import Result
+from ringwear_par.results.storage.stored_stresses import stresses
+
+#: colours of a map, and the share of its values that the scale holds: edges would take them all
+_LEVELS, _TICKS, _SHARE = 24, 7, 0.99
+#: share of the map's height that the deepest wear is drawn with, at least
+_WEAR_DRAWN = 0.06
+#: a side of a map that would be a smaller share of the other has a scale of its own, and about
+#: which share then
+_LEAST, _STRETCHED = 0.25, 0.5
+#: mm, within which a point of the grid lies on a face
+_ON_FACE = 1e-9
+_MISES = "von Mises stress (MPa)"
+#: as many points of a curve, or fewer, are marked
+_FEW_POINTS = 20
+
+
+def highest(states: Sequence[StressState]) -> float:
+    """Return what the scale of maps of some states ends with, MPa."""
+    values = np.concatenate([mises(state.grid).ravel() for state in states])
+    known = values[np.isfinite(values)]
+    return float(np.quantile(known, _SHARE)) if len(known) else 1.0
+
+
+def draw_map(axes: Any, result: Result, label: str, state: StressState, top: float) -> None:
+    """Draw von Mises' stress on the grid, the bodies and, magnified, their worn faces.
+
+    Parameters
+    ----------
+    top : MPa, end of the scale.
+    """
+    r, z = stresses(result).grid
+    values, sections = mises(state.grid), outlines(result.case, result.name)
+    under = (r > result.line.edges[0]) & (r < result.line.edges[-1])
+    levels = MaxNLocator(_LEVELS).tick_values(0.0, top or 1.0)
+    drawn = None
+    for own, band in _materials(sections, r, z):  # each by itself, and up to its contour
+        known = own & np.isfinite(values)
+        if known.any():
+            shown = _spread(values, known)
+            shown[under & own.any(axis=1) & ~known.any(axis=1)] = np.nan  # worn through
+            drawn = axes.contourf(r, z, shown.T, levels, cmap="viridis", extend="max")
+            drawn.set_clip_path(Polygon(band, transform=axes.transData))
+    if drawn is None:
+        axes.text(
+            0.5, 0.5, "worn through", ha="center", va="center", color="0.4",
+            transform=axes.transAxes,
+        )  # fmt: skip
+    else:
+        ticks = levels[:: -(-len(levels) // _TICKS)]
+        axes.figure.colorbar(drawn, ax=axes, label=_MISES, shrink=0.9, ticks=ticks)
+    for outline in sections:
+        inner, outer = outline.contour[[-1, -2], 0]
+        axes.add_patch(Polygon(outline.contour, fill=False, edgecolor="0.25", linewidth=0.9))
+        axes.hlines(outline.interfaces, inner, outer, color="0.25", linewidth=0.5)
+    stretch = _stretch(float(r[-1] - r[0]), float(z[-1] - z[0]))
+    factor = _draw_wear(axes, result, state, sections, _WEAR_DRAWN * (z[-1] - z[0]))
+    axes.set_xlim(r[0], r[-1])
+    axes.set_ylim(z[0], z[-1])
+    axes.set_aspect(stretch)
+    axes.set_xlabel("distance to axis (mm)")
+    axes.set_ylabel("height (mm)")
+    time = time_words(state.time, float(result.histories["time"][-1]))
+    scales = {}
+    if stretch != 1.0:
+        scales["heights" if stretch > 1.0 else "radii"] = max(stretch, 1.0 / stretch)
+    if factor:
+        scales["worn faces"] = factor * max(stretch, 1.0)
+    told = ", ".join(f"{name} {of:.6g}\N{MULTIPLICATION SIGN}" for name, of in scales.items())
+    axes.set_title(f"{label}: {time}\n{told}".rstrip())
+
+
+def _stretch(width: float, height: float) -> float:
+    """Return how much larger heights of a map are drawn than radii, a round factor or one."""
+    ratio = height / width
+    if _LEAST <= ratio <= 1.0 / _LEAST:
+        return 1.0
+    return magnification((_STRETCHED if ratio < 1.0 else 1.0 / _STRETCHED) / ratio)
+
+
+def _materials(
+    sections: Sequence[Outline], r: FloatArray, z: FloatArray
+) -> Iterator[tuple[BoolArray, FloatArray]]:
+    """Give the points of a grid that are of each material, (nr, nz), and its contour.
+
+    Points between two are of that towards the contact; between the bodies, lower's.
+    """
+    for outline, down in zip(sections, (1.0, -1.0), strict=True):
+        face = np.interp(r, *outline.contour[:-2].T)[:, None]
+        ends = np.append(outline.interfaces, outline.contour[-1, 1])
+        for number, end in enumerate(ends):
+            of_layer = down * z >= down * end - _ON_FACE
+            if number:
+                of_layer = of_layer & (down * z < down * ends[number - 1] - _ON_FACE)
+            low, high = sorted((end, ends[number - 1] if number else down * np.inf))
+            band = outline.contour.copy()
+            band[:, 1] = np.clip(band[:, 1], low, high)
+            beside = z <= face + _ON_FACE if down > 0.0 else z > face + _ON_FACE
+            yield of_layer & beside, band
+
+
+def _spread(values: FloatArray, known: BoolArray) -> FloatArray:
+    """Return values of which those that are not known are those of the nearest that are."""
+    from scipy.ndimage import distance_transform_edt
+
+    nearest = distance_transform_edt(~known, return_distances=False, return_indices=True)
+    return values[tuple(nearest)]
+
+
+def _draw_wear(
+    axes: Any, result: Result, state: StressState, sections: Sequence[Outline], height: float
+) -> float:
+    """Draw the worn faces of a state, the deepest wear by a height; return how much more it is.
+
+    Never less than it is: what the scale of heights shows is drawn as it lies. Return 0 if none of
+    them is among the heights of the map.
+    """
+    heights = stresses(result).grid[1]
+    seen = False
+    row = int(np.abs(result.histories["time"] - state.time).argmin())
+    depths = []
+    for body in BODIES:
+        profile = result.profiles.get(f"wear_{body}")
+        if profile is None or (profile.ndim == 1 and row != len(result.step) - 1):
+            return 0.0
+        depths.append(profile if profile.ndim == 1 else profile[row])
+    deepest = max(float(depth.max()) for depth in depths)
+    if not deepest > 0.0:
+        return 0.0
+    factor = max(1.0, float(f"{height / deepest:.1g}"))
+    line = result.line
+    for outline, depth, down, name in zip(sections, depths, (1.0, -1.0), BODIES, strict=True):
+        if not depth.any():
+            continue
+        face = np.interp(line.r, *outline.contour[:-2].T)
+        drawn = face - down * factor * depth
+        seen |= bool(((drawn >= heights[0]) & (drawn <= heights[-1])).any())
+        axes.plot(
+            line.r, drawn, color=COLOURS[1], linewidth=1.2,
+            linestyle="-" if name == "lower" else "--",
+        )  # fmt: skip
+    return factor if seen else 0.0
+
+
+def draw_depth(axes: Any, result: Result, label: str, states: Sequence[StressState]) -> None:
+    """Draw von Mises' stress along the height of the grid, in the middle of the contact."""
+    found = stresses(result)
+    r, z = found.grid
+    inner, outer = result.line.edges[[0, -1]]
+    column = int(np.abs(r - 0.5 * (inner + outer)).argmin())
+    end = float(result.histories["time"][-1])
+    lower, upper = outlines(result.case, result.name)
+    faces = [float(np.interp(r[column], *o.contour[:-2].T)) for o in (lower, upper)]
+    levels = np.concatenate([lower.interfaces - _ON_FACE, np.add(faces, _ON_FACE),
+                             upper.interfaces + _ON_FACE])  # fmt: skip
+    between = np.searchsorted(z, levels)  # where materials end, curves do
+    height, highest_drawn = np.insert(z, between, np.nan), 0.0
+    for number, state in enumerate(states):
+        values = np.insert(mises(state.grid[column]), between, np.nan)
+        highest_drawn = max(highest_drawn, float(np.nanmax(values, initial=0.0)))
+        axes.plot(
+            values, height, color=stage_colour(number, len(states)),
+            linestyle=DASHES[number % len(DASHES)], label=time_words(state.time, end),
+        )  # fmt: skip
+    for level in levels:
+        axes.axhline(level, color="0.4", linewidth=0.8)
+    axes.set_xlim(0.0, 1.05 * highest_drawn or 1.0)
+    axes.set_ylim(z[0], z[-1])
+    axes.set_xlabel(_MISES)
+    axes.set_ylabel("height (mm)")
+    set_legend(axes, 3, f"{label}, r = {r[column]:.4g} mm")
+
+
+def draw_largest(axes: Any, results: Sequence[Result], labels: Sequence[str]) -> None:
+    """Draw the largest von Mises stresses of both bodies over time."""
+    unit, seconds = time_unit(max(float(result.histories["time"][-1]) for result in results))
+    for number, (result, label) in enumerate(zip(results, labels, strict=True)):
+        found = stresses(result)
+        time = np.array([state.time for state in found.states]) / seconds
+        told = [label] if len(results) > 1 else []
+        for i, body in enumerate(BODIES):
+            values = [state.largest[i].mises for state in found.states]
+            if not np.isfinite(values).any():
+                continue
+            axes.plot(
+                time, values, color=COLOURS[(number if told else i) % len(COLOURS)],
+                linestyle=DASHES[(number + i) % len(DASHES)], markersize=2.5,
+                marker="o" if len(time) <= _FEW_POINTS else "", label=", ".join([*told, body]),
+            )  # fmt: skip
+    beside = ", ".join(sorted({f"{stresses(result).exclude:g}" for result in results}))
+    axes.set_xlim(left=0.0)
+    axes.set_ylim(bottom=0.0)
+    axes.set_xlabel(f"time ({unit})")
+    axes.set_ylabel(f"largest {_MISES}")
+    set_legend(axes, 2, f"{beside} mm and more from edges")

@@ -1,0 +1,165 @@
+"""Bodies as points and cells, as VTK has them."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ringwear_par.arrays import FloatArray, IntArray
+from ringwear_par.elasticity.boundary_fields import BoundaryFields, BoundaryState
+from ringwear_par.elasticity.stress.fields import StressHistory, StressState
+from ringwear_par.elasticity.stress.measures import COMPONENTS, max_shear, mises
+from ringwear_par.results.storage.stored_stresses import Interface
+
+
+@dataclass(frozen=True)
+class Cells:
+    """What a VTK file holds: points, cells of the same number of points, fields on both.
+
+    Parameters
+    ----------
+    points : (m, 3) float, mm.
+    cells : (c, q) int, points of each cell.
+    point_data, cell_data : by name, (m,), (c,) or with three columns.
+    """
+
+    points: FloatArray
+    cells: IntArray
+    point_data: dict[str, Any]
+    cell_data: dict[str, Any]
+
+
+def contours(state: BoundaryState, warp: float) -> Cells:
+    """Return the contours of both bodies, displaced by ``warp`` times their displacements."""
+    return _both([_contour(body, warp) for body in state.bodies])
+
+
+def surfaces(state: BoundaryState, warp: float, segments: int) -> Cells:
+    """Return the surfaces of both bodies, revolved in so many segments."""
+    return _both([_revolved(body, warp, segments) for body in state.bodies])
+
+
+def stress_cells(history: StressHistory) -> list[Cells]:
+    """Return the grid of stresses of each state in the plane y = 0.
+
+    A quadrangle between four points that some state knows: others lose them where wear has taken
+    the body or the layer away.
+    """
+    r, z = history.grid
+    there = np.any([np.isfinite(state.grid).all(axis=-1) for state in history.states], axis=0)
+    number = np.where(there, np.cumsum(there).reshape(there.shape) - 1, -1)
+    corners = [number[:-1, :-1], number[1:, :-1], number[1:, 1:], number[:-1, 1:]]
+    cells = np.stack([corner.ravel() for corner in corners], axis=1)
+    cells = cells[(cells >= 0).all(axis=1)]
+    at = np.stack(np.meshgrid(r, z, indexing="ij"), axis=-1)[there]
+    points = np.stack([at[:, 0], np.zeros(len(at)), at[:, 1]], axis=1)
+    found = []
+    for state in history.states:
+        values = state.grid[there]
+        named = {f"stress_{name}": values[:, i].copy() for i, name in enumerate(COMPONENTS)}
+        named |= {"mises": mises(values), "max_shear": max_shear(values)}
+        found.append(Cells(points, cells, named, {}))
+    return found
+
+
+def interface_cells(interfaces: Sequence[Interface], state: StressState) -> Cells:
+    """Return interfaces in the plane y = 0, a line for each side: pieces between mid-points."""
+    lines, at = [], 0
+    for of in interfaces:
+        for side, stress in zip((1, -1), of.stress(state), strict=True):
+            m = len(of.r)
+            points = np.stack([of.r, np.zeros(m), np.full(m, of.z)], axis=1)
+            first = at + np.arange(m - 1)
+            named = {f"stress_{name}": stress[:, i].copy() for i, name in enumerate(COMPONENTS)}
+            told = {"body": of.body, "layer": of.layer, "side": side}
+            lines.append(
+                Cells(
+                    points, np.stack([first, first + 1], axis=1), {**named, "mises": mises(stress)},
+                    {name: np.full(m - 1, value) for name, value in told.items()},
+                )
+            )  # fmt: skip
+            at += m
+    return Cells(
+        np.concatenate([line.points for line in lines]),
+        np.concatenate([line.cells for line in lines]),
+        _joined([line.point_data for line in lines]),
+        _joined([line.cell_data for line in lines]),
+    )
+
+
+def _contour(body: BoundaryFields, warp: float) -> Cells:
+    """Return a contour in the plane y = 0: a line of three points for each element."""
+    displacement = body.displacement[:, [0, 2, 1]]  # theta points along y
+    r, z = body.nodes.T
+    points = np.stack([r, np.zeros_like(r), z], axis=1) + warp * displacement
+    return Cells(
+        points,
+        body.elements,
+        {"displacement": displacement},
+        {
+            "traction": body.traction[:, [0, 2, 1]],
+            "pressure": body.pressure,
+            "wear": body.wear,
+            "face": body.face,
+        },
+    )
+
+
+def _revolved(body: BoundaryFields, warp: float, segments: int) -> Cells:
+    """Return the surface of a body: a quadrangle for each element and segment, normals outwards."""
+    ends, elements = np.unique(body.elements[:, [0, 2]], return_inverse=True)
+    first, last = elements.reshape(-1, 2).T
+    m, k = len(ends), len(first)
+    at = 2.0 * np.pi * np.arange(segments) / segments
+    middle = at + np.pi / segments
+    r, z = body.nodes[ends].T
+    position = np.stack([r, z, np.zeros(m)], axis=1)
+    displacement = _cartesian(body.displacement[ends], at)
+    points = _cartesian(position, at) + warp * displacement
+    this = m * np.arange(segments)[:, None]
+    following = m * ((np.arange(segments)[:, None] + 1) % segments)
+    corners = (this + first, following + first, following + last, this + last)
+
+    def everywhere(values: FloatArray | IntArray) -> Any:
+        return np.tile(values, segments)
+
+    return Cells(
+        points,
+        np.stack(corners, axis=-1).reshape(segments * k, 4),
+        {"displacement": displacement},
+        {
+            "traction": _cartesian(body.traction, middle),
+            "pressure": everywhere(body.pressure),
+            "wear": everywhere(body.wear),
+            "face": everywhere(body.face),
+        },
+    )
+
+
+def _cartesian(vectors: FloatArray, angles: FloatArray) -> FloatArray:
+    """Return (segments * m, 3), vectors (m, 3) along r, z, theta turned to angles (segments,)."""
+    c, s = np.cos(angles)[:, None], np.sin(angles)[:, None]
+    r, z, theta = vectors.T
+    turned = (c * r - s * theta, s * r + c * theta, np.broadcast_to(z, (len(angles), len(z))))
+    return np.stack(turned, axis=-1).reshape(-1, 3)
+
+
+def _joined(fields: Sequence[dict[str, Any]]) -> dict[str, Any]:
+    """Return fields of several parts, which all have them, one after another."""
+    return {name: np.concatenate([part[name] for part in fields]) for name in fields[0]}
+
+
+def _both(bodies: Sequence[Cells]) -> Cells:
+    """Return both bodies as one, with their numbers (0 lower, 1 upper) as a field."""
+    shift = np.cumsum([0, *(len(body.points) for body in bodies)])
+    counts = [len(body.cells) for body in bodies]
+    return Cells(
+        np.concatenate([body.points for body in bodies]),
+        np.concatenate([body.cells + s for body, s in zip(bodies, shift[:-1], strict=True)]),
+        _joined([body.point_data for body in bodies]),
+        {
+            **_joined([body.cell_data for body in bodies]),
+            "body": np.repeat(np.arange(len(bodies)), counts),
+        },
+    )
