@@ -14,6 +14,7 @@ import pytest
 from conftest import SHELL_ENVIRONMENT
 from waiting import Waiting
 
+from ringwear_par import cli
 from ringwear_par.results.storage.result_reading import read_status
 
 pytestmark = pytest.mark.serial
@@ -203,3 +204,20 @@ assert list(assemble_rows.signatures) == loaded
     result = subprocess.run([sys.executable, "-c", program], env=SHELL_ENVIRONMENT,
                             capture_output=True, text=True, timeout=100, check=False)  # fmt: skip
     assert result.returncode == 0, result.stderr
+
+
+@pytest.mark.serial
+def test_mpi_starts_alone_and_leaves_no_settings(monkeypatch):
+    """A program that this one starts may be a launcher of many ranks; one's own settings stay."""
+    isolated, transport = "OMPI_MCA_ess_singleton_isolated", "OMPI_MCA_btl"
+    monkeypatch.setenv(transport, "self,vader")
+    for name in cli._LAUNCHED:
+        monkeypatch.delenv(name, raising=False)
+    before = dict(os.environ)
+    with cli._without_other_processes():
+        assert os.environ[isolated] == "1"
+        assert os.environ[transport] == "self,vader"
+    assert dict(os.environ) == before
+    monkeypatch.setenv("PMIX_RANK", "0")
+    with cli._without_other_processes():
+        assert isolated not in os.environ
