@@ -155,7 +155,7 @@ def test_a_sweep_killed_at_a_moment_of_note(tmp_path, swept, comm, file, functio
 import os, signal, sys
 from pathlib import Path
 from mpi4py import MPI
-from ringwear_par.studies import scheduling
+from ringwear_par.studies.execution import scheduling
 from ringwear_par.studies.execution.sweep import run_sweep
 
 for name in {DRAWS}:  # one by one
