@@ -8,7 +8,6 @@ import numpy as np
 from mpi4py import MPI
 
 from ringwear_par.arrays import FloatArray
-from ringwear_par.contact.batch import load_batch_kernels
 from ringwear_par.elasticity.bem.assembly import load_kernels
 from ringwear_par.elasticity.pair import ContactPair
 from ringwear_par.history.elastic.pairs import assemble
@@ -52,7 +51,6 @@ def estimate(plan: Plan, comm: MPI.Intracomm) -> str:
     RingwearError : the first case fails.
     """
     load_kernels(comm)
-    load_batch_kernels(comm)
     return on_first_rank(comm, lambda: _timed(plan))
 
 

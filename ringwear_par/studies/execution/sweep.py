@@ -17,7 +17,6 @@ from typing import Any
 import numpy as np
 from mpi4py import MPI
 
-from ringwear_par.contact.batch import load_batch_kernels
 from ringwear_par.elasticity.bem.assembly import load_kernels
 from ringwear_par.elasticity.stress.recovery import load_stress_kernels
 from ringwear_par.errors import ComputationError, InputError, RingwearError
@@ -160,7 +159,6 @@ def _compute(
     plan: Plan, started: float, comm: MPI.Intracomm, team: MPI.Comm
 ) -> tuple[Summary, RingwearError | None]:
     load_kernels(comm)
-    load_batch_kernels(comm)
     if plan.cases_left and plan.study.case(int(plan.todo.cases[0])).stress is not None:
         load_stress_kernels(comm)
     timings = Timings()
