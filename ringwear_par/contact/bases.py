@@ -28,52 +28,67 @@ class Basis(NamedTuple):
 
     Parameters
     ----------
-    psi, psi_t : (n, n) float, columns and rows of the basis; those of elements apart are 0.
+    psi : (n, n) float, the basis; rows of elements that are apart are 0.
     mu : (n,) float, of W.
     force : (n,) float, the weights of the gap in the basis.
     """
 
     psi: FloatArray
-    psi_t: FloatArray
     mu: FloatArray
     force: FloatArray
 
 
-def products(rows: FloatArray, matrices: FloatArray, which: IntArray | None = None) -> FloatArray:
-    """Return rows (..., h, n) times a matrix (n, n), or each times its own of (m, n, n).
-
-    Digits of a row do not depend on the others.
+class RowGroups:
+    """Rows that have a matrix each, put together by matrix in blocks of ``ROWS``.
 
     Parameters
     ----------
-    which : (h,) int, the matrix of each row.
+    which : (h,) int, the number of each row's matrix.
     """
-    if which is not None and len(matrices) > 1:
-        return _own_products(rows, matrices, which)
-    matrix = matrices if which is None else matrices[0]
-    shape, n = rows.shape, rows.shape[-1]
-    rows = rows.reshape(-1, n)
-    count = len(rows)
-    if count % ROWS:
-        padded = np.zeros((-(-count // ROWS) * ROWS, n))
-        padded[:count] = rows
-        rows = padded
-    return (rows.reshape(-1, ROWS, n) @ matrix).reshape(-1, n)[:count].reshape(shape)
 
+    def __init__(self, which: IntArray) -> None:
+        count = len(which)
+        #: numbers of matrices, and the first and last blocks of their rows
+        self._runs: list[tuple[int, int, int]] = []
+        #: the one matrix of all blocks, or those of each, where they are a slice
+        self._stack: int | slice | None = None
+        #: places of rows in the blocks; None: they fill them
+        self._slots: IntArray | slice | None = None
+        if not count or (which == which[0]).all():
+            self._n_blocks, self._stack = -(-count // ROWS), int(which[0]) if count else 0
+            if count % ROWS:
+                self._slots = slice(count)
+            return
+        numbers, group, counts = np.unique(which, return_inverse=True, return_counts=True)
+        blocks = -(-counts // ROWS)
+        last = np.cumsum(blocks)
+        self._n_blocks = int(last[-1])
+        if len(numbers) == self._n_blocks == numbers[-1] - numbers[0] + 1:
+            self._stack = slice(int(numbers[0]), int(numbers[-1]) + 1)
+        ends = zip(numbers.tolist(), (last - blocks).tolist(), last.tolist(), strict=True)
+        self._runs = list(ends)
+        order = np.argsort(group, kind="stable")
+        within = np.arange(count) - (np.cumsum(counts) - counts)[group[order]]
+        self._slots = np.empty(count, dtype=np.int64)
+        self._slots[order] = ROWS * (last - blocks)[group[order]] + within
 
-def _own_products(rows: FloatArray, matrices: FloatArray, which: IntArray) -> FloatArray:
-    """Return rows, (..., h, n), each times its own matrix."""
-    used = np.unique(which)
-    if len(used) == len(which):
-        padded = np.zeros((*rows.shape[:-1], ROWS, rows.shape[-1]))
-        padded[..., 0, :] = rows
-        every = len(used) == len(matrices) and bool((which == used).all())
-        return np.ascontiguousarray((padded @ (matrices if every else matrices[which]))[..., 0, :])
-    product = np.empty(rows.shape)
-    for k in used.tolist():
-        histories = which == k
-        product[..., histories, :] = products(rows[..., histories, :], matrices[k])
-    return product
+    def products(self, rows: FloatArray, matrices: FloatArray) -> FloatArray:
+        """Return rows (..., h, n) times their matrices (n, n), digits of each row its own."""
+        *leading, _, n = rows.shape
+        blocks = rows
+        if self._slots is not None:
+            blocks = np.zeros((*leading, ROWS * self._n_blocks, n))
+            blocks[..., self._slots, :] = rows
+        blocks = blocks.reshape(*leading, self._n_blocks, ROWS, n)
+        if self._stack is not None:
+            product = blocks @ matrices[self._stack]
+        else:
+            product = np.empty_like(blocks)
+            for number, first, last in self._runs:
+                part = (..., slice(first, last), slice(None), slice(None))
+                np.matmul(blocks[part], matrices[number], out=product[part])
+        product = product.reshape(*leading, ROWS * self._n_blocks, n)
+        return product if self._slots is None else product[..., self._slots, :]
 
 
 class Bases:
@@ -103,7 +118,7 @@ class Bases:
             _KEPT.move_to_end(name)
             return _KEPT[name]
         basis = _KEPT[name] = self._make(np.flatnonzero(free), wearing)
-        most = max(2, _MOST_BYTES // (2 * self._matrix.nbytes))
+        most = max(2, _MOST_BYTES // (self._matrix.nbytes))
         while len(_KEPT) > most:
             _KEPT.popitem(last=False)
         return basis
@@ -122,7 +137,7 @@ class Bases:
         psi[free, :size] = solve_triangular(
             factor, vectors, lower=True, trans=1, check_finite=False
         )
-        return Basis(psi, np.ascontiguousarray(psi.T), mu, self._weights @ psi)
+        return Basis(psi, mu, self._weights @ psi)
 
 
 _KEPT: OrderedDict[tuple[bytes, bytes, bytes], Basis | None] = OrderedDict()

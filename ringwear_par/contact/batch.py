@@ -13,7 +13,7 @@ from mpi4py import MPI
 
 from ringwear_par.arrays import FloatArray, IntArray, inner
 from ringwear_par.batched import take
-from ringwear_par.contact.bases import Bases, products
+from ringwear_par.contact.bases import Bases, RowGroups
 from ringwear_par.contact.batch_newton import BatchNewton
 from ringwear_par.contact.hessians import SOLVED, Hessians
 from ringwear_par.contact.problem import KKT_TOLERANCE, ContactState, WarmStart, on_curve
@@ -51,12 +51,14 @@ class _Callbacks:
         hessians: Hessians,
         newton: BatchNewton,
         matrices: FloatArray,
+        which: IntArray,
         area: FloatArray,
         scale: FloatArray,
         weights: FloatArray,
     ) -> None:
         self._hessians, self._newton = hessians, newton
-        self._matrices, self._area = matrices, area
+        self._matrices, self._which, self._area = matrices, which, area
+        self._groups: tuple[IntArray, RowGroups] | None = None
         self._scale, self._weights = scale, weights
         self.wear: WearIncrement | None = None
         self._part: tuple[IntArray, WearIncrement] | None = None
@@ -80,7 +82,9 @@ class _Callbacks:
         newton, rows = self._newton, self._newton.rows
         linear = newton.gaps[rows] - newton.approaches[rows, None]
         linear *= self._weights[rows]
-        linear += products(q[rows], self._matrices, self._hessians.which[rows])
+        if self._groups is None or self._groups[0] is not newton.at_work:
+            self._groups = newton.at_work, RowGroups(self._which[rows])
+        linear += self._groups[1].products(q[rows], self._matrices)
         g[rows] = linear
 
     def gradient(self, tao: PETSc.TAO, x: PETSc.Vec, g: PETSc.Vec) -> None:
@@ -96,7 +100,7 @@ class _Callbacks:
         """Return the sum of the objectives of the histories at work, at the present approaches."""
         q = x.getArray(readonly=True).reshape(self._weights.shape)
         newton, histories = self._newton, self._newton.at_work
-        product = products(q, self._matrices, self._hessians.which)
+        product = RowGroups(self._which).products(q, self._matrices)
         linear = self._weights * (newton.gaps - newton.approaches[:, None])
         each = inner(q, 0.5 * product + linear)[histories]
         if self.wear is not None:
@@ -185,7 +189,13 @@ class BatchSolver:
         )
         self._newton = BatchNewton(self._hessians, self._weights)
         self._callbacks = _Callbacks(
-            self._hessians, self._newton, self._scaled, self._area, self._scale, self._weights
+            self._hessians,
+            self._newton,
+            self._scaled,
+            self._which,
+            self._area,
+            self._scale,
+            self._weights,
         )
         OPEN[self] = None
         self._x = self._own(PETSc.Vec()).createSeq(count * n, comm=MPI.COMM_SELF)
@@ -455,7 +465,7 @@ class BatchSolver:
 
         Or of several p, (P, B, n).
         """
-        return products(p, matrices, which)
+        return RowGroups(which).products(p, matrices)
 
     def deflections(self, d_p: FloatArray) -> FloatArray:
         """Return what (P, B, n) MPa make of the gaps, mm."""

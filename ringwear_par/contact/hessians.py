@@ -1,19 +1,17 @@
 """The Hessians of B contact problems, A of each history and what its wear adds, and their inverses.
 
 They are diagonal in bases that histories share (see ``bases``). Where the slope of wear over
-pressure has another shape, the basis of all elements preconditions conjugate gradients. Non-local
-wear and large systems have Cholesky factors of their own.
+pressure has another shape, such a basis preconditions conjugate gradients. Non-local wear and large
+systems have Cholesky factors of their own.
 """
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Sequence
 
 import numpy as np
 from scipy.linalg.lapack import dpotrf
 
 from ringwear_par.arrays import BoolArray, FloatArray, IntArray, inner
-from ringwear_par.batched import along, take
-from ringwear_par.contact.bases import Bases, Basis, products
+from ringwear_par.contact.bases import Bases, Basis, RowGroups
 from ringwear_par.contact.newton import solve_rows
 from ringwear_par.petsc import PETSc
 
@@ -21,9 +19,8 @@ from ringwear_par.petsc import PETSc
 LARGEST_WITH_BASES = 256
 #: what slopes may differ by from their shape, relative: round-off
 _ROUND_OFF = 1e-12
-#: instead of the number of a basis: a factor of its own, conjugate gradients, and none of them,
-#: where a block is not positive definite
-_FACTOR, _ITERATIVE, _BROKEN = -1, -2, -3
+#: instead of the number of a basis: a factor of its own, and what is not positive definite
+_FACTOR, _BROKEN = -1, -2
 #: residuals, relative to the first, at which conjugate gradients end: within Newton's method, whose
 #: next step corrects what this one left, and of solutions
 _NEAR, SOLVED = 1e-6, 1e-13
@@ -51,7 +48,7 @@ class Hessians:
         weights: FloatArray,
     ) -> None:
         count, n = weights.shape
-        self._matrices, self._bases, self.which = matrices, bases, which
+        self._matrices, self._bases, self._which = matrices, bases, which
         self._per_speed, self._weights = 1.0 / speed, weights
         #: (B, n) what wear adds to the diagonal
         self.slope = np.zeros((count, n))
@@ -62,18 +59,20 @@ class Hessians:
         self._valid = np.zeros(count, dtype=bool)
         #: packed bits of the elements in contact and of those that wear
         self._sets = np.zeros((count, -(-2 * n // 8)), dtype=np.uint8)
-        #: bases by their sets, the number of that of each history, and its inverse there, diagonal
+        #: bases by their matrices and sets, the number of that of each history
         self._numbers: dict[tuple[int, bytes], int] = {}
-        self._used: list[Basis] = []
+        #: (m, n, n) and (m, n) each, of the bases, room for more included; see ``Basis``
+        self._psi, self._mu, self._force = np.empty((0, n, n)), np.empty((0, n)), np.empty((0, n))
         self._number = np.full(count, _BROKEN)
-        self._preconditioner = np.full(count, _BROKEN)
-        self._inverse = np.zeros((count, n))
+        #: (B, n) inverses in the bases, exact where the slope has the shape, else preconditioners
+        self._inverse, self._regular = np.ones((count, n)), np.ones(count, dtype=bool)
         self._factors: dict[int, FloatArray] = {}
+        self._rows: tuple[IntArray, _Rows] | None = None
 
     def mult(self, matrix: PETSc.Mat, x: PETSc.Vec, y: PETSc.Vec) -> None:
         """Set y to H x."""
         q = x.getArray(readonly=True).reshape(self.slope.shape)
-        product = products(q, self._matrices, self.which) + self.slope * q
+        product = RowGroups(self._which).products(q, self._matrices) + self.slope * q
         if len(self.coupling):
             product += np.einsum("bij,bj->bi", self.coupling, q)
         y.getArray()[:] = product.ravel()
@@ -81,7 +80,7 @@ class Hessians:
     def forget(self, histories: IntArray) -> None:
         """Let nothing touch in some histories."""
         self._free[histories], self._valid[histories] = False, False
-        self._number[histories] = _FACTOR
+        self._number[histories], self._rows = _FACTOR, None
         for history in histories.tolist():
             self._factors[history] = np.zeros((0, 0))
 
@@ -94,7 +93,7 @@ class Hessians:
         new = ~self._valid[histories]
         new |= (slope != self._slope[histories]).any(axis=1)
         new |= (own != self._free[histories]).any(axis=1)
-        coupled, n = bool(len(self.coupling)), slope.shape[1]
+        coupled = bool(len(self.coupling))
         if coupled:
             new[:] = True
         if not new.all():
@@ -103,121 +102,110 @@ class Hessians:
             histories, slope, own = histories[new], slope[new], own[new]
         self._slope[histories], self._free[histories] = slope, own
         self._valid[histories] = not coupled
-        if coupled or n > LARGEST_WITH_BASES:
-            for history in histories.tolist():
-                self._number[history] = self._factorise(history)
+        if coupled or slope.shape[1] > LARGEST_WITH_BASES:
+            self._factorise(histories)
             return
-        rate = np.where(own, slope * self._per_speed[self.which[histories]], 0.0)
+        rate = np.where(own, slope * self._per_speed[self._which[histories]], 0.0)
         wearing = rate > 0.0
         most = rate.max(axis=1)
         least = np.where(wearing, rate, np.inf).min(axis=1)
         regular = ~(most - least > _ROUND_OFF * most)
-        if regular.all():
-            self._choose_bases(histories, own, wearing, most)
-            return
-        if regular.any():
-            rows = np.flatnonzero(regular)
-            self._choose_bases(histories[rows], own[rows], wearing[rows], most[rows])
-        rows = np.flatnonzero(~regular)
-        middle = np.sqrt(most[rows] * least[rows])
-        self._precondition(
-            histories[rows], np.where((wearing | ~own)[rows].all(axis=1), middle, most[rows])
-        )
+        self._regular[histories] = regular
+        if not regular.all():
+            places = np.flatnonzero(~regular)
+            wearing[places] = True
+            ordered = np.sort(np.where(own[places], rate[places], np.inf), axis=1)
+            most[places] = ordered[np.arange(len(places)), own[places].sum(axis=1) // 2]  # median
+        wearing[~wearing.any(axis=1)] = True  # so as not to need a basis without wear
+        self._choose_bases(histories, own, wearing)
+        numbers = self._number[histories]
+        if numbers.min() < 0:
+            histories, most, numbers = (each[numbers >= 0] for each in (histories, most, numbers))
+        self._inverse[histories] = 1.0 / (1.0 + most[:, None] * self._mu[numbers])
 
-    def _choose_bases(
-        self, histories: IntArray, free: BoolArray, wearing: BoolArray, rate: FloatArray
-    ) -> None:
-        """Take the bases of histories, (h, n) and (h,) being their sets and slope over speed."""
-        wearing[~wearing.any(axis=1)] = True  # so as not to need one without wear
+    def _choose_bases(self, histories: IntArray, free: BoolArray, wearing: BoolArray) -> None:
+        """Take the bases of the sets of histories, (h, n)."""
         sets = np.packbits(np.concatenate([free, wearing & free], axis=1), axis=1)
         new = (sets != self._sets[histories]).any(axis=1) | (self._number[histories] < 0)
-        self._sets[histories] = sets
+        if not new.any():
+            return
+        self._sets[histories], self._rows = sets, None
         for place in np.flatnonzero(new).tolist():
             history = int(histories[place])
-            name = int(self.which[history]), sets[place].tobytes()
-            self._number[history] = self._number_of(name, free[place], wearing[place])
-        self._inverse[histories] = 1.0 / (1.0 + rate[:, None] * self._mu(self._number[histories]))
+            name = int(self._which[history]), sets[place].tobytes()
+            number = self._numbers.get(name)
+            if number is None:
+                basis = self._bases[name[0]].basis(free[place], wearing[place])
+                number = self._numbers[name] = _BROKEN if basis is None else self._add(basis)
+            self._number[history] = number
 
-    def _number_of(self, name: tuple[int, bytes], free: BoolArray, wearing: BoolArray) -> int:
-        """Return the number of the basis of a matrix and its sets."""
-        number = self._numbers.get(name)
-        if number is None:
-            basis = self._bases[name[0]].basis(free, wearing)
-            number = _BROKEN
-            if basis is not None:
-                number = len(self._used)
-                self._used.append(basis)
-            self._numbers[name] = number
+    def _add(self, basis: Basis) -> int:
+        """Add a basis to those of the histories; return its number."""
+        number = 1 + max(self._numbers.values(), default=-1)
+        if number == len(self._mu):
+            self._psi, self._mu, self._force = (
+                np.concatenate([values, np.empty((max(4, len(values)), *values.shape[1:]))])
+                for values in (self._psi, self._mu, self._force)
+            )
+        self._psi[number], self._mu[number], self._force[number] = basis
         return number
 
-    def _mu(self, numbers: IntArray) -> FloatArray:
-        """Return ``Basis.mu`` of bases by their numbers, (h, n) or (n,)."""
-        first = int(numbers[0])
-        if first >= 0 and (numbers == first).all():
-            return self._used[first].mu
-        every = [np.ones(self.slope.shape[1]), *(basis.mu for basis in self._used)]
-        return np.array(every)[np.maximum(numbers, -1) + 1]
+    def _factorise(self, histories: IntArray) -> None:
+        """Factor blocks one by one."""
+        self._rows = None
+        for history in histories.tolist():
+            block = self._matrices[self._which[history]].copy()
+            if len(self.coupling):
+                block += self.coupling[history]
+            block[np.diag_indices(len(block))] += self._slope[history]
+            free = self._free[history]
+            if not free.all():
+                block = block[np.ix_(free, free)]
+            self._factors[history], info = dpotrf(block, lower=1, clean=0)
+            self._number[history] = _FACTOR if info == 0 else _BROKEN
 
-    def _precondition(self, histories: IntArray, rate: FloatArray) -> None:
-        """Take the bases of all elements, at slopes over speed (h,), for conjugate gradients."""
-        every = np.ones(self.slope.shape[1], dtype=bool)
-        name = np.packbits(np.concatenate([every, every])).tobytes()
-        numbers = np.array(
-            [self._number_of((k, name), every, every) for k in self.which[histories].tolist()]
-        )
-        self._inverse[histories] = 1.0 / (1.0 + rate[:, None] * self._mu(numbers))
-        self._preconditioner[histories] = numbers
-        self._number[histories] = np.where(numbers < 0, _BROKEN, _ITERATIVE)
-
-    def _factorise(self, history: int) -> int:
-        """Factor a block; return the number that says whether it has a factor."""
-        block = self._matrices[self.which[history]].copy()
-        if len(self.coupling):
-            block += self.coupling[history]
-        block[np.diag_indices(len(block))] += self._slope[history]
-        free = self._free[history]
-        if not free.all():
-            block = block[np.ix_(free, free)]
-        self._factors[history], info = dpotrf(block, lower=1, clean=0)
-        return _FACTOR if info == 0 else _BROKEN
-
-    def _parts(self, histories: IntArray) -> Iterator[tuple[int, IntArray | slice]]:
-        """Return numbers of bases and the rows that have them; rows with factors one by one."""
-        number = self._number[histories]
-        if len(number) and number[0] >= 0 and (number == number[0]).all():
-            yield int(number[0]), slice(None)
-            return
-        for k in np.unique(number).tolist():
-            rows = np.flatnonzero(number == k)
-            if k == _FACTOR:
-                yield from ((k, rows[i : i + 1]) for i in range(len(rows)))
-            else:
-                yield k, rows
+    def _rows_of(self, histories: IntArray) -> "_Rows":
+        """Return how some histories are solved, remembered for the same ones."""
+        if self._rows is None or self._rows[0] is not histories:
+            numbers = self._number[histories]
+            modal = np.flatnonzero(numbers >= 0)
+            whole = len(modal) == len(numbers)
+            own = numbers if whole else numbers[modal]
+            self._rows = histories, _Rows(slice(None) if whole else modal, own, self._force[own])
+        return self._rows[1]
 
     def solve(self, histories: IntArray, right: FloatArray) -> FloatArray:
         """Return H^-1 right, (..., h, n), of some histories; 0 off their sets."""
-        out = np.zeros_like(right)
-        for k, rows in self._parts(histories):
-            if k >= 0:
-                basis, inverse = self._used[k], self._inverse[histories[rows]]
-                modal = products(right[..., rows, :], basis.psi) * inverse
-                out[..., rows, :] = products(modal, basis.psi_t)
-            elif k == _BROKEN:
-                out[..., rows, :] = np.nan
-            elif k == _ITERATIVE:
-                sides = right[..., rows, :].reshape(-1, right.shape[-1])
-                repeated = np.tile(histories[rows], len(sides) // max(len(histories[rows]), 1))
-                solved, _ = self._iterate(repeated, sides, None, SOLVED)
-                out[..., rows, :] = solved.reshape(right[..., rows, :].shape)
-            else:
-                place = int(np.arange(len(histories))[rows][0])
-                history = int(histories[place])
-                own, factor = self._free[history], self._factors[history]
-                if len(factor):
-                    sides = right[..., place, :][..., own]
-                    solved = solve_rows(factor, sides.reshape(-1, len(factor)))
-                    out[..., place, own] = solved.reshape(sides.shape)
+        rows, out = self._rows_of(histories), np.zeros_like(right)
+        if len(rows.numbers):
+            ours = histories[rows.places]
+            modal = rows.groups.products(right[..., rows.places, :], self._psi)
+            irregular = np.flatnonzero(~self._regular[ours])
+            solved = modal * self._inverse[ours]
+            if len(irregular):
+                sides = modal[..., irregular, :]
+                many = np.tile(ours[irregular], sides[..., 0].size // len(irregular))
+                x, _ = self._iterate(many, sides.reshape(len(many), -1), None, SOLVED)
+                solved[..., irregular, :] = x.reshape(sides.shape)
+            out[..., rows.places, :] = rows.groups.products(solved, self._psi_t)
+        if len(rows.numbers) < len(histories):
+            self._solve_factored(histories, right, out)
         return out
+
+    @property
+    def _psi_t(self) -> FloatArray:
+        return self._psi.transpose(0, 2, 1)
+
+    def _solve_factored(self, histories: IntArray, right: FloatArray, out: FloatArray) -> None:
+        """Set the solutions of histories that have factors of their own."""
+        for place, history in enumerate(histories.tolist()):
+            if self._number[history] == _BROKEN:
+                out[..., place, :] = np.nan
+            elif self._number[history] == _FACTOR and len(self._factors[history]):
+                free, factor = self._free[history], self._factors[history]
+                sides = right[..., place, :][..., free]
+                solved = solve_rows(factor, sides.reshape(-1, len(factor)))
+                out[..., place, free] = solved.reshape(sides.shape)
 
     def steps(
         self,
@@ -236,28 +224,30 @@ class Hessians:
         missing : (h,) float, N.
         tolerance : of the residual, relative to the first, where steps are iterated for.
         """
+        rows = self._rows_of(histories)
         steps, approach = np.zeros_like(gradient), np.zeros(len(gradient))
-        for k, rows in self._parts(histories):
-            if k >= 0:
-                basis, inverse = self._used[k], self._inverse[histories[rows]]
-                modal = products(gradient[rows], basis.psi) * inverse
-                border = inverse * basis.force
-                carried, stiffness = inner(basis.force, modal), inner(basis.force, border)
-                change = _divided(missing[rows] + carried, stiffness)
-                modal = change[:, None] * border - modal
-                steps[rows], approach[rows] = products(modal, basis.psi_t), change
-            elif k == _BROKEN:
-                steps[rows], approach[rows] = np.nan, np.nan
-            elif k == _ITERATIVE:
-                steps[rows], approach[rows] = self._iterate(
-                    histories[rows], -gradient[rows], missing[rows], tolerance
+        if len(rows.numbers):
+            ours, places = histories[rows.places], rows.places
+            inverse = self._inverse[ours]
+            modal = rows.groups.products(gradient[places], self._psi)
+            solved, border = modal * inverse, inverse * rows.force
+            carried, stiffness = inner(rows.force, solved), inner(rows.force, border)
+            change = _divided(missing[places] + carried, stiffness)
+            solved = change[:, None] * border - solved
+            irregular = np.flatnonzero(~self._regular[ours])
+            if len(irregular):
+                solved[irregular], change[irregular] = self._iterate(
+                    ours[irregular], -modal[irregular], missing[places][irregular], tolerance
                 )
-            else:
-                weights = self._weights[histories[rows]]
-                both = self.solve(histories[rows], np.array([gradient[rows], weights]))
-                carried, stiffness = (inner(weights, each) for each in both)
-                change = _divided(missing[rows] + carried, stiffness)
-                steps[rows], approach[rows] = change[:, None] * both[1] - both[0], change
+            steps[places] = rows.groups.products(solved, self._psi_t)
+            approach[places] = change
+        if len(rows.numbers) < len(histories):
+            others = np.flatnonzero(self._number[histories] < 0)
+            weights, both = self._weights[histories[others]], np.zeros((2, *gradient[others].shape))
+            self._solve_factored(histories[others], np.array([gradient[others], weights]), both)
+            carried, stiffness = (inner(weights, sides) for sides in both)
+            change = _divided(missing[others] + carried, stiffness)
+            steps[others], approach[others] = change[:, None] * both[1] - both[0], change
         return steps, approach
 
     def _iterate(
@@ -267,132 +257,76 @@ class Hessians:
         missing: FloatArray | None,
         tolerance: float,
     ) -> tuple[FloatArray, FloatArray]:
-        """Return H^-1 right, (h, n), by conjugate gradients, and changes of approaches, (h,).
+        """Return solutions (h, n) in the bases, and changes of approaches, (h,).
 
-        With a force that is missing, (h,) N, solutions carry it, and so does each iterate: the
-        approach is the multiplier of that condition.
+        With a force that is missing, (h,) N, solutions carry it, and so does each iterate of
+        projected conjugate gradients: the change of approach is the multiplier of that condition.
+        Gould, Hribar and Nocedal, SIAM J. Sci. Comput. 23 (2001) 1376-1395.
         """
-        x, approach = np.zeros_like(right), np.zeros(len(right))
-        numbers, whole = self._preconditioner[histories], self._free[histories].all(axis=1)
-        for number in np.unique(numbers).tolist():
-            for modal in (True, False):
-                rows = np.flatnonzero((numbers == number) & (whole == modal))
-                if not len(rows):
-                    continue
-                system = _System(
-                    self._used[number],
-                    self._matrices[self.which[histories[rows[0]]]],
-                    self._slope[histories[rows]],
-                    self._inverse[histories[rows]],
-                    None if modal else self._free[histories[rows]].astype(float),
-                    self._weights[histories[rows]],
+        numbers, count = self._number[histories], len(histories)
+        slope, inverse = self._slope[histories], self._inverse[histories]
+        force = self._force[numbers]
+        groups, psi, psi_t = RowGroups(numbers), self._psi, self._psi_t
+        found, multipliers = np.zeros_like(right), np.zeros(count)
+        border = inverse * force
+        stiffness, multiplier = inner(force, border), np.zeros(count)
+
+        def apply(x: FloatArray) -> FloatArray:
+            return x + groups.products(slope * groups.products(x, psi_t), psi)
+
+        def project(r: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+            z = inverse * r
+            if missing is None:
+                return r, z, multiplier
+            more = _divided(inner(force, z), stiffness)
+            return r - force * more[:, None], z - border * more[:, None], multiplier + more
+
+        rows, x, r = np.arange(count), np.zeros_like(right), right
+        if missing is not None:
+            x = border * _divided(missing, stiffness)[:, None]
+            r = r - apply(x)
+        r, z, multiplier = project(r)
+        direction, size = z, inner(r, z)
+        small = tolerance * tolerance * size
+        for _ in range(_MOST_ITERATIONS):
+            going = size > small
+            if not going.all():
+                found[rows[~going]], multipliers[rows[~going]] = x[~going], -multiplier[~going]
+                if not going.any():
+                    break
+                rows, x, r, direction, size, small, multiplier, numbers = (
+                    a[going] for a in (rows, x, r, direction, size, small, multiplier, numbers)
                 )
-                x[rows], approach[rows] = _conjugate_gradients(
-                    system, right[rows], None if missing is None else missing[rows], tolerance
+                slope, inverse, force, border, stiffness = (
+                    a[going] for a in (slope, inverse, force, border, stiffness)
                 )
-        return x, approach
+                groups = RowGroups(numbers)
+            product = apply(direction)
+            length = (size / inner(direction, product))[:, None]
+            x, r = x + length * direction, r - length * product
+            r, z, multiplier = project(r)
+            before, size = size, inner(r, z)
+            direction = z + (size / before)[:, None] * direction
+        else:
+            found[rows], multipliers[rows] = x, -multiplier
+        return found, multipliers
+
+
+class _Rows:
+    """Which rows are solved in bases, and in which.
+
+    Parameters
+    ----------
+    places : of these rows.
+    numbers : (h,) int, of their bases.
+    force : (h, n) float, see ``Basis``.
+    """
+
+    def __init__(self, places: IntArray | slice, numbers: IntArray, force: FloatArray) -> None:
+        self.places, self.numbers, self.force = places, numbers, force
+        self.groups = RowGroups(numbers)
 
 
 def _divided(force: FloatArray, stiffness: FloatArray) -> FloatArray:
     """Return forces over stiffnesses, (h,); 0 where nothing touches."""
     return np.divide(force, stiffness, out=np.zeros_like(force), where=stiffness > 0.0)
-
-
-@dataclass(frozen=True)
-class _System:
-    """Systems of rows with slopes of any shape, preconditioned by a basis of all elements.
-
-    Parameters
-    ----------
-    basis, matrix : of the rows.
-    slope, inverse : (h, n) float, of the wear, and of the preconditioner in the basis.
-    free : (h, n) float, 1 on elements in contact, else 0; None: all are, and unknowns are those in
-        the basis.
-    weights : (h, n) float, what the approach has in the gradient.
-    """
-
-    basis: Basis = field(metadata=along(None))
-    matrix: FloatArray = field(metadata=along(None))
-    slope: FloatArray
-    inverse: FloatArray
-    free: FloatArray | None
-    weights: FloatArray
-
-    def into(self, right: FloatArray) -> FloatArray:
-        """Return right sides of the unknowns."""
-        return products(right, self.basis.psi) if self.free is None else right * self.free
-
-    def back(self, x: FloatArray) -> FloatArray:
-        """Return solutions from the unknowns."""
-        return products(x, self.basis.psi_t) if self.free is None else x
-
-    @property
-    def border(self) -> FloatArray:
-        """What the approach has in the unknowns' gradient, (h, n)."""
-        if self.free is None:
-            return np.broadcast_to(self.basis.force, self.slope.shape)
-        return self.weights * self.free
-
-    def apply(self, x: FloatArray) -> FloatArray:
-        """Return the matrices times x."""
-        basis = self.basis
-        if self.free is None:
-            return x + products(self.slope * products(x, basis.psi_t), basis.psi)
-        return (products(x, self.matrix) + self.slope * x) * self.free
-
-    def precondition(self, r: FloatArray) -> FloatArray:
-        """Return about the inverse matrices times r."""
-        if self.free is None:
-            return self.inverse * r
-        basis = self.basis
-        return products(products(r, basis.psi) * self.inverse, basis.psi_t) * self.free
-
-
-def _conjugate_gradients(
-    system: _System, right: FloatArray, missing: FloatArray | None, tolerance: float
-) -> tuple[FloatArray, FloatArray]:
-    """Return solutions (h, n), and multipliers (h,), see ``Hessians._iterate``.
-
-    Projected conjugate gradients: Gould, Hribar and Nocedal, SIAM J. Sci. Comput. 23 (2001).
-    """
-    every, found, multipliers = system, np.zeros_like(right), np.zeros(len(right))
-    rows, r = np.arange(len(right)), system.into(right)
-    force = system.border
-    response = system.precondition(force)
-    stiffness, multiplier = inner(force, response), np.zeros(len(right))
-    x = np.zeros_like(r)
-    if missing is not None:
-        x = response * _divided(missing, stiffness)[:, None]
-        r = r - system.apply(x)
-
-    def projected(r: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        z = system.precondition(r)
-        if missing is None:
-            return r, z, multiplier
-        more = _divided(inner(force, z), stiffness)
-        return r - force * more[:, None], z - response * more[:, None], multiplier + more
-
-    r, z, multiplier = projected(r)
-    direction, size = z, inner(r, z)
-    small = tolerance * tolerance * size
-    for _ in range(_MOST_ITERATIONS):
-        going = size > small
-        if not going.all():
-            ended = ~going
-            found[rows[ended]], multipliers[rows[ended]] = x[ended], -multiplier[ended]
-            if not going.any():
-                break
-            system = take(system, np.flatnonzero(going))
-            rows, x, r, z, direction, size, small, multiplier = (
-                a[going] for a in (rows, x, r, z, direction, size, small, multiplier)
-            )
-            force, response, stiffness = force[going], response[going], stiffness[going]
-        product = system.apply(direction)
-        length = (size / inner(direction, product))[:, None]
-        x, r = x + length * direction, r - length * product
-        r, z, multiplier = projected(r)
-        before, size = size, inner(r, z)
-        direction = z + (size / before)[:, None] * direction
-    else:
-        found[rows], multipliers[rows] = x, -multiplier
-    return every.back(found), multipliers

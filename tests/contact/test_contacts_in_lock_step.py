@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from ringwear_par.contact import hessians
-from ringwear_par.contact.bases import Bases, products
+from ringwear_par.contact.bases import Bases, RowGroups
 from ringwear_par.contact.batch import BatchSolver
 from ringwear_par.contact.problem import KKT_TOLERANCE, WarmStart
 from ringwear_par.contact.solver import ContactSolver
@@ -251,15 +251,20 @@ def test_bases_are_those_of_sets_and_are_kept():
 def test_digits_of_products_do_not_depend_on_the_other_rows(n):
     """Nor on how many right sides there are, nor on who else has the same matrix."""
     matrices, rows = RNG.normal(size=(3, n, n)), RNG.normal(size=(41, n))
-    every = products(rows, matrices[1])
+
+    def products(rows, which):
+        return RowGroups(np.asarray(which)).products(rows, matrices)
+
+    every = products(rows, np.full(41, 1))
+    assert every == pytest.approx(rows @ matrices[1], abs=1e-10)
     for count in (1, 2, 7, 8, 9, 40):
         part = RNG.permutation(41)[:count]
-        assert np.array_equal(products(rows[part], matrices[1]), every[part])
-        sides = products(np.array([rows[part], 2.0 * rows[part]]), matrices[1])
+        assert np.array_equal(products(rows[part], np.full(count, 1)), every[part])
+        sides = products(np.array([rows[part], 2.0 * rows[part]]), np.full(count, 1))
         assert np.array_equal(sides[0], every[part])
-    for which in (np.arange(41) % 3, np.full(41, 1)):
-        own = products(rows, matrices, which)
-        assert np.array_equal(own[which == 1], every[which == 1])
-    three = np.array([4, 5, 6])
-    assert np.array_equal(products(rows[three], matrices, np.array([2, 1, 0]))[1], every[5])
-    assert np.array_equal(products(rows[three], matrices, np.arange(3))[1], every[5])
+        which = RNG.integers(0, 3, count)
+        mixed = products(np.array([rows[part], rows[part]]), which)
+        assert np.array_equal(mixed[1][which == 1], every[part][which == 1])
+        for k in range(3):
+            exact = rows[part][which == k] @ matrices[k]
+            assert mixed[0][which == k] == pytest.approx(exact, abs=1e-10)
