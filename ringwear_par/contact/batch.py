@@ -322,7 +322,7 @@ class BatchSolver:
         scale, newton = self._scale[history], self._newton
         matrix = self._scaled[self._which[history]] * (scale[:, None] * scale)
         increment = None if wear is None else wear.history(history)
-        with ContactSolver(matrix, self._area, MPI.COMM_SELF) as solver:
+        with ContactSolver(matrix, self._area) as solver:
             found = solver.solve(
                 gap[history],
                 force=None if force is None else float(force[history]),
@@ -380,9 +380,13 @@ class BatchSolver:
         self._callbacks.guard.solve(self._tao, "python")
 
     def response(self, gap: FloatArray, force_kept: bool) -> FloatArray:
-        """Return what a small growth (B, n) mm of the gap does to the last pressures, MPa.
+        """Return the change of the last pressures, MPa, with a small growth (B, n) mm of gaps.
 
-        See ``ContactSolver.response``.
+        Linear, elements in contact staying so, the wear of the step included.
+
+        Parameters
+        ----------
+        force_kept : whether approaches follow so that forces stay, or stay themselves.
         """
         right = self._weights * gap
         if force_kept:
@@ -401,7 +405,16 @@ class BatchSolver:
     ) -> tuple[FloatArray, FloatArray]:
         """Return derivatives of the last pressures, (P, h, n), and approaches, (P, h), of some.
 
-        See ``ContactSolver.tangents``; what is given is of all histories.
+        On the inverses that solutions ended with.
+
+        Parameters
+        ----------
+        found : the last solution.
+        d_gap : (P, B, n) mm, derivatives of gaps at given pressures, wear included.
+        d_force, d_approach : (P, B) N or mm, of the loads; the other one is None.
+        slope : derivatives of the wear of the step with respect to pressure at the solution, (B, n)
+            mm/MPa, or (B, n, n) where it is non-local; None where there is none.
+        histories : (h,) int.
         """
         hessians, rows = self._hessians, self._rows_of(histories)
         weights, scale = self._weights[rows], self._scale[rows]
@@ -430,7 +443,10 @@ class BatchSolver:
     def _left_out(
         self, slope: FloatArray | None, histories: IntArray
     ) -> Callable[[FloatArray], FloatArray] | None:
-        """Return what makes of x (h, n) what ``ContactProblem.left_out`` does."""
+        """Return the product of x (h, n) with the slopes at a solution less those of the Hessian.
+
+        The Hessian is that of the iterate before; None where it is the same.
+        """
         if slope is None:
             return None
         rows, blocks = self._rows_of(histories), self._hessians

@@ -8,11 +8,10 @@ systems have Cholesky factors of their own.
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.linalg.lapack import dpotrf
+from scipy.linalg.lapack import dpotrf, dpotrs
 
 from ringwear_par.arrays import BoolArray, FloatArray, IntArray, inner
 from ringwear_par.contact.bases import Bases, Basis, RowGroups
-from ringwear_par.contact.newton import solve_rows
 from ringwear_par.petsc import PETSc
 
 #: largest systems that have bases: a basis takes as long as 12 factors, and as much memory as two
@@ -204,7 +203,7 @@ class Hessians:
             elif self._number[history] == _FACTOR and len(self._factors[history]):
                 free, factor = self._free[history], self._factors[history]
                 sides = right[..., place, :][..., free]
-                solved = solve_rows(factor, sides.reshape(-1, len(factor)))
+                solved = dpotrs(factor, sides.reshape(-1, len(factor)).T, lower=1)[0].T
                 out[..., place, free] = solved.reshape(sides.shape)
 
     def steps(

@@ -64,16 +64,6 @@ class LocalState:
             there = ", ".join(f.name for f in fields(self) if f.name != "memo")
             raise AttributeError(f"LocalState has no {name!r}; it has {there}")
 
-    def part(self, here: slice) -> "LocalState":
-        """Return the same for some of the elements."""
-        return replace(
-            self,
-            r=self.r[here],
-            speed=self.speed[..., here],
-            wear=self.wear[..., here],
-            slid=self.slid[..., here],
-        )
-
     def take(self, histories: IntArray) -> "LocalState":
         """Return what some of B histories know."""
         return replace(

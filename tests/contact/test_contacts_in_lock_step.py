@@ -120,7 +120,7 @@ def test_every_history_meets_its_conditions(monkeypatch, comm, name, control, sm
         touched += 0 < np.count_nonzero(p) < N
         if control == "force":
             assert AREA @ p == pytest.approx(FORCE[i], rel=1e-12)
-        with ContactSolver(COMPLIANCES[WHICH[i]], AREA, comm) as single:
+        with ContactSolver(COMPLIANCES[WHICH[i]], AREA) as single:
             exact = single.solve(GAP[i], **{control: float(given[i])}, wear=own)
         assert np.abs(p - exact.pressure).max() <= 1e-11 * max(exact.pressure.max(), 1e-300)
         assert found.approach[i] == pytest.approx(exact.approach, rel=1e-11)

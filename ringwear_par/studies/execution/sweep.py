@@ -20,7 +20,6 @@ from mpi4py import MPI
 from ringwear_par.elasticity.bem.assembly import load_kernels
 from ringwear_par.elasticity.stress.recovery import load_stress_kernels
 from ringwear_par.errors import ComputationError, InputError, RingwearError
-from ringwear_par.history.limits import check_ranks
 from ringwear_par.info import versions
 from ringwear_par.parallel import on_first_rank, peak_memory, warn_of_threads
 from ringwear_par.results.execution.progress import SweepProgress
@@ -118,17 +117,9 @@ def _planned(source: Source, request: Request, comm: MPI.Intracomm, held: ExitSt
 
     def plan() -> Plan:
         assert read is not None
-        if m > 1 and isinstance(source, Study):  # which may have been read for one rank a case
-            _check_ranks(read, m)
         return make_plan(read, request, held)
 
     return on_first_rank(comm, plan)
-
-
-def _check_ranks(study: Study, ranks: int) -> None:
-    """Refuse cases that so many ranks cannot share: one of each kind tells."""
-    for number in np.sort(np.unique(study.cases.kinds, return_index=True)[1]).tolist():
-        check_ranks(study.case(number), ranks, f"{study.name}: case {number + 1}")
 
 
 def _swept(
