@@ -79,6 +79,8 @@ def _reason(told: str, text: str) -> str:
         hint = f"; decimals have a point, as {comma[1]}.{comma[2]}"
     elif line.startswith("[") and ("overwrite" in told or "declare" in told):
         hint = f"; a table that is there several times is [[{line.strip('[]')}]] every time"
+    elif "{" in line and ("key part" in told or "inline table" in told):
+        hint = "; a table in braces must be on one line"
     return f"{legible(told, 200)}: {legible(line)}{hint}"
 
 
