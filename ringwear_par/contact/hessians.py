@@ -62,6 +62,7 @@ class Hessians:
         self._numbers: dict[tuple[int, bytes], int] = {}
         #: (m, n, n) and (m, n) each, of the bases, room for more included; see ``Basis``
         self._psi, self._mu, self._force = np.empty((0, n, n)), np.empty((0, n)), np.empty((0, n))
+        self._count = 0
         self._number = np.full(count, _BROKEN)
         #: (B, n) inverses in the bases, exact where the slope has the shape, else preconditioners
         self._inverse, self._regular = np.ones((count, n)), np.ones(count, dtype=bool)
@@ -114,9 +115,8 @@ class Hessians:
             places = np.flatnonzero(~regular)
             wearing[places] = True
             ordered = np.sort(np.where(touching[places], rate[places], np.inf), axis=1)
-            most[places] = ordered[
-                np.arange(len(places)), touching[places].sum(axis=1) // 2
-            ]  # median
+            middle = touching[places].sum(axis=1) // 2
+            most[places] = ordered[np.arange(len(places)), middle]  # the median
         wearing[~wearing.any(axis=1)] = True  # so as not to need a basis without wear
         self._choose_bases(histories, touching, wearing)
         numbers = self._number[histories]
@@ -143,14 +143,29 @@ class Hessians:
 
     def _add(self, basis: Basis) -> int:
         """Add a basis to those of the histories; return its number."""
-        number = 1 + max(self._numbers.values(), default=-1)
-        if number == len(self._mu):
-            self._psi, self._mu, self._force = (
-                np.concatenate([values, np.empty((max(4, len(values)), *values.shape[1:]))])
-                for values in (self._psi, self._mu, self._force)
-            )
+        if self._count == len(self._mu):
+            self._make_room()
+        number, self._count = self._count, self._count + 1
         self._psi[number], self._mu[number], self._force[number] = basis
         return number
+
+    def _make_room(self) -> None:
+        """Forget the bases that no history has any more, and make room for as many again."""
+        used = np.unique(self._number[self._number >= 0])
+        room = max(4, len(used))
+        self._psi, self._mu, self._force = (
+            np.concatenate([values[used], np.empty((room, *values.shape[1:]))])
+            for values in (self._psi, self._mu, self._force)
+        )
+        new = {int(number): place for place, number in enumerate(used)}
+        self._numbers = {
+            name: new.get(number, number)
+            for name, number in self._numbers.items()
+            if number in new or number < 0
+        }
+        modal = self._number >= 0
+        self._number[modal] = np.searchsorted(used, self._number[modal])
+        self._count, self._rows = len(used), None
 
     def _factorise(self, histories: IntArray) -> None:
         """Factor blocks one by one."""
@@ -173,10 +188,8 @@ class Hessians:
             modal = np.flatnonzero(every >= 0)
             whole = len(modal) == len(every)
             numbers = every if whole else every[modal]
-            self._rows = (
-                histories,
-                _Rows(slice(None) if whole else modal, numbers, self._force[numbers]),
-            )
+            places = slice(None) if whole else modal
+            self._rows = histories, _Rows(places, numbers, self._force[numbers])
         return self._rows[1]
 
     def solve(self, histories: IntArray, right: FloatArray) -> FloatArray:
@@ -248,11 +261,10 @@ class Hessians:
             approach[places] = change
         if len(rows.numbers) < len(histories):
             factored = np.flatnonzero(self._number[histories] < 0)
-            weights, both = (
-                self._weights[histories[factored]],
-                np.zeros((2, *gradient[factored].shape)),
-            )
-            self._solve_factored(histories[factored], np.array([gradient[factored], weights]), both)
+            weights = self._weights[histories[factored]]
+            right = np.array([gradient[factored], weights])
+            both = np.zeros_like(right)
+            self._solve_factored(histories[factored], right, both)
             carried, stiffness = (inner(weights, sides) for sides in both)
             change = _divided(missing[factored] + carried, stiffness)
             steps[factored], approach[factored] = change[:, None] * both[1] - both[0], change
