@@ -4,7 +4,7 @@ Every step costs a few sums over the elements: sentences are for the end, see ``
 """
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -12,10 +12,8 @@ from ringwear_par.arrays import FloatArray, IntArray, inner
 from ringwear_par.cases.case import Case
 from ringwear_par.elasticity.boundary_fields import BODIES
 from ringwear_par.elasticity.geometry.slopes import case_slopes
-
-if TYPE_CHECKING:
-    from ringwear_par.history.model import WearModel
-    from ringwear_par.history.state import State
+from ringwear_par.history.model import WearModel
+from ringwear_par.history.state import State
 
 #: fewer elements in contact than this do not resolve it
 FEW_ELEMENTS = 10
@@ -73,7 +71,7 @@ class WorstStates:
         self._table = np.zeros((len(names), ENTRIES, count))
 
     def __call__(
-        self, model: "WearModel", state: "State", numbers: IntArray, places: IntArray | slice
+        self, model: WearModel, state: State, numbers: IntArray, places: IntArray | slice
     ) -> None:
         """Take new states of some histories. Not collective.
 
@@ -133,7 +131,7 @@ class WorstStates:
             self._table[self._rows[name], :, 0] = before[name]
 
 
-def _worn_shares(model: "WearModel", body: int, p: FloatArray, wear: FloatArray) -> FloatArray:
+def _worn_shares(model: WearModel, body: int, p: FloatArray, wear: FloatArray) -> FloatArray:
     """Return the shares of a body's layers that are worn off, meant by load, (layers, B).
 
     Parameters
@@ -152,7 +150,7 @@ def _worn_shares(model: "WearModel", body: int, p: FloatArray, wear: FloatArray)
     return np.divide(shares, total, out=np.zeros((len(ends), len(p))), where=total > 0.0)
 
 
-def _unlike_slopes(model: "WearModel", p: FloatArray, wear: FloatArray) -> tuple[FloatArray, ...]:
+def _unlike_slopes(model: WearModel, p: FloatArray, wear: FloatArray) -> tuple[FloatArray, ...]:
     """Return the share of the load between faces of unlike slopes, and where; see ``WorstStates``.
 
     Slopes are those of the faces now, and the one along whose normal elements have the pressure.

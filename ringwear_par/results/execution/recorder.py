@@ -26,10 +26,10 @@ from ringwear_par.history.observers.boundaries import BoundaryObserver
 from ringwear_par.history.observers.stresses import CaseStresses, StressObserver
 from ringwear_par.history.observers.validity import WorstStates
 from ringwear_par.history.saving import stores
+from ringwear_par.history.schemes.tangent import variables as derivatives_of
 from ringwear_par.history.sensitivity import units_of
 from ringwear_par.history.snapshots import Snapshot
 from ringwear_par.history.state import Progress, Start, State
-from ringwear_par.history.tangent import variables as derivatives_of
 from ringwear_par.info import versions
 from ringwear_par.results.checkpoints import restored, take
 from ringwear_par.results.columns import HistoryColumns
