@@ -18,7 +18,7 @@ VAGUE_DOCSTRING = re.compile(r"(?:Return|Tell|Give) (?:what|the same|that of|tho
 #: folders, and modules of the root, that are not clean yet
 ROOMS_TO_DO = {
     "cases", "cli", "contact", "elasticity", "explorer", "history", "identification",
-    "kept", "options", "parallel", "reports", "results", "schedules", "studies", "textfiles",
+    "options", "parallel", "reports", "results", "schedules", "studies", "textfiles",
     "verification", "wear",
 }  # fmt: skip
 

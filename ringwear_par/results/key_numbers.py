@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ringwear_par.cases.case import density_keys
-from ringwear_par.elasticity.boundary_fields import BODIES, Which
+from ringwear_par.elasticity.stress.boundary_fields import BODIES, Which
 from ringwear_par.errors import InputError
 from ringwear_par.results.edge_elements import EDGE_ERROR, edge_elements
 from ringwear_par.results.layer_ends import worn_through

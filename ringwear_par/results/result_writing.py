@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import h5py
 import numpy as np
 
-from ringwear_par.elasticity.boundary_fields import BODIES, BoundaryState
+from ringwear_par.elasticity.stress.boundary_fields import BODIES, BoundaryState
 from ringwear_par.results.checkpoints import write_checkpoint
 from ringwear_par.results.hdf5_writing import atomic_hdf5, write_variable
 from ringwear_par.results.variables import (

@@ -8,7 +8,7 @@ import h5py
 import numpy as np
 
 from ringwear_par.arrays import FloatArray
-from ringwear_par.elasticity.boundary_fields import BODIES
+from ringwear_par.elasticity.stress.boundary_fields import BODIES
 from ringwear_par.elasticity.stress.fields import Interfaces, Largest, StressHistory, StressState
 from ringwear_par.elasticity.stress.measures import COMPONENTS, SIDES, max_shear, mises, principal
 from ringwear_par.results.hdf5_reading import find_texts, read_array

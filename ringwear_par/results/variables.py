@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from ringwear_par.elasticity.boundary_fields import BODIES, FACES
+from ringwear_par.elasticity.stress.boundary_fields import BODIES, FACES
 
 #: what files say they were written by
 SOFTWARE = "ringwear-par"

@@ -5,8 +5,8 @@ from collections.abc import Iterator, Mapping, Sequence
 import numpy as np
 
 from ringwear_par.cases.case import Case
-from ringwear_par.elasticity.boundary_fields import BODIES
 from ringwear_par.elasticity.geometry.mesh import ContactLine
+from ringwear_par.elasticity.stress.boundary_fields import BODIES
 from ringwear_par.elasticity.stress.fields import StressHistory, StressState
 from ringwear_par.elasticity.stress.measures import mises
 from ringwear_par.history.model import WearModel

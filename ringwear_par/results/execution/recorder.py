@@ -15,8 +15,8 @@ from ringwear_par.arrays import BoolArray, FloatArray, IntArray, share
 from ringwear_par.cases.case import Case
 from ringwear_par.cases.files.law_trials import law_sources
 from ringwear_par.contact.problem import WarmStart
-from ringwear_par.elasticity.boundary_fields import BODIES, BoundaryState
-from ringwear_par.elasticity.pair import BodyCost
+from ringwear_par.elasticity.bem.pair import BodyCost
+from ringwear_par.elasticity.stress.boundary_fields import BODIES, BoundaryState
 from ringwear_par.elasticity.stress.fields import StressHistory, StressState
 from ringwear_par.errors import reason_of
 from ringwear_par.history.layers import layer_left, layer_volumes

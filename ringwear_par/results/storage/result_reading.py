@@ -7,8 +7,13 @@ from typing import Any
 import h5py
 import numpy as np
 
-from ringwear_par.elasticity.boundary_fields import BODIES, FACES, BoundaryFields, BoundaryState
 from ringwear_par.elasticity.geometry.mesh import ContactLine
+from ringwear_par.elasticity.stress.boundary_fields import (
+    BODIES,
+    FACES,
+    BoundaryFields,
+    BoundaryState,
+)
 from ringwear_par.results.checkpoints import Checkpoint, read_checkpoint
 from ringwear_par.results.hdf5_reading import (
     find_texts,
