@@ -16,7 +16,7 @@ from ringwear_par.errors import InputError
 from ringwear_par.results.execution.run import run_case
 from ringwear_par.results.storage import export as module
 from ringwear_par.results.storage.export import export
-from ringwear_par.results.storage.result_reading import open_result
+from ringwear_par.results.storage.result_files import open_result
 
 pytestmark = pytest.mark.serial
 CASES = Path(__file__).parents[2] / "scripts" / "cases"

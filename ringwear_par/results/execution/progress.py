@@ -117,7 +117,7 @@ class FitProgress:
             self._bar.update(histories - self._bar.n)
 
     def tell(self, state: str) -> None:
-        """Tell what the fit is at, where there is no terminal if it is time."""
+        """Print the state of the fit; without a terminal now and then."""
         if not self._bar.disable:
             self._bar.set_description(state)
         elif time.perf_counter() - self._told > PROGRESS_SECONDS:
