@@ -40,7 +40,7 @@ def share(weights: FloatArray, which: BoolArray) -> Any:
 
 
 def relative(off: Any, exact: Any) -> Any:
-    """Return what numbers of histories are off relative to others, 0 where those are 0 or less.
+    """Return the errors ``off`` over the exact numbers, 0 where those are 0 or less.
 
     NaN where either is.
     """

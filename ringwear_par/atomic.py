@@ -107,7 +107,7 @@ def check_writable(path: Path) -> None:
 
 
 def unwritable(path: Path, error: OSError) -> RingwearError:
-    """Return what a failure to write means to a user: another name, or room on the disk."""
+    """Return the error of a file that cannot be written: another name, or room on the disk."""
     kind = ComputationError if error.errno in _FULL else InputError
     return kind(f"{path}: cannot be written: {error.strerror or error}")
 

@@ -42,8 +42,8 @@ class ComputationError(RingwearError):
 
 def reason_of(error: Exception) -> str:
     """Return why something failed, as it is stored: on one line."""
-    told = str(error) if isinstance(error, RingwearError) else repr(error)
-    return _cut(" ".join(told.split()), LONGEST_SENTENCE)
+    reason = str(error) if isinstance(error, RingwearError) else repr(error)
+    return _cut(" ".join(reason.split()), LONGEST_SENTENCE)
 
 
 class HistoriesError(ComputationError):

@@ -14,6 +14,8 @@ from ringwear_par.files import open_ordinary
 _DEEPEST = 32
 #: what makes a text of a command line TOML, and how those begin that are no plain texts
 _VALUE, _MEANT = "value = ", re.compile(r"\s*([\[{]|[-+]?\.[0-9])")
+#: a line that ends within an inline table, or with a comma before the end of one
+_OPEN_TABLE = re.compile(r"\{[^}]*(#.*)?$|,\s*\}")
 
 
 def read_text(path: Path) -> str:
@@ -79,6 +81,8 @@ def _reason(told: str, text: str) -> str:
         hint = f"; decimals have a point, as {comma[1]}.{comma[2]}"
     elif line.startswith("[") and ("overwrite" in told or "declare" in told):
         hint = f"; a table that is there several times is [[{line.strip('[]')}]] every time"
+    elif _OPEN_TABLE.search(line) and ("key part" in told or "inline table" in told):
+        hint = "; an inline table { ... } is on one line, without a comma at its end"
     return f"{legible(told, 200)}: {legible(line)}{hint}"
 
 

@@ -125,7 +125,7 @@ def measure(n: int, repeats: int, comm: MPI.Comm) -> dict[str, float]:
     moving = replace(case, mesh=Mesh(n, geometry="updated"))
 
     def first_contact() -> None:
-        with ContactSolver(matrix, area, comm) as solver:
+        with ContactSolver(matrix, area) as solver:
             solver.solve(np.zeros(n), force=case.load.force)
 
     def history(case: Case) -> None:

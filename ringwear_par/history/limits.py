@@ -11,7 +11,6 @@ from ringwear_par.cases.files.law_trials import refuse_bad_laws
 from ringwear_par.cases.numbers import number_faults
 from ringwear_par.cases.stress import Stress, check_stress
 from ringwear_par.cases.text import toml_value
-from ringwear_par.contact.problem import REPLICATED_LIMIT
 from ringwear_par.elasticity.bem.boundary import count_elements, face_elements, zone_meshes
 from ringwear_par.errors import InputError
 
@@ -94,31 +93,6 @@ def _numbers_of_systems(unknowns: float, loads: float, ranks: int) -> float:
     return of_a_body + copies * (matrix + right)
 
 
-def check_ranks(case: Case, ranks: int, name: str) -> None:
-    """Refuse a non-local law in a contact problem that ranks would share. Not collective.
-
-    Parameters
-    ----------
-    ranks : of the case.
-    name : what messages call the case.
-
-    Raises
-    ------
-    InputError : one sentence a body.
-    """
-    elements = case.mesh.contact_elements
-    if ranks == 1 or elements <= REPLICATED_LIMIT:
-        return
-    faults = [
-        f"{name}: mesh.contact_elements = {elements}: must be at most {REPLICATED_LIMIT} on "
-        f"several ranks where wear.{body}.law averages over a length"
-        for body, law in zip(("lower", "upper"), case.laws, strict=True)
-        if law is not None and law.length
-    ]
-    if faults:
-        raise InputError(*faults)
-
-
 def check_case(case: Case, ranks: int, name: str, known_mesh: bool = False) -> None:
     """Refuse a case that cannot be computed, as far as that can be told before. Not collective.
 
@@ -145,7 +119,6 @@ def check_case(case: Case, ranks: int, name: str, known_mesh: bool = False) -> N
     for check in (
         try_numbers,
         lambda: refuse_bad_laws(case, name),
-        lambda: check_ranks(case, ranks, name),
         try_memory_and_mesh,
     ):
         try:

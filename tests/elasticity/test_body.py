@@ -179,7 +179,7 @@ def test_memory_stays_flat(comm):
         body = condensed(LOWER, Mesh(32), comm)
         line = contact_line(CONTACT, Mesh(32))
         weighted = line.area[:, None] * body.normal
-        with ContactSolver(0.5 * (weighted + weighted.T), line.area, comm) as solver:
+        with ContactSolver(0.5 * (weighted + weighted.T), line.area) as solver:
             solver.solve(np.zeros(32), force=1.0)
 
     for _ in range(20):

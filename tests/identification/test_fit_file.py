@@ -1,7 +1,6 @@
 """Fit files: what they may say, and every fault of theirs, told together before any work."""
 
 import copy
-import tomllib
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +10,6 @@ from laboratory import CASE, FITTED, PEN, PROF, K, changed, fit_tables, write_te
 from ringwear_par.errors import InputError
 from ringwear_par.identification.definition import fit_file
 from ringwear_par.identification.definition.fit_file import read_fit
-from ringwear_par.identification.definition.inline_tables import on_one_line
 from ringwear_par.identification.definition.problem import FittedParameter
 
 #: every key that a fit file may have
@@ -20,13 +18,16 @@ case = "case.toml"
 [fit]
 parameters."wear.lower.k"  = { start = 1e-7, bounds = [1e-9, 1e-5], scale = "log" }
 parameters."wear.lower.p0" = { start = 0.0,  bounds = [0.0, 200.0] }
-parameters."contact.friction" = { start = 0.1, bounds = [0.01, 1.0], scale = "log",
-                                  prior = { normal = [0.1, 0.05] } }
 starts = 8
 method = "brgn"
 intervals = ["linear", "profile"]
 level = 0.9
 loss = "student"
+[fit.parameters."contact.friction"]
+start = 0.1
+bounds = [0.01, 1.0]
+scale = "log"
+prior = { normal = [0.1, 0.05] }
 [[experiment]]
 name = "low"
 set = { "load.pressure" = 50.0, "load.omega" = 3.54, "time.end" = 100.0 }
@@ -37,8 +38,9 @@ set = { "load.pressure" = 50.0, "load.omega" = 3.54, "time.end" = 100.0 }
   units   = { time = "min", value = "um" }
   sd = 0.2
   correlation_time = 2.0
-  nuisance = { offset = {}, drift = { prior = { normal = [0.0, 0.5] } },
-               compliance = { bounds = [0, 1] } }
+  nuisance.offset = {}
+  nuisance.drift = { prior = { normal = [0.0, 0.5] } }
+  nuisance.compliance = { bounds = [0, 1] }
   [[experiment.data]]
   quantity = "profile.lower"
   at = 100.0
@@ -56,11 +58,9 @@ set = { "load.pressure" = 100.0, "load.omega" = 3.54, "time.end" = 100.0 }
   columns = { time = "t_s", value = "M_Nm" }
   units = { value = "N m" }
   sd = { relative = 0.01 }
-[compare]
-archard = { set = { "wear.lower.law" = "archard" }, parameters = {
-  # one only
-  "wear.lower.k" = { start = 1e-8, bounds = [1e-11, 1e-5], scale = "log" }
-} }
+[compare.archard]
+set = { "wear.lower.law" = "archard" }
+parameters."wear.lower.k" = { start = 1e-8, bounds = [1e-11, 1e-5], scale = "log" }
 [design]
 criterion = "D"
 vary = { "load.pressure" = [30, 100], "time.end" = [20, 200] }
@@ -200,6 +200,9 @@ def test_faults(path, value, said, good):
     [
         ("sd = 0,2", "(at line 2, column 7): sd = 0,2; decimals have a point, as 0.2"),
         ("a = { b = 0,2, c = 1 }", "decimals have a point, as 0.2"),
+        ("a = { b = 1,\n c = 2 }", "an inline table { ... } is on one line"),
+        ("a = { b = 1\n}", "an inline table { ... } is on one line"),
+        ("a = { b = 1, }", "an inline table { ... } is on one line"),
         ("[[case]]", "[[case]]; a table that is there several times is [[case]] every time"),
         ("x = what", "x = what"),
     ],
@@ -232,14 +235,6 @@ def test_other_files_are_told(tmp_path):
     (tmp_path / "case.toml").write_text(CASE)
     with pytest.raises(InputError, match="is a case, not a fit file"):
         read_fit(tmp_path / "case.toml")
-
-
-def test_inline_tables_over_lines_keep_line_numbers():
-    text = "a = { b = \"{\", # }\n c = 1 } # {\n[d]\ne = '}'\nf = [{ g = 1,\n h = 2 }, 3]\n"
-    found = tomllib.loads(on_one_line(text))
-    assert found == {"a": {"b": "{", "c": 1}, "d": {"e": "}", "f": [{"g": 1, "h": 2}, 3]}}
-    with pytest.raises(tomllib.TOMLDecodeError, match="line 7"):
-        tomllib.loads(on_one_line(text + "=\n"))
 
 
 def test_what_is_planned_and_left_out_may_have_units(good):

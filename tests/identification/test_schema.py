@@ -11,7 +11,6 @@ import pytest
 from ringwear_par.cli import main
 from ringwear_par.errors import InputError
 from ringwear_par.identification.definition.fit_file import read_fit
-from ringwear_par.identification.definition.inline_tables import on_one_line
 from ringwear_par.identification.definition.schema import KEYS, schema
 
 FIT = Path(__file__).parents[2] / "scripts/fit"
@@ -109,7 +108,7 @@ def test_defaults_are_those_of_what_is_read():
 
 @pytest.mark.parametrize("name", ["fit.toml", "plan.toml"])
 def test_files_that_there_are_keep_to_it(name):
-    tables = tomllib.loads(on_one_line((FIT / name).read_text()))
+    tables = tomllib.loads((FIT / name).read_text())
     known = in_schema("experiment.data.")
     for experiment in tables["experiment"]:
         assert set().union(*experiment["data"]) <= known

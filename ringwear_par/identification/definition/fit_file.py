@@ -18,7 +18,6 @@ from ringwear_par.errors import MOST_FAULTS, InputError, legible
 from ringwear_par.history.limits import check_case
 from ringwear_par.identification.definition.candidates import read_space
 from ringwear_par.identification.definition.fitted import read_parameters, refuse_both, refuse_fixed
-from ringwear_par.identification.definition.inline_tables import on_one_line
 from ringwear_par.identification.definition.problem import (
     Experiment,
     FittedParameter,
@@ -61,7 +60,7 @@ def read_fit(source: Path | str | Mapping[str, Any], *, plans: bool = False) -> 
     else:
         path = Path(source)
         name, folder, written = str(path), path.parent, read_text(path)
-        tables = parse_toml(on_one_line(written), name)
+        tables = parse_toml(written, name)
     if "experiment" not in tables and (kind := kinds(tables)) & {"case", "study"}:
         told = "a case" if "case" in kind and "case" not in tables else "a study"
         raise InputError(f"{name}: is {told}, not a fit file; [[experiment]] is missing")

@@ -13,7 +13,6 @@ from ringwear_par.cases.units import has_unit, in_unit
 from ringwear_par.cases.values import is_number
 from ringwear_par.errors import legible
 from ringwear_par.identification.definition.candidates import LOADS, Candidate, last_profiles
-from ringwear_par.identification.definition.inline_tables import on_one_line
 from ringwear_par.identification.definition.problem import Series
 from ringwear_par.textfiles import parse_toml
 
@@ -60,8 +59,8 @@ def next_tests(found: "DesignResult", told: str) -> str:
 
 def _measured_as(found: "DesignResult") -> dict[str, Any]:
     """Return the table of the experiment as which tests are measured."""
-    text = on_one_line(found.problem.text)
-    first: dict[str, Any] = parse_toml(text, found.problem.name)["experiment"][0]
+    problem = found.problem
+    first: dict[str, Any] = parse_toml(problem.text, problem.name)["experiment"][0]
     return first
 
 
