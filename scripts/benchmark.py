@@ -40,10 +40,11 @@ import ringwear_par as rw
 from ringwear_par import kept
 from ringwear_par.cases.case import Case, Stepping
 from ringwear_par.contact.solver import ContactSolver
-from ringwear_par.elasticity.bem.assembly import assemble, number_dofs
+from ringwear_par.elasticity.bem.assembly import assemble
 from ringwear_par.elasticity.bem.body import body_zones
 from ringwear_par.elasticity.bem.quadrature import quadrature
 from ringwear_par.elasticity.bem.solve import solve_systems
+from ringwear_par.elasticity.bem.systems import number_dofs
 from ringwear_par.elasticity.geometry.mesh import Mesh
 from ringwear_par.elasticity.pair import assemble_pair
 from ringwear_par.history.elastic.bodies import bodies, young

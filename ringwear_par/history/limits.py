@@ -84,9 +84,9 @@ def _numbers_of_systems(unknowns: float, loads: float, ranks: int) -> float:
     of_a_body = 1.25 * matrix + 1.5 * right
     if ranks == 1:  # one body after another: its rows, their factors
         return 2.0 * of_a_body
-    from ringwear_par.elasticity.bem.solve import has_scalapack, solved_whole
+    from ringwear_par.elasticity.bem.solve import has_scalapack, solved_on_one_rank
 
-    if solved_whole(round(unknowns), ranks):  # both at once: rows, gathered ones, factors
+    if solved_on_one_rank(round(unknowns), ranks):  # both at once: rows, gathered ones, factors
         return 6.0 * of_a_body
     # one body after another: its rows, and the copies of PETSc 3.18, measured on 2 ranks
     copies = 6.0 if has_scalapack() else 1.0 + 3.0 * ranks
