@@ -272,7 +272,7 @@ class HistoryColumns:
     layers : (rows,), (rows, layers + 1), (rows, n) or (B, n) each, by name, see
         ``variables.LAYERS``.
     stress : (rows,) or (rows, points) each, by name, see ``stress_variables.stress_rows``.
-    each : (B,) or (B, points) each, by name: when wear got through layers, where points are.
+    whole : (B,) or (B, points), by name: when wear got through layers, where points are.
     """
 
     offsets: IntArray
@@ -287,7 +287,7 @@ class HistoryColumns:
     derivatives: Mapping[str, FloatArray] = field(default_factory=dict)
     layers: Mapping[str, FloatArray] = field(default_factory=dict)
     stress: Mapping[str, FloatArray] = field(default_factory=dict)
-    each: Mapping[str, FloatArray] = field(default_factory=dict)
+    whole: Mapping[str, FloatArray] = field(default_factory=dict)
 
     @property
     def count(self) -> int:

@@ -164,11 +164,11 @@ def _too_deep(case: Case) -> Iterator[tuple[str, str]]:
         z = case.rings[forecast.body].z
         if forecast.depth > DEEP * (z[1] - z[0]):
             key = f"{forecast.table}.k" if forecast.k else forecast.table
-            what = f"{key} = {forecast.k:g} 1/MPa" if forecast.k else key
+            coefficient = f"{key} = {forecast.k:g} 1/MPa" if forecast.k else key
             question = f'; if it is in mm3/(N m), write "{forecast.k:g} mm3/(N m)"'
             yield (
                 key,
-                f"{what} is to wear {forecast.depth:.3g} mm off {BODIES[forecast.body]} by "
+                f"{coefficient} is to wear {forecast.depth:.3g} mm off {BODIES[forecast.body]} by "
                 f"t = {case.time.end:g} s, more than a tenth of its height, {z[1] - z[0]:g} mm"
                 + question
                 * bool(forecast.k),

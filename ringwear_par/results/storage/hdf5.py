@@ -53,7 +53,7 @@ class UnreadableError(InputError):
 
 
 @contextmanager
-def reading(path: Path, software: str, what: str, must: str = "") -> Iterator[h5py.File]:
+def reading(path: Path, software: str, kind: str, must: str = "") -> Iterator[h5py.File]:
     """Give a file of ours to read; anything that goes wrong meanwhile means that it is none.
 
     Not collective.
@@ -61,7 +61,7 @@ def reading(path: Path, software: str, what: str, must: str = "") -> Iterator[h5
     Parameters
     ----------
     software : attribute of such files.
-    what : "a result file of ringwear", as messages call them.
+    kind : "a result file of ringwear", as messages call them.
     must : how these end.
 
     Raises
@@ -71,7 +71,7 @@ def reading(path: Path, software: str, what: str, must: str = "") -> Iterator[h5
     try:
         if not path.is_file():
             fault = "is not a file" if path.exists() else "does not exist"
-            raise InputError(f"{path}: {fault}; must be {what}")
+            raise InputError(f"{path}: {fault}; must be {kind}")
         about = path.stat()
         if not _is_whole(path, about.st_ino, about.st_size, about.st_mtime_ns):
             raise InputError(f"{path}: is damaged: its checksum is not that of its contents{must}")
@@ -84,7 +84,7 @@ def reading(path: Path, software: str, what: str, must: str = "") -> Iterator[h5
     except Exception as error:  # h5py has no errors of its own: any may come
         if isinstance(error, OSError) and error.errno:  # somebody writes to it, a disk is away
             raise UnreadableError(f"{path}: cannot be read: {os.strerror(error.errno)}") from error
-        raise InputError(f"{path}: is not {what}, or is damaged{must}") from error
+        raise InputError(f"{path}: is not {kind}, or is damaged{must}") from error
 
 
 @lru_cache(maxsize=256)

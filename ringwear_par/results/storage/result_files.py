@@ -69,7 +69,7 @@ from ringwear_par.results.variables import (
     Variable,
 )
 
-_WHAT = "a result file of ringwear"
+_KIND = "a result file of ringwear"
 #: texts and numbers that every file has, and those that it may have
 _TEXTS = {
     "case", "title", "status", "version", "begun_by", "scheme", "user_laws", "law_lower",
@@ -101,7 +101,7 @@ def read_status(path: Path) -> tuple[str, int] | None:
     with reading(
         path,
         SOFTWARE,
-        _WHAT,
+        _KIND,
         "; must be one (--restart), another name, or be replaced by --overwrite",
     ) as file:
         status = read_text(file.attrs["status"])
@@ -117,7 +117,7 @@ def read_error(path: Path) -> str:
     ------
     InputError : it is no result file.
     """
-    with reading(path, SOFTWARE, _WHAT) as file:
+    with reading(path, SOFTWARE, _KIND) as file:
         return read_text(file.attrs.get("error", ""))
 
 
@@ -129,7 +129,7 @@ def open_result(path: str | Path) -> Result:
     InputError : it is not one.
     """
     path = Path(path)
-    with reading(path, SOFTWARE, _WHAT) as file:
+    with reading(path, SOFTWARE, _KIND) as file:
         return _read(file, path)
 
 
