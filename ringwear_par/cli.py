@@ -165,19 +165,12 @@ def _parser() -> argparse.ArgumentParser:
     export.add_argument("result", type=_path, metavar="RUN.h5")
     export.add_argument(
         "-o", "--output", type=_path, required=True, metavar="OUT",
-        help=".vtkhdf: contours of both bodies at all stored times; .vtp: at one; .vtu: their "
-        "surfaces, revolved; .csv: histories",
+        help=".vtkhdf: contours of both bodies at all stored times; .csv: histories",
     )  # fmt: skip
     export.add_argument(
-        "--time", type=_time, metavar="T",
-        help='take the stored state nearest to this time, s or such as "2 h" (default: the last)',
+        "--revolve", type=int, metavar="N",
+        help="write the surfaces, revolved in N segments, instead of the contours",
     )  # fmt: skip
-    export.add_argument(
-        "--revolve",
-        type=int,
-        metavar="N",
-        help="segments of the revolved surfaces (.vtu, default 72; .vtkhdf, default: contours)",
-    )
     export.add_argument(
         "--scale", type=float, metavar="S",
         help="add the displacements, S times magnified, to the points (default: 0)",
@@ -188,11 +181,11 @@ def _parser() -> argparse.ArgumentParser:
     )  # fmt: skip
     export.add_argument(
         "--stress", action="store_true",
-        help="write the stresses of [stress]: its grid to .vtu or .vtkhdf, its points to .csv",
+        help="write the stresses of [stress]: its grid to .vtkhdf, its points to .csv",
     )  # fmt: skip
     export.add_argument(
         "--interfaces", action="store_true",
-        help="write the stresses along the interfaces between layers to .csv or .vtp",
+        help="write the stresses along the interfaces between layers to .vtkhdf or .csv",
     )  # fmt: skip
 
     report = command("report", "write a page of stored results that opens in any browser")
@@ -243,20 +236,6 @@ def _slice(text: str) -> tuple[int, int]:
         raise argparse.ArgumentTypeError(f"{legible(text)}: must be I/N, such as 2/8")
     first, _, last = text.partition("/")
     return int(first), int(last)
-
-
-def _time(text: str) -> str:
-    """Return a time as it is typed."""
-    from ringwear_par.cases.units import seconds
-    from ringwear_par.cases.values import RejectedError
-
-    try:
-        seconds(text)
-    except RejectedError as error:
-        raise argparse.ArgumentTypeError(
-            f'{legible(text)}: must be a time in s, or with its unit, such as "2 h"'
-        ) from error
-    return text
 
 
 def _port(text: str) -> int:
@@ -336,16 +315,11 @@ def _plot(args: argparse.Namespace, comm: Any) -> None:
 
 
 def _export(args: argparse.Namespace, comm: Any) -> None:
-    from ringwear_par.cases.units import seconds
     from ringwear_par.parallel import on_first_rank
     from ringwear_par.results.storage.export import export
 
-    time = None if args.time is None else seconds(args.time)
-    chosen = time, args.revolve, args.scale, args.fields, args.stress, args.time or ""
-    told = on_first_rank(
-        comm, lambda: export(args.result, args.output, *chosen, interfaces=args.interfaces)
-    )
-    print(told)
+    chosen = args.revolve, args.scale, args.fields, args.stress, args.interfaces
+    print(on_first_rank(comm, lambda: export(args.result, args.output, *chosen)))
 
 
 def _report(args: argparse.Namespace, comm: Any) -> None:

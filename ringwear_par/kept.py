@@ -204,7 +204,7 @@ def _told(value: object) -> str:
 def _surroundings() -> str:
     """Return what the last bits of a pair depend on beside its key and the number of threads."""
     source = hashlib.sha256()
-    for path in sorted((Path(__file__).parent / "elasticity").glob("*.py")):
+    for path in sorted((Path(__file__).parent / "elasticity").rglob("*.py")):
         source.update(path.read_bytes())
     processor = ""
     with suppress(OSError), open("/proc/cpuinfo", "rb") as file:

@@ -40,10 +40,11 @@ import ringwear_par as rw
 from ringwear_par import kept
 from ringwear_par.cases.case import Case, Stepping
 from ringwear_par.contact.solver import ContactSolver
-from ringwear_par.elasticity.bem.assembly import assemble, number_dofs
+from ringwear_par.elasticity.bem.assembly import assemble
 from ringwear_par.elasticity.bem.body import body_zones
 from ringwear_par.elasticity.bem.quadrature import quadrature
 from ringwear_par.elasticity.bem.solve import solve_systems
+from ringwear_par.elasticity.bem.systems import number_dofs
 from ringwear_par.elasticity.geometry.mesh import Mesh
 from ringwear_par.elasticity.pair import assemble_pair
 from ringwear_par.history.elastic.bodies import bodies, young
@@ -125,7 +126,7 @@ def measure(n: int, repeats: int, comm: MPI.Comm) -> dict[str, float]:
     moving = replace(case, mesh=Mesh(n, geometry="updated"))
 
     def first_contact() -> None:
-        with ContactSolver(matrix, area, comm) as solver:
+        with ContactSolver(matrix, area) as solver:
             solver.solve(np.zeros(n), force=case.load.force)
 
     def history(case: Case) -> None:

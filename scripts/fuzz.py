@@ -60,7 +60,7 @@ STRESSED = [
     'stress.points=[[30, 19.9], [30, 20, "above"]]',
     "stress.grid={r=[28, 32], z=[19.9, 20.1], n=[5, 4]}",
 ]  # fmt: skip
-STRESS_FILES, INTERFACE_FILES = ("b.csv", "b.vtu", "b.vtkhdf"), ("c.csv", "c.vtp")
+STRESS_FILES, INTERFACE_FILES = ("b.csv", "b.vtkhdf"), ("c.csv", "c.vtkhdf")
 #: an input that takes longer hangs
 CPU_SECONDS, WALL_SECONDS = 10, 100
 _MEMORY_BYTES = 6 * 2**30
@@ -95,8 +95,8 @@ def read_a_result(folder: Path, rng: random.Random) -> None:
         lambda: export(result, folder / "a.csv", fields=rng.random() < 0.5),
     ]  # fmt: skip
     if result.boundary:
-        looks.append(lambda: export(result, folder / "a.vtp"))
-        looks.append(lambda: export(path, folder / "a.vtu", time=0.0, scale=10.0))
+        looks.append(lambda: export(result, folder / "a.vtkhdf"))
+        looks.append(lambda: export(path, folder / "d.vtkhdf", scale=10.0))
     if result.stress is not None:
         looks += [
             lambda: export(result, folder / rng.choice(STRESS_FILES), stress=True),
@@ -275,9 +275,9 @@ class Inputs:
                     ["sweep", "study.toml", "-o", "out", "--dry-run", "--slice", "1/2"],
                     ["sweep", "study.toml", "-o", "out", "--dry-run", "--ranks-per-case", "1"],
                     ["plot", "run.h5", "-o", "a.png", "--panels", "wear", "--steps", "1,2"],
-                    ["export", "run.h5", "-o", "a.vtu", "--revolve", "6", "--time", "1"],
-                    ["export", "run.h5", "-o", "a.vtp", "--scale", "2"],
-                    ["export", "run.h5", "-o", "a.vtu", "--stress", "--time", "10"],
+                    ["export", "run.h5", "-o", "a.vtkhdf", "--revolve", "6"],
+                    ["export", "run.h5", "-o", "a.vtkhdf", "--scale", "2"],
+                    ["export", "run.h5", "-o", "a.vtkhdf", "--stress"],
                     ["export", "run.h5", "-o", "a.csv", "--interfaces"],
                     ["plot", "run.h5", "-o", "a.png", "--panels", "stress", "--times", "1,2"],
                     ["laws", "paper.toml", "--set", "wear.lower.k=2e-7"],

@@ -11,10 +11,8 @@ unset PYTHONDONTWRITEBYTECODE
 # once, before many processes want it at the same time
 python - <<COMPILE
 from mpi4py import MPI
-from ringwear_par.contact.batch import load_batch_kernels
 from ringwear_par.elasticity.bem.assembly import load_kernels
 load_kernels(MPI.COMM_SELF)
-load_batch_kernels(MPI.COMM_SELF)
 COMPILE
 # the site, with warnings as errors: every page, formula, link and script of the gallery
 bash scripts/docs.sh

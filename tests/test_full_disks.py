@@ -154,7 +154,7 @@ def test_run_with_checkpoints(full, runs):
     "words",
     [
         ["plot", "fields.h5", "-o", "old.png", "--panels", "section"],
-        ["export", "fields.h5", "-o", "old.vtu"],
+        ["export", "fields.h5", "-o", "old.vtkhdf"],
         ["export", "fields.h5", "-o", "old.csv", "--fields"],
     ],
     ids=lambda words: words[3],

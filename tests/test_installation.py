@@ -104,15 +104,16 @@ def test_compiled_code_is_kept_in_a_private_folder_where_nothing_else_may_be_wri
 def test_a_changed_function_is_compiled_into_its_callers(tmp_path):
     package = tmp_path / "site" / "ringwear_par"
     shutil.copytree(ROOT / "ringwear_par", package, ignore=shutil.ignore_patterns("__pycache__"))
-    callee, caller = (package / "elasticity" / f"{name}.py" for name in ("callee", "caller"))
+    folder = package / "elasticity" / "bem"
+    callee, caller = (folder / f"{name}.py" for name in ("callee", "caller"))
     decorated = "from ringwear_par.elasticity.compiling import compiled\n@compiled\ndef "
     callee.write_text(f"{decorated}factor():\n    return 1.0\n")
     caller.write_text(
-        "from ringwear_par.elasticity.callee import factor\n"
+        "from ringwear_par.elasticity.bem.callee import factor\n"
         f"{decorated}product(x):\n    return factor() * x\n"
     )
     program = (
-        "from ringwear_par.elasticity.caller import product as p; "
+        "from ringwear_par.elasticity.bem.caller import product as p; "
         "print(p(2.0), *p.stats.cache_hits.values())"
     )
     path = {"PYTHONPATH": str(tmp_path / "site"), "PYTHONDONTWRITEBYTECODE": "1"}

@@ -15,7 +15,7 @@ from full_disk import resize
 from mpi4py import MPI
 
 from ringwear_par import kept
-from ringwear_par.elasticity.bem.solve import solved_whole
+from ringwear_par.elasticity.bem.solve import solved_on_one_rank
 from ringwear_par.elasticity.geometry.mesh import Mesh
 from ringwear_par.history.elastic import pairs
 from ringwear_par.history.elastic.bodies import operator_key
@@ -261,7 +261,7 @@ def test_options_for_petsc_ask_for_assembly(folder, assembled, comm):
     pairs.assemble(case, comm)
     options["bem_ksp_type"] = "preonly"
     try:
-        assert not solved_whole(10, 1)
+        assert not solved_on_one_rank(10, 1)
         pairs.assemble(case, comm)
     finally:
         del options["bem_ksp_type"]
@@ -271,7 +271,7 @@ def test_options_for_petsc_ask_for_assembly(folder, assembled, comm):
 def test_systems_that_ranks_share_are_not_kept(folder, assembled, comm, monkeypatch):
     from ringwear_par.elasticity.bem import solve
 
-    monkeypatch.setattr(solve, "WHOLE_LIMIT", 50)
+    monkeypatch.setattr(solve, "ONE_RANK_LIMIT", 50)
     case = paper_case(Mesh(N))
     for _ in range(2):
         pairs.assemble(case, comm)

@@ -99,7 +99,7 @@ def test_bad_input_is_said_once_with_status_2(ringwear, shared_path, comm, words
         (["sweep", "no.toml", "-o", "a", "--slice", "1/" + "9" * 5000], "must be I/N"),
         (["sweep", "no.toml", "-o", "a", "--slice", "3/2"], "I/N with I from 1 to N"),
         (["sweep", "no.toml", "-o", "a", "--ranks-per-case", "9" * 5000], "invalid int value"),
-        (["export", "a.h5", "-o", "a.vtu", "--revolve", "99999999"], "must be from 3 to 3600"),
+        (["export", "a.h5", "-o", "a.vtkhdf", "--revolve", "99999999"], "must be from 3 to 3600"),
         (["run", PAPER, "-o", "a.h5", "--", "foo"], "-- foo: must be an option of PETSc"),
         (["run", PAPER, "-o", "a.h5", "--", "-foo", "1", "2"], "-- 2: must be an option of PETSc"),
         (["run", PAPER, "-o", "a.h5", "--", "-options_file", "no"], "-options_file no: cannot be"),

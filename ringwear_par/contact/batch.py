@@ -13,20 +13,20 @@ from mpi4py import MPI
 
 from ringwear_par.arrays import FloatArray, IntArray, inner
 from ringwear_par.batched import take
-from ringwear_par.contact.active_sets import follow, natural
-from ringwear_par.contact.blocks import HessianBlocks
-from ringwear_par.contact.interleaved import multiply, multiply_more
-from ringwear_par.contact.lockstep import LockStepNewton
+from ringwear_par.contact.bases import Bases, RowGroups
+from ringwear_par.contact.batch_newton import BatchNewton
+from ringwear_par.contact.hessians import SOLVED, Hessians
 from ringwear_par.contact.problem import KKT_TOLERANCE, ContactState, WarmStart, on_curve
 from ringwear_par.contact.solver import ContactSolver
 from ringwear_par.contact.tao import OPEN, Guard
-from ringwear_par.elasticity.compiling import load_compiled
 from ringwear_par.errors import ComputationError, HistoriesError
 from ringwear_par.options import CONTACT_PREFIX
 from ringwear_par.petsc import PETSc
 from ringwear_par.wear.increment import WearIncrement
 
 P = TypeVar("P", bound=PETSc.Object)
+#: less than any stiffness
+TINY = 1e-300
 
 
 def has_own_options() -> bool:
@@ -39,7 +39,7 @@ class _Callbacks:
 
     Parameters
     ----------
-    blocks : the Hessian.
+    hessians : of the histories.
     newton : which histories are at work, their gaps and approaches.
     area : (n,) float, mm^2.
     scale, weights : (B, n) float; pressure times scale is the unknown, gap times weights the
@@ -48,14 +48,17 @@ class _Callbacks:
 
     def __init__(
         self,
-        blocks: HessianBlocks,
-        newton: LockStepNewton,
+        hessians: Hessians,
+        newton: BatchNewton,
         matrices: FloatArray,
+        which: IntArray,
         area: FloatArray,
         scale: FloatArray,
         weights: FloatArray,
     ) -> None:
-        self._blocks, self._newton, self._matrices, self._area = blocks, newton, matrices, area
+        self._hessians, self._newton = hessians, newton
+        self._matrices, self._which, self._area = matrices, which, area
+        self._groups: tuple[IntArray, RowGroups] | None = None
         self._scale, self._weights = scale, weights
         self.wear: WearIncrement | None = None
         self._part: tuple[IntArray, WearIncrement] | None = None
@@ -65,15 +68,9 @@ class _Callbacks:
         """Take the wear of an implicit step of all histories."""
         self.wear, self._part = wear, None
 
-    @property
-    def _rows(self) -> Any:
-        """The rows of the histories at work, all by a slice, which is quicker."""
-        histories = self._newton.at_work
-        return slice(None) if len(histories) == len(self._weights) else histories
-
     def _worn(self, wear: WearIncrement, q: FloatArray) -> tuple[WearIncrement, FloatArray]:
         """Return the wear of the histories at work, and their pressures."""
-        histories, rows = self._newton.at_work, self._rows
+        histories, rows = self._newton.at_work, self._newton.rows
         if rows is histories:
             if self._part is None or self._part[0] is not histories:
                 self._part = histories, wear.take(histories)
@@ -82,11 +79,13 @@ class _Callbacks:
 
     def _smooth(self, q: FloatArray, g: FloatArray) -> None:
         """Set the rows of g to the gradient without wear."""
-        newton, rows = self._newton, self._rows
-        multiply(newton.at_work, self._matrices, self._blocks.which, q, g)
+        newton, rows = self._newton, self._newton.rows
         linear = newton.gaps[rows] - newton.approaches[rows, None]
         linear *= self._weights[rows]
-        g[rows] += linear
+        if self._groups is None or self._groups[0] is not newton.at_work:
+            self._groups = newton.at_work, RowGroups(self._which[rows])
+        linear += self._groups[1].products(q[rows], self._matrices)
+        g[rows] = linear
 
     def gradient(self, tao: PETSc.TAO, x: PETSc.Vec, g: PETSc.Vec) -> None:
         """Set g to the gradient at the present approaches."""
@@ -94,15 +93,14 @@ class _Callbacks:
         out = g.getArray().reshape(q.shape)
         self._smooth(q, out)
         if self.wear is not None:
-            (wear, p), rows = self._worn(self.wear, q), self._rows
+            (wear, p), rows = self._worn(self.wear, q), self._newton.rows
             out[rows] += self._weights[rows] * wear.depth(p)
 
     def objective(self, tao: PETSc.TAO, x: PETSc.Vec) -> float:
         """Return the sum of the objectives of the histories at work, at the present approaches."""
         q = x.getArray(readonly=True).reshape(self._weights.shape)
         newton, histories = self._newton, self._newton.at_work
-        product = np.zeros_like(q)
-        multiply(histories, self._matrices, self._blocks.which, q, product)
+        product = RowGroups(self._which).products(q, self._matrices)
         linear = self._weights * (newton.gaps - newton.approaches[:, None])
         each = inner(q, 0.5 * product + linear)[histories]
         if self.wear is not None:
@@ -119,20 +117,20 @@ class _Callbacks:
         """Set the blocks of the Hessian."""
         if self.wear is None:
             return
-        q, blocks = x.getArray(readonly=True).reshape(self._weights.shape), self._blocks
-        (wear, p), rows = self._worn(self.wear, q), self._rows
+        q, hessians = x.getArray(readonly=True).reshape(self._weights.shape), self._hessians
+        (wear, p), rows = self._worn(self.wear, q), self._newton.rows
         weights, scale = self._weights[rows], self._scale[rows]
-        blocks.slope[rows] = wear.d_depth_dp(p) * (weights / scale)
-        if len(blocks.coupling):
+        hessians.slope[rows] = wear.d_depth_dp(p) * (weights / scale)
+        if len(hessians.coupling):
             coupling = weights[..., None] * wear.jacobian(p) / scale[:, None, :]
             own = np.arange(q.shape[1])
-            coupling[:, own, own] -= blocks.slope[rows]
-            blocks.coupling[rows] = coupling
+            coupling[:, own, own] -= hessians.slope[rows]
+            hessians.coupling[rows] = coupling
 
     def on_curve(self, before: FloatArray, after: FloatArray) -> FloatArray:
         """Return unknowns after a Newton step, those at work back on curves, see ``problem``."""
         assert self.wear is not None
-        (wear, _), rows = self._worn(self.wear, after), self._rows
+        (wear, _), rows = self._worn(self.wear, after), self._newton.rows
         found = after.copy()
         found[rows] = on_curve(
             wear, before[rows], after[rows], self._scale[rows], self._weights[rows]
@@ -142,9 +140,9 @@ class _Callbacks:
     def steepest(self, q: FloatArray) -> FloatArray:
         """Return what wear adds to the diagonal, (B, n), of either side of a kink of the law."""
         if self.wear is None:
-            return self._blocks.slope
+            return self._hessians.slope
         there = self.wear.d_depth_dp(q / self._scale) * (self._weights / self._scale)
-        return np.maximum(self._blocks.slope, there)
+        return np.maximum(self._hessians.slope, there)
 
 
 class BatchSolver:
@@ -158,31 +156,53 @@ class BatchSolver:
     compliances : (m, n, n) float, mm^3/MPa, symmetric area-weighted compliances.
     which : (B,) int, the compliance of each history.
     area : (n,) float, mm^2.
+    speed : (m, n) float, what the slopes of most wear over pressure are in proportion to, where
+        elements wear: sliding speeds, along the axis; None: they are uniform.
     """
 
-    def __init__(self, compliances: FloatArray, which: IntArray, area: FloatArray) -> None:
+    def __init__(
+        self,
+        compliances: FloatArray,
+        which: IntArray,
+        area: FloatArray,
+        speed: FloatArray | None = None,
+    ) -> None:
         self._owned: list[PETSc.Object] = []
         self._which, self._area = which, area
         count, n = len(which), len(area)
         scales = np.sqrt(np.diagonal(compliances, axis1=1, axis2=2))
         self._scaled = compliances / (scales[:, :, None] * scales[:, None, :])
+        weights = area / scales
+        self._speed = weights / scales if speed is None else speed * (weights / scales)
+        self._speed /= self._speed.max(axis=1, keepdims=True)
+        self._bases = [
+            Bases(*parts) for parts in zip(self._scaled, self._speed, weights, strict=True)
+        ]
         self._petsc_methods = has_own_options()
         self._set_up(scales[which], count, n)
 
     def _set_up(self, scale: FloatArray, count: int, n: int) -> None:
         self._every = np.arange(count)
         self._scale, self._weights = scale, self._area / scale
-        self._blocks = HessianBlocks(self._scaled, self._which)
-        self._newton = LockStepNewton(self._blocks, self._weights)
+        self._hessians = Hessians(
+            self._scaled, self._bases, self._speed, self._which, self._weights
+        )
+        self._newton = BatchNewton(self._hessians, self._weights)
         self._callbacks = _Callbacks(
-            self._blocks, self._newton, self._scaled, self._area, self._scale, self._weights
+            self._hessians,
+            self._newton,
+            self._scaled,
+            self._which,
+            self._area,
+            self._scale,
+            self._weights,
         )
         OPEN[self] = None
         self._x = self._own(PETSc.Vec()).createSeq(count * n, comm=MPI.COMM_SELF)
         self._g, lower, upper = (self._own(self._x.duplicate()) for _ in "glu")
         upper.set(PETSc.INFINITY)
         self._h = self._own(PETSc.Mat()).createPython(
-            [count * n, count * n], self._blocks, comm=MPI.COMM_SELF
+            [count * n, count * n], self._hessians, comm=MPI.COMM_SELF
         )
         self._h.setUp()
         tao = self._tao = self._own(PETSc.TAO()).create(MPI.COMM_SELF)
@@ -302,7 +322,7 @@ class BatchSolver:
         scale, newton = self._scale[history], self._newton
         matrix = self._scaled[self._which[history]] * (scale[:, None] * scale)
         increment = None if wear is None else wear.history(history)
-        with ContactSolver(matrix, self._area, MPI.COMM_SELF) as solver:
+        with ContactSolver(matrix, self._area) as solver:
             found = solver.solve(
                 gap[history],
                 force=None if force is None else float(force[history]),
@@ -317,12 +337,12 @@ class BatchSolver:
         # what else is asked of the solution is answered on the factor of its set
         newton.at_work = np.array([history])
         self._callbacks.hessian(self._tao, self._x, self._h, self._h)
-        self._blocks.refresh(newton.at_work, q > 0.0, self._weights)
+        self._hessians.refresh(newton.at_work, q > 0.0)
         return found
 
     def _pose_coupling(self, wear: WearIncrement | None) -> None:
         """Make room for what non-local wear adds to the Hessian, where it is non-local."""
-        blocks = self._blocks
+        blocks = self._hessians
         if wear is None:
             blocks.slope[:] = 0.0
         coupled, n = wear is not None and not wear.local, len(self._area)
@@ -332,7 +352,7 @@ class BatchSolver:
     def _part(self, histories: IntArray) -> None:
         """Take the pressures of histories that need none; the gradient is the weighted gap."""
         newton, shape = self._newton, self._weights.shape
-        self._blocks.forget(histories)
+        self._hessians.forget(histories)
         q, g = (v.getArray(readonly=True).reshape(shape).copy() for v in (self._x, self._g))
         q[histories] = 0.0
         g[histories] = self._weights[histories] * (
@@ -345,10 +365,11 @@ class BatchSolver:
         self, histories: IntArray, q: FloatArray, g: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
         """Return the natural KKT residuals, infinite where there is none, and the largest q."""
-        worst, largest = np.empty(len(histories)), np.empty(len(histories))
-        natural(histories, self._blocks.slope, q, g, worst, largest)
+        rows = self._rows_of(histories)
+        largest = np.maximum(q[rows].max(axis=1), 0.0)
+        worst = _natural(q[rows], g[rows], self._hessians.slope[rows])
         if not (worst <= KKT_TOLERANCE * largest).all():  # either side of a kink will do
-            natural(histories, self._callbacks.steepest(q), q, g, worst, largest)
+            worst = _natural(q[rows], g[rows], self._callbacks.steepest(q)[rows])
         return worst, largest
 
     def _run_tao(self) -> None:
@@ -359,19 +380,19 @@ class BatchSolver:
         self._callbacks.guard.solve(self._tao, "python")
 
     def response(self, gap: FloatArray, force_kept: bool) -> FloatArray:
-        """Return what a small growth (B, n) mm of the gap does to the last pressures, MPa.
+        """Return the change of the last pressures, MPa, with a small growth (B, n) mm of gaps.
 
-        See ``ContactSolver.response``.
+        Linear, elements in contact staying so, the wear of the step included.
+
+        Parameters
+        ----------
+        force_kept : whether approaches follow so that forces stay, or stay themselves.
         """
-        blocks = self._blocks
-        by_gap = blocks.solve(self._every, self._weights * gap)
+        right = self._weights * gap
         if force_kept:
-            carried = inner(self._weights, by_gap)
-            sums = blocks.sums
-            share = np.divide(carried, sums, out=np.zeros_like(sums), where=sums > 0.0)
-            by_gap -= blocks.border * share[:, None]
-        by_gap /= -self._scale
-        return by_gap
+            step, _ = self._hessians.steps(self._every, right, np.zeros(len(gap)), SOLVED)
+            return step / self._scale
+        return self._hessians.solve(self._every, right) / -self._scale
 
     def tangents(
         self,
@@ -384,27 +405,36 @@ class BatchSolver:
     ) -> tuple[FloatArray, FloatArray]:
         """Return derivatives of the last pressures, (P, h, n), and approaches, (P, h), of some.
 
-        See ``ContactSolver.tangents``; what is given is of all histories.
+        On the inverses that solutions ended with.
+
+        Parameters
+        ----------
+        found : the last solution.
+        d_gap : (P, B, n) mm, derivatives of gaps at given pressures, wear included.
+        d_force, d_approach : (P, B) N or mm, of the loads; the other one is None.
+        slope : derivatives of the wear of the step with respect to pressure at the solution, (B, n)
+            mm/MPa, or (B, n, n) where it is non-local; None where there is none.
+        histories : (h,) int.
         """
-        rows = self._rows_of(histories)
+        hessians, rows = self._hessians, self._rows_of(histories)
         weights, scale = self._weights[rows], self._scale[rows]
         right = d_gap[:, rows] * weights
-        by_gap = self._blocks.solve_more(histories, right)
-        border, sums = self._blocks.border[rows], self._blocks.sums[rows]
+        by_gap, border = hessians.solve(histories, right), hessians.solve(histories, weights)
         left = self._left_out(slope, histories)
         if left is not None:
-            by_gap -= self._blocks.solve_more(histories, np.array([left(x) for x in by_gap]))
-            border = border - self._blocks.solve(histories, left(border))
-            sums = (weights * border).sum(axis=1)
+            by_gap -= hessians.solve(histories, np.array([left(x) for x in by_gap]))
+            border = border - hessians.solve(histories, left(border))
         if d_approach is None:
             # where nothing touches, the force being 0, bodies stay at the nearest element
             nearest = found.gap[rows].argmin(axis=1)
             moved = d_gap[:, histories, nearest]
         else:
             moved = d_approach[:, rows].copy()
-        forces = np.zeros((len(d_gap), 0)) if d_force is None else d_force[:, rows]
-        follow(weights, scale, border, sums, forces, by_gap, moved)
-        return by_gap, moved
+        stiffness = inner(weights, border)
+        if d_force is not None:
+            carried = d_force[:, rows] + inner(weights, by_gap)
+            moved = np.where(stiffness > 0.0, carried / np.maximum(stiffness, TINY), moved)
+        return (border * moved[..., None] - by_gap) / scale, moved
 
     def _rows_of(self, histories: IntArray) -> Any:
         """Return the rows of some histories, all by a slice, which is quicker."""
@@ -413,10 +443,13 @@ class BatchSolver:
     def _left_out(
         self, slope: FloatArray | None, histories: IntArray
     ) -> Callable[[FloatArray], FloatArray] | None:
-        """Return what makes of x (h, n) what ``ContactProblem.left_out`` does."""
+        """Return the product of x (h, n) with the slopes at a solution less those of the Hessian.
+
+        The Hessian is that of the iterate before; None where it is the same.
+        """
         if slope is None:
             return None
-        rows, blocks = self._rows_of(histories), self._blocks
+        rows, blocks = self._rows_of(histories), self._hessians
         weights, scale = self._weights[rows], self._scale[rows]
         if slope.ndim > self._weights.ndim:
             change = weights[..., None] * slope[rows] / scale[:, None, :] - blocks.coupling[rows]
@@ -448,10 +481,7 @@ class BatchSolver:
 
         Or of several p, (P, B, n).
         """
-        found = np.empty(p.shape)
-        product = multiply if p.ndim == 2 else multiply_more
-        product(self._every, matrices, which, np.ascontiguousarray(p), found)
-        return found
+        return RowGroups(which).products(p, matrices)
 
     def deflections(self, d_p: FloatArray) -> FloatArray:
         """Return what (P, B, n) MPa make of the gaps, mm."""
@@ -463,8 +493,10 @@ class BatchSolver:
         solver = BatchSolver.__new__(BatchSolver)
         solver._owned = []
         solver._area, solver._scaled, solver._which = self._area, self._scaled, which
+        solver._speed, solver._bases = self._speed, self._bases
         if len(used) < len(self._scaled):
-            solver._scaled = self._scaled[used]
+            solver._scaled, solver._speed = self._scaled[used], self._speed[used]
+            solver._bases = [self._bases[k] for k in used.tolist()]
         solver._set_up(self._scale[histories], len(histories), len(self._area))
         solver._petsc_methods = self._petsc_methods
         solver.warm = take(self.warm, histories)
@@ -480,18 +512,7 @@ class BatchSolver:
         self.destroy()
 
 
-def load_batch_kernels(comm: MPI.Comm) -> None:
-    """Compile what contacts in lock step need, or load it. Collective on comm."""
-
-    def load() -> None:
-        solver = BatchSolver(np.eye(2)[None], np.zeros(1, dtype=np.int64), np.ones(2))
-        try:
-            state = solver.solve(np.zeros((1, 2)), force=np.ones(1))
-            solver.response(np.zeros((1, 2)), True)
-            one = np.ones((1, 1))
-            solver.tangents(state, np.ones((1, 1, 2)), one, None, None, np.arange(1))
-            solver.deflections(np.ones((1, 1, 2)))
-        finally:
-            solver.destroy()
-
-    load_compiled(comm, load)
+def _natural(q: FloatArray, gradient: FloatArray, slope: FloatArray) -> FloatArray:
+    """Return natural KKT residuals of (h, n), infinite where there is none."""
+    worst = np.abs(np.minimum(q, gradient / (1.0 + slope))).max(axis=1)
+    return np.where(np.isfinite(worst), worst, np.inf)

@@ -13,7 +13,6 @@ import math
 from collections.abc import Callable
 
 import numpy as np
-from scipy.linalg.blas import dtrsm
 from scipy.linalg.lapack import dpotrf, dpotrs
 
 from ringwear_par.arrays import BoolArray, FloatArray
@@ -36,7 +35,6 @@ class ActiveSetNewton(Method):
         #: puts unknowns after a step back on curves that a straight line tells little of, if any
         self.bend: Callable[[FloatArray, FloatArray], FloatArray] | None = None
         self._factor: FloatArray | None = None
-        self._kept: tuple[FloatArray, FloatArray] | None = None
         self._free: BoolArray = np.empty(0, dtype=bool)
         self._diagonal: FloatArray | float = 1.0
         self._state = -1
@@ -49,7 +47,7 @@ class ActiveSetNewton(Method):
 
     def destroy(self, tao: PETSc.TAO) -> None:
         """Forget the factor, and what is the TAO's."""
-        self._factor, self._kept, self._state = None, None, -1
+        self._factor, self._state = None, -1
         super().destroy(tao)
 
     def solve(self, tao: PETSc.TAO) -> None:
@@ -150,27 +148,6 @@ class ActiveSetNewton(Method):
         x[self._free], _ = dpotrs(self._factor, right[self._free], lower=1)
         return x
 
-    def kept_response(self, right: FloatArray) -> FloatArray | None:
-        """Return the same for the right side (n,) that it always is, once for each factor."""
-        if self._factor is None:
-            return None
-        if self._kept is None or self._kept[0] is not self._factor:
-            response = self.response(right)
-            assert response is not None
-            self._kept = self._factor, response
-        return self._kept[1]
-
-    def responses(self, right: FloatArray) -> FloatArray | None:
-        """Return the same, to round-off, for right sides (k, n), in half the time."""
-        factor, free = self._factor, self._free
-        if factor is None:
-            return None
-        if free.all():
-            return solve_rows(factor, right)
-        x = np.zeros_like(right)
-        x[:, free] = solve_rows(factor, right[:, free])
-        return x
-
     def _search(
         self,
         tao: PETSc.TAO,
@@ -192,16 +169,6 @@ class ActiveSetNewton(Method):
             if slope <= -1e-8 * before or length < 1e-10:
                 return trial, after
             length *= max(0.1, before / (before - slope))  # where a straight line would vanish
-
-
-def solve_rows(factor: FloatArray, right: FloatArray) -> FloatArray:
-    """Return what a lower Cholesky factor (n, n) makes of right sides (k, n), in their shape.
-
-    From the right, where BLAS has less to pack: half the time of LAPACK's solution.
-    """
-    rows = np.asfortranarray(right)
-    rows = dtrsm(1.0, factor, rows, side=1, lower=1, trans_a=1, overwrite_b=rows is not right)
-    return np.ascontiguousarray(dtrsm(1.0, factor, rows, side=1, lower=1, overwrite_b=1))
 
 
 def stop_if_told(tao: PETSc.TAO) -> None:

@@ -11,7 +11,6 @@ The unknowns are scaled so that K has a unit diagonal: ``q = s p``, ``A = K / (s
 """
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,10 +18,6 @@ import numpy as np
 from ringwear_par.arrays import FloatArray, Numbers
 from ringwear_par.wear.increment import WearIncrement
 
-#: up to this size every rank solves the whole problem by itself. On 2 ranks that took 0.12 s for
-#: 200 steps of 400 elements against 0.31 s shared by tron, and 0.35 s against 4.2 s for 800 (see
-#: scripts/benchmark.py): what limits it is the n^2 of memory a rank, not time
-REPLICATED_LIMIT = 2000
 #: largest relative KKT residual of an accepted solution
 KKT_TOLERANCE = 1e-9
 #: share of a force below which a step counts as along a curve of wear, and tries to get there
@@ -110,24 +105,19 @@ def on_curve(
 
 
 class ContactProblem:
-    """The contact problem of one contact line at a given approach, or some rows of it.
+    """The contact problem of one contact line at a given approach.
 
     All that a solver's callbacks know: the linear term, the wear and what they did to the Hessian.
-    The products with A are the caller's, who may share it out over ranks; ``q`` and all results
-    are of the own rows.
+    The products with A are the caller's.
 
     Parameters
     ----------
     compliance : (n, n) float, mm^3/MPa, symmetric area-weighted compliance K.
     area : (n,) float, mm^2.
-    rows : the own ones, where the problem is shared out.
     """
 
-    def __init__(self, compliance: FloatArray, area: FloatArray, rows: slice | None = None) -> None:
-        self.area, self._shared = area, rows is not None
-        self._rows = slice(0, len(area)) if rows is None else rows
-        self._own_area = area[self._rows]
-        self._linear = np.zeros_like(self._own_area)
+    def __init__(self, compliance: FloatArray, area: FloatArray) -> None:
+        self.area, self._linear = area, np.zeros_like(area)
         self._wear: WearIncrement | None = None
         #: whether no pressure is needed: nothing overlaps
         self.apart = True
@@ -139,15 +129,14 @@ class ContactProblem:
         self.scale = np.sqrt(np.diag(compliance))
         #: (n,), gap times this is the gradient
         self.weights = self.area / self.scale
-        self._own_scale, self._weight = self.scale[self._rows], self.weights[self._rows]
-        self._slope_weight = self._weight / self._own_scale
+        self._slope_weight = self.weights / self.scale
         # what wear adds to the diagonal of the Hessian, and whether it adds more than that
-        self._slope, self._coupled = np.zeros_like(self._own_area), False
+        self._slope, self._coupled = np.zeros_like(self.area), False
         self._coupling: FloatArray | float = 0.0
 
     def scaled(self, compliance: FloatArray) -> FloatArray:
-        """Return the own rows of A."""
-        return compliance[self._rows] / (self._own_scale[:, None] * self.scale)
+        """Return A."""
+        return compliance / (self.scale[:, None] * self.scale)
 
     def pose(self, gap: FloatArray, approach: float, wear: WearIncrement | None) -> None:
         """Set the problem.
@@ -157,16 +146,9 @@ class ContactProblem:
         gap : (n,) float, mm.
         approach : mm.
         wear : wear of an implicit step.
-
-        Raises
-        ------
-        InputError : a law is non-local, and the problem is shared out.
         """
         self.apart = bool(gap.min() >= approach)
-        if self._shared:
-            gap = gap[self._rows]
-            wear = None if wear is None else wear.part(self._rows)
-        self._linear, self._wear = self._weight * (gap - approach), wear
+        self._linear, self._wear = self.weights * (gap - approach), wear
 
     def tolerance(self, gap: FloatArray, approach: float) -> float:
         """Return the norm of the gradient at which a solver may end."""
@@ -181,27 +163,27 @@ class ContactProblem:
         """Make of A q, in place, the gradient."""
         product += self._linear
         if self._wear is not None:
-            product += self._weight * self._wear.depth(q / self._own_scale)
+            product += self.weights * self._wear.depth(q / self.scale)
 
     def objective(self, q: FloatArray, product: FloatArray) -> tuple[float, FloatArray]:
-        """Return the own share of the objective, and the gradient; ``product`` is A q."""
+        """Return the objective, and the gradient; ``product`` is A q."""
         linear = self._linear
         value = q @ (0.5 * product + linear)
         if self._wear is not None:
-            p = q / self._own_scale
-            value += self._own_area @ self._wear.potential(p)
-            linear = linear + self._weight * self._wear.depth(p)
+            p = q / self.scale
+            value += self.area @ self._wear.potential(p)
+            linear = linear + self.weights * self._wear.depth(p)
         return float(value), product + linear
 
     def _slope_at(self, q: FloatArray) -> FloatArray:
         if self._wear is None:
             return np.zeros_like(self._slope)
-        return self._wear.d_depth_dp(q / self._own_scale) * self._slope_weight
+        return self._wear.d_depth_dp(q / self.scale) * self._slope_weight
 
     def linearise(self, q: FloatArray) -> tuple[bool, bool]:
         """Take the Hessian at q; return whether it changed, and whether by more than its diagonal.
 
-        Where by more, its own rows are now those of A and what ``add_coupling`` adds; its diagonal
+        Where by more, it is now A and what ``add_coupling`` adds; its diagonal
         is ``diagonal`` in any case.
         """
         slope, coupled = self._slope_at(q), self._wear is not None and not self._wear.local
@@ -223,29 +205,12 @@ class ContactProblem:
     def on_curve(self, before: FloatArray, after: FloatArray) -> FloatArray:
         """Return unknowns after a Newton step, put back on the curves of wear, see there."""
         assert self._wear is not None
-        return on_curve(self._wear, before, after, self._own_scale, self._weight)
-
-    def left_out(self, slope: FloatArray | None) -> Callable[[FloatArray], FloatArray] | None:
-        """Return what makes of x (..., n) what the wear's slopes at a solution have more.
-
-        More than the Hessian, which is that of the iterate before; None where it is the same.
-
-        Parameters
-        ----------
-        slope : (n,) or (n, n) mm/MPa, see ``ContactSolver.tangents``.
-        """
-        if slope is None:
-            return None
-        if slope.ndim > 1:
-            more = (self.weights[:, None] * slope / self.scale - self._coupling).T
-            return lambda x: x @ more
-        change = slope * self._slope_weight - self._slope
-        return (lambda x: change * x) if change.any() else None
+        return on_curve(self._wear, before, after, self.scale, self.weights)
 
     def add_coupling(self, q: FloatArray, hessian: FloatArray) -> None:
-        """Add to the own rows of the Hessian what non-local wear does."""
+        """Add the slopes of non-local wear to the Hessian."""
         if self._wear is not None and self._coupled:
-            derivative = self._wear.jacobian(q / self._own_scale)
+            derivative = self._wear.jacobian(q / self.scale)
             self._coupling = self.weights[:, None] * derivative / self.scale
             hessian += self._coupling
 

@@ -99,7 +99,7 @@ def _fingerprint() -> str:
     sources = hashlib.sha256()
     package = Path(__file__).parents[1]
     for room in ("contact", "elasticity"):
-        for path in sorted((package / room).glob("*.py")):
+        for path in sorted((package / room).rglob("*.py")):
             sources.update(path.read_bytes())
     return sources.hexdigest()
 

@@ -14,7 +14,7 @@ import numpy as np
 from mpi4py import MPI
 
 from ringwear_par.arrays import FloatArray
-from ringwear_par.elasticity.bem.assembly import Assembly, Moving, Zone, assemble, number_dofs
+from ringwear_par.elasticity.bem.assembly import assemble
 from ringwear_par.elasticity.bem.body import (
     Assembled,
     Compliance,
@@ -26,6 +26,7 @@ from ringwear_par.elasticity.bem.body import (
 )
 from ringwear_par.elasticity.bem.boundary import node_wear, zone_meshes
 from ringwear_par.elasticity.bem.quadrature import quadrature
+from ringwear_par.elasticity.bem.systems import Assembly, Moving, Zone, number_dofs
 from ringwear_par.elasticity.geometry.mesh import ContactLine, Mesh, pair_key
 from ringwear_par.elasticity.geometry.sections import Body, Section
 from ringwear_par.elasticity.geometry.slopes import case_slopes, pair_slope

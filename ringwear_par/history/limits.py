@@ -11,7 +11,6 @@ from ringwear_par.cases.files.law_trials import refuse_bad_laws
 from ringwear_par.cases.numbers import number_faults
 from ringwear_par.cases.stress import Stress, check_stress
 from ringwear_par.cases.text import toml_value
-from ringwear_par.contact.problem import REPLICATED_LIMIT
 from ringwear_par.elasticity.bem.boundary import count_elements, face_elements, zone_meshes
 from ringwear_par.errors import InputError
 
@@ -85,38 +84,13 @@ def _numbers_of_systems(unknowns: float, loads: float, ranks: int) -> float:
     of_a_body = 1.25 * matrix + 1.5 * right
     if ranks == 1:  # one body after another: its rows, their factors
         return 2.0 * of_a_body
-    from ringwear_par.elasticity.bem.solve import has_scalapack, solved_whole
+    from ringwear_par.elasticity.bem.solve import has_scalapack, solved_on_one_rank
 
-    if solved_whole(round(unknowns), ranks):  # both at once: rows, gathered ones, factors
+    if solved_on_one_rank(round(unknowns), ranks):  # both at once: rows, gathered ones, factors
         return 6.0 * of_a_body
     # one body after another: its rows, and the copies of PETSc 3.18, measured on 2 ranks
     copies = 6.0 if has_scalapack() else 1.0 + 3.0 * ranks
     return of_a_body + copies * (matrix + right)
-
-
-def check_ranks(case: Case, ranks: int, name: str) -> None:
-    """Refuse a non-local law in a contact problem that ranks would share. Not collective.
-
-    Parameters
-    ----------
-    ranks : of the case.
-    name : what messages call the case.
-
-    Raises
-    ------
-    InputError : one sentence a body.
-    """
-    elements = case.mesh.contact_elements
-    if ranks == 1 or elements <= REPLICATED_LIMIT:
-        return
-    faults = [
-        f"{name}: mesh.contact_elements = {elements}: must be at most {REPLICATED_LIMIT} on "
-        f"several ranks where wear.{body}.law averages over a length"
-        for body, law in zip(("lower", "upper"), case.laws, strict=True)
-        if law is not None and law.length
-    ]
-    if faults:
-        raise InputError(*faults)
 
 
 def check_case(case: Case, ranks: int, name: str, known_mesh: bool = False) -> None:
@@ -145,7 +119,6 @@ def check_case(case: Case, ranks: int, name: str, known_mesh: bool = False) -> N
     for check in (
         try_numbers,
         lambda: refuse_bad_laws(case, name),
-        lambda: check_ranks(case, ranks, name),
         try_memory_and_mesh,
     ):
         try:

@@ -7,10 +7,10 @@ from functools import partial
 import numpy as np
 from mpi4py import MPI
 
-from ringwear_par.elasticity.bem.assembly import BoundaryConditions
 from ringwear_par.elasticity.bem.body import boundary_conditions, compliance, solve_body
 from ringwear_par.elasticity.bem.boundary import boundary_mesh
 from ringwear_par.elasticity.bem.kernels import ring_kernels
+from ringwear_par.elasticity.bem.systems import BoundaryConditions
 from ringwear_par.elasticity.geometry.mesh import ContactLine, Mesh, contact_line
 from ringwear_par.elasticity.geometry.sections import Body, Section
 from ringwear_par.verification import reference

@@ -12,7 +12,6 @@ from mpi4py import MPI
 from scipy.special import j0, j1, jn_zeros
 
 from ringwear_par.arrays import FloatArray
-from ringwear_par.elasticity.bem.assembly import BoundaryConditions, Zone
 from ringwear_par.elasticity.bem.body import (
     Problem,
     body_zones,
@@ -20,6 +19,7 @@ from ringwear_par.elasticity.bem.body import (
     solve_bodies,
 )
 from ringwear_par.elasticity.bem.boundary import boundary_mesh
+from ringwear_par.elasticity.bem.systems import BoundaryConditions, Zone
 from ringwear_par.elasticity.geometry.mesh import ContactLine, Mesh, contact_line
 from ringwear_par.elasticity.geometry.sections import Body, Material, Section
 from ringwear_par.elasticity.pair import assemble_pair

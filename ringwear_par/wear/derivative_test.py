@@ -147,12 +147,12 @@ def check_user_slope(law: UserLaw | CompletedLaw, at: LocalState, pressure: floa
     ------
     InputError : it is.
     """
-    if not law.slope_name:
+    if not law.defines_d_rate_dp:
         return
     rng = np.random.default_rng(1)
     tried = pressure * rng.uniform(0.01, 0.99, len(at.r))
     if not taylor_test(law, at, tried, rng.uniform(-1.0, 1.0, len(at.r))).passed:
         raise InputError(
-            f"{law.called}: {law.slope_name}() is not the derivative of rate() with respect to p; "
+            f"{law.called}: d_rate_dp() is not the derivative of rate() with respect to p; "
             "must be (see ringwear laws)"
         )

@@ -7,7 +7,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from ringwear_par.arrays import FloatArray, IntArray, columns
-from ringwear_par.errors import ComputationError, InputError
+from ringwear_par.errors import ComputationError
 from ringwear_par.schedules import history, take
 from ringwear_par.wear.derivatives import COMPLEX_STEP
 from ringwear_par.wear.law import Law, LocalState, WearLaw, complete
@@ -111,10 +111,6 @@ class Closing:
 
     gap: FloatArray
     step: FloatArray
-
-    def part(self, here: slice) -> "Closing":
-        """Return the same for some of the elements."""
-        return Closing(self.gap[..., here], self.step[..., here])
 
 
 @dataclass(frozen=True)
@@ -468,25 +464,6 @@ class WearIncrement:
                 share = (panel + 0.5 + x) / _POTENTIAL_PANELS
                 total += w / _POTENTIAL_PANELS * self._depth(law, at, None, low + share * span)
         return total * span
-
-    def part(self, here: slice) -> "WearIncrement":
-        """Return the same for some of the elements.
-
-        Raises
-        ------
-        InputError : a law is non-local.
-        """
-        if not self.local:
-            raise InputError(
-                'law = "non-local": needs a contact problem that every rank solves by itself; '
-                "must be used with fewer contact elements or -contact_tao_type python"
-            )
-        return replace(
-            self,
-            at=tuple(at.part(here) for at in self.at),
-            obliquity=None if self.obliquity is None else self.obliquity[here],
-            closing=None if self.closing is None else self.closing.part(here),
-        )
 
 
 @dataclass(frozen=True)

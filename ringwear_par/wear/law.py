@@ -64,16 +64,6 @@ class LocalState:
             there = ", ".join(f.name for f in fields(self) if f.name != "memo")
             raise AttributeError(f"LocalState has no {name!r}; it has {there}")
 
-    def part(self, here: slice) -> "LocalState":
-        """Return the same for some of the elements."""
-        return replace(
-            self,
-            r=self.r[here],
-            speed=self.speed[..., here],
-            wear=self.wear[..., here],
-            slid=self.slid[..., here],
-        )
-
     def take(self, histories: IntArray) -> "LocalState":
         """Return what some of B histories know."""
         return replace(
@@ -384,9 +374,9 @@ class CompletedLaw(Law):
         return type(self.own).__name__
 
     @property
-    def slope_name(self) -> str:
-        """What it calls its derivative with respect to pressure, "" if it has none."""
-        return "d_rate_dp" if hasattr(self.own, "d_rate_dp") else ""
+    def defines_d_rate_dp(self) -> bool:
+        """Whether the object has the derivative with respect to pressure."""
+        return hasattr(self.own, "d_rate_dp")
 
     def _ask(self, asked: Asked, p: FloatArray, local: LocalState, *first: str) -> FloatArray:
         """Return what the object gives, (..., n): checked; ``first`` is what it is asked first."""
@@ -416,7 +406,9 @@ class CompletedLaw(Law):
         ------
         LawError : the object failed, or gave NaN or a negative slope.
         """
-        return self._ask("d_rate_dp", p, local) if self.slope_name else super().d_rate_dp(p, local)
+        if not self.defines_d_rate_dp:
+            return super().d_rate_dp(p, local)
+        return self._ask("d_rate_dp", p, local)
 
     def d_rate_dwear(self, p: FloatArray, local: LocalState) -> FloatArray:
         """Return the derivative of the rate with respect to ``local.wear``, 1/s."""

@@ -77,10 +77,6 @@ class LayeredLaw(Law):
         """Return the law at elements, where layers end at these depths, (layers, n) mm."""
         return replace(self, ends=ends)
 
-    def part(self, here: slice) -> Self:
-        """Return the law at some of the elements."""
-        return self if self.ends is None else replace(self, ends=self.ends[:, here])
-
     @property
     def depths(self) -> FloatArray:
         """(layers, n) or (layers, 1) mm, where layers end."""

@@ -6,7 +6,7 @@ wear at a pressure at which the next one does, it almost jumps.
 
 import itertools
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
@@ -331,17 +331,6 @@ class LayeredIncrement(WearIncrement):
             ends = ends / self.obliquity
         shape = len(ends), *like.shape
         return np.concatenate([np.zeros((1, *like.shape)), np.broadcast_to(ends, shape)])
-
-    def part(self, here: slice) -> "WearIncrement":
-        """Return the same for some of the elements."""
-        laws = tuple(law.part(here) if isinstance(law, LayeredLaw) else law for law in self.laws)
-        return replace(
-            self,
-            laws=laws,
-            at=tuple(at.part(here) for at in self.at),
-            obliquity=None if self.obliquity is None else self.obliquity[here],
-            closing=None if self.closing is None else self.closing.part(here),
-        )
 
     # -- derivatives -------------------------------------------------------------------------------
 

@@ -28,12 +28,6 @@ from ringwear_par.wear.parameters import Parameter
 _BISECTIONS = 30
 #: up to which laws are tried with many histories, MPa
 _TRIED_PRESSURE = 300.0
-#: what a file may define, and the older names of it
-_NAMES = {
-    "d_rate_dp": ("d_rate_dp", "slope"),
-    "d_rate_dwear": ("d_rate_dwear", "wear_slope"),
-    "breakpoints": ("breakpoints", "knots"),
-}
 _PARAMETERS = "parameters."
 
 
@@ -70,10 +64,8 @@ class UserLaw(Law):
     file does wrong is told with time and element.
 
     The file may define ``d_rate_dp(p, at)`` and ``d_rate_dwear(p, at)``, and a list ``breakpoints``
-    of times (s) at which the rate jumps or bends, where adaptive steps end; also under their older
-    names slope, wear_slope and knots. A file that reads ``at.wear`` remembers worn depth, exactly,
-    unless it says ``remembers = False``; one with the older ``slope`` does if it has a
-    ``wear_slope``.
+    of times (s) at which the rate jumps or bends, where adaptive steps end. A file that reads
+    ``at.wear`` remembers worn depth, exactly, unless it says ``remembers = False``.
 
     Parameters
     ----------
@@ -122,19 +114,15 @@ class UserLaw(Law):
             return "does not define rate; must define rate(p, at)"
         return ""
 
-    def _defines(self, name: str) -> str:
-        """Return under which name the file defines something, "" if it does not."""
-        return next((known for known in _NAMES[name] if known in self._functions), "")
-
     @property
     def called(self) -> str:
         """What messages call the law."""
         return self.file
 
     @property
-    def slope_name(self) -> str:
-        """What the file calls its derivative with respect to pressure, "" if it has none."""
-        return self._defines("d_rate_dp")
+    def defines_d_rate_dp(self) -> bool:
+        """Whether the file has the derivative with respect to pressure."""
+        return "d_rate_dp" in self._functions
 
     @property
     def reads_wear(self) -> bool:
@@ -146,15 +134,12 @@ class UserLaw(Law):
         """Whether the rate depends on worn depth."""
         if "remembers" in self._functions:
             return bool(self._functions["remembers"])
-        if self._defines("d_rate_dwear"):
-            return True
-        # files with the older names took the depth at the start of the step, and some rely on it
-        return self.slope_name != "slope" and _reads_wear(self.source)
+        return "d_rate_dwear" in self._functions or _reads_wear(self.source)
 
     @property
     def breakpoints(self) -> tuple[float, ...]:
         """Times at which a parameter's table bends, and those that the file names."""
-        own = {float(time) for time in self._functions.get(self._defines("breakpoints"), ())}
+        own = {float(time) for time in self._functions.get("breakpoints", ())}
         return tuple(sorted(own.union(breakpoints(*(q for _, q in self.parameters)))))
 
     @property
@@ -214,19 +199,11 @@ class UserLaw(Law):
         )
         return np.array(list(each))
 
-    def _call(self, asked: Asked, name: str, p: FloatArray, local: LocalState) -> FloatArray:
-        """Return what one of the file's functions gives, (n,): checked.
-
-        Parameters
-        ----------
-        asked : what it is to give.
-        name : what the file calls it.
-        """
+    def _call(self, name: Asked, p: FloatArray, local: LocalState) -> FloatArray:
+        """Return the checked values (n,) of one of the file's functions."""
         values = {key: value(q, local.time, local.r) for key, q in self.parameters}
         there = shown(local, parameters=values)
-        return ask(
-            f"{self.file}: {name}()", asked, self._functions[name], p, there, values.values()
-        )
+        return ask(f"{self.file}: {name}()", name, self._functions[name], p, there, values.values())
 
     def rate(self, p: FloatArray, local: LocalState) -> FloatArray:
         """Return the rate of wear, mm/s.
@@ -237,7 +214,7 @@ class UserLaw(Law):
         """
         if p.ndim > 1:
             return self._of_each("rate", p, local)
-        return self._call("rate", "rate", p, local)
+        return self._call("rate", p, local)
 
     def d_rate_dp(self, p: FloatArray, local: LocalState) -> FloatArray:
         """Return the derivative of the rate with respect to pressure, mm/s/MPa.
@@ -248,17 +225,17 @@ class UserLaw(Law):
         """
         if p.ndim > 1:
             return self._of_each("d_rate_dp", p, local)
-        name = self.slope_name
-        return self._call("d_rate_dp", name, p, local) if name else super().d_rate_dp(p, local)
+        if not self.defines_d_rate_dp:
+            return super().d_rate_dp(p, local)
+        return self._call("d_rate_dp", p, local)
 
     def d_rate_dwear(self, p: FloatArray, local: LocalState) -> FloatArray:
         """Return the derivative of the rate with respect to ``local.wear``, 1/s."""
         if p.ndim > 1:
             return self._of_each("d_rate_dwear", p, local)
-        name = self._defines("d_rate_dwear")
-        if not name:
+        if "d_rate_dwear" not in self._functions:
             return super().d_rate_dwear(p, local)
-        return self._call("d_rate_dwear", name, p, local)
+        return self._call("d_rate_dwear", p, local)
 
     def d_rate_dparameter(self, name: str, p: FloatArray, local: LocalState) -> FloatArray:
         """Return the derivative of the rate with respect to a parameter's value there."""

@@ -11,7 +11,6 @@ from ringwear_par.cases.files.law_trials import check_laws
 from ringwear_par.cases.files.reading import parse_case, read_case
 from ringwear_par.cases.schema import BY_PATH, KEYS, key_table
 from ringwear_par.errors import InputError
-from ringwear_par.history import limits
 from ringwear_par.wear.catalogue import LAWS
 from ringwear_par.wear.parameters import parameters_of
 
@@ -84,17 +83,6 @@ def test_a_case_takes_a_law_with_a_rate_alone():
     assert (lower.own, upper) == (Mine(1e-8), None)
     assert lower.describe() == "Mine.rate(p, local) with k = 1e-08"
     assert case.breakpoints == ()
-
-
-def test_averages_over_a_length_need_a_problem_that_every_rank_solves():
-    case = read_case(CASES / "non_local.toml")
-    limits.check_ranks(case, 2, "case.toml")
-    most = limits.REPLICATED_LIMIT
-    large = replace(case, mesh=replace(case.mesh, contact_elements=most + 1))
-    limits.check_ranks(large, 1, "case.toml")
-    limits.check_ranks(replace(large, wear_lower=None), 2, "case.toml")
-    with pytest.raises(InputError, match=rf"at most {most} on several ranks where wear.lower.law"):
-        limits.check_ranks(large, 2, "case.toml")
 
 
 @pytest.mark.serial

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from ringwear_par.contact import blocks, interleaved
+from ringwear_par.contact import hessians
+from ringwear_par.contact.bases import Bases, RowGroups
 from ringwear_par.contact.batch import BatchSolver
 from ringwear_par.contact.problem import KKT_TOLERANCE, WarmStart
 from ringwear_par.contact.solver import ContactSolver
@@ -96,11 +97,11 @@ def test_the_hessian_is_the_derivative_of_the_gradient(solver, name):
 
 @pytest.mark.parametrize("name", [None, *LAWS])
 @pytest.mark.parametrize("control", ["force", "approach"])
-@pytest.mark.parametrize("small", [True, False], ids=["interleaved", "LAPACK"])
+@pytest.mark.parametrize("small", [True, False], ids=["bases", "factors"])
 def test_every_history_meets_its_conditions(monkeypatch, comm, name, control, small):
     """Pressures >= 0, gaps >= 0, one of them 0, the load; and as the single solver finds them."""
     if not small:
-        monkeypatch.setattr(blocks, "LARGEST_INTERLEAVED", 0)
+        monkeypatch.setattr(hessians, "LARGEST_WITH_BASES", 0)
     wear = None if name is None else wear_of(name)
     given = {"force": FORCE, "approach": np.linspace(-1e-3, 4e-3, B)}[control]
     solver = BatchSolver(COMPLIANCES, WHICH, AREA)
@@ -119,7 +120,7 @@ def test_every_history_meets_its_conditions(monkeypatch, comm, name, control, sm
         touched += 0 < np.count_nonzero(p) < N
         if control == "force":
             assert AREA @ p == pytest.approx(FORCE[i], rel=1e-12)
-        with ContactSolver(COMPLIANCES[WHICH[i]], AREA, comm) as single:
+        with ContactSolver(COMPLIANCES[WHICH[i]], AREA) as single:
             exact = single.solve(GAP[i], **{control: float(given[i])}, wear=own)
         assert np.abs(p - exact.pressure).max() <= 1e-11 * max(exact.pressure.max(), 1e-300)
         assert found.approach[i] == pytest.approx(exact.approach, rel=1e-11)
@@ -187,24 +188,83 @@ def test_what_a_law_raises_comes_out_as_it_is(solver):
     assert solver.solve(GAP, force=FORCE).force == pytest.approx(FORCE, rel=1e-12)
 
 
-@pytest.mark.parametrize("n", [1, 7, 8, 37, 64])
-def test_interleaved_solutions_are_those_of_each_system(n):
-    """On the free elements of each history, with couplings and slopes of its own."""
+def hessians_of(n, count):
+    """Hessians of two compliances, n elements, with slopes in proportion to speeds on some."""
     base = np.exp(-np.abs(np.subtract.outer(np.arange(n), np.arange(n))) / 5.0)
-    matrices, which = np.array([base, 2.0 * base]), np.arange(16) % 2
-    slope, free = RNG.uniform(0.0, 1.0, (16, n)), RNG.uniform(size=(16, n)) < 0.8
-    free[1] = True
-    coupling = RNG.uniform(-0.01, 0.01, (16, n, n))
-    coupling += coupling.transpose(0, 2, 1)
-    size = -(-n // interleaved.PANEL) * interleaved.PANEL
-    factors, right = np.zeros((2, size, size, 8)), RNG.normal(size=(16, n))
-    interleaved.factor(np.arange(2), matrices, which, slope, free, coupling, factors)
-    asked = np.array([0, 1, 6, 9, 15])
-    out = np.full((5, n), np.nan)
-    interleaved.solve(asked, free, factors, right[asked], out)
+    matrices, speed = np.array([base, 2.0 * base]), 1.0 + np.arange(n) / n
+    weights = RNG.uniform(1.0, 2.0, (count, n))
+    made = hessians.Hessians(
+        matrices, [Bases(a, speed, w) for a, w in zip(matrices, weights[:2], strict=True)],
+        np.array([speed, speed]), np.arange(count) % 2, weights[np.arange(count) % 2],
+    )  # fmt: skip
+    made.slope[:] = np.where(RNG.uniform(size=(count, n)) < 0.7, speed, 0.0)
+    made.slope[::3] *= RNG.uniform(0.0, 1e3, (len(made.slope[::3]), 1))
+    return made, matrices, weights[np.arange(count) % 2]
+
+
+@pytest.mark.parametrize("n", [1, 7, 8, 37, 64])
+@pytest.mark.parametrize("kind", ["speed", "any shape", "coupled"])
+def test_inverses_are_those_of_each_system(n, kind):
+    """On the elements in contact; steps carry the force that is missing."""
+    made, matrices, weights = hessians_of(n, 16)
+    free = RNG.uniform(size=(16, n)) < 0.8
+    free[1] = free[:, 0] = True
+    if kind == "any shape":
+        made.slope[:] = RNG.uniform(0.0, 1.0, (16, n))
+    if kind == "coupled":
+        coupling = RNG.uniform(-0.01, 0.01, (16, n, n))
+        made.coupling = coupling + coupling.transpose(0, 2, 1)
+    asked, right, missing = np.array([0, 1, 6, 9, 15]), RNG.normal(size=(5, n)), np.arange(5.0)
+    made.refresh(asked, free)
+    out = made.solve(asked, np.array([right, 2.0 * right]))
+    steps, changes = made.steps(asked, right, missing, hessians.SOLVED)
     for place, i in enumerate(asked):
         on = np.flatnonzero(free[i])
-        block = matrices[which[i]] + coupling[i] + np.diag(slope[i])
-        exact = np.zeros(n)
-        exact[on] = np.linalg.solve(block[np.ix_(on, on)], right[i, on])
-        assert out[place] == pytest.approx(exact, abs=1e-11)
+        block = matrices[i % 2] + np.diag(made.slope[i])
+        if kind == "coupled":
+            block = block + made.coupling[i]
+        exact, border = np.zeros(n), np.zeros(n)
+        exact[on] = np.linalg.solve(block[np.ix_(on, on)], right[place, on])
+        border[on] = np.linalg.solve(block[np.ix_(on, on)], weights[i, on])
+        assert out[:, place] == pytest.approx(np.array([exact, 2.0 * exact]), rel=1e-10, abs=1e-11)
+        change = (missing[place] + weights[i] @ exact) / (weights[i] @ border)
+        assert changes[place] == pytest.approx(change, rel=1e-10)
+        assert steps[place] == pytest.approx(change * border - exact, abs=1e-10)
+        assert weights[i] @ steps[place] == pytest.approx(missing[place], abs=1e-10)
+
+
+def test_bases_are_those_of_sets_and_are_kept():
+    matrix = np.eye(5) + 0.5
+    bases = Bases(matrix, np.arange(1.0, 6.0), np.ones(5))
+    free, wearing = np.array([1, 1, 0, 1, 1], bool), np.array([0, 1, 1, 1, 1], bool)
+    basis = bases.basis(free, wearing)
+    assert bases.basis(free, wearing & free) is basis
+    assert Bases(matrix.copy(), np.arange(1.0, 6.0), np.ones(5)).basis(free, wearing) is basis
+    assert Bases(matrix, np.ones(5), np.ones(5)).basis(free, wearing) is not basis
+    worn = np.diag(np.arange(1.0, 6.0) * (free & wearing))
+    assert basis.psi.T @ matrix @ basis.psi == pytest.approx(np.diag([1, 1, 1, 1, 0]), abs=1e-14)
+    assert basis.psi.T @ worn @ basis.psi == pytest.approx(np.diag(basis.mu), abs=1e-14)
+    assert Bases(-matrix, np.ones(5), np.ones(5)).basis(free, wearing) is None
+
+
+@pytest.mark.parametrize("n", [12, 37, 64, 65, 100])
+def test_digits_of_products_do_not_depend_on_the_other_rows(n):
+    """Nor on how many right sides there are, nor on who else has the same matrix."""
+    matrices, rows = RNG.normal(size=(3, n, n)), RNG.normal(size=(41, n))
+
+    def products(rows, which):
+        return RowGroups(np.asarray(which)).products(rows, matrices)
+
+    every = products(rows, np.full(41, 1))
+    assert every == pytest.approx(rows @ matrices[1], abs=1e-10)
+    for count in (1, 2, 7, 8, 9, 40):
+        part = RNG.permutation(41)[:count]
+        assert np.array_equal(products(rows[part], np.full(count, 1)), every[part])
+        sides = products(np.array([rows[part], 2.0 * rows[part]]), np.full(count, 1))
+        assert np.array_equal(sides[0], every[part])
+        which = RNG.integers(0, 3, count)
+        mixed = products(np.array([rows[part], rows[part]]), which)
+        assert np.array_equal(mixed[1][which == 1], every[part][which == 1])
+        for k in range(3):
+            exact = rows[part][which == k] @ matrices[k]
+            assert mixed[0][which == k] == pytest.approx(exact, abs=1e-10)

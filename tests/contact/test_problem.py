@@ -115,23 +115,6 @@ def test_residual_of_a_solution_and_of_none(parts):
     assert problem.apart
 
 
-def test_rows_of_a_problem_that_is_shared_out(parts):
-    compliance, area, gap, _, q = parts
-    whole = ContactProblem(compliance, area)
-    whole.pose(gap, 0.7, None)
-    product = whole.scaled(compliance) @ q
-    value, gradient = whole.objective(q, product)
-    total = 0.0
-    for rows in (slice(0, 5), slice(5, N)):
-        part = ContactProblem(compliance, area, rows)
-        part.pose(gap, 0.7, None)
-        assert np.array_equal(part.scaled(compliance), whole.scaled(compliance)[rows])
-        share, own = part.objective(q[rows], product[rows])
-        total += share
-        assert np.array_equal(own, gradient[rows])
-    assert total == pytest.approx(value, rel=1e-13)
-
-
 @pytest.mark.serial
 def test_starts_neither_mpi_nor_petsc_nor_compiled_code():
     text = (

@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 from conftest import SHELL_ENVIRONMENT
-from mpi4py import MPI
 from petsc4py import PETSc
 
 from ringwear_par.contact import solver as module
@@ -24,20 +23,15 @@ AREA = np.ones(N)
 
 
 class _Failing:
-    """Wear whose law fails where it is asked for the elements of some rank."""
+    """Wear whose law fails."""
 
     local, bends = True, False
 
-    def __init__(self, error, rank, ranks):
-        self.error, self.rank, self.ranks = error, rank, ranks
-
-    def part(self, here):
-        return self
+    def __init__(self, error):
+        self.error = error
 
     def depth(self, p):
-        if self.rank in self.ranks:
-            raise self.error
-        return 0.0 * p
+        raise self.error
 
     def potential(self, p):
         return 0.0 * p
@@ -45,37 +39,29 @@ class _Failing:
     d_depth_dp = potential
 
 
-@pytest.mark.parametrize("limit", [100, 0], ids=["replicated", "distributed"])
+def start_anew(solver):
+    """Let the next solve start as a new solver would."""
+    solver._x.set(0.0)
+    solver._search.restart()
+
+
 @pytest.mark.parametrize(
     "error", [LawError("wear.lower: the law failed"), ZeroDivisionError("of a law")], ids=repr
 )
-def test_an_error_of_a_law_comes_out_as_it_is(comm, limit, error):
-    with ContactSolver(COMPLIANCE, AREA, comm, limit) as solver:
+def test_an_error_of_a_law_comes_out_as_it_is(error):
+    with ContactSolver(COMPLIANCE, AREA) as solver:
         before = solver.solve(np.zeros(N), force=3.0)
-        solver.cold_start()
+        start_anew(solver)
         with pytest.raises(type(error)) as caught:
-            solver.solve(np.zeros(N), force=3.0, wear=_Failing(error, 0, [0]))
+            solver.solve(np.zeros(N), force=3.0, wear=_Failing(error))
         assert caught.value is error
         # and the solver goes on as if nothing had been
-        solver.cold_start()
+        start_anew(solver)
         after = solver.solve(np.zeros(N), force=3.0)
         assert np.array_equal(after.pressure, before.pressure)
 
 
-def test_an_error_on_one_rank_is_raised_on_all(comm):
-    error = LawError("wear.lower: the law failed")
-    last = comm.size - 1
-    with ContactSolver(COMPLIANCE, AREA, comm, 0) as solver:
-        with pytest.raises(LawError, match=r"wear.lower: the law failed"):
-            solver.solve(np.zeros(N), force=3.0, wear=_Failing(error, comm.rank, [last]))
-        solver.cold_start()
-        unforeseen = _Failing(KeyError("k"), comm.rank, [last])
-        with pytest.raises((KeyError, ComputationError), match="k"):
-            solver.solve(np.zeros(N), force=3.0, wear=unforeseen)
-
-
-@pytest.mark.parametrize("limit", [100, 0], ids=["replicated", "distributed"])
-def test_what_is_made_is_freed_if_the_rest_cannot_be_made(comm, monkeypatch, limit):
+def test_what_is_made_is_freed_if_the_rest_cannot_be_made(monkeypatch):
     made = []
 
     def too_large(*parts):
@@ -84,14 +70,14 @@ def test_what_is_made_is_freed_if_the_rest_cannot_be_made(comm, monkeypatch, lim
 
     monkeypatch.setattr(module, "_Callbacks", too_large)
     with pytest.raises(MemoryError):
-        ContactSolver(COMPLIANCE, AREA, comm, limit)
+        ContactSolver(COMPLIANCE, AREA)
     assert made
     assert not any(part.handle for part in made)
 
 
-def test_what_is_left_is_freed_in_the_order_of_making(comm, monkeypatch):
+def test_what_is_left_is_freed_in_the_order_of_making(monkeypatch):
     """Ranks that free shared objects in different orders wait for each other."""
-    made = [ContactSolver(COMPLIANCE, AREA, comm, 0) for _ in range(20)]
+    made = [ContactSolver(COMPLIANCE, AREA) for _ in range(20)]
     freed, destroy = [], ContactSolver.destroy
 
     def recorded(solver):
@@ -132,7 +118,7 @@ def solver_of(kind):
     options = PETSc.Options()
     options["contact_tao_type"] = kind
     try:
-        return ContactSolver(COMPLIANCE, AREA, MPI.COMM_SELF)
+        return ContactSolver(COMPLIANCE, AREA)
     finally:
         options.delValue("contact_tao_type")
 
@@ -147,7 +133,7 @@ def test_what_is_raised_inside_tao_comes_out_as_it_is(kind, error, wrapped, monk
         before = solver.solve(gap, force=0.05)
         if wrapped:
             monkeypatch.setattr(solver, "_tao", _Wrapping(solver._tao))
-        places = [(solver._callbacks, "_act"), (solver._problem, "linearise")]
+        places = [(solver._problem, "add_gradient"), (solver._problem, "linearise")]
         if kind == "python":
             places.append((solver._newton, "_newton_step"))
         for place, name in places:
@@ -161,7 +147,7 @@ def test_what_is_raised_inside_tao_comes_out_as_it_is(kind, error, wrapped, monk
                 return works(*args)
 
             for good in (0, 1, 2):  # calls before it
-                solver.cold_start()
+                start_anew(solver)
                 left = good
                 with monkeypatch.context() as patch:
                     patch.setattr(place, name, fails)
@@ -170,7 +156,7 @@ def test_what_is_raised_inside_tao_comes_out_as_it_is(kind, error, wrapped, monk
                 assert caught.value is error
                 assert caught.value.__cause__ is None
         # and the solver goes on as if nothing had been
-        solver.cold_start()
+        start_anew(solver)
         after = solver.solve(gap, force=0.05)
         assert np.array_equal(after.pressure, before.pressure)
 
@@ -187,7 +173,7 @@ def test_an_error_of_petsc_itself_is_told(monkeypatch):
 
 
 def test_destroying_twice_is_harmless(comm):
-    with ContactSolver(COMPLIANCE, AREA, comm) as solver:
+    with ContactSolver(COMPLIANCE, AREA) as solver:
         solver.solve(np.zeros(N), force=3.0)
     solver.destroy()
     solver.destroy()
@@ -195,7 +181,7 @@ def test_destroying_twice_is_harmless(comm):
 
 def test_the_last_reference_frees_the_solver(comm):
     """Callbacks know neither the TAO nor the solver, so no collection of garbage is waited for."""
-    solver = ContactSolver(COMPLIANCE, AREA, comm)
+    solver = ContactSolver(COMPLIANCE, AREA)
     solver.solve(np.zeros(N), force=3.0)
     tao, alive = solver._tao, weakref.ref(solver)
     assert tao.handle
@@ -214,9 +200,7 @@ from ringwear_par.contact.solver import ContactSolver
 how = sys.argv[1]
 
 def made():
-    both = [
-        ContactSolver(np.eye(8) + 0.1, np.ones(8), MPI.COMM_WORLD, limit) for limit in (100, 0)
-    ]  # replicated and distributed
+    both = [ContactSolver(np.eye(8) + 0.1, np.ones(8)) for _ in "ab"]
     for solver in both:
         solver.solve(np.zeros(8), force=3.0)
     return both

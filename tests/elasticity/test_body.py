@@ -8,9 +8,9 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from ringwear_par.elasticity.bem import rows, solve
-from ringwear_par.elasticity.bem.assembly import Rows
 from ringwear_par.elasticity.bem.body import boundary_responses, compliance, in_case_frame
 from ringwear_par.elasticity.bem.solve import has_scalapack
+from ringwear_par.elasticity.bem.systems import Rows
 from ringwear_par.elasticity.geometry.mesh import Mesh, contact_line
 from ringwear_par.elasticity.geometry.sections import Body, Material, Section
 from ringwear_par.errors import ComputationError
@@ -124,7 +124,7 @@ def test_redundant_and_distributed_factorisations_agree_with_whole_ones(comm, mo
         redundant = condensed(LOWER, Mesh(32), comm)
     finally:
         del options["bem_pc_type"]
-    monkeypatch.setattr(solve, "WHOLE_LIMIT", 10)
+    monkeypatch.setattr(solve, "ONE_RANK_LIMIT", 10)
     distributed = condensed(LOWER, Mesh(32), comm)
     for other in (redundant, distributed):
         for name in ("normal", "torsion", "force_reaction", "torque_reaction"):
@@ -142,19 +142,20 @@ def test_who_solves_which_system():
 def test_a_singular_system_fails_on_all_ranks(comm):
     share = [rank * 9 // comm.size for rank in range(comm.size + 1)][comm.rank :][:2]
     local = share[1] - share[0]
-    sound = Rows(np.eye(9)[slice(*share)].copy(), np.ones((local, 2)), share[0])
+    sound = Rows(np.eye(9)[slice(*share)], np.ones((local, 2)), share[0])
     singular = Rows(np.zeros((local, 9)), np.ones((local, 2)), share[0])
     found = solve.solve_systems([sound, sound], comm)
     assert comm.allreduce(sum(x.sum() for x, _ in found)) == 36.0
-    with pytest.raises(ComputationError, match="relative residual inf"):
+    with pytest.raises(ComputationError, match="factorisation failed"):
         solve.solve_systems([sound, singular], comm)
 
 
 def test_no_rank_holds_a_whole_matrix(comm):
-    from ringwear_par.elasticity.bem.assembly import Zone, assemble, number_dofs
+    from ringwear_par.elasticity.bem.assembly import assemble
     from ringwear_par.elasticity.bem.body import boundary_conditions
     from ringwear_par.elasticity.bem.boundary import boundary_mesh
     from ringwear_par.elasticity.bem.quadrature import quadrature
+    from ringwear_par.elasticity.bem.systems import Zone, number_dofs
 
     body = boundary_mesh(LOWER, contact_line(CONTACT, Mesh(16)), Mesh(16))
     zones = [Zone(body, boundary_conditions(body, "clamped"), Material(1.0, 0.3))]
@@ -179,7 +180,7 @@ def test_memory_stays_flat(comm):
         body = condensed(LOWER, Mesh(32), comm)
         line = contact_line(CONTACT, Mesh(32))
         weighted = line.area[:, None] * body.normal
-        with ContactSolver(0.5 * (weighted + weighted.T), line.area, comm) as solver:
+        with ContactSolver(0.5 * (weighted + weighted.T), line.area) as solver:
             solver.solve(np.zeros(32), force=1.0)
 
     for _ in range(20):

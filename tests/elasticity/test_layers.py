@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from mpi4py import MPI
 
-from ringwear_par.elasticity.bem.assembly import assemble, number_dofs
+from ringwear_par.elasticity.bem.assembly import assemble
 from ringwear_par.elasticity.bem.body import (
     body_zones,
     boundary_responses,
@@ -16,6 +16,7 @@ from ringwear_par.elasticity.bem.body import (
 )
 from ringwear_par.elasticity.bem.boundary import node_wear, zone_meshes
 from ringwear_par.elasticity.bem.quadrature import quadrature
+from ringwear_par.elasticity.bem.systems import number_dofs
 from ringwear_par.elasticity.geometry.mesh import Mesh, contact_line
 from ringwear_par.elasticity.geometry.sections import Body, Material, Section
 from ringwear_par.elasticity.geometry.slopes import pair_slope

@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 from scipy.integrate import quad
 
-from ringwear_par.elasticity.bem.assembly import BoundaryConditions, Zone, assemble, number_dofs
+from ringwear_par.elasticity.bem.assembly import assemble
 from ringwear_par.elasticity.bem.boundary import boundary_mesh
 from ringwear_par.elasticity.bem.quadrature import MAX_POINTS, quadrature
+from ringwear_par.elasticity.bem.systems import BoundaryConditions, Zone, number_dofs
 from ringwear_par.elasticity.geometry.mesh import Mesh, contact_line
 from ringwear_par.elasticity.geometry.sections import Material, Section
 

@@ -62,7 +62,7 @@ def errors(found, exact, area):
 
 def plain_pressure(case, pair, gap, comm, time=0.0):
     """Of the symmetric compliance alone."""
-    with ContactSolver(pair.compliance(young(case)).matrix, pair.line.area, comm) as solver:
+    with ContactSolver(pair.compliance(young(case)).matrix, pair.line.area) as solver:
         return solver.solve(gap, **loads(case, time)).pressure
 
 
@@ -197,7 +197,7 @@ def test_explicit_steps_are_corrected_each(comm):
     pair = assemble(case, comm)
     history = trace(case, comm, pair=pair)
     m, matrix = pair.line.area, weighted(case, pair)
-    plain = ContactSolver(pair.compliance(young(case)).matrix, m, comm)
+    plain = ContactSolver(pair.compliance(young(case)).matrix, m)
     before, uncorrected = np.zeros_like(m), []
     with plain:
         for state in history.states:

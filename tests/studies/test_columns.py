@@ -13,7 +13,6 @@ from ringwear_par.cases.files.law_trials import refuse_bad_laws
 from ringwear_par.cases.files.reading import make_case
 from ringwear_par.cases.text import toml_text
 from ringwear_par.errors import InputError
-from ringwear_par.history.limits import check_ranks
 from ringwear_par.studies.definition import study as studies
 from ringwear_par.studies.definition.bad_cases import LOOKED_AT, told_faults
 from ringwear_par.studies.definition.designs import read_draft
@@ -110,7 +109,6 @@ def one_by_one(tables):
         try:
             case = make_case(keys, name)
             refuse_bad_laws(case, name)
-            check_ranks(case, 1, name)
         except InputError as error:
             bad.append((number + 1, error.faults))
             continue

@@ -207,12 +207,6 @@ def test_who_does_not_serve_many_histories_is_found_out(law, serves):
     assert serves_many(complete(law), R) == serves
 
 
-def test_part_of_the_elements_of_many_histories():
-    together, _, p = increments(LAWS["schedules"])
-    here = slice(5, 20)
-    assert np.array_equal(together.part(here).depth(p[:, here]), together.depth(p)[:, here])
-
-
 @pytest.mark.parametrize(
     "laws",
     [

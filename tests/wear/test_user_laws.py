@@ -21,7 +21,7 @@ from ringwear_par.wear.laws.archard import ArchardLaw
 PAPER = Path(__file__).parents[2] / "scripts/cases/paper.toml"
 GOOD = """
 def rate(p, at): return 1e-8 * at.speed * p
-def slope(p, at): return 1e-8 * at.speed + 0 * p
+def d_rate_dp(p, at): return 1e-8 * at.speed + 0 * p
 """
 #: three times the rate of good
 TRIPLE = GOOD.replace("1e-8", "3e-8")
@@ -48,7 +48,7 @@ def law(shared_path, comm):
         (GOOD.replace("def rate(p, at): return", "def rate(p, at):\n  p -= 20.0\n  return"),
          r"wear.lower.file: .*rate\(\) failed at time 0 s: ValueError.*read-only"),
         ("raise SystemExit(0)", r"wear.lower.file = .*cannot be run \(SystemExit"),
-        ("def slope(p, at): return p", r"does not define rate; must define rate\(p, at\)"),
+        ("def d_rate_dp(p, at): return p", r"does not define rate; must define rate\(p, at\)"),
         (GOOD.replace("* p\n", "* p * float('nan')\n"), r"gives nan as rate at time 0 s, element"),
         (GOOD.replace("* at.speed * p", "* (p - 30)"), r"gives -3e-07 as rate at time 0 s"),
         (GOOD.replace("* at.speed * p", "* p * (500 - p)"), r"falls from"),
@@ -187,8 +187,8 @@ def test_wear_that_grows_too_fast_with_itself_is_told(law, shared_path, comm):
     """Fixed steps say so; adaptive ones become smaller until half of the body is gone."""
     growing = """
 def rate(p, at): return 1e-8 * at.speed * p * (1 + at.wear / 1e-3)
-def slope(p, at): return 1e-8 * at.speed * (1 + at.wear / 1e-3) + 0 * p
-def wear_slope(p, at): return 1e-8 * at.speed * p / 1e-3
+def d_rate_dp(p, at): return 1e-8 * at.speed * (1 + at.wear / 1e-3) + 0 * p
+def d_rate_dwear(p, at): return 1e-8 * at.speed * p / 1e-3
 """
     fixed = [k for k in law(growing) if not k.startswith("time")]
     fixed += ["time.scheme=implicit", "time.step=50", "time.steps=2"]
@@ -204,8 +204,8 @@ def test_round_off_of_a_memory_law_does_not_matter(law, shared_path, comm):
 import numpy as np
 def k(at): return 1e-8 * at.speed * (1 + np.exp(-at.wear / 1e-3))
 def rate(p, at): return k(at) * p * (1 + 1e-13 * np.sin(1e9 * at.wear))
-def slope(p, at): return k(at) + 0 * p
-def wear_slope(p, at): return -1e-8 * at.speed * p * np.exp(-at.wear / 1e-3) / 1e-3
+def d_rate_dp(p, at): return k(at) + 0 * p
+def d_rate_dwear(p, at): return -1e-8 * at.speed * p * np.exp(-at.wear / 1e-3) / 1e-3
 """
     for scheme in ("implicit", "adaptive"):
         keys = [k for k in law(noisy) if not k.startswith("time")]
@@ -213,10 +213,13 @@ def wear_slope(p, at): return -1e-8 * at.speed * p * np.exp(-at.wear / 1e-3) / 1
         run_case(PAPER, shared_path / f"{scheme}.h5", keys, comm=comm)
 
 
-def test_a_file_may_name_its_own_knots(law, shared_path, comm):
+def test_a_file_may_have_breakpoints(law, shared_path, comm):
     """A pulse that one long step would pass over."""
     pulse = GOOD.replace("return 1e-8", "return (10 < at.time <= 100) * 1e-8")
-    for source, wears in ((pulse, False), (pulse + "knots = [10.0, 10.001, 100.0, 100.001]", True)):
+    for source, wears in (
+        (pulse, False),
+        (pulse + "breakpoints = [10.0, 10.001, 100.0, 100.001]", True),
+    ):
         output = shared_path / f"{wears}.h5"
         run_case(PAPER, output, [*law(source), "time.end=2000"], comm=comm)
         if comm.rank == 0:
@@ -247,7 +250,9 @@ def test_laws_finds_a_wrong_slope_but_not_kinks(law, shared_path, comm, capsys):
     case = PAPER.parent / "user_law.toml"
     assert check_laws(case, []) == 0
     assert check_laws(PAPER.parent / "table.toml", []) == 0
-    wrong = law("def rate(p, at): return 1e-9 * p**1.5\ndef slope(p, at): return 1.4e-9 * p**0.5\n")
+    wrong = law(
+        "def rate(p, at): return 1e-9 * p**1.5\ndef d_rate_dp(p, at): return 1.4e-9 * p**0.5\n"
+    )
     with pytest.raises(ComputationError, match="4 derivative"):
         check_laws(PAPER, [k for k in wrong if not k.startswith("time")])
     wrong = law(

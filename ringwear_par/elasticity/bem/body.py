@@ -14,17 +14,17 @@ import numpy as np
 from mpi4py import MPI
 
 from ringwear_par.arrays import FloatArray, IntArray
-from ringwear_par.elasticity.bem.assembly import (
+from ringwear_par.elasticity.bem.assembly import assemble
+from ringwear_par.elasticity.bem.boundary import BoundaryMesh, zone_meshes
+from ringwear_par.elasticity.bem.quadrature import quadrature
+from ringwear_par.elasticity.bem.solve import solve_systems, solved_on_one_rank
+from ringwear_par.elasticity.bem.systems import (
     Assembly,
     BoundaryConditions,
     DofMap,
     Zone,
-    assemble,
     number_dofs,
 )
-from ringwear_par.elasticity.bem.boundary import BoundaryMesh, zone_meshes
-from ringwear_par.elasticity.bem.quadrature import quadrature
-from ringwear_par.elasticity.bem.solve import solve_systems, solved_whole
 from ringwear_par.elasticity.geometry.mesh import ContactLine, Mesh
 from ringwear_par.elasticity.geometry.sections import Body, Grip, Material
 from ringwear_par.elasticity.geometry.slopes import obliquity
@@ -174,7 +174,7 @@ def solve_bodies(problems: Sequence[Problem], comm: MPI.Comm) -> list[Response]:
     largest = max(
         2 * sum(len(zone.boundary.nodes) for zone in problem.zones) for problem in problems
     )
-    if comm.size > 1 and solved_whole(largest, comm.size):
+    if comm.size > 1 and solved_on_one_rank(largest, comm.size):
         return solve_assembled([_assembled(problem, comm) for problem in problems], comm)
     # one after another: not all in memory
     return [solve_assembled([_assembled(problem, comm)], comm)[0] for problem in problems]

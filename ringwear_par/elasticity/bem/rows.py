@@ -10,7 +10,6 @@ subtracted (see ``assembly``) is a sum over the columns of the other nodes.
 """
 
 import math
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,10 +18,8 @@ from ringwear_par.arrays import FloatArray, IntArray
 from ringwear_par.elasticity.bem.boundary import BoundaryMesh
 from ringwear_par.elasticity.bem.kernels import TILE, TILE_ROWS, fill_tile
 from ringwear_par.elasticity.bem.quadrature import MAX_POINTS, Quadrature
+from ringwear_par.elasticity.bem.systems import BoundaryConditions, DofMap, Moving
 from ringwear_par.elasticity.compiling import compiled
-
-if TYPE_CHECKING:
-    from ringwear_par.elasticity.bem.assembly import BoundaryConditions, DofMap, Moving
 
 Pair = tuple[FloatArray, FloatArray]
 #: no index of it counts from the end, which need not be looked at
@@ -352,9 +349,9 @@ def assemble_rows(
     first_node: int,
     last_node: int,
     boundary: BoundaryMesh,
-    conditions: "BoundaryConditions",
-    dofs: "DofMap",
-    moving: "Moving",
+    conditions: BoundaryConditions,
+    dofs: DofMap,
+    moving: Moving,
     moved: bool,
     young: float,
     poisson: float,

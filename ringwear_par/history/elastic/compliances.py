@@ -8,6 +8,7 @@ import numpy as np
 
 from ringwear_par.arrays import FloatArray, IntArray
 from ringwear_par.batched import along, take
+from ringwear_par.contact.batch import BatchSolver
 from ringwear_par.contact.correction import CorrectedContacts
 from ringwear_par.elasticity.pair import ContactCompliance, ContactPair
 
@@ -72,11 +73,11 @@ class Compliances:
 
     def contacts(self) -> CorrectedContacts:
         """Return the contacts of the histories. Not collective."""
-        from ringwear_par.contact.batch import BatchSolver  # compiled, and slow to import
-
-        area = self.every[0].line.area
+        line = self.every[0].line
+        area = line.area
         matrices = np.array([c.matrix for c in self.every])
         excess = np.array([c.excess for c in self.every])
         stiffness = area / np.diagonal(matrices, axis1=1, axis2=2)
-        solver = BatchSolver(matrices, self.which, area)
+        speed = np.array([line.arm * c.obliquity for c in self.every])
+        solver = BatchSolver(matrices, self.which, area, speed)
         return CorrectedContacts(solver, excess, self.which, stiffness)

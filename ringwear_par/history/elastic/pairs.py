@@ -12,7 +12,7 @@ from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.case import Case, need_case
 from ringwear_par.elasticity.bem.assembly import load_kernels
 from ringwear_par.elasticity.bem.boundary import count_elements
-from ringwear_par.elasticity.bem.solve import solved_whole
+from ringwear_par.elasticity.bem.solve import solved_on_one_rank
 from ringwear_par.elasticity.geometry.slopes import pair_slope
 from ringwear_par.elasticity.pair import BodyCost, ContactPair, assemble_pair
 from ringwear_par.elasticity.recovery import BoundaryRecovery
@@ -47,7 +47,7 @@ def assemble(case: Case, comm: MPI.Comm | None = None, *, use_kept: bool = True)
         2 * (1 + len(s.layers)) + 4 * count_elements(s, case.contact, case.mesh)
         for s in case.sections
     )
-    use_kept = use_kept and solved_whole(unknowns, comm.size)
+    use_kept = use_kept and solved_on_one_rank(unknowns, comm.size)
     if use_kept:
         stacked = kept.read(key, case.line.n, comm, partial(is_sound, case.line.area))
         if stacked is not None:

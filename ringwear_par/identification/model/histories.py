@@ -9,7 +9,6 @@ from mpi4py import MPI
 from ringwear_par.arrays import BoolArray, FloatArray
 from ringwear_par.cases.case import Case
 from ringwear_par.cases.numbers import Number, doubtful, with_numbers
-from ringwear_par.contact.batch import load_batch_kernels
 from ringwear_par.elasticity.boundary_fields import BODIES
 from ringwear_par.elasticity.pair import ContactPair
 from ringwear_par.errors import ComputationError, InputError, reason_of
@@ -60,7 +59,6 @@ class Histories:
         for key, experiment in zip(self._owners, problem.experiments, strict=True):
             if key not in self._pairs:
                 self._pairs[key] = assemble(experiment.case, comm)
-        load_batch_kernels(comm)
         #: histories computed so far
         self.count = 0
 

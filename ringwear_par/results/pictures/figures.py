@@ -44,7 +44,7 @@ from ringwear_par.results.pictures.stress_panels import (
     highest,
 )
 from ringwear_par.results.result import FailedResult, Result
-from ringwear_par.results.storage.export import choose_state
+from ringwear_par.results.storage.export import boundary_states
 from ringwear_par.results.storage.result_reading import result_of
 from ringwear_par.results.storage.stored_stresses import (
     check_grid,
@@ -79,7 +79,7 @@ _NOTICED = 0.01
 _NEEDED: dict[str, Callable[[Result], Any]] = {
     "wear": lambda result: [stored_field(result, f"wear_{body}") for body in ("lower", "upper")],
     "pressure": lambda result: stored_field(result, "pressure"),
-    "section": lambda result: choose_state(result, None),
+    "section": lambda result: boundary_states(result)[-1],
     "stress": check_grid,
     "depth": check_grid,
     "interfaces": interfaces_of,

@@ -14,7 +14,7 @@ from ringwear_par.elasticity.boundary_fields import FACES, BoundaryFields
 from ringwear_par.results.instants import pressure_limit, time_words
 from ringwear_par.results.pictures.drawing import COLOURS
 from ringwear_par.results.result import Result
-from ringwear_par.results.storage.export import choose_state
+from ringwear_par.results.storage.export import boundary_states
 
 #: what the largest displacement is drawn as, over the size of both bodies; and how deep faces and
 #: their wear at most, over the lower one's height
@@ -81,7 +81,7 @@ def _contact_elements(body: BoundaryFields) -> tuple[IntArray, IntArray]:
 
 def draw_section(axes: Any, result: Result, label: str) -> None:
     """Deformed meridian sections, magnified, with the contact pressure as colour."""
-    state = choose_state(result, None)
+    state = boundary_states(result)[-1]
     sections = outlines(result.case, result.name)
     planes = [outline.plane for outline in sections]
     factor = _factor(state.bodies, planes)

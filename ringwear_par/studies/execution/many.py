@@ -8,7 +8,6 @@ from pathlib import Path
 from mpi4py import MPI
 
 from ringwear_par.cases.case import Case, need_case
-from ringwear_par.contact.batch import load_batch_kernels
 from ringwear_par.elasticity.pair import ContactPair
 from ringwear_par.elasticity.stress.recovery import load_stress_kernels
 from ringwear_par.errors import InputError
@@ -66,10 +65,8 @@ def simulate_all(
             found[number] = checked
         else:
             groups[checked].append(number)
-    if groups:
-        load_batch_kernels(comm)
-        if any(case.stress is not None for case in cases):
-            load_stress_kernels(comm)
+    if groups and any(case.stress is not None for case in cases):
+        load_stress_kernels(comm)
     dealt: list[int] = []  # in turn to all ranks, whatever the groups
     waiting: list[tuple[ContactPair, list[int]]] = []
     for numbers in groups.values():

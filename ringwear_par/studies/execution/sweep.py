@@ -17,11 +17,9 @@ from typing import Any
 import numpy as np
 from mpi4py import MPI
 
-from ringwear_par.contact.batch import load_batch_kernels
 from ringwear_par.elasticity.bem.assembly import load_kernels
 from ringwear_par.elasticity.stress.recovery import load_stress_kernels
 from ringwear_par.errors import ComputationError, InputError, RingwearError
-from ringwear_par.history.limits import check_ranks
 from ringwear_par.info import versions
 from ringwear_par.parallel import on_first_rank, peak_memory, warn_of_threads
 from ringwear_par.results.execution.progress import SweepProgress
@@ -119,17 +117,9 @@ def _planned(source: Source, request: Request, comm: MPI.Intracomm, held: ExitSt
 
     def plan() -> Plan:
         assert read is not None
-        if m > 1 and isinstance(source, Study):  # which may have been read for one rank a case
-            _check_ranks(read, m)
         return make_plan(read, request, held)
 
     return on_first_rank(comm, plan)
-
-
-def _check_ranks(study: Study, ranks: int) -> None:
-    """Refuse cases that so many ranks cannot share: one of each kind tells."""
-    for number in np.sort(np.unique(study.cases.kinds, return_index=True)[1]).tolist():
-        check_ranks(study.case(number), ranks, f"{study.name}: case {number + 1}")
 
 
 def _swept(
@@ -160,7 +150,6 @@ def _compute(
     plan: Plan, started: float, comm: MPI.Intracomm, team: MPI.Comm
 ) -> tuple[Summary, RingwearError | None]:
     load_kernels(comm)
-    load_batch_kernels(comm)
     if plan.cases_left and plan.study.case(int(plan.todo.cases[0])).stress is not None:
         load_stress_kernels(comm)
     timings = Timings()
