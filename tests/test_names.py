@@ -17,7 +17,7 @@ VAGUE = {
 VAGUE_DOCSTRING = re.compile(r"(?:Return|Tell|Give) (?:what|the same|that of|those)\b")
 #: folders, and modules of the root, that are not clean yet
 ROOMS_TO_DO = {
-    "cases", "cli", "contact", "elasticity", "explorer", "history", "identification",
+    "cases", "cli", "elasticity", "explorer", "history", "identification",
     "kept", "options", "parallel", "reports", "results", "schedules", "studies", "textfiles",
     "verification", "wear",
 }  # fmt: skip
