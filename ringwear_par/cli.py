@@ -208,8 +208,9 @@ def _parser() -> argparse.ArgumentParser:
     command("verify", "run the reference solutions; print error and observed order of each")
     info = command("info", "print versions, MPI and PETSc builds, ranks and threads")
     info.add_argument(
-        "--schema", nargs="?", choices=("case", "fit"), const="case",
-        help="print every key of the case file, or of the fit file",
+        "--schema", nargs="*", metavar="WORD",
+        help="print the keys of case, study and fit files, or of one of these: case, study or fit; "
+        "behind it, or alone, a word of the rows to print, such as wear.lower",
     )  # fmt: skip
     return parser
 
@@ -347,16 +348,37 @@ def _verify(args: argparse.Namespace, comm: Any) -> None:
     verify(comm)
 
 
+def _print_keys(words: Sequence[str]) -> None:
+    """Print the keys of case, study and fit files, or of one of these; a row a key.
+
+    Parameters
+    ----------
+    words : a kind of file or none, and then what the rows contain.
+
+    Raises
+    ------
+    InputError : no row contains it.
+    """
+    from ringwear_par.cases import schema as cases
+    from ringwear_par.identification.definition import schema as fits
+    from ringwear_par.studies.definition import schema as studies
+
+    schemas = {"case": cases.KEYS, "study": studies.KEYS, "fit": fits.KEYS}
+    kinds = words[:1] if words and words[0] in schemas else list(schemas)
+    phrase = " ".join(words[1:] if words[:1] == kinds else words)
+    tables = {kind: cases.key_table(schemas[kind], phrase) for kind in kinds}
+    if not any(tables.values()):
+        files = " or ".join(kinds)
+        raise InputError(f"--schema {legible(phrase)}: is in no row of the keys of {files} files")
+    for kind, table in tables.items():
+        if len(kinds) > 1:
+            print(f"Keys of {kind} files\n")
+        print(table or f"  none with {phrase}", end="\n\n" if kind != kinds[-1] else "\n")
+
+
 def _info(args: argparse.Namespace, comm: Any) -> None:
-    if args.schema == "fit":
-        from ringwear_par.identification.definition.schema import schema as fit_schema
-
-        print(fit_schema())
-        return
-    if args.schema:
-        from ringwear_par.cases.schema import schema
-
-        print(schema())
+    if args.schema is not None:
+        _print_keys(args.schema)
         return
     from ringwear_par.info import print_info
 

@@ -52,7 +52,7 @@ class Key:
     ----------
     path : its dotted name.
     kind, read, allowed, numbers : its values, see ``values.Values``.
-    unit, meaning : as ``info --schema`` tells them.
+    unit, meaning : as ``info --schema`` prints them.
     default : ... where the key must be given.
     """
 
@@ -328,32 +328,38 @@ def unit_of(name: str) -> str:
     return key.unit
 
 
-def schema() -> str:
-    """Return every key with its unit, default and meaning, and what is allowed below each."""
-    return keys_told((key.path, key.unit, key.default, key.meaning, key.allowed) for key in KEYS)
-
-
-def keys_told(keys: Iterable[tuple[str, str, Any, str, str]]) -> str:
-    """Return a table of keys: path, unit, default, meaning and what is allowed of each.
+def key_table(keys: Iterable[Key], words: str = "") -> str:
+    """Return a table of keys: path, unit, default, meaning, and the allowed values below.
 
     Parameters
     ----------
-    keys : with a default of ... where the key must be given, of None where there is none.
+    words : in the rows of the table, in letters of either case; "": all rows.
+
+    Returns
+    -------
+    str : "" where no row has the words.
     """
-    rows = [("key", "unit", "default", "meaning, and what is allowed")]
-    for path, unit, usual, meaning, allowed in keys:
-        default = "required" if usual is ... else "-"
-        if usual is not ... and usual is not None:
-            default = toml_value(usual)
+    rows = [row for key in keys if words.lower() in " ".join(row := _cells(key)).lower()]
+    if not rows:
+        return ""
+    lines = [("key", "unit", "default", "meaning, and what is allowed")]
+    for path, unit, default, meaning, allowed in rows:
         first = textwrap.wrap(meaning, 90)
-        lines = first + [f"    {line}" for line in textwrap.wrap(allowed, 86)]
-        if len(default) > 20:  # a row of its own
-            lines.insert(1, f"    default: {default}")
+        below = [f"    {line}" for line in textwrap.wrap(allowed, 86)]
+        if len(default) > 20:  # a line of its own
+            below.insert(0, f"    default: {default}")
             default = "below"
-        rows.append((path, unit, default, lines[0]))
-        rows += [("", "", "", line) for line in lines[1:]]
-    widths = [max(len(row[i]) for row in rows) for i in range(3)]
+        lines.append((path, unit, default, first[0]))
+        lines += [("", "", "", line) for line in first[1:] + below]
+    widths = [max(len(line[i]) for line in lines) for i in range(3)]
     return "\n".join(
-        "  ".join([*(c.ljust(w) for c, w in zip(row, widths, strict=False)), row[3]]).rstrip()
-        for row in rows
+        "  ".join([*(c.ljust(w) for c, w in zip(line, widths, strict=False)), line[3]]).rstrip()
+        for line in lines
     )
+
+
+def _cells(key: Key) -> tuple[str, str, str, str, str]:
+    default = "required" if key.default is ... else "-"
+    if key.default is not ... and key.default is not None:
+        default = toml_value(key.default)
+    return key.path, key.unit, default, key.meaning, key.allowed

@@ -16,7 +16,7 @@ from ringwear_par.schedules import Quantity, Table
 #: a schedule is a number or a table in time, a quantity these or a profile along the radius
 Kind = Literal[
     "number", "whole", "schedule", "quantity", "pair", "chamfer", "points", "times", "choice",
-    "names", "text", "parameters", "layers", "places", "counts",
+    "names", "text", "parameters", "layers", "places", "counts", "any",
 ]  # fmt: skip
 Reader = Callable[[Any], Any]
 #: more of a word is not compared
@@ -356,6 +356,16 @@ def choice(*names: str) -> Values:
         return str(value)
 
     return Values("choice", read, " or ".join(f'"{name}"' for name in names))
+
+
+def one_of(*names: str) -> Values:
+    """Return one of many names."""
+    return choice(*names)._replace(allowed=f"one of {', '.join(names)}")
+
+
+def anything(allowed: str) -> Values:
+    """Return values that are read elsewhere, by their rules."""
+    return Values("any", lambda value: value, allowed)
 
 
 def some_of(*names: str) -> Values:

@@ -114,13 +114,13 @@ class Bases:
         It is kept for whoever asks next.
         """
         name = (self._name, np.packbits(free).tobytes(), np.packbits(wearing & free).tobytes())
-        if name in _KEPT:
-            _KEPT.move_to_end(name)
-            return _KEPT[name]
-        basis = _KEPT[name] = self._make(np.flatnonzero(free), wearing)
+        if name in _CACHE:
+            _CACHE.move_to_end(name)
+            return _CACHE[name]
+        basis = _CACHE[name] = self._make(np.flatnonzero(free), wearing)
         most = max(2, _MOST_BYTES // (self._matrix.nbytes))
-        while len(_KEPT) > most:
-            _KEPT.popitem(last=False)
+        while len(_CACHE) > most:
+            _CACHE.popitem(last=False)
         return basis
 
     def _make(self, free: IntArray, wearing: BoolArray) -> Basis | None:
@@ -140,4 +140,4 @@ class Bases:
         return Basis(psi, mu, self._weights @ psi)
 
 
-_KEPT: OrderedDict[tuple[bytes, bytes, bytes], Basis | None] = OrderedDict()
+_CACHE: OrderedDict[tuple[bytes, bytes, bytes], Basis | None] = OrderedDict()

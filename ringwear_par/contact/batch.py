@@ -102,11 +102,11 @@ class _Callbacks:
         newton, histories = self._newton, self._newton.at_work
         product = RowGroups(self._which).products(q, self._matrices)
         linear = self._weights * (newton.gaps - newton.approaches[:, None])
-        each = inner(q, 0.5 * product + linear)[histories]
+        objectives = inner(q, 0.5 * product + linear)[histories]
         if self.wear is not None:
             p = q[histories] / self._scale[histories]
-            each = each + inner(self._area, self.wear.take(histories).potential(p))
-        return float(each.sum())
+            objectives = objectives + inner(self._area, self.wear.take(histories).potential(p))
+        return float(objectives.sum())
 
     def objective_gradient(self, tao: PETSc.TAO, x: PETSc.Vec, g: PETSc.Vec) -> float:
         """Return the objective, set g to the gradient."""
@@ -123,26 +123,26 @@ class _Callbacks:
         hessians.slope[rows] = wear.d_depth_dp(p) * (weights / scale)
         if len(hessians.coupling):
             coupling = weights[..., None] * wear.jacobian(p) / scale[:, None, :]
-            own = np.arange(q.shape[1])
-            coupling[:, own, own] -= hessians.slope[rows]
+            diagonal = np.arange(q.shape[1])
+            coupling[:, diagonal, diagonal] -= hessians.slope[rows]
             hessians.coupling[rows] = coupling
 
     def on_curve(self, before: FloatArray, after: FloatArray) -> FloatArray:
         """Return unknowns after a Newton step, those at work back on curves, see ``problem``."""
         assert self.wear is not None
         (wear, _), rows = self._worn(self.wear, after), self._newton.rows
-        found = after.copy()
-        found[rows] = on_curve(
+        unknowns = after.copy()
+        unknowns[rows] = on_curve(
             wear, before[rows], after[rows], self._scale[rows], self._weights[rows]
         )
-        return found
+        return unknowns
 
     def steepest(self, q: FloatArray) -> FloatArray:
-        """Return what wear adds to the diagonal, (B, n), of either side of a kink of the law."""
+        """Return the steeper slope, (B, n), of both sides of a kink of the law."""
         if self.wear is None:
             return self._hessians.slope
-        there = self.wear.d_depth_dp(q / self._scale) * (self._weights / self._scale)
-        return np.maximum(self._hessians.slope, there)
+        slope = self.wear.d_depth_dp(q / self._scale) * (self._weights / self._scale)
+        return np.maximum(self._hessians.slope, slope)
 
 
 class BatchSolver:
@@ -167,7 +167,7 @@ class BatchSolver:
         area: FloatArray,
         speed: FloatArray | None = None,
     ) -> None:
-        self._owned: list[PETSc.Object] = []
+        self._objects: list[PETSc.Object] = []
         self._which, self._area = which, area
         count, n = len(which), len(area)
         scales = np.sqrt(np.diagonal(compliances, axis1=1, axis2=2))
@@ -198,27 +198,27 @@ class BatchSolver:
             self._weights,
         )
         OPEN[self] = None
-        self._x = self._own(PETSc.Vec()).createSeq(count * n, comm=MPI.COMM_SELF)
-        self._g, lower, upper = (self._own(self._x.duplicate()) for _ in "glu")
+        self._x = self._register(PETSc.Vec()).createSeq(count * n, comm=MPI.COMM_SELF)
+        self._g, lower, upper = (self._register(self._x.duplicate()) for _ in "glu")
         upper.set(PETSc.INFINITY)
-        self._h = self._own(PETSc.Mat()).createPython(
+        self._h = self._register(PETSc.Mat()).createPython(
             [count * n, count * n], self._hessians, comm=MPI.COMM_SELF
         )
         self._h.setUp()
-        tao = self._tao = self._own(PETSc.TAO()).create(MPI.COMM_SELF)
+        tao = self._tao = self._register(PETSc.TAO()).create(MPI.COMM_SELF)
         tao.setType("python")
         tao.setPythonContext(self._newton)
-        kept = self._callbacks.guard.kept
-        tao.setObjective(kept(self._callbacks.objective))
-        tao.setGradient(kept(self._callbacks.gradient), self._g)
-        tao.setObjectiveGradient(kept(self._callbacks.objective_gradient), self._g)
-        tao.setHessian(kept(self._callbacks.hessian), self._h, self._h)
+        guarded = self._callbacks.guard.guarded
+        tao.setObjective(guarded(self._callbacks.objective))
+        tao.setGradient(guarded(self._callbacks.gradient), self._g)
+        tao.setObjectiveGradient(guarded(self._callbacks.objective_gradient), self._g)
+        tao.setHessian(guarded(self._callbacks.hessian), self._h, self._h)
         tao.setVariableBounds((lower, upper))
         tao.setSolution(self._x)
 
-    def _own(self, made: P) -> P:
-        self._owned.append(made)
-        return made
+    def _register(self, petsc_object: P) -> P:
+        self._objects.append(petsc_object)
+        return petsc_object
 
     @property
     def area(self) -> FloatArray:
@@ -248,26 +248,26 @@ class BatchSolver:
         Exception : what a law raised.
         """
         newton = self._newton
-        asked = self._every if histories is None else histories
+        active = self._every if histories is None else histories
         newton.gaps = gap
         if approach is not None:
             newton.forces = np.zeros(0)
-            newton.approaches[asked] = approach[asked]
+            newton.approaches[active] = approach[active]
             apart = gap.min(axis=1) >= approach
         elif force is not None:
             newton.forces = force
             apart = force == 0.0  # the bodies just touch
-            touching = asked[apart[asked]]
+            touching = active[apart[active]]
             newton.approaches[touching] = gap[touching].min(axis=1)
         else:
             raise ValueError("force or approach must be given")
         self._callbacks.pose(wear)
         newton.bend = self._callbacks.on_curve if wear is not None and wear.bends else None
         self._pose_coupling(wear)
-        newton.at_work = asked
+        newton.at_work = active
         if apart.any():
-            self._part(asked[apart[asked]])
-            newton.at_work = asked[~apart[asked]]
+            self._part(active[apart[active]])
+            newton.at_work = active[~apart[active]]
         if self._petsc_methods:
             self._newton.failed[:] = False
             self._newton.failed[newton.at_work] = True
@@ -284,15 +284,15 @@ class BatchSolver:
         if unsolved.any():
             raise HistoriesError(unsolved)
         q, g = (v.getArray(readonly=True).reshape(gap.shape) for v in (self._x, self._g))
-        worst, largest = self._defects(asked, q, g)
-        off = np.divide(worst, largest, out=np.full(len(asked), np.inf), where=largest > 0.0)
+        worst, largest = self._defects(active, q, g)
+        off = np.divide(worst, largest, out=np.full(len(active), np.inf), where=largest > 0.0)
         residual = np.zeros(len(gap))
-        residual[asked] = off
+        residual[active] = off
         residual[apart] = 0.0
         iterations = newton.iterations.copy()
         iterations[apart] = 0
-        for i, found in singles.items():
-            residual[i], iterations[i] = found.residual, iterations[i] + found.iterations
+        for i, solution in singles.items():
+            residual[i], iterations[i] = solution.residual, iterations[i] + solution.iterations
         failed = ~(residual <= KKT_TOLERANCE)
         if failed.any():
             if len(gap) == 1:
@@ -323,22 +323,22 @@ class BatchSolver:
         matrix = self._scaled[self._which[history]] * (scale[:, None] * scale)
         increment = None if wear is None else wear.history(history)
         with ContactSolver(matrix, self._area) as solver:
-            found = solver.solve(
+            solution = solver.solve(
                 gap[history],
                 force=None if force is None else float(force[history]),
                 approach=None if approach is None else float(approach[history]),
                 wear=increment,
             )
         q, g = (v.getArray(readonly=True).reshape(gap.shape).copy() for v in (self._x, self._g))
-        q[history], g[history] = found.pressure * scale, found.gap * self._weights[history]
-        newton.approaches[history], newton.failed[history] = found.approach, False
+        q[history], g[history] = solution.pressure * scale, solution.gap * self._weights[history]
+        newton.approaches[history], newton.failed[history] = solution.approach, False
         self._x.setArray(q.ravel())
         self._g.setArray(g.ravel())
-        # what else is asked of the solution is answered on the factor of its set
+        # what else is active of the solution is answered on the factor of its set
         newton.at_work = np.array([history])
         self._callbacks.hessian(self._tao, self._x, self._h, self._h)
         self._hessians.refresh(newton.at_work, q > 0.0)
-        return found
+        return solution
 
     def _pose_coupling(self, wear: WearIncrement | None) -> None:
         """Make room for what non-local wear adds to the Hessian, where it is non-local."""
@@ -396,7 +396,7 @@ class BatchSolver:
 
     def tangents(
         self,
-        found: ContactState,
+        solution: ContactState,
         d_gap: FloatArray,
         d_force: FloatArray | None,
         d_approach: FloatArray | None,
@@ -409,7 +409,7 @@ class BatchSolver:
 
         Parameters
         ----------
-        found : the last solution.
+        solution : the last solution.
         d_gap : (P, B, n) mm, derivatives of gaps at given pressures, wear included.
         d_force, d_approach : (P, B) N or mm, of the loads; the other one is None.
         slope : derivatives of the wear of the step with respect to pressure at the solution, (B, n)
@@ -426,7 +426,7 @@ class BatchSolver:
             border = border - hessians.solve(histories, left(border))
         if d_approach is None:
             # where nothing touches, the force being 0, bodies stay at the nearest element
-            nearest = found.gap[rows].argmin(axis=1)
+            nearest = solution.gap[rows].argmin(axis=1)
             moved = d_gap[:, histories, nearest]
         else:
             moved = d_approach[:, rows].copy()
@@ -453,9 +453,9 @@ class BatchSolver:
         weights, scale = self._weights[rows], self._scale[rows]
         if slope.ndim > self._weights.ndim:
             change = weights[..., None] * slope[rows] / scale[:, None, :] - blocks.coupling[rows]
-            own = np.arange(change.shape[1])
-            change[:, own, own] -= blocks.slope[rows]
-            return lambda x: np.array([each @ row for each, row in zip(change, x, strict=True)])
+            diagonal = np.arange(change.shape[1])
+            change[:, diagonal, diagonal] -= blocks.slope[rows]
+            return lambda x: np.array([matrix @ row for matrix, row in zip(change, x, strict=True)])
         # TAO's callbacks make it in the same way, so that what has not changed is 0
         change = slope[rows] * (weights / scale) - blocks.slope[rows]
         return (lambda x: change * x) if change.any() else None
@@ -484,14 +484,14 @@ class BatchSolver:
         return RowGroups(which).products(p, matrices)
 
     def deflections(self, d_p: FloatArray) -> FloatArray:
-        """Return what (P, B, n) MPa make of the gaps, mm."""
+        """Return the changes of gaps, mm, with those of pressures, (P, B, n) MPa."""
         return self.products(self._scaled, self._which, self._scale * d_p) / self._weights
 
     def take(self, histories: IntArray) -> "BatchSolver":
         """Return a solver of some of the histories, which starts where this one would."""
         used, which = np.unique(self._which[histories], return_inverse=True)
         solver = BatchSolver.__new__(BatchSolver)
-        solver._owned = []
+        solver._objects = []
         solver._area, solver._scaled, solver._which = self._area, self._scaled, which
         solver._speed, solver._bases = self._speed, self._bases
         if len(used) < len(self._scaled):
@@ -505,8 +505,8 @@ class BatchSolver:
     def destroy(self) -> None:
         """Free the PETSc objects, if they are not yet."""
         OPEN.pop(self, None)
-        while self._owned:
-            self._owned.pop().destroy()
+        while self._objects:
+            self._objects.pop().destroy()
 
     def __del__(self) -> None:
         self.destroy()

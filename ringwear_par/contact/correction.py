@@ -33,14 +33,14 @@ _TINY = 1e-300
 class Tangents(Protocol):
     """Derivatives of contact solutions, which take part in each correction."""
 
-    def solved(self, found: ContactState, at: FloatArray, asked: IntArray) -> None:
+    def solved(self, solution: ContactState, at: FloatArray, histories: IntArray) -> None:
         """Differentiate a solution on the factor that its solver has now.
 
         Parameters
         ----------
-        found : the solution.
+        solution : the solution.
         at : (B, n) float, MPa, the pressures at which it was corrected.
-        asked : (h,) int, the histories that were solved.
+        histories : (h,) int, the histories that were solved.
         """
         ...
 
@@ -86,7 +86,7 @@ class CorrectedContacts:
         self._shift_at: tuple[FloatArray, FloatArray] | None = None
 
     def _shift(self, p: FloatArray) -> FloatArray:
-        """Return what the excess makes of pressures, (B, n) mm; remembered."""
+        """Return the gap that the excess opens at pressures, (B, n) mm; remembered."""
         if self._shift_at is None or self._shift_at[0] is not p:
             self._shift_at = p, self.solver.products(self._transposed, self._which, p)
         return self._shift_at[1]
@@ -100,7 +100,7 @@ class CorrectedContacts:
         approach: FloatArray | None,
         wear: WearIncrement | None,
         exact: bool = False,
-        found: tuple[BoolArray, ContactState] | None = None,
+        already_solved: tuple[BoolArray, ContactState] | None = None,
         along: Tangents | None = None,
     ) -> ContactState:
         """Return the contacts at given forces (B,) N or approaches (B,) mm.
@@ -111,7 +111,7 @@ class CorrectedContacts:
         near : (B, n) float, MPa, pressures near the solution.
         wear : of an implicit step.
         exact : whether to correct until no more than 1e-4 is left.
-        found : which histories have their solution already, and it.
+        already_solved : which histories have their solution already, and it.
         along : takes every correction.
 
         Raises
@@ -120,35 +120,35 @@ class CorrectedContacts:
             several histories.
         """
         most = _EXACT if exact else _NEAR_ENOUGH
-        asked = self._every if found is None else np.flatnonzero(~found[0])
+        active = self._every if already_solved is None else np.flatnonzero(~already_solved[0])
         shift, iterations = self._shift(near), np.zeros(len(gap), dtype=np.int64)
-        if found is not None:
-            iterations[found[0]] = found[1].iterations[found[0]]
+        if already_solved is not None:
+            iterations[already_solved[0]] = already_solved[1].iterations[already_solved[0]]
         residual, errors = np.zeros(len(gap)), np.zeros(len(gap))
         elements = np.zeros(len(gap), dtype=np.int64)
         for _ in range(1 + _CORRECTIONS):
             state = self.solver.solve(
-                gap - shift, force=force, approach=approach, wear=wear, histories=asked
+                gap - shift, force=force, approach=approach, wear=wear, histories=active
             )
             if along is not None:
-                along.solved(state, near, asked)
+                along.solved(state, near, active)
                 near = state.pressure
-            iterations[asked] += state.iterations[asked]
-            residual[asked] = state.residual[asked]
+            iterations[active] += state.iterations[active]
+            residual[active] = state.residual[active]
             before, shift = shift, self._shift(state.pressure)
             off, e = self._errors(state, shift - before, force is not None, most)
-            errors[asked], elements[asked] = off[asked], e[asked]
-            asked = asked[~(off[asked] <= most)]
-            if not len(asked):
+            errors[active], elements[active] = off[active], e[active]
+            active = active[~(off[active] <= most)]
+            if not len(active):
                 break
         else:
             if len(gap) == 1:
                 raise ComputationError(_unsettled(float(off[0]), int(e[0]), most))
             which = np.zeros(len(gap), dtype=bool)
-            which[asked] = True
+            which[active] = True
             raise HistoriesError(which)
-        if found is not None:
-            residual[found[0]] = found[1].residual[found[0]]
+        if already_solved is not None:
+            residual[already_solved[0]] = already_solved[1].residual[already_solved[0]]
         worse = errors > self.worst[0]
         self.worst = (
             np.where(worse, errors, self.worst[0]), np.where(worse, elements, self.worst[1])
@@ -156,11 +156,11 @@ class CorrectedContacts:
         return replace(state, iterations=iterations, residual=residual)
 
     def _errors(
-        self, found: ContactState, change: FloatArray, force_kept: bool, most: float
+        self, solution: ContactState, change: FloatArray, force_kept: bool, most: float
     ) -> tuple[FloatArray, IntArray]:
         """Return about how far pressures are off for changes of the shift, (B, n) mm, and where."""
-        p, rows = found.pressure, self._every
-        mean = np.maximum(np.divide(found.force, self._total), _TINY)[:, None]
+        p, rows = solution.pressure, self._every
+        mean = np.maximum(np.divide(solution.force, self._total), _TINY)[:, None]
         errors = _alone(change, self._stiffness[self._which], p, mean)
         elements = errors.argmax(axis=1)
         worst = errors[rows, elements]
@@ -169,7 +169,7 @@ class CorrectedContacts:
         touching = p > 0.0
         carrying = inner(self.solver.area, touching.astype(float))
         with np.errstate(divide="ignore", invalid="ignore"):
-            scale = np.maximum(p, np.divide(found.force, carrying)[:, None])
+            scale = np.maximum(p, np.divide(solution.force, carrying)[:, None])
             response = np.abs(self.solver.response(change, force_kept)) / scale
         errors = np.where(touching, response, 0.0)
         again = errors.argmax(axis=1)
@@ -187,13 +187,20 @@ class CorrectedContacts:
         return self.solver.products(matrices, which, p)
 
     def deflections(self, d_p: FloatArray) -> FloatArray:
-        """Return what (P, B, n) MPa make of the gaps by the symmetric compliances, mm."""
+        """Return the changes of gaps, mm, with those of pressures, (P, B, n) MPa, symmetric."""
         return self.solver.deflections(d_p)
 
-    def tangents(self, found: ContactState, *how: Any, asked: Any) -> tuple[FloatArray, FloatArray]:
-        """Return derivatives of pressures and approaches of the histories asked for."""
-        what: tuple[Any, ...] = (*how, asked)
-        return self.solver.tangents(found, *what)
+    def tangents(
+        self,
+        solution: ContactState,
+        d_gap: FloatArray,
+        d_force: FloatArray | None,
+        d_approach: FloatArray | None,
+        slope: FloatArray | None,
+        histories: IntArray,
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return derivatives of pressures and approaches, see ``BatchSolver.tangents``."""
+        return self.solver.tangents(solution, d_gap, d_force, d_approach, slope, histories)
 
     def start_from(self, *before: "CorrectedContacts") -> None:
         """Start where others would, whose histories follow each other here."""
@@ -211,5 +218,5 @@ class CorrectedContacts:
         return taken
 
     def response(self, gap: FloatArray, force_kept: bool) -> FloatArray:
-        """Return what a small growth (B, n) mm of the gap does to the last pressures, MPa."""
+        """Return the change of the last pressures, MPa, with a small growth (B, n) mm of gaps."""
         return self.solver.response(gap, force_kept)

@@ -62,6 +62,7 @@ class Hessians:
         self._numbers: dict[tuple[int, bytes], int] = {}
         #: (m, n, n) and (m, n) each, of the bases, room for more included; see ``Basis``
         self._psi, self._mu, self._force = np.empty((0, n, n)), np.empty((0, n)), np.empty((0, n))
+        self._count = 0
         self._number = np.full(count, _BROKEN)
         #: (B, n) inverses in the bases, exact where the slope has the shape, else preconditioners
         self._inverse, self._regular = np.ones((count, n)), np.ones(count, dtype=bool)
@@ -88,23 +89,23 @@ class Hessians:
 
         What is not positive definite has NaN as its solutions.
         """
-        slope, own = self.slope[histories], free[histories]
+        slope, touching = self.slope[histories], free[histories]
         new = ~self._valid[histories]
         new |= (slope != self._slope[histories]).any(axis=1)
-        new |= (own != self._free[histories]).any(axis=1)
+        new |= (touching != self._free[histories]).any(axis=1)
         coupled = bool(len(self.coupling))
         if coupled:
             new[:] = True
         if not new.all():
             if not new.any():
                 return
-            histories, slope, own = histories[new], slope[new], own[new]
-        self._slope[histories], self._free[histories] = slope, own
+            histories, slope, touching = histories[new], slope[new], touching[new]
+        self._slope[histories], self._free[histories] = slope, touching
         self._valid[histories] = not coupled
         if coupled or slope.shape[1] > LARGEST_WITH_BASES:
             self._factorise(histories)
             return
-        rate = np.where(own, slope * self._per_speed[self._which[histories]], 0.0)
+        rate = np.where(touching, slope * self._per_speed[self._which[histories]], 0.0)
         wearing = rate > 0.0
         most = rate.max(axis=1)
         least = np.where(wearing, rate, np.inf).min(axis=1)
@@ -113,13 +114,15 @@ class Hessians:
         if not regular.all():
             places = np.flatnonzero(~regular)
             wearing[places] = True
-            ordered = np.sort(np.where(own[places], rate[places], np.inf), axis=1)
-            most[places] = ordered[np.arange(len(places)), own[places].sum(axis=1) // 2]  # median
+            ordered = np.sort(np.where(touching[places], rate[places], np.inf), axis=1)
+            middle = touching[places].sum(axis=1) // 2
+            most[places] = ordered[np.arange(len(places)), middle]  # the median
         wearing[~wearing.any(axis=1)] = True  # so as not to need a basis without wear
-        self._choose_bases(histories, own, wearing)
+        self._choose_bases(histories, touching, wearing)
         numbers = self._number[histories]
         if numbers.min() < 0:
-            histories, most, numbers = (each[numbers >= 0] for each in (histories, most, numbers))
+            valid = numbers >= 0
+            histories, most, numbers = histories[valid], most[valid], numbers[valid]
         self._inverse[histories] = 1.0 / (1.0 + most[:, None] * self._mu[numbers])
 
     def _choose_bases(self, histories: IntArray, free: BoolArray, wearing: BoolArray) -> None:
@@ -140,14 +143,29 @@ class Hessians:
 
     def _add(self, basis: Basis) -> int:
         """Add a basis to those of the histories; return its number."""
-        number = 1 + max(self._numbers.values(), default=-1)
-        if number == len(self._mu):
-            self._psi, self._mu, self._force = (
-                np.concatenate([values, np.empty((max(4, len(values)), *values.shape[1:]))])
-                for values in (self._psi, self._mu, self._force)
-            )
+        if self._count == len(self._mu):
+            self._make_room()
+        number, self._count = self._count, self._count + 1
         self._psi[number], self._mu[number], self._force[number] = basis
         return number
+
+    def _make_room(self) -> None:
+        """Forget the bases that no history has any more, and make room for as many again."""
+        used = np.unique(self._number[self._number >= 0])
+        room = max(4, len(used))
+        self._psi, self._mu, self._force = (
+            np.concatenate([values[used], np.empty((room, *values.shape[1:]))])
+            for values in (self._psi, self._mu, self._force)
+        )
+        new = {int(number): place for place, number in enumerate(used)}
+        self._numbers = {
+            name: new.get(number, number)
+            for name, number in self._numbers.items()
+            if number in new or number < 0
+        }
+        modal = self._number >= 0
+        self._number[modal] = np.searchsorted(used, self._number[modal])
+        self._count, self._rows = len(used), None
 
     def _factorise(self, histories: IntArray) -> None:
         """Factor blocks one by one."""
@@ -166,11 +184,12 @@ class Hessians:
     def _rows_of(self, histories: IntArray) -> "_Rows":
         """Return how some histories are solved, remembered for the same ones."""
         if self._rows is None or self._rows[0] is not histories:
-            numbers = self._number[histories]
-            modal = np.flatnonzero(numbers >= 0)
-            whole = len(modal) == len(numbers)
-            own = numbers if whole else numbers[modal]
-            self._rows = histories, _Rows(slice(None) if whole else modal, own, self._force[own])
+            every = self._number[histories]
+            modal = np.flatnonzero(every >= 0)
+            whole = len(modal) == len(every)
+            numbers = every if whole else every[modal]
+            places = slice(None) if whole else modal
+            self._rows = histories, _Rows(places, numbers, self._force[numbers])
         return self._rows[1]
 
     def solve(self, histories: IntArray, right: FloatArray) -> FloatArray:
@@ -241,12 +260,14 @@ class Hessians:
             steps[places] = rows.groups.products(solved, self._psi_t)
             approach[places] = change
         if len(rows.numbers) < len(histories):
-            others = np.flatnonzero(self._number[histories] < 0)
-            weights, both = self._weights[histories[others]], np.zeros((2, *gradient[others].shape))
-            self._solve_factored(histories[others], np.array([gradient[others], weights]), both)
+            factored = np.flatnonzero(self._number[histories] < 0)
+            weights = self._weights[histories[factored]]
+            right = np.array([gradient[factored], weights])
+            both = np.zeros_like(right)
+            self._solve_factored(histories[factored], right, both)
             carried, stiffness = (inner(weights, sides) for sides in both)
-            change = _divided(missing[others] + carried, stiffness)
-            steps[others], approach[others] = change[:, None] * both[1] - both[0], change
+            change = _divided(missing[factored] + carried, stiffness)
+            steps[factored], approach[factored] = change[:, None] * both[1] - both[0], change
         return steps, approach
 
     def _iterate(
@@ -266,7 +287,7 @@ class Hessians:
         slope, inverse = self._slope[histories], self._inverse[histories]
         force = self._force[numbers]
         groups, psi, psi_t = RowGroups(numbers), self._psi, self._psi_t
-        found, multipliers = np.zeros_like(right), np.zeros(count)
+        solutions, multipliers = np.zeros_like(right), np.zeros(count)
         border = inverse * force
         stiffness, multiplier = inner(force, border), np.zeros(count)
 
@@ -290,7 +311,7 @@ class Hessians:
         for _ in range(_MOST_ITERATIONS):
             going = size > small
             if not going.all():
-                found[rows[~going]], multipliers[rows[~going]] = x[~going], -multiplier[~going]
+                solutions[rows[~going]], multipliers[rows[~going]] = x[~going], -multiplier[~going]
                 if not going.any():
                     break
                 rows, x, r, direction, size, small, multiplier, numbers = (
@@ -307,8 +328,8 @@ class Hessians:
             before, size = size, inner(r, z)
             direction = z + (size / before)[:, None] * direction
         else:
-            found[rows], multipliers[rows] = x, -multiplier
-        return found, multipliers
+            solutions[rows], multipliers[rows] = x, -multiplier
+        return solutions, multipliers
 
 
 class _Rows:

@@ -94,7 +94,7 @@ class ContactSolver:
     """
 
     def __init__(self, compliance: FloatArray, area: FloatArray) -> None:
-        self._owned: list[PETSc.Object] = []
+        self._objects: list[PETSc.Object] = []
         options = PETSc.Options(CONTACT_PREFIX)
         self.tao_type = options.getString("tao_type", "python")
         if self.tao_type not in TAO_TYPES:
@@ -112,26 +112,26 @@ class ContactSolver:
     def _make(self, compliance: FloatArray, n: int) -> None:
         """Make all that is PETSc's, each of it owned before it is there."""
         OPEN[self] = None
-        self._x = self._own(PETSc.Vec()).createSeq(n, comm=MPI.COMM_SELF)
+        self._x = self._register(PETSc.Vec()).createSeq(n, comm=MPI.COMM_SELF)
         self._problem = ContactProblem(compliance, self._area)
         self._a, self._h = (
-            self._own(PETSc.Mat()).createDense(
+            self._register(PETSc.Mat()).createDense(
                 (n, n), array=np.zeros((n, n), order="F"), comm=MPI.COMM_SELF
             )
             for _ in "ah"
         )
-        self._lower, self._upper, self._g = (self._own(self._x.duplicate()) for _ in "lug")
+        self._lower, self._upper, self._g = (self._register(self._x.duplicate()) for _ in "lug")
         self._upper.set(PETSc.INFINITY)
-        diagonal, scratch = (self._own(self._x.duplicate()) for _ in "ds")
+        diagonal, scratch = (self._register(self._x.duplicate()) for _ in "ds")
         self._callbacks = _Callbacks(self._problem, self._a, diagonal, scratch)
         self._newton = ActiveSetNewton() if self.tao_type == "python" else None
-        self._tao = self._own(PETSc.TAO()).create(MPI.COMM_SELF)
+        self._tao = self._register(PETSc.TAO()).create(MPI.COMM_SELF)
         self._fill(compliance)
         self._set_up_tao()
 
-    def _own(self, made: P) -> P:
-        self._owned.append(made)
-        return made
+    def _register(self, petsc_object: P) -> P:
+        self._objects.append(petsc_object)
+        return petsc_object
 
     def _fill(self, compliance: FloatArray) -> None:
         """Set A, and the Hessian to it."""
@@ -160,11 +160,11 @@ class ContactSolver:
                 ksp.setType("stcg")
                 ksp.getPC().setType("jacobi")
                 ksp.setTolerances(rtol=1e-10)
-        kept = callbacks.guard.kept
-        tao.setObjective(kept(callbacks.objective))
-        tao.setGradient(kept(callbacks.gradient), self._g)
-        tao.setObjectiveGradient(kept(callbacks.objective_gradient), self._g)
-        tao.setHessian(kept(callbacks.hessian), self._h, self._h)
+        guarded = callbacks.guard.guarded
+        tao.setObjective(guarded(callbacks.objective))
+        tao.setGradient(guarded(callbacks.gradient), self._g)
+        tao.setObjectiveGradient(guarded(callbacks.objective_gradient), self._g)
+        tao.setHessian(guarded(callbacks.hessian), self._h, self._h)
         tao.setVariableBounds((self._lower, self._upper))
         tao.setSolution(self._x)
         set_from_options(tao, CONTACT_PREFIX)
@@ -246,8 +246,8 @@ class ContactSolver:
     def destroy(self) -> None:
         """Free the PETSc objects, if they are not yet."""
         OPEN.pop(self, None)
-        while self._owned:
-            self._owned.pop().destroy()
+        while self._objects:
+            self._objects.pop().destroy()
 
     def __del__(self) -> None:
         self.destroy()

@@ -24,10 +24,10 @@ class Guard:
         self._alone = alone
         self._failure: BaseException | None = None
 
-    def kept(self, callback: Callable[..., Any]) -> Callable[..., Any]:
+    def guarded(self, callback: Callable[..., Any]) -> Callable[..., Any]:
         """Return a callback that keeps what it raises, and has the TAO end."""
 
-        def kept(tao: PETSc.TAO, *args: Any) -> Any:
+        def guarded(tao: PETSc.TAO, *args: Any) -> Any:
             if self._failure is None:
                 try:
                     return callback(tao, *args)
@@ -38,7 +38,7 @@ class Guard:
             tao.setConvergedReason(PETSc.TAO.Reason.DIVERGED_USER)
             return 0.0
 
-        return kept
+        return guarded
 
     def solve(self, tao: PETSc.TAO, name: str) -> None:
         """Solve the problem posed; raise what a callback raised as it was.
@@ -61,7 +61,7 @@ class Guard:
             self._failure = None
         if not failures:
             return
-        # what callbacks were given are references of their own to the TAO, which must not
+        # what callbacks hold are references of their own to the TAO, which must not
         # outlive it: an exception keeps the frames that it came through
         for failure in failures:
             traceback.clear_frames(failure.__traceback__)

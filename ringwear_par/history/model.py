@@ -190,9 +190,9 @@ class WearModel:
         self,
         time: FloatArray,
         wear: FloatArray,
-        near: FloatArray,
-        during: WearIncrement | None = None,
-        found: tuple[BoolArray, ContactState] | None = None,
+        pressure_guess: FloatArray,
+        increment: WearIncrement | None = None,
+        already_solved: tuple[BoolArray, ContactState] | None = None,
         exact: bool = False,
         along: Along | None = None,
     ) -> ContactState:
@@ -202,11 +202,11 @@ class WearModel:
         ----------
         time : (B,) float, s.
         wear : (2, B, n) float, mm, by which the profiles are worn.
-        near : (B, n) float, MPa, pressures near the solution, see ``contact.correction``.
-        during : wear of an implicit step, which is part of the contact problem.
-        found : which of B histories have their solution already, and it.
-        exact : whether no other pressures are near, see ``contact.correction``.
-        along : derivatives along the step that this contact is of.
+        pressure_guess : (B, n) float, MPa, near the solution, see ``contact.correction``.
+        increment : wear of an implicit step, which is part of the contact problem.
+        already_solved : which of B histories have their solution already, and it.
+        exact : whether no other pressures are pressure_guess, see ``contact.correction``.
+        along : derivatives along the step of this contact.
 
         Raises
         ------
@@ -220,14 +220,14 @@ class WearModel:
         if self.inputs.displacement is not None:
             approach = in_time(self.inputs.displacement, time)
         if not self.inputs.wears:
-            during = None
-        how: Any = {"force": force, "approach": approach, "wear": during, "exact": exact}
-        if found is not None:
-            how["found"] = found
+            increment = None
+        how: Any = {"force": force, "approach": approach, "wear": increment, "exact": exact}
+        if already_solved is not None:
+            how["already_solved"] = already_solved
         if along is not None:
-            along.pose(during)
+            along.pose(increment)
             how["along"] = along
-        return self.contacts.solve(gap, near, **how)
+        return self.contacts.solve(gap, pressure_guess, **how)
 
     def along(self, state: State, enter: "Entering | None" = None) -> Along | None:
         """Return what derivatives are told along a step from a state; None where there are none."""

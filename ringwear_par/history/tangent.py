@@ -79,9 +79,9 @@ class Along:
         """Take the wear of the next contact problem."""
         self._during = during
 
-    def solved(self, found: ContactState, at: FloatArray, asked: IntArray) -> None:
+    def solved(self, solution: ContactState, at: FloatArray, histories: IntArray) -> None:
         """Differentiate a contact solution, see ``contact.correction.Tangents``."""
-        model, during, p = self._model, self._during, found.pressure
+        model, during, p = self._model, self._during, solution.pressure
         contacts = model.contacts
         gap = self.wear[0] + self.wear[1]
         contacts.take_shift(gap, self._near)
@@ -93,15 +93,16 @@ class Along:
             gap += worn
             self._varied = varied
         load = self._numbers.load
-        loads = (None, load) if model.inputs.force is None else (load, None)
-        solved = contacts.tangents(found, gap, *loads, slope, asked=asked)
-        if len(asked) == gap.shape[1]:
+        forced = model.inputs.force is not None
+        d_force, d_approach = (load, None) if forced else (None, load)
+        solved = contacts.tangents(solution, gap, d_force, d_approach, slope, histories)
+        if len(histories) == gap.shape[1]:
             self._gap, (self.pressure, self.approach) = gap, solved
         else:
             self._gap, self.pressure = self._gap.copy(), self.pressure.copy()
             self.approach = self.approach.copy()
-            self._gap[:, asked] = gap[:, asked]
-            self.pressure[:, asked], self.approach[:, asked] = solved
+            self._gap[:, histories] = gap[:, histories]
+            self.pressure[:, histories], self.approach[:, histories] = solved
         self._near = self.pressure
 
     def _varied_by(

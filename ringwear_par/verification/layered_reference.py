@@ -168,8 +168,10 @@ class LayeredHalfSpace:
         end = np.sqrt(1.0 - r**2)
         at = np.sqrt(r[:, None] ** 2 + (end[:, None] * t) ** 2)
         spectrum = weight * (waves @ (w * phi))
-        there = unit - 2.0 / math.pi * np.cos(at[..., None] * k) @ spectrum
-        return float(force), 1.0 - 2.0 * math.pi / force * end * (there @ w)
+        # radius by radius: all at once are gigabytes of waves
+        moments = [np.cos(points[:, None] * k) @ spectrum @ w for points in at]
+        rest = unit * w.sum() - 2.0 / math.pi * np.array(moments)
+        return float(force), 1.0 - 2.0 * math.pi / force * end * rest
 
 
 def sleeve_pressure(

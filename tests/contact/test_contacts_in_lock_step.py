@@ -233,6 +233,23 @@ def test_inverses_are_those_of_each_system(n, kind):
         assert weights[i] @ steps[place] == pytest.approx(missing[place], abs=1e-10)
 
 
+def test_bases_that_no_history_has_any_more_are_forgotten():
+    """A history whose contact grows has many sets, one after another."""
+    made, matrices, _ = hessians_of(12, 3)
+    right = RNG.normal(size=(3, 12))
+    for _ in range(40):
+        free = RNG.uniform(size=(3, 12)) < 0.7
+        free[:, 0] = True
+        made.refresh(np.arange(3), free)
+        out = made.solve(np.arange(3), right)
+        for i in range(3):
+            on = np.flatnonzero(free[i])
+            block = matrices[i % 2] + np.diag(made.slope[i])
+            exact = np.linalg.solve(block[np.ix_(on, on)], right[i, on])
+            assert out[i, on] == pytest.approx(exact, rel=1e-9, abs=1e-10)
+    assert len(made._psi) <= 12
+
+
 def test_bases_are_those_of_sets_and_are_kept():
     matrix = np.eye(5) + 0.5
     bases = Bases(matrix, np.arange(1.0, 6.0), np.ones(5))

@@ -219,7 +219,7 @@ def _last_stage(
         counts = np.where(enter.late, counts, enter.counts(p, counts * inside))
         last = model.increment(end, speed, carried, step, enter.closing(step, counts))
         found = np.logical_not(enter.late.any(axis=-1)), contact
-        again = model.contact(end, carried, near, last, found=found, along=along)
+        again = model.contact(end, carried, near, last, already_solved=found, along=along)
         more = np.where(found[0], 0, contact.iterations)
         contact = replace(again, iterations=again.iterations + more)
         inside = last.share(last.top(contact.pressure))

@@ -243,8 +243,8 @@ def _brgn(problem: _Reduced) -> tuple[FloatArray, int]:
     try:
         tao.setOptionsPrefix(FIT_PREFIX)
         tao.setType("brgn")
-        tao.setResidual(guard.kept(residuals), f)
-        tao.setJacobianResidual(guard.kept(jacobian), matrix, matrix)
+        tao.setResidual(guard.guarded(residuals), f)
+        tao.setJacobianResidual(guard.guarded(jacobian), matrix, matrix)
         tao.setBRGNRegularizerWeight(_REGULARISER)
         tao.setVariableBounds((low, high))
         tao.setTolerances(gatol=_GRADIENT, grtol=0.0, gttol=0.0)
