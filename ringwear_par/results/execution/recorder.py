@@ -168,7 +168,7 @@ def attributes(
     """
     laws = [law for law in case.laws if law is not None]
     return {
-        "case": case.told,
+        "case": case.stored_text,
         "title": case.title,
         "status": "complete" if finished else "incomplete",
         "ranks": ranks,
