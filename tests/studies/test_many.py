@@ -11,9 +11,9 @@ from ringwear_par.cases.files.reading import parse_case
 from ringwear_par.errors import InputError, RingwearError
 from ringwear_par.history.loop import simulate_one
 from ringwear_par.history.observers.trace import Trace
-from ringwear_par.results.checkpoints import restored
 from ringwear_par.results.execution.simulate import simulate
 from ringwear_par.results.result import FailedResult, Result
+from ringwear_par.results.storage.checkpoints import restored
 from ringwear_par.results.variables import HISTORIES
 from ringwear_par.schedules import Table
 from ringwear_par.studies.execution import batches, many

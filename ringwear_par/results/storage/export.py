@@ -20,7 +20,7 @@ from ringwear_par.results.storage.cells import (
     stress_cells,
     surfaces,
 )
-from ringwear_par.results.storage.result_reading import result_of
+from ringwear_par.results.storage.result_files import result_of
 from ringwear_par.results.storage.stored_stresses import (
     Interface,
     interfaces_of,

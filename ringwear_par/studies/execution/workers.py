@@ -23,13 +23,11 @@ from ringwear_par.history.loop import simulate_one
 from ringwear_par.history.snapshots import Observer, Snapshot
 from ringwear_par.options import reject_unused_options
 from ringwear_par.parallel import on_first_rank, together
-from ringwear_par.results.columns import HistoryColumns
 from ringwear_par.results.execution.progress import SweepProgress
 from ringwear_par.results.execution.recorder import Recorder
 from ringwear_par.results.execution.watch import Watch
-from ringwear_par.results.result import Result
-from ringwear_par.results.result_writing import write_result
-from ringwear_par.results.storage.result_reading import open_result
+from ringwear_par.results.result import HistoryColumns, Result
+from ringwear_par.results.storage.result_files import open_result, write_result
 from ringwear_par.results.unit_suspicions import but_varied
 from ringwear_par.stopping import StopSignals
 from ringwear_par.studies.definition.texts import Texts
