@@ -23,7 +23,7 @@ __version__ = "0.2.0"
 if TYPE_CHECKING:
     from ringwear_par.cases.case import Case
     from ringwear_par.cases.files.reading import read_case
-    from ringwear_par.elasticity.pair import ContactPair
+    from ringwear_par.elasticity.bem.pair import ContactPair
     from ringwear_par.errors import ComputationError, InputError
     from ringwear_par.history.elastic.pairs import assemble
     from ringwear_par.identification.fit import fit
@@ -32,7 +32,8 @@ if TYPE_CHECKING:
     from ringwear_par.reports.report import report
     from ringwear_par.results.execution.simulate import simulate
     from ringwear_par.results.result import FailedResult, Result
-    from ringwear_par.results.storage.result_reading import open_result
+    from ringwear_par.results.storage.result_files import open_result, save
+    from ringwear_par.results.summary import summary, to_dict
     from ringwear_par.studies.analysis.surrogate import surrogate
     from ringwear_par.studies.definition.study import Study, read_study
     from ringwear_par.studies.execution.many import simulate_all
@@ -57,21 +58,24 @@ _PUBLIC = {
     "design": "identification.test_design.design",
     "fit": "identification.fit",
     "open_ensemble": "studies.storage.ensemble",
-    "open_result": "results.storage.result_reading",
+    "open_result": "results.storage.result_files",
     "plot": "studies.pictures.plot",
     "read_case": "cases.files.reading",
     "read_study": "studies.definition.study",
     "report": "reports.report",
+    "save": "results.storage.result_files",
     "simulate": "results.execution.simulate",
     "simulate_all": "studies.execution.many",
+    "summary": "results.summary",
     "surrogate": "studies.analysis.surrogate",
     "sweep": "studies.execution.sweep",
+    "to_dict": "results.summary",
 }
 __all__ = [
     "Case", "ComputationError", "ContactPair", "DesignResult", "FailedResult", "FitResult",
     "InputError", "LocalState", "Result", "Study", "WearLaw", "assemble", "design", "fit",
-    "open_ensemble", "open_result", "plot", "read_case", "read_study", "report", "simulate",
-    "simulate_all", "surrogate", "sweep",
+    "open_ensemble", "open_result", "plot", "read_case", "read_study", "report", "save", "simulate",
+    "simulate_all", "summary", "surrogate", "sweep", "to_dict",
 ]  # fmt: skip
 
 

@@ -208,8 +208,9 @@ def _parser() -> argparse.ArgumentParser:
     command("verify", "run the reference solutions; print error and observed order of each")
     info = command("info", "print versions, MPI and PETSc builds, ranks and threads")
     info.add_argument(
-        "--schema", nargs="?", choices=("case", "fit"), const="case",
-        help="print every key of the case file, or of the fit file",
+        "--schema", nargs="*", metavar="WORD",
+        help="print the keys of case, study and fit files, or of one of these: case, study or fit; "
+        "behind it, or alone, a word of the rows to print, such as wear.lower",
     )  # fmt: skip
     return parser
 
@@ -347,16 +348,37 @@ def _verify(args: argparse.Namespace, comm: Any) -> None:
     verify(comm)
 
 
+def _print_keys(words: Sequence[str]) -> None:
+    """Print the keys of case, study and fit files, or of one of these; a row a key.
+
+    Parameters
+    ----------
+    words : a kind of file or none, and then what the rows contain.
+
+    Raises
+    ------
+    InputError : no row contains it.
+    """
+    from ringwear_par.cases import schema as cases
+    from ringwear_par.identification.definition import schema as fits
+    from ringwear_par.studies.definition import schema as studies
+
+    schemas = {"case": cases.KEYS, "study": studies.KEYS, "fit": fits.KEYS}
+    kinds = words[:1] if words and words[0] in schemas else list(schemas)
+    phrase = " ".join(words[1:] if words[:1] == kinds else words)
+    tables = {kind: cases.key_table(schemas[kind], phrase) for kind in kinds}
+    if not any(tables.values()):
+        files = " or ".join(kinds)
+        raise InputError(f"--schema {legible(phrase)}: is in no row of the keys of {files} files")
+    for kind, table in tables.items():
+        if len(kinds) > 1:
+            print(f"Keys of {kind} files\n")
+        print(table or f"  none with {phrase}", end="\n\n" if kind != kinds[-1] else "\n")
+
+
 def _info(args: argparse.Namespace, comm: Any) -> None:
-    if args.schema == "fit":
-        from ringwear_par.identification.definition.schema import schema as fit_schema
-
-        print(fit_schema())
-        return
-    if args.schema:
-        from ringwear_par.cases.schema import schema
-
-        print(schema())
+    if args.schema is not None:
+        _print_keys(args.schema)
         return
     from ringwear_par.info import print_info
 
@@ -411,16 +433,16 @@ class _World:
             time.sleep(0.001)
         return True
 
-    def end(self, told: str, status: int, patience: float) -> int:
+    def end(self, message: str, status: int, patience: float) -> int:
         """Say once why the command ends, and return its status; end ranks that still wait."""
         if self.first:  # at once: launchers end the others as soon as one has ended
-            self._say(told)
+            self._say(message)
         if not self.others_come(patience):
-            self._say(told)
+            self._say(message)
             self.comm.Abort(status)
         return status
 
-    def _say(self, told: str) -> None:
+    def _say(self, message: str) -> None:
         """Say it once: what ends a command on one rank has the launcher stop the others, too."""
         if not self._said and not self._said_elsewhere():
             self._said = True
@@ -431,7 +453,7 @@ class _World:
                     if rank != self.comm.rank
                 ]
             with suppress(OSError):  # nobody can be told
-                lines = "\n".join(f"ringwear: {line}" for line in told.splitlines())
+                lines = "\n".join(f"ringwear: {line}" for line in message.splitlines())
                 print(lines, file=sys.stderr, flush=True)
 
     def _said_elsewhere(self) -> bool:
@@ -481,7 +503,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _left(words: Sequence[str]) -> str:
-    """Return what a command leaves that is stopped before it has anything to keep."""
+    """Return the words about files of a command that was stopped before it had results."""
     if "--dry-run" in words:
         return "; nothing written"
     return {
@@ -536,9 +558,9 @@ def _main(words: Sequence[str], world: _World, signals: StopAtOnce) -> int:
         args = _parser().parse_args(words[:cut])
         _check_launch(comm.size)
         if args.command == "verify" or getattr(args, "no_cache", False):
-            from ringwear_par import kept
+            from ringwear_par import pair_cache
 
-            os.environ[kept.VARIABLE] = ""  # nothing is
+            os.environ[pair_cache.VARIABLE] = ""  # nothing is
         if args.command in _COMPUTING or words[cut + 1 :]:
             start_petsc(words[cut + 1 :])
         if args.command in _COMPUTING:

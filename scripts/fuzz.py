@@ -42,9 +42,13 @@ from ringwear_par.history.limits import check_case
 from ringwear_par.options import _refuse_words
 from ringwear_par.reports.report import report
 from ringwear_par.results.pictures.figures import plot_files
-from ringwear_par.results.result_writing import write_result
 from ringwear_par.results.storage.export import export
-from ringwear_par.results.storage.result_reading import open_result, read_error, read_status
+from ringwear_par.results.storage.result_files import (
+    open_result,
+    read_error,
+    read_status,
+    write_result,
+)
 from ringwear_par.results.variables import HISTORIES
 from ringwear_par.studies.definition.study import read_study
 from ringwear_par.studies.pictures.figures import plot_sweep

@@ -7,7 +7,7 @@ from pathlib import Path
 import h5py
 import numpy as np
 
-from ringwear_par.results.hdf5_reading import seal
+from ringwear_par.results.storage.hdf5 import seal
 
 DEEP = "[" * 2000 + "]" * 2000
 NUMBERS = [

@@ -9,7 +9,7 @@ import sys
 import pytest
 
 from ringwear_par.atomic import atomic_write, check_writable, remove_leftovers
-from ringwear_par.results.hdf5_writing import atomic_hdf5
+from ringwear_par.results.storage.hdf5 import atomic_hdf5
 
 
 def test_it_is_there_when_it_is_whole(tmp_path):

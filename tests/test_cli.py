@@ -15,7 +15,7 @@ from conftest import SHELL_ENVIRONMENT
 from waiting import Waiting
 
 from ringwear_par import cli
-from ringwear_par.results.storage.result_reading import read_status
+from ringwear_par.results.storage.result_files import read_status
 
 pytestmark = pytest.mark.serial
 PAPER = Path(__file__).parents[1] / "scripts" / "cases" / "paper.toml"

@@ -18,8 +18,8 @@ from ringwear_par.atomic import atomic_write
 from ringwear_par.elasticity.bem import assembly
 from ringwear_par.results.execution import watch
 from ringwear_par.results.execution.run import run_case
-from ringwear_par.results.hdf5_writing import atomic_hdf5
-from ringwear_par.results.storage.result_reading import open_result, read_status
+from ringwear_par.results.storage.hdf5 import atomic_hdf5
+from ringwear_par.results.storage.result_files import open_result, read_status
 from ringwear_par.studies.execution.sweep import run_sweep
 
 pytestmark = [pytest.mark.serial, pytest.mark.slow]

@@ -19,6 +19,7 @@ from ringwear_par.cli import _parser
 from ringwear_par.identification.definition import schema as fit_schema
 from ringwear_par.identification.definition.candidates import count_of
 from ringwear_par.identification.definition.fit_file import read_fit
+from ringwear_par.studies.definition import schema as study_schema
 from ringwear_par.textfiles import parse_toml
 from ringwear_par.wear.catalogue import LAWS
 from ringwear_par.wear.parameters import parameters_of
@@ -159,11 +160,16 @@ def test_every_command_and_option_is_told():
 
 
 @pytest.mark.parametrize(
-    ("name", "keys"), [("case_keys", schema.KEYS), ("fit_keys", fit_schema.KEYS)]
+    ("name", "keys"),
+    [
+        ("case_keys", schema.KEYS),
+        ("study_keys", study_schema.KEYS),
+        ("fit_keys", fit_schema.KEYS),
+    ],
 )
 def test_every_key_has_its_entry(name, keys):
     page = case_words.key_page(name)
-    entries = re.findall(r"^```\{(?:case|fit)key\} (\S+)\n(.*?)^```", page, re.M | re.S)
+    entries = re.findall(r"^```\{(?:case|study|fit)key\} (\S+)\n(.*?)^```", page, re.M | re.S)
     assert [path for path, _ in entries] == [key.path for key in keys]
     for key, (_, entry) in zip(keys, entries, strict=True):
         assert case_words._plain(key.allowed) in entry

@@ -1,7 +1,7 @@
 """Pages made of the code when the site is built: a page for each wear law, and those of keys.
 
-They are written to ``docs/generated``. Roles ``key`` and ``fitkey`` link to a key's entry. A law
-without a case in ``scripts/cases`` is an error, for its page shows one.
+They are written to ``docs/generated``. Roles ``key``, ``studykey`` and ``fitkey`` link to
+a key's entry. A law without a case in ``scripts/cases`` is an error, for its page shows one.
 """
 
 import inspect
@@ -23,6 +23,7 @@ from ringwear_par.cases.units import in_signs
 from ringwear_par.identification.definition.schema import KEYS as FIT_KEYS
 from ringwear_par.results.pictures.drawing import COLOURS, DASHES, STYLE
 from ringwear_par.schedules import value
+from ringwear_par.studies.definition.schema import KEYS as STUDY_KEYS
 from ringwear_par.textfiles import parse_toml
 from ringwear_par.wear.catalogue import LAWS
 from ringwear_par.wear.law import Law, LocalState
@@ -35,6 +36,7 @@ CASES = Path(__file__).parents[2] / "scripts" / "cases"
 #: what is told on the page of a kind of file: directive of its entries, title, keys
 KEYS: Mapping[str, tuple[str, str, Sequence[Any]]] = {
     "case_keys": ("casekey", "Keys of a case file", CASE_KEYS),
+    "study_keys": ("studykey", "Keys of a study file", STUDY_KEYS),
     "fit_keys": ("fitkey", "Keys of a fit file", FIT_KEYS),
 }
 #: steps in the picture of the first case
@@ -250,6 +252,7 @@ def _made(app: "Sphinx") -> None:
 def setup(app: "Sphinx") -> dict[str, bool]:
     """Make the pages before Sphinx looks for any."""
     app.add_object_type("casekey", "key", objname="case key")
+    app.add_object_type("studykey", "studykey", objname="study key")
     app.add_object_type("fitkey", "fitkey", objname="fit key")
     app.connect("builder-inited", _made)
     return {"parallel_read_safe": True, "parallel_write_safe": True}

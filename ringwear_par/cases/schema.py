@@ -52,7 +52,7 @@ class Key:
     ----------
     path : its dotted name.
     kind, read, allowed, numbers : its values, see ``values.Values``.
-    unit, meaning : as ``info --schema`` tells them.
+    unit, meaning : as ``info --schema`` prints them.
     default : ... where the key must be given.
     """
 
@@ -133,7 +133,11 @@ def _wear_keys(table: str, of: str, absent: str, laws: Mapping[str, type[Law]]) 
     keys = [Key(f"{table}.law", *choice(*laws), "-", meaning, None)]
     declared = [parameters_of(law) for law in laws.values()]
     for name in dict.fromkeys(itertools.chain(*declared)):
-        users = {law: own[name] for law, own in zip(laws, declared, strict=True) if name in own}
+        users = {
+            law: parameters[name]
+            for law, parameters in zip(laws, declared, strict=True)
+            if name in parameters
+        }
         keys.append(_wear_key(f"{table}.{name}", users))
     return keys
 
@@ -143,9 +147,9 @@ def _wear_key(path: str, users: Mapping[str, Parameter]) -> Key:
 
     Keys are read before their law is known: what is allowed must be the same for all of them.
     """
-    first, *others = users.values()
+    first, *rest = users.values()
     values = _values(first)
-    if any(_values(other).allowed != values.allowed for other in others):
+    if any(_values(other).allowed != values.allowed for other in rest):
         raise ValueError(f"{path}: must allow the same in all laws that have it")
     meaning = first.meaning + "".join(
         f" ({law}: {other.meaning}, {other.unit})"
@@ -314,8 +318,8 @@ def key_of(name: str) -> Key | None:
 def unit_of(name: str) -> str:
     """Return the unit of a key, or of an entry of one, as studies name them; "" for none."""
     if layer_entry(name) is not None:
-        own = key_of(name)
-        return "" if own is None or own.unit in ("-", "1") else own.unit
+        key = key_of(name)
+        return "" if key is None or key.unit in ("-", "1") else key.unit
     path = name.partition("[")[0]
     key, entry = BY_PATH.get(path), ""
     if key is None:
@@ -328,32 +332,38 @@ def unit_of(name: str) -> str:
     return key.unit
 
 
-def schema() -> str:
-    """Return every key with its unit, default and meaning, and what is allowed below each."""
-    return keys_told((key.path, key.unit, key.default, key.meaning, key.allowed) for key in KEYS)
-
-
-def keys_told(keys: Iterable[tuple[str, str, Any, str, str]]) -> str:
-    """Return a table of keys: path, unit, default, meaning and what is allowed of each.
+def key_table(keys: Iterable[Key], words: str = "") -> str:
+    """Return a table of keys: path, unit, default, meaning, and the allowed values below.
 
     Parameters
     ----------
-    keys : with a default of ... where the key must be given, of None where there is none.
+    words : in the rows of the table, in letters of either case; "": all rows.
+
+    Returns
+    -------
+    str : "" where no row has the words.
     """
-    rows = [("key", "unit", "default", "meaning, and what is allowed")]
-    for path, unit, usual, meaning, allowed in keys:
-        default = "required" if usual is ... else "-"
-        if usual is not ... and usual is not None:
-            default = toml_value(usual)
+    rows = [row for key in keys if words.lower() in " ".join(row := _cells(key)).lower()]
+    if not rows:
+        return ""
+    lines = [("key", "unit", "default", "meaning, and what is allowed")]
+    for path, unit, default, meaning, allowed in rows:
         first = textwrap.wrap(meaning, 90)
-        lines = first + [f"    {line}" for line in textwrap.wrap(allowed, 86)]
-        if len(default) > 20:  # a row of its own
-            lines.insert(1, f"    default: {default}")
+        below = [f"    {line}" for line in textwrap.wrap(allowed, 86)]
+        if len(default) > 20:  # a line of its own
+            below.insert(0, f"    default: {default}")
             default = "below"
-        rows.append((path, unit, default, lines[0]))
-        rows += [("", "", "", line) for line in lines[1:]]
-    widths = [max(len(row[i]) for row in rows) for i in range(3)]
+        lines.append((path, unit, default, first[0]))
+        lines += [("", "", "", line) for line in first[1:] + below]
+    widths = [max(len(line[i]) for line in lines) for i in range(3)]
     return "\n".join(
-        "  ".join([*(c.ljust(w) for c, w in zip(row, widths, strict=False)), row[3]]).rstrip()
-        for row in rows
+        "  ".join([*(c.ljust(w) for c, w in zip(line, widths, strict=False)), line[3]]).rstrip()
+        for line in lines
     )
+
+
+def _cells(key: Key) -> tuple[str, str, str, str, str]:
+    default = "required" if key.default is ... else "-"
+    if key.default is not ... and key.default is not None:
+        default = toml_value(key.default)
+    return key.path, key.unit, default, key.meaning, key.allowed

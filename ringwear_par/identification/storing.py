@@ -17,7 +17,7 @@ from ringwear_par.folders import CURVES, ESTIMATES, FIT, READINGS
 from ringwear_par.identification.definition.fitted import units_of
 from ringwear_par.identification.definition.problem import Problem
 from ringwear_par.identification.estimation.starts import PROGRESS
-from ringwear_par.results.hdf5_writing import atomic_hdf5, write_variable
+from ringwear_par.results.storage.hdf5 import atomic_hdf5, write_variable
 from ringwear_par.results.variables import PARAMETER, PARAMETER_UNIT, SOFTWARE, Variable
 from ringwear_par.textfiles import parse_json, read_text
 

@@ -25,9 +25,9 @@ from ringwear_par.reports.blocks import (
     Table,
     software,
 )
-from ringwear_par.results.hdf5_reading import read_text, reading
 from ringwear_par.results.instants import time_unit
 from ringwear_par.results.pictures.drawing import COLOURS, in_words
+from ringwear_par.results.storage.hdf5 import read_text, reading
 from ringwear_par.results.variables import SOFTWARE
 from ringwear_par.textfiles import parse_json
 from ringwear_par.textfiles import read_text as read_file

@@ -9,7 +9,7 @@ from ringwear_par.atomic import atomic_write, check_writable
 from ringwear_par.errors import ComputationError, InputError
 from ringwear_par.reports.blocks import Page
 from ringwear_par.results.result import Result
-from ringwear_par.results.storage.result_reading import result_of
+from ringwear_par.results.storage.result_files import result_of
 from ringwear_par.studies.storage.results_file import RESULTS
 
 _ENDINGS = (".html", ".htm")

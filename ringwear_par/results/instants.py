@@ -1,14 +1,11 @@
 """Instants of a history: which of them figures and pages draw, and how they call them."""
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ringwear_par.arrays import FloatArray
-
-if TYPE_CHECKING:
-    from ringwear_par.results.result import Result
+from ringwear_par.results.result import Result
 
 #: s, up to which times are told in a unit, and its seconds
 _UNITS_OF_TIME = ((7200.0, "s", 1.0), (7 * 86400.0, "h", 3600.0), (np.inf, "days", 86400.0))
@@ -93,7 +90,7 @@ class PressurePeak:
         return f"peak of {peak} MPa at {when} not shown"
 
 
-def pressure_peak(result: "Result") -> PressurePeak:
+def pressure_peak(result: Result) -> PressurePeak:
     """Return the peak of the contact pressures that a result holds of all stored states."""
     pressure, time = result.profiles["pressure"], result.histories["time"]
     limit = pressure_limit(result.line.area, pressure, result.histories["force"])

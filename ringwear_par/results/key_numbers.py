@@ -3,18 +3,16 @@
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from ringwear_par.cases.case import density_keys
-from ringwear_par.elasticity.boundary_fields import BODIES, Which
+from ringwear_par.elasticity.stress.boundary_fields import BODIES, Which
 from ringwear_par.errors import InputError
-from ringwear_par.results.edge_elements import EDGE_ERROR, edge_elements
 from ringwear_par.results.layer_ends import worn_through
-
-if TYPE_CHECKING:
-    from ringwear_par.results.result import Result
+from ringwear_par.results.result import Result
+from ringwear_par.results.variables import EDGE_ERROR, edge_elements
 
 _ERRORS = "largest relative errors of all steps"
 _MESH_ERRORS = "relative errors of the boundary elements, smaller on a finer mesh"
@@ -75,7 +73,7 @@ def in_groups(numbers: Iterable[KeyNumber]) -> dict[str, list[KeyNumber]]:
     return groups
 
 
-def key_numbers(result: "Result") -> list[KeyNumber]:
+def key_numbers(result: Result) -> list[KeyNumber]:
     """Return the numbers of a run at its last state. Not collective.
 
     Raises
@@ -94,12 +92,12 @@ def key_numbers(result: "Result") -> list[KeyNumber]:
     ]
 
 
-def nominal_area(result: "Result") -> float:
+def nominal_area(result: Result) -> float:
     """Return the area (mm2) where the bodies face each other."""
     return float(result.attributes["nominal_area"])
 
 
-def _penetration(result: "Result", state: Mapping[str, Any]) -> Iterator[KeyNumber]:
+def _penetration(result: Result, state: Mapping[str, Any]) -> Iterator[KeyNumber]:
     """Give the penetration and its parts.
 
     The worn part is the mean of both depths over what presses, the elastic one the rest. Where a
@@ -114,7 +112,7 @@ def _penetration(result: "Result", state: Mapping[str, Any]) -> Iterator[KeyNumb
         yield KeyNumber("elastic", group, "elastic", total - worn, "um", ".3g")
 
 
-def _worn(result: "Result", state: Mapping[str, Any], i: int) -> Iterator[KeyNumber]:
+def _worn(result: Result, state: Mapping[str, Any], i: int) -> Iterator[KeyNumber]:
     """Give the wear of a body, nothing of one that does not wear."""
     body, about, line = BODIES[i], result.attributes, result.line
     if not about[f"law_{body}"]:
@@ -139,7 +137,7 @@ def _worn(result: "Result", state: Mapping[str, Any], i: int) -> Iterator[KeyNum
         yield number("specific_rate", "specific wear rate", specific, "mm3/(N m)", ".4g")
 
 
-def _mass(result: "Result", body: Which, volume: float) -> Iterator[KeyNumber]:
+def _mass(result: Result, body: Which, volume: float) -> Iterator[KeyNumber]:
     """Give the mass that a body has lost, nothing where no density is known."""
     about, volumes = result.attributes, [volume]
     if f"worn_volume_{body}_layers" in result.layers:
@@ -159,7 +157,7 @@ def _mass(result: "Result", body: Which, volume: float) -> Iterator[KeyNumber]:
     yield KeyNumber(f"{body}_mass", body, "mass lost", mass, "mg", note=note)
 
 
-def _layers(result: "Result", body: Which) -> Iterator[KeyNumber]:
+def _layers(result: Result, body: Which) -> Iterator[KeyNumber]:
     """Give the wear of the layers of a body, nothing of one without."""
     if f"share_through_{body}" not in result.layers:
         return
@@ -171,13 +169,13 @@ def _layers(result: "Result", body: Which) -> Iterator[KeyNumber]:
     for i, volume in enumerate(volumes):
         yield number(f"volume_layer_{i}", f"volume of layer {i}", volume, "mm3", ".6g")
     yield number("volume_under_layers", "volume of the body itself", itself, "mm3", ".6g")
-    innermost, places = len(volumes) - 1, {one.layer: one for one in worn_through(result, body)}
-    for i, one in places.items():
+    innermost, places = len(volumes) - 1, {end.layer: end for end in worn_through(result, body)}
+    for i, layer in places.items():
         if i < innermost:
-            share = 100.0 * one.share
+            share = 100.0 * layer.share
             yield number(f"share_through_layer_{i}", f"area without layer {i}", share, "%")
-            yield number(f"time_through_layer_{i}", "first by t =", one.time, "s")
-            yield number(f"r_through_layer_{i}", "at r =", one.r, "mm", ".6g")
+            yield number(f"time_through_layer_{i}", "first by t =", layer.time, "s")
+            yield number(f"r_through_layer_{i}", "at r =", layer.r, "mm", ".6g")
     share = 100.0 * float(result.layers[f"share_through_{body}"][-1])
     time = float(result.attributes.get(f"time_through_{body}", np.nan))
     all_layers = "all layers" if innermost else "the layer"
@@ -191,7 +189,7 @@ def _layers(result: "Result", body: Which) -> Iterator[KeyNumber]:
     yield number("most_left", "largest thickness left", left.max(), "um")
 
 
-def _pressures(result: "Result", p: Any) -> Iterator[KeyNumber]:
+def _pressures(result: Result, p: Any) -> Iterator[KeyNumber]:
     """Give the contact pressures."""
     assert result.checkpoint is not None
     group, n = "pressure", result.line.n
@@ -210,7 +208,7 @@ def _pressures(result: "Result", p: Any) -> Iterator[KeyNumber]:
     yield KeyNumber("touching", group, "elements in contact", int(touching), spec="d", note=note)
 
 
-def _loads(result: "Result", reached: Mapping[str, Any]) -> Iterator[KeyNumber]:
+def _loads(result: Result, reached: Mapping[str, Any]) -> Iterator[KeyNumber]:
     """Give approach, force, torque and energy, and the sliding at the mean radius."""
     about = result.attributes
     last = {name: float(values[-1]) for name, values in result.histories.items()}
@@ -226,11 +224,14 @@ def _loads(result: "Result", reached: Mapping[str, Any]) -> Iterator[KeyNumber]:
     yield KeyNumber("distance", group, "distance", 1e-3 * about["angle"] * radius, "m", ".4g")
 
 
-def _stresses(result: "Result") -> Iterator[KeyNumber]:
+def _stresses(result: Result) -> Iterator[KeyNumber]:
     """Give the largest stress of each body and its layers at the last state that has stresses."""
     if result.stress is None or not result.stress.states:
         return
     state, exclude = result.stress.states[-1], result.stress.exclude
+    last = result.checkpoint
+    assert last is not None
+    beside_edge = edge_elements(last.arrays["pressure"]) & (state.time == last.numbers["time"])
     group = "largest von Mises stress"
     if state.time != result.histories["time"][-1]:
         group += f" at t = {state.time:g} s"
@@ -239,6 +240,9 @@ def _stresses(result: "Result") -> Iterator[KeyNumber]:
     for body, largest, layers in zip(BODIES, state.largest, state.layers, strict=True):
         if np.isfinite(largest.mises):
             place = f"at r = {largest.r:.6g}, z = {largest.z:.6g} mm"
+            element = int(result.line.element_at(np.array([largest.r]))[0])
+            if element >= 0 and beside_edge[element]:
+                place += ", at the radius of an element at the edge of contact"
             yield KeyNumber(f"{body}_mises", group, body, largest.mises, "MPa", ".5g", place)
         for i, value in enumerate(np.asarray(layers).tolist()):
             label = f"layer {i} of {body}" if i < len(layers) - 1 else f"{body} itself"
@@ -246,7 +250,7 @@ def _stresses(result: "Result") -> Iterator[KeyNumber]:
             yield KeyNumber(f"{body}_mises_{i}", group, label, value, "MPa", ".5g", note)
 
 
-def check_numbers(result: "Result") -> list[KeyNumber]:
+def check_numbers(result: Result) -> list[KeyNumber]:
     """Return the errors of a run, the worst of all its steps. Not collective."""
     about, off = result.attributes, result.balances
     numbers = [

@@ -1,17 +1,14 @@
 """Where the layers of a result's bodies end, and which of them wear has got through."""
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ringwear_par.arrays import FloatArray, share
 from ringwear_par.cases.case import CHANGED
 from ringwear_par.cases.files.reading import outlines
-from ringwear_par.elasticity.boundary_fields import BODIES, Which
-
-if TYPE_CHECKING:
-    from ringwear_par.results.result import Result
+from ringwear_par.elasticity.stress.boundary_fields import BODIES, Which
+from ringwear_par.results.result import Result
 
 #: how many times the deepest wear the end of a layer may be below the face to be drawn
 _FAR = 1.5
@@ -53,7 +50,7 @@ class WornThrough:
     time: float
 
 
-def layer_ends(result: "Result", body: Which) -> list[LayerEnd]:
+def layer_ends(result: Result, body: Which) -> list[LayerEnd]:
     """Return where the layers of a body end, none where it has none. Not collective.
 
     Of a case that was changed after it was read only the innermost is known, if at all.
@@ -72,13 +69,13 @@ def layer_ends(result: "Result", body: Which) -> list[LayerEnd]:
     ]
 
 
-def ends_near(result: "Result", body: Which) -> list[LayerEnd]:
+def ends_near(result: Result, body: Which) -> list[LayerEnd]:
     """Return the ends of layers that wear, of which a profile is stored, comes near somewhere."""
     deepest = float(result.profiles[f"wear_{body}"].max())
     return [end for end in layer_ends(result, body) if end.depth.min() <= _FAR * deepest]
 
 
-def worn_through(result: "Result", body: Which) -> list[WornThrough]:
+def worn_through(result: Result, body: Which) -> list[WornThrough]:
     """Return the layers of a body that wear has got through, as far as stored states tell.
 
     The result has its last state.

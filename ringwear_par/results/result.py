@@ -1,20 +1,19 @@
-"""A result: the history of a case, just computed or read from its file."""
+"""Results: the history of a case, just computed or read from its file; histories side by side."""
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+import ringwear_par
 from ringwear_par.arrays import FloatArray, IntArray
-from ringwear_par.atomic import check_writable
-from ringwear_par.elasticity.boundary_fields import BoundaryState
 from ringwear_par.elasticity.geometry.mesh import ContactLine
+from ringwear_par.elasticity.stress.boundary_fields import BoundaryState
 from ringwear_par.elasticity.stress.fields import StressHistory
-from ringwear_par.errors import ComputationError, InputError, RingwearError
-from ringwear_par.results.edge_elements import edge_elements
+from ringwear_par.errors import InputError, RingwearError
 from ringwear_par.results.stress_variables import stress_coordinates, stress_variables
 from ringwear_par.results.variables import (
     COORDINATES,
@@ -35,6 +34,7 @@ from ringwear_par.results.variables import (
     STEP,
     STEPS_MADE,
     Variable,
+    edge_elements,
     layer_axis,
 )
 from ringwear_par.textfiles import parse_toml
@@ -42,9 +42,24 @@ from ringwear_par.textfiles import parse_toml
 if TYPE_CHECKING:
     import xarray
 
-    from ringwear_par.results.checkpoints import Checkpoint
-
 _BALANCE = "balance_"
+
+
+@dataclass(frozen=True, eq=False)
+class Checkpoint:
+    """A state to go on from, as files hold it: it is of no use but to ``restored``.
+
+    Parameters
+    ----------
+    numbers : by name; ``step``, ``time`` (s) and ``pending_iterations``, those of the contact
+        solver since the last stored state, among them.
+    arrays : by name, over bodies and elements.
+    worst : of the history so far, see ``WorstStates.history``.
+    """
+
+    numbers: Mapping[str, Any]
+    arrays: Mapping[str, FloatArray]
+    worst: Mapping[str, Sequence[float]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,7 +94,7 @@ class Result:
     profiles: Mapping[str, FloatArray]
     boundary: tuple[BoundaryState, ...]
     attributes: Mapping[str, Any]
-    checkpoint: "Checkpoint | None" = None
+    checkpoint: Checkpoint | None = None
     path: Path | None = None
     parameters: Mapping[str, str] = field(default_factory=dict)
     derivatives: Mapping[str, FloatArray] = field(default_factory=dict)
@@ -124,10 +139,8 @@ class Result:
         return dict(json.loads(self.attributes["user_laws"]))
 
     def summary(self) -> str:
-        """Return the result in a few lines: warnings, key numbers, checks."""
-        from ringwear_par.results.summary import summary
-
-        return summary(self)
+        """Return ``ringwear_par.summary`` of it."""
+        return ringwear_par.summary(self)
 
     def variables(self) -> list[tuple[Variable, Any]]:
         """Return every variable on the contact line and in time, with its values."""
@@ -162,14 +175,14 @@ class Result:
         return pairs
 
     def _layer_variables(self) -> list[tuple[Variable, Any]]:
-        """Return those of layers, with their coordinates."""
+        """Return the variables of layers, with their coordinates."""
         pairs: list[tuple[Variable, Any]] = []
         counts = [self.layers[v].shape[1] if v in self.layers else 0 for v in LAYER_VOLUMES]
         for name, values in self.layers.items():
             variable = LAYERS[name]
             if name in LAYER_VOLUMES:
                 layer = layer_axis(list(LAYER_VOLUMES).index(name), counts)
-                if layer not in [there for there, _ in pairs]:
+                if all(layer != coordinate for coordinate, _ in pairs):
                     pairs.insert(0, (layer, np.arange(values.shape[1])))
                 variable = replace(variable, dimensions=("step", layer.name))
             if name in LAYER_PROFILES and values.ndim == 1:
@@ -206,48 +219,12 @@ class Result:
         return dataset.set_coords(self.coordinates)
 
     def save(self, path: str | Path) -> None:
-        """Write the result's file. Not collective.
-
-        The process that calls this writes. Where several have the same result and write the same
-        file, it is whole at any time, and in the end that of one of them.
-
-        Raises
-        ------
-        InputError : a file that cannot be written.
-        ComputationError : the disk.
-        """
-        from ringwear_par.results.result_writing import write_result
-
-        path = Path(path)
-        check_writable(path)
-        try:
-            write_result(path, self)
-        except OSError as error:
-            raise ComputationError(f"{path}: {error.strerror or error}") from error
+        """Write its file, see ``ringwear_par.save``."""
+        ringwear_par.save(self, path)
 
     def to_dict(self) -> dict[str, Any]:
-        """Return title, status, warnings and key numbers with their units, as JSON can hold them.
-
-        Raises
-        ------
-        InputError : the result was stored without its last state.
-        """
-        from ringwear_par.results.key_numbers import check_numbers, key_numbers
-
-        numbers = [*key_numbers(self), *check_numbers(self)]
-        return {
-            "title": self.attributes["title"],
-            "status": self.attributes["status"],
-            "error": self.attributes.get("error", ""),
-            "warnings": list(self.doubts),
-            "numbers": {
-                number.name: {
-                    "value": None if np.isnan(number.value) else float(number.value),
-                    "unit": number.unit,
-                }
-                for number in numbers
-            },
-        }
+        """Return ``ringwear_par.to_dict`` of it."""
+        return ringwear_par.to_dict(self)
 
 
 @dataclass(frozen=True)
@@ -269,6 +246,62 @@ class FailedResult:
         except InputError:  # whatever text it was given
             title = None
         return f"<FailedResult: {title or 'no title'}: {type(self.error).__name__}: {self.error}>"
+
+
+@dataclass(frozen=True, eq=False)
+class HistoryColumns:
+    """B histories as they are stored, in the order in which their cases were given.
+
+    Stored states of all histories follow each other as rows: those of history i are
+    ``offsets[i]`` to ``offsets[i + 1]``. A failed history has the rows before its failure.
+
+    Parameters
+    ----------
+    offsets : (B + 1,) int.
+    steps : (rows,) int, steps made.
+    histories : (rows,) each, by name, see ``variables.HISTORIES``.
+    profiles : (rows, n) each, by name, see ``variables.PROFILES``; or (B, n), where the last ones
+        are stored only: NaN where a history has none.
+    imbalance : (B,) float, the worst balance of each, see ``Balances.worst``.
+    flags : what makes each doubtful, see ``ValidityWarning.flag``.
+    seconds : (B,) float, s, that each took: of those that are stepped together, its share.
+    status : "done" or "failed".
+    reason : why it failed, one line; "" for one that has not.
+    derivatives : (P, rows) each, of fields (P, rows, n) or (P, B, n), by name, see
+        ``variables.D_HISTORIES`` and ``D_PROFILES``.
+    layers : (rows,), (rows, layers + 1), (rows, n) or (B, n) each, by name, see
+        ``variables.LAYERS``.
+    stress : (rows,) or (rows, points) each, by name, see ``stress_variables.stress_rows``.
+    whole : (B,) or (B, points), by name: when wear got through layers, where points are.
+    """
+
+    offsets: IntArray
+    steps: IntArray
+    histories: Mapping[str, Any]
+    profiles: Mapping[str, FloatArray]
+    imbalance: FloatArray
+    flags: tuple[tuple[str, ...], ...]
+    seconds: FloatArray
+    status: tuple[str, ...]
+    reason: tuple[str, ...]
+    derivatives: Mapping[str, FloatArray] = field(default_factory=dict)
+    layers: Mapping[str, FloatArray] = field(default_factory=dict)
+    stress: Mapping[str, FloatArray] = field(default_factory=dict)
+    whole: Mapping[str, FloatArray] = field(default_factory=dict)
+
+    @property
+    def count(self) -> int:
+        """Number of the histories."""
+        return len(self.status)
+
+    @property
+    def deep(self) -> bool:
+        """Whether the profiles are stored as often as the histories."""
+        return all(len(values) == len(self.steps) for values in self.profiles.values())
+
+    def rows(self, i: int) -> slice:
+        """Return which rows are of history i."""
+        return slice(int(self.offsets[i]), int(self.offsets[i + 1]))
 
 
 def balance_attributes(balances: Mapping[str, float]) -> dict[str, float]:

@@ -1,13 +1,15 @@
-"""The summary of a run: warnings, key numbers, and the checks of the computation."""
+"""A run in a few lines, or as a dict: warnings, key numbers, checks of the computation."""
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import Any
+
+import numpy as np
 
 from ringwear_par.cases.case import CHANGED
 from ringwear_par.cases.files.keys import read_keys
 from ringwear_par.cases.schema import BY_PATH
 from ringwear_par.cases.values import is_number
-from ringwear_par.elasticity.boundary_fields import BODIES
+from ringwear_par.elasticity.stress.boundary_fields import BODIES
 from ringwear_par.errors import LONGEST_SENTENCE, legible
 from ringwear_par.results.key_numbers import (
     TIME_STEPS,
@@ -15,12 +17,10 @@ from ringwear_par.results.key_numbers import (
     in_groups,
     key_numbers,
 )
-
-if TYPE_CHECKING:
-    from ringwear_par.results.result import Result
+from ringwear_par.results.result import Result
 
 
-def summary(result: "Result") -> str:
+def summary(result: Result) -> str:
     """Return a result in a few lines, as ``ringwear run`` prints it. Not collective.
 
     Raises
@@ -54,6 +54,29 @@ def summary(result: "Result") -> str:
     if time_steps is not None:
         lines.append(f"{TIME_STEPS}, {time_steps[0]}{_tolerance(result)}. {_limits(about)}")
     return "\n".join(legible(line, LONGEST_SENTENCE) for line in lines)
+
+
+def to_dict(result: Result) -> dict[str, Any]:
+    """Return title, status, warnings and key numbers with their units, as JSON can hold them.
+
+    Raises
+    ------
+    InputError : the result was stored without its last state.
+    """
+    numbers = [*key_numbers(result), *check_numbers(result)]
+    return {
+        "title": result.attributes["title"],
+        "status": result.attributes["status"],
+        "error": result.attributes.get("error", ""),
+        "warnings": list(result.doubts),
+        "numbers": {
+            number.name: {
+                "value": None if np.isnan(number.value) else float(number.value),
+                "unit": number.unit,
+            }
+            for number in numbers
+        },
+    }
 
 
 def _steps(about: Mapping[str, Any], reached: Mapping[str, Any]) -> str:
@@ -94,7 +117,7 @@ def _limits(about: Mapping[str, Any]) -> str:
     return "The error of the mesh comes on top."
 
 
-def _tolerance(result: "Result") -> str:
+def _tolerance(result: Result) -> str:
     """Return the tolerance of adaptive steps in words, "" where the stored case has none."""
     if result.attributes["scheme"] != "adaptive" or result.case.startswith(CHANGED):
         return ""

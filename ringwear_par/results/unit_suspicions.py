@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 from ringwear_par.cases.case import Case
 from ringwear_par.cases.forecast import DEEP, forecasts
-from ringwear_par.elasticity.boundary_fields import BODIES
+from ringwear_par.elasticity.stress.boundary_fields import BODIES
 from ringwear_par.schedules import largest
 from ringwear_par.wear.laws.archard import ArchardLaw
 from ringwear_par.wear.laws.threshold import AboveThreshold
@@ -139,8 +139,8 @@ def _too_thin(case: Case) -> Iterator[tuple[str, str]]:
 
 def _too_fast(case: Case) -> Iterator[tuple[str, str]]:
     """Give the wear coefficients, key and sentence, by which no material wears."""
-    own = (case.wear_lower, case.wear_upper)
-    for body, ring, law in zip(BODIES, case.rings, own, strict=True):
+    body_laws = (case.wear_lower, case.wear_upper)
+    for body, ring, law in zip(BODIES, case.rings, body_laws, strict=True):
         laws = {f"wear.{body}": law}
         laws |= {f"{body}.layers[{i}].wear": layer.wear for i, layer in enumerate(ring.layers)}
         for table, wear in laws.items():
@@ -164,11 +164,11 @@ def _too_deep(case: Case) -> Iterator[tuple[str, str]]:
         z = case.rings[forecast.body].z
         if forecast.depth > DEEP * (z[1] - z[0]):
             key = f"{forecast.table}.k" if forecast.k else forecast.table
-            what = f"{key} = {forecast.k:g} 1/MPa" if forecast.k else key
+            coefficient = f"{key} = {forecast.k:g} 1/MPa" if forecast.k else key
             question = f'; if it is in mm3/(N m), write "{forecast.k:g} mm3/(N m)"'
             yield (
                 key,
-                f"{what} is to wear {forecast.depth:.3g} mm off {BODIES[forecast.body]} by "
+                f"{coefficient} is to wear {forecast.depth:.3g} mm off {BODIES[forecast.body]} by "
                 f"t = {case.time.end:g} s, more than a tenth of its height, {z[1] - z[0]:g} mm"
                 + question
                 * bool(forecast.k),
@@ -192,12 +192,12 @@ def _in_gigapascals(case: Case) -> Iterator[tuple[str, str]]:
 
 
 def _or_gigapascals(young: float) -> str:
-    """Return what is asked of a modulus that may be in GPa."""
+    """Return the question about a modulus that may be in GPa."""
     return f'; if it is in GPa, write "{young:g} GPa"' * (young < _GIGAPASCALS)
 
 
 def _too_dense(key: str, density: float | None) -> list[str]:
-    """Return what is said of a density that is likely in g/cm3."""
+    """Return the sentence about a density that is likely in g/cm3, none of others."""
     if density is None or density <= _DENSEST:
         return []
     return [
@@ -207,7 +207,7 @@ def _too_dense(key: str, density: float | None) -> list[str]:
 
 
 def _in_pascals(key: str, young: float) -> list[str]:
-    """Return what is said of a modulus that is likely in Pa."""
+    """Return the sentence about a modulus that is likely in Pa, none of others."""
     if not _PASCALS[0] < young <= _PASCALS[1]:
         return []
     return [

@@ -10,7 +10,9 @@ from typing import Any
 
 import numpy as np
 
-from ringwear_par.elasticity.boundary_fields import BODIES, FACES
+from ringwear_par.arrays import BoolArray, FloatArray
+from ringwear_par.elasticity.stress.boundary_fields import BODIES, FACES
+from ringwear_par.elasticity.stress.measures import SIDES
 
 #: what files say they were written by
 SOFTWARE = "ringwear-par"
@@ -111,6 +113,8 @@ PROFILES = _table(
         "wear_upper", ("step", "element"), "mm", "depth worn off the upper ring, along the axis"
     ),
 )
+#: by which the pressure of such an element may be off, relative to the largest (docs/accuracy.md)
+EDGE_ERROR = 0.28
 #: of every pressure that is stored, see ``edge_elements``
 EDGE_ELEMENT = Variable(
     "edge_element", ("step", "element"), "1",
@@ -142,11 +146,11 @@ def _of_both(
     name: str, dimensions: tuple[str, ...], units: str, meaning: str
 ) -> dict[str, Variable]:
     """Return the variables of lower and upper, whose names and meanings have the body's."""
-    each = (dimensions, tuple("layer_upper" if of == "layer" else of for of in dimensions))
+    of_bodies = (dimensions, tuple("layer_upper" if of == "layer" else of for of in dimensions))
     return _table(
         *(
-            Variable(name.format(body), own, units, meaning.format(body))
-            for body, own in zip(BODIES, each, strict=True)
+            Variable(name.format(body), axes, units, meaning.format(body))
+            for body, axes in zip(BODIES, of_bodies, strict=True)
         )
     )
 
@@ -208,8 +212,8 @@ D_PROFILES = _table(*map(derivative_of, PROFILES.values()))
 
 def layer_names(bodies: tuple[bool, bool]) -> tuple[str, ...]:
     """Return the variables of layers where lower, upper or both have some."""
-    there = [body for body, has in zip(BODIES, bodies, strict=True) if has]
-    return tuple(name for name in LAYERS if any(f"_{body}" in name for body in there))
+    layered = [body for body, has in zip(BODIES, bodies, strict=True) if has]
+    return tuple(name for name in LAYERS if any(f"_{body}" in name for body in layered))
 
 
 #: coordinates of the result file that are no dimensions; it may lack the last
@@ -274,3 +278,133 @@ BOUNDARY_FIELDS: dict[str, tuple[Variable, ...]] = {
         "wear", ("",), "boundary_element", "mm", "worn depth along the axis, 0 off the contact"
     ),
 }  # fmt: skip
+
+# -- stresses --------------------------------------------------------------------------------------
+
+_STEP, _TENSOR = ("stress_step",), "rr, tt, zz, rz, rt, tz; tension positive, z upwards"
+STRESS_STEP = Variable(
+    "stress_step", _STEP, "1", "number of the stored state of stress", integer=True
+)
+STRESS_TIME = replace(HISTORIES["time"], name="stress_time", dimensions=_STEP)
+STRESS_STEPS_MADE = replace(STEPS_MADE, name="stress_steps_made", dimensions=_STEP)
+COMPONENT = Variable("component", ("component",), "1", "component of stress")
+POINT = Variable("point", ("point",), "1", "point of stress.points", integer=True)
+POINT_R = Variable("point_r", ("point",), "mm", "radius of the point")
+POINT_Z = Variable("point_z", ("point",), "mm", "height of the point")
+POINT_SIDE = Variable(
+    "point_side", ("point",), "1",
+    "side of the face or interface that the point lies on, as in stress.points",
+)  # fmt: skip
+#: how the shards of a sweep number sides
+POINT_SIDES = ("", *SIDES)
+PRINCIPAL = Variable(
+    "principal_value", ("principal_value",), "1", "principal value, the largest first", integer=True
+)
+GRID_R = Variable("grid_r", ("grid_r",), "mm", "radius of the grid")
+GRID_Z = Variable("grid_z", ("grid_z",), "mm", "height of the grid")
+_GRID = (*_STEP, "grid_r", "grid_z")
+STRESS = Variable("stress", (*_STEP, "point", "component"), "MPa", f"stress {_TENSOR}")
+MISES = Variable("mises", (*_STEP, "point"), "MPa", "von Mises stress")
+MAX_SHEAR = Variable("max_shear", (*_STEP, "point"), "MPa", "largest shear stress")
+PRINCIPALS = Variable(
+    "principal", (*_STEP, "point", "principal_value"), "MPa", "principal stresses"
+)
+STRESS_GRID = Variable("stress_grid", (*_GRID, "component"), "MPa", f"stress {_TENSOR}")
+MISES_GRID = Variable("mises_grid", _GRID, "MPa", "von Mises stress")
+MAX_SHEAR_GRID = Variable("max_shear_grid", _GRID, "MPa", "largest shear stress")
+SURFACE_STRESS = tuple(
+    Variable(
+        f"surface_stress_{body}", (*_STEP, "element", "component"), "MPa",
+        f"stress of the {body} ring at its contact face {_TENSOR}",
+    )
+    for body in BODIES
+)  # fmt: skip
+SIDE = Variable("side", ("side",), "1", "side of an interface")
+
+
+@dataclass(frozen=True)
+class InterfaceVariables:
+    """The variables of the interfaces of a body."""
+
+    number: Variable
+    element: Variable
+    r: Variable
+    z: Variable
+    stress: Variable
+    mises: Variable
+
+
+def _of_interfaces(body: str) -> InterfaceVariables:
+    number, element = f"interface_{body}", f"interface_element_{body}"
+    fields = *_STEP, number, SIDE.name, element
+    on = f"on both sides of the interfaces of the {body} ring"
+    return InterfaceVariables(
+        Variable(
+            number, (number,), "1",
+            f"interface of the {body} ring: the layer that it is under", integer=True,
+        ),
+        Variable(
+            element, (element,), "1",
+            "element of the interfaces, from the inner edge outwards", integer=True,
+        ),
+        Variable(f"interface_r_{body}", (element,), "mm", "radius of the element's mid-point"),
+        Variable(f"interface_z_{body}", (number,), "mm", "height of the interface, unworn"),
+        Variable(
+            f"interface_stress_{body}", (*fields, "component"), "MPa", f"stress {on} {_TENSOR}"
+        ),
+        Variable(f"interface_mises_{body}", fields, "MPa", f"von Mises stress {on}"),
+    )  # fmt: skip
+
+
+INTERFACES = tuple(map(_of_interfaces, BODIES))
+EXCLUDE = Variable("stress_exclude", (), "mm", "radius round edges in which it is not looked for")
+
+
+def _largest(suffix: str, of: str) -> tuple[Variable, ...]:
+    return (
+        Variable(f"max_mises{suffix}", _STEP, "MPa", f"largest von Mises stress of {of}"),
+        Variable(f"max_mises{suffix}_r", _STEP, "mm", "radius at which it is"),
+        Variable(f"max_mises{suffix}_z", _STEP, "mm", "height at which it is"),
+        Variable(
+            f"max_mises{suffix}_layer",
+            _STEP,
+            "1",
+            "layer that it is in, from the contact face on; the last is the body itself",
+            integer=True,
+        ),
+    )
+
+
+#: of both bodies together, then of each
+MAX_MISES = _largest("", "both rings")
+MAX_MISES_OF = tuple(_largest(f"_{body}", f"the {body} ring") for body in BODIES)
+#: of bodies with layers
+MAX_MISES_LAYERS = tuple(
+    Variable(
+        f"max_mises_{body}_layers", (*_STEP, layer.name), "MPa",
+        f"largest von Mises stress in each layer of the {body} ring, and in the ring itself",
+    )
+    for body, layer in zip(BODIES, (LAYER, UPPER_LAYER), strict=True)
+)  # fmt: skip
+#: what sweeps store, at the stored states that stress is asked for of: the largest, and points
+LARGEST_STRESS = {v.name: replace(v, dimensions=("step",)) for v in MAX_MISES}
+LAYER_STRESS = {v.name: replace(v, dimensions=("step", v.dimensions[-1])) for v in MAX_MISES_LAYERS}
+POINT_STRESS = {v.name: replace(v, dimensions=("step", "point")) for v in (MISES, MAX_SHEAR)}
+POINTS = {v.name: v for v in (POINT_R, POINT_Z, POINT_SIDE)}
+
+
+def edge_elements(pressure: FloatArray) -> BoolArray:
+    """Return where elements lie beside an edge of contact: the last closed and the first open one.
+
+    Contact that reaches an end of the contact line has no such element there. Not collective.
+
+    Parameters
+    ----------
+    pressure : (..., n) MPa; NaN: there is no such element.
+    """
+    closed, known = pressure > 0.0, ~np.isnan(pressure)
+    edge = (closed[..., 1:] != closed[..., :-1]) & known[..., 1:] & known[..., :-1]
+    beside = np.zeros(np.shape(pressure), dtype=bool)
+    beside[..., 1:] |= edge
+    beside[..., :-1] |= edge
+    return beside

@@ -1,20 +1,27 @@
 """Warnings about the validity of an answer: printed by ``run``, flagged by ``sweep``."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 
 import numpy as np
 
+from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.case import Case
-from ringwear_par.elasticity.boundary_fields import BODIES
-from ringwear_par.elasticity.geometry.mesh import ContactLine
+from ringwear_par.elasticity.stress.boundary_fields import BODIES
 from ringwear_par.elasticity.stress.fields import StressHistory, StressState
 from ringwear_par.elasticity.stress.measures import mises
 from ringwear_par.history.model import WearModel
-from ringwear_par.history.observers.balances import Balances
-from ringwear_par.history.observers.stresses import StressObserver
-from ringwear_par.history.observers.validity import FEW_ELEMENTS, MOST_ANGLE, force_on, worn_share
+from ringwear_par.history.observers.balances import WorstBalances
+from ringwear_par.history.observers.stresses import RISING, CaseStresses, StressObserver
+from ringwear_par.history.observers.validity import (
+    ENTRIES,
+    FEW_ELEMENTS,
+    MOST_ANGLE,
+    WorstStates,
+    force_on,
+    worn_share,
+)
+from ringwear_par.history.snapshots import Snapshot
 from ringwear_par.history.stability import stable_steps
-from ringwear_par.history.state import State
 from ringwear_par.results.unit_suspicions import (
     MOST_PRESSED,
     ValidityWarning,
@@ -42,29 +49,80 @@ _MOST_ASYMMETRY = 0.05
 #: share of a layer, meant by load, that is worn off, and by which its modulus differs from what is
 #: under it, from which on the unworn stack is another
 _MOST_OF_LAYER, _OTHER_MODULUS = 0.25, 0.1
-#: pressure, or stress, of an outermost element over that of the fourth, from which on it is
-#: infinite there
-_RISING = 1.2
+
+
+class Warnings:
+    """Warnings of B histories so far: an observer of what other observers do not look at.
+
+    Parameters
+    ----------
+    cases : of the histories.
+    worst, balances, stresses : observers of the same histories.
+    """
+
+    def __init__(
+        self,
+        cases: Sequence[Case],
+        worst: WorstStates,
+        balances: WorstBalances,
+        stresses: StressObserver,
+    ) -> None:
+        self._cases, self._states, self._balances = cases, worst, balances
+        self._stresses = stresses
+        self._long_steps: dict[int, ValidityWarning] = {}
+        self._begun = False
+
+    def __call__(self, snapshot: Snapshot) -> bool:
+        """Look for steps that are too long, once a history. Not collective."""
+        if snapshot.step is None or not self._begun:
+            numbers = snapshot.numbers.tolist()
+            self._long_steps |= {numbers[i]: w for i, w in unstable(snapshot.model).items()}
+        self._begun = True
+        return False
+
+    def worst(self, number: int) -> dict[str, Sequence[float]]:
+        """Return the worst of a history by name of its measure, ``ENTRIES`` numbers each."""
+        more = {
+            "reactions": self._balances.reactions(number),
+            "infinite_stress": self._stresses.infinite(number),
+        }
+        return {
+            **self._states.history(number),
+            **{name: (*some, *(ENTRIES - len(some)) * (0.0,)) for name, some in more.items()},
+        }
+
+    def history(self, number: int) -> tuple[ValidityWarning, ...]:
+        """Return the warnings of a history."""
+        case, worst = self._cases[number], self.worst(number)
+        warnings = [self._long_steps[number]] if number in self._long_steps else []
+        warnings += validity_warnings(case, worst)
+        places = self._stresses.places(number)
+        if places is not None:
+            history = self._stresses.history(number)
+            assert history is not None
+            warnings += _infinite_stress(history, worst)
+            warnings += _infinite_at_interfaces(case, history)
+            warnings += _worn_points(case, history, places, self._stresses.wear(number))
+        return tuple(warnings)
 
 
 def validity_warnings(
-    case: Case, worst: Mapping[str, Sequence[float]], balances: Balances
+    case: Case, worst: Mapping[str, Sequence[float]]
 ) -> tuple[ValidityWarning, ...]:
     """Return where the states of a case left what the method is made for. Not collective.
 
     Parameters
     ----------
-    worst : the worst of its history, see ``WorstStates.history``.
-    balances : likewise.
+    worst : the worst of its history, see ``Warnings.worst``.
     """
-    found = list(unit_suspicions(case))
+    warnings = list(unit_suspicions(case))
     height = min(ring.z[1] - ring.z[0] for ring in case.rings)
     moved, when, *_ = worst["moved"]
     if moved > _MOST_MOVED * height:
         # one warning for one thing: wear that much was forecast for is there
         forecast = deep_wear(case)
-        found = [warning for warning in found if warning not in forecast]
-        found.append(
+        warnings = [warning for warning in warnings if warning not in forecast]
+        warnings.append(
             ValidityWarning(
                 "large_displacement",
                 f"approach or wear of {moved:.3g} mm at t = {when:g} s is more than 5 % of a "
@@ -74,7 +132,7 @@ def validity_warnings(
         )
     approach, when, *_ = worst["approach"]
     if any(case.open_ends) and approach > case.smallest_gaps[1]:
-        found.append(
+        warnings.append(
             ValidityWarning(
                 "contact_beyond_mesh",
                 f"the approach of {approach:.6g} mm at t = {when:g} s exceeds the smallest gap, "
@@ -82,30 +140,36 @@ def validity_warnings(
                 "may touch there too, which is not computed",
             )
         )
-    found += [*_high_pressure(case, worst), *_few_elements(case, worst)]
+    warnings += [*_high_pressure(case, worst), *_few_elements(case, worst)]
     layered = any(ring.layers for ring in case.rings)
-    symmetry_defect = worst["symmetry_defect"][0]
-    held = max(balances.torque, balances.reaction)
-    defect = max(held, 0.0 if layered else symmetry_defect)
-    if held > _MOST_DEFECT or (not layered and symmetry_defect > _MOST_ASYMMETRIC):
-        found.append(
+    reactions, asymmetry = worst.get("reactions", (0.0, 0.0)), worst["symmetry_defect"]
+    measures = [reactions] if layered else [reactions, asymmetry]
+    if reactions[0] > _MOST_DEFECT or (not layered and asymmetry[0] > _MOST_ASYMMETRIC):
+        defect, when, *_ = max(measures, key=lambda entries: entries[0])
+        warnings.append(
             ValidityWarning(
                 "coarse_mesh",
-                f"the boundary elements' own balances are wrong by {defect:.2g} at worst: a finer "
-                "mesh (mesh.contact_elements) or thicker bodies are needed",
+                f"the boundary elements' own balances are wrong by {defect:.2g} at worst, at "
+                f"t = {when:g} s: a finer mesh (mesh.contact_elements) or thicker bodies are "
+                "needed",
             )
         )
-    elif layered and symmetry_defect > _MOST_FILM_DEFECT:
-        found.append(
+    elif layered and asymmetry[0] > _MOST_FILM_DEFECT:
+        warnings.append(
             ValidityWarning(
                 "coarse_film",
                 f"the compliance of bodies with layers is asymmetric by "
-                f"{symmetry_defect:.2g}, as of thin films that are soft or nearly "
+                f"{asymmetry[0]:.2g}, as of thin films that are soft or nearly "
                 "incompressible: pressures may be wrong by three times as much; compare with a "
                 "finer mesh (mesh.contact_elements)",
             )
         )
-    return (*found, *_other_stack(case, worst), *_unlike_slopes(case, worst), *_asymmetric(worst))
+    return (
+        *warnings,
+        *_other_stack(case, worst),
+        *_unlike_slopes(case, worst),
+        *_asymmetric(worst),
+    )
 
 
 def _high_pressure(case: Case, worst: Mapping[str, Sequence[float]]) -> list[ValidityWarning]:
@@ -143,13 +207,13 @@ def _few_elements(case: Case, worst: Mapping[str, Sequence[float]]) -> list[Vali
 
 def _other_stack(case: Case, worst: Mapping[str, Sequence[float]]) -> list[ValidityWarning]:
     """Return whether layers of another modulus were worn that elasticity still has."""
-    found = []
+    warnings = []
     for i, (body, ring) in enumerate(zip(BODIES, case.rings, strict=True)):
         for number, layer in enumerate(ring.layers):
             below = [*(under.young for under in ring.layers), ring.young][number + 1]
             share, when, *_ = worst.get(worn_share(i, number), (0.0, 0.0))
             if share > _MOST_OF_LAYER and abs(layer.young / below - 1.0) > _OTHER_MODULUS:
-                found.append(
+                warnings.append(
                     ValidityWarning(
                         "worn_layer",
                         f"{100.0 * share:.0f} % of {body}.layers[{number}] is worn off where it "
@@ -158,7 +222,7 @@ def _other_stack(case: Case, worst: Mapping[str, Sequence[float]]) -> list[Valid
                         'unworn layers. mesh.geometry = "updated" follows their wear',
                     )
                 )
-    return found
+    return warnings
 
 
 def _unlike_slopes(case: Case, worst: Mapping[str, Sequence[float]]) -> list[ValidityWarning]:
@@ -193,12 +257,12 @@ def _asymmetric(worst: Mapping[str, Sequence[float]]) -> list[ValidityWarning]:
     ]
 
 
-def infinite_stress(
-    history: StressHistory | None, worst: Mapping[str, Sequence[float]]
+def _infinite_stress(
+    history: StressHistory, worst: Mapping[str, Sequence[float]]
 ) -> tuple[ValidityWarning, ...]:
-    """Return whether the largest stress was where it would be infinite. Not collective."""
+    """Return whether the largest stress was where it would be infinite."""
     mises, when, r, *_ = worst["infinite_stress"]
-    if history is None or mises == 0.0 or when not in [state.time for state in history.states]:
+    if mises == 0.0 or when not in [state.time for state in history.states]:
         return ()
     return (
         ValidityWarning(
@@ -211,51 +275,29 @@ def infinite_stress(
     )
 
 
-def infinite_edge(
-    case: Case, history: StressHistory, line: ContactLine, state: State
-) -> tuple[float, float, float] | None:
-    """Return the largest stress (MPa), time (s) and radius (mm) of the edge where it is infinite.
-
-    None where the largest stress is elsewhere. Not collective.
-
-    Parameters
-    ----------
-    history : of stresses, its last ones those of the state.
-    """
-    largest, p = history.states[-1].of_both, state.contact.pressure
-    for end, further in ((0, 3), (-1, -4)):
-        r, reach = line.edges[end], history.exclude * (1.0 + 1e-6) + 3.0 * line.width[end]
-        height = min(abs(largest.z - z) for z in (case.lower.z[1], case.upper.z[0]))
-        beside = np.hypot(largest.r - r, height) <= reach + state.wear.max()
-        if r > 0.0 and beside and p[end] > _RISING * p[further]:
-            return largest.mises, float(state.time), float(r)
-    return None
-
-
-def worn_points(
-    case: Case, history: StressHistory | None, seen: StressObserver | None
+def _worn_points(
+    case: Case, history: StressHistory, places: CaseStresses, wear: FloatArray | None
 ) -> tuple[ValidityWarning, ...]:
     """Return whether points of stress lie where wear has been at the last of its states.
 
-    Not asked of points on faces, which are of the faces as they are, nor of those that have no
-    stress, their layer being worn through. Not collective.
+    Points on faces are of the faces as they are, and points in layers that are worn through have no
+    stress: they are left out.
 
     Parameters
     ----------
-    seen : what has kept the stresses, and knows the wear at the last of them.
+    wear : (2, n) mm, at the last state of stress; None where it is not known.
     """
-    wear = None if seen is None else seen.wear
-    if history is None or seen is None or wear is None or not wear.any() or case.follows_wear:
+    if wear is None or not wear.any() or case.follows_wear:
         return ()
     assert case.stress is not None
     state, under = history.states[-1], case.line.element_at(history.points[:, 0])
-    bodies, depths = seen.stresses.of_points, seen.stresses.depths
+    bodies, depths = places.of_points, places.depths
     worn = np.where(under >= 0, wear[bodies, under], 0.0)
     known = np.isfinite(state.points).all(axis=1)
-    found = np.flatnonzero(known & (depths > 0.0) & (worn > depths)).tolist()
-    if not found:
+    points = np.flatnonzero(known & (depths > 0.0) & (worn > depths)).tolist()
+    if not points:
         return ()
-    first, *more = found
+    first, *more = points
     r, z, _ = case.stress.points[first]
     return (
         ValidityWarning(
@@ -270,20 +312,14 @@ def worn_points(
     )
 
 
-def infinite_at_interfaces(
-    case: Case, history: StressHistory | None
-) -> tuple[ValidityWarning, ...]:
-    """Return which bodies' largest stress was beside the end of an interface. Not collective.
-
-    Of each end the last state where it was so.
-    """
-    found: dict[tuple[int, int, float], ValidityWarning] = {}
-    for state in () if history is None else history.states:
-        assert history is not None
+def _infinite_at_interfaces(case: Case, history: StressHistory) -> Iterable[ValidityWarning]:
+    """Return which bodies' largest stress was beside the end of an interface, the last of each."""
+    warnings: dict[tuple[int, int, float], ValidityWarning] = {}
+    for state in history.states:
         for i, (body, largest) in enumerate(zip(BODIES, state.largest, strict=True)):
             for number, r, z, reach in _infinite_ends(case, history, state, i):
                 if np.hypot(largest.r - r, largest.z - z) <= reach:
-                    found[i, number, r] = ValidityWarning(
+                    warnings[i, number, r] = ValidityWarning(
                         "infinite_stress_at_interface",
                         f"the largest von Mises stress of {body} at t = {state.time:g} s, "
                         f"{largest.mises:.5g} MPa, is found beside the free edge of the interface "
@@ -291,7 +327,7 @@ def infinite_at_interfaces(
                         "stress between two materials is infinite: what is found grows as "
                         f"stress.exclude, now {history.exclude:g} mm, is made smaller",
                     )
-    return tuple(found.values())
+    return warnings.values()
 
 
 def _infinite_ends(
@@ -305,7 +341,7 @@ def _infinite_ends(
     for number, z in enumerate(history.interfaces[body].z):
         values = mises(stress[number]).max(axis=0)
         for r, end, further in zip(case.rings[body].r, (0, -1), (3, -4), strict=True):
-            if r > 0.0 and values[end] > _RISING * values[further]:
+            if r > 0.0 and values[end] > RISING * values[further]:
                 reach = history.exclude * (1.0 + 1e-6) + 6.0 * abs(middles[end] - r)
                 yield number, r, float(z), reach
 

@@ -1,17 +1,20 @@
 """Case files: what is read, and a sentence for everything that is wrong."""
 
 import math
+import re
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from ringwear_par.cases.files.reading import parse_case, read_case
-from ringwear_par.cases.schema import KEYS, schema
+from ringwear_par.cases.schema import KEYS, key_table
 from ringwear_par.cases.text import toml_text
 from ringwear_par.errors import InputError
 from ringwear_par.history.elastic.bodies import operator_key
 from ringwear_par.history.limits import check_memory, check_mesh
+from ringwear_par.identification.definition import schema as fits
+from ringwear_par.studies.definition import schema as studies
 from ringwear_par.wear.laws.threshold import ThresholdLaw
 
 PAPER = Path(__file__).parents[2] / "scripts" / "cases" / "paper.toml"
@@ -303,9 +306,17 @@ def test_elements_that_drown_in_round_off_are_refused():
         check_mesh(case, "case.toml")
 
 
-def test_schema_lists_every_key():
-    text = " ".join(schema().split())
-    for key in KEYS:
+@pytest.mark.parametrize("keys", [KEYS, studies.KEYS, fits.KEYS])
+def test_schema_lists_every_key(keys):
+    text = " ".join(key_table(keys).split())
+    for key in keys:
         assert f"{key.path} {key.unit} " in text
         assert key.meaning in text
         assert key.allowed in text
+
+
+def test_schema_lists_the_rows_that_contain_a_word():
+    rows = re.findall(r"^[a-z]\S+", key_table(KEYS, "Wear.Lower"), re.MULTILINE)[1:]
+    assert rows == [k.path for k in KEYS if "wear.lower" in f"{k.path} {k.meaning} {k.allowed}"]
+    assert "wear.lower.k" in rows
+    assert key_table(KEYS, "unheard of") == ""

@@ -116,7 +116,7 @@ LISTED = '[design]\nmethod = "list"\nfile = "table.csv"\n'
     ("text", "table", "said"),
     [
         (f"x = {DEEP}\n", "", "too deeply"),
-        (LISTED.replace("table.csv", "a\\u0000b"), "", "cannot be read: embedded null byte"),
+        (LISTED.replace("table.csv", "a\\u0000b"), "", "no zero bytes"),
         (LISTED, "load.pressure\n" + "1" * 200_000, "is not a table of comma-separated values: f"),
         (LISTED, "load.pressure\n" + "1" * 5000, "load.pressure = "),
         (LISTED, "load.pressure\n" + DEEP, "load.pressure = "),

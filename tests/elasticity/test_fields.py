@@ -8,11 +8,11 @@ import xarray
 from stored import assert_same
 
 from ringwear_par.cases.files.reading import read_case
-from ringwear_par.elasticity.boundary_fields import FACES
+from ringwear_par.elasticity.stress.boundary_fields import FACES
 from ringwear_par.history.elastic.bodies import young
 from ringwear_par.history.elastic.pairs import assemble, boundary_recovery, updated_geometry
 from ringwear_par.results.execution.run import run_case
-from ringwear_par.results.storage.result_reading import open_result
+from ringwear_par.results.storage.result_files import open_result
 
 CASES = Path(__file__).parents[2] / "scripts" / "cases"
 FIELDS = CASES / "fields.toml"

@@ -16,7 +16,7 @@ from ringwear_par.history.model import WearModel
 from ringwear_par.history.observers.balances import balances
 from ringwear_par.history.observers.trace import trace
 from ringwear_par.history.schemes import sdirk2
-from ringwear_par.results.storage import result_reading as results
+from ringwear_par.results.storage import result_files as results
 from ringwear_par.schedules import Table, integral
 from ringwear_par.verification.paper import OMEGA
 from ringwear_par.wear.laws.non_local import NonLocalLaw

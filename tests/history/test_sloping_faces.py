@@ -18,7 +18,7 @@ from ringwear_par.history.elastic.bodies import bodies
 from ringwear_par.history.elastic.pairs import assemble, updated_geometry
 from ringwear_par.history.loop import simulate_one
 from ringwear_par.history.model import WearModel
-from ringwear_par.history.observers.balances import Balances, balances
+from ringwear_par.history.observers.balances import balances
 from ringwear_par.history.observers.trace import trace
 from ringwear_par.history.observers.validity import WorstStates
 from ringwear_par.history.schemes import euler, sdirk2
@@ -307,9 +307,9 @@ def flags(case, comm):
 
     def look(snapshot):
         if snapshot.finished:
-            worst, alone = WorstStates(case), np.zeros(1, dtype=np.int64)
-            worst(snapshot.model, snapshot.state, alone, alone)
-            own = validity_warnings(case, worst.history(), Balances())
+            worst = WorstStates(case)
+            worst(snapshot)
+            own = validity_warnings(case, worst.history())
             found.update({doubt.flag: doubt.text for doubt in own})
         return False
 

@@ -12,7 +12,7 @@ from ringwear_par.history.layers import layer_left, layer_volumes
 from ringwear_par.history.loop import simulate_one
 from ringwear_par.history.observers.trace import Trace, trace
 from ringwear_par.history.sensitivity import differentiable
-from ringwear_par.results.storage import result_reading as files
+from ringwear_par.results.storage import result_files as files
 from ringwear_par.studies.execution.batches import computed
 
 CASE = Path(__file__).parents[2] / "scripts" / "cases" / "wear_through.toml"

@@ -297,7 +297,7 @@ def test_candidates_keep_to_their_ranges(tables):
         ({"vary": {**VARY, "load.force": [1.0, 2.0]}}, "only one of them"),
         ({"vary": {"load.presure": [1.0, 2.0]}}, "load.presure: unknown key .*load.pressure"),
         ({"budget": {"experiments": 0}}, "experiments = 0: must be a whole number from 1"),
-        ({"budget": {"experiments": 2, "time.end": -1}}, "time.end = -1: must be a number above"),
+        ({"budget": {"experiments": 2, "time.end": -1}}, "time.end = -1: must be a finite"),
         ({"vary": {**VARY, "time.end": [60.0, 100.0]},
           "budget": {"experiments": 2, "time.end": 100.0}}, "at least 120"),
         ({"budget": {"experiments": 2, "time.end": 100.0}}, "at least 200, 2 of the shortest"),

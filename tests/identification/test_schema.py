@@ -8,10 +8,11 @@ from pathlib import Path
 
 import pytest
 
+from ringwear_par.cases.schema import key_table
 from ringwear_par.cli import main
 from ringwear_par.errors import InputError
 from ringwear_par.identification.definition.fit_file import read_fit
-from ringwear_par.identification.definition.schema import KEYS, schema
+from ringwear_par.identification.definition.schema import KEYS
 
 FIT = Path(__file__).parents[2] / "scripts/fit"
 PARAMETER = {"start": 1e-7, "bounds": [1e-9, 1e-5]}
@@ -49,7 +50,7 @@ def keys_of(path, tables):
 def in_schema(table):
     """Return the keys of a table that the schema has."""
     paths = [key.path.removeprefix(table) for key in KEYS if key.path.startswith(table)]
-    return {re.sub(r"^(parameters|data|vary|budget|nuisance)\..*", r"\1", path) for path in paths}
+    return {re.sub(r"^(parameters|data|vary|budget|nuisance|sd)\..*", r"\1", p) for p in paths}
 
 
 @pytest.mark.parametrize(
@@ -119,8 +120,18 @@ def test_files_that_there_are_keep_to_it(name):
 @pytest.mark.serial
 def test_the_table_is_printed(capsys):
     assert main(["info", "--schema", "fit"]) == 0
-    said = capsys.readouterr().out
-    assert said.strip() == schema().strip()
-    assert re.search(r"^experiment.data.density +g/mm3 ", said, re.MULTILINE)
+    fit = capsys.readouterr().out
+    assert fit == f"{key_table(KEYS)}\n"
+    assert re.search(r"^experiment.data.density +g/mm\^3 ", fit, re.MULTILINE)
     assert main(["info", "--schema"]) == 0
-    assert "wear.lower.k" in capsys.readouterr().out
+    said = capsys.readouterr().out
+    assert said.index("wear.lower.k") < said.index("vary.KEY.log") < said.index("fit.starts")
+    assert said.endswith(fit)
+    for words in (["study", "sobol"], ["Sobol"]):
+        assert main(["info", "--schema", *words]) == 0
+        said = capsys.readouterr().out
+        assert "design.method" in said
+        assert ("fit.starts" in said) == (len(words) == 1)
+        assert "contact.friction" not in said
+    assert main(["info", "--schema", "case", "sobol"]) == 2
+    assert "sobol: is in no row of the keys of case files" in capsys.readouterr().err

@@ -13,7 +13,7 @@ from test_cli import ringwear, sentences
 from ringwear_par.results.execution.run import run_case
 from ringwear_par.results.storage import export as module
 from ringwear_par.results.storage.export import export
-from ringwear_par.results.storage.result_reading import open_result
+from ringwear_par.results.storage.result_files import open_result
 
 pytestmark = pytest.mark.serial
 CASES = Path(__file__).parents[2] / "scripts" / "cases"

@@ -68,7 +68,7 @@ def test_what_libraries_note_of_a_picture_is_not_told(runs, tmp_path):
 
 def test_what_is_drawn_is_what_is_stored(runs):
     from ringwear_par.results.pictures.figures import plot
-    from ringwear_par.results.storage.result_reading import open_result
+    from ringwear_par.results.storage.result_files import open_result
 
     figure = plot(runs[:2], "wear,penetration,pressure", "1,20", runs[1:2])
     wear, penetration, pressure = figure.axes
@@ -127,7 +127,7 @@ def test_wrong_files(runs, tmp_path):
 @pytest.mark.parametrize("case", ["fields", "sphere", "crown", "coated"])
 def test_deformed_sections(tmp_path, comm, case):
     from ringwear_par.results.pictures.figures import plot, plot_files
-    from ringwear_par.results.storage.result_reading import open_result
+    from ringwear_par.results.storage.result_files import open_result
 
     run = tmp_path / "run.h5"
     words = ["mesh.contact_elements=16", "output.boundary=last"]
@@ -187,7 +187,7 @@ def test_sections_need_boundary_fields(runs, tmp_path):
 def test_results_and_files_are_drawn_alike(runs, tmp_path):
     from ringwear_par.results.pictures.drawing import save_figure
     from ringwear_par.results.pictures.figures import plot
-    from ringwear_par.results.storage.result_reading import open_result
+    from ringwear_par.results.storage.result_files import open_result
 
     first, second = map(open_result, runs[:2])
     sources = [[first, str(runs[1])], [runs[0], second], runs[:2]]
@@ -214,7 +214,7 @@ def test_results_without_a_file_have_a_name(runs):
     from dataclasses import replace
 
     from ringwear_par.results.pictures.figures import plot
-    from ringwear_par.results.storage.result_reading import open_result
+    from ringwear_par.results.storage.result_files import open_result
 
     several = [replace(open_result(path), path=None) for path in (*runs[:1], runs[0], runs[2])]
     labels = [text.get_text() for text in plot(several, "penetration").axes[0].get_legend().texts]
@@ -227,7 +227,7 @@ def test_every_history_has_its_panel(runs):
     """What is drawn follows from what is stored: rates and p V are means between states."""
     from ringwear_par.results.pictures.figures import plot
     from ringwear_par.results.pictures.history_panels import HISTORY_PANELS
-    from ringwear_par.results.storage.result_reading import open_result
+    from ringwear_par.results.storage.result_files import open_result
 
     result = open_result(runs[0])  # both bodies wear
     time, area = result.histories["time"], result.line.area.sum()
@@ -255,7 +255,7 @@ def test_every_history_has_its_panel(runs):
 
 def test_profiles_at_times_are_those_of_the_nearest_states(runs):
     from ringwear_par.results.pictures.figures import plot
-    from ringwear_par.results.storage.result_reading import open_result
+    from ringwear_par.results.storage.result_files import open_result
 
     result = open_result(runs[1])
     (axes,) = plot(runs[1], "pressure", times="0, 5.4, 0.25 min").axes
@@ -365,7 +365,7 @@ def test_a_history_of_one_state_has_no_rate(runs):
     from dataclasses import replace
 
     from ringwear_par.results.pictures.figures import plot
-    from ringwear_par.results.storage.result_reading import open_result
+    from ringwear_par.results.storage.result_files import open_result
 
     whole = open_result(runs[1])
     first = {name: values[:1] for name, values in whole.histories.items()}
@@ -393,7 +393,7 @@ def test_the_peak_of_pressure_is_the_same_everywhere(tmp_path, comm):
     from ringwear_par.reports.charts import profiles
     from ringwear_par.results.instants import pressure_peak
     from ringwear_par.results.pictures.figures import plot
-    from ringwear_par.results.storage.result_reading import open_result
+    from ringwear_par.results.storage.result_files import open_result
 
     words = ["mesh.contact_elements=32", "time.steps=8"]
     run_case(PAPER, tmp_path / "a.h5", words, comm=comm)

@@ -20,12 +20,12 @@ from stored import contents
 import ringwear_par as rw
 from ringwear_par.cases.case import Stepping
 from ringwear_par.errors import ComputationError, InputError
-from ringwear_par.results.checkpoints import restored
 from ringwear_par.results.execution import run as driver
 from ringwear_par.results.execution.run import run_case
 from ringwear_par.results.key_numbers import by_name, check_numbers, key_numbers
+from ringwear_par.results.storage.checkpoints import restored
 from ringwear_par.results.storage.export import export
-from ringwear_par.results.storage.result_reading import open_result, read_status
+from ringwear_par.results.storage.result_files import open_result, read_status
 from ringwear_par.results.variables import (
     BOUNDARY_FIELDS,
     EDGE_ELEMENT,
@@ -226,7 +226,7 @@ def test_results_in_memory_are_exported(computed, comm, tmp_path):
 LIGHT = """
 import sys
 from ringwear_par.results.pictures.figures import plot
-from ringwear_par.results.storage.result_reading import open_result
+from ringwear_par.results.storage.result_files import open_result
 
 result = open_result(sys.argv[1])
 plot([result, sys.argv[1]], "wear,penetration,pressure,section")

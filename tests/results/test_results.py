@@ -12,7 +12,7 @@ from ringwear_par.errors import ComputationError, InputError
 from ringwear_par.results.execution import run as driver
 from ringwear_par.results.execution import watch as monitor
 from ringwear_par.results.execution.run import run_case
-from ringwear_par.results.storage import result_reading as results
+from ringwear_par.results.storage import result_files as results
 from ringwear_par.results.variables import HISTORIES
 
 PAPER = Path(__file__).parents[2] / "scripts" / "cases" / "paper.toml"

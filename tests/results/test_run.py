@@ -12,7 +12,7 @@ from ringwear_par import read_case, simulate
 from ringwear_par.errors import ComputationError, InputError
 from ringwear_par.history.elastic.pairs import assemble
 from ringwear_par.results.execution.run import run_case
-from ringwear_par.results.storage.result_reading import open_result, read_status
+from ringwear_par.results.storage.result_files import open_result, read_status
 from ringwear_par.studies.execution.batches import computed
 
 PAPER = Path(__file__).parents[2] / "scripts" / "cases" / "paper.toml"

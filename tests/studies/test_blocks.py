@@ -11,11 +11,10 @@ import ringwear_par as rw
 from ringwear_par.cases.files.reading import parse_case
 from ringwear_par.history.elastic.pairs import assemble
 from ringwear_par.history.loop import simulate_one
-from ringwear_par.results.checkpoints import restored
-from ringwear_par.results.columns import HistoryColumns
 from ringwear_par.results.execution.recorder import Recorder
 from ringwear_par.results.execution.run import run_case
-from ringwear_par.results.result import FailedResult
+from ringwear_par.results.result import FailedResult, HistoryColumns
+from ringwear_par.results.storage.checkpoints import restored
 from ringwear_par.results.variables import HISTORIES
 from ringwear_par.studies.execution.batches import computed
 from ringwear_par.studies.execution.many import simulate_all
@@ -165,7 +164,7 @@ def test_flags_are_those_of_single_cases(case):
     for i, one in enumerate(cases):
         recorder = Recorder([one], ALONE)
         simulate_one(one, ALONE, pair=pair, observers=[recorder])
-        assert found[i] == tuple(doubt.flag for doubt in recorder.warnings())
+        assert found[i] == tuple(doubt.flag for doubt in recorder.warnings.history(0))
     assert "unstable_explicit_step" in found[0]
     assert "unstable_explicit_step" not in found[1]
 

@@ -11,9 +11,9 @@ from ringwear_par.cases.files.reading import parse_case
 from ringwear_par.errors import InputError, RingwearError
 from ringwear_par.history.loop import simulate_one
 from ringwear_par.history.observers.trace import Trace
-from ringwear_par.results.checkpoints import restored
 from ringwear_par.results.execution.simulate import simulate
 from ringwear_par.results.result import FailedResult, Result
+from ringwear_par.results.storage.checkpoints import restored
 from ringwear_par.results.variables import HISTORIES
 from ringwear_par.schedules import Table
 from ringwear_par.studies.execution import batches, many
@@ -56,7 +56,7 @@ def test_a_law_that_raises_fails_its_case_only(case, comm):
     assert [type(each) for each in found] == [Result, FailedResult, *[Result] * comm.size]
     assert type(found[1].error) is RingwearError
     assert str(found[1].error) == r"ValueError: no such\nmaterial"
-    assert found[1].case == bad.told != bad.text
+    assert found[1].case == bad.stored_text != bad.text
     assert found[1].error.__traceback__ is None
 
 

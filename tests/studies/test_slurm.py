@@ -10,7 +10,7 @@ import pytest
 from cluster import SLURM, Cluster, started, wait_for_waiting
 from waiting import Waiting
 
-from ringwear_par.results.storage.result_reading import read_status
+from ringwear_par.results.storage.result_files import read_status
 
 pytestmark = [pytest.mark.serial, pytest.mark.slow]
 PAPER = Path(__file__).parents[2] / "scripts" / "cases" / "paper.toml"

@@ -15,7 +15,7 @@ import ringwear_par as rw
 from ringwear_par.cases.files.reading import parse_case
 from ringwear_par.errors import ComputationError, InputError
 from ringwear_par.results.execution.run import run_case
-from ringwear_par.results.storage.result_reading import open_result
+from ringwear_par.results.storage.result_files import open_result
 from ringwear_par.results.variables import HISTORIES, PROFILES
 from ringwear_par.studies.definition.study import read_study
 from ringwear_par.studies.execution import estimate, operators, sweep, workers

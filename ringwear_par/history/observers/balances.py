@@ -107,15 +107,23 @@ class WorstBalances:
     def __init__(self, count: int = 1) -> None:
         #: (balances, B), by the order of ``Balances``
         self._worst = np.zeros((len(_NAMES), count))
-        #: (B,) s, end of the step at which ``step_error`` is the largest
-        self.step_error_time = np.zeros(count)
+        #: (balances, B) s, when they were the worst
+        self._times = np.zeros((len(_NAMES), count))
         #: (B,) whether elements came into contact within steps, which ``step_error`` leaves out
         self.closing_contact = np.zeros(count, dtype=bool)
 
-    def restore(self, before: Balances, step_error_time: float, closing_contact: bool) -> None:
-        """Take the balances of an interrupted single history."""
+    def restore(
+        self,
+        before: Balances,
+        step_error_time: float,
+        closing_contact: bool,
+        reaction_time: float,
+    ) -> None:
+        """Take the balances of an interrupted single history; times are in s."""
         self._worst[:, 0] = [getattr(before, name) for name in _NAMES]
-        self.step_error_time[0], self.closing_contact[0] = step_error_time, closing_contact
+        self._times[:, 0] = reaction_time
+        self._times[_NAMES.index("step_error"), 0] = step_error_time
+        self.closing_contact[0] = closing_contact
 
     def __call__(self, snapshot: Snapshot) -> bool:
         """Take the balances of new states: an observer."""
@@ -133,13 +141,23 @@ class WorstBalances:
         now, before = table[:, new], self._worst[:, numbers]
         worse = ~(now <= before)  # NaN too
         self._worst[:, numbers] = np.where(worse, now, before)
-        step = worse[_NAMES.index("step_error")]
-        self.step_error_time[numbers[step]] = snapshot.state.time[new][step]
+        self._times[:, numbers] = np.where(worse, snapshot.state.time[new], self._times[:, numbers])
         return False
 
     def history(self, number: int = 0) -> Balances:
         """Return the worst balances of one history."""
         return Balances(*self._worst[:, number].tolist())
+
+    @property
+    def step_error_time(self) -> FloatArray:
+        """(B,) s, end of the step at which ``step_error`` is the largest."""
+        return self._times[_NAMES.index("step_error")]
+
+    def reactions(self, number: int = 0) -> tuple[float, float]:
+        """Return the worse of ``torque`` and ``reaction`` of one history, and its time, s."""
+        rows = [_NAMES.index("torque"), _NAMES.index("reaction")]
+        row = rows[int(self._worst[rows, number].argmax())]
+        return float(self._worst[row, number]), float(self._times[row, number])
 
     @property
     def worst(self) -> Balances:

@@ -1,12 +1,20 @@
-"""Which stored states an observer is asked for: all, the last, or those after some times."""
+"""Which stored states have boundary fields or stresses: all, the last, those after some times."""
 
+from collections.abc import Sequence
+from typing import TypeVar
+
+from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.case import Case
+from ringwear_par.elasticity.stress.boundary_fields import BoundaryState
+from ringwear_par.elasticity.stress.fields import StressState
 from ringwear_par.history.saving import times_within, wants
 from ringwear_par.history.snapshots import Instant
 
+Timed = TypeVar("Timed", BoundaryState, StressState)
 
-class Asked:
-    """Tells of one state after another whether it is asked for.
+
+class Selection:
+    """Tells of one state after another whether a case selects it.
 
     Parameters
     ----------
@@ -19,7 +27,7 @@ class Asked:
         self._case, self._which, self._last_stored = case, which, last_stored
 
     def __call__(self, instant: Instant) -> bool:
-        """Tell whether a state is, in the order of the history. Not collective."""
+        """Tell whether a state is selected, in the order of the history. Not collective."""
         time, steps = float(instant.state.time), instant.steps
         if not instant.stored:
             return False
@@ -27,6 +35,21 @@ class Asked:
         if not instant.passing:
             self._last_stored = time
         return wants(self._which, time, instant.finished, before)
+
+    def of_interrupted(
+        self, states: Sequence[Timed], stored: FloatArray, finished: bool
+    ) -> list[Timed]:
+        """Return the states of an interrupted history that are still selected.
+
+        Parameters
+        ----------
+        stored : s, times of the states that the case still stores.
+        finished : whether the case has come to its end, and not a shorter one alone.
+        """
+        times = stored.tolist()
+        if self._which == "last" and not finished:
+            return []
+        return [state for state in states if state.time in times]
 
     def _stored_before(self, time: float, steps: int) -> float:
         """Return the time of the stored state before one at a time; negative: there is none."""

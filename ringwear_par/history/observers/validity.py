@@ -4,16 +4,18 @@ Every step costs a few sums over the elements: sentences are for the end, see ``
 """
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ringwear_par.arrays import FloatArray, IntArray, inner
+from ringwear_par.arrays import FloatArray, inner
 from ringwear_par.cases.case import Case
-from ringwear_par.elasticity.boundary_fields import BODIES
 from ringwear_par.elasticity.geometry.slopes import case_slopes
-from ringwear_par.history.model import WearModel
-from ringwear_par.history.state import State
+from ringwear_par.elasticity.stress.boundary_fields import BODIES
+
+if TYPE_CHECKING:  # opening a result, which has the worst states of its history, starts no MPI
+    from ringwear_par.history.model import WearModel
+    from ringwear_par.history.snapshots import Snapshot
 
 #: fewer elements in contact than this do not resolve it
 FEW_ELEMENTS = 10
@@ -27,7 +29,6 @@ ENTRIES = 6
 _MOVED, _APPROACH, _FORCE = "moved", "approach", "force"
 _MEAN_PRESSURE, _ASYMMETRY = "mean_pressure", "asymmetry"
 _SYMMETRY_DEFECT, _UNLIKE_SLOPES = "symmetry_defect", "unlike_slopes"
-_INFINITE_STRESS = "infinite_stress"
 
 
 def force_on(count: int) -> str:
@@ -48,8 +49,7 @@ class WorstStates:
     on few elements, see ``force_on``; the error that a symmetric compliance leaves, with its radius
     (mm); the compliance's symmetry defect; the share of the load between faces of unlike slopes,
     with the radius (mm) where it is largest and the angles there of lower, of upper and of the
-    pressure (degrees); shares of worn layers, see ``worn_share``; and, of the last state where it
-    is so, the largest stress (MPa) that is beside an edge where it is infinite, with that radius.
+    pressure (degrees); and shares of worn layers, see ``worn_share``.
 
     Parameters
     ----------
@@ -62,7 +62,7 @@ class WorstStates:
         self._layered = [] if case.follows_wear else [i for i in (0, 1) if case.rings[i].layers]
         names = [
             _MOVED, _APPROACH, _FORCE, _MEAN_PRESSURE, _ASYMMETRY, _SYMMETRY_DEFECT,
-            _UNLIKE_SLOPES, _INFINITE_STRESS, *map(force_on, range(1, FEW_ELEMENTS)),
+            _UNLIKE_SLOPES, *map(force_on, range(1, FEW_ELEMENTS)),
         ]  # fmt: skip
         for i in self._layered:
             names += [worn_share(i, layer) for layer in range(len(case.rings[i].layers))]
@@ -70,34 +70,27 @@ class WorstStates:
         #: (measures, ENTRIES, B)
         self._table = np.zeros((len(names), ENTRIES, count))
 
-    def __call__(
-        self, model: WearModel, state: State, numbers: IntArray, places: IntArray | slice
-    ) -> None:
-        """Take new states of some histories. Not collective.
-
-        Parameters
-        ----------
-        model, state : of one history, or of several.
-        numbers : (h,) int, of the histories among the B.
-        places : (h,) int, of the same in the state.
-        """
-        p, wear = np.atleast_2d(state.contact.pressure), state.wear
-        wear = wear if wear.ndim == 3 else wear[:, None]
-        approach, force, time = map(
-            np.atleast_1d, (state.contact.approach, state.contact.force, state.time)
-        )
+    def __call__(self, snapshot: "Snapshot") -> bool:
+        """Take new states: an observer. Not collective."""
+        if snapshot.passing:
+            return False
+        model, state = snapshot.model, snapshot.state
+        places = np.flatnonzero(snapshot.accepted)
+        numbers = snapshot.numbers[places]
+        contact, wear, time = state.contact, state.wear, state.time
+        p, approach, force = contact.pressure, contact.approach, contact.force
         n, bearing = p.shape[1], p > 0.0
         count = np.count_nonzero(bearing, axis=1)
 
         def take(name: str, values: Any, *more: Any) -> None:
             """Take the values (B,) of a measure, and numbers that tell their places."""
-            row, values = self._table[self._rows[name]], values[places]
+            measure, values = self._table[self._rows[name]], values[places]
             # by more than round-off, which would choose the time of what is constant
-            worse = values > row[0, numbers] * (1.0 + _ROUND_OFF)
+            worse = values > measure[0, numbers] * (1.0 + _ROUND_OFF)
             if worse.any():
-                there = numbers[worse]
-                for entry, each in enumerate((values, time[places], *(m[places] for m in more))):
-                    row[entry, there] = each[worse]
+                entries = values, time[places], *(column[places] for column in more)
+                for entry, column in enumerate(entries):
+                    measure[entry, numbers[worse]] = column[worse]
 
         take(_APPROACH, approach)
         take(_MOVED, np.maximum(approach, wear.max(axis=(0, 2))))
@@ -107,23 +100,20 @@ class WorstStates:
         take(_MEAN_PRESSURE, np.divide(force, area, out=np.zeros_like(force), where=enough))
         for few in np.unique(count[~enough & (count > 0)]).tolist():
             take(force_on(few), np.where(count == few, force, 0.0))
-        errors, elements = map(np.atleast_1d, model.asymmetry)
+        errors, elements = model.asymmetry
         take(_ASYMMETRY, errors, model.line.r[elements])
-        take(_SYMMETRY_DEFECT, np.atleast_1d(model.compliances.symmetry_defect))
+        take(_SYMMETRY_DEFECT, model.compliances.symmetry_defect)
         if self._sloping:
             take(_UNLIKE_SLOPES, *_unlike_slopes(model, p, wear))
         for i in self._layered:
             for layer, share in enumerate(_worn_shares(model, i, p, wear[i])):
                 take(worn_share(i, layer), share)
-
-    def take_infinite_stress(self, number: int, mises: float, time: float, r: float) -> None:
-        """Take a stress of one history that is infinite; it replaces an earlier one."""
-        self._table[self._rows[_INFINITE_STRESS], :3, number] = mises, time, r
+        return False
 
     def history(self, number: int = 0) -> dict[str, tuple[float, ...]]:
         """Return the measures of one of B histories by name, ENTRIES numbers each."""
-        own = self._table[:, :, number].tolist()
-        return {name: tuple(own[row]) for name, row in self._rows.items()}
+        entries = self._table[:, :, number].tolist()
+        return {name: tuple(entries[row]) for name, row in self._rows.items()}
 
     def restore(self, before: Mapping[str, Sequence[float]]) -> None:
         """Take the measures that an interrupted single history had."""

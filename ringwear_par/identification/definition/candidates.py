@@ -3,26 +3,21 @@
 import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, get_args
+from typing import Any
 
 import numpy as np
 
 from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.case import Case
-from ringwear_par.cases.schema import unit_of
-from ringwear_par.cases.units import in_unit_where_right
-from ringwear_par.cases.values import is_number
-from ringwear_par.identification.definition.problem import Criterion, Experiment, Series, Space
-from ringwear_par.identification.definition.tables import TableReader
+from ringwear_par.cases.tables import TableReader
+from ringwear_par.identification.definition import schema
+from ringwear_par.identification.definition.problem import Experiment, Series, Space
 
-CRITERIA = get_args(Criterion)
 #: keys of the load, of which one may vary, and of all that may
 LOADS = ("load.pressure", "load.force")
 _STEPS, _PROFILES, _AT = "load.steps", "profiles", "profile.at"
 INSTANTS = (_PROFILES, _AT)
-VARY = (*LOADS, "load.omega", "time.end", _STEPS, _PROFILES, _AT)
-COUNTS = {_STEPS: 4, _PROFILES: 4}
-MOST_EXPERIMENTS, MOST_CANDIDATES = 6, 2000
+MOST_CANDIDATES = 2000
 
 #: values of a range that are tried; of loads where a test has several; of durations
 _LEVELS, _STEP_LEVELS, _DURATIONS, _SPEEDS = 15, 6, 10, 3
@@ -89,54 +84,22 @@ class Candidate:
 
 def read_space(said: str, table: Any, faults: list[str]) -> Space:
     """Return what ``[design]`` asks, and add what is wrong with it to the faults."""
-    reader = TableReader(said, table, faults)
-    criterion = reader.choice("criterion", CRITERIA, "D")
+    reader = TableReader(said, table, faults, schema.DESIGN)
+    criterion = reader.read("criterion")
     vary, budget = (reader.raw(key, {}) for key in ("vary", "budget"))
     reader.finish()
-    ranges: dict[str, tuple[float, float]] = {}
-    vary = TableReader(f"{said}.vary", vary, faults)
-    for key in VARY:
-        if key in vary and (found := _range(vary, key)) is not None:
-            ranges[key] = found
-    for key in VARY:
-        vary.raw(key)
+    vary = TableReader(f"{said}.vary", vary, faults, schema.VARY)
+    values = {key: vary.read(key) for key in schema.VARY}
+    ranges = {key: value for key, value in values.items() if value is not None}
     vary.finish()
     if all(key in ranges for key in LOADS):
         vary.fault("load.pressure and load.force: only one of them may vary")
     if _STEPS in ranges and not any(key in ranges for key in LOADS):
         vary.wrong(_STEPS, "needs load.pressure or load.force beside it, the range of the loads")
-    limits = TableReader(f"{said}.budget", budget, faults)
-    seconds, count = in_unit_where_right(limits.raw("time.end"), "s"), limits.raw("experiments", 1)
+    limits = TableReader(f"{said}.budget", budget, faults, schema.BUDGET)
+    seconds, count = limits.read("time.end"), limits.read("experiments")
     limits.finish()
-    if seconds is not None and not (is_number(seconds) and 0.0 < seconds < np.inf):
-        limits.wrong("time.end", "must be a number above 0, s of all experiments together")
-        seconds = None
-    if not (isinstance(count, int) and not isinstance(count, bool)) or not (
-        1 <= count <= MOST_EXPERIMENTS
-    ):
-        limits.wrong("experiments", f"must be a whole number from 1 to {MOST_EXPERIMENTS}")
-        count = 1
-    return Space(criterion, ranges, seconds, count)  # type: ignore[arg-type]
-
-
-def _range(reader: TableReader, key: str) -> tuple[float, float] | None:
-    value = in_unit_where_right(reader.raw(key), unit_of(key))
-    most = COUNTS.get(key)
-    fine = (
-        isinstance(value, list | tuple)
-        and len(value) == 2
-        and all(is_number(v) and np.isfinite(v) for v in value)
-        and 0.0 < value[0] <= value[1]
-    )
-    if fine and most is not None:
-        fine = all(float(v).is_integer() and v <= most for v in value)
-    if not fine or (key == _AT and value[1] > 1.0):
-        allowed = "above 0" if most is None else f"whole, from 1 to {most}"
-        if key == _AT:
-            allowed = "above 0 and at most 1, parts of the test"
-        reader.wrong(key, f"must be [lowest, highest], two numbers, {allowed}")
-        return None
-    return float(value[0]), float(value[1])
+    return Space(criterion, ranges, seconds, count)
 
 
 def count_of(space: Space) -> int:

@@ -3,12 +3,10 @@
 from collections.abc import Sequence
 
 from ringwear_par.cases.case import Case, density_keys
-from ringwear_par.cases.values import number
-from ringwear_par.identification.definition.problem import BASE
-from ringwear_par.identification.definition.tables import TableReader
+from ringwear_par.cases.tables import TableReader
+from ringwear_par.identification.definition.schema import DENSITIES
 
-#: g/mm3: foams have more, osmium has less; other units of densities, in g/mm3
-DENSITIES = (1e-5, 0.03)
+#: units of densities, in g/mm3
 _OTHERS = {"g/cm3": 1e-3, "kg/m3": 1e-6, "kg/mm3": 1e3, "t/mm3": 1e6}
 
 
@@ -29,7 +27,7 @@ def density_of(reader: TableReader, quantity: str, case: Case | None) -> float |
         _check_densities(reader, body, known)
         return own
     usual = ... if own is None else own
-    density: float | None = reader.read("density", number(0.0), usual, BASE["density"])
+    density: float | None = reader.read("density", usual)
     if density is not None and (must := _of_no_material(density)):
         reader.wrong("density", must)
     return density

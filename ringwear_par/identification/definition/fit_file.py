@@ -12,10 +12,11 @@ from ringwear_par.cases.case import Case
 from ringwear_par.cases.files.faults import Origin
 from ringwear_par.cases.files.keys import base_keys, flatten, in_full, kinds, override, read_keys
 from ringwear_par.cases.files.reading import make_case
+from ringwear_par.cases.tables import TableReader
 from ringwear_par.cases.text import shortened, toml_value
-from ringwear_par.cases.values import number, some_of, text, whole
 from ringwear_par.errors import MOST_FAULTS, InputError, legible
 from ringwear_par.history.limits import check_case
+from ringwear_par.identification.definition import schema
 from ringwear_par.identification.definition.candidates import read_space
 from ringwear_par.identification.definition.fitted import read_parameters, refuse_both, refuse_fixed
 from ringwear_par.identification.definition.problem import (
@@ -26,7 +27,6 @@ from ringwear_par.identification.definition.problem import (
     Settings,
 )
 from ringwear_par.identification.definition.series import FileStore, read_series
-from ringwear_par.identification.definition.tables import TableReader
 from ringwear_par.textfiles import parse_toml, read_text, refuse_depth
 
 #: what a fit needs of histories, and how they are stepped
@@ -36,8 +36,6 @@ _OUTPUT = {
     "output.boundary": "none", "stress": None,
 }  # fmt: skip
 _TABLES = ("case", "fit", "experiment", "compare", "design")
-INTERVALS = ("linear", "profile", "posterior")
-MOST_STARTS, MOST_SAMPLES = 10_000, 10_000_000
 
 
 def read_fit(source: Path | str | Mapping[str, Any], *, plans: bool = False) -> Problem:
@@ -115,21 +113,13 @@ def _plain(value: Any) -> Any:
 def _read_settings(
     said: str, table: Any, faults: list[str]
 ) -> tuple[Settings, tuple[FittedParameter, ...]]:
-    reader = TableReader(said, table, faults)
+    reader = TableReader(said, table, faults, schema.FIT)
     parameters = read_parameters(f"{said}.parameters", reader.raw("parameters"), faults)
-    usual = Settings()
-    starts = reader.read("starts", whole(1, MOST_STARTS), usual.starts)
-    method = reader.choice("method", ("brgn", "lm"), usual.method)
-    intervals = reader.read("intervals", some_of(*INTERVALS), usual.intervals)
-    level = reader.read("level", number(0.5, 1.0), usual.level)
-    loss = reader.choice("loss", ("gaussian", "student"), usual.loss)
-    samples = reader.read("samples", whole(1, MOST_SAMPLES), usual.samples)
+    names = ("starts", "method", "intervals", "samples", "level", "loss")
+    settings = {name: reader.read(name) for name in names}
     reader.finish()
-    intervals = ("linear", *(each for each in intervals if each != "linear"))
-    return (
-        Settings(starts, method, intervals, samples, level, loss),  # type: ignore[arg-type]
-        parameters,
-    )
+    intervals = dict.fromkeys(("linear", *settings.pop("intervals")))
+    return Settings(intervals=tuple(intervals), **settings), parameters
 
 
 class _Experiments:
@@ -178,11 +168,11 @@ class _Experiments:
     def _experiment(
         self, i: int, table: Any, parameters: tuple[FittedParameter, ...], faults: list[str]
     ) -> Experiment | None:
-        reader = TableReader(f"{self._name}: experiment {i}", table, faults)
-        name = reader.read("name", text("a text, its name"))
+        reader = TableReader(f"{self._name}: experiment {i}", table, faults, schema.EXPERIMENT)
+        name = reader.read("name")
         if name is None:
             return None
-        said = reader.said = f'{self._name}: experiment "{legible(name)}"'
+        said = reader.place = f'{self._name}: experiment "{legible(name)}"'
         changes = self._changes(reader, faults)
         refuse_both(f"{said}: set", parameters, changes, faults)
         case = None
@@ -215,7 +205,7 @@ class _Experiments:
             reader.wrong("set", "must be a table of case keys")
             return {}
         try:
-            return in_full(flatten(given, f"{reader.said}: set"), self._folder)
+            return in_full(flatten(given, f"{reader.place}: set"), self._folder)
         except InputError as error:
             faults += error.faults
             return {}
@@ -315,10 +305,10 @@ def _read_alternatives(
     for name, entry in table.items():
         reader = TableReader(f"{said}.{legible(name)}", entry, faults)
         given = reader.raw("set", {})
-        parameters = read_parameters(f"{reader.said}.parameters", reader.raw("parameters"), faults)
+        parameters = read_parameters(f"{reader.place}.parameters", reader.raw("parameters"), faults)
         reader.finish()
         try:
-            changes = flatten(given if isinstance(given, Mapping) else {"": given}, reader.said)
+            changes = flatten(given if isinstance(given, Mapping) else {"": given}, reader.place)
         except InputError as error:
             faults += error.faults
             continue

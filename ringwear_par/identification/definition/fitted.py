@@ -10,25 +10,23 @@ from ringwear_par.cases.case import Case
 from ringwear_par.cases.files.suggestions import nearest_key
 from ringwear_par.cases.numbers import interval_of
 from ringwear_par.cases.schema import BY_PATH, key_of, layer_entry, unit_of
+from ringwear_par.cases.tables import TableReader
 from ringwear_par.cases.text import shortened
 from ringwear_par.cases.units import in_unit
-from ringwear_par.cases.values import RejectedError, number
+from ringwear_par.cases.values import RejectedError
 from ringwear_par.errors import MOST_FAULTS, InputError, legible
 from ringwear_par.history.elastic_numbers import elastic_numbers
 from ringwear_par.history.sensitivity import differentiable
 from ringwear_par.identification.definition.problem import FittedParameter, Problem
-from ringwear_par.identification.definition.tables import TableReader
+from ringwear_par.identification.definition.schema import PARAMETER
 from ringwear_par.studies.definition.variations import split_key
-
-SCALES = ("linear", "log")
-_ENTRIES = frozenset({"start", "bounds", "scale", "prior"})
 
 
 def unnested(table: Mapping[str, Any]) -> dict[str, Any]:
     """Return entries by dotted key, whether written quoted or not."""
     flat: dict[str, Any] = {}
     for key, entry in table.items():
-        if isinstance(entry, Mapping) and entry and not _ENTRIES & entry.keys():
+        if isinstance(entry, Mapping) and entry and not PARAMETER.keys() & entry.keys():
             flat.update({f"{key}.{inner}": value for inner, value in unnested(entry).items()})
         else:
             flat[key] = entry
@@ -75,11 +73,9 @@ def _parameter(said: str, key: str, table: Any, faults: list[str]) -> FittedPara
         if len(made) < len(table):
             return None
         table = made
-    reader = TableReader(said, table, faults)
-    start = reader.read("start", number(-math.inf))
-    bounds = reader.bounds()
-    log = reader.choice("scale", SCALES, "linear") == "log"
-    prior = reader.prior()
+    reader = TableReader(said, table, faults, PARAMETER)
+    start, bounds = reader.read("start"), reader.read("bounds")
+    log, prior = reader.read("scale") == "log", reader.read("prior")
     reader.finish()
     if bounds is not None:
         if log and bounds[0] <= 0:

@@ -1,48 +1,11 @@
 """Readings that are planned: where they are to be taken, before any test has been made."""
 
-import itertools
-import math
-from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ringwear_par.arrays import FloatArray
-from ringwear_par.cases.values import RejectedError, Values, is_number, number, whole
-
 if TYPE_CHECKING:
     from ringwear_par.identification.estimation.least_squares import LeastSquares
-
-#: of one series
-MOST_READINGS = 100_000
-_FROM_TO = frozenset({"from", "to", "count"})
-
-
-def instants() -> Values:
-    """Return lists of increasing numbers, and equal steps from one to another."""
-
-    def read(value: Any) -> FloatArray:
-        if isinstance(value, Mapping):
-            if set(value) != _FROM_TO:
-                raise RejectedError
-            low, high = (number(-math.inf).read(value[key]) for key in ("from", "to"))
-            count = whole(2, MOST_READINGS).read(value["count"])
-            if low >= high:
-                raise RejectedError
-            return np.linspace(low, high, count)
-        if not isinstance(value, list) or not 0 < len(value) <= MOST_READINGS:
-            raise RejectedError
-        if not all(is_number(v) and math.isfinite(v) for v in value):
-            raise RejectedError
-        if any(after <= before for before, after in itertools.pairwise(value)):
-            raise RejectedError
-        return np.array(value, dtype=float)
-
-    told = (
-        "{ from = a, to = b, count = n } with a < b and n from 2 to "
-        f"{MOST_READINGS}, or a list of increasing numbers"
-    )
-    return Values("times", read, told)
 
 
 def fill(squares: "LeastSquares") -> None:

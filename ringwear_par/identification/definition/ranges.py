@@ -4,8 +4,8 @@ import numpy as np
 
 from ringwear_par.arrays import IntArray
 from ringwear_par.cases.case import Case
+from ringwear_par.cases.tables import TableReader
 from ringwear_par.identification.definition.problem import Series
-from ringwear_par.identification.definition.tables import TableReader
 from ringwear_par.measurements import and_more
 
 

@@ -1,46 +1,102 @@
-"""The keys of a fit file, for those who write one: ``ringwear info --schema fit``."""
+"""The keys of a fit file: one list that reading, messages and ``info --schema fit`` follow."""
 
+import itertools
 import math
-from typing import Any, NamedTuple, get_args
+from collections.abc import Mapping
+from typing import Any, get_args
 
-from ringwear_par.cases.schema import keys_told
-from ringwear_par.cases.values import number, pair, some_of, whole
-from ringwear_par.identification.definition.candidates import COUNTS, CRITERIA, MOST_EXPERIMENTS
-from ringwear_par.identification.definition.densities import DENSITIES
-from ringwear_par.identification.definition.fit_file import INTERVALS, MOST_SAMPLES, MOST_STARTS
-from ringwear_par.identification.definition.fitted import SCALES
-from ringwear_par.identification.definition.planned import instants
-from ringwear_par.identification.definition.problem import Loss, Method, Settings, Space
-from ringwear_par.identification.definition.series import NUISANCES, QUANTITIES
+import numpy as np
+
+from ringwear_par.arrays import FloatArray
+from ringwear_par.cases.schema import Key
+from ringwear_par.cases.tables import keys_of_table
+from ringwear_par.cases.values import (
+    RejectedError,
+    Values,
+    anything,
+    is_finite,
+    is_number,
+    number,
+    one_of,
+    pair,
+    some_of,
+    text,
+    whole,
+)
+from ringwear_par.identification.definition.problem import (
+    Criterion,
+    Loss,
+    Method,
+    Prior,
+    Quantity,
+    Settings,
+    Space,
+)
+
+QUANTITIES = get_args(Quantity)
+#: nuisances that a quantity may have
+NUISANCES = {
+    "penetration": ("offset", "drift", "compliance"),
+    "approach": ("offset", "drift", "compliance"),
+    "torque": ("offset", "drift"),
+    "profile": ("level", "tilt"),
+    "mass": ("offset",),
+    "volume": ("offset",),
+}
+#: g/mm3: foams have more, osmium has less
+DENSITIES = (1e-5, 0.03)
+#: most loads, and most profiles, of a next test
+COUNTS = {"load.steps": 4, "profiles": 4}
+_MOST_STARTS, _MOST_SAMPLES, _MOST_EXPERIMENTS, _MOST_READINGS = 10_000, 10_000_000, 6, 100_000
 
 
-class FitKey(NamedTuple):
-    """One key of a fit file.
+def _instants() -> Values:
+    """Return lists of increasing numbers, and equal steps from one to another."""
 
-    Parameters
-    ----------
-    path : its dotted name, tables of a list without their number; KEY, NAME and KIND are users'.
-    unit : "data's" for that of the readings.
-    default : ... where the key must be given, None where there is none.
-    """
+    def read(value: Any) -> FloatArray:
+        if isinstance(value, Mapping):
+            if value.keys() != {"from", "to", "count"}:
+                raise RejectedError
+            low, high = (number(-math.inf).read(value[name]) for name in ("from", "to"))
+            count = whole(2, _MOST_READINGS).read(value["count"])
+            if low >= high:
+                raise RejectedError
+            return np.linspace(low, high, count)
+        if not isinstance(value, list) or not 0 < len(value) <= _MOST_READINGS:
+            raise RejectedError
+        if not all(is_number(v) and math.isfinite(v) for v in value):
+            raise RejectedError
+        if any(after <= before for before, after in itertools.pairwise(value)):
+            raise RejectedError
+        return np.array(value, dtype=float)
 
-    path: str
-    unit: str
-    default: Any
-    meaning: str
-    allowed: str
+    return Values(
+        "times",
+        read,
+        "{ from = a, to = b, count = n } with a < b and n from 2 to "
+        f"{_MOST_READINGS}, or a list of increasing numbers",
+    )
 
 
-def _one_of(names: tuple[str, ...]) -> str:
-    return "one of " + ", ".join(f'"{name}"' for name in names)
+def _prior() -> Values:
+    """Return normal distributions."""
+
+    def read(value: Any) -> Prior:
+        numbers = value.get("normal") if isinstance(value, Mapping) and len(value) == 1 else None
+        if not isinstance(numbers, list | tuple) or len(numbers) != 2:
+            raise RejectedError
+        if not all(is_number(v) and math.isfinite(v) for v in numbers) or numbers[1] <= 0:
+            raise RejectedError
+        return Prior(float(numbers[0]), float(numbers[1]))
+
+    return Values("any", read, "{ normal = [mean, sd] }, two numbers, sd > 0")
 
 
-_PRIOR = "{ normal = [mean, sd] }, sd > 0"
-_COLUMNS = 'texts for "time" and "value"; of a profile for "r" and "value"'
+_COLUMNS = anything('texts for "time" and "value"; of a profile for "r" and "value"')
+_CASE_KEYS = anything("a table of case keys and their values")
+_BOUNDS = pair(-math.inf)
 _USUAL, _SPACE = Settings(), Space()
-
-
-#: unit and meaning of errors that are fitted along
+#: unit and meaning of nuisances
 _ERRORS = {
     "offset": ("data's", "constant error of all readings"),
     "drift": ("data's", "error that grows in proportion to time: what it is at the end"),
@@ -49,7 +105,7 @@ _ERRORS = {
     "level": ("data's", "constant error of all depths"),
     "tilt": ("data's/mm", "error over the distance from the middle of the contact"),
 }  # fmt: skip
-#: of keys that vary between next tests
+#: unit and meaning of keys that vary between next tests
 _VARIED = {
     "load.pressure": ("MPa", "mean pressure"),
     "load.force": ("N", "axial force, instead"),
@@ -61,96 +117,118 @@ _VARIED = {
 }
 
 
-def _read_with(kind: str) -> str:
+def _quantities_with(kind: str) -> str:
     return ", ".join(quantity for quantity, kinds in NUISANCES.items() if kind in kinds)
 
 
-def _allowed(key: str) -> str:
-    if key in COUNTS:
-        return f"[lowest, highest], two whole numbers from 1 to {COUNTS[key]}"
-    most = " and at most 1" if key == "profile.at" else ""
-    return f"[lowest, highest], two numbers above 0{most}"
+def _range_of(name: str) -> Values:
+    """Return the ranges of a key that varies between next tests."""
+    most = COUNTS.get(name)
+    rule = "above 0" if most is None else f"whole, from 1 to {most}"
+    if name == "profile.at":
+        rule = "above 0 and at most 1, parts of the test"
+
+    def read(value: Any) -> tuple[float, float]:
+        if not isinstance(value, list) or len(value) != 2 or not all(map(is_finite, value)):
+            raise RejectedError
+        low, high = map(float, value)
+        if not 0.0 < low <= high or (name == "profile.at" and high > 1.0):
+            raise RejectedError
+        if most is not None and not (low.is_integer() and high.is_integer() and high <= most):
+            raise RejectedError
+        return low, high
+
+    return Values("any", read, f"[lowest, highest], two numbers, {rule}")
 
 
-_FITTED = "fit.parameters.KEY"
-_DATA = "experiment.data"
-KEYS: tuple[FitKey, ...] = (
-    FitKey("case", "-", ..., "the tests' case; experiments set what differs",
-           "the name of a case file, relative to this one; in Python a dict too"),
-    FitKey(f"{_FITTED}.start", "KEY's", ..., "where the search of a case key begins, what a dry "
-           "run and a design take it to be; KEY is a number of a wear law, contact.friction, a "
-           "load, load.omega or a modulus", "a number within the bounds"),
-    FitKey(f"{_FITTED}.bounds", "KEY's", ..., "between which it is sought",
-           pair(-math.inf).allowed),
-    FitKey(f"{_FITTED}.scale", "-", "linear", "log: its logarithm is sought", _one_of(SCALES)),
-    FitKey(f"{_FITTED}.prior", "KEY's", None, "what is known of it without these readings", _PRIOR),
-    FitKey("fit.starts", "-", _USUAL.starts, "searches: from the starts given, the others from "
-           "Sobol' points within the bounds", whole(1, MOST_STARTS).allowed),
-    FitKey("fit.method", "-", _USUAL.method, "brgn: TAO's regularised Gauss-Newton; lm: SciPy's "
-           "least_squares", _one_of(get_args(Method))),
-    FitKey("fit.intervals", "-", list(_USUAL.intervals), "by covariance, by the profile of the "
-           "likelihood, by samples of the posterior (pip install emcee); linear ones are always "
-           "told", some_of(*INTERVALS).allowed),
-    FitKey("fit.samples", "-", _USUAL.samples, "of the posterior", whole(1, MOST_SAMPLES).allowed),
-    FitKey("fit.level", "1", _USUAL.level, "of the intervals", number(0.5, 1.0).allowed),
-    FitKey("fit.loss", "-", _USUAL.loss, "student: noise with 4 degrees of freedom, where there "
-           "are outliers", _one_of(get_args(Loss))),
-    FitKey("experiment.name", "-", ..., "of the test", "a text that no other experiment has"),
-    FitKey("experiment.set", "-", None, "case keys of this test", "a table of case keys and their "
-           "values; none that is fitted"),
-    FitKey(f"{_DATA}.quantity", "-", ..., "what was read; depths, penetrations, masses and volumes "
-           "are positive where material is lost; points of a profile outside the contact are "
-           "unworn", _one_of(QUANTITIES)),
-    FitKey(f"{_DATA}.file", "-", None, "table of readings: a line of column names, then numbers; "
-           "lines that begin with # and empty cells are skipped; times may be clock times: "
-           "h:mm:ss, or min:s (h:min where units.time is h)",
-           "the name of a text file with commas, semicolons or tabs, relative to this one"),
-    FitKey(f"{_DATA}.columns", "-", None, "names of its columns, where they are not time (or r) "
-           "and value", _COLUMNS),
-    FitKey(f"{_DATA}.units", "-", None, "units of its columns, as pint knows them; default: "
-           "those in the columns' names, as in z_um or z / um, which they must not contradict; "
-           "else s, mm, N mm, g, mm^3", _COLUMNS),
-    FitKey(f"{_DATA}.value", "data's", None, "a single reading, instead of file",
-           number(-math.inf).allowed),
-    FitKey(f"{_DATA}.unit", "-", None, "unit of value, or of sd where readings are planned",
-           "a unit that pint knows, of the quantity"),
-    FitKey(f"{_DATA}.at", "s", None, "time of a profile, or of a value; default: the end of the "
-           "test", "a number within the test"),
-    FitKey(f"{_DATA}.times", "s", None, "planned readings, instead of file; for --dry-run and "
-           "ringwear design only", instants().allowed),
-    FitKey(f"{_DATA}.r", "mm", None, "planned readings of a profile, likewise", instants().allowed),
-    FitKey(f"{_DATA}.density", "g/mm3", None, "of all that the weighed body has lost, its layers "
-           "included; default: those of the case, of the body and each of its layers (a mass must "
-           "have them)",
-           "a number from {:g} to {:g}".format(*DENSITIES)),
-    FitKey(f"{_DATA}.sd", "data's", ..., "standard deviation of the readings' noise",
-           'a number > 0; a column of file; { relative = x } of the readings (of their running '
-           'median); "fit", which finds it'),
-    FitKey(f"{_DATA}.correlation_time", "s", 0.0, "over which noise is correlated (AR(1)); not of "
-           "a profile", "a number >= 0, at most 100 times the test"),
-    FitKey(f"{_DATA}.exclude", "s or mm", None, "readings left out: of a profile from radius to "
-           "radius, else from time to time", "a list of increasing pairs"),
-    *(FitKey(f"{_DATA}.nuisance.{kind}", unit, None, f"{meaning} (of {_read_with(kind)})",
-             "a table of prior and bounds, {} where nothing is known of it")
+KEYS: tuple[Key, ...] = (
+    Key("case", *text("the name of a case file, relative to this one; in Python a dict too"), "-",
+        "the tests' case; experiments set what differs"),
+    Key("fit.parameters.KEY.start", *number(-math.inf), "KEY's",
+        "where the search of a case key begins, what a dry run and a design take it to be; KEY is "
+        "a number of a wear law, contact.friction, a load, load.omega or a modulus; within the "
+        "bounds"),
+    Key("fit.parameters.KEY.bounds", *_BOUNDS, "KEY's", "smallest and largest value of the search"),
+    Key("fit.parameters.KEY.scale", *one_of("linear", "log"), "-",
+        "log: the search is for its logarithm", "linear"),
+    Key("fit.parameters.KEY.prior", *_prior(), "KEY's",
+        "knowledge of it without these readings", None),
+    Key("fit.starts", *whole(1, _MOST_STARTS), "-",
+        "searches: from the starts of the parameters, the others from Sobol' points within the "
+        "bounds", _USUAL.starts),
+    Key("fit.method", *one_of(*get_args(Method)), "-",
+        "brgn: TAO's regularised Gauss-Newton; lm: SciPy's least_squares", _USUAL.method),
+    Key("fit.intervals", *some_of("linear", "profile", "posterior"), "-",
+        "by covariance, by the profile of the likelihood, by samples of the posterior (pip install "
+        "emcee); linear ones are always computed", tuple(_USUAL.intervals)),
+    Key("fit.samples", *whole(1, _MOST_SAMPLES), "-", "of the posterior", _USUAL.samples),
+    Key("fit.level", *number(0.5, 1.0), "1", "of the intervals", _USUAL.level),
+    Key("fit.loss", *one_of(*get_args(Loss)), "-",
+        "student: noise with 4 degrees of freedom, where there are outliers", _USUAL.loss),
+    Key("experiment.name", *text("a text, its name"), "-",
+        "of the test; no other experiment has it"),
+    Key("experiment.set", *_CASE_KEYS, "-", "case keys of this test; none that is fitted", None),
+    Key("experiment.data.quantity", *one_of(*QUANTITIES), "-",
+        "measured quantity; depths, penetrations, masses and volumes are positive where material "
+        "is lost; points of a profile outside the contact are unworn"),
+    Key("experiment.data.file",
+        *text("the name of a table: a text file with commas, semicolons or tabs"), "-",
+        "table of readings, relative to this file: a line of column names, then numbers; lines "
+        "that begin with # and empty cells are skipped; times may be clock times: h:mm:ss, or "
+        "min:s (h:min where units.time is h)", None),
+    Key("experiment.data.columns", *_COLUMNS, "-",
+        "names of its columns, where they are not time (or r) and value", None),
+    Key("experiment.data.units", *_COLUMNS, "-",
+        "units of its columns, as pint knows them; default: those in the columns' names, as in "
+        "z_um or z / um, which they must not contradict; else s, mm, N mm, g, mm^3", None),
+    Key("experiment.data.value", *number(-math.inf), "data's",
+        "a single reading, instead of file", None),
+    Key("experiment.data.unit", *anything("a unit that pint knows, of the quantity"), "-",
+        "unit of value, or of sd where readings are planned", None),
+    Key("experiment.data.at", *number(0.0), "s",
+        "time of a profile, or of a value, within the test; default: the end of the test", None),
+    Key("experiment.data.times", *_instants(), "s",
+        "planned readings, instead of file; for --dry-run and ringwear design only", None),
+    Key("experiment.data.r", *_instants(), "mm", "planned readings of a profile, likewise", None),
+    Key("experiment.data.density", *number(0.0), "g/mm^3",
+        "of all that the weighed body has lost, its layers included, from {:g} to {:g}; default: "
+        "those of the case, of the body and each of its layers (a mass must have them)"
+        .format(*DENSITIES), None),
+    Key("experiment.data.sd", *number(0.0), "data's",
+        "standard deviation of the readings' noise; or the name of a column of file; or "
+        "{ relative = x } of the readings (of their running median); or \"fit\", which estimates "
+        "it"),
+    Key("experiment.data.sd.relative", *number(0.0), "1", "of the readings", None),
+    Key("experiment.data.correlation_time", *number(0.0, ends=True), "s",
+        "over which noise is correlated (AR(1)), at most 100 times the test; not of a profile",
+        0.0),
+    Key("experiment.data.exclude", *anything("a list of increasing pairs"), "s or mm",
+        "readings left out: of a profile from radius to radius, else from time to time", None),
+    *(Key(f"experiment.data.nuisance.{kind}",
+          *anything("a table of prior and bounds, {} where nothing is known of it"), unit,
+          f"{meaning} (of {_quantities_with(kind)})", None)
       for kind, (unit, meaning) in _ERRORS.items()),
-    FitKey(f"{_DATA}.nuisance.KIND.prior", "KIND's", None, "what is known of it", _PRIOR),
-    FitKey(f"{_DATA}.nuisance.KIND.bounds", "KIND's", None, "between which it is",
-           pair(-math.inf).allowed),
-    FitKey("compare.NAME.set", "-", None, "case keys of another law for the same readings, fitted "
-           "with --compare", "a table of case keys and their values"),
-    FitKey("compare.NAME.parameters", "-", ..., "its fitted keys", "as fit.parameters"),
-    FitKey("design.criterion", "-", _SPACE.criterion, "of the next tests: D, smallest volume of "
-           "the confidence ellipsoid; A, smallest mean variance over the widths of the bounds; "
-           "eig, largest expected gain of information (needs priors or --after)",
-           _one_of(CRITERIA)),
-    *(FitKey(f"design.vary.{key}", unit, None, meaning, _allowed(key))
-      for key, (unit, meaning) in _VARIED.items()),
-    FitKey("design.budget.time.end", "s", None, "of all next tests together", number(0.0).allowed),
-    FitKey("design.budget.experiments", "-", _SPACE.experiments, "how many tests come next",
-           whole(1, MOST_EXPERIMENTS).allowed),
+    Key("experiment.data.nuisance.KIND.prior", *_prior(), "KIND's", "knowledge of it", None),
+    Key("experiment.data.nuisance.KIND.bounds", *_BOUNDS, "KIND's",
+        "its smallest and largest value", (-math.inf, math.inf)),
+    Key("compare.NAME.set", *_CASE_KEYS, "-",
+        "case keys of another law for the same readings, fitted with --compare", None),
+    Key("compare.NAME.parameters", *anything("as fit.parameters"), "-", "its fitted keys"),
+    Key("design.criterion", *one_of(*get_args(Criterion)), "-",
+        "of the next tests: D, smallest volume of the confidence ellipsoid; A, smallest mean "
+        "variance over the widths of the bounds; eig, largest expected gain of information (needs "
+        "priors or --after)", _SPACE.criterion),
+    *(Key(f"design.vary.{name}", *_range_of(name), unit, meaning, None)
+      for name, (unit, meaning) in _VARIED.items()),
+    Key("design.budget.time.end", *number(0.0), "s", "of all next tests together", None),
+    Key("design.budget.experiments", *whole(1, _MOST_EXPERIMENTS), "-", "number of next tests",
+        _SPACE.experiments),
 )  # fmt: skip
-
-
-def schema() -> str:
-    """Return every key with its unit, default and meaning, and what is allowed below each."""
-    return keys_told(KEYS)
+FIT, PARAMETER, EXPERIMENT, DATA, SD, NUISANCE, DESIGN, VARY, BUDGET = (
+    keys_of_table(KEYS, table)
+    for table in (
+        "fit", "fit.parameters.KEY", "experiment", "experiment.data",
+        "experiment.data.sd",
+        "experiment.data.nuisance.KIND", "design", "design.vary", "design.budget",
+    )
+)  # fmt: skip

@@ -4,13 +4,14 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, cast, get_args
+from typing import Any, cast
 
 import numpy as np
 from scipy.ndimage import median_filter
 
 from ringwear_par.arrays import BoolArray, FloatArray, IntArray
 from ringwear_par.cases.case import Case
+from ringwear_par.cases.tables import TableReader
 from ringwear_par.cases.text import shortened
 from ringwear_par.cases.units import (
     assumption,
@@ -21,25 +22,14 @@ from ringwear_par.cases.units import (
     unit_of_anything,
     unit_of_column,
 )
-from ringwear_par.cases.values import RejectedError, number, text
+from ringwear_par.cases.values import RejectedError
 from ringwear_par.errors import InputError, legible
 from ringwear_par.identification.definition.densities import density_of
-from ringwear_par.identification.definition.planned import instants
 from ringwear_par.identification.definition.problem import BASE, Nuisance, Quantity, Series
 from ringwear_par.identification.definition.ranges import check_profile, check_times
-from ringwear_par.identification.definition.tables import TableReader
+from ringwear_par.identification.definition.schema import DATA, NUISANCE, NUISANCES, SD
 from ringwear_par.measurements import Measurements, and_more, read_measurements
 
-QUANTITIES = get_args(Quantity)
-#: which nuisances a quantity may have
-NUISANCES = {
-    "penetration": ("offset", "drift", "compliance"),
-    "approach": ("offset", "drift", "compliance"),
-    "torque": ("offset", "drift"),
-    "profile": ("level", "tilt"),
-    "mass": ("offset",),
-    "volume": ("offset",),
-}
 #: what messages say of units
 _UNITS = {
     "s": "a time, such as s, min or h", "mm": "a length, such as um, mm or inch",
@@ -112,14 +102,14 @@ def read_series(
     plans : whether readings may be planned ones.
     """
     before = len(faults)
-    reader = TableReader(said, table, faults)
-    quantity = reader.choice("quantity", QUANTITIES)
+    reader = TableReader(said, table, faults, DATA)
+    quantity = reader.read("quantity")
     if quantity is None:
         return None
     kind = quantity.partition(".")[0]
-    reader.said = f"{said} ({quantity})"
+    reader.place = f"{said} ({quantity})"
     end = math.inf if case is None else case.time.end
-    at = reader.read("at", number(0.0), None, "s")
+    at = reader.read("at")
     density = density_of(reader, quantity, case) if kind == "mass" else 1.0
     if at is not None and at > end:
         reader.wrong("at", f"must be within the test, which ends at {end:g} s")
@@ -149,7 +139,7 @@ def read_series(
         keep &= (x < low) | (x > high)
     sd, fitted = _sd(reader, found, keep)
     nuisances = _nuisances(reader, kind, case)
-    correlation = reader.read("correlation_time", number(0.0, ends=True), 0.0, "s")
+    correlation = reader.read("correlation_time")
     if correlation > 0 and kind == "profile":
         reader.wrong("correlation_time", "must be absent for a profile, it is for noise in time")
     if correlation > _LONGEST_CORRELATION * end:
@@ -208,7 +198,7 @@ class _Readings:
 
 
 def _single(reader: TableReader, kind: str, at: float) -> _Readings | None:
-    single = reader.read("value", number(-math.inf), ...)
+    single = reader.read("value")
     unit, scale = _unit(reader, kind)
     if single is None or scale is None:
         return None
@@ -237,7 +227,7 @@ def _planned(
         return None
     x = np.array([end if at is None else at])
     if where in reader:
-        x = reader.read(where, instants(), ..., "s" if where == "times" else "mm")
+        x = reader.read(where)
     unit, scale = _unit(reader, kind)
     if not plans:
         reader.wrong(usual, f"{must}; planned readings are for --dry-run and ringwear design only")
@@ -252,7 +242,7 @@ def _unit(reader: TableReader, kind: str) -> tuple[str, float | None]:
 
 
 def _from_file(reader: TableReader, kind: str, files: Files) -> _Readings | None:
-    name = reader.read("file", text("the name of a table"))
+    name = reader.read("file")
     for key in ("value", "unit"):
         if key in reader:
             reader.raw(key)
@@ -384,8 +374,8 @@ def _sd(reader: TableReader, found: _Readings, keep: BoolArray) -> tuple[FloatAr
             reader.wrong("sd", f'must be a number: "fit" needs {_SMOOTH} readings at least{more}')
         return np.full(len(value), _scatter(value[keep])), True
     if isinstance(given, Mapping):
-        share = TableReader(f"{reader.said}: sd", given, [])
-        relative = share.read("relative", number(0.0), None)
+        share = TableReader(f"{reader.place}: sd", given, [], SD)
+        relative = share.read("relative")
         if relative is None or set(given) != {"relative"}:
             reader.wrong("sd", "must be { relative = x }, a number > 0")
             return unknown, False
@@ -402,7 +392,7 @@ def _sd(reader: TableReader, found: _Readings, keep: BoolArray) -> tuple[FloatAr
             )
             return unknown, False
         return relative * smooth, False
-    single = reader.read("sd", number(0.0), ..., found.unit)
+    single = reader.read("sd", unit=found.unit)
     return np.full(len(value), math.nan if single is None else found.factor * single), False
 
 
@@ -456,9 +446,9 @@ def _nuisances(reader: TableReader, kind: str, case: Case | None) -> tuple[Nuisa
         if name not in NUISANCES[kind]:
             reader.fault(f"nuisance.{legible(name)}: must be one of {', '.join(NUISANCES[kind])}")
             continue
-        own = TableReader(f"{reader.said}: nuisance.{name}", entry, reader.faults)
-        bounds = own.bounds((-math.inf, math.inf))
-        found.append(Nuisance(name, own.prior(), bounds or (-math.inf, math.inf)))
+        own = TableReader(f"{reader.place}: nuisance.{name}", entry, reader.faults, NUISANCE)
+        bounds, prior = own.read("bounds"), own.read("prior")
+        found.append(Nuisance(name, prior, bounds))
         own.finish()
         if name == "compliance" and case is not None and case.load.force is None:
             own.fault('needs load.control = "force"')

@@ -28,7 +28,7 @@ class Progress:
     """
 
     def __init__(self, start: float, end: float) -> None:
-        self._end, self._told = end, time.perf_counter()
+        self._end, self._last_line = end, time.perf_counter()
         self._bar: Any = tqdm(
             total=end, initial=start, unit="s", leave=False, disable=not sys.stderr.isatty(),
             bar_format="{l_bar}{bar}| {n:.4g}/{total:.4g} s simulated [{elapsed}<{remaining}]",
@@ -41,8 +41,8 @@ class Progress:
             self._bar.update(time_reached - self._bar.n)
             return False
         now = time.perf_counter()
-        if now - self._told > PROGRESS_SECONDS:
-            self._told = now
+        if now - self._last_line > PROGRESS_SECONDS:
+            self._last_line = now
             log.info(
                 "step %d, time %.6g of %.6g s, approach %.6f mm",
                 snapshot.progress.steps[0], time_reached, self._end, state.contact.approach[0],
@@ -68,7 +68,7 @@ class SweepProgress:
         self, done: int, failed: int, total: int, ended: Callable[[], tuple[int, int]]
     ) -> None:
         self._before, self._total, self._ended = (done, failed), total, ended
-        self._begun = self._told = time.perf_counter()
+        self._begun = self._last_line = time.perf_counter()
         self._bar: Any = tqdm(
             total=total, initial=done + failed, unit="case", leave=False, smoothing=0.0,
             disable=not sys.stderr.isatty(),
@@ -78,9 +78,9 @@ class SweepProgress:
     def __call__(self, snapshot: Snapshot | None = None) -> bool:
         """Tell, if it is time."""
         now = time.perf_counter()
-        if now - self._told < self._pause:
+        if now - self._last_line < self._pause:
             return False
-        self._told = now
+        self._last_line = now
         done, failed = self._ended()
         ended = done + failed + sum(self._before)
         rate = (done + failed) / (now - self._begun)
@@ -105,7 +105,7 @@ class FitProgress:
     """Tells how many histories a fit has had computed, and what it is at."""
 
     def __init__(self) -> None:
-        self._told = time.perf_counter()
+        self._last_line = time.perf_counter()
         self._bar: Any = tqdm(
             unit=" histories", leave=False, smoothing=0.0, disable=not sys.stderr.isatty(),
             bar_format="{desc}{n_fmt}{unit} [{elapsed}, {rate_noinv_fmt}]",
@@ -117,11 +117,11 @@ class FitProgress:
             self._bar.update(histories - self._bar.n)
 
     def tell(self, state: str) -> None:
-        """Tell what the fit is at, where there is no terminal if it is time."""
+        """Print the state of the fit; without a terminal now and then."""
         if not self._bar.disable:
             self._bar.set_description(state)
-        elif time.perf_counter() - self._told > PROGRESS_SECONDS:
-            self._told = time.perf_counter()
+        elif time.perf_counter() - self._last_line > PROGRESS_SECONDS:
+            self._last_line = time.perf_counter()
             log.info("%s", state)
 
     def close(self) -> None:

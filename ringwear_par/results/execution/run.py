@@ -22,13 +22,17 @@ from ringwear_par.history.loop import simulate_one
 from ringwear_par.history.snapshots import Observer, Snapshot
 from ringwear_par.options import reject_unused_options
 from ringwear_par.parallel import on_first_rank, warn_of_threads
-from ringwear_par.results.checkpoints import restored
 from ringwear_par.results.execution.progress import Progress
 from ringwear_par.results.execution.recorder import Recorder
 from ringwear_par.results.execution.watch import Watch
 from ringwear_par.results.result import Result
-from ringwear_par.results.result_writing import write_result
-from ringwear_par.results.storage.result_reading import open_result, read_error, read_status
+from ringwear_par.results.storage.checkpoints import restored
+from ringwear_par.results.storage.result_files import (
+    open_result,
+    read_error,
+    read_status,
+    write_result,
+)
 from ringwear_par.results.unit_suspicions import unit_suspicions
 from ringwear_par.stopping import StopSignals, remark
 
@@ -102,13 +106,13 @@ def run_case(
         try:
             return save(error)
         except ComputationError as failure:
-            told = (
+            stored_steps = (
                 "nothing of this run is stored"
                 if stored is None
                 else f"it holds the steps up to {stored}, and --restart goes on from there"
             )
             before = f"{error}; and " if error else ""
-            raise ComputationError(f"{before}{failure}; {told}") from failure
+            raise ComputationError(f"{before}{failure}; {stored_steps}") from failure
 
     signals = StopSignals()
     with ExitStack() as noting:
@@ -260,10 +264,10 @@ def _what_is_there(output: Path, case: Case, restart: bool) -> Result | None:
     ------
     InputError : the reason.
     """
-    found = read_status(output)
-    if found is None:
+    present = read_status(output)
+    if present is None:
         return None
-    status, steps = found
+    status, steps = present
     if not restart and (status == "complete" or read_error(output)):
         return None
     before = open_result(output)

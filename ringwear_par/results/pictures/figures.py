@@ -45,7 +45,7 @@ from ringwear_par.results.pictures.stress_panels import (
 )
 from ringwear_par.results.result import FailedResult, Result
 from ringwear_par.results.storage.export import boundary_states
-from ringwear_par.results.storage.result_reading import result_of
+from ringwear_par.results.storage.result_files import result_of
 from ringwear_par.results.storage.stored_stresses import (
     check_grid,
     interfaces_of,

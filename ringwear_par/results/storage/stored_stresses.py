@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ringwear_par.arrays import FloatArray
-from ringwear_par.elasticity.boundary_fields import BODIES
+from ringwear_par.elasticity.stress.boundary_fields import BODIES
 from ringwear_par.elasticity.stress.fields import StressHistory, StressState
 from ringwear_par.errors import InputError
 from ringwear_par.results.result import Result
@@ -41,8 +41,8 @@ def check_grid(result: Result) -> None:
 
 def nearest_states(states: Sequence[StressState], times: Sequence[float]) -> list[StressState]:
     """Return the states nearest to times (s), the last one for none."""
-    there = np.array([state.time for state in states])
-    rows = {int(np.abs(there - time).argmin()) for time in times} or {len(there) - 1}
+    stored = np.array([state.time for state in states])
+    rows = {int(np.abs(stored - time).argmin()) for time in times} or {len(stored) - 1}
     return [states[row] for row in sorted(rows)]
 
 
@@ -80,13 +80,13 @@ def interfaces_of(result: Result) -> list[Interface]:
     ------
     InputError : there are none.
     """
-    found = [
+    interfaces = [
         Interface(body, layer, of.r, float(z))
         for body, of in enumerate(stresses(result).interfaces)
         for layer, z in enumerate(of.z)
     ]
-    if not found:
+    if not interfaces:
         raise InputError(
             f"{result.name}: holds no stresses along interfaces; must be of a body with layers"
         )
-    return found
+    return interfaces

@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from ringwear_par.results.hdf5_writing import atomic_hdf5
 from ringwear_par.results.storage.cells import Cells
+from ringwear_par.results.storage.hdf5 import atomic_hdf5
 
 _VERSION = (2, 0)
 #: VTK's numbers of a line through several points, and of a quadrangle

@@ -6,8 +6,13 @@ from typing import Any
 
 import numpy as np
 
-from ringwear_par.results.hdf5_reading import read_array, read_number, read_text, reading
-from ringwear_par.results.hdf5_writing import atomic_hdf5
+from ringwear_par.results.storage.hdf5 import (
+    atomic_hdf5,
+    read_array,
+    read_number,
+    read_text,
+    reading,
+)
 from ringwear_par.results.variables import Variable
 from ringwear_par.studies.analysis.predictions import Surrogate, unit_of
 from ringwear_par.studies.analysis.regression import Part, Response, forms_for

@@ -18,15 +18,15 @@ from ringwear_par.cases.files.keys import base_keys, in_full, kinds
 from ringwear_par.cases.files.suggestions import unknown_key
 from ringwear_par.cases.layers import LAYERS
 from ringwear_par.cases.text import shortened, toml_value
+from ringwear_par.cases.values import RejectedError
 from ringwear_par.errors import MOST_FAULTS, InputError, legible
+from ringwear_par.studies.definition.schema import DESIGN, MOST_CASES
 from ringwear_par.studies.definition.variations import (
-    MOST_CASES,
     Column,
     Variation,
     column_of,
     has_entry,
     is_known,
-    is_whole,
     path_of,
     read_variations,
     split_key,
@@ -34,7 +34,6 @@ from ringwear_par.studies.definition.variations import (
 )
 from ringwear_par.textfiles import parse_toml, parse_value, read_text, refuse_depth
 
-METHODS = ("grid", "sobol", "latin-hypercube", "random", "list")
 SAMPLED = ("sobol", "latin-hypercube", "random")
 #: faults of a table told one by one
 _FAULTS_TOLD = 5
@@ -101,13 +100,8 @@ def read_draft(source: Path | str | Mapping[str, Any]) -> Draft:
         if not isinstance(table, dict):
             faults.append(f"{name}: {key} = {shortened(table)}: must be a table, [{key}]")
             raise InputError(*faults)
-    method = design.get("method", "grid")
-    if method not in METHODS:
-        faults.append(
-            f"{name}: design.method = {shortened(method)}: must be one of {', '.join(METHODS)}"
-        )
-        raise InputError(*faults)
-    faults += design_faults(name, design, method)
+    design = read_design(name, design, faults)
+    method = design["method"]
     variations = read_variations(name, vary, method, faults)
     if faults:
         raise InputError(*faults)
@@ -154,31 +148,35 @@ def _plain(tables: Mapping[str, Any]) -> dict[str, Any]:
     return found
 
 
-def design_faults(name: str, design: Mapping[str, Any], method: str) -> list[str]:
-    """Return what is wrong with the table [design], whose method is known."""
+def read_design(name: str, table: Mapping[str, Any], faults: list[str]) -> dict[str, Any]:
+    """Return the values of the table [design], and add its faults.
+
+    Raises
+    ------
+    InputError : the method is wrong; with all faults.
+    """
+
+    def read(key: str) -> Any:
+        value = table.get(key, DESIGN[key].default)
+        try:
+            return DESIGN[key].read(value)
+        except RejectedError as reason:
+            said = f"= {shortened(value)}" if key in table else "is missing"
+            why = f" ({reason})" if str(reason) else ""
+            faults.append(f"{name}: design.{key} {said}: {DESIGN[key].rule}{why}")
+            return None
+
+    method = read("method")
+    if method is None:
+        raise InputError(*faults)
     allowed = {"grid": (), "list": ("file",)}.get(method, ("count", "seed"))
-    faults = []
-    for key, value in design.items():
-        if key != "method" and key not in allowed:
-            faults.append(
-                f"{name}: design.{legible(key)} = {shortened(value)}: must be absent; method = "
-                f'"{method}" knows {", ".join(("method", *allowed))}'
-            )
-    if method in SAMPLED:
-        count, seed = design.get("count"), design.get("seed", 0)
-        if not (isinstance(count, int) and is_whole(count) and 1 <= count <= MOST_CASES):
-            said = "is missing" if count is None else f"= {shortened(count)}"
-            faults.append(
-                f"{name}: design.count {said}: must be a whole number from 1 to {MOST_CASES}"
-            )
-        if not is_whole(seed) or seed < 0:
-            faults.append(f"{name}: design.seed = {shortened(seed)}: must be a whole number >= 0")
-    if method == "list" and not isinstance(design.get("file"), str):
-        said = f"= {shortened(design['file'])}" if "file" in design else "is missing"
-        faults.append(
-            f"{name}: design.file {said}: must be the name of a CSV file, relative to this one"
-        )
-    return faults
+    faults += [
+        f"{name}: design.{legible(key)} = {shortened(value)}: must be absent; method = "
+        f'"{method}" knows {", ".join(("method", *allowed))}'
+        for key, value in table.items()
+        if key not in ("method", *allowed)
+    ]
+    return {"method": method, **{key: read(key) for key in allowed}}
 
 
 def drawn(
@@ -203,7 +201,7 @@ def drawn(
         return columns
     from scipy.stats import qmc  # slow to import, and not needed to draw a figure
 
-    count, seed, d = design["count"], design.get("seed", 0), len(variations)
+    count, seed, d = design["count"], design["seed"], len(variations)
     if method == "sobol":  # whole powers of 2, cut: a longer design begins with a shorter one
         if d > qmc.Sobol.MAXDIM:
             raise InputError(f"{name}: [vary] has {d} keys; must be at most {qmc.Sobol.MAXDIM}")

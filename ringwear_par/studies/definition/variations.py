@@ -17,9 +17,8 @@ from ringwear_par.cases.text import shortened, toml_value
 from ringwear_par.cases.units import without_units
 from ringwear_par.cases.values import RejectedError, is_finite, is_number
 from ringwear_par.errors import MOST_FAULTS, legible
+from ringwear_par.studies.definition.schema import MOST_CASES
 
-#: of a design
-MOST_CASES = 10**7
 #: samples are not nearer to the ends of a range than this part of it, which may be open ones
 _INSIDE = 1e-9
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from mpi4py import MPI
 
 from ringwear_par.cases.case import Case, need_case
-from ringwear_par.elasticity.pair import ContactPair
+from ringwear_par.elasticity.bem.pair import ContactPair
 from ringwear_par.elasticity.stress.recovery import load_stress_kernels
 from ringwear_par.errors import InputError
 from ringwear_par.history.elastic.bodies import operator_key
@@ -138,4 +138,4 @@ def _failed(case: Case, error: Exception) -> FailedResult:
     told = as_ours(error)
     # they hold the model and its matrices
     told.__traceback__ = told.__cause__ = told.__context__ = None
-    return FailedResult(case.told, told)
+    return FailedResult(case.stored_text, told)

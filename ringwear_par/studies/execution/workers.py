@@ -11,7 +11,7 @@ from mpi4py import MPI
 
 from ringwear_par import __version__
 from ringwear_par.cases.case import Case
-from ringwear_par.elasticity.pair import ContactPair
+from ringwear_par.elasticity.bem.pair import ContactPair
 from ringwear_par.errors import (
     ComputationError,
     InputError,
@@ -23,13 +23,11 @@ from ringwear_par.history.loop import simulate_one
 from ringwear_par.history.snapshots import Observer, Snapshot
 from ringwear_par.options import reject_unused_options
 from ringwear_par.parallel import on_first_rank, together
-from ringwear_par.results.columns import HistoryColumns
 from ringwear_par.results.execution.progress import SweepProgress
 from ringwear_par.results.execution.recorder import Recorder
 from ringwear_par.results.execution.watch import Watch
-from ringwear_par.results.result import Result
-from ringwear_par.results.result_writing import write_result
-from ringwear_par.results.storage.result_reading import open_result
+from ringwear_par.results.result import HistoryColumns, Result
+from ringwear_par.results.storage.result_files import open_result, write_result
 from ringwear_par.results.unit_suspicions import but_varied
 from ringwear_par.stopping import StopSignals
 from ringwear_par.studies.definition.texts import Texts

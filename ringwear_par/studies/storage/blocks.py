@@ -22,7 +22,7 @@ import numpy as np
 from ringwear_par.arrays import FloatArray, IntArray
 from ringwear_par.cases.case import Case
 from ringwear_par.files import open_ordinary
-from ringwear_par.results.columns import HistoryColumns
+from ringwear_par.results.result import HistoryColumns
 from ringwear_par.results.variables import LAYER_PROFILES, LINE
 from ringwear_par.studies.definition.texts import Texts
 from ringwear_par.studies.storage.index import (
@@ -142,7 +142,7 @@ class Block:
             seconds=np.array([record.seconds for record in records]),
             status=tuple(record.status for record in records),
             reason=tuple(record.error for record in records),
-            each={name: last(name) for name in EACH if name in first},
+            whole={name: last(name) for name in EACH if name in first},
         )
         return cls(
             tuple(record.id for record in records),
@@ -189,7 +189,7 @@ class Block:
             (_ROWS, {"step": self.step, **columns.histories}),
             (_ROWS if self.deep else _EACH, columns.profiles),
             (_ONCE, self.line),
-            (_EACH, columns.each),
+            (_EACH, columns.whole),
         )
         arrays = {name: values for _, table in tables for name, values in table.items()}
         data = [np.ascontiguousarray(v, dtype=_dtype(n)).tobytes() for n, v in arrays.items()]

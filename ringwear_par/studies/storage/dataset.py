@@ -22,10 +22,16 @@ from ringwear_par.cases.schema import unit_of
 from ringwear_par.cases.text import toml_value
 from ringwear_par.cases.values import is_number
 from ringwear_par.errors import InputError
-from ringwear_par.results.edge_elements import edge_elements
-from ringwear_par.results.hdf5_writing import atomic_hdf5
-from ringwear_par.results.stress_variables import POINT_SIDE, side_words
-from ringwear_par.results.variables import EDGE_ELEMENT, HISTORIES, LINE, Variable
+from ringwear_par.results.storage.hdf5 import atomic_hdf5
+from ringwear_par.results.stress_variables import side_words
+from ringwear_par.results.variables import (
+    EDGE_ELEMENT,
+    HISTORIES,
+    LINE,
+    POINT_SIDE,
+    Variable,
+    edge_elements,
+)
 from ringwear_par.studies.definition.variations import Column, own_key, value_of
 from ringwear_par.studies.storage.case_variables import (
     WINDOW,

@@ -8,12 +8,13 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ringwear_par.arrays import FloatArray, IntArray
-from ringwear_par.results.stress_variables import LAYER_STRESS, MAX_MISES
 from ringwear_par.results.variables import (
     HISTORIES,
     LAYER_HISTORIES,
     LAYER_PROFILES,
+    LAYER_STRESS,
     LAYER_VOLUMES,
+    MAX_MISES,
     TIMES_THROUGH,
     Variable,
 )

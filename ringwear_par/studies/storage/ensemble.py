@@ -11,7 +11,7 @@ import numpy as np
 from ringwear_par.arrays import BoolArray, FloatArray, IntArray
 from ringwear_par.cases.schema import BY_PATH
 from ringwear_par.errors import InputError
-from ringwear_par.results.hdf5_reading import (
+from ringwear_par.results.storage.hdf5 import (
     find_array,
     find_texts,
     read_array,

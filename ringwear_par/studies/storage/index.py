@@ -11,7 +11,7 @@ import numpy as np
 
 from ringwear_par.arrays import IntArray
 from ringwear_par.errors import ComputationError, InputError
-from ringwear_par.results.hdf5_reading import UnreadableError
+from ringwear_par.results.storage.hdf5 import UnreadableError
 
 #: a case's status is a place in this
 STATUS = ("incomplete", "failed", "done")

@@ -10,7 +10,7 @@ import h5py
 import numpy as np
 
 from ringwear_par.errors import InputError
-from ringwear_par.results.hdf5_reading import (
+from ringwear_par.results.storage.hdf5 import (
     UnreadableError,
     find_array,
     find_words,
@@ -18,8 +18,8 @@ from ringwear_par.results.hdf5_reading import (
     read_words,
     reading,
 )
-from ringwear_par.results.stress_variables import POINT_SIDE, side_numbers
-from ringwear_par.results.variables import LINE, STEP, Variable
+from ringwear_par.results.stress_variables import side_numbers
+from ringwear_par.results.variables import LINE, POINT_SIDE, STEP, Variable
 from ringwear_par.studies.storage.index import (
     ENTRY,
     STATUS,

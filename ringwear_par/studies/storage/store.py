@@ -19,9 +19,9 @@ from ringwear_par.atomic import check_writable, remove_leftovers, unwritable
 from ringwear_par.cases.files.keys import read_keys
 from ringwear_par.errors import ComputationError, InputError
 from ringwear_par.history.observers.balances import Balances
-from ringwear_par.results.checkpoints import restored
-from ringwear_par.results.hdf5_reading import UnreadableError
-from ringwear_par.results.storage.result_reading import open_result
+from ringwear_par.results.storage.checkpoints import restored
+from ringwear_par.results.storage.hdf5 import UnreadableError
+from ringwear_par.results.storage.result_files import open_result
 from ringwear_par.results.stress_variables import point_columns, stress_rows
 from ringwear_par.results.variables import TIMES_THROUGH
 from ringwear_par.studies.definition.identities import case_id

@@ -6,14 +6,17 @@ Beside what every case has, there is what cases with layers have, and those with
 from collections.abc import Mapping
 from typing import Any
 
-from ringwear_par.results.stress_variables import LARGEST_STRESS, LAYER_STRESS, POINT_STRESS, POINTS
 from ringwear_par.results.variables import (
     HISTORIES,
+    LARGEST_STRESS,
     LAYER,
     LAYER_HISTORIES,
     LAYER_PROFILES,
+    LAYER_STRESS,
     LAYER_VOLUMES,
     LINE,
+    POINT_STRESS,
+    POINTS,
     PROFILES,
     TIMES_THROUGH,
     UPPER_LAYER,

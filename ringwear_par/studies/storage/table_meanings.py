@@ -8,7 +8,7 @@ import h5py
 import numpy as np
 
 from ringwear_par.cases.schema import unit_of
-from ringwear_par.results.stress_variables import POINT_R, POINT_SIDE, POINT_Z
+from ringwear_par.results.variables import POINT_R, POINT_SIDE, POINT_Z
 from ringwear_par.studies.definition.variations import own_key
 from ringwear_par.studies.storage.case_variables import WINDOW
 from ringwear_par.studies.storage.end_values import entry_of

@@ -1,47 +1,80 @@
-"""Result files read: see ``writing`` for what they are."""
+"""Result files: HDF5 with dimension scales, which xarray opens with h5netcdf.
+
+One process writes, to a temporary name beside the target, flushed and synced, then renamed: a file
+that is there is whole.
+"""
 
 import json
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import h5py
 import numpy as np
 
-from ringwear_par.elasticity.boundary_fields import BODIES, FACES, BoundaryFields, BoundaryState
+from ringwear_par.atomic import check_writable
 from ringwear_par.elasticity.geometry.mesh import ContactLine
-from ringwear_par.results.checkpoints import Checkpoint, read_checkpoint
-from ringwear_par.results.hdf5_reading import (
+from ringwear_par.elasticity.stress.boundary_fields import (
+    BODIES,
+    FACES,
+    BoundaryFields,
+    BoundaryState,
+)
+from ringwear_par.elasticity.stress.fields import Interfaces, Largest, StressHistory, StressState
+from ringwear_par.elasticity.stress.measures import COMPONENTS, SIDES
+from ringwear_par.errors import ComputationError
+from ringwear_par.results.result import Checkpoint, Result
+from ringwear_par.results.storage.checkpoints import read_checkpoint, write_checkpoint
+from ringwear_par.results.storage.hdf5 import (
+    atomic_hdf5,
     find_texts,
     read_array,
     read_number,
     read_numbers,
     read_text,
     reading,
+    write_variable,
 )
-from ringwear_par.results.result import Result
-from ringwear_par.results.stress_variables import read_stress
 from ringwear_par.results.variables import (
+    BOUNDARY_DIMENSIONS,
     BOUNDARY_FIELDS,
     BOUNDARY_MESH,
     BOUNDARY_STEPS_MADE,
     BOUNDARY_TIME,
     D_HISTORIES,
     D_PROFILES,
+    EDGE,
     EDGES,
+    EXCLUDE,
+    GRID_R,
+    GRID_Z,
     HISTORIES,
+    INTERFACES,
     LAYER_PROFILES,
     LAYER_VOLUMES,
     LAYERS,
+    MAX_MISES_LAYERS,
+    MAX_MISES_OF,
     PARAMETER,
     PARAMETER_UNIT,
+    POINT_R,
+    POINT_SIDE,
+    POINT_SIDES,
+    POINT_Z,
     PROFILES,
+    SIDE,
     SOFTWARE,
     STEP,
     STEPS_MADE,
+    STRESS,
+    STRESS_GRID,
+    STRESS_STEPS_MADE,
+    STRESS_TIME,
+    SURFACE_STRESS,
     Variable,
 )
 
-_WHAT = "a result file of ringwear"
+_KIND = "a result file of ringwear"
 #: texts and numbers that every file has, and those that it may have
 _TEXTS = {
     "case", "title", "status", "version", "begun_by", "scheme", "user_laws", "law_lower",
@@ -73,7 +106,7 @@ def read_status(path: Path) -> tuple[str, int] | None:
     with reading(
         path,
         SOFTWARE,
-        _WHAT,
+        _KIND,
         "; must be one (--restart), another name, or be replaced by --overwrite",
     ) as file:
         status = read_text(file.attrs["status"])
@@ -89,7 +122,7 @@ def read_error(path: Path) -> str:
     ------
     InputError : it is no result file.
     """
-    with reading(path, SOFTWARE, _WHAT) as file:
+    with reading(path, SOFTWARE, _KIND) as file:
         return read_text(file.attrs.get("error", ""))
 
 
@@ -101,7 +134,7 @@ def open_result(path: str | Path) -> Result:
     InputError : it is not one.
     """
     path = Path(path)
-    with reading(path, SOFTWARE, _WHAT) as file:
+    with reading(path, SOFTWARE, _KIND) as file:
         return _read(file, path)
 
 
@@ -111,7 +144,7 @@ def result_of(source: Result | str | Path) -> Result:
 
 
 def _read(file: h5py.File, path: Path) -> Result:
-    """Return what a file holds; any exception means that it is damaged."""
+    """Return the result in a file; any exception means that it is damaged."""
     attributes = _attributes(file)
     edges = read_array(file["line"], EDGES, {})
     if not (len(edges) > 1 and np.isfinite(edges).all() and (np.diff(edges) > 0.0).all()):
@@ -143,7 +176,7 @@ def _read(file: h5py.File, path: Path) -> Result:
         path,
         *_read_derivatives(file, sizes),
         layers=layers,
-        stress=read_stress(file, sizes),
+        stress=_read_stress(file, sizes),
     )
 
 
@@ -253,3 +286,122 @@ def _read_body(group: h5py.Group, states: int) -> list[BoundaryFields]:
         )
         for t in range(states)
     ]  # fmt: skip
+
+
+def _read_stress(file: h5py.File, sizes: dict[str, int]) -> StressHistory | None:
+    """Return the stored stresses, None where there are none; any exception means damage."""
+    if STRESS_TIME.name not in file:
+        return None
+    sizes = {**sizes, "component": len(COMPONENTS), SIDE.name: len(SIDES)}
+
+    def read(variable: Variable) -> Any:
+        return read_array(file, variable, sizes)
+
+    times, steps = read(STRESS_TIME), read(STRESS_STEPS_MADE)
+    if not (len(times) and np.isfinite(times).all() and (np.diff(times) >= 0.0).all()):
+        raise ValueError(STRESS_TIME.name)
+    count = len(times)
+    points, at_points = np.empty((0, 2)), np.empty((count, 0, 6))
+    sides: tuple[str, ...] = ()
+    if STRESS.name in file:
+        points = np.stack([read(POINT_R), read(POINT_Z)], axis=1)
+        at_points = read(STRESS)
+        sides = tuple(find_texts(file, POINT_SIDE.name, sizes, "point")[()].tolist())
+        if not set(sides) <= set(POINT_SIDES):
+            raise ValueError(POINT_SIDE.name)
+    axes, on_grid = (np.empty(0), np.empty(0)), np.empty((count, 0, 0, 6))
+    if STRESS_GRID.name in file:
+        axes = read(GRID_R), read(GRID_Z)
+        on_grid = read(STRESS_GRID)
+    surface = [read(variable) for variable in SURFACE_STRESS]
+    none = Interfaces(np.empty(0), np.empty(0)), np.empty((count, 0, len(SIDES), 0, 6))
+    lower, upper = (
+        (Interfaces(read(of.r), read(of.z)), read(of.stress)) if of.stress.name in file else none
+        for of in INTERFACES
+    )
+    largest = [
+        [Largest(*row) for row in zip(*(read(v).tolist() for v in variables), strict=True)]
+        for variables in MAX_MISES_OF
+    ]
+    layers = [  # which may have a dimension of their own
+        read_array(file, variable, {"stress_step": count})
+        if variable.name in file
+        else np.empty((count, 0))
+        for variable in MAX_MISES_LAYERS
+    ]
+    states = tuple(
+        StressState(
+            int(steps[t]), float(times[t]), at_points[t], on_grid[t],
+            (surface[0][t], surface[1][t]),
+            (largest[0][t], largest[1][t]),
+            (lower[1][t], upper[1][t]),
+            (layers[0][t], layers[1][t]),
+        )
+        for t in range(count)
+    )  # fmt: skip
+    return StressHistory(points, sides, axes, float(read(EXCLUDE)), (lower[0], upper[0]), states)
+
+
+# -- writing -------------------------------------------------------------------------------------
+
+
+def save(result: Result, path: str | Path) -> None:
+    """Write a result to a file. Not collective.
+
+    The process that calls this writes. Where several have the same result and write the same
+    file, it is whole at any time, and in the end that of one of them.
+
+    Raises
+    ------
+    InputError : a file that cannot be written.
+    ComputationError : the disk.
+    """
+    path = Path(path)
+    check_writable(path)
+    try:
+        write_result(path, result)
+    except OSError as error:
+        raise ComputationError(f"{path}: {error.strerror or error}") from error
+
+
+def write_result(path: Path, result: Result) -> None:
+    """Write a result file, complete or not, by rename. Call on one rank only.
+
+    Raises
+    ------
+    OSError : the disk or the folder.
+    """
+    with atomic_hdf5(path) as (file, check_disk):
+        for variable, values in result.variables():
+            write_variable(file, variable, values)
+        check_disk()
+        line = file.create_group("line")
+        write_variable(line, EDGE, np.arange(result.line.n + 1))
+        write_variable(line, EDGES, result.line.edges)
+        if result.boundary:
+            for i, name in enumerate(BODIES):
+                _write_boundary(file.create_group(f"boundary/{name}"), result.boundary, i)
+        if result.checkpoint is not None:
+            write_checkpoint(file.create_group("checkpoint"), result.checkpoint)
+        file.attrs.update(
+            {"software": SOFTWARE, "coordinates": " ".join(result.coordinates), **result.attributes}
+        )
+
+
+def _write_boundary(group: h5py.Group, states: Sequence[BoundaryState], body: int) -> None:
+    """Write the fields on the boundary of one body, 0 or 1, at all stored times."""
+    fields = [state.bodies[body] for state in states]
+    first = fields[0]
+    sizes = (len(states), len(first.nodes), len(first.elements), first.elements.shape[1])
+    for variable, size in zip(BOUNDARY_DIMENSIONS.values(), sizes, strict=True):
+        write_variable(group, variable, np.arange(size))
+    write_variable(group, BOUNDARY_TIME, np.array([state.time for state in states]))
+    write_variable(group, BOUNDARY_STEPS_MADE, np.array([state.step for state in states]))
+    write_variable(group, BOUNDARY_MESH["nodes"], first.elements)
+    write_variable(group, BOUNDARY_MESH["face"], first.face)
+    for attribute, variables in BOUNDARY_FIELDS.items():
+        table = np.array([getattr(f, attribute) for f in fields])
+        columns = table.reshape(*table.shape[:2], len(variables))
+        for column, variable in enumerate(variables):
+            write_variable(group, variable, columns[..., column])
+    group.attrs["coordinates"] = BOUNDARY_TIME.name

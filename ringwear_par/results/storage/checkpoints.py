@@ -1,22 +1,20 @@
 """Where a history can go on: its last state and the contact solver's next start."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from dataclasses import replace
+from typing import Any
 
+import h5py
 import numpy as np
 
-from ringwear_par.arrays import FloatArray
 from ringwear_par.batched import one
+from ringwear_par.contact.problem import ContactState, WarmStart
 from ringwear_par.errors import InputError
+from ringwear_par.history.observers.validity import ENTRIES
+from ringwear_par.history.state import Progress, Start, State
+from ringwear_par.results.result import Checkpoint, Result
+from ringwear_par.results.storage.hdf5 import read_array, read_number, read_numbers, write_variable
 from ringwear_par.results.variables import Variable
-
-if TYPE_CHECKING:
-    import h5py
-
-    from ringwear_par.contact.problem import WarmStart
-    from ringwear_par.history.state import Progress, Start, State
-    from ringwear_par.results.result import Result
 
 _BODY = Variable("body", ("body",), "1", "0 lower, 1 upper", integer=True)
 _ARRAYS = (
@@ -35,32 +33,17 @@ _NUMBERS = (
     "step", "time", "energy", "iterations", "next_step", "rejected", "assemblies", "approach",
     "force", "pending_iterations", "warm_approach",
 )  # fmt: skip
+#: of histories whose elements follow the wear, and of bodies with layers
+_OPTIONAL = ("shape", "fit", "through")
 _OF_BODIES = [variable.name for variable in _ARRAYS if variable.dimensions[0] == "body"]
 #: attributes that hold the worst of a history
 _WORST = "worst_"
 
 
-@dataclass(frozen=True, eq=False)
-class Checkpoint:
-    """A state to go on from, as files hold it: it is of no use but to ``restored``.
-
-    Parameters
-    ----------
-    numbers : by name; ``step``, ``time`` (s) and ``pending_iterations``, those of the contact
-        solver since the last stored state, among them.
-    arrays : by name, over bodies and elements.
-    worst : of the history so far, see ``WorstStates.history``.
-    """
-
-    numbers: Mapping[str, Any]
-    arrays: Mapping[str, FloatArray]
-    worst: Mapping[str, Sequence[float]]
-
-
 def take(
-    state: "State",
-    progress: "Progress",
-    warm: "WarmStart",
+    state: State,
+    progress: Progress,
+    warm: WarmStart,
     updates: int,
     pending_iterations: int,
     worst: Mapping[str, Sequence[float]],
@@ -73,15 +56,15 @@ def take(
     pending_iterations : of the contact solver since the last stored state.
     worst : see Checkpoint.
     """
-    last, made, start = one(state, 0), one(progress, 0), one(warm, 0)
+    last, steps, start = one(state, 0), one(progress, 0), one(warm, 0)
     contact = last.contact
     numbers = {
-        "step": made.steps,
+        "step": steps.steps,
         "time": last.time,
         "energy": last.energy,
-        "iterations": made.iterations,
-        "next_step": made.next_step,
-        "rejected": made.rejected,
+        "iterations": steps.iterations,
+        "next_step": steps.next_step,
+        "rejected": steps.rejected,
         "assemblies": updates,
         "approach": contact.approach,
         "force": contact.force,
@@ -103,16 +86,13 @@ def take(
     return Checkpoint(numbers, arrays, worst)
 
 
-def restored(result: "Result") -> "Start":
+def restored(result: Result) -> Start:
     """Return where a stored history goes on.
 
     Raises
     ------
     InputError : it was stored without.
     """
-    from ringwear_par.contact.problem import ContactState, WarmStart
-    from ringwear_par.history.state import Progress, Start, State
-
     if result.checkpoint is None:
         raise InputError(f"{result.name}: holds no state to go on from; must be one of a run")
     numbers, arrays = result.checkpoint.numbers, result.checkpoint.arrays
@@ -147,10 +127,8 @@ def restored(result: "Result") -> "Start":
     return Start(state, progress, warm, int(numbers["assemblies"]))
 
 
-def write_checkpoint(group: "h5py.Group", checkpoint: Checkpoint) -> None:
+def write_checkpoint(group: h5py.Group, checkpoint: Checkpoint) -> None:
     """Write a checkpoint to a group of a result file, whose elements it has."""
-    from ringwear_par.results.hdf5_writing import write_variable
-
     group.attrs.update(checkpoint.numbers)
     group.attrs.update({f"{_WORST}{name}": values for name, values in checkpoint.worst.items()})
     write_variable(group, _BODY, np.arange(2))
@@ -159,8 +137,8 @@ def write_checkpoint(group: "h5py.Group", checkpoint: Checkpoint) -> None:
             write_variable(group, variable, checkpoint.arrays[variable.name])
 
 
-def read_checkpoint(group: "h5py.Group", sizes: Mapping[str, int]) -> Checkpoint | None:
-    """Return the checkpoint in a group of a result file, None where an older version wrote less.
+def read_checkpoint(group: h5py.Group, sizes: Mapping[str, int]) -> Checkpoint:
+    """Return the checkpoint in a group of a result file.
 
     Parameters
     ----------
@@ -170,15 +148,13 @@ def read_checkpoint(group: "h5py.Group", sizes: Mapping[str, int]) -> Checkpoint
     ------
     Exception : it is damaged, see ``reading``.
     """
-    from ringwear_par.history.observers.validity import ENTRIES
-    from ringwear_par.results.hdf5_reading import read_array, read_number, read_numbers
-
     known = {**sizes, "body": 2}
-    arrays = {v.name: read_array(group, v, known) for v in _ARRAYS if v.name in group}
-    numbers = {name: read_number(group.attrs[name]) for name in _NUMBERS if name in group.attrs}
-    needed = {variable.name for variable in _ARRAYS} - {"shape", "fit", "through"}
-    if len(numbers) < len(_NUMBERS) or not needed <= arrays.keys():
-        return None
+    arrays = {
+        variable.name: read_array(group, variable, known)
+        for variable in _ARRAYS
+        if variable.name in group or variable.name not in _OPTIONAL
+    }
+    numbers = {name: read_number(group.attrs[name]) for name in _NUMBERS}
     worst = {
         name.removeprefix(_WORST): read_numbers(values)
         for name, values in group.attrs.items()

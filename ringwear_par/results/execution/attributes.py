@@ -1,0 +1,120 @@
+"""Attributes of a result: its case, laws, layers and sliding, and where its seconds went."""
+
+import json
+from typing import Any
+
+import numpy as np
+
+from ringwear_par.arrays import FloatArray
+from ringwear_par.cases.case import Case
+from ringwear_par.cases.files.law_trials import law_sources
+from ringwear_par.elasticity.bem.pair import BodyCost
+from ringwear_par.elasticity.stress.boundary_fields import BODIES
+from ringwear_par.history.model import WearModel
+from ringwear_par.info import versions
+from ringwear_par.results.variables import TIMES_THROUGH
+from ringwear_par.schedules import in_time, integral
+from ringwear_par.wear.layered import LayeredLaw
+
+
+def case_attributes(case: Case, time: float) -> dict[str, Any]:
+    """Return the attributes of a case whose history has come to a time (s). Not collective."""
+    density = {"density_lower": case.lower.density, "density_upper": case.upper.density}
+    return {
+        "case": case.stored_text,
+        "title": case.title,
+        **versions(),
+        "scheme": case.time.scheme,
+        "time_step": case.time.step,
+        "time_steps": case.time.steps,
+        "time_end": case.time.end,
+        "friction": case.friction,
+        "nominal_area": case.area,  # mm2
+        "mean_radius": 0.5 * sum(case.overlap),  # mm
+        "omega": in_time(case.load.omega, time),  # rad/s
+        "angle": integral(case.load.omega, 0.0, time),  # rad
+        **{name: value for name, value in density.items() if value is not None},
+        **{
+            f"face_{body}": section.told
+            for body, section in zip(BODIES, case.sections, strict=True)
+            if section.face
+        },
+        "user_laws": json.dumps(law_sources(case)),
+        **{
+            f"law_{body}": "" if law is None else law.describe()
+            for body, law in zip(BODIES, case.laws, strict=True)
+        },
+        **_layer_attributes(case),
+        "energy_identity": int(_has_energy_identity(case)),
+    }
+
+
+def _has_energy_identity(case: Case) -> bool:
+    """Tell whether worn volume is a constant times the friction energy, by layer, of a body."""
+    return any(
+        all(law.layer_ratios(case.friction))
+        if isinstance(law, LayeredLaw)
+        else law.per_energy(case.friction)
+        for law in case.laws
+        if law is not None
+    )
+
+
+def _layer_attributes(case: Case) -> dict[str, Any]:
+    """Return the layers in words, and densities (g/mm3, or NaN) where some are known."""
+    attributes: dict[str, Any] = {}
+    for body, ring in zip(BODIES, case.rings, strict=True):
+        if ring.layers:
+            attributes[f"layers_{body}"] = ", then ".join(
+                f"{1e3 * layer.thickness:.6g} um of E = {layer.young:.6g} MPa, "
+                f"nu = {layer.poisson:.6g}"
+                + ("" if layer.density is None else f", {layer.density:.6g} g/mm3")
+                for layer in ring.layers
+            )
+            if any(layer.density is not None for layer in ring.layers):
+                attributes[f"density_{body}_layers"] = tuple(
+                    np.nan if layer.density is None else layer.density for layer in ring.layers
+                )
+    return attributes
+
+
+def times_through(case: Case, through: FloatArray) -> dict[str, FloatArray]:
+    """Return when wear first got through the layers of each body that has some, s or NaN.
+
+    Parameters
+    ----------
+    through : (2, ...) s, see ``State``.
+    """
+    return {
+        name: np.where(np.isfinite(time), time, np.nan)
+        for name, time, ring in zip(TIMES_THROUGH, through, case.rings, strict=True)
+        if ring.layers
+    }
+
+
+def assembly_cost(model: WearModel, *, shared: bool = True) -> BodyCost:
+    """Return the cost of a contact pair and of elements that follow the wear. Not collective.
+
+    Parameters
+    ----------
+    shared : whether a pair counts that was assembled elsewhere.
+    """
+    cost = BodyCost() if model.geometry is None else model.geometry.cost
+    return cost + model.pair.cost if shared or not model.pair_is_shared else cost
+
+
+def wall_times(model: WearModel, stepping: float, output: float) -> dict[str, float]:
+    """Return wall times by attribute, s.
+
+    Parameters
+    ----------
+    stepping : from the start of a history to its last state, all included.
+    output : of it, spent on files.
+    """
+    cost = assembly_cost(model, shared=False)
+    return {
+        "seconds_assembly": cost.seconds_assembly,
+        "seconds_factorisation": cost.seconds_solution,
+        "seconds_stepping": stepping - output - (cost.seconds_assembly + cost.seconds_solution),
+        "seconds_output": output,
+    }

@@ -1,0 +1,103 @@
+"""Observer of the states from which histories can go on."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ringwear_par import batched
+from ringwear_par.arrays import BoolArray, FloatArray, IntArray
+from ringwear_par.contact.problem import WarmStart
+from ringwear_par.history.model import WearModel
+from ringwear_par.history.snapshots import Snapshot
+from ringwear_par.history.state import Progress, State
+
+
+@dataclass(frozen=True)
+class LastState:
+    """The present or last states of B histories, to go on from.
+
+    Parameters
+    ----------
+    state, progress : without derivatives.
+    warm : where the contact solver starts.
+    symmetry_defect : (B,) of the compliances.
+    finished : (B,) whether the histories have come to their ends.
+    """
+
+    state: State
+    progress: Progress
+    warm: WarmStart
+    symmetry_defect: FloatArray
+    finished: BoolArray
+
+
+def _last_states(snapshot: Snapshot, places: IntArray) -> LastState:
+    """Return the states of some histories of a snapshot."""
+    state, model = replace(snapshot.state, tangent=None), snapshot.model
+    return LastState(
+        batched.take(state, places),
+        batched.take(snapshot.progress, places),
+        batched.take(model.warm, places),
+        model.compliances.symmetry_defect[places],
+        snapshot.finished[places],
+    )
+
+
+class LastStates:
+    """The state from which each of B histories can go on: an observer. Not collective.
+
+    Of a single history it is the present one, of several those at their ends.
+
+    Parameters
+    ----------
+    count : B.
+    results : whether states of several histories are wanted, or only when they wore through layers.
+    """
+
+    def __init__(self, count: int, results: bool = True) -> None:
+        self._single, self._results = count == 1, results
+        #: the last snapshot that histories went on from; None before the first
+        self.snapshot: Snapshot | None = None
+        #: (2, B) s, when wear got through all layers of lower and upper, by the end of a history
+        self.through = np.full((2, count), np.inf)
+        self._ended: dict[int, tuple[LastState, int]] = {}
+
+    def __call__(self, snapshot: Snapshot) -> bool:
+        """Take new states."""
+        if snapshot.passing:
+            return False
+        self.snapshot = snapshot
+        places = np.flatnonzero(snapshot.finished)
+        if not len(places):
+            return False
+        numbers = snapshot.numbers[places]
+        if snapshot.state.through is not None:
+            self.through[:, numbers] = snapshot.state.through[:, places]
+        if self._results and not self._single:
+            states = _last_states(snapshot, places)
+            self._ended |= {number: (states, i) for i, number in enumerate(numbers.tolist())}
+        return False
+
+    def state(self, number: int) -> LastState:
+        """Return the last state of a history, as of one of B = 1."""
+        if self._single:
+            assert self.snapshot is not None
+            return _last_states(self.snapshot, np.zeros(1, dtype=np.int64))
+        states, place = self._ended[number]
+        return batched.take(states, np.array([place]))
+
+    @property
+    def model(self) -> WearModel:
+        """The physics of the last snapshot."""
+        assert self.snapshot is not None
+        return self.snapshot.model
+
+    @property
+    def updates(self) -> int:
+        """Number of times that elements were assembled anew to follow the wear."""
+        return 0 if self.model.geometry is None else self.model.geometry.updates
+
+    @property
+    def finished(self) -> bool:
+        """Whether a single history has come to its end."""
+        return self.snapshot is not None and bool(self.snapshot.finished.all())

@@ -1,0 +1,216 @@
+"""Observer that stores the variables of histories, row by row."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ringwear_par.arrays import BoolArray, IntArray, share
+from ringwear_par.cases.case import Case
+from ringwear_par.history.layers import layer_left, layer_volumes
+from ringwear_par.history.model import WearModel
+from ringwear_par.history.saving import stores
+from ringwear_par.history.schemes.tangent import variables as derivatives_of
+from ringwear_par.history.sensitivity import units_of
+from ringwear_par.history.snapshots import Snapshot
+from ringwear_par.history.state import State
+from ringwear_par.results.result import Result
+from ringwear_par.results.variables import (
+    D_HISTORIES,
+    D_PROFILES,
+    HISTORIES,
+    LAYER_PROFILES,
+    LAYER_VOLUMES,
+    layer_names,
+)
+
+#: along the contact line
+_WIDE = (*D_PROFILES, *LAYER_PROFILES)
+#: variables that count from the start, and the variable that they are changes of
+_SINCE_START = {"penetration": "approach", "d_penetration": "d_approach"}
+
+
+def row(model: WearModel, state: State) -> dict[str, Any]:
+    """Return the result's variables of B states by name, (B,) or (B, n). Not collective.
+
+    All but ``penetration`` and ``contact_iterations``, which other states have a part in.
+    """
+    contact, volumes = state.contact, model.integrals(state.wear)
+    values = {
+        "time": state.time,
+        "approach": contact.approach,
+        "force": contact.force,
+        "torque": model.torque(contact.pressure),
+        "twist": model.twist(contact.pressure),
+        "worn_volume_lower": volumes[0],
+        "worn_volume_upper": volumes[1],
+        "dissipated_energy": state.energy,
+        "pressure": contact.pressure,
+        "gap": contact.gap,
+        "wear_lower": state.wear[0],
+        "wear_upper": state.wear[1],
+    }
+    for i, body in enumerate(("lower", "upper")):
+        if model.layer_ends[i] is not None:
+            left = layer_left(model, i, state.wear[i])
+            values[f"share_through_{body}"] = share(model.area, left <= 0.0)
+            values[f"layer_left_{body}"] = left
+            values[f"worn_volume_{body}_layers"] = layer_volumes(model, i, state.wear[i])
+    return values
+
+
+@dataclass(frozen=True, eq=False)
+class Table:
+    """Stored rows of B histories, which follow each other.
+
+    Parameters
+    ----------
+    offsets : (B + 1,) int, where the rows of each begin and end.
+    steps : (rows,) int, steps made.
+    values : by name, over all rows; of profiles that are stored at the end only, over histories.
+    """
+
+    offsets: IntArray
+    steps: IntArray
+    values: Mapping[str, Any]
+
+
+class StoredRows:
+    """Rows of the variables that the cases of some histories store: an observer. Not collective.
+
+    Parameters
+    ----------
+    cases : of one ``lockstep.batch_key``.
+    derivatives : keys that the histories have derivatives with respect to.
+    """
+
+    def __init__(self, cases: Sequence[Case], derivatives: Sequence[str] = ()) -> None:
+        case, count = cases[0], len(cases)
+        self._case, self._count, self._n = case, count, case.line.n
+        self.histories = tuple(HISTORIES)
+        #: units of the keys
+        self.parameters = units_of(case, derivatives)
+        self.fields = case.output.fields
+        #: number of layers, the body itself included, by variable of layers
+        self.layers = {
+            name: 1 + len(case.lower.layers if "lower" in name else case.upper.layers)
+            for name in layer_names((bool(case.lower.layers), bool(case.upper.layers)))
+        }
+        self.derivatives: tuple[str, ...] = ()
+        if derivatives:
+            profiles = [f"d_{name}" for name in self.fields]
+            self.derivatives = (*D_HISTORIES, *(name for name in D_PROFILES if name in profiles))
+        stored = (*HISTORIES, *self.fields, *self.derivatives, *self.layers)
+        deep = case.output.profiles == "all"
+        last = () if deep else tuple(name for name in stored if self._along_line(name))
+        # rows as they come: numbers of the histories, steps, variables
+        self._numbers: list[IntArray] = []
+        self._steps: list[IntArray] = []
+        self._rows: dict[str, list[Any]] = {name: [] for name in stored if name not in last}
+        self._last_profiles = {name: np.full(self._shape(name, count), np.nan) for name in last}
+        #: (B,) iterations of the contact solver since the last stored state
+        self.pending = np.zeros(count, dtype=np.int64)
+
+    def restore(self, before: Result, reached: float) -> BoolArray:
+        """Take the stored rows of an interrupted single history that its case still stores.
+
+        Return which they are, (s,). The last row of a shorter run may not be among them.
+
+        Parameters
+        ----------
+        reached : s, time from which the history continues.
+        """
+        states = zip(before.steps_made.tolist(), before.histories["time"].tolist(), strict=True)
+        rows = np.array([t <= reached and stores(self._case, n, t) for n, t in states])
+        self._numbers.append(np.zeros(np.count_nonzero(rows), dtype=np.int64))
+        self._steps.append(before.steps_made[rows])
+        stored = {**before.histories, **before.profiles, **before.layers}
+        for name, parts in self._rows.items():
+            if name not in _SINCE_START:
+                parts.append(np.asarray(stored[name])[rows])
+        for name, last in self._last_profiles.items():
+            if rows[-1]:
+                last[0] = stored[name]
+        assert before.checkpoint is not None
+        self.pending[0] = int(before.checkpoint.numbers["pending_iterations"]) + int(
+            before.histories["contact_iterations"][~rows].sum()
+        )
+        return rows
+
+    def __call__(self, snapshot: Snapshot) -> bool:
+        """Take new states that are to be stored."""
+        self.pending[snapshot.numbers] += snapshot.iterations
+        stored = np.flatnonzero(snapshot.stored)
+        if not len(stored):
+            return False
+        values, numbers = row(snapshot.model, snapshot.state), snapshot.numbers[stored]
+        values["contact_iterations"] = self.pending[snapshot.numbers]
+        values |= derivatives_of(snapshot.model, snapshot.state)
+        self._numbers.append(numbers)
+        self._steps.append(snapshot.progress.steps[stored])
+        # states do not change: those of all histories are stored without a copy
+        part = slice(None) if len(stored) == len(snapshot.numbers) else stored
+        for name, rows in self._rows.items():
+            if name not in _SINCE_START:
+                rows.append(values[name][at_rows(name, part)])
+        # a single history may be stored before its end
+        last = np.flatnonzero(snapshot.finished) if self._count > 1 else stored
+        for name, profiles in self._last_profiles.items() if len(last) else ():
+            profiles[at_rows(name, snapshot.numbers[last])] = values[name][at_rows(name, last)]
+        self.pending[numbers] = 0
+        return False
+
+    def table(self) -> Table:
+        """Return all rows, by history."""
+        empty = np.empty(0, dtype=np.int64)
+        numbers = np.concatenate([empty, *self._numbers])
+        order = np.argsort(numbers, kind="stable")
+        places = np.empty(len(order), dtype=np.int64)
+        places[order] = np.arange(len(order))
+        values = {
+            name: self._column(name, parts, order, places)
+            for name, parts in self._rows.items()
+            if name not in _SINCE_START
+        }
+        numbers = numbers[order]
+        first = np.searchsorted(numbers, numbers)
+        for name, total in _SINCE_START.items():
+            if name in self._rows:
+                values[name] = values[total] - values[total][..., first]
+        offsets = np.searchsorted(numbers, np.arange(self._count + 1))
+        steps = np.concatenate([empty, *self._steps])[order]
+        return Table(offsets, steps, values | self._last_profiles)
+
+    def part(self, name: str, values: Any, rows: slice, number: int) -> Any:
+        """Return the values of a variable in some rows of a history, or its last profile."""
+        return values[at_rows(name, rows if name in self._rows else number)]
+
+    def _column(self, name: str, parts: Sequence[Any], order: IntArray, places: IntArray) -> Any:
+        """Return the rows of a variable in order; profiles, which are large, are copied once."""
+        if self._along_line(name) or name in LAYER_VOLUMES:
+            column, first = np.empty(self._shape(name, len(order))), 0
+            for part in parts:
+                count = part.shape[1 if name.startswith("d_") else 0]
+                column[at_rows(name, places[first : first + count])] = part
+                first += count
+            return column
+        dtype = HISTORIES[name].dtype if name in HISTORIES else np.float64
+        empty = np.empty(self._shape(name, 0), dtype)
+        return np.concatenate([empty, *parts], axis=-1)[..., order]
+
+    def _along_line(self, name: str) -> bool:
+        return name in self.fields or name in _WIDE
+
+    def _shape(self, name: str, rows: int) -> tuple[int, ...]:
+        """Return the shape of so many rows of a variable, or of so many histories' last ones."""
+        parameters = (len(self.parameters),) if name.startswith("d_") else ()
+        along = (self._n,) if self._along_line(name) else ()
+        if name in LAYER_VOLUMES:
+            along = (self.layers[name],)
+        return (*parameters, rows, *along)
+
+
+def at_rows(name: str, rows: Any) -> Any:
+    """Return the index of some rows of a variable, or histories: P parameters come first."""
+    return (slice(None), rows) if name.startswith("d_") else rows
