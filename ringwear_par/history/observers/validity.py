@@ -121,7 +121,7 @@ class WorstStates:
             self._table[self._rows[name], :, 0] = before[name]
 
 
-def _worn_shares(model: WearModel, body: int, p: FloatArray, wear: FloatArray) -> FloatArray:
+def _worn_shares(model: "WearModel", body: int, p: FloatArray, wear: FloatArray) -> FloatArray:
     """Return the shares of a body's layers that are worn off, meant by load, (layers, B).
 
     Parameters
@@ -140,7 +140,7 @@ def _worn_shares(model: WearModel, body: int, p: FloatArray, wear: FloatArray) -
     return np.divide(shares, total, out=np.zeros((len(ends), len(p))), where=total > 0.0)
 
 
-def _unlike_slopes(model: WearModel, p: FloatArray, wear: FloatArray) -> tuple[FloatArray, ...]:
+def _unlike_slopes(model: "WearModel", p: FloatArray, wear: FloatArray) -> tuple[FloatArray, ...]:
     """Return the share of the load between faces of unlike slopes, and where; see ``WorstStates``.
 
     Slopes are those of the faces now, and the one along whose normal elements have the pressure.
