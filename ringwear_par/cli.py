@@ -433,16 +433,16 @@ class _World:
             time.sleep(0.001)
         return True
 
-    def end(self, told: str, status: int, patience: float) -> int:
+    def end(self, message: str, status: int, patience: float) -> int:
         """Say once why the command ends, and return its status; end ranks that still wait."""
         if self.first:  # at once: launchers end the others as soon as one has ended
-            self._say(told)
+            self._say(message)
         if not self.others_come(patience):
-            self._say(told)
+            self._say(message)
             self.comm.Abort(status)
         return status
 
-    def _say(self, told: str) -> None:
+    def _say(self, message: str) -> None:
         """Say it once: what ends a command on one rank has the launcher stop the others, too."""
         if not self._said and not self._said_elsewhere():
             self._said = True
@@ -453,7 +453,7 @@ class _World:
                     if rank != self.comm.rank
                 ]
             with suppress(OSError):  # nobody can be told
-                lines = "\n".join(f"ringwear: {line}" for line in told.splitlines())
+                lines = "\n".join(f"ringwear: {line}" for line in message.splitlines())
                 print(lines, file=sys.stderr, flush=True)
 
     def _said_elsewhere(self) -> bool:
@@ -503,7 +503,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _left(words: Sequence[str]) -> str:
-    """Return what a command leaves that is stopped before it has anything to keep."""
+    """Return the words about files of a command that was stopped before it had results."""
     if "--dry-run" in words:
         return "; nothing written"
     return {

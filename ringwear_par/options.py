@@ -88,25 +88,25 @@ def _listening() -> Iterator[list[str]]:
     heard: list[str] = []
     sys.stderr.flush()
     with os.fdopen(os.memfd_create("petsc"), "w+b") as file:  # no disk, which may be full
-        kept = os.dup(2)
+        stderr = os.dup(2)
         try:
             os.dup2(file.fileno(), 2)
             yield heard
         finally:
-            os.dup2(kept, 2)
-            os.close(kept)
+            os.dup2(stderr, 2)
+            os.close(stderr)
             file.seek(0)
             heard.append(file.read().decode(errors="replace"))
 
 
 def _reason(said: str) -> str:
-    """Return what PETSc's report of an error says of it, "" if it does not."""
+    """Return the reason in PETSc's report of an error, "" for none."""
     lines = [line.partition("PETSC ERROR: ")[2] for line in said.splitlines()]
     start = next((i for i, line in enumerate(lines) if "Error Message" in line), len(lines))
-    told = itertools.takewhile(
+    reason = itertools.takewhile(
         lambda line: line and not line.startswith(("WARNING!", "See ")), lines[start + 1 :]
     )
-    return ": ".join(told)
+    return ": ".join(reason)
 
 
 def set_from_options(solver: "PETSc.KSP | PETSc.TAO", prefix: str) -> None:
@@ -151,12 +151,12 @@ def reject_unused_options() -> None:
 
     ours = (BEM_PREFIX, CONTACT_PREFIX, FIT_PREFIX)
     unused = [name for name in PETSc.Options().getAll() if not _was_used(name)]
-    others = [name for name in unused if not name.startswith(ours)]
+    foreign = [name for name in unused if not name.startswith(ours)]
     unused = [name for name in unused if name.startswith(ours)]
-    if others:
+    if foreign:
         log.warning(
             "-%s: no solver of this run reads it; names of their options begin with -%s, -%s, -%s",
-            ", -".join(others), *ours,
+            ", -".join(foreign), *ours,
         )  # fmt: skip
     if unused:
         raise InputError(

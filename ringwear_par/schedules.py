@@ -65,23 +65,27 @@ class Stacked:
 
     Parameters
     ----------
-    each : the B quantities, numbers or tables.
+    quantities : the B quantities, numbers or tables.
     """
 
-    each: tuple[float | Table, ...]
+    quantities: tuple[float | Table, ...]
 
     @cached_property
     def numbers(self) -> FloatArray | None:
         """(B,) the quantities, where they are all numbers."""
-        return None if any(isinstance(q, Table) for q in self.each) else np.array(self.each)
+        return (
+            None
+            if any(isinstance(q, Table) for q in self.quantities)
+            else np.array(self.quantities)
+        )
 
     def value(self, time: float | FloatArray, r: FloatArray | None) -> FloatArray:
         """Return (B,) values at times (B,); (B, 1) at a column, (B, n) where one is a profile."""
         column = np.ndim(time) > 1
         if self.numbers is not None:
             return self.numbers[:, None] if column else self.numbers
-        times = np.broadcast_to(np.ravel(time), len(self.each)).tolist()
-        values = [value(q, t, r) for q, t in zip(self.each, times, strict=True)]
+        times = np.broadcast_to(np.ravel(time), len(self.quantities)).tolist()
+        values = [value(q, t, r) for q, t in zip(self.quantities, times, strict=True)]
         return np.array(np.broadcast_arrays(*map(np.atleast_1d, values)) if column else values)
 
 
@@ -160,29 +164,30 @@ def _of_each(
     end: float | FloatArray,
 ) -> FloatArray:
     """Return (B,) what a function makes of each quantity between its own times."""
-    count = len(stacked.each)
+    count = len(stacked.quantities)
     starts, ends = (np.broadcast_to(t, count).tolist() for t in (start, end))
-    return np.array([function(*each) for each in zip(stacked.each, starts, ends, strict=True)])
+    arguments = zip(stacked.quantities, starts, ends, strict=True)
+    return np.array([function(*values) for values in arguments])
 
 
 def largest(quantity: Quantity) -> float:
     """Return the largest value that a quantity takes."""
     if isinstance(quantity, Stacked):
-        return max(map(largest, quantity.each))
+        return max(map(largest, quantity.quantities))
     return max(quantity.y) if isinstance(quantity, Table) else quantity
 
 
 def smallest(quantity: Quantity) -> float:
     """Return the smallest value that a quantity takes."""
     if isinstance(quantity, Stacked):
-        return min(map(smallest, quantity.each))
+        return min(map(smallest, quantity.quantities))
     return min(quantity.y) if isinstance(quantity, Table) else quantity
 
 
-def told(quantity: Quantity) -> str:
-    """Return a quantity as messages and summaries tell it."""
+def quantity_text(quantity: Quantity) -> str:
+    """Return a quantity as messages and summaries show it."""
     if isinstance(quantity, Stacked):
-        return f"{len(quantity.each)} numbers or tables to {largest(quantity):g}"
+        return f"{len(quantity.quantities)} numbers or tables to {largest(quantity):g}"
     return f"a table to {largest(quantity):g}" if isinstance(quantity, Table) else f"{quantity:g}"
 
 
@@ -191,7 +196,7 @@ def breakpoints(*quantities: Quantity | None) -> tuple[float, ...]:
     times: set[float] = set()
     for q in quantities:
         if isinstance(q, Stacked):
-            times.update(breakpoints(*q.each))
+            times.update(breakpoints(*q.quantities))
         elif isinstance(q, Table) and q.axis == "t":
             times.update(x for x in q.x if x > 0.0)
     return tuple(sorted(times))
@@ -207,25 +212,25 @@ def stack(quantities: Sequence[Quantity]) -> Quantity:
     first = quantities[0]
     if all(q == first for q in quantities):
         return first
-    each = tuple(q for q in quantities if not isinstance(q, Stacked))
-    if len(each) < len(quantities):
+    plain = tuple(q for q in quantities if not isinstance(q, Stacked))
+    if len(plain) < len(quantities):
         raise ValueError("stacks cannot be stacked")
-    return Stacked(each)
+    return Stacked(plain)
 
 
 def take(quantity: Any, histories: IntArray) -> Any:
-    """Return what some of B histories have of a stack, or of an array (B, 1) or (B, n)."""
+    """Return a stack, or an array (B, 1) or (B, n), of some of B histories."""
     if isinstance(quantity, Stacked):
-        return Stacked(tuple(quantity.each[i] for i in histories.tolist()))
+        return Stacked(tuple(quantity.quantities[i] for i in histories.tolist()))
     if isinstance(quantity, np.ndarray) and quantity.ndim > 1:
         return quantity[histories]
     return quantity
 
 
 def history(quantity: Any, i: int) -> Any:
-    """Return what one of B histories has of a stack, or of an array (B, 1) or (B, n)."""
+    """Return the entry of one of B histories in a stack, or an array (B, 1) or (B, n)."""
     if isinstance(quantity, Stacked):
-        return quantity.each[i]
+        return quantity.quantities[i]
     if isinstance(quantity, np.ndarray) and quantity.ndim > 1:
         return quantity[i] if quantity.shape[-1] > 1 else quantity[i, 0]
     return quantity

@@ -70,20 +70,20 @@ def parse_json(text: str) -> Any:
     return values
 
 
-def _reason(told: str, text: str) -> str:
+def _reason(reason: str, text: str) -> str:
     """Return why a text is no TOML, with the line that is wrong and what is usual there."""
-    match = re.search(r"at line ([0-9]+)", told)
+    match = re.search(r"at line ([0-9]+)", reason)
     lines = text.splitlines()
     if match is None or not 0 < int(match[1]) <= len(lines):
-        return legible(told)
+        return legible(reason)
     line, hint = lines[int(match[1]) - 1].strip(), ""
     if comma := re.search(r"[=\[]\s*([-+]?[0-9]+),([0-9]+)", line):
         hint = f"; decimals have a point, as {comma[1]}.{comma[2]}"
-    elif line.startswith("[") and ("overwrite" in told or "declare" in told):
+    elif line.startswith("[") and ("overwrite" in reason or "declare" in reason):
         hint = f"; a table that is there several times is [[{line.strip('[]')}]] every time"
-    elif _OPEN_TABLE.search(line) and ("key part" in told or "inline table" in told):
+    elif _OPEN_TABLE.search(line) and ("key part" in reason or "inline table" in reason):
         hint = "; an inline table { ... } is on one line, without a comma at its end"
-    return f"{legible(told, 200)}: {legible(line)}{hint}"
+    return f"{legible(reason, 200)}: {legible(line)}{hint}"
 
 
 def parse_value(text: str) -> Any:

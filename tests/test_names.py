@@ -17,8 +17,8 @@ VAGUE = {
 VAGUE_DOCSTRING = re.compile(r"(?:Return|Tell|Give) (?:what|the same|that of|those)\b")
 #: folders, and modules of the root, that are not clean yet
 ROOMS_TO_DO = {
-    "cases", "cli", "elasticity", "explorer", "history", "identification",
-    "kept", "options", "parallel", "reports", "results", "schedules", "studies", "textfiles",
+    "elasticity", "explorer", "history", "identification",
+    "kept", "parallel", "reports", "results", "studies",
     "verification", "wear",
 }  # fmt: skip
 

@@ -250,11 +250,11 @@ class Case:
         inside = {*breakpoints(load.omega, load.force, load.displacement)}
         for law in self.laws:
             inside.update(law.breakpoints if law is not None else ())
-        found: list[float] = []
+        times: list[float] = []
         for time in sorted(t for t in inside if t < self.time.end):
-            if not found or time - found[-1] > SAME_TIME * time:
-                found.append(time)
-        return tuple(found)
+            if not times or time - times[-1] > SAME_TIME * time:
+                times.append(time)
+        return tuple(times)
 
     @property
     def about_steps(self) -> float:
@@ -299,17 +299,17 @@ class Case:
         return self.rebuild(self.text, changes)
 
     @property
-    def told(self) -> str:
+    def stored_text(self) -> str:
         """The text to be stored: one that is not the whole truth says so."""
         if self.rebuild is not None:
             return self.text
         return f"{CHANGED}\n{self.text}"
 
 
-def _law(ring: Ring, own: WearLaw | None) -> Law | None:
-    """Return what a ring wears by."""
-    itself = None if own is None else complete(own)
-    of_layers = [None if each.wear is None else complete(each.wear) for each in ring.layers]
+def _law(ring: Ring, body_law: WearLaw | None) -> Law | None:
+    """Return the law of a ring, of its layers and itself."""
+    itself = None if body_law is None else complete(body_law)
+    of_layers = [None if layer.wear is None else complete(layer.wear) for layer in ring.layers]
     if itself is None and not any(of_layers):
         return None
     if not ring.layers:
@@ -317,15 +317,15 @@ def _law(ring: Ring, own: WearLaw | None) -> Law | None:
     return LayeredLaw.of([layer.thickness for layer in ring.layers], of_layers, itself)
 
 
-def need_case(given: object, name: str) -> None:
+def need_case(value: object, name: str) -> None:
     """Refuse what is no Case, and say what makes one; ``name`` is of the function that needs it.
 
     Raises
     ------
     InputError : it is none.
     """
-    if not isinstance(given, Case):
+    if not isinstance(value, Case):
         raise InputError(
-            f"{name}: a Case is needed, not {type(given).__name__}; read_case reads a file or a "
+            f"{name}: a Case is needed, not {type(value).__name__}; read_case reads a file or a "
             "dict"
         )

@@ -71,7 +71,7 @@ def _coefficient(law: WearLaw | None) -> float:
 
 
 def unit_question(case: Case, wear: FloatArray) -> str:
-    """Return what to ask of a wear coefficient where much is worn off, or to be; "" if nothing.
+    """Return a question about the unit of k where much is worn off, or to be; "" for none.
 
     Parameters
     ----------
@@ -81,32 +81,32 @@ def unit_question(case: Case, wear: FloatArray) -> str:
     for forecast in forecasts(case):
         depths[forecast.body] = max(depths[forecast.body], forecast.depth)
     for ring, strata, depth in zip(case.rings, _strata(case), depths, strict=True):
-        own = [
+        coefficients = [
             (largest(getattr(law, name)), f"{table}.{name}")
             for table, law, _ in strata
             for name, parameter in parameters_of(type(law)).items()
             if parameter.unit == "1/MPa"
         ]
-        if own and depth > DEEP * (ring.z[1] - ring.z[0]):
-            k, key = max(own)
+        if coefficients and depth > DEEP * (ring.z[1] - ring.z[0]):
+            k, key = max(coefficients)
             return f'; {key} = {k:g} is in 1/MPa: if it is in mm3/(N m), write "{k:g} mm3/(N m)"'
     return ""
 
 
 def _strata(case: Case) -> list[list[tuple[str, WearLaw | None, float]]]:
     """Return table, law and thickness (mm) of the layers of lower and upper and what is below."""
-    found = []
+    strata = []
     for body, ring, itself in zip(
         BODIES, case.rings, (case.wear_lower, case.wear_upper), strict=True
     ):
-        own: list[tuple[str, WearLaw | None, float]] = [
+        layers: list[tuple[str, WearLaw | None, float]] = [
             (f"wear.{body}", itself, layer.thickness)
             if layer.wear is None
             else (f"{body}.layers[{i}].wear", layer.wear, layer.thickness)
             for i, layer in enumerate(ring.layers)
         ]
-        found.append([*own, (f"wear.{body}", itself, math.inf)])
-    return found
+        strata.append([*layers, (f"wear.{body}", itself, math.inf)])
+    return strata
 
 
 def _rate(case: Case, law: WearLaw | None, pressure: float, speed: float) -> float:

@@ -38,26 +38,26 @@ def read_law(
     if law is None:
         return None
     declared = parameters_of(LAWS[law])
-    found = [
+    law_faults = [
         f'{table}.{key} is missing: {_rule(f"{table}.{key}")} where {table}.law = "{law}"'
         for key, parameter in declared.items()
         if parameter.needed and values.get(f"{table}.{key}", "") is None
     ]
     known = law_keys(table, law)
-    found += [
+    law_faults += [
         f'{path}: has no meaning where {table}.law = "{law}"; must be among {", ".join(declared)}'
         f"{_owners(path)}"
         for path in keys
         if path.startswith(f"{table}.") and path not in known and key_of(path) is not None
     ]
-    own = {key: values[path] for key in declared if (path := f"{table}.{key}") in values}
-    made = None
-    if found or len(own) < len(declared):
-        found += LAWS[law].faults(f"{table}.", own)
+    parameters = {key: values[path] for key in declared if (path := f"{table}.{key}") in values}
+    result = None
+    if law_faults or len(parameters) < len(declared):
+        law_faults += LAWS[law].faults(f"{table}.", parameters)
     else:
-        made, found = make_law(LAWS[law], table, own)
-    faults += [f"{name}: {fault}" for fault in found]
-    return made
+        result, law_faults = make_law(LAWS[law], table, parameters)
+    faults += [f"{name}: {fault}" for fault in law_faults]
+    return result
 
 
 def make_law(

@@ -27,14 +27,14 @@ def expanded(keys: Mapping[str, Any]) -> dict[str, Any]:
 
     Lists that are none of tables stay, for who reads them.
     """
-    found: dict[str, Any] = {}
+    keys_by_entry: dict[str, Any] = {}
     for path, value in keys.items():
         entries = entries_of(value) if path in LAYERS else None
         if entries is None:
-            found[path] = value
+            keys_by_entry[path] = value
         else:
-            found |= {f"{path}{entry}": own for entry, own in entries.items()}
-    return found
+            keys_by_entry |= {f"{path}{entry}": value for entry, value in entries.items()}
+    return keys_by_entry
 
 
 def layer_tables(keys: Mapping[str, Any]) -> list[str]:
@@ -63,18 +63,18 @@ def of_refused_law(path: str, entries: Mapping[str, Any]) -> bool:
 
 def entries_of(layers: Any) -> dict[str, Any] | None:
     """Return raw values by entry, "[0].wear.k"; None where they are no such list."""
-    if not (isinstance(layers, list | tuple) and all(isinstance(own, dict) for own in layers)):
+    if not (isinstance(layers, list | tuple) and all(isinstance(value, dict) for value in layers)):
         return None
     if len(layers) > MOST_LAYERS:
         return None
-    found: dict[str, Any] = {}
+    entries: dict[str, Any] = {}
     for i, layer in enumerate(layers):
         for name, value in layer.items():
             if name == "wear" and isinstance(value, dict) and value:
-                found |= {f"[{i}].wear.{key}": own for key, own in value.items()}
+                entries |= {f"[{i}].wear.{key}": value for key, value in value.items()}
             else:
-                found[f"[{i}].{name}"] = value
-    return found
+                entries[f"[{i}].{name}"] = value
+    return entries
 
 
 def with_entries(path: str, layers: Any, changes: Mapping[str, Any]) -> Any:
@@ -92,10 +92,10 @@ def with_entries(path: str, layers: Any, changes: Mapping[str, Any]) -> Any:
         assert match is not None
         i, entry = int(match[1]), match[2]
         if i >= len(changed):
-            there = ", ".join(f"{path}[{j}]" for j in range(len(changed)))
+            names = ", ".join(f"{path}[{j}]" for j in range(len(changed)))
             raise InputError(
                 f"{path}[{i}].{legible(entry)} = {shortened(value)}: the case has no such layer; "
-                "must be of " + (there or f"one of {path}, of which it has none")
+                "must be of " + (names or f"one of {path}, of which it has none")
             )
         table, last = changed[i], entry
         if entry.startswith("wear."):
@@ -121,8 +121,8 @@ def layers_in_full(path: str, layers: Any) -> Any:
     """Return the raw list of layers with numbers in the units of a case; wrong ones stay."""
     if entries_of(layers) is None:
         return layers
-    found = copy.deepcopy(list(layers))
-    for i, layer in enumerate(found):
+    copies = copy.deepcopy(list(layers))
+    for i, layer in enumerate(copies):
         wear = layer.get("wear")
         for name, table in ((f"{path}[{i}]", layer), (f"{path}[{i}].wear", wear)):
             for entry, value in table.items() if isinstance(table, dict) else ():
@@ -130,7 +130,7 @@ def layers_in_full(path: str, layers: Any) -> Any:
                 if key is not None and isinstance(value, str | list | dict):
                     with suppress(RejectedError):
                         table[entry] = without_units(key, value)
-    return found
+    return copies
 
 
 def changed_layers(keys: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
@@ -140,13 +140,13 @@ def changed_layers(keys: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[
     ------
     InputError : there is no such layer.
     """
-    found = dict(changes)
+    merged = dict(changes)
     for path in LAYERS:
         entries = {}
         for name in changes:
             entry = layer_entry(name)
             if entry is not None and entry[0] == path:
-                entries[f"{entry[1]}.{entry[2]}"] = found.pop(name)
+                entries[f"{entry[1]}.{entry[2]}"] = merged.pop(name)
         if entries:
-            found[path] = with_entries(path, found.get(path, keys.get(path, [])), entries)
-    return found
+            merged[path] = with_entries(path, merged.get(path, keys.get(path, [])), entries)
+    return merged

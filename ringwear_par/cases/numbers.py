@@ -16,7 +16,7 @@ from ringwear_par.arrays import BoolArray, FloatArray
 from ringwear_par.cases.case import Case, Ring
 from ringwear_par.cases.laws import make_law
 from ringwear_par.cases.layers import LAYERS
-from ringwear_par.cases.schema import BY_PATH, LAYER_KEYS, Key, key_of
+from ringwear_par.cases.schema import BY_PATH, LAYER_KEYS, key_of
 from ringwear_par.cases.values import Interval, magnitude_fault
 from ringwear_par.wear.law import Law
 from ringwear_par.wear.parameters import parameters_of
@@ -50,7 +50,7 @@ _OF_SHAPES: dict[type, tuple[str, ...]] = {Case: ("line", "smallest_gaps", "init
 
 
 def interval_of(number: Number) -> Interval | None:
-    """Return what a number may be by itself; None if it is none of those told above."""
+    """Return the interval of a number by itself, None if it is none of those above."""
     path, entry = number
     if entry is not None and path in LAYERS:
         key = key_of(f"{path}{entry}")  # elasticity is that of the other entries
@@ -61,99 +61,84 @@ def interval_of(number: Number) -> Interval | None:
 
 
 def number_faults(case: Case, name: str) -> list[str]:
-    """Return what is wrong with the numbers of a case that was not read, one sentence each.
+    """Return the faults of the numbers of a case that was not read, one sentence each.
 
     Parameters
     ----------
     name : what messages call the case.
     """
-    faults = _layer_faults(case, name)
-    for path, (part, attribute) in _PLACES.items():
-        key, whole = BY_PATH[path], getattr(case, part) if part else case
-        value = getattr(whole, attribute, None)
-        other = (
-            path == "load.pressure"
-            or (part == "time" and not case.time.adaptive)
-            or (isinstance(whole, Law) and attribute not in parameters_of(type(whole)))
-        )
-        if other or not isinstance(value, float | int) or key.numbers is None:
-            continue
-        if not key.numbers.holds(np.array(float(value))):
-            faults.append(f"{name}: {path} = {value:g}: {_rule(key, value)}")
-    return faults
-
-
-def _rule(key: Key, value: float) -> str:
-    """Return what is allowed, with the reason where it is the magnitude."""
-    fault = magnitude_fault(value)
-    return f"{key.rule} ({fault})" if fault else key.rule
-
-
-def _layer_faults(case: Case, name: str) -> list[str]:
-    """Return the same of layers."""
-    return [
-        f"{name}: {body}.layers[{i}].{key.path} = {value:g}: {_rule(key, value)}"
+    numbers = [
+        (f"{body}.layers[{i}].{key.path}", key, getattr(layer, key.path, None))
         for body, ring in zip(("lower", "upper"), case.rings, strict=True)
         for i, layer in enumerate(ring.layers)
         for key in LAYER_KEYS
-        if isinstance(value := getattr(layer, key.path, None), float | int)
-        and key.numbers is not None
-        and not key.numbers.holds(np.array(float(value)))
     ]
+    for path, (part, attribute) in _PLACES.items():
+        owner = getattr(case, part) if part else case
+        if path == "load.pressure" or (part == "time" and not case.time.adaptive):
+            continue
+        if not isinstance(owner, Law) or attribute in parameters_of(type(owner)):
+            numbers.append((path, BY_PATH[path], getattr(owner, attribute, None)))
+    faults = []
+    for path, key, value in numbers:
+        if not isinstance(value, float | int) or key.numbers is None:
+            continue
+        if not key.numbers.holds(np.array(float(value))):
+            reason = magnitude_fault(value)
+            rule = f"{key.rule} ({reason})" if reason else key.rule
+            faults.append(f"{name}: {path} = {value:g}: {rule}")
+    return faults
 
 
-def doubtful(case: Case, numbers: Mapping[Number, FloatArray]) -> BoolArray:
-    """Return which cases have to be made and checked one by one, (cases,).
+def needs_reading(case: Case, numbers: Mapping[Number, FloatArray]) -> BoolArray:
+    """Return which cases have to be read and checked one by one, (cases,).
 
     The others are good if one of them is, and have its steps and rows.
 
     Parameters
     ----------
     case : a good one of them.
-    numbers : of each, (cases,), all of them right by themselves.
+    numbers : of all cases, (cases,), all of them right by themselves.
     """
-    found = np.zeros(len(next(iter(numbers.values()))), dtype=bool)
+    refused = np.zeros(len(next(iter(numbers.values()))), dtype=bool)
     if any(isinstance(law, UserLaw) for law in (case.wear_lower, case.wear_upper)):
-        return ~found  # they are tried
-    if ("time.end", None) in numbers and (case.output.times or _bends(case)):
-        return ~found
-    deepest = numbers.get(("load.displacement", None))
-    if deepest is not None:
-        found |= case.interpenetration > deepest
+        return ~refused  # their functions are tried
+    if ("time.end", None) in numbers and (case.output.times or _has_breakpoints(case)):
+        return ~refused
+    displacement = numbers.get(("load.displacement", None))
+    if displacement is not None:
+        refused |= case.interpenetration > displacement
     for table, law in _laws(case).items():
-        found |= _refused(table, law, numbers, len(found))
-    return found
+        refused |= _refused_by(law, table, numbers, len(refused))
+    return refused
 
 
 def _laws(case: Case) -> dict[str, Law]:
-    """Return the laws of bodies, and of layers that have their own, by their tables of keys."""
-    found = {"wear.lower": case.wear_lower, "wear.upper": case.wear_upper}
+    """Return the laws of bodies, and of layers, by their tables of keys."""
+    laws = {"wear.lower": case.wear_lower, "wear.upper": case.wear_upper}
     for body, ring in zip(("lower", "upper"), case.rings, strict=True):
-        found |= {f"{body}.layers[{i}].wear": layer.wear for i, layer in enumerate(ring.layers)}
-    return {table: law for table, law in found.items() if isinstance(law, Law)}
+        laws |= {f"{body}.layers[{i}].wear": layer.wear for i, layer in enumerate(ring.layers)}
+    return {table: law for table, law in laws.items() if isinstance(law, Law)}
 
 
-def _refused(table: str, law: Law, numbers: Mapping[Number, FloatArray], count: int) -> BoolArray:
-    """Return which cases' parameters make no law together, (cases,): the law is asked of each."""
-    columns = {}
-    for (path, entry), column in numbers.items():
-        key = path if entry is None else f"{path}{entry}"
-        if key.startswith(f"{table}."):
-            columns[key.removeprefix(f"{table}.")] = column.tolist()
+def _refused_by(
+    law: Law, table: str, numbers: Mapping[Number, FloatArray], count: int
+) -> BoolArray:
+    """Return which cases' parameters break a rule of the law between them, (cases,)."""
+    columns = {
+        key.removeprefix(f"{table}."): column.tolist()
+        for (path, entry), column in numbers.items()
+        if (key := path if entry is None else f"{path}{entry}").startswith(f"{table}.")
+    }
     if not columns:
         return np.zeros(count, dtype=bool)
     values = {name: getattr(law, name) for name in parameters_of(type(law))}
-    rows = zip(*columns.values(), strict=True)
-    return np.array(
-        [
-            make_law(type(law), table, values | dict(zip(columns, row, strict=True)))[0] is None
-            for row in rows
-        ]
-    )
+    rows = (dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True))
+    return np.array([make_law(type(law), table, values | row)[0] is None for row in rows])
 
 
-def _bends(case: Case) -> bool:
-    """Tell whether a schedule or a parameter bends at any time."""
+def _has_breakpoints(case: Case) -> bool:
+    """Tell whether the slope of a schedule or of a parameter jumps at any time."""
     return bool(replace(case, time=replace(case.time, until=math.inf)).breakpoints)
 
 
@@ -165,65 +150,62 @@ def with_numbers(
     Parameters
     ----------
     case : one of them, made of keys.
-    numbers : of each case.
-    texts : of each case.
+    numbers : of all cases.
+    texts : of all cases.
     """
-    fields: dict[str, dict[str, Sequence[Any]]] = {"": {"text": texts}}
+    columns: dict[str, dict[str, Sequence[Any]]] = {"": {"text": texts}}
     for (path, entry), values in numbers.items():
         if entry is not None:
             part = path.partition(".")[0] if path in LAYERS else _TABLES[path]
-            fields.setdefault(part, {})[entry] = values
+            columns.setdefault(part, {})[entry] = values
             continue
         part, name = _PLACES[path]
         if path == "load.pressure":
             area = case.area
             values = [pressure * area for pressure in values]
-        fields.setdefault(part, {})[name] = values
-    whole = fields.pop("")
-    for part, own in fields.items():
-        there = getattr(case, part)
-        if isinstance(there, UserLaw):
-            own = {"parameters": _parameters(there, own)}
-        if isinstance(there, Ring):
-            own = _with_layers(there, own)
-        whole[part] = _copies(there, own)
-    return _copies(case, whole)
+        columns.setdefault(part, {})[name] = values
+    changes = columns.pop("")
+    for name, part_columns in columns.items():
+        part = getattr(case, name)
+        if isinstance(part, UserLaw):
+            part_columns = {"parameters": _parameters(part, part_columns)}
+        if isinstance(part, Ring):
+            part_columns = _with_layers(part, part_columns)
+        changes[name] = _copies(part, part_columns)
+    return _copies(case, changes)
 
 
-def _with_layers(ring: Ring, own: Mapping[str, Sequence[Any]]) -> dict[str, Sequence[Any]]:
-    """Return values of fields of a ring, those of entries of its layers made whole layers."""
-    found = {name: values for name, values in own.items() if not name.startswith("[")}
-    entries = {name: values for name, values in own.items() if name.startswith("[")}
-    if entries:
-        columns = []
-        for i, layer in enumerate(ring.layers):
-            begin = f"[{i}].wear."
-            laws = {k.removeprefix(begin): v for k, v in entries.items() if k.startswith(begin)}
-            count = len(next(iter(entries.values())))
-            made = _copies(layer.wear, laws) if laws else [layer.wear] * count
-            columns.append(_copies(layer, {"wear": made}))
-        found["layers"] = list(zip(*columns, strict=True))
-    return found
+def _with_layers(ring: Ring, columns: Mapping[str, Sequence[Any]]) -> dict[str, Sequence[Any]]:
+    """Return the columns of a ring's fields; those of entries of layers become whole layers."""
+    fields_of_ring = {name: values for name, values in columns.items() if name[0] != "["}
+    if len(fields_of_ring) == len(columns):
+        return fields_of_ring
+    count = len(next(iter(columns.values())))
+    layers = []
+    for i, layer in enumerate(ring.layers):
+        start = f"[{i}].wear."
+        law = {n.removeprefix(start): v for n, v in columns.items() if n.startswith(start)}
+        laws = _copies(layer.wear, law) if law else [layer.wear] * count
+        layers.append(_copies(layer, {"wear": laws}))
+    return fields_of_ring | {"layers": list(zip(*layers, strict=True))}
 
 
-def _parameters(law: UserLaw, own: Mapping[str, Sequence[float]]) -> list[Any]:
-    rows = zip(*own.values(), strict=True)
-    changed = (dict(zip(own, row, strict=True)) for row in rows)
-    return [tuple((name, new.get(name, q)) for name, q in law.parameters) for new in changed]
+def _parameters(law: UserLaw, columns: Mapping[str, Sequence[float]]) -> list[Any]:
+    rows = (dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True))
+    return [tuple((dict(law.parameters) | row).items()) for row in rows]
 
 
-def _copies(whole: Any, own: Mapping[str, Sequence[Any]]) -> list[Any]:
+def _copies(original: Any, columns: Mapping[str, Sequence[Any]]) -> list[Any]:
     """Return frozen dataclasses with other values of fields, quicker than ``replace``.
 
-    What one has worked out of its fields is forgotten, but for what no number changes.
+    Cached properties are not copied, but for those of a case's shape, which no number changes.
     """
-    kind = type(whole)
-    same = {*(field.name for field in fields(whole)), *_OF_SHAPES.get(kind, ())}
-    there = {name: value for name, value in whole.__dict__.items() if name in same}
-    names, made = tuple(own), []
-    for row in zip(*own.values(), strict=True):
+    kind = type(original)
+    names = {*(field.name for field in fields(original)), *_OF_SHAPES.get(kind, ())}
+    state = {name: value for name, value in original.__dict__.items() if name in names}
+    copies = []
+    for row in zip(*columns.values(), strict=True):
         copy = object.__new__(kind)
-        copy.__dict__.update(there)
-        copy.__dict__.update(zip(names, row, strict=True))
-        made.append(copy)
-    return made
+        copy.__dict__.update(state, **dict(zip(columns, row, strict=True)))
+        copies.append(copy)
+    return copies

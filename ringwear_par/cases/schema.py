@@ -133,7 +133,11 @@ def _wear_keys(table: str, of: str, absent: str, laws: Mapping[str, type[Law]]) 
     keys = [Key(f"{table}.law", *choice(*laws), "-", meaning, None)]
     declared = [parameters_of(law) for law in laws.values()]
     for name in dict.fromkeys(itertools.chain(*declared)):
-        users = {law: own[name] for law, own in zip(laws, declared, strict=True) if name in own}
+        users = {
+            law: parameters[name]
+            for law, parameters in zip(laws, declared, strict=True)
+            if name in parameters
+        }
         keys.append(_wear_key(f"{table}.{name}", users))
     return keys
 
@@ -143,9 +147,9 @@ def _wear_key(path: str, users: Mapping[str, Parameter]) -> Key:
 
     Keys are read before their law is known: what is allowed must be the same for all of them.
     """
-    first, *others = users.values()
+    first, *rest = users.values()
     values = _values(first)
-    if any(_values(other).allowed != values.allowed for other in others):
+    if any(_values(other).allowed != values.allowed for other in rest):
         raise ValueError(f"{path}: must allow the same in all laws that have it")
     meaning = first.meaning + "".join(
         f" ({law}: {other.meaning}, {other.unit})"
@@ -314,8 +318,8 @@ def key_of(name: str) -> Key | None:
 def unit_of(name: str) -> str:
     """Return the unit of a key, or of an entry of one, as studies name them; "" for none."""
     if layer_entry(name) is not None:
-        own = key_of(name)
-        return "" if own is None or own.unit in ("-", "1") else own.unit
+        key = key_of(name)
+        return "" if key is None or key.unit in ("-", "1") else key.unit
     path = name.partition("[")[0]
     key, entry = BY_PATH.get(path), ""
     if key is None:

@@ -87,13 +87,13 @@ def grid_bodies(case: "Case") -> IntArray:
     if grid is None:
         return np.empty((0, 0), dtype=np.int64)
     r, z = (part.ravel() for part in np.meshgrid(*grid.axes, indexing="ij"))
-    found = np.full(r.shape, -1)
+    bodies = np.full(r.shape, -1)
     for i in (1, 0):  # lower has what belongs to both
         if grid.body in ("both", BODIES[i]):
-            found[_inside(case, i, r, z)] = i
+            bodies[_inside(case, i, r, z)] = i
     for edge in edges(case):
-        found[np.hypot(r - edge[0], z - edge[1]) <= _ON * _size(case)] = -1
-    return found.reshape(grid.n)
+        bodies[np.hypot(r - edge[0], z - edge[1]) <= _ON * _size(case)] = -1
+    return bodies.reshape(grid.n)
 
 
 def check_stress(name: str, case: "Case") -> None:
@@ -132,7 +132,7 @@ def check_stress(name: str, case: "Case") -> None:
 
 
 def _point_faults(case: "Case", points: Sequence[tuple[float, float, Side]]) -> Iterator[str]:
-    """Return what is wrong with points."""
+    """Yield the faults of points."""
     around, size = edges(case), _size(case)
     before: dict[tuple[float, float, Side], int] = {}
     for i, (r, z, side) in enumerate(points):
@@ -167,17 +167,17 @@ def _size(case: "Case") -> float:
 def _bodies_at(case: "Case", r: float, z: float, side: Side) -> list[int]:
     """Return the bodies that have a point, on a side of a face where it lies on one."""
     at = np.array([r]), np.array([z])
-    found = [i for i in (0, 1) if _inside(case, i, *at)[0]]
-    return [i for i in found if not side or _material_side(case, i, r, z) in ("", side)]
+    bodies = [i for i in (0, 1) if _inside(case, i, *at)[0]]
+    return [i for i in bodies if not side or _material_side(case, i, r, z) in ("", side)]
 
 
 def _material_side(case: "Case", i: int, r: float, z: float) -> Side:
     """Return on which side of a point the body is that it lies on a face of; "": inside it."""
     ring = case.rings[i]
-    held = ring.z[0] if i == 0 else ring.z[1]
+    far_face = ring.z[0] if i == 0 else ring.z[1]
     if abs(z - float(_face(case, ring, np.array([r]))[0])) <= _ON * _size(case):
         return _SIDES[i]
-    return _SIDES[1 - i] if abs(z - held) <= _ON * _size(case) else ""
+    return _SIDES[1 - i] if abs(z - far_face) <= _ON * _size(case) else ""
 
 
 def _on_interface(case: "Case", i: int, z: float) -> bool:
@@ -212,12 +212,12 @@ def _inside(case: "Case", i: int, r: FloatArray, z: FloatArray) -> BoolArray:
 
 def edges(case: "Case") -> FloatArray:
     """Return (e, 2) mm, corners, ends of interfaces and of the contact line, off the axis."""
-    found = []
+    points = []
     for ring in case.rings:
         radii = np.array([*ring.r, *corners(case.section(ring)), *case.contact])
         face = _face(case, ring, radii)
-        held = ring.z[0] if ring is case.lower else ring.z[1]
-        found += [(r, z) for r, z in zip(radii, face, strict=True) if r > 0.0]
-        found += [(r, held) for r in ring.r if r > 0.0]
-        found += [(r, z) for z in _interfaces(case, ring) for r in ring.r if r > 0.0]
-    return np.array(found)
+        far_face = ring.z[0] if ring is case.lower else ring.z[1]
+        points += [(r, z) for r, z in zip(radii, face, strict=True) if r > 0.0]
+        points += [(r, far_face) for r in ring.r if r > 0.0]
+        points += [(r, z) for z in _interfaces(case, ring) for r in ring.r if r > 0.0]
+    return np.array(points)

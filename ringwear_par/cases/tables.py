@@ -13,11 +13,11 @@ from ringwear_par.errors import MOST_FAULTS, legible
 
 def keys_of_table(keys: Iterable[Key], table: str) -> dict[str, Key]:
     """Return the keys of a table by their names in it; a table within it counts as one of them."""
-    found: dict[str, Key] = {}
+    names: dict[str, Key] = {}
     for key in keys:
         if key.path.startswith(f"{table}."):
-            found.setdefault(key.path.removeprefix(f"{table}."), key)
-    return found
+            names.setdefault(key.path.removeprefix(f"{table}."), key)
+    return names
 
 
 class TableReader:

@@ -27,8 +27,8 @@ def read_trace(path: Path) -> list[list[float]]:
     """
     table = read_measurements(path)
     if len(table.columns) != 2:
-        shown = legible(", ".join(table.columns))
-        raise InputError(f"{path}: has the columns {shown}; must have two, radii and heights")
+        names = legible(", ".join(table.columns))
+        raise InputError(f"{path}: has the columns {names}; must have two, radii and heights")
     units = [_unit(str(path), name) for name in table.columns]
     rows = table.filled(*table.columns)
     columns = [

@@ -97,9 +97,11 @@ def told_unit(name: str, base: str) -> str | None:
     unit = unit_of_column(name, base)
     ending, bracketed = _ending(name)
     if unit is None and (_is_unit(ending) or bracketed):
-        shown = legible(ending)
+        unit_text = legible(ending)
         raise RejectedError(
-            f"is in {shown} by its name" if _is_unit(ending) else f"ends with [{shown}], no unit"
+            f"is in {unit_text} by its name"
+            if _is_unit(ending)
+            else f"ends with [{unit_text}], no unit"
         )
     return unit
 
@@ -116,7 +118,7 @@ def unit_of_anything(name: str) -> str | None:
 
 
 def _ending(name: str) -> tuple[str, bool]:
-    """Return what a name ends with that may be a unit, "" for none; whether in brackets."""
+    """Return the ending of a name that may be a unit, "" for none; whether in brackets."""
     tail = name.strip()[-_TAIL:]
     quantity, slash, unit = tail.partition("/")
     bare = re.sub(r"^[(\[](.*)[)\]]$", r"\1", unit.strip()).strip()
@@ -244,7 +246,7 @@ def in_unit(value: Any, unit: str) -> Any:
 
 
 def in_unit_where_right(value: Any, unit: str) -> Any:
-    """Return the same, or the value as it is where a unit is wrong, for who reads it to tell."""
+    """Return ``in_unit``, or the raw value where a unit is wrong, which its reader refuses."""
     try:
         return in_unit(value, unit)
     except RejectedError:

@@ -83,7 +83,7 @@ def is_finite(value: Any) -> bool:
 
 
 def magnitude_fault(value: float) -> str:
-    """Return what is wrong with the magnitude of a number; "" for nothing."""
+    """Return the fault of the magnitude of a number, "" for none."""
     if value == 0 or LEAST <= abs(value) <= MOST:
         return ""
     return f"numbers other than 0 must be from {LEAST:g} to {MOST:g} in magnitude"
@@ -147,8 +147,8 @@ def schedule(low: float, *, ends: bool = False) -> Values:
         return float(constant.read(value))
 
     zero = "" if ends else f" >= {low:g}"
-    told = f"or a table [[t, value{zero}], ...] in time, t in s and increasing"
-    return Values("schedule", read, f"{constant.allowed}, {told}", constant.numbers)
+    table = f"or a table [[t, value{zero}], ...] in time, t in s and increasing"
+    return Values("schedule", read, f"{constant.allowed}, {table}", constant.numbers)
 
 
 def quantity(low: float, *, ends: bool = False) -> Values:
@@ -162,8 +162,8 @@ def quantity(low: float, *, ends: bool = False) -> Values:
             return Table(*_points(value["r"], constant.read), "r")
         return in_time.read(value)
 
-    told = "or a profile { r = [[r, value], ...] }, r in mm and increasing"
-    return Values("quantity", read, f"{in_time.allowed}, {told}", constant.numbers)
+    table = "or a profile { r = [[r, value], ...] }, r in mm and increasing"
+    return Values("quantity", read, f"{in_time.allowed}, {table}", constant.numbers)
 
 
 def parameters() -> Values:
@@ -181,8 +181,8 @@ def parameters() -> Values:
         return tuple((name, entry.read(v)) for name, v in value.items())
 
     entry = quantity(-math.inf)
-    told = "a table of numbers, tables in time or profiles in r"
-    return Values("parameters", read, told)
+    allowed = "a table of numbers, tables in time or profiles in r"
+    return Values("parameters", read, allowed)
 
 
 def rates() -> Values:
@@ -197,17 +197,17 @@ def rates() -> Values:
                 raise RejectedError(f"rate {after:g} after {before:g}: rates must not fall")
         return tuple(zip(x, y, strict=True))
 
-    told = "a table [[p V, rate], ...] from [0, 0], p V increasing and rates not falling"
-    return Values("points", read, told)
+    allowed = "a table [[p V, rate], ...] from [0, 0], p V increasing and rates not falling"
+    return Values("points", read, allowed)
 
 
 def _increasing(value: Any, read: Reader) -> tuple[float, ...]:
     if not isinstance(value, list) or not value:
         raise RejectedError
-    found = tuple(float(read(v)) for v in value)
-    if any(after <= before for before, after in itertools.pairwise(found)):
+    numbers = tuple(float(read(v)) for v in value)
+    if any(after <= before for before, after in itertools.pairwise(numbers)):
         raise RejectedError
-    return found
+    return numbers
 
 
 def times() -> Values:
@@ -228,8 +228,8 @@ def which_times(*names: str) -> Values:
             return one_of(value)
         return _increasing(value, number(0.0, ends=True).read)
 
-    told = ", ".join(f'"{name}"' for name in names)
-    return Values("times", read, f"{told} or a list of increasing times")
+    quoted = ", ".join(f'"{name}"' for name in names)
+    return Values("times", read, f"{quoted} or a list of increasing times")
 
 
 def pair(low: float) -> Values:
@@ -242,8 +242,8 @@ def pair(low: float) -> Values:
             raise RejectedError
         return float(value[0]), float(value[1])
 
-    told = "two increasing numbers" + (f" >= {low:g}" if low > -math.inf else "")
-    return Values("pair", read, told)
+    allowed = "two increasing numbers" + (f" >= {low:g}" if low > -math.inf else "")
+    return Values("pair", read, allowed)
 
 
 def chamfer() -> Values:
@@ -262,18 +262,18 @@ def _shape(value: dict[str, Any]) -> Shape:
     """Return the shape of a contact face that a table names."""
     if len(value) != 1 or not value.keys() <= SHAPE_UNITS.keys():
         raise RejectedError
-    ((name, given),) = value.items()
+    ((name, raw),) = value.items()
     if name == "trace":
-        x, z = _points(given, number(-math.inf).read)
+        x, z = _points(raw, number(-math.inf).read)
         if len(x) < 2:
             raise RejectedError("a trace needs 2 points at least")
         return Shape(name, tuple(itertools.chain(*zip(x, z, strict=True))))
     values = {"fillet": chamfer(), "cone": number(-45.0, 45.0)}.get(name, number(0.0))
     try:
-        found = values.read(given)
+        size = values.read(raw)
     except RejectedError as error:
         raise RejectedError(f"{name} must be {values.allowed}") from error
-    sizes = found if isinstance(found, tuple) else (found,)
+    sizes = size if isinstance(size, tuple) else (size,)
     return Shape(name, tuple(size for size in sizes if size is not None))
 
 
@@ -290,17 +290,17 @@ def profile() -> Values:
                 raise RejectedError
         return tuple((float(r), float(z)) for r, z in value)
 
-    told = "at least 2 points [r, z] of finite numbers or { crown, sphere, cone, fillet or file }"
-    return Values("points", read, told)
+    shapes = "{ crown, sphere, cone, fillet or file }"
+    return Values("points", read, f"at least 2 points [r, z] of finite numbers or {shapes}")
 
 
-def tables(told: str, most: int) -> Values:
+def tables(content: str, most: int) -> Values:
     """Return lists of tables whose entries are keys themselves, read one by one elsewhere.
 
     Parameters
     ----------
-    told : what each of the tables is.
-    most : how many there may be.
+    content : keys of the tables, in words.
+    most : largest number of tables.
     """
 
     def read(value: Any) -> tuple[dict[str, Any], ...]:
@@ -310,7 +310,7 @@ def tables(told: str, most: int) -> Values:
             raise RejectedError(f"there are {len(value)} of them")
         return tuple(value)
 
-    return Values("layers", read, f"a list of at most {most} tables {told}")
+    return Values("layers", read, f"a list of at most {most} tables {content}")
 
 
 def places(*sides: str) -> Values:
@@ -319,28 +319,29 @@ def places(*sides: str) -> Values:
     def read(value: Any) -> tuple[tuple[float, float, str], ...]:
         if not isinstance(value, list) or not value:
             raise RejectedError
-        found = []
+        points = []
         for point in value:
             if not isinstance(point, list) or len(point) not in (2, 3):
                 raise RejectedError
             r, z, *side = point
             if not (is_finite(r) and is_finite(z)) or not all(s in sides for s in side):
                 raise RejectedError
-            found.append((float(r), float(z), str(*side)))
-        return tuple(found)
+            points.append((float(r), float(z), str(*side)))
+        return tuple(points)
 
-    told = " or ".join(f'"{side}"' for side in sides)
-    return Values("places", read, f"a list of points [r, z], or [r, z, side] with the side {told}")
+    quoted = " or ".join(f'"{side}"' for side in sides)
+    allowed = f"a list of points [r, z], or [r, z, side] with the side {quoted}"
+    return Values("places", read, allowed)
 
 
 def counts(low: int, high: int) -> Values:
     """Return pairs of whole numbers from one to another."""
-    each = whole(low, high)
+    count = whole(low, high)
 
     def read(value: Any) -> tuple[int, int]:
         if not isinstance(value, list) or len(value) != 2:
             raise RejectedError
-        return each.read(value[0]), each.read(value[1])
+        return count.read(value[0]), count.read(value[1])
 
     return Values("counts", read, f"two whole numbers from {low} to {high:g}")
 

@@ -8,7 +8,7 @@ from ringwear_par.cases.files.reading import make_case
 from ringwear_par.errors import InputError
 from ringwear_par.reports.blocks import Block, Lines, Source, Table
 from ringwear_par.results.result import Result
-from ringwear_par.schedules import told
+from ringwear_par.schedules import quantity_text
 
 _GRIPS = {
     "clamped": "clamped at the face away from the contact",
@@ -70,13 +70,13 @@ def _test(case: Case) -> list[tuple[str, str]]:
     load, (inner, outer) = case.load, case.contact
     pressed = "nothing"
     if load.force is not None:
-        pressed = f"axial force, N: {told(load.force)}"
+        pressed = f"axial force, N: {quantity_text(load.force)}"
         if isinstance(load.force, float):
             pressed = f"axial force {load.force:.6g} N, mean pressure {load.force / case.area:.4g} "
             pressed += "MPa over the nominal annulus"
     elif load.displacement is not None:
-        pressed = f"given displacement, mm downwards: {told(load.displacement)}"
-    speed = f"{told(load.omega)} rad/s"
+        pressed = f"given displacement, mm downwards: {quantity_text(load.displacement)}"
+    speed = f"{quantity_text(load.omega)} rad/s"
     if isinstance(load.omega, float):
         speed += f" ({30.0 * load.omega / math.pi:.4g} rpm), "
         speed += f"{0.5 * load.omega * (inner + outer):.4g} mm/s at the mean radius"

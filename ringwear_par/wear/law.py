@@ -12,7 +12,15 @@ from typing import TYPE_CHECKING, Any, ClassVar, Protocol, Self, runtime_checkab
 import numpy as np
 
 from ringwear_par.arrays import FloatArray, IntArray, columns
-from ringwear_par.schedules import Quantity, Stacked, breakpoints, history, take, told, value
+from ringwear_par.schedules import (
+    Quantity,
+    Stacked,
+    breakpoints,
+    history,
+    quantity_text,
+    take,
+    value,
+)
 from ringwear_par.schedules import stack as stack_quantities
 from ringwear_par.wear.derivatives import COMPLEX_STEP, derivative
 from ringwear_par.wear.guard import Asked, ask, read_only, shown
@@ -252,7 +260,7 @@ class Law:
         for name, q in values.items():
             if q is not None:
                 unit = declared[name].unit if name in declared else "1"
-                number = f"{q:.10g}" if isinstance(q, float | int) else told(q)
+                number = f"{q:.10g}" if isinstance(q, float | int) else quantity_text(q)
                 parts.append(f"{name} = {number}" + (f" {unit}" if unit not in ("1", "-") else ""))
         return f" with {', '.join(parts)}" if parts else ""
 

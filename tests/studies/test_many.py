@@ -56,7 +56,7 @@ def test_a_law_that_raises_fails_its_case_only(case, comm):
     assert [type(each) for each in found] == [Result, FailedResult, *[Result] * comm.size]
     assert type(found[1].error) is RingwearError
     assert str(found[1].error) == r"ValueError: no such\nmaterial"
-    assert found[1].case == bad.told != bad.text
+    assert found[1].case == bad.stored_text != bad.text
     assert found[1].error.__traceback__ is None
 
 

@@ -21,7 +21,7 @@ from ringwear_par.elasticity.geometry.profiles import (
 )
 from ringwear_par.elasticity.geometry.sections import Polyline, corners
 from ringwear_par.errors import InputError
-from ringwear_par.schedules import Quantity, largest, told
+from ringwear_par.schedules import Quantity, largest, quantity_text
 from ringwear_par.textfiles import value_fault
 
 #: of a face: more are of a trace that is not smooth
@@ -88,24 +88,24 @@ def unread_keys(keys: Mapping[str, Any]) -> dict[str, str]:
     keys : dotted keys and raw values, which may be wrong.
     """
 
-    def given(path: str) -> Any:
+    def value_of(path: str) -> Any:
         return keys.get(path, BY_PATH[path].default)
 
     unread = {
         "mesh.geometry_tolerance": (
-            given("mesh.geometry") == "fixed",
+            value_of("mesh.geometry") == "fixed",
             'needs mesh.geometry = "updated"',
         ),
         "output.every": ("output.times" in keys, "must be absent beside output.times"),
         "output.profiles": (
-            given("output.fields") == [],
+            value_of("output.fields") == [],
             "must be absent where output.fields is empty",
         ),
     }
-    if given("time.scheme") == "adaptive":
+    if value_of("time.scheme") == "adaptive":
         for path in ("time.step", "time.steps"):
             unread[path] = "time.end" in keys, "must be absent beside time.end"
-    elif given("time.scheme") in ("implicit", "explicit"):
+    elif value_of("time.scheme") in ("implicit", "explicit"):
         for path in ("time.end", "time.tolerance", "time.pressure_tolerance"):
             unread[path] = True, 'needs time.scheme = "adaptive"'
     return {path: rule for path, (so, rule) in unread.items() if so and path in keys}
@@ -142,13 +142,15 @@ def _load_faults(name: str, values: Mapping[str, Any]) -> list[str]:
         if control == "force":
             if displacement is not None:
                 faults.append(
-                    f"{name}: load.displacement = {told(displacement)}: needs "
+                    f"{name}: load.displacement = {quantity_text(displacement)}: needs "
                     'load.control = "displacement"'
                 )
             elif (force is None) == (pressure is None):
                 number = "neither of them is given"
                 if force is not None:
-                    number = f"both are given ({told(force)} N, {told(pressure)} MPa)"
+                    number = (
+                        f"both are given ({quantity_text(force)} N, {quantity_text(pressure)} MPa)"
+                    )
                 faults.append(
                     f'{name}: load.force, load.pressure: {number}; control = "force" needs one'
                 )
@@ -161,7 +163,7 @@ def _load_faults(name: str, values: Mapping[str, Any]) -> list[str]:
             for key, value in (("force", force), ("pressure", pressure)):
                 if value is not None:
                     faults.append(
-                        f"{name}: load.{key} = {told(value)}: must be absent where "
+                        f"{name}: load.{key} = {quantity_text(value)}: must be absent where "
                         'load.control = "displacement"'
                     )
     return faults
@@ -187,8 +189,8 @@ def _time_faults(origin: Origin, values: Mapping[str, Any]) -> list[str]:
     if end is None and not missing:
         end = fixed["time.step"] * fixed["time.steps"]
     for key in ("output.times", "output.boundary", "stress.times"):
-        asked = values.get(key)
-        late = asked[-1] if isinstance(asked, tuple) else 0.0
+        times = values.get(key)
+        late = times[-1] if isinstance(times, tuple) else 0.0
         if end is not None and late > end * (1.0 + SAME_TIME):
             faults.append(
                 f"{origin.whole}: {key}: {late:g} is after the end; must be <= {end:g} (s)"
@@ -197,7 +199,7 @@ def _time_faults(origin: Origin, values: Mapping[str, Any]) -> list[str]:
 
 
 def _grid_faults(name: str, keys: Mapping[str, Any]) -> list[str]:
-    """Return what is missing of a grid."""
+    """Return a fault for each key that a grid lacks."""
     table = "stress.grid."
     if not any(path.startswith(table) for path in keys):
         return []
@@ -218,23 +220,23 @@ def contact_faces(name: str, values: Mapping[str, Any], faults: list[str]) -> di
         if not {f"{ring}.r", f"{ring}.z"} <= values.keys():
             continue
         r, z = values[f"{ring}.r"], values[f"{ring}.z"]
-        found: list[str] = []
+        face_faults: list[str] = []
         if chamfer is not None:
             inner, outer = chamfer
             if inner is None:  # one number is for the corners that there are
                 inner = outer if r[0] > 0 else 0.0
-            found = chamfer_faults((inner, outer), r, z)
-            if not found:
+            face_faults = chamfer_faults((inner, outer), r, z)
+            if not face_faults:
                 faces[ring] = chamfer_face((inner, outer), r)
         if isinstance(profile, Shape):
-            found = shape_faults(profile, r, z)
-            if not found:
+            face_faults = shape_faults(profile, r, z)
+            if not face_faults:
                 faces[ring] = shape_face(profile, r)
         elif profile is not None:
-            found = profile_faults(ring, profile, r, z)
-            if not found:
+            face_faults = profile_faults(ring, profile, r, z)
+            if not face_faults:
                 faces[ring] = profile_face(ring, profile, r, z)
-        faults += [f"{name}: {ring}.{fault}" for fault in found]
+        faults += [f"{name}: {ring}.{fault}" for fault in face_faults]
     return faces
 
 
@@ -253,10 +255,10 @@ def layer_faults(
     layers : by key, those that are right.
     """
     faults = []
-    for path, own in layers.items():
-        body, total = path.partition(".")[0], sum(layer.thickness for layer in own)
+    for path, body_layers in layers.items():
+        body, total = path.partition(".")[0], sum(layer.thickness for layer in body_layers)
         z = values.get(f"{body}.z")
-        if not own:
+        if not body_layers:
             continue
         if z is not None and total >= z[1] - z[0]:
             faults.append(
@@ -264,11 +266,11 @@ def layer_faults(
                 f"{z[1] - z[0]:g} mm of {body}"
             )
         deepest = -min((height for _, height in faces[body]), default=0.0)
-        if deepest >= own[0].thickness:
+        if deepest >= body_layers[0].thickness:
             faults.append(
-                f"{name}: {path}[0].thickness = {own[0].thickness:g}: the contact face of {body} "
-                f"recedes by {deepest:g} mm; must be more than that, so that it stays within the "
-                "top layer"
+                f"{name}: {path}[0].thickness = {body_layers[0].thickness:g}: the contact face of "
+                f"{body} recedes by {deepest:g} mm; must be more than that, so that it stays "
+                "within the top layer"
             )
     if any(layers.values()):
         faults += [
@@ -302,7 +304,7 @@ def check_contact(name: str, case: Case, displacement: Quantity | None) -> None:
         faults += [f"{name}: {fault}{hint if rough else ''}" for fault in error.faults]
     if displacement is not None and case.interpenetration > largest(displacement):
         faults.append(
-            f"{name}: load.displacement = {told(displacement)}: the undeformed rings "
+            f"{name}: load.displacement = {quantity_text(displacement)}: the undeformed rings "
             f"interpenetrate by {case.interpenetration:g}; must be at least that (mm)"
         )
     here, left = case.smallest_gaps if any(case.open_ends) else (0.0, math.inf)

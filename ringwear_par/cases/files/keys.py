@@ -70,9 +70,9 @@ def base_keys(
     base = tables.get("case")
     try:
         if in_python and isinstance(base, Mapping):
-            given = flatten(base, f"{name}: case")
+            keys = flatten(base, f"{name}: case")
             with naming(f"{name}: case:"):
-                return override({}, in_full(given, folder))
+                return override({}, in_full(keys, folder))
         if isinstance(base, str):
             path = folder / base
             try:
@@ -92,11 +92,11 @@ def base_keys(
 
 
 def kinds(tables: Mapping[str, Any]) -> set[str]:
-    """Return what tables have the keys of: "case", "study", both or neither."""
+    """Return the kinds of file that tables have keys of: "case", "study", both or neither."""
     names = {path.partition(".")[0] for path in tables}
-    own = {path.partition(".")[0] for path in BY_PATH}
-    found = {"case": names & own, "study": names & {"case", "vary", "design"}}
-    return {kind for kind, keys in found.items() if keys}
+    case_tables = {path.partition(".")[0] for path in BY_PATH}
+    tables_of = {"case": names & case_tables, "study": names & {"case", "vary", "design"}}
+    return {kind for kind, keys in tables_of.items() if keys}
 
 
 def refuse_study(tables: Mapping[str, Any], name: str) -> None:
@@ -145,8 +145,8 @@ def flatten(tables: Mapping[str, Any], name: str) -> dict[str, Any]:
     twice = []
     for path, value in _entries(tables, ""):
         if path in flat:
-            shown = legible(path)
-            twice.append(f"{name}: {shown}: is given twice, in a table and by its dotted name")
+            name_text = legible(path)
+            twice.append(f"{name}: {name_text}: is given twice, in a table and by its dotted name")
         flat[path] = value
     if twice:
         raise InputError(*twice)
@@ -176,7 +176,7 @@ def _plain(value: Any) -> Any:
 
 
 def named_files(keys: Mapping[str, Any]) -> dict[str, Any]:
-    """Return those of dotted keys that name files, Python code that a case would run."""
+    """Return the keys of files of Python code, which a case would run."""
     return {path: value for path, value in keys.items() if path in _FILES}
 
 

@@ -33,30 +33,30 @@ _STEP = 1.0  # s
 _WORN = 1e-3  # mm
 #: mm, shorter than the depths over which rates change in practice
 _DEPTH = 1e-5
-_SHOWN = (0.0, 10.0, 50.0, 100.0, 200.0)
+_PRESSURES = (0.0, 10.0, 50.0, 100.0, 200.0)
 _MOST_TIMES = 5
 
 
-def _given(case: Case) -> dict[str, WearLaw | None]:
-    """Return the laws of bodies and of layers that have their own, by what they are called."""
-    found: dict[str, WearLaw | None] = {}
+def _laws_of(case: Case) -> dict[str, WearLaw | None]:
+    """Return the laws of bodies and of layers that have their own, by their tables."""
+    laws: dict[str, WearLaw | None] = {}
     for body, ring, law in zip(BODIES, case.rings, (case.wear_lower, case.wear_upper), strict=True):
-        found[body] = law
+        laws[body] = law
         for i, layer in enumerate(ring.layers):
             if layer.wear is not None:
-                found[f"{body}.layers[{i}]"] = layer.wear
-    return found
+                laws[f"{body}.layers[{i}]"] = layer.wear
+    return laws
 
 
 def law_sources(case: Case) -> dict[str, str]:
     """Return the texts of the user's own laws by body."""
-    laws = _given(case).items()
+    laws = _laws_of(case).items()
     return {body: law.source for body, law in laws if isinstance(law, UserLaw)}
 
 
 def law_files(case: Case) -> dict[str, str]:
     """Return the names of the Python files of a case's laws by key."""
-    laws = _given(case).items()
+    laws = _laws_of(case).items()
     return {f"wear.{body}.file": law.file for body, law in laws if isinstance(law, UserLaw)}
 
 
@@ -73,15 +73,15 @@ def refuse_bad_laws(case: Case, name: str, slopes: bool = True) -> None:
     pressure = _PRESSURE
     if case.load.force is not None:
         pressure = _MEANS * largest(case.load.force) / case.area
-    for body, given in _given(case).items():
-        if given is not None and type(given) not in _OURS:  # which are what they should be
-            law = given if isinstance(given, UserLaw) else CompletedLaw(given)
+    for body, original in _laws_of(case).items():
+        if original is not None and type(original) not in _OURS:  # which are what they should be
+            law = original if isinstance(original, UserLaw) else CompletedLaw(original)
             key = f"wear.{body}.file" if isinstance(law, UserLaw) else f"wear.{body}"
             if body not in BODIES:
                 key = f"{body}.wear"
             try:
-                if law is not given:
-                    check_object(given)
+                if law is not original:
+                    check_object(original)
                 check_user_law(law, _local_state(case, 0.0, 0.0), pressure)
                 if slopes:
                     check_user_slope(law, _local_state(case, 0.0, 0.0), pressure)
@@ -92,7 +92,7 @@ def refuse_bad_laws(case: Case, name: str, slopes: bool = True) -> None:
 
 
 def _local_state(case: Case, time: float, worn: float) -> LocalState:
-    """Return what laws know along the contact at a time, at the largest speed, or 1 rad/s."""
+    """Return the local state along the contact at a time, at the largest speed, or 1 rad/s."""
     r = np.linspace(*case.contact, _ELEMENTS, dtype=np.float64)
     speed = (largest(case.load.omega) or 1.0) * r
     return LocalState(time, r, speed, case.friction, np.full_like(r, worn), speed * _STEP)
@@ -108,7 +108,7 @@ def check_laws(path: Path, overrides: Sequence[str]) -> int:
     """
     case = read_case(path, overrides)
     refuse_bad_laws(case, str(path), slopes=False)
-    laws = _given(case)
+    laws = _laws_of(case)
     failed = sum(_tested(case, body, complete(law)) for body, law in laws.items() if law)
     for body, law in laws.items():
         if law is None:
@@ -126,10 +126,10 @@ def _tested(case: Case, body: str, law: Law) -> int:
     rng = np.random.default_rng(1)
     p, direction = rng.uniform(1.0, _PRESSURE, _ELEMENTS), rng.uniform(-1.0, 1.0, _ELEMENTS)
     fresh = _local_state(case, 0.0, 0.0)
-    rates = [float(law.rate(np.full_like(p, v), fresh).max()) for v in _SHOWN]
+    rates = [float(law.rate(np.full_like(p, v), fresh).max()) for v in _PRESSURES]
     print(
         f"{body}: {legible(law.describe(), LONGEST_SENTENCE)}\n  largest rate at p = "
-        f"{', '.join(f'{q:g}' for q in _SHOWN)} MPa, t = 0, "
+        f"{', '.join(f'{q:g}' for q in _PRESSURES)} MPa, t = 0, "
         f"omega = {largest(case.load.omega) or 1.0:g} rad/s: "
         f"{', '.join(f'{rate:.4g}' for rate in rates)} mm/s"
     )
@@ -138,13 +138,18 @@ def _tested(case: Case, body: str, law: Law) -> int:
     for time in (0.0, *middles[: _MOST_TIMES - 1]):
         for worn in (0.0, _WORN):
             at = _local_state(case, time, worn)
-            for step, what in ((0.0, "rate"), (_STEP, f"wear of an implicit step of {_STEP:g} s")):
+            for step, subject in (
+                (0.0, "rate"),
+                (_STEP, f"wear of an implicit step of {_STEP:g} s"),
+            ):
                 test = taylor_test(law, at, p, direction, step) if law.rate(p, at).any() else None
-                failed += _told(test, f"derivative of the {what}, t = {time:g} s, {worn:g} mm worn")
+                failed += _print_test(
+                    test, f"derivative of the {subject}, t = {time:g} s, {worn:g} mm worn"
+                )
             if law.remembers:
                 test = taylor_test_wear(law, at, p, _DEPTH) if law.rate(p, at).any() else None
-                what = "derivative of the rate with respect to worn depth"
-                failed += _told(test, f"{what}, t = {time:g} s, {worn:g} mm worn")
+                subject = "derivative of the rate with respect to worn depth"
+                failed += _print_test(test, f"{subject}, t = {time:g} s, {worn:g} mm worn")
         for name in law.numeric:
             # memory is worth something only where something is worn
             wears, where = law.rate(p, at).any(), f"t = {time:g} s, {_WORN:g} mm worn"
@@ -152,17 +157,17 @@ def _tested(case: Case, body: str, law: Law) -> int:
                 print(f"  {'-':4} the rate does not depend on {name}, {where}")
                 continue
             test = taylor_test_parameter(law, at, p, name) if wears else None
-            failed += _told(test, f"derivative of the rate with respect to {name}, {where}")
+            failed += _print_test(test, f"derivative of the rate with respect to {name}, {where}")
     return failed
 
 
-def _told(test: Remainders | None, what: str) -> bool:
+def _print_test(test: Remainders | None, subject: str) -> bool:
     """Print the result of a test, None where nothing wears; return whether it failed."""
     if test is None:
-        print(f"  {'-':4} {what}: Taylor remainder: no wear, not tested")
+        print(f"  {'-':4} {subject}: Taylor remainder: no wear, not tested")
         return False
     order = "none left" if math.isinf(test.order) else f"order {test.order:.2f}"
     if test.passed and test.order < 1.9:
         order += ", as its kinks explain"
-    print(f"  {'ok' if test.passed else 'FAIL':4} {what}: Taylor remainder: {order}")
+    print(f"  {'ok' if test.passed else 'FAIL':4} {subject}: Taylor remainder: {order}")
     return not test.passed

@@ -63,9 +63,9 @@ def read_case(source: str | Path | Mapping[str, Any], overrides: Overrides = ())
         path = Path(source)
         return parse_case(read_text(path), str(path), overrides, path.parent)
     refuse_study(source, "case")
-    given = flatten(source, "case")
+    keys_of_source = flatten(source, "case")
     with naming("case:"):
-        keys = override({}, in_full(given, Path()))
+        keys = override({}, in_full(keys_of_source, Path()))
     return _changed(keys, "case", overrides, None)
 
 
@@ -80,8 +80,8 @@ def parse_case(text: str, name: str, overrides: Overrides = (), folder: Path | N
     """
     keys = read_keys(text, name)
     with naming(f"{name}:"):
-        found = in_full(keys, folder) if folder is not None else keys
-    return _changed(found, name, overrides, text if found == keys else None)
+        complete = in_full(keys, folder) if folder is not None else keys
+    return _changed(complete, name, overrides, text if complete == keys else None)
 
 
 def _changed(keys: Mapping[str, Any], name: str, overrides: Overrides, text: str | None) -> Case:
@@ -144,7 +144,7 @@ class Outline(NamedTuple):
 
 
 def outlines(text: str, name: str) -> tuple[Outline, Outline]:
-    """Return what the sections of lower and upper look like. Not collective.
+    """Return the outlines of the sections of lower and upper. Not collective.
 
     Unlike a case, they need no wear laws; no file is opened.
 
@@ -162,21 +162,21 @@ def outlines(text: str, name: str) -> tuple[Outline, Outline]:
     faces = contact_faces(name, values, faults)
     if faults:
         raise InputError(*faults)
-    found = []
+    sections = []
     for ring, sign in (("lower", 1.0), ("upper", -1.0)):
         r, z = values[f"{ring}.r"], values[f"{ring}.z"]
-        plane, held = (z[1], z[0]) if ring == "lower" else z
+        plane, fixed = (z[1], z[0]) if ring == "lower" else z
         face = np.array(faces[ring] or [(r[0], 0.0), (r[1], 0.0)])
         face = np.stack([face[:, 0], plane + sign * face[:, 1]], axis=1)
         thicknesses = [layer["thickness"] for layer in keys.get(f"{ring}.layers", ())]
-        found.append(
+        sections.append(
             Outline(
-                np.concatenate([face, [(r[1], held), (r[0], held)]]),
+                np.concatenate([face, [(r[1], fixed), (r[0], fixed)]]),
                 plane - sign * np.cumsum(thicknesses),
                 plane,
             )
         )
-    return found[0], found[1]
+    return sections[0], sections[1]
 
 
 def _rebuilt(text: str, changes: Overrides) -> Case:
@@ -196,36 +196,36 @@ def _read_layers(
     ----------
     keys, values : dotted keys as given, and as read, layers entry by entry.
     """
-    found, given = [], expanded(keys)
+    layers, raw = [], expanded(keys)
     for table in layer_tables(keys):
         if table.startswith(path):
-            law = read_law(origin.name, f"{table}.wear", given, values, faults)
+            law = read_law(origin.name, f"{table}.wear", raw, values, faults)
             names = [f"{table}.{name}" for name in ("thickness", "young", "poisson")]
             if values.keys() >= set(names):
                 thickness, young, poisson = (values[name] for name in names)
                 density = values.get(f"{table}.density")
-                found.append(RingLayer(thickness, young, poisson, law, density))
-    return tuple(found)
+                layers.append(RingLayer(thickness, young, poisson, law, density))
+    return tuple(layers)
 
 
 def _read_values(keys: Mapping[str, Any], origin: Origin) -> tuple[dict[str, Any], list[str]]:
-    """Return what the keys hold, with defaults, and the faults of each by itself.
+    """Return the values of keys, with defaults, and the faults of single keys.
 
     Layers are read entry by entry. Keys that are wrong have no value, nor those that a misspelt one
     means.
     """
     faults: list[str] = []
     values: dict[str, Any] = {}
-    given = expanded(keys)
+    raw = expanded(keys)
     meant: set[str] = set()
-    for path, value in given.items():
+    for path, value in raw.items():
         key = key_of(path)
         if key is not None:
             try:
                 values[path] = key.read(without_units(key, value))
             except RejectedError as reason:
-                told = origin.typed_fault(path, value) or str(reason)
-                why = f"{key.rule} ({told})" if told else key.rule
+                reason_text = origin.typed_fault(path, value) or str(reason)
+                why = f"{key.rule} ({reason_text})" if reason_text else key.rule
                 faults.append(f"{origin.of(path)}{path} = {shortened(value)}: {why}")
         elif path in TABLES and value == {}:
             faults.append(f"{origin.of(path)}[{path}]: is empty; must have one of its keys")
@@ -233,7 +233,7 @@ def _read_values(keys: Mapping[str, Any], origin: Origin) -> tuple[dict[str, Any
             said = f"{path} = {shortened(value)}"
             must = " of a law" if path not in TABLES else f", [{path}]"
             faults.append(f"{origin.of(path)}{said}: must be a table{must}")
-        elif not of_refused_law(path, given):
+        elif not of_refused_law(path, raw):
             said = f"{origin.of(path)}{legible(path)}"
             if len(faults) < MOST_FAULTS:
                 faults.append(f"{said}: {unknown_key(path)}")
@@ -241,7 +241,7 @@ def _read_values(keys: Mapping[str, Any], origin: Origin) -> tuple[dict[str, Any
             else:
                 faults.append(f"{said}: unknown key")
     for key in itertools.chain(KEYS, *map(keys_of_layer, layer_tables(keys))):
-        if key.path not in given and key.path not in meant:
+        if key.path not in raw and key.path not in meant:
             if key.default is not ...:
                 values[key.path] = key.default
             else:

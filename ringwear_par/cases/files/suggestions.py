@@ -69,7 +69,7 @@ _ALIASES: dict[str, tuple[str, ...]] = {
 #: least likeness of last parts in one table, of last parts of one or two letters, and elsewhere
 _NEAR, _NEAR_SHORT, _NEAR_ELSEWHERE = 0.6, 0.5, 0.75
 #: entries of a layer
-_TOLD = ("thickness", "young", "poisson", "density", "wear")
+_LAYER_ENTRIES = ("thickness", "young", "poisson", "density", "wear")
 #: what is meant as one
 _LIKE_A_LAYER = re.compile(r"(lower|upper)\.layers?(?:[\[.](\d{1,3})\]?|\[[^\]]*\])?\.", re.ASCII)
 #: longer than any key, and slow to compare
@@ -77,17 +77,19 @@ _LONGEST = 100
 
 
 def unknown_key(path: str) -> str:
-    """Return what is said of an unknown key: the nearest known ones, or those of its table."""
-    found = nearest_key(path)
-    if not found:
+    """Return the rule for an unknown key: the nearest known ones, or all keys of its table."""
+    hint = nearest_key(path)
+    if not hint:
         table = path.rpartition(".")[0]
         known = dict.fromkeys([*BY_PATH, *sorted(TABLES)])
-        own = [_last(name) for name in known if name.rpartition(".")[0] == table]
+        names = [_last(name) for name in known if name.rpartition(".")[0] == table]
         if (entry := layer_entry(path)) is not None:
             inner = [key.path.partition("wear.")[2] for key in LAYER_KEYS]
-            own = list(filter(None, inner)) if entry[2].startswith("wear.") else list(_TOLD)
-        found = f"; must be {', '.join(own)}" if table and own else ""
-    return f"unknown key{found}"
+            names = (
+                list(filter(None, inner)) if entry[2].startswith("wear.") else list(_LAYER_ENTRIES)
+            )
+        hint = f"; must be {', '.join(names)}" if table and names else ""
+    return f"unknown key{hint}"
 
 
 def nearest_key(path: str) -> str:
@@ -107,14 +109,14 @@ def nearest_keys(path: str) -> list[str]:
         return []
     entry = layer_entry(path)
     if entry is not None:
-        own = _near(_last(entry[2]), [key.path for key in LAYER_KEYS], _NEAR_SHORT)
-        return [f"{entry[0]}{entry[1]}.{key}" for key in own]
+        near = _near(_last(entry[2]), [key.path for key in LAYER_KEYS], _NEAR_SHORT)
+        return [f"{entry[0]}{entry[1]}.{key}" for key in near]
     if (match := _LIKE_A_LAYER.match(path)) is not None:
-        own = _near(_last(path), [key.path for key in LAYER_KEYS], _NEAR_SHORT)
-        return [f"{match[1]}.layers[{match[2] or 0}].{key}" for key in own]
+        near = _near(_last(path), [key.path for key in LAYER_KEYS], _NEAR_SHORT)
+        return [f"{match[1]}.layers[{match[2] or 0}].{key}" for key in near]
     table, last = path.rpartition(".")[0], _last(path)
-    there = [known for known in BY_PATH if known.rpartition(".")[0] == table]
-    near = _near(last, there, _NEAR if len(last) > 2 else _NEAR_SHORT)
+    in_table = [known for known in BY_PATH if known.rpartition(".")[0] == table]
+    near = _near(last, in_table, _NEAR if len(last) > 2 else _NEAR_SHORT)
     if not near:
         near = [known for known in BY_PATH if _plain(known, ".") == _plain(path, ".")]
     return near or _in_table(table, _near(last, BY_PATH, _NEAR_ELSEWHERE))
@@ -131,21 +133,21 @@ def _last(path: str) -> str:
 
 def _near(last: str, paths: Iterable[str], least: float) -> list[str]:
     """Return the paths whose last part is this one, has it as another name, or is most like it."""
-    own = _plain(last)
+    name = _plain(last)
     by_name: dict[str, list[str]] = {}
     for path in paths:
         by_name.setdefault(_plain(_last(path)), []).append(path)
-    if own in by_name:
-        return by_name[own]
-    for alias in _ALIASES.get(own, ()):
+    if name in by_name:
+        return by_name[name]
+    for alias in _ALIASES.get(name, ()):
         if _plain(alias) in by_name:
             return by_name[_plain(alias)]
-    likest = difflib.get_close_matches(own, by_name, n=1, cutoff=least)
+    likest = difflib.get_close_matches(name, by_name, n=1, cutoff=least)
     return by_name[likest[0]] if likest else []
 
 
 def _in_table(table: str, paths: list[str]) -> list[str]:
-    """Return those of some paths whose table is most like this one."""
+    """Return the paths whose table is most like this one."""
 
     def likeness(path: str) -> float:
         return difflib.SequenceMatcher(a=table.lower(), b=path.rpartition(".")[0]).ratio()

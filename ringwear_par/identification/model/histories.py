@@ -8,7 +8,7 @@ from mpi4py import MPI
 
 from ringwear_par.arrays import BoolArray, FloatArray
 from ringwear_par.cases.case import Case
-from ringwear_par.cases.numbers import Number, doubtful, with_numbers
+from ringwear_par.cases.numbers import Number, needs_reading, with_numbers
 from ringwear_par.elasticity.boundary_fields import BODIES
 from ringwear_par.elasticity.pair import ContactPair
 from ringwear_par.errors import ComputationError, InputError, reason_of
@@ -114,7 +114,7 @@ class Histories:
             numbers[path, entry] = column
         if experiment in self._elastic:
             return [self._case(case, point) for point in points]
-        doubts = doubtful(case, numbers)
+        doubts = needs_reading(case, numbers)
         lists = {number: values.tolist() for number, values in numbers.items()}
         cases: list[Case | ComputationError] = [
             *with_numbers(case, lists, [case.text] * len(points))

@@ -21,7 +21,7 @@ def case_attributes(case: Case, time: float) -> dict[str, Any]:
     """Return the attributes of a case whose history has come to a time (s). Not collective."""
     density = {"density_lower": case.lower.density, "density_upper": case.upper.density}
     return {
-        "case": case.told,
+        "case": case.stored_text,
         "title": case.title,
         **versions(),
         "scheme": case.time.scheme,

@@ -14,7 +14,7 @@ from ringwear_par.cases.case import Case
 from ringwear_par.cases.files.keys import naming
 from ringwear_par.cases.files.law_trials import law_sources, refuse_bad_laws
 from ringwear_par.cases.files.reading import make_case
-from ringwear_par.cases.numbers import doubtful, with_numbers
+from ringwear_par.cases.numbers import needs_reading, with_numbers
 from ringwear_par.cases.text import toml_value
 from ringwear_par.elasticity.bem.boundary import count_elements
 from ringwear_par.errors import InputError
@@ -275,7 +275,7 @@ class _Checker:
                 self._note(rest, case)
                 return
             if len(rest):
-                look = doubtful(case, self.rows.floats(rest))
+                look = needs_reading(case, self.rows.floats(rest))
                 self._note(rest[~look], case)
                 rest = rest[look]
                 if look.all():

@@ -138,4 +138,4 @@ def _failed(case: Case, error: Exception) -> FailedResult:
     told = as_ours(error)
     # they hold the model and its matrices
     told.__traceback__ = told.__cause__ = told.__context__ = None
-    return FailedResult(case.told, told)
+    return FailedResult(case.stored_text, told)

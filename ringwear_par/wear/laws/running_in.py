@@ -8,7 +8,7 @@ import numpy as np
 
 from ringwear_par.arrays import FloatArray
 from ringwear_par.errors import InputError
-from ringwear_par.schedules import Quantity, largest, smallest, told, value
+from ringwear_par.schedules import Quantity, largest, quantity_text, smallest, value
 from ringwear_par.wear.law import LocalState
 from ringwear_par.wear.laws.threshold import AboveThreshold
 from ringwear_par.wear.parameters import Coefficient, Parameter, Threshold
@@ -67,7 +67,10 @@ class RunningInLaw(AboveThreshold):
             faults.append(f"{table}depth, {table}distance: one of them must be given (mm)")
         k, start = values.get("k"), values.get("k_start")
         if k is not None and start is not None and smallest(start) < largest(k):
-            faults.append(f"{table}k_start = {told(start)}: must be at least {table}k = {told(k)}")
+            faults.append(
+                f"{table}k_start = {quantity_text(start)}: must be at least {table}k = "
+                f"{quantity_text(k)}"
+            )
         return faults
 
     @property
