@@ -558,9 +558,9 @@ def _main(words: Sequence[str], world: _World, signals: StopAtOnce) -> int:
         args = _parser().parse_args(words[:cut])
         _check_launch(comm.size)
         if args.command == "verify" or getattr(args, "no_cache", False):
-            from ringwear_par import kept
+            from ringwear_par import pair_cache
 
-            os.environ[kept.VARIABLE] = ""  # nothing is
+            os.environ[pair_cache.VARIABLE] = ""  # nothing is
         if args.command in _COMPUTING or words[cut + 1 :]:
             start_petsc(words[cut + 1 :])
         if args.command in _COMPUTING:
