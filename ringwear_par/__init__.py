@@ -23,7 +23,7 @@ __version__ = "0.2.0"
 if TYPE_CHECKING:
     from ringwear_par.cases.case import Case
     from ringwear_par.cases.files.reading import read_case
-    from ringwear_par.elasticity.pair import ContactPair
+    from ringwear_par.elasticity.bem.pair import ContactPair
     from ringwear_par.errors import ComputationError, InputError
     from ringwear_par.history.elastic.pairs import assemble
     from ringwear_par.identification.fit import fit

@@ -540,9 +540,9 @@ def _main(words: Sequence[str], world: _World, signals: StopAtOnce) -> int:
         command = _COMMANDS[args.command]
         _check_launch(comm.size)
         if args.command == "verify" or getattr(args, "no_cache", False):
-            from ringwear_par import kept
+            from ringwear_par import pair_cache
 
-            os.environ[kept.VARIABLE] = ""  # nothing is
+            os.environ[pair_cache.VARIABLE] = ""  # no cache
         if command.solves or words[cut + 1 :]:
             start_petsc(words[cut + 1 :])
         if command.solves:

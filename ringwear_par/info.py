@@ -51,7 +51,7 @@ def _optional(package: str) -> str:
 
 def print_info(comm: "MPI.Comm") -> None:
     """Print versions, builds, ranks and threads. On one rank."""
-    from ringwear_par import kept
+    from ringwear_par import pair_cache
     from ringwear_par.petsc import PETSc
 
     print(f"ringwear-par {__version__} in {os.path.dirname(__file__)}, Python {sys.executable}")
@@ -64,13 +64,14 @@ def print_info(comm: "MPI.Comm") -> None:
     print(f"  petsc scalar: {PETSc.ScalarType.__name__}, integer: {PETSc.IntType.__name__}")
     launched = os.environ.get("OMPI_COMM_WORLD_SIZE") or os.environ.get("PMI_SIZE") or "no launcher"
     print(f"  ranks: {comm.size} (launcher says: {launched}), cores: {os.cpu_count()}")
-    where = kept.folder()
+    where = pair_cache.folder()
     if where is None:
-        print(f"  assembled pairs: not kept ({kept.VARIABLE} is empty)")
+        print(f"  assembled pairs: not kept ({pair_cache.VARIABLE} is empty)")
     else:
-        pairs, size = kept.size(where)
+        pairs, size = pair_cache.size(where)
         print(
-            f"  assembled pairs: {pairs}, {size / 1e6:.3g} of {kept.LIMIT / 1e6:g} MB, in {where}"
+            f"  assembled pairs: {pairs}, {size / 1e6:.3g} of {pair_cache.LIMIT / 1e6:g} MB, "
+            f"in {where}"
         )
     for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "NUMBA_NUM_THREADS"):
         print(f"  {name}: {os.environ.get(name, 'not set')}")

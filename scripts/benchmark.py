@@ -37,16 +37,16 @@ import numpy as np
 from mpi4py import MPI
 
 import ringwear_par as rw
-from ringwear_par import kept
+from ringwear_par import pair_cache
 from ringwear_par.cases.case import Case, Stepping
 from ringwear_par.contact.solver import ContactSolver
 from ringwear_par.elasticity.bem.assembly import assemble
 from ringwear_par.elasticity.bem.body import body_zones
+from ringwear_par.elasticity.bem.pair import assemble_pair
 from ringwear_par.elasticity.bem.quadrature import quadrature
 from ringwear_par.elasticity.bem.solve import solve_systems
 from ringwear_par.elasticity.bem.systems import number_dofs
 from ringwear_par.elasticity.geometry.mesh import Mesh
-from ringwear_par.elasticity.pair import assemble_pair
 from ringwear_par.history.elastic.bodies import bodies, young
 from ringwear_par.history.loop import simulate_one
 from ringwear_par.history.snapshots import Snapshot
@@ -85,7 +85,7 @@ def timed_commands(n: int, repeats: int) -> tuple[float, float]:
     with TemporaryDirectory() as folder:
         words = [sys.executable, "-m", "ringwear_par", "run", str(case), "-o", f"{folder}/run.h5"]
         words += ["--set", f"mesh.contact_elements={n}"]
-        environment = {**os.environ, kept.VARIABLE: f"{folder}/kept"}
+        environment = {**os.environ, pair_cache.VARIABLE: f"{folder}/kept"}
 
         def run(*more: str) -> None:
             subprocess.run(

@@ -42,8 +42,8 @@ from ringwear_par.cases.case import Case, Stepping
 from ringwear_par.cases.files.reading import read_case
 from ringwear_par.elasticity.bem.body import boundary_conditions, solve_body
 from ringwear_par.elasticity.bem.boundary import boundary_mesh
+from ringwear_par.elasticity.bem.pair import ContactCompliance, ContactPair, largest_stable_step
 from ringwear_par.elasticity.geometry.mesh import ContactLine
-from ringwear_par.elasticity.pair import ContactCompliance, ContactPair, largest_stable_step
 from ringwear_par.errors import RingwearError
 from ringwear_par.history.elastic.bodies import young
 from ringwear_par.history.elastic.pairs import assemble

@@ -106,7 +106,7 @@ def test_a_changed_function_is_compiled_into_its_callers(tmp_path):
     shutil.copytree(ROOT / "ringwear_par", package, ignore=shutil.ignore_patterns("__pycache__"))
     folder = package / "elasticity" / "bem"
     callee, caller = (folder / f"{name}.py" for name in ("callee", "caller"))
-    decorated = "from ringwear_par.elasticity.compiling import compiled\n@compiled\ndef "
+    decorated = "from ringwear_par.elasticity.bem.compiling import compiled\n@compiled\ndef "
     callee.write_text(f"{decorated}factor():\n    return 1.0\n")
     caller.write_text(
         "from ringwear_par.elasticity.bem.callee import factor\n"

@@ -18,7 +18,7 @@ VAGUE_DOCSTRING = re.compile(r"(?:Return|Tell|Give) (?:what|the same|that of|tho
 #: folders, and modules of the root, that are not clean yet
 ROOMS_TO_DO = {
     "elasticity", "explorer", "history", "identification",
-    "kept", "parallel", "reports", "results", "studies",
+    "parallel", "reports", "results", "studies",
     "verification", "wear",
 }  # fmt: skip
 

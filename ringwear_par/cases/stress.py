@@ -8,8 +8,8 @@ import numpy as np
 
 from ringwear_par.arrays import BoolArray, FloatArray, IntArray
 from ringwear_par.cases.text import shortened
-from ringwear_par.elasticity.boundary_fields import BODIES
 from ringwear_par.elasticity.geometry.sections import corners
+from ringwear_par.elasticity.stress.boundary_fields import BODIES
 from ringwear_par.errors import InputError
 
 if TYPE_CHECKING:

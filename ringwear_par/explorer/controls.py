@@ -8,8 +8,8 @@ from ringwear_par.cases.layers import expanded
 from ringwear_par.cases.schema import BY_PATH, Key, key_of
 from ringwear_par.cases.units import in_unit
 from ringwear_par.cases.values import Interval
-from ringwear_par.elasticity.boundary_fields import BODIES
 from ringwear_par.elasticity.geometry.profiles import SHAPE_UNITS
+from ringwear_par.elasticity.stress.boundary_fields import BODIES
 from ringwear_par.explorer.sliders import POSITIONS, TIMES, Control, length, nice, quantity, shown
 from ringwear_par.wear.catalogue import LAWS
 from ringwear_par.wear.parameters import parameters_of

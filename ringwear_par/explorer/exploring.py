@@ -11,7 +11,7 @@ from ringwear_par.cases.case import Case
 from ringwear_par.cases.files.keys import flatten, in_full, override, parse_overrides, read_keys
 from ringwear_par.cases.files.reading import make_case, read_case
 from ringwear_par.cases.text import toml_text
-from ringwear_par.elasticity.pair import ContactPair
+from ringwear_par.elasticity.bem.pair import ContactPair
 from ringwear_par.explorer.controls import controls_of
 from ringwear_par.explorer.moved import changed
 from ringwear_par.explorer.sliders import Control

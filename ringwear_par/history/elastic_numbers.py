@@ -1,7 +1,7 @@
 """What numbers of layers do to the elasticity of a pair: of these each value has its own operator.
 
 Histories have derivatives with respect to them like any other number, by differences of operators
-(``elasticity.bem.layer_derivatives``); those at other values need another pair.
+(``elasticity.bem.pair``); those at other values need another pair.
 """
 
 from collections.abc import Sequence
@@ -10,9 +10,8 @@ from mpi4py import MPI
 
 from ringwear_par.cases.case import Case
 from ringwear_par.cases.schema import key_of, layer_entry
-from ringwear_par.elasticity.bem.layer_derivatives import ComplianceChange, Entry, layer_derivative
-from ringwear_par.elasticity.boundary_fields import BODIES
-from ringwear_par.elasticity.pair import ContactPair
+from ringwear_par.elasticity.bem.pair import ComplianceChange, ContactPair, Entry, layer_derivative
+from ringwear_par.elasticity.stress.boundary_fields import BODIES
 from ringwear_par.history.elastic.bodies import bodies
 
 _ENTRIES: tuple[Entry, ...] = ("thickness", "young", "poisson")

@@ -21,7 +21,7 @@ from ringwear_par import batched
 from ringwear_par.arrays import BoolArray, FloatArray, IntArray
 from ringwear_par.cases.case import Case
 from ringwear_par.cases.forecast import unit_question
-from ringwear_par.elasticity.pair import ContactPair
+from ringwear_par.elasticity.bem.pair import ContactPair
 from ringwear_par.errors import (
     ComputationError,
     HistoriesError,

@@ -20,7 +20,7 @@ from ringwear_par.arrays import BoolArray, FloatArray, IntArray, columns, inner
 from ringwear_par.cases.case import Case
 from ringwear_par.contact.correction import CorrectedContacts
 from ringwear_par.contact.problem import ContactState, WarmStart
-from ringwear_par.elasticity.pair import ContactCompliance, ContactPair
+from ringwear_par.elasticity.bem.pair import ContactCompliance, ContactPair
 from ringwear_par.errors import ComputationError, HistoriesError
 from ringwear_par.history.admissible import check_interpenetration, checked
 from ringwear_par.history.elastic.bodies import young

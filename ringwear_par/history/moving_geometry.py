@@ -8,8 +8,8 @@ from mpi4py import MPI
 
 from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.case import Case
+from ringwear_par.elasticity.bem.pair import BodyCost, ContactCompliance, ContactPair
 from ringwear_par.elasticity.geometry.mesh import ContactLine
-from ringwear_par.elasticity.pair import BodyCost, ContactCompliance, ContactPair
 from ringwear_par.errors import ComputationError
 from ringwear_par.history.elastic.bodies import young
 from ringwear_par.history.elastic.pairs import updated_geometry

@@ -10,9 +10,9 @@ import numpy as np
 from ringwear_par.arrays import FloatArray, IntArray, columns, inner
 from ringwear_par.cases.case import Case
 from ringwear_par.cases.schema import UNITS, layer_entry
-from ringwear_par.elasticity.boundary_fields import BODIES
+from ringwear_par.elasticity.bem.pair import ContactPair
 from ringwear_par.elasticity.geometry.slopes import obliquity
-from ringwear_par.elasticity.pair import ContactPair
+from ringwear_par.elasticity.stress.boundary_fields import BODIES
 from ringwear_par.errors import InputError, legible
 from ringwear_par.history.elastic.bodies import young
 from ringwear_par.history.elastic_numbers import compliance_change, elastic_numbers

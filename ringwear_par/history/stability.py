@@ -7,7 +7,7 @@ import numpy as np
 from ringwear_par.arrays import FloatArray, IntArray
 from ringwear_par.cases.case import Case
 from ringwear_par.contact.problem import ContactState
-from ringwear_par.elasticity.pair import ContactCompliance, largest_stable_step
+from ringwear_par.elasticity.bem.pair import ContactCompliance, largest_stable_step
 from ringwear_par.schedules import integral, largest
 from ringwear_par.wear.law import Law, LocalState
 from ringwear_par.wear.layered import LayeredLaw

@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.colors import to_hex
 
 from ringwear_par.arrays import IntArray
-from ringwear_par.elasticity.boundary_fields import BODIES, Which
+from ringwear_par.elasticity.stress.boundary_fields import BODIES, Which
 from ringwear_par.errors import InputError
 from ringwear_par.reports.blocks import Chart, Charts
 from ringwear_par.results.instants import pressure_peak, stages, time_unit, time_words

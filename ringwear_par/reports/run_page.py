@@ -6,7 +6,7 @@ from collections.abc import Iterable
 import numpy as np
 
 from ringwear_par.cases.units import in_signs, with_signs
-from ringwear_par.elasticity.boundary_fields import BODIES
+from ringwear_par.elasticity.stress.boundary_fields import BODIES
 from ringwear_par.reports import charts
 from ringwear_par.reports.blocks import (
     Block,

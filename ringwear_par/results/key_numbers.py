@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from ringwear_par.cases.case import density_keys
-from ringwear_par.elasticity.boundary_fields import BODIES, Which
+from ringwear_par.elasticity.stress.boundary_fields import BODIES, Which
 from ringwear_par.errors import InputError
 from ringwear_par.results.layer_ends import worn_through
 from ringwear_par.results.result import Result

@@ -10,8 +10,8 @@ import numpy as np
 
 import ringwear_par
 from ringwear_par.arrays import FloatArray, IntArray
-from ringwear_par.elasticity.boundary_fields import BoundaryState
 from ringwear_par.elasticity.geometry.mesh import ContactLine
+from ringwear_par.elasticity.stress.boundary_fields import BoundaryState
 from ringwear_par.elasticity.stress.fields import StressHistory
 from ringwear_par.errors import InputError, RingwearError
 from ringwear_par.results.stress_variables import stress_coordinates, stress_variables

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 from ringwear_par.cases.case import Case
 from ringwear_par.cases.forecast import DEEP, forecasts
-from ringwear_par.elasticity.boundary_fields import BODIES
+from ringwear_par.elasticity.stress.boundary_fields import BODIES
 from ringwear_par.schedules import largest
 from ringwear_par.wear.laws.archard import ArchardLaw
 from ringwear_par.wear.laws.threshold import AboveThreshold

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from ringwear_par.arrays import BoolArray, FloatArray
-from ringwear_par.elasticity.boundary_fields import BODIES, FACES
+from ringwear_par.elasticity.stress.boundary_fields import BODIES, FACES
 from ringwear_par.elasticity.stress.measures import SIDES
 
 #: what files say they were written by

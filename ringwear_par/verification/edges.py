@@ -8,8 +8,8 @@ from mpi4py import MPI
 
 from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.case import Stepping
+from ringwear_par.elasticity.bem.pair import ContactPair
 from ringwear_par.elasticity.geometry.mesh import ContactLine, Mesh, contact_line
-from ringwear_par.elasticity.pair import ContactPair
 from ringwear_par.history.observers.trace import Trace, trace
 from ringwear_par.verification import reference
 from ringwear_par.verification.check import SIZES, Check, identity

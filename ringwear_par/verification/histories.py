@@ -8,9 +8,9 @@ import numpy as np
 from mpi4py import MPI
 
 from ringwear_par.cases.case import Case, Load, Output, Ring, Stepping
+from ringwear_par.elasticity.bem.pair import ContactPair
 from ringwear_par.elasticity.geometry.mesh import Mesh
 from ringwear_par.elasticity.geometry.sections import Polyline
-from ringwear_par.elasticity.pair import ContactPair
 from ringwear_par.history.elastic.pairs import assemble
 from ringwear_par.history.model import WearModel
 from ringwear_par.history.observers.trace import Trace, trace

@@ -8,8 +8,8 @@ from mpi4py import MPI
 
 from ringwear_par.batched import one
 from ringwear_par.cases.case import Case, Load, Output, Ring, Stepping
+from ringwear_par.elasticity.bem.pair import ContactPair
 from ringwear_par.elasticity.geometry.mesh import Mesh
-from ringwear_par.elasticity.pair import ContactPair
 from ringwear_par.history.elastic.pairs import assemble
 from ringwear_par.history.model import WearModel
 from ringwear_par.verification import reference

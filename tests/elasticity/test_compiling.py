@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import pytest
 from mpi4py import MPI
 
-from ringwear_par.elasticity import compiling
+from ringwear_par.elasticity.bem import compiling
 
 
 def test_what_an_older_version_kept_is_forgotten(tmp_path, monkeypatch):

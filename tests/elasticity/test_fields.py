@@ -8,7 +8,7 @@ import xarray
 from stored import assert_same
 
 from ringwear_par.cases.files.reading import read_case
-from ringwear_par.elasticity.boundary_fields import FACES
+from ringwear_par.elasticity.stress.boundary_fields import FACES
 from ringwear_par.history.elastic.bodies import young
 from ringwear_par.history.elastic.pairs import assemble, boundary_recovery, updated_geometry
 from ringwear_par.results.execution.run import run_case

@@ -15,13 +15,13 @@ from ringwear_par.elasticity.bem.body import (
     contact_problem,
 )
 from ringwear_par.elasticity.bem.boundary import node_wear, zone_meshes
+from ringwear_par.elasticity.bem.pair import assemble_pair
 from ringwear_par.elasticity.bem.quadrature import quadrature
 from ringwear_par.elasticity.bem.systems import number_dofs
+from ringwear_par.elasticity.bem.updated import UpdatedGeometry, moving_parts
 from ringwear_par.elasticity.geometry.mesh import Mesh, contact_line
 from ringwear_par.elasticity.geometry.sections import Body, Material, Section
 from ringwear_par.elasticity.geometry.slopes import pair_slope
-from ringwear_par.elasticity.pair import assemble_pair
-from ringwear_par.elasticity.updated import UpdatedGeometry, moving_parts
 
 CONTACT = (28.5, 31.5)
 HARD, SOFT = Material(1e5, 0.25), Material(2e3, 0.4)

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from ringwear_par.elasticity.bem.body import Body
+from ringwear_par.elasticity.bem.pair import BodyCost, assemble_pair, pair_key
 from ringwear_par.elasticity.bem.reciprocity import symmetric
 from ringwear_par.elasticity.geometry.mesh import Mesh, contact_line
 from ringwear_par.elasticity.geometry.sections import Section
-from ringwear_par.elasticity.pair import BodyCost, assemble_pair, pair_key
 from ringwear_par.errors import ComputationError
 
 CONTACT, MESH = (28.5, 31.5), Mesh(16)

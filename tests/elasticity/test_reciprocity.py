@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from ringwear_par.elasticity.bem import reciprocity
+from ringwear_par.elasticity.bem.pair import assemble_pair
 from ringwear_par.elasticity.bem.reciprocity import symmetric
 from ringwear_par.elasticity.geometry.mesh import Mesh, contact_line
 from ringwear_par.elasticity.geometry.sections import Body, Section
-from ringwear_par.elasticity.pair import assemble_pair
 from ringwear_par.errors import ComputationError
 
 CONTACT, FORCE = (28.5, 31.5), 28274.334

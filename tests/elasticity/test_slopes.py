@@ -11,11 +11,11 @@ from ringwear_par.batched import one
 from ringwear_par.cases.case import Stepping
 from ringwear_par.cases.files.reading import read_case
 from ringwear_par.elasticity.bem.body import compliance
-from ringwear_par.elasticity.boundary_fields import FACES
+from ringwear_par.elasticity.bem.pair import assemble_pair
 from ringwear_par.elasticity.geometry.mesh import Mesh, contact_line
 from ringwear_par.elasticity.geometry.sections import Body, Section
 from ringwear_par.elasticity.geometry.slopes import case_slopes, common_slope, face_slope, obliquity
-from ringwear_par.elasticity.pair import assemble_pair
+from ringwear_par.elasticity.stress.boundary_fields import FACES
 from ringwear_par.history.elastic.bodies import bodies, young
 from ringwear_par.history.elastic.pairs import assemble, boundary_recovery
 from ringwear_par.history.model import WearModel

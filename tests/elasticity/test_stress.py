@@ -6,14 +6,16 @@ import pytest
 import ringwear_par as rw
 from ringwear_par.elasticity.bem.body import BoundaryResponse
 from ringwear_par.elasticity.bem.boundary import boundary_mesh
+from ringwear_par.elasticity.bem.pair import assemble_pair
 from ringwear_par.elasticity.geometry.mesh import Mesh, contact_line
 from ringwear_par.elasticity.geometry.sections import Body, Material, Section
-from ringwear_par.elasticity.pair import assemble_pair
+from ringwear_par.elasticity.stress import rows
 from ringwear_par.elasticity.stress.largest import Search, edges
 from ringwear_par.elasticity.stress.measures import max_shear, mises, principal
 from ringwear_par.elasticity.stress.recovery import StressPoints, StressRecovery
 from ringwear_par.elasticity.stress.surface import faces
 from ringwear_par.elasticity.stress.zone import ZoneStress, locate
+from ringwear_par.errors import ComputationError
 
 NU = 0.3
 RING = Section((20.0, 40.0), 20.0)
@@ -72,6 +74,18 @@ def test_linear_fields_are_exact(section):
     assert got[..., :3] == pytest.approx(exact[..., :3], abs=3e-7)
     # tractions are constant on elements, that of torsion is not
     assert got[..., 3] == pytest.approx(exact[..., 3], abs=1e-2 * np.abs(exact).max())
+
+
+def test_parts_of_elements_that_run_out_are_an_error(monkeypatch):
+    """Not integrals over parts that are too long, whose error nobody would see."""
+    section = next(iter(INSIDE))
+    zone, points = exact_zone(section), INSIDE[section]
+    whole = at_points(zone, points)
+    monkeypatch.setattr(rows, "MAX_PARTS", 1)
+    with pytest.raises(ComputationError, match=r"stress: points lie too close.*to be integrated"):
+        at_points(zone, points)
+    monkeypatch.setattr(rows, "MAX_PARTS", 20)
+    assert np.array_equal(at_points(zone, points), whole)
 
 
 def test_torsion_converges():

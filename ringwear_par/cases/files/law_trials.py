@@ -9,7 +9,7 @@ import numpy as np
 
 from ringwear_par.cases.case import Case
 from ringwear_par.cases.files.reading import read_case
-from ringwear_par.elasticity.boundary_fields import BODIES
+from ringwear_par.elasticity.stress.boundary_fields import BODIES
 from ringwear_par.errors import LONGEST_SENTENCE, ComputationError, InputError, legible
 from ringwear_par.schedules import largest
 from ringwear_par.wear.catalogue import LAWS

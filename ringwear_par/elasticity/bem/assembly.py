@@ -40,7 +40,7 @@ def load_kernels(comm: MPI.Comm) -> None:
 
     See ``load_compiled``.
     """
-    from ringwear_par.elasticity.compiling import load_compiled  # numba: not for a known shape
+    from ringwear_par.elasticity.bem.compiling import load_compiled  # numba: not for a known shape
 
     mesh = Mesh(4)
     boundary = boundary_mesh(Section((1.0, 2.0), 1.0), contact_line((1.0, 2.0), mesh), mesh)

@@ -24,7 +24,7 @@ import math
 import numpy as np
 
 from ringwear_par.arrays import FloatArray
-from ringwear_par.elasticity.compiling import compiled
+from ringwear_par.elasticity.bem.compiling import compiled
 
 #: below this parameter m = 4 r r1 / S^2 the moments come from quadrature in theta: the recursions
 #: divide by m once for each power of s^2

@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 
 from ringwear_par.arrays import FloatArray, IntArray
 from ringwear_par.elasticity.bem.boundary import BoundaryMesh
+from ringwear_par.elasticity.bem.compiling import compiled
 from ringwear_par.elasticity.bem.kernels import TILE, TILE_ROWS, fill_tile
 from ringwear_par.elasticity.bem.quadrature import MAX_POINTS, Quadrature
 from ringwear_par.elasticity.bem.systems import BoundaryConditions, DofMap, Moving
-from ringwear_par.elasticity.compiling import compiled
 
 Pair = tuple[FloatArray, FloatArray]
 #: no index of it counts from the end, which need not be looked at

@@ -17,6 +17,7 @@ import math
 import numpy as np
 
 from ringwear_par.arrays import FloatArray
+from ringwear_par.elasticity.bem.compiling import compiled
 from ringwear_par.elasticity.bem.kernels import (
     TILE,
     Moments,
@@ -24,7 +25,6 @@ from ringwear_par.elasticity.bem.kernels import (
     moments_by_quadrature,
     moments_by_recursion,
 )
-from ringwear_par.elasticity.compiling import compiled
 
 #: rows of a tile: a, b, nr, nz and the twenty kernels
 STRESS_TILE_ROWS = 24

@@ -12,14 +12,15 @@ from ringwear_par.arrays import BoolArray, FloatArray, IntArray
 from ringwear_par.elasticity.bem.body import BoundaryResponse, in_case_frame
 from ringwear_par.elasticity.bem.boundary import BoundaryMesh, zone_meshes
 from ringwear_par.elasticity.bem.quadrature import quadrature
-from ringwear_par.elasticity.boundary_fields import BODIES, Which
 from ringwear_par.elasticity.geometry.mesh import ContactLine, Mesh
 from ringwear_par.elasticity.geometry.sections import Body
-from ringwear_par.elasticity.recovery import BoundaryRecovery
+from ringwear_par.elasticity.stress.boundary_fields import BODIES, Which
+from ringwear_par.elasticity.stress.boundary_recovery import BoundaryRecovery
 from ringwear_par.elasticity.stress.fields import Interfaces, Largest
 from ringwear_par.elasticity.stress.largest import Search, edges, zones_of
 from ringwear_par.elasticity.stress.measures import mises
 from ringwear_par.elasticity.stress.zone import Influence, ZoneStress
+from ringwear_par.parallel import together
 
 #: points that a rank does in one go; the same whatever the ranks, and so the digits
 _BLOCK = 64
@@ -216,8 +217,9 @@ class StressRecovery:
             for first in range(0, len(own), _BLOCK)
         ]
         mine = parts[self._comm.rank :: self._comm.size]
-        blocks = [(own, zone.at(points[own])) for zone, own in mine]
-        faces = [zone.surface for zone in stresses]
+        with together(self._comm):
+            blocks = [(of_block, zone.at(points[of_block])) for zone, of_block in mine]
+            faces = [zone.surface for zone in stresses]
         middles = boundaries[0].nodes[boundaries[0].elements[boundaries[0].below, 1], 0]
         return _Known(
             search, points, numbers, self._line.element_at(points[:, 0]), blocks,
@@ -264,8 +266,8 @@ def _same(one: FloatArray | None, other: FloatArray | None) -> bool:
 
 def load_stress_kernels(comm: MPI.Comm) -> None:
     """Compile the kernels of stress, or load them from the cache. Collective on comm."""
-    from ringwear_par.elasticity.compiling import load_compiled  # numba: not without need
-    from ringwear_par.elasticity.stress.rows import stress_rows
+    from ringwear_par.elasticity.bem.compiling import load_compiled  # numba: not without need
+    from ringwear_par.elasticity.stress.rows import MAX_PARTS, stress_rows
 
     nodes = np.array([[1.0, 0.0], [1.5, 0.0], [2.0, 0.0]])
     none = np.empty(0, dtype=np.int64)
@@ -274,7 +276,7 @@ def load_stress_kernels(comm: MPI.Comm) -> None:
     def load() -> None:
         stress_rows(
             np.array([[1.5, 1.0]]), np.array([1]), boundary, 0.3, quadrature(1e-2),
-            np.empty((1, 4, 8)), np.empty((1, 2, 4)),
+            np.empty((1, 4, 8)), np.empty((1, 2, 4)), MAX_PARTS,
         )  # fmt: skip
 
     load_compiled(comm, load)

@@ -13,16 +13,15 @@ import numpy as np
 
 from ringwear_par.arrays import FloatArray, IntArray
 from ringwear_par.elasticity.bem.boundary import BoundaryMesh
+from ringwear_par.elasticity.bem.compiling import compiled
 from ringwear_par.elasticity.bem.kernels import TILE
 from ringwear_par.elasticity.bem.quadrature import MAX_POINTS, Quadrature
-from ringwear_par.elasticity.compiling import compiled
 from ringwear_par.elasticity.stress.kernels import N_KERNELS, STRESS_TILE_ROWS, fill_stress_tile
 
 #: doubles that the widest vectors of common processors hold
 _VECTOR = 4
-#: most parts of an element that wait to be integrated, and the smallest part
-_MAX_PARTS = 64
-_SMALLEST = 1e-12
+#: most parts of an element that wait to be integrated
+MAX_PARTS = 128
 # rows of the work space behind the tile: a point's parameter on its element, and its weight
 _T, _WEIGHT = STRESS_TILE_ROWS * TILE, (STRESS_TILE_ROWS + 1) * TILE
 WORK = (STRESS_TILE_ROWS + 2) * TILE
@@ -116,8 +115,11 @@ def stress_rows(
     rules: Quadrature,
     normal: FloatArray,
     torsion: FloatArray,
+    most_parts: int,
 ) -> int:
     """Set the rows of stresses at points inside a body; return kernel evaluations.
+
+    -1: an element would have to be cut in more parts than may wait.
 
     Parameters
     ----------
@@ -128,11 +130,12 @@ def stress_rows(
     normal : (p, 4, 2 m + 2 k) float, set: stresses rr, tt, zz, rz for the displacements r, z of
         each node, then for the tractions r, z of each element.
     torsion : (p, 2, m + k) float, set: rt, tz for the theta ones.
+    most_parts : most parts of an element that may wait to be integrated.
     """
     nodes, elements = boundary.nodes, boundary.elements
     n_nodes = len(nodes)
     work, owner = np.zeros(WORK), np.zeros(TILE, dtype=np.int64)
-    part_from, part_span = np.empty(_MAX_PARTS), np.empty(_MAX_PARTS)
+    part_from, part_span = np.empty(most_parts), np.empty(most_parts)
     evaluations = 0
     normal[:] = 0.0
     torsion[:] = 0.0
@@ -154,7 +157,9 @@ def stress_rows(
                 d0 = math.hypot(ar + t0 * dr, az + t0 * dz)
                 d1 = math.hypot(ar + t1 * dr, az + t1 * dz)
                 ratio = (d0 + d1) / (length * span)
-                if ratio < rules.reach[MAX_POINTS] and parts + 2 <= _MAX_PARTS and span > _SMALLEST:
+                if ratio < rules.reach[MAX_POINTS]:
+                    if parts + 2 > most_parts:
+                        return -1
                     half = 0.5 * span
                     part_from[parts], part_span[parts] = t0, half
                     part_from[parts + 1], part_span[parts + 1] = t0 + half, half

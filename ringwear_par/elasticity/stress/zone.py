@@ -21,6 +21,7 @@ from ringwear_par.elasticity.bem.body import BoundaryResponse
 from ringwear_par.elasticity.bem.boundary import BoundaryMesh
 from ringwear_par.elasticity.bem.quadrature import quadrature
 from ringwear_par.elasticity.stress.surface import Faces, faces, mid_stress
+from ringwear_par.errors import ComputationError
 
 #: depth, in element lengths, from which on the integrals are right
 _DEEP = 0.6
@@ -272,7 +273,8 @@ class ZoneStress:
 
     def _add_integrals(self, recipe: _Recipe, normal: FloatArray, torsion: FloatArray) -> None:
         """Add the integrals at samples to the influences of their points."""
-        from ringwear_par.elasticity.stress.rows import stress_rows  # numba: not without need
+        # numba: not without need
+        from ringwear_par.elasticity.stress.rows import MAX_PARTS, stress_rows
 
         boundary, rules = self.zone.boundary, quadrature(_TOLERANCE)
         samples, count = np.array(recipe.samples), min(_BATCH, len(recipe.samples))
@@ -285,10 +287,15 @@ class ZoneStress:
             away = batch[:, None] - boundary.nodes
             nearest = (away**2).sum(2).argmin(1)
             normal_rows, torsion_rows = (rows[: len(batch)] for rows in all_rows)
-            stress_rows(
+            evaluations = stress_rows(
                 batch, nearest, boundary, self.zone.material.poisson, rules,
-                normal_rows, torsion_rows,
+                normal_rows, torsion_rows, MAX_PARTS,
             )  # fmt: skip
+            if evaluations < 0:
+                raise ComputationError(
+                    "stress: points lie too close to elements that are long for that, to be "
+                    "integrated: thicker layers or bodies, or a milder mesh.grading, are needed"
+                )
             for target, rows, values in zip(
                 (normal, torsion), (normal_rows, torsion_rows), self._values, strict=True
             ):

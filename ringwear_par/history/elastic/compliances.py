@@ -10,7 +10,7 @@ from ringwear_par.arrays import FloatArray, IntArray
 from ringwear_par.batched import along, take
 from ringwear_par.contact.batch import BatchSolver
 from ringwear_par.contact.correction import CorrectedContacts
-from ringwear_par.elasticity.pair import ContactCompliance, ContactPair
+from ringwear_par.elasticity.bem.pair import ContactCompliance, ContactPair
 
 
 @dataclass(frozen=True)

@@ -7,16 +7,16 @@ from functools import partial
 import numpy as np
 from mpi4py import MPI
 
-from ringwear_par import kept
+from ringwear_par import pair_cache
 from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.case import Case, need_case
 from ringwear_par.elasticity.bem.assembly import load_kernels
 from ringwear_par.elasticity.bem.boundary import count_elements
+from ringwear_par.elasticity.bem.pair import BodyCost, ContactPair, assemble_pair
 from ringwear_par.elasticity.bem.solve import solved_on_one_rank
+from ringwear_par.elasticity.bem.updated import UpdatedGeometry
 from ringwear_par.elasticity.geometry.slopes import pair_slope
-from ringwear_par.elasticity.pair import BodyCost, ContactPair, assemble_pair
-from ringwear_par.elasticity.recovery import BoundaryRecovery
-from ringwear_par.elasticity.updated import UpdatedGeometry
+from ringwear_par.elasticity.stress.boundary_recovery import BoundaryRecovery
 from ringwear_par.history.elastic.bodies import bodies, operator_key
 
 #: by which reciprocity and equilibrium may be missed in a pair that is kept: several times what
@@ -28,7 +28,7 @@ def assemble(case: Case, comm: MPI.Comm | None = None, *, use_kept: bool = True)
     """Return the contact pair of a case (equation 5); it serves all of the same ``operator_key``.
 
     Collective on comm, the world's where none is given. The same on all ranks. Pairs are kept among
-    the user's caches (see ``kept``) and read from there, with the same bits.
+    the user's caches (see ``pair_cache``) and read from there, with the same bits.
 
     Parameters
     ----------
@@ -49,7 +49,7 @@ def assemble(case: Case, comm: MPI.Comm | None = None, *, use_kept: bool = True)
     )
     use_kept = use_kept and solved_on_one_rank(unknowns, comm.size)
     if use_kept:
-        stacked = kept.read(key, case.line.n, comm, partial(is_sound, case.line.area))
+        stacked = pair_cache.read(key, case.line.n, comm, partial(is_sound, case.line.area))
         if stacked is not None:
             return from_stacked(case, stacked)
     started = time.perf_counter()
@@ -57,7 +57,7 @@ def assemble(case: Case, comm: MPI.Comm | None = None, *, use_kept: bool = True)
     loading = BodyCost(seconds_assembly=time.perf_counter() - started)
     pair = assemble_pair(bodies(case), case.line, case.mesh, comm)
     if use_kept and is_sound(pair.line.area, to_stacked(pair)):
-        kept.write(key, to_stacked(pair), comm)
+        pair_cache.write(key, to_stacked(pair), comm)
     return replace(pair, cost=pair.cost + loading)
 
 

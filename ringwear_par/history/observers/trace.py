@@ -4,7 +4,7 @@ from mpi4py import MPI
 
 from ringwear_par.batched import one
 from ringwear_par.cases.case import SAME_TIME, Case
-from ringwear_par.elasticity.pair import ContactPair
+from ringwear_par.elasticity.bem.pair import ContactPair
 from ringwear_par.history.loop import simulate_one
 from ringwear_par.history.model import WearModel
 from ringwear_par.history.observers.balances import Balances, WorstBalances

@@ -9,8 +9,8 @@ from mpi4py import MPI
 from ringwear_par.arrays import BoolArray, FloatArray
 from ringwear_par.cases.case import Case
 from ringwear_par.cases.numbers import Number, needs_reading, with_numbers
-from ringwear_par.elasticity.boundary_fields import BODIES
-from ringwear_par.elasticity.pair import ContactPair
+from ringwear_par.elasticity.bem.pair import ContactPair
+from ringwear_par.elasticity.stress.boundary_fields import BODIES
 from ringwear_par.errors import ComputationError, InputError, reason_of
 from ringwear_par.history.elastic.bodies import operator_key
 from ringwear_par.history.elastic.pairs import assemble

@@ -7,7 +7,7 @@ import numpy as np
 
 from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.case import Case
-from ringwear_par.elasticity.boundary_fields import BODIES
+from ringwear_par.elasticity.stress.boundary_fields import BODIES
 
 
 @dataclass(frozen=True, eq=False)

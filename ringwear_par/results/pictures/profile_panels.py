@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from ringwear_par.elasticity.boundary_fields import BODIES
+from ringwear_par.elasticity.stress.boundary_fields import BODIES
 from ringwear_par.errors import InputError
 from ringwear_par.results.instants import pressure_peak, time_words
 from ringwear_par.results.layer_ends import ends_near

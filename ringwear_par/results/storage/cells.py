@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from ringwear_par.arrays import FloatArray, IntArray
-from ringwear_par.elasticity.boundary_fields import BoundaryFields, BoundaryState
+from ringwear_par.elasticity.stress.boundary_fields import BoundaryFields, BoundaryState
 from ringwear_par.elasticity.stress.fields import StressHistory, StressState
 from ringwear_par.elasticity.stress.measures import COMPONENTS, max_shear, mises
 from ringwear_par.results.storage.stored_stresses import Interface

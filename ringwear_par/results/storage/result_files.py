@@ -13,8 +13,13 @@ import h5py
 import numpy as np
 
 from ringwear_par.atomic import check_writable
-from ringwear_par.elasticity.boundary_fields import BODIES, FACES, BoundaryFields, BoundaryState
 from ringwear_par.elasticity.geometry.mesh import ContactLine
+from ringwear_par.elasticity.stress.boundary_fields import (
+    BODIES,
+    FACES,
+    BoundaryFields,
+    BoundaryState,
+)
 from ringwear_par.elasticity.stress.fields import Interfaces, Largest, StressHistory, StressState
 from ringwear_par.elasticity.stress.measures import COMPONENTS, SIDES
 from ringwear_par.errors import ComputationError

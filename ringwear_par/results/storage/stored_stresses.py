@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ringwear_par.arrays import FloatArray
-from ringwear_par.elasticity.boundary_fields import BODIES
+from ringwear_par.elasticity.stress.boundary_fields import BODIES
 from ringwear_par.elasticity.stress.fields import StressHistory, StressState
 from ringwear_par.errors import InputError
 from ringwear_par.results.result import Result

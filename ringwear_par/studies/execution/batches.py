@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from mpi4py import MPI
 
 from ringwear_par.cases.case import Case
-from ringwear_par.elasticity.pair import ContactPair
+from ringwear_par.elasticity.bem.pair import ContactPair
 from ringwear_par.history.elastic.bodies import young
 from ringwear_par.history.limits import stress_numbers
 from ringwear_par.history.lockstep import batch_key, can_share

@@ -6,7 +6,7 @@ import numpy as np
 from mpi4py import MPI
 
 from ringwear_par.elasticity.bem.assembly import load_kernels
-from ringwear_par.elasticity.pair import ContactPair
+from ringwear_par.elasticity.bem.pair import ContactPair
 from ringwear_par.history.elastic.pairs import assemble
 from ringwear_par.history.loop import simulate_one
 from ringwear_par.history.snapshots import Snapshot

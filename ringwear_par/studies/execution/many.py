@@ -8,7 +8,7 @@ from pathlib import Path
 from mpi4py import MPI
 
 from ringwear_par.cases.case import Case, need_case
-from ringwear_par.elasticity.pair import ContactPair
+from ringwear_par.elasticity.bem.pair import ContactPair
 from ringwear_par.elasticity.stress.recovery import load_stress_kernels
 from ringwear_par.errors import InputError
 from ringwear_par.history.elastic.bodies import operator_key

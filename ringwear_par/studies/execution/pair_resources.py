@@ -5,7 +5,7 @@ from collections.abc import Hashable
 from mpi4py import MPI
 
 from ringwear_par.cases.case import Case
-from ringwear_par.elasticity.pair import ContactPair
+from ringwear_par.elasticity.bem.pair import ContactPair
 from ringwear_par.history.observers.stresses import CaseStresses, stress_key
 
 

@@ -11,7 +11,7 @@ from mpi4py import MPI
 
 from ringwear_par import __version__
 from ringwear_par.cases.case import Case
-from ringwear_par.elasticity.pair import ContactPair
+from ringwear_par.elasticity.bem.pair import ContactPair
 from ringwear_par.errors import (
     ComputationError,
     InputError,

@@ -8,10 +8,16 @@ from mpi4py import MPI
 from ringwear_par.arrays import FloatArray
 from ringwear_par.elasticity.bem.body import BoundaryResponse, boundary_responses, in_case_frame
 from ringwear_par.elasticity.bem.boundary import BoundaryMesh, node_wear, zone_meshes
-from ringwear_par.elasticity.boundary_fields import BODIES, FACES, BoundaryFields, Which, joined
 from ringwear_par.elasticity.geometry.mesh import ContactLine, Mesh
 from ringwear_par.elasticity.geometry.sections import Body
 from ringwear_par.elasticity.geometry.slopes import pair_slope
+from ringwear_par.elasticity.stress.boundary_fields import (
+    BODIES,
+    FACES,
+    BoundaryFields,
+    Which,
+    joined,
+)
 
 
 class BoundaryRecovery:

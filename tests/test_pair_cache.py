@@ -14,7 +14,7 @@ from conftest import SHELL_ENVIRONMENT
 from full_disk import resize
 from mpi4py import MPI
 
-from ringwear_par import kept
+from ringwear_par import pair_cache
 from ringwear_par.elasticity.bem.solve import solved_on_one_rank
 from ringwear_par.elasticity.geometry.mesh import Mesh
 from ringwear_par.history.elastic import pairs
@@ -29,9 +29,9 @@ PARTS = ("normal", "twist", "force_reaction", "torque_reaction", "slope")
 
 @pytest.fixture
 def folder(shared_path, monkeypatch):
-    monkeypatch.setenv(kept.VARIABLE, str(shared_path / "kept"))
-    monkeypatch.setattr(kept, "_unseen", math.inf)
-    kept._warn.cache_clear()
+    monkeypatch.setenv(pair_cache.VARIABLE, str(shared_path / "kept"))
+    monkeypatch.setattr(pair_cache, "_unseen", math.inf)
+    pair_cache._warn.cache_clear()
     return shared_path / "kept"
 
 
@@ -95,11 +95,11 @@ def test_other_shapes_are_others(folder, assembled, comm):
     assert len(assembled) == len(cases)
 
 
-def as_ours(content):
-    return kept._MAGIC + kept._checksum(content) + content
+def as_ours(path, content):
+    return pair_cache._MAGIC + pair_cache._checksum(path.name, content) + content
 
 
-def damage(content, how):
+def damage(path, content, how):
     ways = {
         "flipped": content[:500] + bytes([content[500] ^ 1]) + content[501:],
         "empty": b"",
@@ -107,16 +107,30 @@ def damage(content, how):
         "short": content[:10],
         "text": b"no pair",
         "longer": content + b"x",
-        "stranger's": as_ours(b"\x93NUMPY or whatever else has a checksum"),
-        "larger": as_ours(content[60:] * 3),
-        "format": content.replace(b"pair 2", b"pair 1", 1),
+        "stranger's": as_ours(path, b"\x93NUMPY or whatever else has a checksum"),
+        "larger": as_ours(path, content[60:] * 3),
+        "scaled": content[:60] + (1.001 * np.frombuffer(content[60:])).tobytes(),
+        "another pair's": as_ours(path.with_stem("another"), content[60:]),
+        "format": content.replace(b"pair 3", b"pair 2", 1),
     }
     return ways[how]
 
 
 @pytest.mark.parametrize(
     "how",
-    ["flipped", "empty", "cut", "short", "text", "longer", "stranger's", "larger", "format"],
+    [
+        "flipped",
+        "empty",
+        "cut",
+        "short",
+        "text",
+        "longer",
+        "stranger's",
+        "larger",
+        "format",
+        "scaled",
+        "another pair's",
+    ],
 )
 def test_damaged_files_are_replaced(folder, assembled, comm, caplog, how):
     case = paper_case(Mesh(N))
@@ -126,7 +140,7 @@ def test_damaged_files_are_replaced(folder, assembled, comm, caplog, how):
     content = path.read_bytes()
     comm.Barrier()
     if comm.rank == 0:
-        path.write_bytes(damage(content, how))
+        path.write_bytes(damage(path, content, how))
     assert same(whole, pairs.assemble(case, comm))
     comm.Barrier()
     assert assembled == [N, N]
@@ -137,14 +151,14 @@ def test_damaged_files_are_replaced(folder, assembled, comm, caplog, how):
     assert assembled == [N, N]
 
 
-def scaled(content, factor):
-    start = len(kept._MAGIC) + 32
-    return as_ours((factor * np.frombuffer(content[start:])).tobytes())
+def scaled(path, content, factor):
+    start = len(pair_cache._MAGIC) + 32
+    return as_ours(path, (factor * np.frombuffer(content[start:])).tobytes())
 
 
 def strangers_file(path, how):
     """Put numbers that are a thousandth off in the place of a pair, as somebody else could."""
-    content = scaled(path.read_bytes(), 1.001)
+    content = scaled(path, path.read_bytes(), 1.001)
     if how == "link":
         other = path.parent.parent / "other"
         other.write_bytes(content)
@@ -239,7 +253,7 @@ def test_numbers_that_no_pair_has_are_not_used(folder, assembled, comm, caplog, 
     if comm.rank == 0:
         stacked = pairs.to_stacked(whole)
         stacked[where] = value
-        path.write_bytes(as_ours(stacked.tobytes()))
+        path.write_bytes(as_ours(path, stacked.tobytes()))
     assert same(whole, pairs.assemble(case, comm))
     assert assembled == [N, N]
     told = [f"{path}: damaged; what it held is assembled anew"] if comm.rank == 0 else []
@@ -249,9 +263,9 @@ def test_numbers_that_no_pair_has_are_not_used(folder, assembled, comm, caplog, 
 def test_what_made_the_numbers_is_part_of_the_name(folder, assembled, comm, monkeypatch):
     case = paper_case(Mesh(N))
     pairs.assemble(case, comm)
-    monkeypatch.setattr(kept, "_surroundings", lambda: "another version of the assembly")
+    monkeypatch.setattr(pair_cache, "_surroundings", lambda: "another version of the assembly")
     pairs.assemble(case, comm)
-    monkeypatch.setattr(kept, "blas_threads", lambda: 77)
+    monkeypatch.setattr(pair_cache, "blas_threads", lambda: 77)
     pairs.assemble(case, comm)
     assert assembled == [N, N, N]
 
@@ -282,8 +296,8 @@ def test_systems_that_ranks_share_are_not_kept(folder, assembled, comm, monkeypa
 
 def test_what_is_used_stays_and_the_oldest_go(folder, assembled, comm, monkeypatch):
     cases = [paper_case(Mesh(N, grading=2.0 + 0.1 * i)) for i in range(4)]
-    monkeypatch.setattr(kept, "_UNSEEN", 0.0)
-    monkeypatch.setattr(kept, "LIMIT", 3 * 1700)
+    monkeypatch.setattr(pair_cache, "_UNSEEN", 0.0)
+    monkeypatch.setattr(pair_cache, "LIMIT", 3 * 1700)
     for age, case in zip((300, 200, 100), cases, strict=False):
         before = set(folder.iterdir()) if folder.exists() else set()
         comm.Barrier()
@@ -298,8 +312,8 @@ def test_what_is_used_stays_and_the_oldest_go(folder, assembled, comm, monkeypat
     pairs.assemble(cases[0], comm)  # the oldest, and in use again
     pairs.assemble(cases[3], comm)
     comm.Barrier()
-    assert kept.size(folder)[0] == 3
-    assert kept.size(folder)[1] <= kept.LIMIT
+    assert pair_cache.size(folder)[0] == 3
+    assert pair_cache.size(folder)[1] <= pair_cache.LIMIT
     comm.Barrier()
     assembled.clear()
     for i in (0, 2, 3):
@@ -310,7 +324,7 @@ def test_what_is_used_stays_and_the_oldest_go(folder, assembled, comm, monkeypat
 
 
 def test_what_is_larger_than_all_room_is_not_kept(folder, comm, monkeypatch):
-    monkeypatch.setattr(kept, "LIMIT", 100)
+    monkeypatch.setattr(pair_cache, "LIMIT", 100)
     pairs.assemble(paper_case(Mesh(N)), comm)
     comm.Barrier()
     assert not folder.exists()
@@ -319,20 +333,20 @@ def test_what_is_larger_than_all_room_is_not_kept(folder, comm, monkeypatch):
 @pytest.mark.serial
 def test_large_pairs_are_looked_after_sooner(folder, monkeypatch):
     """What a process writes between two looks is a part of the limit, however few files it is."""
-    monkeypatch.setattr(kept, "LIMIT", 100_000)
+    monkeypatch.setattr(pair_cache, "LIMIT", 100_000)
     most = []
     for i in range(12):
-        kept.write((i,), np.zeros((2, 43, 40)), MPI.COMM_SELF)
-        most.append(kept.size(folder)[1])
-    assert max(most) <= kept.LIMIT
-    assert most[-1] > 0.5 * kept.LIMIT
+        pair_cache.write((i,), np.zeros((2, 43, 40)), MPI.COMM_SELF)
+        most.append(pair_cache.size(folder)[1])
+    assert max(most) <= pair_cache.LIMIT
+    assert most[-1] > 0.5 * pair_cache.LIMIT
 
 
 @pytest.mark.serial
 def test_what_may_not_be_removed_stays(folder, monkeypatch, caplog):
     """Somebody else's: the rest makes room."""
-    monkeypatch.setattr(kept, "LIMIT", 4000)
-    monkeypatch.setattr(kept, "_UNSEEN", 0.0)
+    monkeypatch.setattr(pair_cache, "LIMIT", 4000)
+    monkeypatch.setattr(pair_cache, "_UNSEEN", 0.0)
     folder.mkdir(0o700)
     other, unlink = folder / "other.pair", Path.unlink
     other.write_bytes(bytes(1000))
@@ -345,11 +359,11 @@ def test_what_may_not_be_removed_stays(folder, monkeypatch, caplog):
 
     monkeypatch.setattr(Path, "unlink", refused)
     for i in range(4):
-        kept.write((i,), np.zeros((2, 11, 8)), MPI.COMM_SELF)
+        pair_cache.write((i,), np.zeros((2, 11, 8)), MPI.COMM_SELF)
     assert not caplog.messages
     assert other.exists()
-    assert kept.size(folder)[0] == 3
-    assert kept.size(folder)[1] <= kept.LIMIT
+    assert pair_cache.size(folder)[0] == 3
+    assert pair_cache.size(folder)[1] <= pair_cache.LIMIT
 
 
 def test_leftovers_go(folder, comm):
@@ -408,13 +422,13 @@ def test_a_full_disk_and_one_that_is_read_only(folder, comm, caplog, options):
         if options != "ro":
             resize(folder, 100_000)
             pairs.assemble(case, comm)
-            assert kept.size(folder)[0] == 1
+            assert pair_cache.size(folder)[0] == 1
     finally:
         subprocess.run(["umount", str(folder)], check=True, timeout=20)
 
 
 def command(folder, *words, cwd):
-    environment = {**SHELL_ENVIRONMENT, kept.VARIABLE: str(folder)}
+    environment = {**SHELL_ENVIRONMENT, pair_cache.VARIABLE: str(folder)}
     return subprocess.Popen(
         [sys.executable, "-X", "importtime", "-m", "ringwear_par", *map(str, words)], cwd=cwd,
         env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
@@ -450,15 +464,15 @@ def test_many_processes_at_once_and_a_known_shape_needs_no_compiled_code(tmp_pat
 def test_where_pairs_are_kept(monkeypatch, tmp_path, capsys):
     from ringwear_par.info import print_info
 
-    monkeypatch.delenv(kept.VARIABLE)
+    monkeypatch.delenv(pair_cache.VARIABLE)
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    assert kept.folder() == tmp_path / "ringwear-par"
+    assert pair_cache.folder() == tmp_path / "ringwear-par"
     monkeypatch.setenv("XDG_CACHE_HOME", "relative/folders/are/ignored")
     monkeypatch.setenv("HOME", str(tmp_path))
-    assert kept.folder() == tmp_path / ".cache" / "ringwear-par"
+    assert pair_cache.folder() == tmp_path / ".cache" / "ringwear-par"
     print_info(MPI.COMM_SELF)
-    assert f"assembled pairs: 0, 0 of 256 MB, in {kept.folder()}" in capsys.readouterr().out
-    monkeypatch.setenv(kept.VARIABLE, "")
-    assert kept.folder() is None
+    assert f"assembled pairs: 0, 0 of 256 MB, in {pair_cache.folder()}" in capsys.readouterr().out
+    monkeypatch.setenv(pair_cache.VARIABLE, "")
+    assert pair_cache.folder() is None
     print_info(MPI.COMM_SELF)
     assert "assembled pairs: not kept" in capsys.readouterr().out

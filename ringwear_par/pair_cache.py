@@ -1,4 +1,4 @@
-"""Contact pairs kept on disk, so that a shape that is known needs no assembly.
+"""Contact pairs stored on disk, so that a shape that is known needs no assembly.
 
 A file for each pair, named by a hash of all that its numbers depend on, to the last bit: the shape,
 mesh, Poisson's ratios and grip (``pair_key``), our version and the source of the room
@@ -47,7 +47,7 @@ VARIABLE = "RINGWEAR_CACHE"
 #: bytes of all files together
 LIMIT = 256_000_000
 #: what a file begins with; its checksum and its numbers follow
-_MAGIC = b"ringwear-par contact pair 2\n"
+_MAGIC = b"ringwear-par contact pair 3\n"
 _ENDING = ".pair"
 #: part of the limit that a process writes between two looks at the size of the folder
 _UNSEEN = 1 / 16
@@ -57,10 +57,10 @@ _ANEW = "what it held is assembled anew"
 
 
 def folder() -> Path | None:
-    """Return where pairs are kept, None where they are not. Not collective."""
-    told = os.environ.get(VARIABLE)
-    if told is not None:
-        return Path(told) if told else None
+    """Return the folder of stored pairs, None where none are stored. Not collective."""
+    name = os.environ.get(VARIABLE)
+    if name is not None:
+        return Path(name) if name else None
     caches = os.environ.get("XDG_CACHE_HOME", "")
     try:
         return (Path(caches) if os.path.isabs(caches) else Path.home() / ".cache") / "ringwear-par"
@@ -93,8 +93,9 @@ def write(key: Hashable, stacked: FloatArray, comm: "MPI.Comm") -> None:
     try:
         with suppress(FileExistsError):  # whatever it is, it is looked at next
             where.mkdir(0o700, parents=True)
-        with _own_folder(where), atomic_write(where / _name(key), 0o600) as temporary:
-            temporary.write_bytes(_MAGIC + _checksum(content) + content)
+        path = where / _name(key)
+        with _own_folder(where), atomic_write(path, 0o600) as temporary:
+            temporary.write_bytes(_MAGIC + _checksum(path.name, content) + content)
         _make_room(where, len(content))
     except OSError as error:
         _warn_of_folder(where, error)
@@ -102,8 +103,8 @@ def write(key: Hashable, stacked: FloatArray, comm: "MPI.Comm") -> None:
 
 def size(where: Path) -> tuple[int, int]:
     """Return the number and the bytes of the pairs in a folder. Not collective."""
-    found = _files(where)
-    return len(found), sum(bytes_ for _, bytes_, _ in found)
+    pairs = _files(where)
+    return len(pairs), sum(bytes_ for _, bytes_, _ in pairs)
 
 
 def _read(key: Hashable, n: int, is_sound: Callable[[FloatArray], bool]) -> FloatArray | None:
@@ -123,7 +124,7 @@ def _read(key: Hashable, n: int, is_sound: Callable[[FloatArray], bool]) -> Floa
         else:
             _warn(f"{path}: {error.strerror or error}; {_ANEW}")
         return None
-    if len(content) == size and content[:start] == _MAGIC + _checksum(content[start:]):
+    if len(content) == size and content[:start] == _MAGIC + _checksum(path.name, content[start:]):
         stacked = np.frombuffer(content, offset=start).reshape(shape)
         if is_sound(stacked):
             return stacked
@@ -181,28 +182,29 @@ def _check_own(about: os.stat_result, path: Path) -> None:
         raise PermissionError(errno.EPERM, f"{why}; must be yours alone to write to", path)
 
 
-def _checksum(content: bytes) -> bytes:
-    return hashlib.sha256(content).digest()
+def _checksum(name: str, content: bytes) -> bytes:
+    """Return a checksum of the numbers and of the pair that they are of."""
+    return hashlib.sha256(name.encode() + content).digest()
 
 
 def _name(key: Hashable) -> str:
-    told = "\n".join((_told(key), _surroundings(), str(blas_threads())))
-    return hashlib.sha256(told.encode()).hexdigest()[:40] + _ENDING
+    text = "\n".join((_exact_text(key), _surroundings(), str(blas_threads())))
+    return hashlib.sha256(text.encode()).hexdigest()[:40] + _ENDING
 
 
-def _told(value: object) -> str:
+def _exact_text(value: object) -> str:
     """Return a text that tells all values apart, down to the last bit, but not 1 from 1.0."""
     if is_dataclass(value):
-        parts = ", ".join(f"{f.name}={_told(getattr(value, f.name))}" for f in fields(value))
+        parts = ", ".join(f"{f.name}={_exact_text(getattr(value, f.name))}" for f in fields(value))
         return f"{type(value).__name__}({parts})"
     if isinstance(value, tuple):
-        return f"({', '.join(map(_told, value))})"
+        return f"({', '.join(map(_exact_text, value))})"
     return float(value).hex() if isinstance(value, Real) else repr(value)
 
 
 @cache
 def _surroundings() -> str:
-    """Return what the last bits of a pair depend on beside its key and the number of threads."""
+    """Return version, source, libraries and processor, on which the last bits of a pair depend."""
     source = hashlib.sha256()
     for path in sorted((Path(__file__).parent / "elasticity").rglob("*.py")):
         source.update(path.read_bytes())
@@ -228,9 +230,9 @@ def _make_room(where: Path, written: int) -> None:
         return
     _unseen = 0.0
     remove_leftovers(where)
-    found = sorted(_files(where))
-    total = sum(bytes_ for _, bytes_, _ in found)
-    for _, bytes_, path in found:
+    pairs = sorted(_files(where))
+    total = sum(bytes_ for _, bytes_, _ in pairs)
+    for _, bytes_, path in pairs:
         if total <= LIMIT:
             return
         with suppress(OSError):  # it may be somebody else's
@@ -240,12 +242,12 @@ def _make_room(where: Path, written: int) -> None:
 
 def _files(where: Path) -> list[tuple[float, int, Path]]:
     """Return when they were used last, bytes and paths of the pairs in a folder."""
-    found = []
+    pairs = []
     for path in where.glob(f"*{_ENDING}"):
         with suppress(OSError):  # others may remove them
             about = path.stat()
-            found.append((about.st_mtime, about.st_size, path))
-    return found
+            pairs.append((about.st_mtime, about.st_size, path))
+    return pairs
 
 
 def _warn_of_folder(where: Path, error: OSError) -> None:

@@ -25,12 +25,12 @@ from ringwear_par.elasticity.bem.body import (
     solve_assembled,
 )
 from ringwear_par.elasticity.bem.boundary import node_wear, zone_meshes
+from ringwear_par.elasticity.bem.pair import ContactPair, join_bodies
 from ringwear_par.elasticity.bem.quadrature import quadrature
 from ringwear_par.elasticity.bem.systems import Assembly, Moving, Zone, number_dofs
 from ringwear_par.elasticity.geometry.mesh import ContactLine, Mesh, pair_key
 from ringwear_par.elasticity.geometry.sections import Body, Section
 from ringwear_par.elasticity.geometry.slopes import case_slopes, pair_slope
-from ringwear_par.elasticity.pair import ContactPair, join_bodies
 
 
 def moving_parts(

@@ -97,7 +97,7 @@ def load_compiled(comm: "MPI.Comm", load: Callable[[], None]) -> None:
 def _fingerprint() -> str:
     """Return a hash of the rooms with compiled code: functions contain those that they call."""
     sources = hashlib.sha256()
-    package = Path(__file__).parents[1]
+    package = Path(__file__).parents[2]
     for room in ("contact", "elasticity"):
         for path in sorted((package / room).rglob("*.py")):
             sources.update(path.read_bytes())
