@@ -40,7 +40,8 @@ if TYPE_CHECKING:
     from ringwear_par.studies.execution.sweep import sweep
     from ringwear_par.studies.pictures.plot import plot
     from ringwear_par.studies.storage.ensemble import open_ensemble
-    from ringwear_par.wear.law import LocalState, WearLaw
+    from ringwear_par.wear.law import WearLaw
+    from ringwear_par.wear.local_state import LocalState
 
 _PUBLIC = {
     "Case": "cases.case",
@@ -50,7 +51,7 @@ _PUBLIC = {
     "FailedResult": "results.result",
     "FitResult": "identification.outcome",
     "InputError": "errors",
-    "LocalState": "wear.law",
+    "LocalState": "wear.local_state",
     "Result": "results.result",
     "Study": "studies.definition.study",
     "WearLaw": "wear.law",

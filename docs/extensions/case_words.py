@@ -26,7 +26,8 @@ from ringwear_par.schedules import value
 from ringwear_par.studies.definition.schema import KEYS as STUDY_KEYS
 from ringwear_par.textfiles import parse_toml
 from ringwear_par.wear.catalogue import LAWS
-from ringwear_par.wear.law import Law, LocalState
+from ringwear_par.wear.law import Law
+from ringwear_par.wear.local_state import LocalState
 from ringwear_par.wear.parameters import parameters_of
 
 if TYPE_CHECKING:

@@ -11,7 +11,8 @@ from ringwear_par.cases.case import Case
 from ringwear_par.elasticity.stress.boundary_fields import BODIES
 from ringwear_par.schedules import Quantity, Table, largest, mean
 from ringwear_par.wear.catalogue import LAWS
-from ringwear_par.wear.law import Law, LocalState, WearLaw
+from ringwear_par.wear.law import Law, WearLaw
+from ringwear_par.wear.local_state import LocalState
 from ringwear_par.wear.parameters import parameters_of
 from ringwear_par.wear.user import UserLaw
 

@@ -30,8 +30,8 @@ from ringwear_par.history.sensitivity import Sensitivity
 from ringwear_par.history.state import Start, State
 from ringwear_par.schedules import in_time, integral
 from ringwear_par.wear.increment import Closing, WearIncrement, averaged_rate, averaging
-from ringwear_par.wear.law import LocalState
 from ringwear_par.wear.layered_increment import LayeredIncrement
+from ringwear_par.wear.local_state import LocalState
 
 
 class WearModel:

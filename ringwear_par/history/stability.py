@@ -8,8 +8,9 @@ from ringwear_par.contact.problem import ContactState
 from ringwear_par.elasticity.bem.pair import ContactCompliance, largest_stable_step
 from ringwear_par.history.model import WearModel
 from ringwear_par.schedules import integral, largest
-from ringwear_par.wear.law import Law, LocalState
+from ringwear_par.wear.law import Law
 from ringwear_par.wear.layered import LayeredLaw
+from ringwear_par.wear.local_state import LocalState
 
 
 def stable_steps(model: WearModel) -> list[float]:

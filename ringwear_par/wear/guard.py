@@ -5,15 +5,13 @@ For laws from files and for objects; built-in laws are called as they are.
 
 from collections.abc import Callable, Iterable
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
 
 from ringwear_par.arrays import FloatArray, IntArray
 from ringwear_par.errors import ComputationError, LawError
-
-if TYPE_CHECKING:
-    from ringwear_par.wear.law import LocalState
+from ringwear_par.wear.local_state import LocalState
 
 #: what a law is asked for
 Asked = Literal["rate", "d_rate_dp", "d_rate_dwear", "d_rate_dparameter"]
@@ -27,7 +25,7 @@ def read_only(values: FloatArray) -> FloatArray:
     return view
 
 
-def shown(local: "LocalState", **changes: Any) -> "LocalState":
+def shown(local: LocalState, **changes: Any) -> LocalState:
     """Return local state, with changes, as a user's law sees it: it may not change what it has."""
     return replace(
         local,
@@ -42,9 +40,9 @@ def shown(local: "LocalState", **changes: Any) -> "LocalState":
 def ask(
     called: str,
     asked: Asked,
-    function: Callable[[FloatArray, "LocalState"], Any],
+    function: Callable[[FloatArray, LocalState], Any],
     p: FloatArray,
-    local: "LocalState",
+    local: LocalState,
     parameters: Iterable[Any] = (),
 ) -> FloatArray:
     """Return what a user's law answers, (..., n): its own copy, checked.
@@ -95,7 +93,7 @@ def _refused(
     called: str,
     asked: Asked,
     p: FloatArray,
-    local: "LocalState",
+    local: LocalState,
     result: FloatArray,
     place: IntArray,
 ) -> str:
@@ -116,7 +114,7 @@ def _refused(
     )
 
 
-def _when(local: "LocalState") -> str:
+def _when(local: LocalState) -> str:
     times = np.unique(local.time)
     if len(times) == 1:
         return f"time {times[0]:g} s"

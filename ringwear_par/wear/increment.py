@@ -10,7 +10,8 @@ from ringwear_par.arrays import FloatArray, IntArray, columns
 from ringwear_par.errors import ComputationError
 from ringwear_par.schedules import history, take
 from ringwear_par.wear.derivatives import COMPLEX_STEP
-from ringwear_par.wear.law import Law, LocalState, WearLaw, complete
+from ringwear_par.wear.law import Law, WearLaw, complete
+from ringwear_par.wear.local_state import LocalState
 
 _MEMORY_ITERATIONS = 60
 #: how often averages are scaled at most, and to what they have to keep constants by then

@@ -6,12 +6,12 @@ not fall with pressure, so that the implicit step is a convex problem.
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, fields, is_dataclass, replace
-from typing import TYPE_CHECKING, Any, ClassVar, Protocol, Self, runtime_checkable
+from dataclasses import dataclass, fields, is_dataclass, replace
+from typing import Any, ClassVar, Protocol, Self, runtime_checkable
 
 import numpy as np
 
-from ringwear_par.arrays import FloatArray, IntArray, columns
+from ringwear_par.arrays import FloatArray, IntArray
 from ringwear_par.schedules import (
     Quantity,
     Stacked,
@@ -24,87 +24,11 @@ from ringwear_par.schedules import (
 from ringwear_par.schedules import stack as stack_quantities
 from ringwear_par.wear.derivatives import COMPLEX_STEP, derivative
 from ringwear_par.wear.guard import Asked, ask, read_only, shown
+from ringwear_par.wear.local_state import LocalState
 from ringwear_par.wear.parameters import parameters_of
 
 #: below which pressures (MPa), worn depths (mm) and parameters do not tell the size of a difference
 _SMALL_PRESSURE, _SMALL_WEAR, _SMALL_PARAMETER = 1e-3, 1e-6, 1e-3
-
-
-@dataclass(frozen=True)
-class LocalState:
-    """What a law may know besides the pressure, for the elements of the contact line.
-
-    Of one history, or of B: then ``time`` and ``friction`` may be (B,), which laws find as (B, 1).
-
-    Parameters
-    ----------
-    time : s.
-    r : (n,) float, mm.
-    speed : (..., n) float, mm/s, sliding speed V.
-    friction : Coulomb's mu.
-    wear : (..., n) float, mm, depth worn off this body so far.
-    slid : (..., n) float, mm, distance slid so far (speed integrated over time).
-    parameters : values of the user's own parameters at this time, each a number or (..., n).
-    """
-
-    time: float | FloatArray
-    r: FloatArray
-    speed: FloatArray
-    friction: float | FloatArray
-    wear: FloatArray
-    slid: FloatArray
-    parameters: Mapping[str, Any] = field(default_factory=dict)
-    #: (..., n) mm/s, friction coefficient times sliding speed
-    power: FloatArray = field(init=False, repr=False)
-    #: what a law has worked out of all this, for its next call: itself, then what it likes
-    memo: list[Any] = field(default_factory=list, init=False, repr=False, compare=False)
-
-    def __post_init__(self) -> None:
-        if isinstance(self.time, np.ndarray):
-            object.__setattr__(self, "time", columns(self.time))
-        if isinstance(self.friction, np.ndarray):
-            object.__setattr__(self, "friction", columns(self.friction))
-        object.__setattr__(self, "power", self.friction * self.speed)
-
-    if not TYPE_CHECKING:  # which tells unknown names by itself
-
-        def __getattr__(self, name: str) -> Any:
-            there = ", ".join(f.name for f in fields(self) if f.name != "memo")
-            raise AttributeError(f"LocalState has no {name!r}; it has {there}")
-
-    def take(self, histories: IntArray) -> "LocalState":
-        """Return what some of B histories know."""
-        return replace(
-            self,
-            time=take(self.time, histories),
-            speed=take(self.speed, histories),
-            friction=take(self.friction, histories),
-            wear=take(self.wear, histories),
-            slid=take(self.slid, histories),
-        )
-
-    def moved(self, by: Any, along: "LocalState") -> "LocalState":
-        """Return the same with so many times another's speed, friction and slid added."""
-        return LocalState(
-            self.time,
-            self.r,
-            self.speed + by * along.speed,
-            self.friction + by * along.friction,
-            self.wear,
-            self.slid + by * along.slid,
-            self.parameters,
-        )
-
-    def history(self, i: int) -> "LocalState":
-        """Return what one of B histories knows."""
-        return replace(
-            self,
-            time=history(self.time, i),
-            speed=history(self.speed, i),
-            friction=history(self.friction, i),
-            wear=history(self.wear, i),
-            slid=history(self.slid, i),
-        )
 
 
 @runtime_checkable

@@ -8,7 +8,8 @@ import numpy as np
 
 from ringwear_par.arrays import BoolArray, FloatArray, IntArray
 from ringwear_par.schedules import Quantity
-from ringwear_par.wear.law import Law, LocalState, stack_laws
+from ringwear_par.wear.law import Law, stack_laws
+from ringwear_par.wear.local_state import LocalState
 
 #: share of the depth of a layer's end below which what is left above it is round-off
 ROUND_OFF = 1e-13

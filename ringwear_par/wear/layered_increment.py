@@ -14,8 +14,9 @@ import numpy as np
 
 from ringwear_par.arrays import FloatArray
 from ringwear_par.wear.increment import VariedIncrement, VaryingNumbers, WearIncrement
-from ringwear_par.wear.law import Law, LocalState
+from ringwear_par.wear.law import Law
 from ringwear_par.wear.layered import LayeredLaw, Passage, d_passage, passage
+from ringwear_par.wear.local_state import LocalState
 
 #: halvings of the pressures that integrals are taken over, towards a kink
 _PANELS, _BISECTIONS = 48, 60

@@ -15,14 +15,8 @@ from ringwear_par.schedules import Quantity, breakpoints, value
 from ringwear_par.schedules import stack as stack_quantities
 from ringwear_par.textfiles import read_text
 from ringwear_par.wear.guard import Asked, ask, shown
-from ringwear_par.wear.law import (
-    CompletedLaw,
-    Law,
-    LocalState,
-    WearLaw,
-    found_along,
-    found_before,
-)
+from ringwear_par.wear.law import CompletedLaw, Law, WearLaw, found_along, found_before
+from ringwear_par.wear.local_state import LocalState
 from ringwear_par.wear.parameters import Parameter
 
 _BISECTIONS = 30

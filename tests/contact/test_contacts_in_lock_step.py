@@ -10,10 +10,11 @@ from ringwear_par.contact.problem import KKT_TOLERANCE, WarmStart
 from ringwear_par.contact.solver import ContactSolver
 from ringwear_par.errors import HistoriesError
 from ringwear_par.wear.increment import WearIncrement, averaging
-from ringwear_par.wear.law import LocalState, stack_laws
+from ringwear_par.wear.law import stack_laws
 from ringwear_par.wear.laws.non_local import NonLocalLaw
 from ringwear_par.wear.laws.power import PowerLaw
 from ringwear_par.wear.laws.threshold import ThresholdLaw
+from ringwear_par.wear.local_state import LocalState
 
 N, B = 19, 11
 R = np.linspace(28.5, 31.5, N)

@@ -7,12 +7,12 @@ import pytest
 
 from ringwear_par.contact.problem import on_curve
 from ringwear_par.wear.increment import Closing, WearIncrement
-from ringwear_par.wear.law import LocalState
 from ringwear_par.wear.laws.power import PowerLaw
 from ringwear_par.wear.laws.running_in import RunningInLaw
 from ringwear_par.wear.laws.threshold import ThresholdLaw
 from ringwear_par.wear.layered import LayeredLaw, d_passage, passage
 from ringwear_par.wear.layered_increment import LayeredIncrement
+from ringwear_par.wear.local_state import LocalState
 
 N, STEP = 24, 5.0
 R = np.linspace(28.5, 31.5, N)

@@ -21,7 +21,8 @@ from ringwear_par.wear.derivative_test import (
     taylor_test_parameter,
     taylor_test_wear,
 )
-from ringwear_par.wear.law import CompletedLaw, Law, LocalState, WearLaw, complete
+from ringwear_par.wear.law import CompletedLaw, Law, WearLaw, complete
+from ringwear_par.wear.local_state import LocalState
 from ringwear_par.wear.user import UserLaw, check_object, check_user_law
 
 _OURS = set(LAWS.values()) - {UserLaw}

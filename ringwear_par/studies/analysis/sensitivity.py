@@ -7,24 +7,20 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from types import SimpleNamespace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from scipy.special import ndtri
 from scipy.stats import rankdata
 
 from ringwear_par.arrays import BoolArray, FloatArray, IntArray
+from ringwear_par.studies.analysis.regression import SEED, Part
 from ringwear_par.studies.definition.designs import SAMPLED
 from ringwear_par.studies.storage.end_values import drawn, final_name
 from ringwear_par.studies.storage.ensemble import Ensemble
 
-if TYPE_CHECKING:
-    from ringwear_par.studies.analysis.regression import Part
-
 log = logging.getLogger(__name__)
 
-#: of all random choices: the same results give the same figure
-SEED = 1
 #: fewest and most cases, 95 % confidence from so many resamples
 _FEWEST, _MOST, _RESAMPLES = 100, 4000, 100
 #: so many cases differ from the others at least, in so many digits
@@ -183,7 +179,7 @@ class SobolIndices:
     total: FloatArray
 
 
-def sobol_indices(part: "Part", names: Sequence[str]) -> tuple[SobolIndices, ...]:
+def sobol_indices(part: Part, names: Sequence[str]) -> tuple[SobolIndices, ...]:
     """Return Sobol' indices of responses of a surrogate that are numbers and vary.
 
     By SALib, from about a million evaluations: the error of sampling is below 0.01, that of the
