@@ -11,8 +11,9 @@ import re
 import sys
 import time
 import traceback
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
+from dataclasses import dataclass
 from io import TextIOWrapper
 from pathlib import Path
 from typing import Any, NoReturn
@@ -54,181 +55,6 @@ class _Parser(argparse.ArgumentParser):
         raise InputError(
             f"{legible(message, 300)} (see {self.prog} --help; PETSc's options go behind --)"
         )
-
-
-def _parser() -> argparse.ArgumentParser:
-    parser = _Parser(
-        prog="ringwear",
-        description="Wear histories of ring-on-ring and ring-on-disc tests by boundary elements.",
-        epilog=EPILOG,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-    parser.add_argument("--version", action="version", version=f"ringwear {__version__}")
-    commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
-
-    def command(name: str, text: str) -> argparse.ArgumentParser:
-        return commands.add_parser(
-            name,
-            help=text,
-            description=text[0].upper() + text[1:] + ".",
-            epilog=EPILOG,
-            formatter_class=argparse.RawDescriptionHelpFormatter,
-        )
-
-    run = command("run", "compute one wear history")
-    run.add_argument("-o", "--output", type=_path, required=True, metavar="RUN.h5")
-    _add_case(run)
-    run.add_argument(
-        "--restart", action="store_true",
-        help="continue RUN.h5 where it was interrupted, or to a larger time.steps or time.end",
-    )  # fmt: skip
-    run.add_argument(
-        "--overwrite", action="store_true",
-        help="replace what RUN.h5 holds, an interrupted run too",
-    )  # fmt: skip
-    _add_no_cache(run)
-    run.add_argument("--plot", type=_path, metavar="FIG.png", help="draw the history at the end")
-
-    sweep = command("sweep", "compute every case of a study, or go on with it")
-    sweep.add_argument("study", type=_path, metavar="STUDY.toml", help="study file")
-    sweep.add_argument("-o", "--output", type=_path, required=True, metavar="DIR")
-    sweep.add_argument(
-        "--ranks-per-case", type=int, default=1, metavar="M",
-        help="ranks that share a case; must divide their number (default: %(default)s)",
-    )  # fmt: skip
-    sweep.add_argument(
-        "--slice", type=_slice, metavar="I/N", dest="part",
-        help="compute the I-th of N slices only; without it, slices are merged",
-    )  # fmt: skip
-    sweep.add_argument(
-        "--retry-failed", action="store_true", help="compute failed cases again as well"
-    )
-    sweep.add_argument(
-        "--mix-versions", action="store_true",
-        help="go on where another version of this program has computed cases; the variable version "
-        "tells them apart",
-    )  # fmt: skip
-    sweep.add_argument(
-        "--dry-run", action="store_true",
-        help="count cases and operators, estimate memory and time; write nothing",
-    )  # fmt: skip
-
-    _add_no_cache(sweep)
-
-    fit = command("fit", "find parameters of the wear law from measurements, with intervals")
-    fit.add_argument("fit", type=_path, metavar="FIT.toml", help="fit file")
-    fit.add_argument("-o", "--output", type=_path, required=True, metavar="DIR")
-    fit.add_argument(
-        "--dry-run", action="store_true",
-        help="tell the intervals to be expected from the start; write nothing",
-    )  # fmt: skip
-    fit.add_argument(
-        "--restart", action="store_true", help="use the optima that an interrupted fit has kept"
-    )
-    fit.add_argument("--compare", action="store_true", help="fit the laws of [compare] as well")
-    _add_no_cache(fit)
-
-    design = command("design", "find the next tests that tell most, from [design] of a fit file")
-    design.add_argument("fit", type=_path, metavar="FIT.toml", help="fit file")
-    design.add_argument("-o", "--output", type=_path, required=True, metavar="DIR")
-    design.add_argument(
-        "--after", type=_path, metavar="DIR", help="folder of a fit whose information counts"
-    )
-    design.add_argument(
-        "--criterion", choices=("D", "A", "eig"), help="instead of that of the fit file"
-    )
-    _add_no_cache(design)
-
-    plot = command("plot", "draw the figures of the paper from result files, or those of a sweep")
-    plot.add_argument("results", type=_path, nargs="+", metavar="RUN.h5 or DIR")
-    plot.add_argument("-o", "--output", type=_path, required=True, metavar="FIG.png")
-    plot.add_argument(
-        "--panels", metavar="LIST",
-        help="any of wear, pressure, section, stress, depth, interfaces, mises, penetration, "
-        "approach, force, torque, energy, volume, rate, pv, through, in this order "
-        f"(default: {PANELS})",
-    )  # fmt: skip
-    plot.add_argument(
-        "--steps", metavar="LIST",
-        help="steps whose profiles are drawn, such as 1,50,100 (default: first and quarters)",
-    )  # fmt: skip
-    plot.add_argument(
-        "--times", metavar="LIST",
-        help='or times, nearest to which states are stored, in s or such as "0.5 h, 2 h"',
-    )  # fmt: skip
-    plot.add_argument(
-        "--profiles-of", type=_path, nargs="+", metavar="RUN.h5",
-        help="draw the profiles of these files only (default: of all)",
-    )  # fmt: skip
-
-    export = command("export", "write a result file for ParaView or a spreadsheet")
-    export.add_argument("result", type=_path, metavar="RUN.h5")
-    export.add_argument(
-        "-o", "--output", type=_path, required=True, metavar="OUT",
-        help=".vtkhdf: contours of both bodies at all stored times; .csv: histories",
-    )  # fmt: skip
-    export.add_argument(
-        "--revolve", type=int, metavar="N",
-        help="write the surfaces, revolved in N segments, instead of the contours",
-    )  # fmt: skip
-    export.add_argument(
-        "--scale", type=float, metavar="S",
-        help="add the displacements, S times magnified, to the points (default: 0)",
-    )  # fmt: skip
-    export.add_argument(
-        "--fields", action="store_true",
-        help="write the fields along the contact line to .csv instead of the histories",
-    )  # fmt: skip
-    export.add_argument(
-        "--stress", action="store_true",
-        help="write the stresses of [stress]: its grid to .vtkhdf, its points to .csv",
-    )  # fmt: skip
-    export.add_argument(
-        "--interfaces", action="store_true",
-        help="write the stresses along the interfaces between layers to .vtkhdf or .csv",
-    )  # fmt: skip
-
-    report = command("report", "write a page of stored results that opens in any browser")
-    report.add_argument("results", type=_path, metavar="RUN.h5 or DIR")
-    report.add_argument("-o", "--output", type=_path, required=True, metavar="REPORT.html")
-
-    explore = command("explore", "serve a page on this machine with sliders for a case's numbers")
-    _add_case(explore)
-    explore.add_argument(
-        "--port", type=_port, default=0, metavar="N", help="of the address (default: any free one)"
-    )
-    explore.add_argument(
-        "--no-browser", action="store_true", help="print the address, but open no browser"
-    )
-    _add_no_cache(explore)
-
-    laws = command("laws", "print what the wear laws of a case do, and test their derivatives")
-    _add_case(laws)
-
-    command("verify", "run the reference solutions; print error and observed order of each")
-    info = command("info", "print versions, MPI and PETSc builds, ranks and threads")
-    info.add_argument(
-        "--schema", nargs="*", metavar="WORD",
-        help="print the keys of case, study and fit files, or of one of these: case, study or fit; "
-        "behind it, or alone, a word of the rows to print, such as wear.lower",
-    )  # fmt: skip
-    return parser
-
-
-def _add_case(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("case", type=_path, metavar="CASE.toml", help="case file")
-    parser.add_argument(
-        "--set", action="extend", default=[], nargs="+", dest="overrides", metavar="KEY=VALUE",
-        help="override a key of the case file, such as load.pressure=50",
-    )  # fmt: skip
-
-
-def _add_no_cache(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "--no-cache", action="store_true",
-        help="assemble every shape, neither read nor write those kept before (ringwear info says "
-        "where)",
-    )  # fmt: skip
 
 
 def _slice(text: str) -> tuple[int, int]:
@@ -385,13 +211,172 @@ def _info(args: argparse.Namespace, comm: Any) -> None:
     print_info(comm)
 
 
+@dataclass(frozen=True)
+class _Command:
+    """A command, in the order of ``ringwear --help``.
+
+    Parameters
+    ----------
+    summary : for its help.
+    run : takes the arguments and the communicator.
+    arguments : flags and options of ``add_argument``.
+    solves : whether it needs PETSc.
+    stopped : end of the message where it is stopped before it has results.
+    """
+
+    summary: str
+    run: Callable[[argparse.Namespace, Any], None]
+    arguments: tuple[tuple[tuple[str, ...], dict[str, Any]], ...]
+    solves: bool = False
+    stopped: str = ""
+
+
+def _argument(*flags: str, **options: Any) -> tuple[tuple[str, ...], dict[str, Any]]:
+    return flags, options
+
+
+def _flag(name: str, help: str) -> tuple[tuple[str, ...], dict[str, Any]]:
+    return (name,), {"action": "store_true", "help": help}
+
+
+def _output(metavar: str, help: str | None = None) -> tuple[tuple[str, ...], dict[str, Any]]:
+    options = {"type": _path, "required": True, "metavar": metavar, "help": help}
+    return ("-o", "--output"), options
+
+
+_CASE = (
+    _argument("case", type=_path, metavar="CASE.toml", help="case file"),
+    _argument(
+        "--set", action="extend", default=[], nargs="+", dest="overrides", metavar="KEY=VALUE",
+        help="override a key of the case file, such as load.pressure=50",
+    ),
+)  # fmt: skip
+_FIT_FILE = _argument("fit", type=_path, metavar="FIT.toml", help="fit file")
+_NO_CACHE = _flag(
+    "--no-cache",
+    "assemble every shape, neither read nor write stored ones (ringwear info says where they are)",
+)
+_UNWRITTEN = "; nothing written"
+
 _COMMANDS = {
-    "run": _run, "sweep": _sweep, "fit": _fit, "design": _design, "plot": _plot,
-    "export": _export, "report": _report, "explore": _explore, "laws": _laws, "verify": _verify,
-    "info": _info,
+    "run": _Command("compute one wear history", _run, (
+        _output("RUN.h5"),
+        *_CASE,
+        _flag("--restart",
+              "continue RUN.h5 where it was interrupted, or to a larger time.steps or time.end"),
+        _flag("--overwrite", "replace what RUN.h5 holds, an interrupted run too"),
+        _NO_CACHE,
+        _argument("--plot", type=_path, metavar="FIG.png", help="draw the history at the end"),
+    ), solves=True, stopped=f" before the first step{_UNWRITTEN}"),
+    "sweep": _Command("compute every case of a study, or go on with it", _sweep, (
+        _argument("study", type=_path, metavar="STUDY.toml", help="study file"),
+        _output("DIR"),
+        _argument("--ranks-per-case", type=int, default=1, metavar="M",
+                  help="ranks that share a case; must divide their number (default: %(default)s)"),
+        _argument("--slice", type=_slice, metavar="I/N", dest="part",
+                  help="compute the I-th of N slices only; without it, slices are merged"),
+        _flag("--retry-failed", "compute failed cases again as well"),
+        _flag("--mix-versions",
+              "go on where another version of this program has computed cases; the variable "
+              "version tells them apart"),
+        _flag("--dry-run",
+              "count cases and operators, estimate memory and time; write nothing"),
+        _NO_CACHE,
+    ), solves=True, stopped="; the same command goes on"),
+    "fit": _Command("find parameters of the wear law from measurements, with intervals", _fit, (
+        _FIT_FILE,
+        _output("DIR"),
+        _flag("--dry-run", "print the intervals to be expected from the start; write nothing"),
+        _flag("--restart", "use the optima that an interrupted fit has stored"),
+        _flag("--compare", "fit the laws of [compare] as well"),
+        _NO_CACHE,
+    ), solves=True, stopped=f" before the first start{_UNWRITTEN}"),
+    "design": _Command("find the next tests that tell most, from [design] of a fit file", _design, (
+        _FIT_FILE,
+        _output("DIR"),
+        _argument("--after", type=_path, metavar="DIR",
+                  help="folder of a fit whose information counts"),
+        _argument("--criterion", choices=("D", "A", "eig"), help="instead of that of the fit file"),
+        _NO_CACHE,
+    ), solves=True, stopped=_UNWRITTEN),
+    "plot": _Command(
+        "draw the figures of the paper from result files, or those of a sweep", _plot, (
+        _argument("results", type=_path, nargs="+", metavar="RUN.h5 or DIR"),
+        _output("FIG.png"),
+        _argument("--panels", metavar="LIST",
+                  help="any of wear, pressure, section, stress, depth, interfaces, mises, "
+                  "penetration, approach, force, torque, energy, volume, rate, pv, through, in "
+                  f"this order (default: {PANELS})"),
+        _argument("--steps", metavar="LIST",
+                  help="steps whose profiles are drawn, such as 1,50,100 (default: first and "
+                  "quarters)"),
+        _argument("--times", metavar="LIST",
+                  help="or times, nearest to which states are stored, in s or such as "
+                  '"0.5 h, 2 h"'),
+        _argument("--profiles-of", type=_path, nargs="+", metavar="RUN.h5",
+                  help="draw the profiles of these files only (default: of all)"),
+    ), stopped=_UNWRITTEN),
+    "export": _Command("write a result file for ParaView or a spreadsheet", _export, (
+        _argument("result", type=_path, metavar="RUN.h5"),
+        _output("OUT", ".vtkhdf: contours of both bodies at all stored times; .csv: histories"),
+        _argument("--revolve", type=int, metavar="N",
+                  help="write the surfaces, revolved in N segments, instead of the contours"),
+        _argument("--scale", type=float, metavar="S",
+                  help="add the displacements, S times magnified, to the points (default: 0)"),
+        _flag("--fields",
+              "write the fields along the contact line to .csv instead of the histories"),
+        _flag("--stress",
+              "write the stresses of [stress]: its grid to .vtkhdf, its points to .csv"),
+        _flag("--interfaces",
+              "write the stresses along the interfaces between layers to .vtkhdf or .csv"),
+    ), stopped=_UNWRITTEN),
+    "report": _Command("write a page of stored results that opens in any browser", _report, (
+        _argument("results", type=_path, metavar="RUN.h5 or DIR"),
+        _output("REPORT.html"),
+    ), stopped=_UNWRITTEN),
+    "explore": _Command(
+        "serve a page on this machine with sliders for a case's numbers", _explore, (
+        *_CASE,
+        _argument("--port", type=_port, default=0, metavar="N",
+                  help="of the address (default: any free one)"),
+        _flag("--no-browser", "print the address, but open no browser"),
+        _NO_CACHE,
+    ), solves=True),
+    "laws": _Command(
+        "print what the wear laws of a case do, and test their derivatives", _laws, _CASE),
+    "verify": _Command(
+        "run the reference solutions; print error and observed order of each", _verify, (),
+        solves=True),
+    "info": _Command("print versions, MPI and PETSc builds, ranks and threads", _info, (
+        _argument("--schema", nargs="*", metavar="WORD",
+                  help="print the keys of case, study and fit files, or of one of these: case, "
+                  "study or fit; behind it, or alone, a word of the rows to print, such as "
+                  "wear.lower"),
+    )),
 }  # fmt: skip
-#: commands that solve, for which PETSc is needed
-_COMPUTING = frozenset({"run", "sweep", "fit", "design", "explore", "verify"})
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = _Parser(
+        prog="ringwear",
+        description="Wear histories of ring-on-ring and ring-on-disc tests by boundary elements.",
+        epilog=EPILOG,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("--version", action="version", version=f"ringwear {__version__}")
+    commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
+    for name, command in _COMMANDS.items():
+        summary = command.summary
+        arguments = commands.add_parser(
+            name,
+            help=summary,
+            description=f"{summary[0].upper()}{summary[1:]}.",
+            epilog=EPILOG,
+            formatter_class=argparse.RawDescriptionHelpFormatter,
+        )
+        for flags, options in command.arguments:
+            arguments.add_argument(*flags, **options)
+    return parser
 
 
 def _check_launch(size: int) -> None:
@@ -505,16 +490,9 @@ def main(argv: Sequence[str] | None = None) -> int:
 def _left(words: Sequence[str]) -> str:
     """Return the words about files of a command that was stopped before it had results."""
     if "--dry-run" in words:
-        return "; nothing written"
-    return {
-        "run": " before the first step; nothing written",
-        "sweep": "; the same command goes on",
-        "fit": " before the first start; nothing written",
-        "design": "; nothing written",
-        "plot": "; nothing written",
-        "export": "; nothing written",
-        "report": "; nothing written",
-    }.get(words[0] if words else "", "")
+        return _UNWRITTEN
+    command = _COMMANDS.get(words[0]) if words else None
+    return "" if command is None else command.stopped
 
 
 @contextmanager
@@ -555,17 +533,21 @@ def _main(words: Sequence[str], world: _World, signals: StopAtOnce) -> int:
     elif isinstance(sys.stdout, TextIOWrapper):  # any title can be printed
         sys.stdout.reconfigure(errors="backslashreplace")
     try:
+        if not words:
+            _parser().print_help()
+            return 0
         args = _parser().parse_args(words[:cut])
+        command = _COMMANDS[args.command]
         _check_launch(comm.size)
         if args.command == "verify" or getattr(args, "no_cache", False):
             from ringwear_par import pair_cache
 
-            os.environ[pair_cache.VARIABLE] = ""  # nothing is
-        if args.command in _COMPUTING or words[cut + 1 :]:
+            os.environ[pair_cache.VARIABLE] = ""  # no cache
+        if command.solves or words[cut + 1 :]:
             start_petsc(words[cut + 1 :])
-        if args.command in _COMPUTING:
+        if command.solves:
             claim_blas_memory(comm)
-        _COMMANDS[args.command](args, comm)
+        command.run(args, comm)
         sys.stdout.flush()
         return 0
     except RingwearError as error:

@@ -143,9 +143,11 @@ def test_info_schema_help_and_version():
     assert "ranks: 2" in info.stdout
     assert "lower.young" in ringwear("info", "--schema").stdout
     assert ringwear("--version", ranks=2).stdout.count("ringwear") == 1
-    told = ringwear("run", "--help")
-    assert told.returncode == 0
-    assert "1 the computation failed or was stopped" in told.stdout
+    for words in ((), ("--help",), ("run", "--help")):
+        printed = ringwear(*words)
+        assert printed.returncode == 0
+        assert "1 the computation failed or was stopped" in printed.stdout
+        assert ("compute every case of a study" in printed.stdout) == (words != ("run", "--help"))
 
 
 def test_petsc_options_reach_the_solvers(tmp_path):
