@@ -45,7 +45,7 @@ if TYPE_CHECKING:
 _PUBLIC = {
     "Case": "cases.case",
     "ComputationError": "errors",
-    "ContactPair": "elasticity.pair",
+    "ContactPair": "elasticity.bem.pair",
     "DesignResult": "identification.test_design.design",
     "FailedResult": "results.result",
     "FitResult": "identification.outcome",

@@ -51,6 +51,7 @@ from ringwear_par.history.loop import simulate_one
 from ringwear_par.history.model import WearModel
 from ringwear_par.history.schemes.euler import backward, forward
 from ringwear_par.history.snapshots import Snapshot
+from ringwear_par.history.start import initial_state
 from ringwear_par.history.state import State
 from ringwear_par.results.pictures.drawing import COLOURS, STYLE
 from ringwear_par.verification.reference import EXPLICIT_LIMIT, contact_modulus
@@ -212,7 +213,7 @@ def measured_limit(pair: ContactPair, case: Case, guess: float, comm: MPI.Comm) 
     By bisection to 0.2 %, from a worn state with all in contact; p0 = 0.
     """
     with WearModel([case], comm, pair) as model:
-        state = model.initial()
+        state = initial_state(model)
         for end in (100.0, 200.0, 300.0):  # until pressures hardly change
             state = backward(model, state, np.array([end])).state
         low = high = guess
@@ -259,7 +260,7 @@ def limits(n: int, comm: MPI.Comm) -> Limits:
 def unworn(pair: ContactPair, case: Case, comm: MPI.Comm) -> FloatArray:
     """Return the pressure before any wear, (n,) MPa. Collective."""
     with WearModel([case], comm, pair) as model:
-        return model.initial().contact.pressure[0]
+        return initial_state(model).contact.pressure[0]
 
 
 def bilateral(case: Case, weighted: FloatArray) -> FloatArray:

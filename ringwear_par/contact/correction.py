@@ -33,6 +33,10 @@ _TINY = 1e-300
 class Tangents(Protocol):
     """Derivatives of contact solutions, which take part in each correction."""
 
+    def pose(self, during: WearIncrement | None) -> None:
+        """Take the wear of the next contact problem; None: there is none."""
+        ...
+
     def solved(self, solution: ContactState, at: FloatArray, histories: IntArray) -> None:
         """Differentiate a solution on the factor that its solver has now.
 

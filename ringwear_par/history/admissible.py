@@ -1,20 +1,16 @@
 """What the model does not hold for: overlapping bodies, contact cut by the mesh, deep wear."""
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from ringwear_par.cases.case import Case
 from ringwear_par.errors import ComputationError, HistoriesError, UnfitError
 from ringwear_par.history.inputs import of_faces
+from ringwear_par.history.model import WearModel
 from ringwear_par.history.stability import pressed
 from ringwear_par.history.state import State
 
-if TYPE_CHECKING:
-    from ringwear_par.history.model import WearModel
 
-
-def check_interpenetration(model: "WearModel") -> None:
+def check_interpenetration(model: WearModel) -> None:
     """Refuse undeformed bodies that overlap by more than the largest force presses them.
 
     Raises

@@ -37,6 +37,7 @@ from ringwear_par.history.saving import stores, times_within
 from ringwear_par.history.schemes import euler, sdirk2
 from ringwear_par.history.schemes.step import Scheme
 from ringwear_par.history.snapshots import Observer, Snapshot
+from ringwear_par.history.start import initial_state
 from ringwear_par.history.state import Progress, Start, State
 from ringwear_par.history.step_control import (
     NO_STEP,
@@ -308,7 +309,7 @@ class _Batch:
                 self._state, self._progress = self._model.resume(run.start), run.start.progress
             else:
                 with together(run.comm):
-                    self._state = self._model.initial()
+                    self._state = initial_state(self._model)
                 self._progress = Progress.at_start(len(numbers))
         except BaseException:
             self._model.close()

@@ -11,33 +11,27 @@ and gaps are ``inputs``, moduli ``compliances``; elements that follow the wear a
 import copy
 from collections.abc import Mapping, Sequence
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from mpi4py import MPI
 
 from ringwear_par.arrays import BoolArray, FloatArray, IntArray, columns, inner
 from ringwear_par.cases.case import Case
-from ringwear_par.contact.correction import CorrectedContacts
+from ringwear_par.contact.correction import CorrectedContacts, Tangents
 from ringwear_par.contact.problem import ContactState, WarmStart
 from ringwear_par.elasticity.bem.pair import ContactCompliance, ContactPair
-from ringwear_par.errors import ComputationError, HistoriesError
-from ringwear_par.history.admissible import check_interpenetration, checked
 from ringwear_par.history.elastic.bodies import young
 from ringwear_par.history.elastic.compliances import Compliances
+from ringwear_par.history.elastic.moving import MovingGeometry
 from ringwear_par.history.elastic.pairs import assemble
 from ringwear_par.history.inputs import HistoryInputs
-from ringwear_par.history.moving_geometry import MovingGeometry
 from ringwear_par.history.sensitivity import Sensitivity
 from ringwear_par.history.state import Start, State
-from ringwear_par.history.tangent import Along
 from ringwear_par.schedules import in_time, integral
 from ringwear_par.wear.increment import Closing, WearIncrement, averaged_rate, averaging
 from ringwear_par.wear.law import LocalState
 from ringwear_par.wear.layered_increment import LayeredIncrement
-
-if TYPE_CHECKING:
-    from ringwear_par.history.schemes.closing_elements import Entering
 
 
 class WearModel:
@@ -138,33 +132,6 @@ class WearModel:
 
     # -- start and continuation --------------------------------------------------------------------
 
-    def initial(self) -> State:
-        """Return the contacts before any wear.
-
-        Raises
-        ------
-        ComputationError : a contact failed; HistoriesError of several histories.
-        UnfitError : the bodies interpenetrate by more than the load presses them together.
-        """
-        time, shape = np.zeros(len(self.inputs.cases)), self.inputs.shape
-        wear = np.zeros((2, *shape))
-        along = None if self.sensitivity is None else Along(self, None)
-        try:
-            contact = self.contact(time, wear, np.zeros(shape), exact=True, along=along)
-        except HistoriesError:
-            raise
-        except ComputationError as error:
-            raise type(error)(f"{error}; in step 0, before any wear") from error
-        check_interpenetration(self)
-        rates = self.rates_at(time, wear, contact.pressure)
-        worn = np.zeros(wear.shape[:-1])
-        state = State(
-            time, wear, worn, np.zeros_like(time), contact, rates, np.zeros(shape),
-            tangent=None if along is None else along.reached(contact),
-            through=np.full(worn.shape, np.inf) if self.inputs.layered else None,
-        )  # fmt: skip
-        return checked(self.case, state)
-
     def resume(self, start: Start) -> State:
         """Return a stored state to continue from, as if it had just been computed. Collective."""
         if self.geometry is not None:
@@ -194,7 +161,7 @@ class WearModel:
         increment: WearIncrement | None = None,
         already_solved: tuple[BoolArray, ContactState] | None = None,
         exact: bool = False,
-        along: Along | None = None,
+        along: Tangents | None = None,
     ) -> ContactState:
         """Return the contact at a time, under the loads of that time. Collective.
 
@@ -228,10 +195,6 @@ class WearModel:
             along.pose(increment)
             how["along"] = along
         return self.contacts.solve(gap, pressure_guess, **how)
-
-    def along(self, state: State, enter: "Entering | None" = None) -> Along | None:
-        """Return what derivatives are told along a step from a state; None where there are none."""
-        return None if self.sensitivity is None else Along(self, state.tangent, enter)
 
     @property
     def asymmetry(self) -> tuple[FloatArray, IntArray]:

@@ -3,11 +3,11 @@
 import copy
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
-from ringwear_par.arrays import FloatArray, IntArray, columns, inner
+from ringwear_par.arrays import FloatArray, IntArray, columns
 from ringwear_par.cases.case import Case
 from ringwear_par.cases.schema import UNITS, layer_entry
 from ringwear_par.elasticity.bem.pair import ContactPair
@@ -20,9 +20,6 @@ from ringwear_par.wear.increment import d_averaging
 from ringwear_par.wear.law import Law, LocalState
 from ringwear_par.wear.layered import LayeredLaw
 from ringwear_par.wear.parameters import parameters_of
-
-if TYPE_CHECKING:
-    from ringwear_par.history.model import WearModel
 
 
 def differentiable(case: Case) -> dict[str, str]:
@@ -161,7 +158,7 @@ class Sensitivity:
             elif key in ("load.force", "load.displacement"):
                 self.load[row] = 1.0
         elastic = {"lower.young", "upper.young", *elastic_numbers(cases[0])}
-        self._elastic = [
+        self.elastic = [
             (row, _Elastic.of(cases, pair, key)) for key, row in rows.items() if key in elastic
         ]
         #: of bodies with layers, (layers, P), which number is the thickness of which layer
@@ -180,7 +177,7 @@ class Sensitivity:
         taken = copy.copy(self)
         taken._sizes = {row: size[histories] for row, size in self._sizes.items()}
         taken.load = self.load[:, histories]
-        taken._elastic = [(row, elastic.take(histories)) for row, elastic in self._elastic]
+        taken.elastic = [(row, elastic.take(histories)) for row, elastic in self.elastic]
         return taken
 
     def nothing(self, *shape: int) -> FloatArray:
@@ -224,25 +221,9 @@ class Sensitivity:
         products : of matrices and pressures, see ``CorrectedContacts.products``.
         p, at : (..., n) MPa, of a solution, and those that it was corrected at.
         """
-        for row, elastic in self._elastic:
+        for row, elastic in self.elastic:
             gap[row] += products(elastic.symmetric, elastic.which, p - at)
             gap[row] += products(elastic.collocated, elastic.which, at)
-
-    def torque(self, model: "WearModel", p: FloatArray, d_p: FloatArray) -> FloatArray:
-        """Return derivatives of the friction torque, (P, ...) N mm."""
-        out = np.asarray(model.torque(d_p))
-        if self.friction is not None:
-            out[self.friction] += model.moment(p)
-        return out
-
-    def twist(self, model: "WearModel", p: FloatArray, d_p: FloatArray) -> FloatArray:
-        """Return derivatives of the mean circumferential displacement, (P, ...) mm."""
-        out = np.asarray(model.twist(d_p))
-        if self.friction is not None:
-            out[self.friction] += inner(model.compliances.twist, p)
-        for row, elastic in self._elastic:
-            out[row] += model.inputs.friction * inner(elastic.twist[elastic.which], p)
-        return out
 
 
 @dataclass(frozen=True)

@@ -1,22 +1,18 @@
 """How long explicit steps may be."""
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from ringwear_par.arrays import FloatArray, IntArray
 from ringwear_par.cases.case import Case
 from ringwear_par.contact.problem import ContactState
 from ringwear_par.elasticity.bem.pair import ContactCompliance, largest_stable_step
+from ringwear_par.history.model import WearModel
 from ringwear_par.schedules import integral, largest
 from ringwear_par.wear.law import Law, LocalState
 from ringwear_par.wear.layered import LayeredLaw
 
-if TYPE_CHECKING:
-    from ringwear_par.history.model import WearModel
 
-
-def stable_steps(model: "WearModel") -> list[float]:
+def stable_steps(model: WearModel) -> list[float]:
     """Return the largest stable steps of the explicit scheme, s, of B histories.
 
     Unworn, under the largest load and speed, with the steepest of what laws do in time.
@@ -51,7 +47,7 @@ def _steepest(law: Law, p: FloatArray, at: LocalState) -> FloatArray:
     return law.d_rate_dp(p, at)
 
 
-def pressed(model: "WearModel", histories: IntArray | None = None) -> ContactState:
+def pressed(model: WearModel, histories: IntArray | None = None) -> ContactState:
     """Return the contacts before any wear, under the largest loads of the cases.
 
     Parameters

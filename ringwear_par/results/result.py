@@ -14,29 +14,9 @@ from ringwear_par.elasticity.geometry.mesh import ContactLine
 from ringwear_par.elasticity.stress.boundary_fields import BoundaryState
 from ringwear_par.elasticity.stress.fields import StressHistory
 from ringwear_par.errors import InputError, RingwearError
+from ringwear_par.results import variables as table
 from ringwear_par.results.stress_variables import stress_coordinates, stress_variables
-from ringwear_par.results.variables import (
-    COORDINATES,
-    D_HISTORIES,
-    D_PROFILES,
-    EDGE_ELEMENT,
-    ELEMENT,
-    HISTORIES,
-    LAYER_PROFILES,
-    LAYER_VOLUMES,
-    LAYERS,
-    LINE,
-    PARAMETER,
-    PARAMETER_UNIT,
-    PROFILES,
-    SOFTWARE,
-    STATE_NUMBER,
-    STEP,
-    STEPS_MADE,
-    Variable,
-    edge_elements,
-    layer_axis,
-)
+from ringwear_par.results.variables import Variable, edge_elements, layer_axis
 from ringwear_par.textfiles import parse_toml
 
 if TYPE_CHECKING:
@@ -145,55 +125,44 @@ class Result:
     def variables(self) -> list[tuple[Variable, Any]]:
         """Return every variable on the contact line and in time, with its values."""
         numbered = not np.array_equal(self.step, self.steps_made)
-        pairs: list[tuple[Variable, Any]] = [(STATE_NUMBER if numbered else STEP, self.step)]
-        if numbered:
-            pairs.append((STEPS_MADE, self.steps_made))
-        pairs.append((ELEMENT, np.arange(self.line.n)))
-        pairs += [(HISTORIES[name], values) for name, values in self.histories.items()]
-        pairs += [(variable, getattr(self.line, name)) for name, variable in LINE.items()]
-        for name, values in self.profiles.items():
-            variable = PROFILES[name]
-            pairs.append((variable if values.ndim == 2 else variable.at_last_step(), values))
-        if (pressure := self.profiles.get("pressure")) is not None:
-            variable = EDGE_ELEMENT if pressure.ndim == 2 else EDGE_ELEMENT.at_last_step()
-            pairs.append((variable, edge_elements(pressure).astype(variable.dtype)))
+        pairs: list[tuple[Variable, Any]] = [
+            (table.STATE_NUMBER if numbered else table.STEP, self.step),
+            *([(table.STEPS_MADE, self.steps_made)] if numbered else []),
+            (table.ELEMENT, np.arange(self.line.n)),
+            *((table.HISTORIES[name], values) for name, values in self.histories.items()),
+            *((variable, getattr(self.line, name)) for name, variable in table.LINE.items()),
+            *((table.PROFILES[name], values) for name, values in self.profiles.items()),
+        ]
+        if "pressure" in self.profiles:
+            edge = edge_elements(self.profiles["pressure"])
+            pairs.append((table.EDGE_ELEMENT, edge.astype(table.EDGE_ELEMENT.dtype)))
         pairs += self._layer_variables()
         if self.parameters:
-            pairs.append((PARAMETER, list(self.parameters)))
-            pairs.append((PARAMETER_UNIT, list(self.parameters.values())))
-        pairs += [
-            (D_HISTORIES[name], values)
-            for name, values in self.derivatives.items()
-            if name in D_HISTORIES
-        ]
-        for name, values in self.derivatives.items():
-            if name in D_PROFILES:
-                variable = D_PROFILES[name]
-                pairs.append((variable if values.ndim == 3 else variable.at_last_step(), values))
+            pairs.append((table.PARAMETER, list(self.parameters)))
+            pairs.append((table.PARAMETER_UNIT, list(self.parameters.values())))
+        pairs += [(table.DERIVATIVES[name], values) for name, values in self.derivatives.items()]
         if self.stress is not None and self.stress.states:
             pairs += stress_variables(self.stress)
-        return pairs
+        return [(variable.stored_as(np.ndim(values)), values) for variable, values in pairs]
 
     def _layer_variables(self) -> list[tuple[Variable, Any]]:
         """Return the variables of layers, with their coordinates."""
         pairs: list[tuple[Variable, Any]] = []
-        counts = [self.layers[v].shape[1] if v in self.layers else 0 for v in LAYER_VOLUMES]
+        counts = [self.layers[v].shape[1] if v in self.layers else 0 for v in table.LAYER_VOLUMES]
         for name, values in self.layers.items():
-            variable = LAYERS[name]
-            if name in LAYER_VOLUMES:
-                layer = layer_axis(list(LAYER_VOLUMES).index(name), counts)
+            variable = table.LAYERS[name]
+            if name in table.LAYER_VOLUMES:
+                layer = layer_axis(list(table.LAYER_VOLUMES).index(name), counts)
                 if all(layer != coordinate for coordinate, _ in pairs):
                     pairs.insert(0, (layer, np.arange(values.shape[1])))
                 variable = replace(variable, dimensions=("step", layer.name))
-            if name in LAYER_PROFILES and values.ndim == 1:
-                variable = variable.at_last_step()
             pairs.append((variable, values))
         return pairs
 
     @property
     def coordinates(self) -> tuple[str, ...]:
         """The names of its coordinates that are no dimensions."""
-        names = COORDINATES if self.parameters else COORDINATES[:-1]
+        names = table.COORDINATES if self.parameters else table.COORDINATES[:-1]
         if self.stress is None or not self.stress.states:
             return names
         return (*names, *stress_coordinates(self.stress))
@@ -214,7 +183,7 @@ class Result:
             ) from error
         dataset = xarray.Dataset(
             {v.name: (v.dimensions, values, v.attributes) for v, values in self.variables()},
-            attrs={"software": SOFTWARE, **self.attributes},
+            attrs={"software": table.SOFTWARE, **self.attributes},
         )
         return dataset.set_coords(self.coordinates)
 

@@ -9,40 +9,8 @@ import numpy as np
 from ringwear_par.arrays import FloatArray
 from ringwear_par.elasticity.stress.fields import Largest, StressHistory, StressState
 from ringwear_par.elasticity.stress.measures import COMPONENTS, SIDES, max_shear, mises, principal
-from ringwear_par.results.variables import (
-    COMPONENT,
-    EXCLUDE,
-    GRID_R,
-    GRID_Z,
-    INTERFACES,
-    LARGEST_STRESS,
-    LAYER_STRESS,
-    MAX_MISES,
-    MAX_MISES_LAYERS,
-    MAX_MISES_OF,
-    MAX_SHEAR,
-    MAX_SHEAR_GRID,
-    MISES,
-    MISES_GRID,
-    POINT,
-    POINT_R,
-    POINT_SIDE,
-    POINT_SIDES,
-    POINT_STRESS,
-    POINT_Z,
-    POINTS,
-    PRINCIPAL,
-    PRINCIPALS,
-    SIDE,
-    STRESS,
-    STRESS_GRID,
-    STRESS_STEP,
-    STRESS_STEPS_MADE,
-    STRESS_TIME,
-    SURFACE_STRESS,
-    Variable,
-    layer_axis,
-)  # fmt: skip
+from ringwear_par.results import variables as table
+from ringwear_par.results.variables import Variable, layer_axis
 
 
 def stress_coordinates(history: StressHistory) -> tuple[str, ...]:
@@ -50,48 +18,48 @@ def stress_coordinates(history: StressHistory) -> tuple[str, ...]:
     of_points = tuple(name for name, _ in _points(history))
     of_interfaces = (
         names
-        for of, v in zip(history.interfaces, INTERFACES, strict=True)
+        for of, v in zip(history.interfaces, table.INTERFACES, strict=True)
         if len(of.z)
         for names in (v.r.name, v.z.name)
     )
-    return (STRESS_TIME.name, *of_points, *of_interfaces)
+    return (table.STRESS_TIME.name, *of_points, *of_interfaces)
 
 
 def stress_variables(history: StressHistory) -> list[tuple[Variable, Any]]:
     """Return every variable of stored stresses with its values; there is a state at least."""
     states = history.states
     pairs: list[tuple[Variable, Any]] = [
-        (STRESS_STEP, np.arange(len(states))),
-        (STRESS_TIME, np.array([state.time for state in states])),
-        (STRESS_STEPS_MADE, np.array([state.step for state in states])),
-        (COMPONENT, list(COMPONENTS)),
-        (EXCLUDE, np.array(history.exclude)),
+        (table.STRESS_STEP, np.arange(len(states))),
+        (table.STRESS_TIME, np.array([state.time for state in states])),
+        (table.STRESS_STEPS_MADE, np.array([state.step for state in states])),
+        (table.COMPONENT, list(COMPONENTS)),
+        (table.EXCLUDE, np.array(history.exclude)),
     ]
     if len(history.points):
         stress = np.array([state.points for state in states])
         pairs += [
-            (POINT, np.arange(len(history.points))),
-            *((POINTS[name], values) for name, values in _points(history)),
-            (PRINCIPAL, np.arange(3)),
-            (STRESS, stress),
-            (MISES, mises(stress)),
-            (MAX_SHEAR, max_shear(stress)),
-            (PRINCIPALS, principal(stress)),
+            (table.POINT, np.arange(len(history.points))),
+            *((table.POINTS[name], values) for name, values in _points(history)),
+            (table.PRINCIPAL, np.arange(3)),
+            (table.STRESS, stress),
+            (table.MISES, mises(stress)),
+            (table.MAX_SHEAR, max_shear(stress)),
+            (table.PRINCIPALS, principal(stress)),
         ]
     if len(history.grid[0]):
         stress = np.array([state.grid for state in states])
         pairs += [
-            (GRID_R, history.grid[0]),
-            (GRID_Z, history.grid[1]),
-            (STRESS_GRID, stress),
-            (MISES_GRID, mises(stress)),
-            (MAX_SHEAR_GRID, max_shear(stress)),
+            (table.GRID_R, history.grid[0]),
+            (table.GRID_Z, history.grid[1]),
+            (table.STRESS_GRID, stress),
+            (table.MISES_GRID, mises(stress)),
+            (table.MAX_SHEAR_GRID, max_shear(stress)),
         ]
-    for i, variable in enumerate(SURFACE_STRESS):
+    for i, variable in enumerate(table.SURFACE_STRESS):
         pairs.append((variable, np.array([state.surface[i] for state in states])))
     if any(len(of.z) for of in history.interfaces):
-        pairs.append((SIDE, list(SIDES)))
-    for i, (of, names) in enumerate(zip(history.interfaces, INTERFACES, strict=True)):
+        pairs.append((table.SIDE, list(SIDES)))
+    for i, (of, names) in enumerate(zip(history.interfaces, table.INTERFACES, strict=True)):
         if len(of.z):
             stress = np.array([state.interfaces[i] for state in states])
             pairs += [
@@ -102,12 +70,12 @@ def stress_variables(history: StressHistory) -> list[tuple[Variable, Any]]:
                 (names.stress, stress),
                 (names.mises, mises(stress)),
             ]
-    pairs += _columns(MAX_MISES, [state.of_both for state in states])
-    for i, variables in enumerate(MAX_MISES_OF):
+    pairs += _columns(table.MAX_MISES, [state.of_both for state in states])
+    for i, variables in enumerate(table.MAX_MISES_OF):
         pairs += _columns(variables, [state.largest[i] for state in states])
-    for i, (variable, count) in enumerate(zip(MAX_MISES_LAYERS, history.layers, strict=True)):
+    for i, (variable, count) in enumerate(zip(table.MAX_MISES_LAYERS, history.layers, strict=True)):
         if count:
-            axes = (STRESS_STEP.name, layer_axis(i, history.layers).name)
+            axes = (table.STRESS_STEP.name, layer_axis(i, history.layers).name)
             values = np.array([state.layers[i] for state in states])
             pairs.append((replace(variable, dimensions=axes), values))
     return pairs
@@ -130,13 +98,15 @@ def stress_rows(history: StressHistory, times: FloatArray) -> dict[str, FloatArr
         at = state.points
         return (mises(at), max_shear(at)) if len(history.points) else ()
 
-    shapes: dict[str, tuple[int, ...]] = dict.fromkeys(LARGEST_STRESS, ())
+    shapes: dict[str, tuple[int, ...]] = dict.fromkeys(table.LARGEST_STRESS, ())
     shapes |= {
         name: (size,)
-        for name, size in zip(layered(list(LAYER_STRESS)), layered(history.layers), strict=True)
+        for name, size in zip(
+            layered(list(table.LAYER_STRESS)), layered(history.layers), strict=True
+        )
     }
     if len(history.points):
-        shapes |= dict.fromkeys(POINT_STRESS, (len(history.points),))
+        shapes |= dict.fromkeys(table.POINT_STRESS, (len(history.points),))
     columns = {name: np.full((len(row), *shape), np.nan) for name, shape in shapes.items()}
     for state in history.states:
         largest = state.of_both
@@ -152,15 +122,15 @@ def _points(history: StressHistory) -> list[tuple[str, Any]]:
     if not len(history.points):
         return []
     r, z = history.points.T
-    sides = [(POINT_SIDE.name, list(history.sides))] if history.sides else []
-    return [(POINT_R.name, r), (POINT_Z.name, z), *sides]
+    sides = [(table.POINT_SIDE.name, list(history.sides))] if history.sides else []
+    return [(table.POINT_R.name, r), (table.POINT_Z.name, z), *sides]
 
 
 def point_columns(history: StressHistory) -> dict[str, FloatArray]:
     """Return radii, heights and sides of the points in numbers, as far as they are known."""
     return {
-        name: np.array([POINT_SIDES.index(side) for side in values], dtype=float)
-        if name == POINT_SIDE.name
+        name: np.array([table.POINT_SIDES.index(side) for side in values], dtype=float)
+        if name == table.POINT_SIDE.name
         else values
         for name, values in _points(history)
     }
@@ -168,7 +138,7 @@ def point_columns(history: StressHistory) -> dict[str, FloatArray]:
 
 def side_words(numbers: FloatArray) -> Any:
     """Return the sides, as bytes, that a sweep's numbers stand for, none for NaN."""
-    return np.array(POINT_SIDES, dtype="S")[np.nan_to_num(numbers).astype(int)]
+    return np.array(table.POINT_SIDES, dtype="S")[np.nan_to_num(numbers).astype(int)]
 
 
 def side_numbers(words: Any) -> FloatArray:
@@ -179,10 +149,10 @@ def side_numbers(words: Any) -> FloatArray:
     ValueError : some are none.
     """
     numbers = np.full(words.shape, np.nan)
-    for number, side in enumerate(POINT_SIDES):
+    for number, side in enumerate(table.POINT_SIDES):
         numbers[words == side.encode()] = number
     if np.isnan(numbers).any():
-        raise ValueError(POINT_SIDE.name)
+        raise ValueError(table.POINT_SIDE.name)
     return numbers
 
 

@@ -56,6 +56,14 @@ class Variable:
         rest = tuple(name for name in self.dimensions if name != "step")
         return replace(self, dimensions=rest, meaning=f"{self.meaning}, at the last step")
 
+    def stored_as(self, ndim: int) -> "Variable":
+        """Return the variable as it is stored with so many axes.
+
+        Fields along the contact line may be stored at the last step alone.
+        """
+        last = "element" in self.dimensions and ndim < len(self.dimensions)
+        return self.at_last_step() if last else self
+
 
 def _table(*variables: Variable) -> dict[str, Variable]:
     return {variable.name: variable for variable in variables}
@@ -208,6 +216,8 @@ D_HISTORIES = _table(
     *(derivative_of(v) for name, v in HISTORIES.items() if name not in _NOT_DIFFERENTIATED)
 )
 D_PROFILES = _table(*map(derivative_of, PROFILES.values()))
+#: all of them
+DERIVATIVES = {**D_HISTORIES, **D_PROFILES}
 
 
 def layer_names(bodies: tuple[bool, bool]) -> tuple[str, ...]:

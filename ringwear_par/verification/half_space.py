@@ -23,6 +23,7 @@ from ringwear_par.elasticity.bem.reciprocity import symmetric
 from ringwear_par.elasticity.geometry.mesh import ContactLine, Mesh, contact_line
 from ringwear_par.elasticity.geometry.sections import Body, Section
 from ringwear_par.history.model import WearModel
+from ringwear_par.history.start import initial_state
 from ringwear_par.verification import reference
 from ringwear_par.verification.check import NU, SIZES, Check
 
@@ -156,7 +157,7 @@ def indented(profile: FloatArray, approach: float, big_r: float, n: int,
         Mesh(n, grading=1.0), Output(),
     )  # fmt: skip
     with WearModel([case], comm) as model:
-        return model.line, one(model.initial().contact, 0)
+        return model.line, one(initial_state(model).contact, 0)
 
 
 def _indented_force(forces: Iterable[float], approach: float, power: float) -> float:

@@ -12,6 +12,7 @@ from ringwear_par.elasticity.bem.pair import ContactPair
 from ringwear_par.elasticity.geometry.mesh import Mesh
 from ringwear_par.history.elastic.pairs import assemble
 from ringwear_par.history.model import WearModel
+from ringwear_par.history.start import initial_state
 from ringwear_par.verification import reference
 from ringwear_par.verification.check import NU, Check
 from ringwear_par.verification.half_space import pressure_at
@@ -44,7 +45,7 @@ def paper_checks(comm: MPI.Comm) -> Iterator[Check]:
     for n in sizes:
         case = paper_case(Mesh(n), pressure=50.0)
         with WearModel([case], comm) as model:
-            contact = one(model.initial().contact, 0)
+            contact = one(initial_state(model).contact, 0)
         p = contact.pressure
         values.append(
             [contact.approach / reference.PAPER_APPROACH - 1.0,

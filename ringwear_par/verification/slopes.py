@@ -19,6 +19,7 @@ from ringwear_par.history.elastic.bodies import bodies, young
 from ringwear_par.history.elastic.pairs import assemble
 from ringwear_par.history.model import WearModel
 from ringwear_par.history.observers.trace import trace
+from ringwear_par.history.start import initial_state
 from ringwear_par.verification import reference
 from ringwear_par.verification.check import NU, SIZES, Check, converging, identity
 from ringwear_par.verification.edges import both_wear, rows_against, steady_rows
@@ -68,7 +69,7 @@ def _finite_element_rows(degrees: float, comm: MPI.Comm) -> Iterator[Check]:
     errors: list[dict[str, float]] = []
     for n in SIZES:
         with WearModel([ring_case(Rings(CONTACT, (1e4, 1e5), degrees), Mesh(n))], comm) as model:
-            first = one(model.initial().contact, 0)
+            first = one(initial_state(model).contact, 0)
         errors.append(cone_errors(degrees, model.line, first.pressure, first.approach))
     way = {0.0: "flat", 1.0: "rising"}.get(degrees, "falling")
     said = f"matched cones of {abs(degrees):g} degree, {way}" if degrees else "flat flush rings"

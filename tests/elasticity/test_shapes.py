@@ -15,6 +15,7 @@ from ringwear_par.history.elastic.bodies import young
 from ringwear_par.history.elastic.pairs import assemble
 from ringwear_par.history.model import WearModel
 from ringwear_par.history.observers.trace import trace
+from ringwear_par.history.start import initial_state
 from ringwear_par.verification.paper import paper_case
 from ringwear_par.verification.reference import contact_modulus
 
@@ -176,7 +177,7 @@ def test_the_sphere_of_the_case_file_is_that_of_hertz(comm):
     """200 N on a sphere of 20 mm (see sphere.toml), before any wear."""
     case = read_case(Path(__file__).parents[2] / "scripts/cases/sphere.toml")
     with WearModel([case], comm) as model:
-        p = model.initial().contact.pressure[0]
+        p = initial_state(model).contact.pressure[0]
     modulus = contact_modulus(*((b.young, b.poisson) for b in case.rings))
     a = (0.75 * 200.0 * 20.0 / modulus) ** (1.0 / 3.0)
     exact = 1.5 * 200.0 / (np.pi * a * a) * np.sqrt(np.maximum(1.0 - (case.line.r / a) ** 2, 0.0))

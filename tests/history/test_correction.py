@@ -23,6 +23,7 @@ from ringwear_par.history.loop import METHODS
 from ringwear_par.history.model import WearModel
 from ringwear_par.history.observers.trace import trace
 from ringwear_par.history.schemes import euler
+from ringwear_par.history.start import initial_state
 from ringwear_par.schedules import in_time
 from ringwear_par.wear.laws.threshold import ThresholdLaw
 
@@ -72,7 +73,7 @@ def test_first_pressures_are_those_of_the_collocated_equations(cases, number, co
     m = pair.line.area
     exact, approach = active_set.solve(weighted(case, pair), m, case.initial_gap, **loads(case, 0))
     with WearModel([case], comm, pair) as model:
-        first = model.initial().contact
+        first = initial_state(model).contact
         told, _ = model.asymmetry
     assert errors(first.pressure, exact, m).max() < 1e-3
     assert told <= 1e-4
@@ -220,13 +221,13 @@ def test_histories_together_are_corrected_as_if_alone(cases, comm):
         for factor, mu in ((1.0, 0.1), (0.02, 0.3), (30.0, 0.2))
     ]
     with WearModel(several, comm, pair) as model:
-        first = model.initial()
+        first = initial_state(model)
         second = euler.forward(model, first, np.array([0.01, 0.02, 0.03])).state
     counts = set()
     for i, case in enumerate(several):
         end = (0.01, 0.02, 0.03)[i]
         with WearModel([case], comm, pair) as model:
-            alone = model.initial()
+            alone = initial_state(model)
             after = euler.forward(model, alone, np.array([end])).state
         for together, mine in ((first, alone), (second, after)):
             for name in ("pressure", "gap", "approach", "force", "iterations", "residual"):
@@ -274,7 +275,7 @@ def test_a_contact_that_corrections_do_not_settle_is_refused(cases, comm, monkey
         WearModel([case], comm, pair) as model,
         pytest.raises(ComputationError, match=r"after 10 corrections .* is off by .*allowed 1e-30"),
     ):
-        model.initial()
+        initial_state(model)
     with WearModel([case, case], comm, pair) as model, pytest.raises(HistoriesError) as failure:
-        model.initial()
+        initial_state(model)
     assert failure.value.which.all()

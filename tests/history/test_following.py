@@ -16,6 +16,7 @@ from ringwear_par.history.limits import check_mesh
 from ringwear_par.history.model import WearModel
 from ringwear_par.history.moving_geometry import update_geometry
 from ringwear_par.history.observers.trace import trace
+from ringwear_par.history.start import initial_state
 from ringwear_par.verification.histories import round_face
 from ringwear_par.verification.paper import paper_case
 from ringwear_par.wear.laws.threshold import ThresholdLaw
@@ -145,7 +146,7 @@ def test_places_that_stand_out_are_told_with_where(comm):
     wear[0, ::2] = 0.01
     case = paper_case(UPDATED, p0=(0.0, None), stepping=Stepping("implicit", 5.0, 40))
     with WearModel([case], comm) as model:
-        state = replace(model.initial(), wear=wear[:, None])
+        state = replace(initial_state(model), wear=wear[:, None])
         told = r"lower is worn by 8 mm at r = .* and by 0\.01 mm at r = .* beside it"
         with pytest.raises(ComputationError, match=told):
             update_geometry(model, state)

@@ -11,6 +11,7 @@ from ringwear_par.history.elastic.pairs import assemble
 from ringwear_par.history.model import WearModel
 from ringwear_par.history.observers.balances import balances
 from ringwear_par.history.schemes import euler, sdirk2
+from ringwear_par.history.start import initial_state
 from ringwear_par.schedules import Table
 from ringwear_par.verification.paper import OMEGA, paper_case
 from ringwear_par.wear.laws.non_local import NonLocalLaw
@@ -83,7 +84,7 @@ def two_steps(cases, comm, pair, scheme, ends):
     """Both steps, the balances after them, and what the model makes of the last pressures."""
     step = SCHEMES[scheme]
     with WearModel(cases, comm, pair) as model:
-        steps = [step(model, model.initial(), ends[0])]
+        steps = [step(model, initial_state(model), ends[0])]
         steps.append(step(model, steps[0].state, ends[1]))
         p = steps[1].state.contact.pressure
         off = balances(model, steps[1].state)
@@ -124,7 +125,7 @@ def test_loads_of_different_kinds_do_not_go_together(base, pair, comm):
 def test_the_volume_balance_sees_depths_that_are_not_those_of_the_rates(base, pair, comm):
     """The rate is integrated apart from the depths: what a step forgets to wear off is missed."""
     with WearModel([base], comm, pair) as model:
-        sound = euler.backward(model, model.initial(), np.ones(1)).state
+        sound = euler.backward(model, initial_state(model), np.ones(1)).state
         assert balances(model, sound)["volume"] < 1e-14
         wear = sound.wear.copy()
         wear[0, 0, 3] *= 1.01
@@ -138,7 +139,7 @@ def test_the_estimated_error_of_a_step_is_of_the_size_of_the_error(base, pair, c
     """Of one step from a state that has left the singular transient behind, against many."""
     step, start, end = SCHEMES[scheme], 30.0, 34.0
     with WearModel([base], comm, pair) as model:
-        state = model.initial()
+        state = initial_state(model)
         for time in np.linspace(0.0, start, 61)[1:]:
             state = sdirk2.step(model, state, np.array([time])).state
         exact = state

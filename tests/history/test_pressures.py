@@ -14,6 +14,7 @@ from ringwear_par.history.observers.balances import balances
 from ringwear_par.history.observers.trace import trace
 from ringwear_par.history.schemes import sdirk2
 from ringwear_par.history.schemes.closing_elements import entering
+from ringwear_par.history.start import initial_state
 from ringwear_par.wear import LocalState
 from ringwear_par.wear.increment import Closing, WearIncrement
 from ringwear_par.wear.laws.archard import ArchardLaw
@@ -101,7 +102,7 @@ def test_steps_with_entering_elements_together_are_as_if_alone(crown, comm):
     cases = [replace(case, wear_upper=ArchardLaw(k)) for k in (1e-7, 1e-9, 3e-7)]
     ends = [np.array([20.0, 20.0, 5.0]), np.array([26.0, 26.0, 9.0]), np.array([33.0, 28.0, 12.0])]
     with WearModel(cases, comm, pair) as model:
-        state, together, grown = model.initial(), [], 0
+        state, together, grown = initial_state(model), [], 0
         for end in ends:
             grown += entering(model, state, end - state.time) is not None
             together.append(sdirk2.step(model, state, end))
@@ -112,7 +113,7 @@ def test_steps_with_entering_elements_together_are_as_if_alone(crown, comm):
     assert grown
     for i, each in enumerate(cases):
         with WearModel([each], comm, pair) as model:
-            state = model.initial()
+            state = initial_state(model)
             for end, of_all in zip(ends, together, strict=True):
                 alone = sdirk2.step(model, state, end[i : i + 1])
                 state, pressure = alone.state, of_all.state.contact.pressure[i]

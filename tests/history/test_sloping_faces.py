@@ -22,6 +22,7 @@ from ringwear_par.history.observers.balances import balances
 from ringwear_par.history.observers.trace import trace
 from ringwear_par.history.observers.validity import WorstStates
 from ringwear_par.history.schemes import euler, sdirk2
+from ringwear_par.history.start import initial_state
 from ringwear_par.results.warnings import validity_warnings
 from ringwear_par.verification.fine import CONTACT, Rings, ring_case
 from ringwear_par.verification.paper import paper_case
@@ -54,7 +55,7 @@ def test_torque_and_energy_are_those_of_the_true_area(cones, comm):
     case, pair = cones
     line = pair.line
     with WearModel([case], comm, pair) as model:
-        state = model.initial()
+        state = initial_state(model)
         p = state.contact.pressure
         flat = case.friction * float((line.area * line.arm) @ p[0])
         assert model.torque(p) == pytest.approx(flat / COS, rel=1e-12)
@@ -96,7 +97,7 @@ def test_other_laws_keep_their_balances_on_cones(cones, laws, comm):
     case = replace(base, wear_lower=laws[0], wear_upper=laws[1])
     for step in (euler.backward, euler.forward, sdirk2.step):
         with WearModel([case], comm, pair) as model:
-            state = model.initial()
+            state = initial_state(model)
             for end in (0.5, 1.0, 2.0):
                 state = step(model, state, np.array([end])).state
                 found = balances(model, state)
@@ -118,13 +119,13 @@ def test_histories_on_cones_together_are_as_if_alone(cones, step, comm):
     ]  # fmt: skip
     ends = np.array([0.3, 0.2, 0.5])
     with WearModel(several, comm, pair) as model:
-        first = step(model, model.initial(), ends).state
+        first = step(model, initial_state(model), ends).state
         second = step(model, first, 2.0 * ends).state
         assert balances(model, second)["volume"].max() < 1e-12
     for i, case in enumerate(several):
         end = ends[i : i + 1]
         with WearModel([case], comm, pair) as model:
-            alone = step(model, model.initial(), end).state
+            alone = step(model, initial_state(model), end).state
             alone = step(model, alone, 2.0 * end).state
         assert np.array_equal(second.wear[:, i], alone.wear[:, 0])
         assert np.array_equal(second.worn[:, i], alone.worn[:, 0])
@@ -138,7 +139,7 @@ def test_averages_keep_the_volume_of_the_true_area(cones, comm):
     law = NonLocalLaw(1e-7, 0.0, length=0.3)
     case, line = replace(base, wear_lower=law, wear_upper=None), pair.line
     with WearModel([case], comm, pair) as model:
-        state = euler.backward(model, model.initial(), np.array([2.0])).state
+        state = euler.backward(model, initial_state(model), np.array([2.0])).state
         worn, p = state.wear[0, 0], state.contact.pressure[0]
         average = averaging(line.r, line.area / COS, 0.3)
     speed = case.load.omega * line.arm
@@ -153,7 +154,7 @@ def test_running_in_remembers_depths_along_the_normal(cones, comm):
     law = RunningInLaw(1e-7, 9e-7, 0.0, depth=2e-4)
     case = replace(base, wear_lower=law, wear_upper=None)
     with WearModel([case], comm, pair) as model:
-        first = euler.backward(model, model.initial(), np.array([2.0])).state
+        first = euler.backward(model, initial_state(model), np.array([2.0])).state
         second = euler.backward(model, first, np.array([5.0])).state
     depth, p = second.wear[0, 0] * COS, second.contact.pressure[0]
     k = law.k + (law.k_start - law.k) * np.exp(-depth / law.depth)
@@ -365,7 +366,7 @@ def test_archard_on_a_cone_is_worn_along_the_axis_by_more(cones, comm):
     base, pair = cones
     case = replace(base, wear_lower=ArchardLaw(1e-8), wear_upper=None)
     with WearModel([case], comm, pair) as model:
-        state = model.initial()
+        state = initial_state(model)
         rates = model.rates_at(np.zeros(1), state.wear, state.contact.pressure)
     exact = 1e-8 * state.contact.pressure[0] * case.load.omega * pair.line.arm
     assert rates[0, 0] * COS == pytest.approx(exact, rel=1e-12)

@@ -183,6 +183,14 @@ def test_summary_and_doubt():
     assert f"lower {state.largest[0].mises:.5g} MPa (at r = " in line
     assert "0.1 mm and more from edges" in line
     assert any("stress.exclude" in doubt for doubt in unworn.doubts)
+    # contact that ends at the radius of the largest stress of lower has an edge element there
+    assert "edge of contact" not in line
+    p = unworn.checkpoint.arrays["pressure"].copy()
+    p[unworn.line.element_at(np.array([state.largest[0].r]))[0] + 1 :] = 0.0
+    last = replace(unworn.checkpoint, arrays={**unworn.checkpoint.arrays, "pressure": p})
+    (line,) = (text for text in replace(unworn, checkpoint=last).summary().splitlines()
+               if text.startswith("largest von"))  # fmt: skip
+    assert "at the radius of an element at the edge of contact" in line.split("upper")[0]
     worn = rw.simulate(case_of(wear__lower__p0=0.0, wear__upper__law="archard", wear__upper__k=1e-7,
                                time__steps=40, time__step=30.0, stress__exclude=0.0))  # fmt: skip
     assert not any("stress.exclude" in doubt for doubt in worn.doubts)

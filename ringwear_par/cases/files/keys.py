@@ -161,17 +161,17 @@ def _entries(tables: Mapping[str, Any], prefix: str) -> Iterator[tuple[str, Any]
             if not value and path not in TABLES - _NEVER_EMPTY:  # to be told so
                 yield path, value
         else:
-            yield path, _plain(value)
+            yield path, plain(value)
 
 
-def _plain(value: Any) -> Any:
-    """Return a value of a dict as TOML would give it."""
+def plain(value: Any) -> Any:
+    """Return a value of Python, or tables of them, as TOML would give it."""
     if isinstance(value, np.generic | np.ndarray):
         return value.tolist()
     if isinstance(value, Mapping):
-        return {str(name): _plain(entry) for name, entry in value.items()}
+        return {str(name): plain(entry) for name, entry in value.items()}
     if isinstance(value, list | tuple):
-        return [_plain(entry) for entry in value]
+        return [plain(entry) for entry in value]
     return str(value) if isinstance(value, Path) else value
 
 

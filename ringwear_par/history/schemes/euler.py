@@ -11,6 +11,7 @@ import numpy as np
 from ringwear_par.arrays import FloatArray, columns
 from ringwear_par.history.model import WearModel
 from ringwear_par.history.schemes.step import Step, advanced, first_through
+from ringwear_par.history.schemes.tangent import along_step
 from ringwear_par.history.state import State
 from ringwear_par.schedules import mean
 from ringwear_par.wear.layered_increment import LayeredIncrement
@@ -31,7 +32,7 @@ def forward(model: WearModel, state: State, end: FloatArray) -> Step:
         depths = start.explicit(p)
         volumes = model.integrals(depths)
         through = first_through(state, (state.time, length, start, p, 1.0))
-    along = model.along(state)
+    along = along_step(model, state)
     if along is not None:
         along.explicit(model.increment(state.time, omega, state.wear, length), p)
         along.work(length, omega, p, along.pressure)
@@ -47,7 +48,7 @@ def backward(model: WearModel, state: State, end: FloatArray) -> Step:
     length = end - state.time
     omega = mean(model.inputs.omega, state.time, end)
     during = model.increment(end, omega, state.wear, length)
-    along = model.along(state)
+    along = along_step(model, state)
     contact = model.contact(end, state.wear, state.contact.pressure, during, along=along)
     p = contact.pressure
     depths = during.depths(p)

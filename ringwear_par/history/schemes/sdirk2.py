@@ -21,8 +21,8 @@ from ringwear_par.contact.problem import ContactState
 from ringwear_par.history.model import WearModel
 from ringwear_par.history.schemes.closing_elements import Entering, entering, entry_error, held
 from ringwear_par.history.schemes.step import Step, advanced, first_through
+from ringwear_par.history.schemes.tangent import Along, along_step
 from ringwear_par.history.state import State
-from ringwear_par.history.tangent import Along
 from ringwear_par.schedules import in_time
 from ringwear_par.wear.increment import WearIncrement
 from ringwear_par.wear.layered import worn_through
@@ -61,7 +61,7 @@ def step(model: WearModel, state: State, end: FloatArray) -> Step:
     enter = entering(model, state, length)
     closing = None if enter is None else enter.closing(GAMMA * length, np.ones_like(enter.gap))
     first = model.increment(middle, speeds[1], state.wear, GAMMA * length, closing)
-    along = model.along(state, enter)
+    along = along_step(model, state, enter)
     stage = model.contact(middle, state.wear, state.contact.pressure, first, along=along)
     worn_first = first.unhindered(stage.pressure)
     enter = held(model, enter, first, stage.pressure, _SHARE)

@@ -15,8 +15,8 @@ from ringwear_par.arrays import FloatArray, columns
 from ringwear_par.contact.problem import ContactState
 from ringwear_par.history.admissible import checked
 from ringwear_par.history.model import WearModel
+from ringwear_par.history.schemes.tangent import Along
 from ringwear_par.history.state import State
-from ringwear_par.history.tangent import Along
 from ringwear_par.wear.increment import WearIncrement
 from ringwear_par.wear.layered_increment import LayeredIncrement
 

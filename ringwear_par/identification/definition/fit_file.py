@@ -10,7 +10,15 @@ import numpy as np
 
 from ringwear_par.cases.case import Case
 from ringwear_par.cases.files.faults import Origin
-from ringwear_par.cases.files.keys import base_keys, flatten, in_full, kinds, override, read_keys
+from ringwear_par.cases.files.keys import (
+    base_keys,
+    flatten,
+    in_full,
+    kinds,
+    override,
+    plain,
+    read_keys,
+)
 from ringwear_par.cases.files.reading import make_case
 from ringwear_par.cases.tables import TableReader
 from ringwear_par.cases.text import shortened, toml_value
@@ -53,7 +61,7 @@ def read_fit(source: Path | str | Mapping[str, Any], *, plans: bool = False) -> 
     """
     if isinstance(source, Mapping):
         refuse_depth(source, "fit")
-        name, folder, tables = "fit", Path(), _plain(source)
+        name, folder, tables = "fit", Path(), plain(_with_keys(source))
         written = "".join(f"{toml_value(key)} = {toml_value(v)}\n" for key, v in tables.items())
     else:
         path = Path(source)
@@ -93,21 +101,14 @@ def read_fit(source: Path | str | Mapping[str, Any], *, plans: bool = False) -> 
     )
 
 
-def _plain(value: Any) -> Any:
-    """Return tables of Python with the values that TOML would give."""
-    if isinstance(value, Mapping):
-        return {str(key): _plain(entry) for key, entry in value.items()}
-    if isinstance(value, list | tuple):
-        return [_plain(entry) for entry in value]
-    if isinstance(value, np.ndarray | np.generic):
-        return value.tolist()
-    if isinstance(value, Case):
-        if value.rebuild is None:
-            raise InputError(
-                "fit: case: its text does not tell its keys; must be one that was read"
-            )
-        return read_keys(value.text)
-    return str(value) if isinstance(value, Path) else value
+def _with_keys(source: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the tables of a fit with the keys of its case, where that is a Case."""
+    case = source.get("case")
+    if not isinstance(case, Case):
+        return dict(source)
+    if case.rebuild is None:
+        raise InputError("fit: case: its text does not tell its keys; must be one that was read")
+    return {**source, "case": read_keys(case.text)}
 
 
 def _read_settings(

@@ -30,17 +30,17 @@ class LastState:
     symmetry_defect: FloatArray
     finished: BoolArray
 
-
-def _last_states(snapshot: Snapshot, places: IntArray) -> LastState:
-    """Return the states of some histories of a snapshot."""
-    state, model = replace(snapshot.state, tangent=None), snapshot.model
-    return LastState(
-        batched.take(state, places),
-        batched.take(snapshot.progress, places),
-        batched.take(model.warm, places),
-        model.compliances.symmetry_defect[places],
-        snapshot.finished[places],
-    )
+    @classmethod
+    def of(cls, snapshot: Snapshot, places: IntArray) -> "LastState":
+        """Return the states of some histories of a snapshot."""
+        state, model = replace(snapshot.state, tangent=None), snapshot.model
+        return cls(
+            batched.take(state, places),
+            batched.take(snapshot.progress, places),
+            batched.take(model.warm, places),
+            model.compliances.symmetry_defect[places],
+            snapshot.finished[places],
+        )
 
 
 class LastStates:
@@ -51,7 +51,7 @@ class LastStates:
     Parameters
     ----------
     count : B.
-    results : whether states of several histories are wanted, or only when they wore through layers.
+    results : whether the states of several histories are wanted.
     """
 
     def __init__(self, count: int, results: bool = True) -> None:
@@ -74,7 +74,7 @@ class LastStates:
         if snapshot.state.through is not None:
             self.through[:, numbers] = snapshot.state.through[:, places]
         if self._results and not self._single:
-            states = _last_states(snapshot, places)
+            states = LastState.of(snapshot, places)
             self._ended |= {number: (states, i) for i, number in enumerate(numbers.tolist())}
         return False
 
@@ -82,7 +82,7 @@ class LastStates:
         """Return the last state of a history, as of one of B = 1."""
         if self._single:
             assert self.snapshot is not None
-            return _last_states(self.snapshot, np.zeros(1, dtype=np.int64))
+            return LastState.of(self.snapshot, np.zeros(1, dtype=np.int64))
         states, place = self._ended[number]
         return batched.take(states, np.array([place]))
 

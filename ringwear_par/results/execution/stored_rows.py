@@ -11,10 +11,10 @@ from ringwear_par.cases.case import Case
 from ringwear_par.history.layers import layer_left, layer_volumes
 from ringwear_par.history.model import WearModel
 from ringwear_par.history.saving import stores
+from ringwear_par.history.schemes.tangent import variables as derivatives_of
 from ringwear_par.history.sensitivity import units_of
 from ringwear_par.history.snapshots import Snapshot
 from ringwear_par.history.state import State
-from ringwear_par.history.tangent import variables as derivatives_of
 from ringwear_par.results.result import Result
 from ringwear_par.results.variables import (
     D_HISTORIES,

@@ -5,7 +5,7 @@ that is there is whole.
 """
 
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +23,7 @@ from ringwear_par.elasticity.stress.boundary_fields import (
 from ringwear_par.elasticity.stress.fields import Interfaces, Largest, StressHistory, StressState
 from ringwear_par.elasticity.stress.measures import COMPONENTS, SIDES
 from ringwear_par.errors import ComputationError
+from ringwear_par.results import variables as table
 from ringwear_par.results.result import Checkpoint, Result
 from ringwear_par.results.storage.checkpoints import read_checkpoint, write_checkpoint
 from ringwear_par.results.storage.hdf5 import (
@@ -35,44 +36,7 @@ from ringwear_par.results.storage.hdf5 import (
     reading,
     write_variable,
 )
-from ringwear_par.results.variables import (
-    BOUNDARY_DIMENSIONS,
-    BOUNDARY_FIELDS,
-    BOUNDARY_MESH,
-    BOUNDARY_STEPS_MADE,
-    BOUNDARY_TIME,
-    D_HISTORIES,
-    D_PROFILES,
-    EDGE,
-    EDGES,
-    EXCLUDE,
-    GRID_R,
-    GRID_Z,
-    HISTORIES,
-    INTERFACES,
-    LAYER_PROFILES,
-    LAYER_VOLUMES,
-    LAYERS,
-    MAX_MISES_LAYERS,
-    MAX_MISES_OF,
-    PARAMETER,
-    PARAMETER_UNIT,
-    POINT_R,
-    POINT_SIDE,
-    POINT_SIDES,
-    POINT_Z,
-    PROFILES,
-    SIDE,
-    SOFTWARE,
-    STEP,
-    STEPS_MADE,
-    STRESS,
-    STRESS_GRID,
-    STRESS_STEPS_MADE,
-    STRESS_TIME,
-    SURFACE_STRESS,
-    Variable,
-)
+from ringwear_par.results.variables import Variable
 
 _KIND = "a result file of ringwear"
 #: texts and numbers that every file has, and those that it may have
@@ -91,7 +55,9 @@ _OPTIONAL_TEXTS = {"error", "face_lower", "face_upper", "layers_lower", "layers_
 _OPTIONAL_NUMBERS = {"density_lower", "density_upper", "time_through_lower", "time_through_upper"}
 _OPTIONAL_PREFIXES = ("balance_", "seconds_")
 #: densities of the layers of lower and upper
-_OF_LAYERS = dict(zip(("density_lower_layers", "density_upper_layers"), LAYER_VOLUMES, strict=True))
+_OF_LAYERS = dict(
+    zip(("density_lower_layers", "density_upper_layers"), table.LAYER_VOLUMES, strict=True)
+)
 
 
 def read_status(path: Path) -> tuple[str, int] | None:
@@ -105,7 +71,7 @@ def read_status(path: Path) -> tuple[str, int] | None:
         return None
     with reading(
         path,
-        SOFTWARE,
+        table.SOFTWARE,
         _KIND,
         "; must be one (--restart), another name, or be replaced by --overwrite",
     ) as file:
@@ -122,7 +88,7 @@ def read_error(path: Path) -> str:
     ------
     InputError : it is no result file.
     """
-    with reading(path, SOFTWARE, _KIND) as file:
+    with reading(path, table.SOFTWARE, _KIND) as file:
         return read_text(file.attrs.get("error", ""))
 
 
@@ -134,7 +100,7 @@ def open_result(path: str | Path) -> Result:
     InputError : it is not one.
     """
     path = Path(path)
-    with reading(path, SOFTWARE, _KIND) as file:
+    with reading(path, table.SOFTWARE, _KIND) as file:
         return _read(file, path)
 
 
@@ -146,17 +112,22 @@ def result_of(source: Result | str | Path) -> Result:
 def _read(file: h5py.File, path: Path) -> Result:
     """Return the result in a file; any exception means that it is damaged."""
     attributes = _attributes(file)
-    edges = read_array(file["line"], EDGES, {})
+    edges = read_array(file["line"], table.EDGES, {})
     if not (len(edges) > 1 and np.isfinite(edges).all() and (np.diff(edges) > 0.0).all()):
         raise ValueError("edges")
     sizes = {"element": len(edges) - 1}
     checkpoint: Checkpoint | None = None
     if "checkpoint" in file:
         checkpoint = read_checkpoint(file["checkpoint"], sizes)
-    step = read_array(file, STEP, sizes)
-    histories = {name: read_array(file, variable, sizes) for name, variable in HISTORIES.items()}
+    step = read_array(file, table.STEP, sizes)
+    histories = {name: read_array(file, v, sizes) for name, v in table.HISTORIES.items()}
     _check_times(histories["time"])
-    layers = _read_layers(file, sizes)
+    layers = {
+        **_read_stored(file, table.LAYER_HISTORIES, sizes),
+        # volumes may have a dimension of their own
+        **_read_stored(file, table.LAYER_VOLUMES, {"step": sizes["step"]}),
+        **_read_stored(file, table.LAYER_PROFILES, sizes),
+    }
     for name in _OF_LAYERS.keys() & attributes.keys():
         if len(attributes[name]) != layers[_OF_LAYERS[name]].shape[1] - 1:
             raise ValueError(name)
@@ -165,57 +136,38 @@ def _read(file: h5py.File, path: Path) -> Result:
         step,
         _steps_made(file, sizes),
         histories,
-        {
-            name: read_array(file, _as_stored(file, variable), sizes)
-            for name, variable in PROFILES.items()
-            if name in file
-        },
+        _read_stored(file, table.PROFILES, sizes),
         _read_boundary(file),
         attributes,
         checkpoint,
         path,
-        *_read_derivatives(file, sizes),
+        _read_parameters(file, sizes),
+        _read_stored(file, table.DERIVATIVES, sizes),
         layers=layers,
         stress=_read_stress(file, sizes),
     )
 
 
-def _read_layers(file: h5py.File, sizes: dict[str, int]) -> dict[str, Any]:
-    """Return the variables of layers by name; nothing of most."""
-    layers = {}
-    for name, variable in LAYERS.items():
-        if name not in file:
-            continue
-        if name in LAYER_VOLUMES:  # which may have a dimension of their own
-            layers[name] = read_array(file, variable, {"step": sizes["step"]})
-        else:
-            last = name in LAYER_PROFILES
-            layers[name] = read_array(file, _as_stored(file, variable) if last else variable, sizes)
-    return layers
-
-
-def _read_derivatives(
-    file: h5py.File, sizes: dict[str, int]
-) -> tuple[dict[str, str], dict[str, Any]]:
-    """Return the parameters with their units, and the derivatives by name; nothing of most."""
-    if PARAMETER.name not in file:
-        return {}, {}
-    keys, units = (
-        [read_text(text) for text in find_texts(file, name, sizes, PARAMETER.name)[()].tolist()]
-        for name in (PARAMETER.name, PARAMETER_UNIT.name)
-    )
-    derivatives = {
-        name: read_array(file, variable, sizes)
-        for name, variable in D_HISTORIES.items()
+def _read_stored(
+    file: h5py.File, variables: Mapping[str, Variable], sizes: dict[str, int]
+) -> dict[str, Any]:
+    """Return the variables of a table that a file has, at all steps or at the last."""
+    return {
+        name: read_array(file, variable.stored_as(file[name].ndim), sizes)
+        for name, variable in variables.items()
         if name in file
     }
-    for name, variable in D_PROFILES.items():
-        if name in file:
-            last = file[name].ndim == 2
-            derivatives[name] = read_array(
-                file, variable.at_last_step() if last else variable, sizes
-            )
-    return dict(zip(keys, units, strict=True)), derivatives
+
+
+def _read_parameters(file: h5py.File, sizes: dict[str, int]) -> dict[str, str]:
+    """Return the units of the parameters that there are derivatives with respect to."""
+    if table.PARAMETER.name not in file:
+        return {}
+    keys, units = (
+        [read_text(text) for text in find_texts(file, name, sizes, "parameter")[()].tolist()]
+        for name in (table.PARAMETER.name, table.PARAMETER_UNIT.name)
+    )
+    return dict(zip(keys, units, strict=True))
 
 
 def _attributes(file: h5py.File) -> dict[str, Any]:
@@ -244,13 +196,10 @@ def _check_times(times: Any) -> None:
         raise ValueError("time")
 
 
-def _as_stored(file: h5py.File, variable: Variable) -> Variable:
-    """Return a field as it is stored, at all steps or the last."""
-    return variable if file[variable.name].ndim == 2 else variable.at_last_step()
-
-
 def _steps_made(file: h5py.File, sizes: dict[str, int]) -> Any:
-    return read_array(file, STEPS_MADE if STEPS_MADE.name in file else STEP, sizes)
+    return read_array(
+        file, table.STEPS_MADE if table.STEPS_MADE.name in file else table.STEP, sizes
+    )
 
 
 def _read_boundary(file: h5py.File) -> tuple[BoundaryState, ...]:
@@ -259,9 +208,9 @@ def _read_boundary(file: h5py.File) -> tuple[BoundaryState, ...]:
         return ()
     groups = [file["boundary"][name] for name in BODIES]
     sizes: dict[str, int] = {}
-    times = read_array(groups[0], BOUNDARY_TIME, sizes)
+    times = read_array(groups[0], table.BOUNDARY_TIME, sizes)
     _check_times(times)
-    steps = read_array(groups[0], BOUNDARY_STEPS_MADE, sizes).tolist()
+    steps = read_array(groups[0], table.BOUNDARY_STEPS_MADE, sizes).tolist()
     bodies = [_read_body(group, len(times)) for group in groups]
     return tuple(
         BoundaryState(step, time, (lower, upper))
@@ -271,18 +220,20 @@ def _read_boundary(file: h5py.File) -> tuple[BoundaryState, ...]:
 
 def _read_body(group: h5py.Group, states: int) -> list[BoundaryFields]:
     sizes = {"boundary_step": states, "corner": 3}
-    elements, face = (read_array(group, variable, sizes) for variable in BOUNDARY_MESH.values())
-    table = {
+    elements, face = (
+        read_array(group, variable, sizes) for variable in table.BOUNDARY_MESH.values()
+    )
+    columns = {
         attribute: np.stack([read_array(group, v, sizes) for v in variables], axis=-1)
-        for attribute, variables in BOUNDARY_FIELDS.items()
+        for attribute, variables in table.BOUNDARY_FIELDS.items()
     }
     for numbers, size in ((elements, sizes["boundary_node"]), (face, len(FACES))):
         if not ((numbers >= 0) & (numbers < size)).all():
             raise ValueError(group.name)
     return [
         BoundaryFields(
-            table["nodes"][t], elements, face, table["displacement"][t], table["traction"][t],
-            table["pressure"][t, :, 0], table["wear"][t, :, 0],
+            columns["nodes"][t], elements, face, columns["displacement"][t], columns["traction"][t],
+            columns["pressure"][t, :, 0], columns["wear"][t, :, 0],
         )
         for t in range(states)
     ]  # fmt: skip
@@ -290,44 +241,44 @@ def _read_body(group: h5py.Group, states: int) -> list[BoundaryFields]:
 
 def _read_stress(file: h5py.File, sizes: dict[str, int]) -> StressHistory | None:
     """Return the stored stresses, None where there are none; any exception means damage."""
-    if STRESS_TIME.name not in file:
+    if table.STRESS_TIME.name not in file:
         return None
-    sizes = {**sizes, "component": len(COMPONENTS), SIDE.name: len(SIDES)}
+    sizes = {**sizes, "component": len(COMPONENTS), table.SIDE.name: len(SIDES)}
 
     def read(variable: Variable) -> Any:
         return read_array(file, variable, sizes)
 
-    times, steps = read(STRESS_TIME), read(STRESS_STEPS_MADE)
+    times, steps = read(table.STRESS_TIME), read(table.STRESS_STEPS_MADE)
     if not (len(times) and np.isfinite(times).all() and (np.diff(times) >= 0.0).all()):
-        raise ValueError(STRESS_TIME.name)
+        raise ValueError(table.STRESS_TIME.name)
     count = len(times)
     points, at_points = np.empty((0, 2)), np.empty((count, 0, 6))
     sides: tuple[str, ...] = ()
-    if STRESS.name in file:
-        points = np.stack([read(POINT_R), read(POINT_Z)], axis=1)
-        at_points = read(STRESS)
-        sides = tuple(find_texts(file, POINT_SIDE.name, sizes, "point")[()].tolist())
-        if not set(sides) <= set(POINT_SIDES):
-            raise ValueError(POINT_SIDE.name)
+    if table.STRESS.name in file:
+        points = np.stack([read(table.POINT_R), read(table.POINT_Z)], axis=1)
+        at_points = read(table.STRESS)
+        sides = tuple(find_texts(file, table.POINT_SIDE.name, sizes, "point")[()].tolist())
+        if not set(sides) <= set(table.POINT_SIDES):
+            raise ValueError(table.POINT_SIDE.name)
     axes, on_grid = (np.empty(0), np.empty(0)), np.empty((count, 0, 0, 6))
-    if STRESS_GRID.name in file:
-        axes = read(GRID_R), read(GRID_Z)
-        on_grid = read(STRESS_GRID)
-    surface = [read(variable) for variable in SURFACE_STRESS]
+    if table.STRESS_GRID.name in file:
+        axes = read(table.GRID_R), read(table.GRID_Z)
+        on_grid = read(table.STRESS_GRID)
+    surface = [read(variable) for variable in table.SURFACE_STRESS]
     none = Interfaces(np.empty(0), np.empty(0)), np.empty((count, 0, len(SIDES), 0, 6))
     lower, upper = (
         (Interfaces(read(of.r), read(of.z)), read(of.stress)) if of.stress.name in file else none
-        for of in INTERFACES
+        for of in table.INTERFACES
     )
     largest = [
         [Largest(*row) for row in zip(*(read(v).tolist() for v in variables), strict=True)]
-        for variables in MAX_MISES_OF
+        for variables in table.MAX_MISES_OF
     ]
     layers = [  # which may have a dimension of their own
         read_array(file, variable, {"stress_step": count})
         if variable.name in file
         else np.empty((count, 0))
-        for variable in MAX_MISES_LAYERS
+        for variable in table.MAX_MISES_LAYERS
     ]
     states = tuple(
         StressState(
@@ -339,7 +290,9 @@ def _read_stress(file: h5py.File, sizes: dict[str, int]) -> StressHistory | None
         )
         for t in range(count)
     )  # fmt: skip
-    return StressHistory(points, sides, axes, float(read(EXCLUDE)), (lower[0], upper[0]), states)
+    return StressHistory(
+        points, sides, axes, float(read(table.EXCLUDE)), (lower[0], upper[0]), states
+    )
 
 
 # -- writing -------------------------------------------------------------------------------------
@@ -376,15 +329,19 @@ def write_result(path: Path, result: Result) -> None:
             write_variable(file, variable, values)
         check_disk()
         line = file.create_group("line")
-        write_variable(line, EDGE, np.arange(result.line.n + 1))
-        write_variable(line, EDGES, result.line.edges)
+        write_variable(line, table.EDGE, np.arange(result.line.n + 1))
+        write_variable(line, table.EDGES, result.line.edges)
         if result.boundary:
             for i, name in enumerate(BODIES):
                 _write_boundary(file.create_group(f"boundary/{name}"), result.boundary, i)
         if result.checkpoint is not None:
             write_checkpoint(file.create_group("checkpoint"), result.checkpoint)
         file.attrs.update(
-            {"software": SOFTWARE, "coordinates": " ".join(result.coordinates), **result.attributes}
+            {
+                "software": table.SOFTWARE,
+                "coordinates": " ".join(result.coordinates),
+                **result.attributes,
+            }
         )
 
 
@@ -393,15 +350,15 @@ def _write_boundary(group: h5py.Group, states: Sequence[BoundaryState], body: in
     fields = [state.bodies[body] for state in states]
     first = fields[0]
     sizes = (len(states), len(first.nodes), len(first.elements), first.elements.shape[1])
-    for variable, size in zip(BOUNDARY_DIMENSIONS.values(), sizes, strict=True):
+    for variable, size in zip(table.BOUNDARY_DIMENSIONS.values(), sizes, strict=True):
         write_variable(group, variable, np.arange(size))
-    write_variable(group, BOUNDARY_TIME, np.array([state.time for state in states]))
-    write_variable(group, BOUNDARY_STEPS_MADE, np.array([state.step for state in states]))
-    write_variable(group, BOUNDARY_MESH["nodes"], first.elements)
-    write_variable(group, BOUNDARY_MESH["face"], first.face)
-    for attribute, variables in BOUNDARY_FIELDS.items():
-        table = np.array([getattr(f, attribute) for f in fields])
-        columns = table.reshape(*table.shape[:2], len(variables))
+    write_variable(group, table.BOUNDARY_TIME, np.array([state.time for state in states]))
+    write_variable(group, table.BOUNDARY_STEPS_MADE, np.array([state.step for state in states]))
+    write_variable(group, table.BOUNDARY_MESH["nodes"], first.elements)
+    write_variable(group, table.BOUNDARY_MESH["face"], first.face)
+    for attribute, variables in table.BOUNDARY_FIELDS.items():
+        values = np.array([getattr(f, attribute) for f in fields])
+        columns = values.reshape(*values.shape[:2], len(variables))
         for column, variable in enumerate(variables):
             write_variable(group, variable, columns[..., column])
-    group.attrs["coordinates"] = BOUNDARY_TIME.name
+    group.attrs["coordinates"] = table.BOUNDARY_TIME.name

@@ -1,7 +1,6 @@
 """Study files: a base case, the keys that vary, and the design that draws rows of values."""
 
 import csv
-import json
 import math
 import re
 from collections import Counter
@@ -14,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from ringwear_par.cases.case import Case
-from ringwear_par.cases.files.keys import base_keys, in_full, kinds
+from ringwear_par.cases.files.keys import base_keys, in_full, kinds, plain
 from ringwear_par.cases.files.suggestions import unknown_key
 from ringwear_par.cases.layers import LAYERS
 from ringwear_par.cases.text import shortened, toml_value
@@ -82,7 +81,7 @@ def read_draft(source: Path | str | Mapping[str, Any]) -> Draft:
                 "study: case is a Case; must be the name of a case file, or its tables as a dict"
             )
         refuse_depth(source, "study")
-        name, folder, tables = "study", Path(), _plain(source)
+        name, folder, tables = "study", Path(), plain(source)
         text = "".join(f"{toml_value(key)} = {toml_value(v)}\n" for key, v in tables.items())
     else:
         path = Path(source)
@@ -133,18 +132,6 @@ def _found(name: str, folder: Path, value: Any) -> Any:
     path, entry = split_key(name)
     whole = whole_name(path, entry) if isinstance(entry, str) else path
     (found,) = in_full({whole: value}, folder).values()
-    return found
-
-
-def _plain(tables: Mapping[str, Any]) -> dict[str, Any]:
-    """Return tables of Python with the values that TOML would give."""
-
-    def plain(value: Any) -> Any:
-        if isinstance(value, Mapping):
-            return dict(value)
-        return value.tolist() if isinstance(value, np.ndarray | np.generic) else str(value)
-
-    found: dict[str, Any] = json.loads(json.dumps(dict(tables), default=plain))
     return found
 
 

@@ -13,20 +13,17 @@ Derivatives with respect to P numbers are (P, ..., n) of fields, (P, ...) of a h
 and (2, P, ..., n) of what both bodies have.
 """
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from ringwear_par.arrays import FloatArray, IntArray, columns, inner
 from ringwear_par.contact.problem import ContactState
+from ringwear_par.history.model import WearModel
+from ringwear_par.history.schemes.closing_elements import Entering
 from ringwear_par.history.state import State, Tangent
 from ringwear_par.wear.increment import VariedIncrement, WearIncrement
 from ringwear_par.wear.layered_increment import VariedLayers
-
-if TYPE_CHECKING:
-    from ringwear_par.history.model import WearModel
-    from ringwear_par.history.schemes.closing_elements import Entering
-
 
 # -- along one step --------------------------------------------------------------------------------
 
@@ -42,7 +39,7 @@ class Along:
     """
 
     def __init__(
-        self, model: "WearModel", before: Tangent | None, enter: "Entering | None" = None
+        self, model: WearModel, before: Tangent | None, enter: Entering | None = None
     ) -> None:
         assert model.sensitivity is not None
         self._model, self._numbers, self._enter = model, model.sensitivity, enter
@@ -152,7 +149,7 @@ class Along:
         self._wear_off(self._lost(worn, share * counts, share * d_counts))
         self._near = self._first = first
 
-    def hold(self, enter: "Entering | None", share: float, step: FloatArray) -> None:
+    def hold(self, enter: Entering | None, share: float, step: FloatArray) -> None:
         """Take note of the elements that get to the next layer after the first stage.
 
         Parameters
@@ -219,7 +216,7 @@ class Along:
 
     def work(self, lasts: FloatArray, omega: FloatArray, p: FloatArray, d_p: FloatArray) -> None:
         """Dissipate the energy of a time, s, at a speed, rad/s, and a pressure."""
-        power = omega * self._numbers.torque(self._model, p, d_p)
+        power = omega * d_torque(self._model, p, d_p)
         if self._numbers.omega is not None:
             power[self._numbers.omega] += self._model.torque(p)
         self._energy = self._energy + lasts * power
@@ -245,10 +242,15 @@ class Along:
         return np.where(open_, gap - self.approach[..., None], 0.0)
 
 
+def along_step(model: WearModel, state: State, enter: Entering | None = None) -> Along | None:
+    """Return the derivatives along a step from a state; None where there are none."""
+    return None if model.sensitivity is None else Along(model, state.tangent, enter)
+
+
 # -- what is stored --------------------------------------------------------------------------------
 
 
-def variables(model: "WearModel", state: State) -> dict[str, Any]:
+def variables(model: WearModel, state: State) -> dict[str, Any]:
     """Return derivatives of what is stored of a state by name, (P, ...) each. Not collective.
 
     All but that of ``penetration``, in which the first state has a part.
@@ -263,8 +265,8 @@ def variables(model: "WearModel", state: State) -> dict[str, Any]:
         "d_force": numbers.load
         if model.inputs.force is not None
         else np.asarray(inner(model.area, d_p)),
-        "d_torque": numbers.torque(model, p, d_p),
-        "d_twist": numbers.twist(model, p, d_p),
+        "d_torque": d_torque(model, p, d_p),
+        "d_twist": d_twist(model, p, d_p),
         "d_worn_volume_lower": volumes[0],
         "d_worn_volume_upper": volumes[1],
         "d_dissipated_energy": tangent.energy,
@@ -273,3 +275,25 @@ def variables(model: "WearModel", state: State) -> dict[str, Any]:
         "d_wear_lower": tangent.wear[0],
         "d_wear_upper": tangent.wear[1],
     }
+
+
+def d_torque(model: WearModel, p: FloatArray, d_p: FloatArray) -> FloatArray:
+    """Return derivatives of the friction torque, (P, B) N mm, from those of pressures."""
+    numbers = model.sensitivity
+    assert numbers is not None
+    change = np.asarray(model.torque(d_p))
+    if numbers.friction is not None:
+        change[numbers.friction] += model.moment(p)
+    return change
+
+
+def d_twist(model: WearModel, p: FloatArray, d_p: FloatArray) -> FloatArray:
+    """Return derivatives of the twist, (P, B) mm, from those of pressures."""
+    numbers = model.sensitivity
+    assert numbers is not None
+    change = np.asarray(model.twist(d_p))
+    if numbers.friction is not None:
+        change[numbers.friction] += inner(model.compliances.twist, p)
+    for row, elastic in numbers.elastic:
+        change[row] += model.inputs.friction * inner(elastic.twist[elastic.which], p)
+    return change

@@ -1,0 +1,136 @@
+"""Preparation of ``ringwear run``: a case, an output to write, and the run that it goes on with."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from ringwear_par.atomic import check_writable
+from ringwear_par.cases.case import Case
+from ringwear_par.cases.files.keys import named_files, read_keys
+from ringwear_par.cases.files.law_trials import law_files, law_sources
+from ringwear_par.cases.files.reading import parse_case, read_case
+from ringwear_par.errors import InputError
+from ringwear_par.history.limits import check_case
+from ringwear_par.results.result import Result
+from ringwear_par.results.storage.checkpoints import restored
+from ringwear_par.results.storage.result_files import open_result, read_error, read_status
+
+
+def reached_end(case: Case, result: Result) -> bool:
+    """Tell whether a result has come to the end of a case."""
+    start = restored(result)
+    return case.time.finished(int(start.progress.steps[0]), float(start.state.time[0]))
+
+
+def prepare(
+    path: Path,
+    output: Path,
+    overrides: Sequence[str],
+    restart: bool,
+    overwrite: bool,
+    figure: Path | None,
+    ranks: int,
+) -> tuple[Case, Result | None]:
+    """Read and check all that a run needs, before any work. On one rank.
+
+    Return the case, and the result of the run that it goes on with, if any.
+
+    Raises
+    ------
+    InputError : all that is wrong.
+    """
+    faults: list[str] = []
+    case = before = None
+    try:
+        case = read_case(path, overrides)
+        check_case(case, ranks, str(path))
+    except InputError as error:
+        faults += error.faults
+    if restart and overwrite:
+        faults.append("--restart, --overwrite: must be one of them, to go on or to start anew")
+    try:
+        check_writable(output)
+        if output.exists() and path.exists() and output.samefile(path):
+            raise InputError(f"{output}: is the case file itself; must be another name")
+        if case is not None and not overwrite:
+            before = _interrupted(output, case, restart)
+    except InputError as error:
+        faults += error.faults
+    if figure is not None:
+        from ringwear_par.results.pictures.figures import check_figure
+
+        try:
+            check_figure(figure, case.output if case is not None else None)
+        except InputError as error:
+            faults += error.faults
+    if faults or case is None:
+        raise InputError(*faults)
+    return case, before
+
+
+def _interrupted(output: Path, case: Case, restart: bool) -> Result | None:
+    """Return the result to go on with; refuse to lose one that was interrupted.
+
+    A run that is complete, or that failed, is replaced without a question.
+
+    Raises
+    ------
+    InputError : the reason.
+    """
+    present = read_status(output)
+    if present is None:
+        return None
+    status, steps = present
+    if not restart and (status == "complete" or read_error(output)):
+        return None
+    before = open_result(output)
+    fault = _difference(before, case)
+    if restart and not fault:
+        return before
+    if restart:
+        raise InputError(f"{output}: {fault}")
+    raise InputError(
+        f"{output}: holds a run that was interrupted after step {steps}; "
+        + (
+            "it is one of another case, and --overwrite replaces it"
+            if fault
+            else "--restart continues it, --overwrite starts anew"
+        )
+    )
+
+
+def _difference(before: Result, case: Case) -> str:
+    """Return why a stored run cannot go on to the end of a case, "" if it can."""
+    if before.user_laws != law_sources(case):
+        return (
+            "was computed with another wear law in a Python file than there is now; --restart "
+            "needs the same"
+        )
+    if before.derivatives:
+        return (
+            "holds derivatives, which a run does not go on with; must be a result without, or "
+            "another name"
+        )
+    growing = "time.end" if case.time.adaptive else "time.steps"
+    other = f"holds another case; --restart needs the same case, only {growing} may grow"
+    # to read a case is to run the laws that it names: of a stored one only what this one runs too
+    if named_files(read_keys(before.case, str(before.path))) != law_files(case):
+        return other
+    stored = parse_case(before.case, str(before.path))
+    same = replace(stored, time=case.time, title=case.title, text=case.text)
+    longer = replace(stored.time, steps=case.time.steps, until=case.time.until)
+    if same != case or longer != case.time:
+        return other
+    reached = restored(before)
+    time, steps = float(reached.state.time[0]), int(reached.progress.steps[0])
+    if case.time.adaptive and time > case.time.end:
+        return (
+            f"holds {time:g} s, time.end = {case.time.end:g}: must be at least "
+            "as long with --restart"
+        )
+    if not case.time.adaptive and steps > case.time.steps:
+        return (
+            f"holds {steps} steps, time.steps = {case.time.steps}: must be at "
+            "least as many with --restart"
+        )
+    return ""
