@@ -23,7 +23,7 @@ _BLAS_BYTES = 256 * 2**20
 
 
 def on_first_rank(comm: "MPI.Comm", action: Callable[[], T]) -> T:
-    """Return what an action returns on rank 0, or raise its error, on all ranks. Collective."""
+    """Return the result of an action on rank 0, or raise its error, on all ranks. Collective."""
     result: Any = None
     if comm.rank == 0:
         try:
@@ -41,7 +41,7 @@ def on_first_rank(comm: "MPI.Comm", action: Callable[[], T]) -> T:
 
 
 def as_on_first_rank(comm: "MPI.Comm", value: T) -> T:
-    """Return what rank 0 has, on all ranks. Collective; nothing where a rank is alone."""
+    """Return the value of rank 0 on all ranks. Collective; no message where a rank is alone."""
     return value if comm.size == 1 else comm.bcast(value)
 
 
@@ -59,17 +59,17 @@ class together:  # noqa: N801  (it reads as a word: with together(comm))
     def __enter__(self) -> None:
         pass
 
-    def __exit__(self, _: object, own: BaseException | None, __: object) -> None:
+    def __exit__(self, _: object, error: BaseException | None, __: object) -> None:
         comm = self._comm
-        if comm.size == 1 or not (own is None or isinstance(own, Exception)):
+        if comm.size == 1 or not (error is None or isinstance(error, Exception)):
             return
         from mpi4py import MPI
 
-        failed = np.array([own is not None], dtype=np.int32)
+        failed = np.array([error is not None], dtype=np.int32)
         comm.Allreduce(MPI.IN_PLACE, failed, MPI.MAX)
         if failed[0]:
-            errors = comm.allgather(None if own is None else as_ours(own))
-            raise next(error for error in errors if error is not None) from own
+            errors = comm.allgather(None if error is None else as_ours(error))
+            raise next(first for first in errors if first is not None) from error
 
 
 def as_ours(error: Exception) -> RingwearError:
@@ -113,8 +113,8 @@ def claim_blas_memory(comm: "MPI.Comm") -> None:
 def blas_threads() -> int:
     """Return how many threads BLAS may use on this rank. Not collective."""
     names = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS")
-    given = next((int(os.environ[n]) for n in names if os.environ.get(n, "").isdigit()), None)
-    return (os.cpu_count() or 1) if given is None else given
+    threads = next((int(os.environ[n]) for n in names if os.environ.get(n, "").isdigit()), None)
+    return (os.cpu_count() or 1) if threads is None else threads
 
 
 def warn_of_threads(ranks: int) -> None:

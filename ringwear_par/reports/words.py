@@ -49,7 +49,7 @@ def _without_laws(text: str, name: str) -> Case:
 def _bodies(case: Case) -> list[tuple[str, str]]:
     names = ("lower", "upper")
     return [
-        (f"{name} body", _body(ring, section.told))
+        (f"{name} body", _body(ring, section.face_description))
         for name, ring, section in zip(names, case.rings, case.sections, strict=True)
     ]
 

@@ -85,7 +85,7 @@ def finite_element_errors(
     ----------
     pressure : (n,) float, MPa, on the contact elements of a mesh.
     """
-    found: list[float] = []
+    ring_values: list[float] = []
     exact: list[float] = []
     distances = np.array(reference.EDGE_DISTANCES)
     inner, outer = reference.EDGE_PRESSURE[name]
@@ -93,12 +93,12 @@ def finite_element_errors(
         (CONTACT[0] + distances, inner),
         (CONTACT[1] - distances[::-1], outer[::-1]),
     ):
-        found.extend(ring_means(mesh, pressure, radii))
+        ring_values.extend(ring_means(mesh, pressure, radii))
         exact.extend(means)
     line = contact_line(CONTACT, mesh)
     return {
         "approach": abs(approach / reference.EDGE_APPROACH[name] - 1.0),
-        "ring means": float(np.abs(np.array(found) / exact - 1.0).max()),
+        "ring means": float(np.abs(np.array(ring_values) / exact - 1.0).max()),
         "p(30)": abs(pressure_at(line, pressure, 30.0) / reference.EDGE_MIDDLE[name] - 1.0),
     }
 
@@ -118,20 +118,20 @@ def rows_against(
     name: str, fine: Sequence[FineSolution], histories: Sequence[Trace]
 ) -> Iterator[Check]:
     """Return the checks of histories at SIZES against a stored solution."""
-    found = [errors_against(f, h) for f, h in zip(fine, histories, strict=True)]
+    errors = [errors_against(f, h) for f, h in zip(fine, histories, strict=True)]
     lifts = not fine[0].wear
     for key, text, tolerance, accuracy in ROWS:
-        if key not in found[0]:
+        if key not in errors[0]:
             continue
         if name in _REGULAR and accuracy in ("pressure", "inside"):
             tolerance = _REGULAR_ERROR
         if lifts and accuracy in ("pressure", "inside"):
             text += ", of >= 50 MPa"
-        yield Check(f"{name}: {text}", SIZES, tuple(each[key] for each in found), tolerance,
+        yield Check(f"{name}: {text}", SIZES, tuple(error[key] for error in errors), tolerance,
                     digits(name)[accuracy])  # fmt: skip
     if not lifts:
         yield Check(f"{name}: elements without pressure", SIZES,
-                    tuple(each["open"] for each in found), 0.0, kind="bound")  # fmt: skip
+                    tuple(error["open"] for error in errors), 0.0, kind="bound")  # fmt: skip
 
 
 def edge_checks(comm: MPI.Comm) -> Iterator[Check]:
@@ -154,7 +154,7 @@ def edge_checks(comm: MPI.Comm) -> Iterator[Check]:
 
 
 def _finite_element_rows(name: str, histories: Iterable[Trace]) -> Iterator[Check]:
-    found = [
+    errors = [
         finite_element_errors(name, Mesh(n), first.pressure, first.approach)
         for n, first in ((h.model.line.n, h.states[0].contact) for h in histories)
     ]
@@ -162,7 +162,7 @@ def _finite_element_rows(name: str, histories: Iterable[Trace]) -> Iterator[Chec
         ("approach", 3e-5, 1e-6), ("ring means", 5e-3, 2e-4), ("p(30)", 1e-3, 1e-4),
     ):  # fmt: skip
         yield Check(f"{name}, finite elements: {key}", SIZES,
-                    tuple(each[key] for each in found), tolerance, accuracy)  # fmt: skip
+                    tuple(error[key] for error in errors), tolerance, accuracy)  # fmt: skip
 
 
 def both_wear(name: str, rings: Rings, pair: ContactPair, comm: MPI.Comm) -> Iterator[Check]:
@@ -191,7 +191,7 @@ def steady_rows(
     """
     c = reference.steady_constant(FORCE, 0.0, *CONTACT)
     a, b = CONTACT
-    found = []
+    errors = []
     for pair in pairs:
         case = ring_case(rings, Mesh(pair.line.n), _STEADY, BOTH)
         history = trace(case, comm, pair=pair)
@@ -199,7 +199,7 @@ def steady_rows(
         rate = (last.approach - before.approach) / _STEADY.step
         torque = float(history.model.torque(last.pressure)[0])
         oblique = case.friction * c / math.cos(math.radians(rings.degrees))
-        found.append(
+        errors.append(
             (
                 float(np.abs(last.pressure * pair.line.arm / c - 1.0).max()),
                 abs(rate / (oblique * sum(BOTH) * SPEED) - 1.0),
@@ -208,4 +208,4 @@ def steady_rows(
         )
     for i, text in enumerate(("pressure c/r", "approach rate", "torque")):
         yield Check(f"{name}, both wear, steady: {text}", SIZES,
-                    tuple(each[i] for each in found), 1e-6, 1e-9)  # fmt: skip
+                    tuple(error[i] for error in errors), 1e-6, 1e-9)  # fmt: skip

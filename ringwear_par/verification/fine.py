@@ -83,7 +83,7 @@ def ring_case(
     rise = math.tan(math.radians(rings.degrees)) * (CONTACT[1] - CONTACT[0])
     faces = [((28.5, min(-r, 0.0)), (31.5, min(r, 0.0))) if r else () for r in (rise, -rise)]
     half = 0.5 * abs(rise)
-    laws = [None if each is None else ThresholdLaw(each) for each in k]
+    laws = [None if coefficient is None else ThresholdLaw(coefficient) for coefficient in k]
     return Case(
         Ring(rings.lower, (0.0, 20.0 + half), rings.young[0], NU, "clamped", faces[0]),
         Ring(CONTACT, (20.0 - half, 40.0), rings.young[1], NU, "clamped", faces[1]),
@@ -164,15 +164,15 @@ def ring_means(mesh: Mesh, field: FloatArray, radii: Sequence[float] | FloatArra
 
 @cache
 def _stored() -> dict[str, Any]:
-    found: dict[str, Any] = json.loads(files(__package__).joinpath(NAME).read_text("utf-8"))
-    return found
+    solutions: dict[str, Any] = json.loads(files(__package__).joinpath(NAME).read_text("utf-8"))
+    return solutions
 
 
 def stored(name: str) -> FineSolution:
     """Return a stored solution of one of SORTS, by its name."""
-    found = _stored()[name]
-    worn = {float(t): np.array(w) * 1e-3 for t, w in found["wear_um"].items()}
-    return FineSolution(RINGS, found["approach_mm"], np.array(found["pressure_mpa"]), worn)
+    solution = _stored()[name]
+    worn = {float(t): np.array(w) * 1e-3 for t, w in solution["wear_um"].items()}
+    return FineSolution(RINGS, solution["approach_mm"], np.array(solution["pressure_mpa"]), worn)
 
 
 def digits(name: str) -> dict[str, float]:

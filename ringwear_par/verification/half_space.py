@@ -176,7 +176,7 @@ def sphere_checks(comm: MPI.Comm) -> Iterator[Check]:
     force, a, p_max = reference.hertz(modulus, _SPHERE, approach)
     r = np.linspace(0.0, _REACH, 401)
     sphere = np.stack([r, r * r / (2.0 * _SPHERE)], axis=1)
-    found: list[list[float]] = []
+    all_errors: list[list[float]] = []
     for n in SIZES:
         forces, radii, peaks = [], [], []
         for big_r in (50.0, 100.0):
@@ -187,7 +187,7 @@ def sphere_checks(comm: MPI.Comm) -> Iterator[Check]:
             slope, at_axis = np.polyfit(x[outer], y[outer], 1)
             radii.append(math.sqrt(-at_axis / slope))
             peaks.append(math.sqrt(np.polyfit(x[inner], y[inner], 1)[1]))
-        found.append(
+        all_errors.append(
             [_indented_force(forces, approach, 2.0 / 3.0) / force - 1.0]
             + [(2.0 * v[1] - v[0]) / exact - 1.0 for v, exact in ((radii, a), (peaks, p_max))]
         )
@@ -195,13 +195,13 @@ def sphere_checks(comm: MPI.Comm) -> Iterator[Check]:
         (("force", 1e-4), ("contact radius", 1e-3), ("largest pressure", 1e-3))
     ):
         # of the order of (a/R)^2, what the extrapolation leaves
-        errors = tuple(abs(v[i]) for v in found)
+        errors = tuple(abs(v[i]) for v in all_errors)
         yield Check(f"sphere (Hertz): {text}", SIZES, errors, tolerance, 3e-5)
     approach = 0.5 * math.pi * _CONE
     cone = np.array([[0.0, 0.0], [_REACH, _REACH * _CONE]])
-    found.clear()
+    all_errors.clear()
     for n in SIZES:
         forces = [indented(cone, approach, big_r, n, comm)[1].force for big_r in (50.0, 100.0)]
         exact = reference.cone_force(modulus, _CONE, approach)
-        found.append([abs(_indented_force(forces, approach, 0.5) / exact - 1.0)])
-    yield Check("rigid cone: force", SIZES, tuple(v[0] for v in found), 1e-4, 3e-5)
+        all_errors.append([abs(_indented_force(forces, approach, 0.5) / exact - 1.0)])
+    yield Check("rigid cone: force", SIZES, tuple(v[0] for v in all_errors), 1e-4, 3e-5)

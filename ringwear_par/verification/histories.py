@@ -97,12 +97,12 @@ def adaptive_checks(pair: ContactPair, comm: MPI.Comm) -> Iterator[Check]:
     for p0 in (0.0, 40.0):
         case = paper_case(Mesh(_N), p0=(p0, None))
         for end, most in ((200.0, 20), (2000.0, 30)):
-            found = history(case, end)
-            error = np.abs(found.last.wear - history(case, end, 1e-9).last.wear).max()
+            result = history(case, end)
+            error = np.abs(result.last.wear - history(case, end, 1e-9).last.wear).max()
             yield Check(f"adaptive, p0 = {p0:g} MPa, {end:g} s: wear, mm", (_N,),
                         (float(error),), 1e-5)  # fmt: skip
             yield bound(f"adaptive, p0 = {p0:g} MPa, {end:g} s: number of steps", _N,
-                        float(found.steps), float(most))  # fmt: skip
+                        float(result.steps), float(most))  # fmt: skip
 
     thresholds = (40.0, 60.0)
     both = paper_case(Mesh(_N), p0=thresholds, k=_BOTH)
@@ -154,7 +154,7 @@ def pin_checks(comm: MPI.Comm) -> Iterator[Check]:
         yield Check(f"worn solid pin, steady: {text}", (_N,), (error,), 1e-4)
     yield identity("worn solid pin: worn volume = k x dissipated energy", _N,
                    history.balances.energy, 1e-10)  # fmt: skip
-    torques = tuple(each.balances.torque for each in histories)
+    torques = tuple(result.balances.torque for result in histories)
     yield Check("worn solid pin: torque on the held faces", SIZES, torques, 1e-5, kind="identity")
 
 

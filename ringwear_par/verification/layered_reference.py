@@ -27,7 +27,7 @@ def shear_modulus(material: Material) -> float:
 
 
 def burmister(x: FloatArray, layer: Material, base: Material) -> FloatArray:
-    """Return what a bonded layer on a half-space gives way under pressure J0(k r), without shear.
+    """Return the deflection of a bonded layer on a half-space under pressure J0(k r), no shear.
 
     Parameters
     ----------

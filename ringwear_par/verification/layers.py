@@ -110,13 +110,13 @@ def sleeve_errors(n: int, comm: MPI.Comm) -> tuple[float, float]:
 
 def patch_checks(comm: MPI.Comm) -> Iterator[Check]:
     """Check fields that are uniform in each material, or nearly so. Collective on comm."""
-    for name, values, found in (
+    for name, values, errors in (
         ("bar of two materials", ("u_z", "interface"), [bar_errors(n, comm) for n in _COARSE]),
         ("Lame, bonded sleeve", ("u_r of the bore", "pressure between"),
          [sleeve_errors(n, comm) for n in _COARSE]),
     ):  # fmt: skip
         for i, value in enumerate(values):
-            yield Check(f"{name}: {value}", _COARSE, tuple(each[i] for each in found), 1e-6)
+            yield Check(f"{name}: {value}", _COARSE, tuple(error[i] for error in errors), 1e-6)
 
 
 def mode_errors(n: int, comm: MPI.Comm) -> tuple[float, float, float, float]:
@@ -172,12 +172,13 @@ def _root_mean_square(error: FloatArray, line: ContactLine) -> float:
 
 def mode_checks(comm: MPI.Comm) -> Iterator[Check]:
     """Check a finite disc with two layers under Bessel modes. Collective on comm."""
-    found = [mode_errors(n, comm) for n in SIZES]
+    errors = [mode_errors(n, comm) for n in SIZES]
     for i, text in enumerate(
         ("pressure J0: u of the face", "pressure J0: interfaces",
          "shear J1: u of the face", "shear J1: interfaces")
     ):  # fmt: skip
-        yield Check(f"disc with two layers, {text}", SIZES, tuple(each[i] for each in found), 1e-3)
+        values = tuple(error[i] for error in errors)
+        yield Check(f"disc with two layers, {text}", SIZES, values, 1e-3)
 
 
 @dataclass(frozen=True)
@@ -196,9 +197,9 @@ def _loaded(disc: Body, line: ContactLine, mesh: Mesh, comm: MPI.Comm) -> _Loade
     contact = problem.zones[0].boundary.elements[problem.zones[0].boundary.contact]
     nodes = np.array([*contact[:, 1], contact[0, 2], contact[-1, 0]])
     problem = replace(problem, nodes=(nodes, problem.nodes[1]))
-    given = -solve_bodies([problem], comm)[0].displacement[:, 1]
-    *inside, axis, rim = given.sum(axis=1)
-    p = np.linalg.solve(given[: line.n], np.ones(line.n))
+    compliance = -solve_bodies([problem], comm)[0].displacement[:, 1]
+    *inside, axis, rim = compliance.sum(axis=1)
+    p = np.linalg.solve(compliance[: line.n], np.ones(line.n))
     force = float(line.area @ p)
     return _Loaded(axis, np.array(inside), rim, force, p * line.area.sum() / force)
 
@@ -207,7 +208,7 @@ def _half_space_rows(
     name: str, thickness: float, layer: Material, comm: MPI.Comm
 ) -> Iterator[Check]:
     exact = LayeredHalfSpace(thickness, layer, _HALF_SPACE)
-    found = []
+    errors = []
     for n in _COARSE:
         mesh = Mesh(n, grading=GRADED)
         line = contact_line((0.0, 1.0), mesh)
@@ -220,7 +221,7 @@ def _half_space_rows(
         axis, *inside, rim = exact.bathed_circle(np.array([0.0, *line.r, 1.0]))
         force, share = exact.punch(line.edges)
         pressure = np.diff(share) * line.area.sum() / line.area
-        found.append(
+        errors.append(
             (
                 abs((2.0 * far.axis - near.axis) / axis - 1.0),
                 float(np.abs((2.0 * far.inside - near.inside) / inside - 1.0)[inner].max()),
@@ -238,7 +239,7 @@ def _half_space_rows(
             ("rigid flat punch: p / p(mean), worst to 0.9 a", 5e-3),
         )
     ):
-        yield Check(f"{name}, {text}", _COARSE, tuple(each[i] for each in found), tolerance)
+        yield Check(f"{name}, {text}", _COARSE, tuple(error[i] for error in errors), tolerance)
 
 
 @dataclass(frozen=True)
@@ -248,7 +249,7 @@ class _Coated:
     line: ContactLine
     approach: float
     pressure: FloatArray
-    held: tuple[float, float]  # largest errors of force and torque on the held faces
+    on_fixed: tuple[float, float]  # largest errors of force and torque on the held faces
 
 
 def paper_rings(
@@ -282,26 +283,27 @@ def _coated(both: tuple[Body, Body], n: int, comm: MPI.Comm) -> _Coated:
 def coating_checks(comm: MPI.Comm) -> Iterator[Check]:
     """Check coated rings of the paper. Collective on comm."""
     case = paper_case(Mesh())
-    own, plain = Material(case.lower.young, NU), {}
+    base, plain = Material(case.lower.young, NU), {}
     for n in _COARSE:
         plain[n] = _coated(paper_rings(), n, comm).approach
     for said, rings in (
-        *((f"{h:g} mm below", paper_rings([(h, own)])) for h in (0.005, 0.05, 0.5)),
+        *((f"{h:g} mm below", paper_rings([(h, base)])) for h in (0.005, 0.05, 0.5)),
         ("0.05 mm above", paper_rings([], [(0.05, Material(case.upper.young, NU))])),
     ):
         errors = tuple(abs(_coated(rings, n, comm).approach / plain[n] - 1.0) for n in _COARSE)
         yield Check(f"paper, {said} of the same material: approach", _COARSE, errors, 1e-5)
     hard = paper_rings([(0.05, Material(100e3, NU))])
-    found = [_coated(hard, n, comm) for n in SIZES]
-    approaches = tuple(abs(each.approach / reference.COATED_APPROACH - 1.0) for each in found)
+    solutions = [_coated(hard, n, comm) for n in SIZES]
+    exact = reference.COATED_APPROACH
+    approaches = tuple(abs(solution.approach / exact - 1.0) for solution in solutions)
     yield Check("paper, hard coating: approach", SIZES, approaches, 1e-5, 1.4e-6)
     for r, exact in reference.COATED_PRESSURE.items():
-        errors = tuple(abs(pressure_at(each.line, each.pressure, r) / exact - 1.0)
-                       for each in found)  # fmt: skip
+        errors = tuple(abs(pressure_at(solution.line, solution.pressure, r) / exact - 1.0)
+                       for solution in solutions)  # fmt: skip
         yield Check(f"paper, hard coating: p({r:g})", SIZES, errors,
                     *((3e-4, 1.5e-5) if r == 30.0 else (2e-3, 1e-5)))  # fmt: skip
     for i, text in enumerate(("force", "torque")):
-        errors = tuple(each.held[i] for each in found)
+        errors = tuple(solution.on_fixed[i] for solution in solutions)
         yield Check(f"paper, hard coating: {text} on the held faces", SIZES, errors, 1e-4,
                     kind="identity")  # fmt: skip
 
@@ -324,11 +326,11 @@ def thin_disc_errors(
     ----------
     sizes : numbers of contact elements.
     """
-    own, rigid, base = Material(500.0, poisson), Material(1e12, NU), 20.0
-    disc = Body(Section((0.0, 30.0), height), own.young, own.poisson, "clamped")
+    soft, rigid, base = Material(500.0, poisson), Material(1e12, NU), 20.0
+    disc = Body(Section((0.0, 30.0), height), soft.young, soft.poisson, "clamped")
     layer = Body(
         Section((0.0, 30.0), base + height, (), (height,)), rigid.young, rigid.poisson, "clamped",
-        (own,),
+        (soft,),
     )  # fmt: skip
     ring = Body(Section(_NARROWER, 10.0), 200e3, NU, "clamped")
     radii = (_NARROWER[0] + 0.7, 0.5 * sum(_NARROWER), _NARROWER[1] - 0.7)
@@ -350,10 +352,10 @@ def thin_disc_checks(comm: MPI.Comm) -> Iterator[Check]:
     """Check thin soft discs on their held faces. Collective on comm."""
     sizes = 32, 64
     for height, poisson in _THIN:
-        found = thin_disc_errors(height, poisson, sizes, comm)
+        errors = thin_disc_errors(height, poisson, sizes, comm)
         said = f"soft disc of {height:g} mm, nu {poisson:g}, under a narrower ring"
         for i, (text, tolerance, digits) in enumerate(
             (("approach", 3e-4, 4e-5), ("p 0.7 mm inside edges, p(mid)", 1e-3, 1e-4))
         ):
-            yield Check(f"{said}: {text}", sizes, tuple(each[i] for each in found), tolerance,
+            yield Check(f"{said}: {text}", sizes, tuple(error[i] for error in errors), tolerance,
                         digits)  # fmt: skip

@@ -110,7 +110,7 @@ def hertz_stress(r: FloatArray, depth: FloatArray, nu: float) -> FloatArray:
     rr += cosine * (u * (1.0 - nu) / (1.0 + u) + (1.0 + nu) * arc - 2.0)
     tt = -lateral - cosine * (2.0 * nu + u * (1.0 - nu) / (1.0 + u) - (1.0 + nu) * arc)
     on_axis = -(1.0 + nu) * (1.0 - depth * np.arctan(1.0 / depth)) + 0.5 / (1.0 + depth**2)
-    rr, tt = (np.where(r > 0.0, each, on_axis) for each in (rr, tt))
+    rr, tt = (np.where(r > 0.0, stress, on_axis) for stress in (rr, tt))
     rz = r * depth**2 / (u * u + depth * depth) * s / (1.0 + u)
     return np.stack([rr, tt, -(cosine**3) * square, rz], axis=1)
 

@@ -47,7 +47,7 @@ def slope_checks(comm: MPI.Comm) -> Iterator[Check]:
         )
     ):
         yield Check(f"cones of 5 degrees bathed in their pressure: {text}", SIZES,
-                    tuple(each[i] for each in bathed), tolerance)  # fmt: skip
+                    tuple(error[i] for error in bathed), tolerance)  # fmt: skip
     for degrees in reference.CONE_APPROACH:
         yield from _finite_element_rows(degrees, comm)
     for degrees in (5, 10):
@@ -60,24 +60,24 @@ def cone_errors(
     """Return relative errors against finite elements: ``approach`` and, but for 0 degrees, p(r)."""
     errors = {"approach": abs(approach / reference.CONE_APPROACH[degrees] - 1.0)}
     if degrees in reference.CONE_PRESSURE:
-        found = np.array([pressure_at(line, pressure, r) for r in reference.CONE_RADII])
-        errors["p(r)"] = float(np.abs(found / reference.CONE_PRESSURE[degrees] - 1.0).max())
+        computed = np.array([pressure_at(line, pressure, r) for r in reference.CONE_RADII])
+        errors["p(r)"] = float(np.abs(computed / reference.CONE_PRESSURE[degrees] - 1.0).max())
     return errors
 
 
 def _finite_element_rows(degrees: float, comm: MPI.Comm) -> Iterator[Check]:
-    found: list[dict[str, float]] = []
+    errors: list[dict[str, float]] = []
     for n in SIZES:
         with WearModel([ring_case(Rings(CONTACT, (1e4, 1e5), degrees), Mesh(n))], comm) as model:
             first = one(initial_state(model).contact, 0)
-        found.append(cone_errors(degrees, model.line, first.pressure, first.approach))
+        errors.append(cone_errors(degrees, model.line, first.pressure, first.approach))
     way = {0.0: "flat", 1.0: "rising"}.get(degrees, "falling")
     said = f"matched cones of {abs(degrees):g} degree, {way}" if degrees else "flat flush rings"
     texts = {"approach": "approach", "p(r)": "p, worst of 5 radii"}
     limits = {"approach": (1e-4, 5e-6), "p(r)": (2e-3, 2e-4)}
-    for key in found[0]:
+    for key in errors[0]:
         yield Check(f"{said}, finite elements: {texts[key]}", SIZES,
-                    tuple(each[key] for each in found), *limits[key])  # fmt: skip
+                    tuple(error[key] for error in errors), *limits[key])  # fmt: skip
 
 
 def _fine_rows(name: str, comm: MPI.Comm) -> Iterator[Check]:
@@ -95,11 +95,11 @@ def _fine_rows(name: str, comm: MPI.Comm) -> Iterator[Check]:
     )
     yield identity(f"{name}: torque, 1 / cos alpha of a flat face's", n,
                    float(error), 1e-12)  # fmt: skip
-    for text, found in (
+    for text, errors in (
         ("force", [h.balances.reaction for h in histories]),
         ("torque", [h.balances.torque for h in histories]),
     ):
-        yield Check(f"{name}: {text} on the held faces, all steps", SIZES, tuple(found), 1e-4,
+        yield Check(f"{name}: {text} on the held faces, all steps", SIZES, tuple(errors), 1e-4,
                     kind="identity")  # fmt: skip
     yield from steady_rows(name, rings, pairs, comm)
     yield from both_wear(name, rings, pairs[1], comm)
@@ -119,10 +119,10 @@ def bathed_errors(n: int, comm: MPI.Comm) -> tuple[float, float]:
     pair = assemble(case, comm)
     both, moduli, line = bodies(case), young(case), pair.line
     sides = zip(both, moduli, (pair.slope, -pair.slope), strict=True)
-    given = sum((_bath(body, case, t, comm) / e for body, e, t in sides), np.zeros(n))
+    deflection = sum((_bath(body, case, t, comm) / e for body, e, t in sides), np.zeros(n))
     compliance, approach, p = pair.compliance(moduli), 0.0, np.zeros(n)
     for _ in range(6):  # deferred correction, as a history does
-        gap = given - compliance.excess @ p
+        gap = deflection - compliance.excess @ p
         right = np.stack([line.area, line.area * gap], axis=1)
         unit, bath = np.linalg.solve(compliance.matrix, right).T
         approach = float(line.area @ (1.0 + bath) / (line.area @ unit))
@@ -137,7 +137,7 @@ def bathed_errors(n: int, comm: MPI.Comm) -> tuple[float, float]:
 
 
 def _bath(body: Body, case: Case, slope: FloatArray, comm: MPI.Comm) -> FloatArray:
-    """Return what a contact face gives way, mm at E = 1, under 1 MPa on the sides of a body."""
+    """Return the deflection of a contact face, mm at E = 1, under 1 MPa on the sides of a body."""
     line, mesh = case.line, case.mesh
     boundary = boundary_mesh(body.section, line, mesh)
     loaded = boundary_conditions(boundary, body.grip, slope)

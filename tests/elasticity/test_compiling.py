@@ -31,7 +31,7 @@ def test_what_an_older_version_kept_is_forgotten(tmp_path, monkeypatch):
 @pytest.mark.parametrize("kept", [False, True])
 def test_a_fault_of_the_code_is_not_taken_for_it(kept, monkeypatch):
     calls = []
-    monkeypatch.setattr(compiling, "_KEPT", kept)
+    monkeypatch.setattr(compiling, "_IS_STORED", kept)
     monkeypatch.setattr(compiling, "_functions", [])
 
     def load():

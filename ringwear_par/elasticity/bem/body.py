@@ -74,7 +74,7 @@ class Compliance:
 def boundary_conditions(
     boundary: BoundaryMesh, grip: Grip, slope: FloatArray | None = None
 ) -> BoundaryConditions:
-    """Return those of a zone in contact: fixed face, one right-hand side per contact element.
+    """Return conditions of a zone in contact: fixed face, a right-hand side per contact element.
 
     Right-hand side j is unit pressure along the common normal (normal system) and unit
     circumferential traction (torsion) on the true area of contact element j. Tractions are scaled
@@ -145,9 +145,9 @@ class Assembled:
         nodes, elements = problem.nodes, problem.elements
         return cls(
             rows,
-            np.concatenate([own.displacement[at] for own, at in zip(dofs, nodes, strict=True)]),
-            np.concatenate([own.traction[at] for own, at in zip(dofs, elements, strict=True)]),
-            np.concatenate([own.sign[at] for own, at in zip(dofs, elements, strict=True)]),
+            np.concatenate([of.displacement[at] for of, at in zip(dofs, nodes, strict=True)]),
+            np.concatenate([of.traction[at] for of, at in zip(dofs, elements, strict=True)]),
+            np.concatenate([of.sign[at] for of, at in zip(dofs, elements, strict=True)]),
             seconds,
         )
 
@@ -193,7 +193,7 @@ def solve_assembled(bodies: Sequence[Assembled], comm: MPI.Comm) -> list[Respons
     solutions = solve_systems(
         [system for body in bodies for system in (body.rows.normal, body.rows.torsion)], comm
     )
-    found = []
+    results = []
     for i, body in enumerate(bodies):
         n_loads = body.rows.normal.loads.shape[1]
         displacement, traction = (
@@ -214,9 +214,9 @@ def solve_assembled(bodies: Sequence[Assembled], comm: MPI.Comm) -> list[Respons
             comm.Allreduce(MPI.IN_PLACE, array, MPI.SUM)
         traction *= body.sign[:, None, None]
         evaluations = comm.allreduce(body.rows.kernel_evaluations)
-        found.append((displacement, traction, evaluations, body.seconds))
+        results.append((displacement, traction, evaluations, body.seconds))
     seconds = (time.perf_counter() - started) / len(bodies)
-    return [Response(*each, seconds) for each in found]
+    return [Response(*result, seconds) for result in results]
 
 
 @dataclass(frozen=True)
@@ -262,15 +262,15 @@ def boundary_responses(
     nodes, elements = (tuple(map(np.arange, of)) for of in zip(*counts, strict=True))
     problem = Problem(zones, mesh.quadrature_tolerance, nodes, elements)
     response = solve_bodies([problem], comm)[0]
-    found, after = [], np.cumsum(counts, axis=0)[:-1]
+    responses, after = [], np.cumsum(counts, axis=0)[:-1]
     displacements = np.split(response.displacement, after[:, 0])
     tractions = np.split(response.traction, after[:, 1])
     for zone, displacement, traction in zip(zones, displacements, tractions, strict=True):
         conditions = zone.conditions
         e, c = np.nonzero(conditions.load >= 0)
         traction[e, c, conditions.load[e, c]] += conditions.traction[e, c]
-        found.append(BoundaryResponse(zone.boundary, displacement, traction, zone.material))
-    return found
+        responses.append(BoundaryResponse(zone.boundary, displacement, traction, zone.material))
+    return responses
 
 
 def in_case_frame(
@@ -353,8 +353,8 @@ def body_zones(
     meshes = zone_meshes(body.section, line, mesh, worn, fine=fine)
     slopes = slope, *(None for _ in body.layers)  # the first zone alone has the contact
     return tuple(
-        Zone(boundary, boundary_conditions(boundary, body.grip, own), material)
-        for boundary, own, material in zip(meshes, slopes, body.relative, strict=True)
+        Zone(boundary, boundary_conditions(boundary, body.grip, of_zone), material)
+        for boundary, of_zone, material in zip(meshes, slopes, body.relative, strict=True)
     )
 
 

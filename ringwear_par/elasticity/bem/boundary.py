@@ -200,7 +200,9 @@ def count_elements(section: Section, contact: tuple[float, float], mesh: Mesh) -
     count = fixed * mesh.contact_elements // counted.contact_elements
     count += (1 + 2 * len(section.layers)) * face
     for top, bottom in itertools.pairwise(_levels(section)):
-        count += sum(_side_elements(section, there, top - bottom, mesh) for there in sides)
+        count += sum(
+            _side_elements(section, at_contact, top - bottom, mesh) for at_contact in sides
+        )
     return count
 
 
@@ -326,9 +328,9 @@ def _closed(contour: Sequence[_Piece]) -> BoundaryMesh:
     elements = np.stack([first, first + 1, (first + 2) % len(nodes)], axis=1)
 
     def of(name: str) -> IntArray:
-        found = np.flatnonzero(names == name)
+        numbers = np.flatnonzero(names == name)
         inwards = name in ("contact", "above")
-        return found[::-1].copy() if inwards else found
+        return numbers[::-1].copy() if inwards else numbers
 
     return BoundaryMesh(nodes, elements, *(of(name) for name in BoundaryMesh._fields[2:]))
 

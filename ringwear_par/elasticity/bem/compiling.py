@@ -35,32 +35,32 @@ def _own_temporary_folder() -> str | None:
         path = os.path.join(tempfile.gettempdir(), f"ringwear-compiled-{os.getuid()}")
         with suppress(FileExistsError):
             os.mkdir(path, 0o700)
-        found = os.lstat(path)
+        status = os.lstat(path)
     except OSError:
         return None
-    own = stat.S_ISDIR(found.st_mode) and found.st_uid == os.getuid()
-    return path if own and not found.st_mode & 0o077 else None
+    is_private = stat.S_ISDIR(status.st_mode) and status.st_uid == os.getuid()
+    return path if is_private and not status.st_mode & 0o077 else None
 
 
-def _can_be_kept() -> bool:
-    def nothing() -> None:
+def _has_place() -> bool:
+    def empty() -> None:
         pass
 
     try:
-        numba.njit(cache=True)(nothing)
+        numba.njit(cache=True)(empty)
     except RuntimeError:  # "no locator available"
         return False
     return True
 
 
-def _kept() -> bool:
-    if _can_be_kept():
+def _can_be_stored() -> bool:
+    if _has_place():
         return True
     folder = _own_temporary_folder()
     if folder is None:
         return False
     numba.config.CACHE_DIR = folder
-    return _can_be_kept()
+    return _has_place()
 
 
 def load_compiled(comm: "MPI.Comm", load: Callable[[], None]) -> None:
@@ -72,7 +72,7 @@ def load_compiled(comm: "MPI.Comm", load: Callable[[], None]) -> None:
     """
 
     def load_or_compile() -> None:
-        untold, forgotten = True, not _KEPT
+        untold, forgotten = True, not _IS_STORED
         for _ in range(_COMPILATIONS):  # numba has what it compiled, before it fails to keep it
             try:
                 return load()
@@ -104,8 +104,8 @@ def _fingerprint() -> str:
     return sources.hexdigest()
 
 
-_KEPT = _kept()
-_FINGERPRINT = _fingerprint() if _KEPT else ""
+_IS_STORED = _can_be_stored()
+_FINGERPRINT = _fingerprint() if _IS_STORED else ""
 _functions: list[Any] = []
 
 
@@ -116,11 +116,11 @@ def compiled(function: Any = None, **options: Any) -> Any:
     """
     if function is None:
         return partial(compiled, **options)
-    made = numba.njit(cache=_KEPT, **options)(function)
-    if _KEPT:  # numba's own stamp is the age and size of the function's own file only
-        made._cache._cache_file._source_stamp = _FINGERPRINT
-    _functions.append(made)
-    return made
+    dispatcher = numba.njit(cache=_IS_STORED, **options)(function)
+    if _IS_STORED:  # numba's own stamp is the age and size of the function's own file only
+        dispatcher._cache._cache_file._source_stamp = _FINGERPRINT
+    _functions.append(dispatcher)
+    return dispatcher
 
 
 def _forget() -> None:

@@ -113,7 +113,7 @@ def elliptic(m1: float) -> tuple[float, float]:
 
 @compiled(inline="always")
 def moments_by_recursion(r: float, a: float, b: float) -> Moments:
-    """Return what ``moments`` does, away from the axis."""
+    """Return the moments of ``moments``, away from the axis."""
     near2 = a * a + b * b
     span2 = 4.0 * r * (r + a)
     far2 = near2 + span2
@@ -137,7 +137,7 @@ def moments_by_recursion(r: float, a: float, b: float) -> Moments:
 
 @compiled(inline="always")
 def moments_by_quadrature(r: float, a: float, b: float) -> Moments:
-    """Return what ``moments`` does, near the axis or far from the source."""
+    """Return the moments of ``moments``, near the axis or far from the source."""
     near2 = a * a + b * b
     span2 = 4.0 * r * (r + a)
     i10 = i11 = i30 = i31 = i32 = i50 = i51 = i52 = i53 = 0.0

@@ -44,7 +44,7 @@ class BodyCost:
 
     @classmethod
     def of(cls, bodies: Sequence[Compliance]) -> "BodyCost":
-        """Return what these bodies took together."""
+        """Return the cost of these bodies together."""
         return cls(
             sum(body.response.kernel_evaluations for body in bodies),
             sum(body.response.seconds_assembly for body in bodies),
@@ -194,7 +194,7 @@ class ContactPair:
         change : derivatives of the collocated compliance, and of the area integral of the twist.
         """
         line = self.line
-        normal = sum(each / modulus for each, modulus in zip(self.normal, young, strict=True))
+        normal = sum(unit / modulus for unit, modulus in zip(self.normal, young, strict=True))
         step = _SHARE * float(np.abs(normal).max() / np.abs(change.normal).max())
         more, less = (symmetric(line, normal + by * change.normal) for by in (step, -step))
         return (more - less) / (2.0 * step), change.normal, change.twist / line.area.sum()
@@ -264,7 +264,7 @@ def layer_derivative(
     slope: FloatArray,
     comm: MPI.Comm,
 ) -> ComplianceChange:
-    """Return what a number of a layer does to its body. Collective on comm.
+    """Return the change of the compliance with a number of a layer. Collective on comm.
 
     Parameters
     ----------
@@ -279,15 +279,15 @@ def layer_derivative(
     """
     contact = float(line.edges[0]), float(line.edges[-1])
     count = count_elements(body.section, contact, mesh)
-    found: list[tuple[float, Compliance]] = []
+    varied_compliances: list[tuple[float, Compliance]] = []
     for share in (-_SHARES[entry], _SHARES[entry]):
         varied, by = _varied(body, layer, entry, share)
         # a mesh that jumps would be no difference of the same thing
         if count_elements(varied.section, contact, mesh) == count:
-            found.append((by, compliance(varied, line, mesh, comm, slope=slope)))
-    if len(found) == 1:
-        found.append((0.0, compliance(body, line, mesh, comm, slope=slope)))
-    (low, before), (high, after) = found
+            varied_compliances.append((by, compliance(varied, line, mesh, comm, slope=slope)))
+    if len(varied_compliances) == 1:
+        varied_compliances.append((0.0, compliance(body, line, mesh, comm, slope=slope)))
+    (low, before), (high, after) = varied_compliances
     normal, torsion = after.normal - before.normal, after.torsion - before.torsion
     return ComplianceChange(normal / (high - low), line.area @ torsion / (high - low))
 

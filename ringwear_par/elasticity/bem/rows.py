@@ -436,20 +436,20 @@ def assemble_rows(
             _scatter(work, chosen[i : i + 1], columns, gathered, tractions)
         # the source's own columns
         inv_r = 1.0 / xr if xr > 0.0 else 0.0  # on the axis u_r = u_theta = 0: nothing to subtract
-        own = dofs.displacement[p]
-        if own[0] >= 0:
+        source_columns = dofs.displacement[p]
+        if source_columns[0] >= 0:
             for force in range(2):
-                gathered[force, own[0]] += inv_r * (
+                gathered[force, source_columns[0]] += inv_r * (
                     _dot(star_r, tractions[2 * force])
                     - _dot(weights[0], gathered[force])
                     + thinner * _dot(weights[3], gathered[force])
                     - thinner * xz * _dot(weights[1], gathered[force])
                 )
-        if own[1] >= 0:
+        if source_columns[1] >= 0:
             for force in range(2):
-                gathered[force, own[1]] -= _dot(weights[1], gathered[force])
-        if own[2] >= 0:
-            gathered[2, own[2]] -= inv_r * _dot(weights[2], gathered[2])
+                gathered[force, source_columns[1]] -= _dot(weights[1], gathered[force])
+        if source_columns[2] >= 0:
+            gathered[2, source_columns[2]] -= inv_r * _dot(weights[2], gathered[2])
         for e in laden:
             for pair in range(5):
                 i, force = _COMPONENT[pair], _FORCE[pair]

@@ -54,11 +54,11 @@ def moving_parts(
     little = 1e-3 * min((section.height, *section.layers))
     most = 0.5 * (1.0 - 1e-6) * height  # that elements follow
     wear = np.full(line.n + 1, most if deep else little)
-    found = []
+    parts = []
     for before, after in zip(unworn, zone_meshes(section, line, mesh, wear), strict=True):
         nodes = (before.nodes != after.nodes).any(axis=1)
-        found.append(Moving(nodes, nodes[before.elements].any(axis=1)))
-    return tuple(found)
+        parts.append(Moving(nodes, nodes[before.elements].any(axis=1)))
+    return tuple(parts)
 
 
 class _MovingBody:
@@ -157,19 +157,19 @@ class UpdatedGeometry:
         worn = np.where(np.array(self._wears)[:, None], worn, 0.0)
         slope = pair_slope(self._sections, self._line, self._mesh, worn)
         compliances, new = [], []
-        for i, own in enumerate((slope, -slope)):
+        for i, body_slope in enumerate((slope, -slope)):
             still = self._still[i]
-            if still is not None and np.array_equal(still[0], own):
+            if still is not None and np.array_equal(still[0], body_slope):
                 compliances.append(still[1])
                 continue
             moving = self._moving[i]
             if moving is not None:
-                found = moving.compliance(worn[i], own, self._comm)
+                updated = moving.compliance(worn[i], body_slope, self._comm)
             else:
-                found = compliance(self._bodies[i], self._line, self._mesh, self._comm)
+                updated = compliance(self._bodies[i], self._line, self._mesh, self._comm)
             if not self._wears[i]:
-                self._still[i] = own, found
-            compliances.append(found)
-            new.append(found)
+                self._still[i] = body_slope, updated
+            compliances.append(updated)
+            new.append(updated)
         key = (self._key, worn.tobytes()) if worn.any() else self._key
         return join_bodies(self._line, compliances, slope, key, new)

@@ -101,8 +101,8 @@ class ContactLine:
 
     def element_at(self, r: FloatArray) -> IntArray:
         """Return the elements in which radii (mm) lie, the line's ends included; -1 off it."""
-        found: IntArray = np.where(r == self.edges[0], 0, np.searchsorted(self.edges, r) - 1)
-        return np.where(found < self.n, found, -1)
+        element: IntArray = np.where(r == self.edges[0], 0, np.searchsorted(self.edges, r) - 1)
+        return np.where(element < self.n, element, -1)
 
 
 def graded(start: float, end: float, n: int, first: float, last: float) -> FloatArray:
@@ -176,7 +176,7 @@ def contact_line(contact: tuple[float, float], mesh: Mesh, *faces: Section) -> C
 
 
 def pair_key(bodies: tuple[Body, Body], contact: tuple[float, float], mesh: Mesh) -> Hashable:
-    """Return what a contact pair depends on; equal for bodies that can share it. Not collective.
+    """Return the key of a contact pair, equal for bodies that can share it. Not collective.
 
     Parameters
     ----------

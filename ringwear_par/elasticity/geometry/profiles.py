@@ -19,7 +19,7 @@ _SAMPLES, _ARC = 101, 31
 
 
 def chamfer_faults(chamfer: Pair, r: Pair, z: Pair) -> list[str]:
-    """Return what is wrong with the chamfers of a ring, "key = value: sentence"."""
+    """Return the faults of the chamfers of a ring, "key = value: sentence"."""
     said = f"chamfer = [{chamfer[0]:g}, {chamfer[1]:g}]"
     faults = []
     if r[0] == 0 and chamfer[0] > 0:
@@ -58,7 +58,7 @@ class Shape(NamedTuple):
 
 
 def shape_faults(shape: Shape, r: Pair, z: Pair) -> list[str]:
-    """Return what is wrong with the shape of a body's face, "key = value: sentence"."""
+    """Return the faults of the shape of a body's face, "key = value: sentence"."""
     (a, b), height = r, z[1] - z[0]
     first, faults = shape.numbers[0], []
     said = f"profile = {{ {shape.name} = {first:g} }}"
@@ -145,9 +145,9 @@ def _crosses(points: Polyline) -> bool:
 
     low, high = np.minimum(start, end), np.maximum(start, end)
     for i in range(len(start) - 2):
-        p, q, others = start[i], end[i], slice(i + 2, None)
-        a, b = start[others], end[others]
-        near = ((low[others] <= high[i]) & (high[others] >= low[i])).all(axis=1)
+        p, q, later = start[i], end[i], slice(i + 2, None)
+        a, b = start[later], end[later]
+        near = ((low[later] <= high[i]) & (high[later] >= low[i])).all(axis=1)
         apart = side(p, q, a) * side(p, q, b) > 0
         if (near & ~apart & (side(a, b, p) * side(a, b, q) <= 0)).any():
             return True
@@ -155,7 +155,7 @@ def _crosses(points: Polyline) -> bool:
 
 
 def profile_faults(ring: str, profile: Polyline, r: Pair, z: Pair) -> list[str]:
-    """Return what is wrong with the profile of "lower" or "upper", "key = value: sentence"."""
+    """Return the faults of the profile of "lower" or "upper", "key = value: sentence"."""
     faults = []
 
     def said(i: int) -> str:
@@ -194,6 +194,6 @@ def profile_faults(ring: str, profile: Polyline, r: Pair, z: Pair) -> list[str]:
 def profile_face(ring: str, profile: Polyline, r: Pair, z: Pair) -> Polyline:
     """Return a sound profile of "lower" or "upper" in the body's own frame, its ends snapped."""
     radii = [r[0], *(p[0] for p in profile[1:-1]), r[1]]
-    own = [p[1] - z[1] if ring == "lower" else z[0] - p[1] for p in profile]
-    heights = [min(0.0, v) for v in own]  # the contact plane is met but for round-off
+    heights_of_points = [p[1] - z[1] if ring == "lower" else z[0] - p[1] for p in profile]
+    heights = [min(0.0, v) for v in heights_of_points]  # the contact plane is met but for round-off
     return tuple(zip(radii, heights, strict=True)) if any(heights) else ()

@@ -90,8 +90,8 @@ class Section:
         return z
 
     @property
-    def told(self) -> str:
-        """What the contact face is taken for, in words."""
+    def face_description(self) -> str:
+        """The shape that the contact face is computed with, in words."""
         if not self.face:
             return "flat"
         points, dense = len(self.face), sum(len(spline.x) for spline in _splines(self.face))
@@ -175,5 +175,5 @@ class Body:
     @property
     def relative(self) -> tuple[Material, ...]:
         """Materials from the contact face downwards, moduli over that of the body itself."""
-        own = Material(1.0, self.poisson)
-        return *(Material(m.young / self.young, m.poisson) for m in self.layers), own
+        base = Material(1.0, self.poisson)
+        return *(Material(m.young / self.young, m.poisson) for m in self.layers), base

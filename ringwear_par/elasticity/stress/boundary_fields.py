@@ -56,12 +56,12 @@ def joined(zones: Sequence[BoundaryFields]) -> BoundaryFields:
         return zones[0]
     first = np.cumsum([0, *(len(zone.nodes) for zone in zones[:-1])])
     elements = [zone.elements + shift for zone, shift in zip(zones, first, strict=True)]
-    others = [
+    fields = [
         np.concatenate([getattr(zone, name) for zone in zones])
         for name in ("face", "displacement", "traction", "pressure", "wear")
     ]
     nodes = np.concatenate([zone.nodes for zone in zones])
-    return BoundaryFields(nodes, np.concatenate(elements), *others)
+    return BoundaryFields(nodes, np.concatenate(elements), *fields)
 
 
 @dataclass(frozen=True)

@@ -82,8 +82,8 @@ class BoundaryRecovery:
         lower, upper = (
             joined(
                 [
-                    self._of_zone(i, unit, shown, pressure, approach, friction, wear[i])
-                    for unit, shown in zip(units, self._worn_zones(i, wear[i]), strict=True)
+                    self._of_zone(i, unit, worn, pressure, approach, friction, wear[i])
+                    for unit, worn in zip(units, self._worn_zones(i, wear[i]), strict=True)
                 ]
             )
             for i, units in enumerate(self.responses(shape))
@@ -104,15 +104,15 @@ class BoundaryRecovery:
         sections = self._bodies[0].section, self._bodies[1].section
         slope = pair_slope(sections, self._line, self._mesh, shape)
         return [
-            self._of_body(i, own, None if shape is None else shape[i])
-            for i, own in enumerate((slope, -slope))
+            self._of_body(i, body_slope, None if shape is None else shape[i])
+            for i, body_slope in enumerate((slope, -slope))
         ]
 
     def _of_zone(
         self,
         i: int,
         unit: BoundaryResponse,
-        shown: BoundaryMesh,
+        worn: BoundaryMesh,
         p: FloatArray,
         approach: float,
         friction: float,
@@ -126,11 +126,11 @@ class BoundaryRecovery:
             for loads in (unit.displacement, unit.traction)
         )
         # the same force on elements that wear has tilted, and so lengthened, since the reference
-        longer = (_lengths(unit.boundary) / _lengths(shown))[shown.contact, None]
-        traction[shown.contact] *= longer
+        longer = (_lengths(unit.boundary) / _lengths(worn))[worn.contact, None]
+        traction[worn.contact] *= longer
         response = in_case_frame(
             replace(
-                unit, boundary=shown, displacement=displacement[..., None] / young,
+                unit, boundary=worn, displacement=displacement[..., None] / young,
                 traction=traction[..., None],
             ),
             which, self._planes[i],
@@ -138,14 +138,14 @@ class BoundaryRecovery:
         moved = response.displacement[..., 0].copy()
         if which == "upper":
             moved[:, 1] -= approach
-        elements = len(shown.elements)
+        elements = len(worn.elements)
         pressure, depth = np.zeros(elements), np.zeros(elements)
-        if len(shown.contact):
-            pressure[shown.contact], depth[shown.contact] = p, wear
+        if len(worn.contact):
+            pressure[worn.contact], depth[worn.contact] = p, wear
         face = np.zeros(elements, dtype=np.int64)
         for name in ("contact", "fixed", "inner_side", "outer_side", "above", "below"):
             number = "interface" if name in ("above", "below") else name
-            face[getattr(shown, name)] = FACES.index(number)
+            face[getattr(worn, name)] = FACES.index(number)
         return BoundaryFields(
             response.boundary.nodes, response.boundary.elements, face, moved,
             response.traction[..., 0], pressure, depth,
@@ -154,7 +154,7 @@ class BoundaryRecovery:
     def _of_body(
         self, i: int, slope: FloatArray, shape: FloatArray | None
     ) -> list[BoundaryResponse]:
-        """Return those of lower (0) or upper (1), whose slope and wear are (n,). Collective."""
+        """Return the responses of lower (0) or upper (1), of slope and wear (n,). Collective."""
         line, which = self._line, BODIES[i]
         worn = None if shape is None or not shape.any() else node_wear(line, shape)
         at = np.concatenate([slope, np.zeros(line.n + 1) if worn is None else worn])
@@ -162,10 +162,10 @@ class BoundaryRecovery:
         # the slopes and the shape are the same on all ranks, and so is the decision
         if known is None or not np.array_equal(known[0], at):
             self._known.pop(which, None)  # not two at a time
-            found = boundary_responses(
+            responses = boundary_responses(
                 self._bodies[i], line, self._mesh, self._comm, worn, slope, fine=self._fine
             )
-            known = self._known[which] = (at, found)
+            known = self._known[which] = (at, responses)
         return known[1]
 
     def _worn_zones(self, i: int, wear: FloatArray) -> list[BoundaryMesh]:
@@ -174,14 +174,14 @@ class BoundaryRecovery:
         Mid-points of contact elements lie where gaps are taken, on the worn face.
         """
         section, line = self._bodies[i].section, self._line
-        first, *others = zone_meshes(
+        first, *layers_below = zone_meshes(
             section, line, self._mesh, node_wear(line, wear), fine=self._fine
         )
         nodes = first.nodes.copy()
         middle = first.elements[first.contact, 1]
         nodes[middle, 0] = line.gap_point
         nodes[middle, 1] = section.depth(line.gap_point) - wear
-        return [first._replace(nodes=nodes), *others]
+        return [first._replace(nodes=nodes), *layers_below]
 
 
 def _lengths(boundary: BoundaryMesh) -> FloatArray:

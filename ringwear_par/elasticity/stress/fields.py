@@ -65,8 +65,8 @@ class StressState:
 
     def without_fields(self) -> "StressState":
         """Return the state without its grid and its faces."""
-        nothing = np.empty((0, 6))
-        return replace(self, grid=np.empty((0, 0, 6)), surface=(nothing, nothing))
+        empty = np.empty((0, 6))
+        return replace(self, grid=np.empty((0, 0, 6)), surface=(empty, empty))
 
     @property
     def of_both(self) -> Largest:

@@ -44,31 +44,31 @@ def zones_of(
     size = np.ptp(np.concatenate([b.nodes for b in boundaries]), axis=0).max()
     distance = np.array([locate(boundary, points).distance for boundary in boundaries])
     inside = distance >= -_ON_BOUNDARY * size
-    found = np.where(inside.any(axis=0), inside.argmax(axis=0), distance.argmax(axis=0))
+    zones = np.where(inside.any(axis=0), inside.argmax(axis=0), distance.argmax(axis=0))
     if sides is not None:
         height = np.array([boundary.nodes[:, 1].mean() for boundary in boundaries])
         rank = np.where(inside, sides * height[:, None], -np.inf)
-        found = np.where((sides != 0.0) & inside.any(axis=0), rank.argmax(axis=0), found)
-    return found
+        zones = np.where((sides != 0.0) & inside.any(axis=0), rank.argmax(axis=0), zones)
+    return zones
 
 
 def edges(boundaries: Sequence[BoundaryMesh]) -> FloatArray:
     """Return (e, 2) mm, ends and corners of a body's contact line, ends of interfaces; no axis."""
-    found = []
+    run_ends = []
     for boundary in boundaries:
         near = np.concatenate([boundary.contact, boundary.above, boundary.below])
         for run in faces(boundary).runs:
             if run[0] in near:
                 ends = boundary.elements[run[0], 0], boundary.elements[run[-1], 2]
-                found.append(boundary.nodes[list(ends)])
-    ends = np.unique(np.concatenate(found), axis=0)
+                run_ends.append(boundary.nodes[list(ends)])
+    ends = np.unique(np.concatenate(run_ends), axis=0)
     return ends[ends[:, 0] > 0.0]
 
 
 def held_corners(boundary: BoundaryMesh) -> FloatArray:
     """Return (c, 2) mm, corners of a body's held face off the axis."""
-    held = boundary.elements[boundary.fixed]
-    ends = boundary.nodes[np.setxor1d(held[:, 0], held[:, 2])]
+    fixed = boundary.elements[boundary.fixed]
+    ends = boundary.nodes[np.setxor1d(fixed[:, 0], fixed[:, 2])]
     return ends[ends[:, 0] > 0.0]
 
 
@@ -87,10 +87,10 @@ class Search:
     ) -> None:
         top = boundaries[0]
         nodes = np.concatenate([boundary.nodes for boundary in boundaries])
-        held = held_corners(boundaries[-1])
-        self._around = np.concatenate([around, held])
+        corners = held_corners(boundaries[-1])
+        self._around = np.concatenate([around, corners])
         grip = _AT_GRIP * np.ptp(nodes, axis=0).min()
-        self._reach = np.repeat([exclude, max(exclude, grip)], [len(around), len(held)])
+        self._reach = np.repeat([exclude, max(exclude, grip)], [len(around), len(corners)])
         contact = top.elements[top.contact]
         width = np.hypot(*(top.nodes[contact[0, 0]] - top.nodes[contact[-1, 2]]))
         chosen = np.unique(np.linspace(0, len(contact) - 1, _COLUMNS).round().astype(int))
@@ -111,8 +111,8 @@ class Search:
         allowed = self.allows(points) & (points[:, 0] >= 0.0)
         size = np.ptp(nodes, axis=0).max()
         for i, boundary in enumerate(boundaries):
-            own = allowed & (zones == i)
-            allowed[own] = locate(boundary, points[own]).distance >= -_ON_BOUNDARY * size
+            in_zone = allowed & (zones == i)
+            allowed[in_zone] = locate(boundary, points[in_zone]).distance >= -_ON_BOUNDARY * size
         self._number = np.where(allowed, np.cumsum(allowed) - 1, -1)
         #: (s, 2) float, mm, and (s,) int, the zone of each
         self.points, self.zones = points[allowed], zones[allowed]

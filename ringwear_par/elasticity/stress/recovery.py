@@ -87,18 +87,18 @@ class _Known:
 
     def stress(self, pressure: FloatArray, shear: FloatArray, comm: MPI.Comm) -> FloatArray:
         """Return (p, 6) MPa at all points. Collective on comm."""
-        found = np.zeros((len(self.points), 6))
+        values = np.zeros((len(self.points), 6))
         for numbers, influence in self.blocks:
-            found[numbers] = influence.stress(pressure, shear)
-        comm.Allreduce(MPI.IN_PLACE, found, MPI.SUM)  # each is known to one rank: it is exact
-        return found
+            values[numbers] = influence.stress(pressure, shear)
+        comm.Allreduce(MPI.IN_PLACE, values, MPI.SUM)  # each is known to one rank: it is exact
+        return values
 
     def largest_of_zones(self, values: FloatArray) -> FloatArray:
         """Return the largest of von Mises stresses in each zone; (0,) where there is one."""
         if self.layers == 1:
             return np.empty(0)
-        own = [np.where(self.zones == k, values, np.nan) for k in range(self.layers)]
-        return np.array([self.search.largest(self.points, self.zones, v).mises for v in own])
+        of_zones = [np.where(self.zones == k, values, np.nan) for k in range(self.layers)]
+        return np.array([self.search.largest(self.points, self.zones, v).mises for v in of_zones])
 
 
 class StressRecovery:
@@ -182,11 +182,11 @@ class StressRecovery:
             stress[lost[known.zones, known.under]] = np.nan
             surface[gone[0]] = np.nan
             along[np.repeat(lost[:-1, None, known.under_interfaces], 2, axis=1)] = np.nan
-        asked = len(known.search.points)
+        n_search = len(known.search.points)
         values = mises(stress)
-        values[asked:][~known.search.allows(known.points[asked:])] = np.nan
+        values[n_search:][~known.search.allows(known.points[n_search:])] = np.nan
         return BodyStress(
-            stress[asked:],
+            stress[n_search:],
             surface,
             known.search.largest(known.points, known.zones, values),
             along,
@@ -207,14 +207,14 @@ class StressRecovery:
     def _of_zones(self, i: int, zones: list[BoundaryResponse], around: FloatArray) -> _Known:
         boundaries, stresses = [zone.boundary for zone in zones], list(map(ZoneStress, zones))
         search = Search(boundaries, around, self._exclude)
-        asked, sides = self._points[i]
-        points = np.concatenate([search.points, asked])
-        numbers = np.concatenate([search.zones, zones_of(boundaries, asked, sides)])
+        wanted, sides = self._points[i]
+        points = np.concatenate([search.points, wanted])
+        numbers = np.concatenate([search.zones, zones_of(boundaries, wanted, sides)])
         parts = [
-            (zone, own[first : first + _BLOCK])
+            (zone, of_zone[first : first + _BLOCK])
             for k, zone in enumerate(stresses)
-            for own in [np.flatnonzero(numbers == k)]
-            for first in range(0, len(own), _BLOCK)
+            for of_zone in [np.flatnonzero(numbers == k)]
+            for first in range(0, len(of_zone), _BLOCK)
         ]
         mine = parts[self._comm.rank :: self._comm.size]
         with together(self._comm):
@@ -251,11 +251,11 @@ def _beside_interfaces(
     boundaries: Sequence[BoundaryMesh], faces: Sequence[Influence], which: Which
 ) -> list[tuple[Influence, Influence]]:
     """Return the stress above and below each interface, from those on the zones' boundaries."""
-    found = []
+    sides = []
     for i, (outer, inner) in enumerate(itertools.pairwise(boundaries)):
         towards, away = _at(faces[i], outer.below), _at(faces[i + 1], inner.above)
-        found.append((towards, away) if which == "lower" else (away, towards))
-    return found
+        sides.append((towards, away) if which == "lower" else (away, towards))
+    return sides
 
 
 def _same(one: FloatArray | None, other: FloatArray | None) -> bool:

@@ -71,7 +71,7 @@ def _add_tile(
 
 @compiled
 def _add_own_column(
-    own: int, boundary: BoundaryMesh, poisson: float, normal: FloatArray, torsion: FloatArray
+    node: int, boundary: BoundaryMesh, poisson: float, normal: FloatArray, torsion: FloatArray
 ) -> None:
     """Subtract the integrals over u*, t* of the nearest node, and add the stress of u*."""
     nodes, elements = boundary.nodes, boundary.elements
@@ -82,15 +82,15 @@ def _add_own_column(
         rigid = 0.0
         for v in range(n_nodes):
             rigid += normal[row, 2 * v + 1]
-        normal[row, 2 * own + 1] -= rigid
-    r = nodes[own, 0]
+        normal[row, 2 * node + 1] -= rigid
+    r = nodes[node, 0]
     if r == 0.0:
         return  # u_r = u_theta = 0: nothing was to be subtracted
     for row in range(4):
         total = 0.0
         for v in range(n_nodes):
             total += normal[row, 2 * v] * nodes[v, 0]
-            total -= normal[row, 2 * v + 1] * thinner * (nodes[v, 1] - nodes[own, 1])
+            total -= normal[row, 2 * v + 1] * thinner * (nodes[v, 1] - nodes[node, 1])
         for e in range(len(elements)):
             dr = nodes[elements[e, 2], 0] - nodes[elements[e, 0], 0]
             dz = nodes[elements[e, 2], 1] - nodes[elements[e, 0], 1]
@@ -98,12 +98,12 @@ def _add_own_column(
             at = 2 * (n_nodes + e)
             total += across * normal[row, at] * (dz / length)
         added = across if row < 2 else 0.0
-        normal[row, 2 * own] += (added - total) / r
+        normal[row, 2 * node] += (added - total) / r
     for row in range(2):
         total = 0.0
         for v in range(n_nodes):
             total += torsion[row, v] * nodes[v, 0]
-        torsion[row, own] -= total / r
+        torsion[row, node] -= total / r
 
 
 @compiled

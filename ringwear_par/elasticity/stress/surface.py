@@ -97,24 +97,24 @@ class Faces:
         ----------
         t : place on the element, 0 to 1.
         """
-        own = self.runs[self.run[element]]
-        arc, x = self.middle[element] + (t - 0.5) * self.sizes[1, element], self.middle[own]
-        if len(own) == 1:
-            return own, np.ones(1)
+        run = self.runs[self.run[element]]
+        arc, x = self.middle[element] + (t - 0.5) * self.sizes[1, element], self.middle[run]
+        if len(run) == 1:
+            return run, np.ones(1)
         after = int(np.searchsorted(x, arc))
-        if 0 < after < len(own):
-            start = min(max(after - _WINDOW // 2, 0), max(len(own) - _WINDOW, 0))
+        if 0 < after < len(run):
+            start = min(max(after - _WINDOW // 2, 0), max(len(run) - _WINDOW, 0))
             # stresses are powers of the distance from the ends: smooth in its logarithm
-            whole = x[-1] + 0.5 * self.sizes[1, own[-1]]
+            whole = x[-1] + 0.5 * self.sizes[1, run[-1]]
             x, arc = np.log(x / (whole - x)), math.log(arc / (whole - arc))
         else:  # beyond the last mid-points in straight lines
-            start = 0 if after == 0 else len(own) - 2
-        chosen = slice(start, start + (_WINDOW if 0 < after < len(own) else 2))
+            start = 0 if after == 0 else len(run) - 2
+        chosen = slice(start, start + (_WINDOW if 0 < after < len(run) else 2))
         x = x[chosen]
         weights = np.ones(len(x))
         for i, j in itertools.permutations(range(len(x)), 2):
             weights[i] *= (arc - x[j]) / (x[i] - x[j])
-        return own[chosen], weights
+        return run[chosen], weights
 
 
 def faces(boundary: BoundaryMesh) -> Faces:
@@ -145,12 +145,12 @@ def faces(boundary: BoundaryMesh) -> Faces:
             run.append(e)
         runs.append(np.array(run))
     number, middle, sizes = np.zeros(k, np.int64), np.zeros(k), np.tile(length, (3, 1))
-    for i, own in enumerate(runs):
-        number[own] = i
-        ends = np.cumsum(length[own])
-        middle[own] = ends - 0.5 * length[own]
-        between = np.interp(ends[:-1], middle[own], length[own])
-        sizes[2, own[:-1]] = sizes[0, own[1:]] = between
+    for i, members in enumerate(runs):
+        number[members] = i
+        ends = np.cumsum(length[members])
+        middle[members] = ends - 0.5 * length[members]
+        between = np.interp(ends[:-1], middle[members], length[members])
+        sizes[2, members[:-1]] = sizes[0, members[1:]] = between
     return Faces(tuple(runs), number, middle, sizes)
 
 

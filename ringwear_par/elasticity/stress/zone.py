@@ -210,7 +210,7 @@ class _Recipe:
 
 
 def _smooth(x: float) -> float:
-    """Return what goes from 0 to 1 with x, level at both ends."""
+    """Return a smooth step from 0 to 1 with x, level at both ends."""
     return x * x * (3.0 - 2.0 * x)
 
 

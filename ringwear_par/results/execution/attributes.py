@@ -35,7 +35,7 @@ def case_attributes(case: Case, time: float) -> dict[str, Any]:
         "angle": integral(case.load.omega, 0.0, time),  # rad
         **{name: value for name, value in density.items() if value is not None},
         **{
-            f"face_{body}": section.told
+            f"face_{body}": section.face_description
             for body, section in zip(BODIES, case.sections, strict=True)
             if section.face
         },
