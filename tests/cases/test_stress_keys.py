@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from ringwear_par.cases.files.reading import parse_case
-from ringwear_par.cases.stress import Grid, grid_bodies, point_bodies
+from ringwear_par.cases.stress import Grid
+from ringwear_par.cases.stress_points import grid_bodies, point_bodies
 from ringwear_par.errors import InputError
 from ringwear_par.history.limits import check_memory
 

@@ -30,7 +30,8 @@ from ringwear_par.cases.files.suggestions import nearest_keys, unknown_key
 from ringwear_par.cases.laws import read_law
 from ringwear_par.cases.layers import LAYERS, expanded, layer_tables, of_refused_law
 from ringwear_par.cases.schema import KEYS, TABLES, key_of, keys_of_layer
-from ringwear_par.cases.stress import Grid, Stress, check_stress
+from ringwear_par.cases.stress import Grid, Stress
+from ringwear_par.cases.stress_points import check_stress
 from ringwear_par.cases.text import shortened, toml_text
 from ringwear_par.cases.units import without_units
 from ringwear_par.cases.values import RejectedError
