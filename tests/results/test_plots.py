@@ -6,8 +6,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from mpi4py import MPI
 from test_cli import ringwear
 
+import ringwear_par as rw
 from ringwear_par.errors import InputError
 from ringwear_par.results.execution.run import run_case
 
@@ -422,3 +424,21 @@ def test_times_and_numbers_are_spelled_once():
     ]  # fmt: skip
     assert stages(np.linspace(0.0, 8.0, 9)) == [1, 2, 4, 6, 8]
     assert stages(np.array([0.0])) == [0]
+
+
+@pytest.mark.serial
+def test_elements_at_the_edge_of_contact_are_marked():
+    """Those that bear load beside one that does not, at each drawn state."""
+    keys = {"mesh.contact_elements": 16, "mesh.grading": 1.0, "time.end": 60.0}
+    result = rw.simulate(
+        rw.read_case(Path(__file__).parents[2] / "scripts/cases/crown.toml", keys), MPI.COMM_SELF
+    )
+    (axes, *_) = rw.plot(result, "pressure", steps="0, last").axes
+    marked = [line for line in axes.lines if line.get_marker() == "o"]
+    assert len(marked) == 2
+    for line, row in zip(marked, (0, -1), strict=True):
+        pressure = result.profiles["pressure"][row]
+        closed = np.flatnonzero(pressure > 0.0)
+        assert 0 < closed[0] < closed[-1] < 15
+        assert line.get_xdata().tolist() == result.line.r[[closed[0], closed[-1]]].tolist()
+        assert line.get_ydata().tolist() == pressure[[closed[0], closed[-1]]].tolist()

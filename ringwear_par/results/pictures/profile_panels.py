@@ -5,12 +5,14 @@ from typing import Any
 
 import numpy as np
 
+from ringwear_par.arrays import FloatArray
 from ringwear_par.elasticity.stress.boundary_fields import BODIES
 from ringwear_par.errors import InputError
 from ringwear_par.results.instants import pressure_peak, time_words
 from ringwear_par.results.layer_ends import ends_near
 from ringwear_par.results.pictures.drawing import DASHES, set_legend, stage_colour
 from ringwear_par.results.result import Result
+from ringwear_par.results.variables import edge_elements
 
 #: columns of the legend
 _COLUMNS = 3
@@ -118,10 +120,25 @@ def draw_pressure(axes: Any, result: Result, label: str, rows: Sequence[int]) ->
     """Draw contact pressures; the singular edges of the first instant are cut."""
     pressure = stored_field(result, "pressure")
     _profiles(axes, result, rows, lambda row: pressure[row])
+    _mark_edges(axes, result, rows, pressure)
     peak = pressure_peak(result)
     axes.set_ylim(0.0, peak.top(float(pressure[list(rows)].max())))
     axes.set_ylabel("contact pressure (MPa)")
     set_legend(axes, _COLUMNS, label)
+
+
+def _mark_edges(axes: Any, result: Result, rows: Sequence[int], pressure: FloatArray) -> None:
+    """Mark elements beside an edge of contact, whose pressures are the least certain."""
+    label: str | None = "contact edge"
+    for number, row in enumerate(rows):
+        edges = edge_elements(pressure[row]) & (pressure[row] > 0.0)
+        if edges.any():
+            axes.plot(
+                result.line.r[edges], pressure[row][edges], linestyle="", marker="o",
+                markersize=4.0, markerfacecolor="none", color=stage_colour(number, len(rows)),
+                label=label,
+            )  # fmt: skip
+            label = None
 
 
 def draw_peak(axes: Any, result: Result) -> None:
