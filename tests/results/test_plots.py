@@ -430,10 +430,9 @@ def test_times_and_numbers_are_spelled_once():
 def test_elements_at_the_edge_of_contact_are_marked():
     """Those that bear load beside one that does not, at each drawn state."""
     keys = {"mesh.contact_elements": 16, "mesh.grading": 1.0, "time.end": 60.0}
-    result = rw.simulate(
-        rw.read_case(Path(__file__).parents[2] / "scripts/cases/crown.toml", keys), MPI.COMM_SELF
-    )
-    (axes, *_) = rw.plot(result, "pressure", steps="0, last").axes
+    case = rw.read_case(PAPER.with_name("crown.toml"), keys)
+    result = rw.simulate(case, MPI.COMM_SELF)
+    (axes, *_) = rw.plot(result, "pressure", steps=f"0,{result.step[-1]}").axes
     marked = [line for line in axes.lines if line.get_marker() == "o"]
     assert len(marked) == 2
     for line, row in zip(marked, (0, -1), strict=True):
