@@ -72,7 +72,7 @@ def unwritable(tmp_path):
     """A copy of the package beside which nothing can be kept, for root either; its environment."""
     package = tmp_path / "site" / "ringwear_par"
     shutil.copytree(ROOT / "ringwear_par", package, ignore=shutil.ignore_patterns("__pycache__"))
-    (package / "elasticity" / "__pycache__").touch()
+    (package / "elasticity" / "bem" / "__pycache__").touch()
     (tmp_path / "tmp").mkdir()
     return {
         "PYTHONPATH": str(tmp_path / "site"), "PYTHONDONTWRITEBYTECODE": "1", "NUMBA_CACHE_DIR": "",

@@ -20,7 +20,7 @@ from ringwear_par.arrays import BoolArray, FloatArray, IntArray
 #: rows of a product: BLAS rounds a row alike whoever the others are, if there are always so many
 ROWS = 8
 #: bytes of the bases that are kept
-_MOST_BYTES = 2**27
+_MOST_BYTES = 2**25
 
 
 class Basis(NamedTuple):
@@ -118,7 +118,7 @@ class Bases:
             _CACHE.move_to_end(name)
             return _CACHE[name]
         basis = _CACHE[name] = self._make(np.flatnonzero(free), wearing)
-        most = max(2, _MOST_BYTES // (self._matrix.nbytes))
+        most = max(2, _MOST_BYTES // self._matrix.nbytes)
         while len(_CACHE) > most:
             _CACHE.popitem(last=False)
         return basis
