@@ -1,0 +1,1 @@
+"""Tangent-linear histories: derivatives with respect to numbers of a case."""
