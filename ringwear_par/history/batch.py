@@ -26,7 +26,6 @@ from ringwear_par.errors import (
 )
 from ringwear_par.history.elastic.pairs import assemble
 from ringwear_par.history.moving_geometry import MovingGeometry
-from ringwear_par.history.observers.selection import stores, times_within
 from ringwear_par.history.physics import Physics
 from ringwear_par.history.schemes.step import Scheme
 from ringwear_par.history.snapshots import Observer, Snapshot
@@ -142,8 +141,8 @@ class Batch:
         self._ensemble, self.numbers = ensemble, numbers
         #: None before the start
         self._present: _Present | None = None
-        #: (B,) s, end of the present try, and where its contacts start, as those of the next try are
-        #: to, if it fails; None: there is no try
+        #: (B,) s, end of the present try, and where its contacts start, and those of the next one
+        #: if it fails; None: there is no try
         self._end: FloatArray | None = None
         self._warm: WarmStart | None = None
         #: whether a history steps alone until it has made a step, and why its last try failed
@@ -278,7 +277,7 @@ class Batch:
         if not cases[0].output.times:
             return []
         rows = zip(cases, before.state.time.tolist(), end.tolist(), accepted, strict=True)
-        times = [times_within(case, t0, t1) if new else [] for case, t0, t1, new in rows]
+        times = [case.output_times(t0, t1) if new else [] for case, t0, t1, new in rows]
         snapshots = []
         for k in range(max(map(len, times))):
             histories = np.array([i for i, row in enumerate(times) if len(row) > k])
@@ -387,7 +386,7 @@ def _stored(
     steps = progress.steps
     if cases[0].output.times:
         rows = zip(cases, steps.tolist(), state.time.tolist(), strict=True)
-        return accepted & np.array([stores(*row) for row in rows])
+        return accepted & np.array([case.stores(step, time) for case, step, time in rows])
     return accepted & (finished | (steps % np.array([c.output.every for c in cases]) == 0))
 
 

@@ -11,9 +11,7 @@ from ringwear_par.elasticity.stress.fields import StressHistory, StressState
 from ringwear_par.elasticity.stress.measures import mises
 from ringwear_par.history.observers.balances import WorstBalances
 from ringwear_par.history.observers.stresses import RISING, CaseStresses, StressObserver
-from ringwear_par.history.snapshots import Snapshot
-from ringwear_par.history.validity.stable_steps import stable_steps
-from ringwear_par.history.validity.worst_states import (
+from ringwear_par.history.observers.worst_states import (
     ENTRIES,
     FEW_ELEMENTS,
     MOST_ANGLE,
@@ -21,6 +19,8 @@ from ringwear_par.history.validity.worst_states import (
     force_on,
     worn_share,
 )
+from ringwear_par.history.snapshots import Snapshot
+from ringwear_par.history.validity.stable_steps import stable_steps
 from ringwear_par.results.unit_suspicions import (
     MOST_PRESSED,
     ValidityWarning,

@@ -19,10 +19,10 @@ from ringwear_par.history.elastic.pairs import assemble, updated_geometry
 from ringwear_par.history.loop import simulate_one
 from ringwear_par.history.observers.balances import balances
 from ringwear_par.history.observers.trace import trace
+from ringwear_par.history.observers.worst_states import WorstStates
 from ringwear_par.history.physics import Physics
 from ringwear_par.history.schemes import euler, sdirk2
 from ringwear_par.history.start import initial_state
-from ringwear_par.history.validity.worst_states import WorstStates
 from ringwear_par.results.warnings import validity_warnings
 from ringwear_par.verification.fine import CONTACT, Rings, ring_case
 from ringwear_par.verification.paper import paper_case

@@ -1,1 +1,1 @@
-"""Tangent-linear histories: derivatives with respect to numbers of a case."""
+"""What histories have derivatives with respect to."""

@@ -1,6 +1,5 @@
 """Which states of a history are stored, and which of these have boundary fields or stresses."""
 
-from bisect import bisect_left, bisect_right
 from collections.abc import Sequence
 from typing import TypeVar
 
@@ -11,45 +10,6 @@ from ringwear_par.elasticity.stress.fields import StressState
 from ringwear_par.history.snapshots import Instant
 
 Timed = TypeVar("Timed", BoundaryState, StressState)
-
-
-def _same(time: float, *others: float) -> bool:
-    """Tell whether a time is one of others but for round-off."""
-    return any(abs(time - other) <= SAME_TIME * time for other in others)
-
-
-def stores(case: Case, step: int, time: float) -> bool:
-    """Tell whether a case stores its state after so many steps, at a time (s)."""
-    output = case.output
-    if step == 0 or case.time.finished(step, time):
-        return True
-    if output.times:
-        i = bisect_left(output.times, time)
-        return any(_same(t, time) for t in output.times[max(i - 1, 0) : i + 1])
-    return step % output.every == 0
-
-
-def times_within(case: Case, start: float, end: float) -> list[float]:
-    """Return the times of output strictly between two times, s."""
-    times = case.output.times
-    between = times[bisect_right(times, start) : bisect_left(times, end)]
-    return [t for t in between if not _same(t, start, end)]
-
-
-def wants(asked: str | tuple[float, ...], time: float, finished: bool, before: float) -> bool:
-    """Tell whether a stored state is asked for.
-
-    Parameters
-    ----------
-    asked : "none", "last", "all", or times (s) from each of which on the first stored state is.
-    time : s, of the state.
-    finished : whether it is the last.
-    before : s, time of the stored state before it; negative: there is none.
-    """
-    if isinstance(asked, str):
-        return asked == "all" or (asked == "last" and finished)
-    near = SAME_TIME * time
-    return any(before + near < t <= time + near for t in asked)
 
 
 class Selection:
@@ -73,7 +33,10 @@ class Selection:
         before = self._stored_before(time, steps)
         if not instant.passing:
             self._last_stored = time
-        return wants(self._which, time, instant.finished, before)
+        if isinstance(self._which, str):
+            return self._which == "all" or (self._which == "last" and instant.finished)
+        near = SAME_TIME * time
+        return any(before + near < t <= time + near for t in self._which)
 
     def of_interrupted(
         self, states: Sequence[Timed], stored: FloatArray, finished: bool
@@ -94,7 +57,7 @@ class Selection:
         """Return the time of the stored state before one at a time; negative: there is none."""
         output = self._case.output
         if output.times:
-            return max(times_within(self._case, -1.0, time), default=0.0 if time > 0.0 else -1.0)
+            return max(self._case.output_times(-1.0, time), default=0.0 if time > 0.0 else -1.0)
         if not self._case.time.adaptive and steps > 0:
             # a shorter run's last state, from which this one may go on, is forgotten
             return (steps - 1) // output.every * output.every * self._case.time.step

@@ -10,9 +10,9 @@ import numpy as np
 
 from ringwear_par.arrays import FloatArray, columns
 from ringwear_par.contact.correction import CorrectedContacts
-from ringwear_par.history.derivatives.tangent import along_step
 from ringwear_par.history.physics import Physics
 from ringwear_par.history.schemes.step import Step, advanced, first_through
+from ringwear_par.history.schemes.tangent import along_step
 from ringwear_par.history.state import State
 from ringwear_par.schedules import mean
 from ringwear_par.wear.layered_increment import LayeredIncrement

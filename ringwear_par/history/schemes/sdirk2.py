@@ -19,10 +19,10 @@ import numpy as np
 from ringwear_par.arrays import BoolArray, FloatArray, columns, inner
 from ringwear_par.contact.correction import CorrectedContacts
 from ringwear_par.contact.problem import ContactState
-from ringwear_par.history.derivatives.tangent import Along, along_step
 from ringwear_par.history.physics import Physics
 from ringwear_par.history.schemes.closing_elements import Entering, entering, entry_error, held
 from ringwear_par.history.schemes.step import Step, advanced, first_through
+from ringwear_par.history.schemes.tangent import Along, along_step
 from ringwear_par.history.state import State
 from ringwear_par.schedules import in_time
 from ringwear_par.wear.increment import WearIncrement

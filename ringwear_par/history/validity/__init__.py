@@ -1,1 +1,1 @@
-"""What a case, a state, a step may be for the physics to hold, and the worst that a history met."""
+"""What a case, a state and a step may be for the physics to hold."""

@@ -9,9 +9,8 @@ import numpy as np
 from ringwear_par.arrays import BoolArray, IntArray, share
 from ringwear_par.cases.case import Case
 from ringwear_par.history.derivatives.numbers import units_of
-from ringwear_par.history.derivatives.tangent import variables as derivatives_of
-from ringwear_par.history.observers.selection import stores
 from ringwear_par.history.physics import Physics
+from ringwear_par.history.schemes.tangent import variables as derivatives_of
 from ringwear_par.history.snapshots import Snapshot
 from ringwear_par.history.state import State
 from ringwear_par.results.result import Result
@@ -121,7 +120,7 @@ class StoredRows:
         reached : s, time from which the history continues.
         """
         states = zip(before.steps_made.tolist(), before.histories["time"].tolist(), strict=True)
-        rows = np.array([t <= reached and stores(self._case, n, t) for n, t in states])
+        rows = np.array([t <= reached and self._case.stores(n, t) for n, t in states])
         self._numbers.append(np.zeros(np.count_nonzero(rows), dtype=np.int64))
         self._steps.append(before.steps_made[rows])
         stored = {**before.histories, **before.profiles, **before.layers}
