@@ -73,7 +73,7 @@ def history(case: Case) -> Compared:
         np.array([s.contact.pressure for s in states]),
         np.array([s.wear[0].max() for s in states]),
         clock.shown[-1] - clock.shown[0],
-        0 if seen.model.geometry is None else seen.model.geometry.updates,
+        seen.physics.updates,
     )
 
 

@@ -21,10 +21,10 @@ from random_cases import random_case
 
 from ringwear_par.cases.case import Case, Output, Stepping
 from ringwear_par.cases.files.reading import make_case
+from ringwear_par.contact.correction import CorrectedContacts
 from ringwear_par.elasticity.geometry.mesh import Mesh
 from ringwear_par.errors import RingwearError
 from ringwear_par.history.elastic.pairs import assemble
-from ringwear_par.history.model import WearModel
 from ringwear_par.history.observers.trace import Trace, trace
 from ringwear_par.verification.paper import paper_case
 
@@ -39,7 +39,7 @@ class Work:
     contacts: int = 0
 
     def counting(self, solve: Callable) -> Callable:
-        """Return a method of ``WearModel`` that counts its calls."""
+        """Return a method of ``CorrectedContacts`` that counts its calls."""
 
         def counted(*arguments: Any, **keywords: Any) -> Any:
             self.contacts += 1
@@ -132,7 +132,7 @@ def main() -> int:
     parser.add_argument("--each", action="store_true", help="a line for each history")
     args = parser.parse_args()
     work, rows, failed = Work(), [], 0
-    WearModel.contact = work.counting(WearModel.contact)  # type: ignore[method-assign]
+    CorrectedContacts.solve = work.counting(CorrectedContacts.solve)  # type: ignore[method-assign]
     for name, case in cases(args.count, args.seed, args.tolerance):
         try:
             row = measured(case, work)

@@ -40,6 +40,7 @@ from ringwear_par.arrays import FloatArray
 from ringwear_par.batched import one
 from ringwear_par.cases.case import Case, Stepping
 from ringwear_par.cases.files.reading import read_case
+from ringwear_par.contact.correction import CorrectedContacts
 from ringwear_par.elasticity.bem.body import boundary_conditions, solve_body
 from ringwear_par.elasticity.bem.boundary import boundary_mesh
 from ringwear_par.elasticity.bem.pair import ContactCompliance, ContactPair, largest_stable_step
@@ -48,7 +49,7 @@ from ringwear_par.errors import RingwearError
 from ringwear_par.history.elastic.bodies import young
 from ringwear_par.history.elastic.pairs import assemble
 from ringwear_par.history.loop import simulate_one
-from ringwear_par.history.model import WearModel
+from ringwear_par.history.physics import Physics
 from ringwear_par.history.schemes.euler import backward, forward
 from ringwear_par.history.snapshots import Snapshot
 from ringwear_par.history.start import initial_state
@@ -182,24 +183,27 @@ def formula(case: Case) -> float:
     return EXPLICIT_LIMIT * float(case.line.width.mean()) / modulus / fastest
 
 
-def grows(model: WearModel, state: State, step: float, n_steps: int = 60) -> bool:
+def grows(
+    physics: Physics, contacts: CorrectedContacts, state: State, step: float, n_steps: int = 60
+) -> bool:
     """Tell whether explicit steps make a small alternating change of the wear grow. Collective.
 
     All being in contact and above the threshold, its growth does not depend on the state. A change
     of 0.01 MPa stays far above round-off and far below the pressure.
     """
-    n = model.line.n
+    n = physics.line.n
     sign = (-1.0) ** np.arange(n)
     bump = np.zeros_like(state.wear)
-    bump[0, 0] = 1e-2 * (model.compliances.history(0).matrix @ sign) / model.area
+    bump[0, 0] = 1e-2 * (physics.compliances.history(0).matrix @ sign) / physics.area
     wear = state.wear + bump
-    contact = model.contact(state.time, wear, state.contact.pressure)
-    rates = model.rates_at(state.time, wear, contact.pressure)
+    contact = contacts.solve(physics.contact_inputs(state.time, wear), state.contact.pressure)
+    rates = physics.rates_at(state.time, wear, contact.pressure)
     changed = replace(state, wear=wear, contact=contact, rates=rates)
     sizes = []
     for _ in range(n_steps):
         end = state.time + step
-        state, changed = forward(model, state, end).state, forward(model, changed, end).state
+        state = forward(physics, contacts, state, end).state
+        changed = forward(physics, contacts, changed, end).state
         # the pressure, because a force forgets an even change of the profile
         sizes.append(float(np.linalg.norm(changed.contact.pressure - state.contact.pressure)))
         if sizes[-1] > 1.0 * math.sqrt(n):  # before contact is lost
@@ -212,18 +216,19 @@ def measured_limit(pair: ContactPair, case: Case, guess: float, comm: MPI.Comm) 
 
     By bisection to 0.2 %, from a worn state with all in contact; p0 = 0.
     """
-    with WearModel([case], comm, pair) as model:
-        state = initial_state(model)
+    physics = Physics.of([case], pair)
+    with physics.contacts() as contacts:
+        state = initial_state(physics, contacts)
         for end in (100.0, 200.0, 300.0):  # until pressures hardly change
-            state = backward(model, state, np.array([end])).state
+            state = backward(physics, contacts, state, np.array([end])).state
         low = high = guess
-        while grows(model, state, low):
+        while grows(physics, contacts, state, low):
             low, high = 0.5 * low, low
-        while not grows(model, state, high):
+        while not grows(physics, contacts, state, high):
             low, high = high, 2.0 * high
         while high > 1.002 * low:
             step = math.sqrt(low * high)
-            low, high = (low, step) if grows(model, state, step) else (step, high)
+            low, high = (low, step) if grows(physics, contacts, state, step) else (step, high)
     return math.sqrt(low * high)
 
 
@@ -259,8 +264,9 @@ def limits(n: int, comm: MPI.Comm) -> Limits:
 
 def unworn(pair: ContactPair, case: Case, comm: MPI.Comm) -> FloatArray:
     """Return the pressure before any wear, (n,) MPa. Collective."""
-    with WearModel([case], comm, pair) as model:
-        return initial_state(model).contact.pressure[0]
+    physics = Physics.of([case], pair)
+    with physics.contacts() as contacts:
+        return initial_state(physics, contacts).contact.pressure[0]
 
 
 def bilateral(case: Case, weighted: FloatArray) -> FloatArray:

@@ -101,12 +101,13 @@ def test_a_rank_that_computes_nothing_more_keeps_nobody_waiting(comm, monkeypatc
     comm.Barrier()
 
 
-def test_a_model_that_fails_on_one_rank_does_not_wait_for_the_others(comm, paper_pair):
-    from ringwear_par.history.model import WearModel
+def test_contacts_that_fail_on_one_rank_do_not_wait_for_the_others(comm, paper_pair):
+    from ringwear_par.history.physics import Physics
 
     case, pair = paper_pair
     if comm.rank == comm.size - 1:
-        with pytest.raises(MemoryError), WearModel([case], comm, pair) as model:
+        contacts = Physics.of([case], pair).contacts()
+        with pytest.raises(MemoryError), contacts:
             raise MemoryError
-        assert not model.warm.scaled_pressure.any()
+        assert not contacts.warm.scaled_pressure.any()
     comm.Barrier()

@@ -379,17 +379,14 @@ class BatchSolver:
             return
         self._callbacks.guard.solve(self._tao, "python")
 
-    def response(self, gap: FloatArray, force_kept: bool) -> FloatArray:
+    def response(self, gap: FloatArray) -> FloatArray:
         """Return the change of the last pressures, MPa, with a small growth (B, n) mm of gaps.
 
-        Linear, elements in contact staying so, the wear of the step included.
-
-        Parameters
-        ----------
-        force_kept : whether approaches follow so that forces stay, or stay themselves.
+        Linear, elements in contact and forces or approaches, whichever were given, staying so; the
+        wear of the step included.
         """
         right = self._weights * gap
-        if force_kept:
+        if len(self._newton.forces):
             step, _ = self._hessians.steps(self._every, right, np.zeros(len(gap)), SOLVED)
             return step / self._scale
         return self._hessians.solve(self._every, right) / -self._scale

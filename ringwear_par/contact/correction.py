@@ -13,7 +13,7 @@ import numpy as np
 
 from ringwear_par.arrays import BoolArray, FloatArray, IntArray, inner
 from ringwear_par.batched import concat
-from ringwear_par.contact.problem import ContactState
+from ringwear_par.contact.problem import ContactInputs, ContactState, WarmStart
 from ringwear_par.errors import ComputationError, HistoriesError
 from ringwear_par.wear.increment import WearIncrement
 
@@ -33,15 +33,15 @@ _TINY = 1e-300
 class Tangents(Protocol):
     """Derivatives of contact solutions, which take part in each correction."""
 
-    def pose(self, during: WearIncrement | None) -> None:
-        """Take the wear of the next contact problem; None: there is none."""
-        ...
-
-    def solved(self, solution: ContactState, at: FloatArray, histories: IntArray) -> None:
+    def solved(
+        self, wear: WearIncrement | None, solution: ContactState, at: FloatArray,
+        histories: IntArray,
+    ) -> None:  # fmt: skip
         """Differentiate a solution on the factor that its solver has now.
 
         Parameters
         ----------
+        wear : of the implicit step that the contact is of, if any.
         solution : the solution.
         at : (B, n) float, MPa, the pressures at which it was corrected.
         histories : (h,) int, the histories that were solved.
@@ -86,8 +86,9 @@ class CorrectedContacts:
         count = len(which)
         self._every, self._total = np.arange(count), float(solver.area.sum())
         #: (B,) the largest errors that were left, and their elements
-        self.worst = np.zeros(count), np.zeros(count, dtype=np.int64)
+        self.largest_errors = np.zeros(count), np.zeros(count, dtype=np.int64)
         self._shift_at: tuple[FloatArray, FloatArray] | None = None
+        self._warm: WarmStart | None = None  # once the solver is freed
 
     def _shift(self, p: FloatArray) -> FloatArray:
         """Return the gap that the excess opens at pressures, (B, n) mm; remembered."""
@@ -95,25 +96,42 @@ class CorrectedContacts:
             self._shift_at = p, self.solver.products(self._transposed, self._which, p)
         return self._shift_at[1]
 
+    def __enter__(self) -> "CorrectedContacts":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Free the solver; where it would start stays known. Not collective."""
+        if self._warm is None:
+            self._warm = self.solver.warm
+            self.solver.destroy()
+
+    @property
+    def warm(self) -> WarmStart:
+        """Where the next solutions start, also after ``close``."""
+        return self.solver.warm if self._warm is None else self._warm
+
+    @warm.setter
+    def warm(self, warm: WarmStart) -> None:
+        self.solver.warm = warm
+
     def solve(
         self,
-        gap: FloatArray,
+        inputs: ContactInputs,
         near: FloatArray,
         *,
-        force: FloatArray | None,
-        approach: FloatArray | None,
-        wear: WearIncrement | None,
         exact: bool = False,
         already_solved: tuple[BoolArray, ContactState] | None = None,
         along: Tangents | None = None,
     ) -> ContactState:
-        """Return the contacts at given forces (B,) N or approaches (B,) mm.
+        """Return the contacts at given forces or approaches.
 
         Parameters
         ----------
-        gap : (B, n) float, mm.
+        inputs : gaps, loads, and the wear of an implicit step.
         near : (B, n) float, MPa, pressures near the solution.
-        wear : of an implicit step.
         exact : whether to correct until no more than 1e-4 is left.
         already_solved : which histories have their solution already, and it.
         along : takes every correction.
@@ -123,6 +141,7 @@ class CorrectedContacts:
         ComputationError : one was not solved, or not corrected well enough; HistoriesError of
             several histories.
         """
+        gap, wear = inputs.gap, inputs.wear
         most = _EXACT if exact else _NEAR_ENOUGH
         active = self._every if already_solved is None else np.flatnonzero(~already_solved[0])
         shift, iterations = self._shift(near), np.zeros(len(gap), dtype=np.int64)
@@ -132,15 +151,19 @@ class CorrectedContacts:
         elements = np.zeros(len(gap), dtype=np.int64)
         for _ in range(1 + _CORRECTIONS):
             state = self.solver.solve(
-                gap - shift, force=force, approach=approach, wear=wear, histories=active
+                gap - shift,
+                force=inputs.force,
+                approach=inputs.approach,
+                wear=wear,
+                histories=active,
             )
             if along is not None:
-                along.solved(state, near, active)
+                along.solved(wear, state, near, active)
                 near = state.pressure
             iterations[active] += state.iterations[active]
             residual[active] = state.residual[active]
             before, shift = shift, self._shift(state.pressure)
-            off, e = self._errors(state, shift - before, force is not None, most)
+            off, e = self._errors(state, shift - before, most)
             errors[active], elements[active] = off[active], e[active]
             active = active[~(off[active] <= most)]
             if not len(active):
@@ -153,14 +176,15 @@ class CorrectedContacts:
             raise HistoriesError(which)
         if already_solved is not None:
             residual[already_solved[0]] = already_solved[1].residual[already_solved[0]]
-        worse = errors > self.worst[0]
-        self.worst = (
-            np.where(worse, errors, self.worst[0]), np.where(worse, elements, self.worst[1])
+        worse = errors > self.largest_errors[0]
+        before_errors, before_elements = self.largest_errors
+        self.largest_errors = (
+            np.where(worse, errors, before_errors), np.where(worse, elements, before_elements)
         )  # fmt: skip
         return replace(state, iterations=iterations, residual=residual)
 
     def _errors(
-        self, solution: ContactState, change: FloatArray, force_kept: bool, most: float
+        self, solution: ContactState, change: FloatArray, most: float
     ) -> tuple[FloatArray, IntArray]:
         """Return about how far pressures are off for changes of the shift, (B, n) mm, and where."""
         p, rows = solution.pressure, self._every
@@ -174,7 +198,7 @@ class CorrectedContacts:
         carrying = inner(self.solver.area, touching.astype(float))
         with np.errstate(divide="ignore", invalid="ignore"):
             scale = np.maximum(p, np.divide(solution.force, carrying)[:, None])
-            response = np.abs(self.solver.response(change, force_kept)) / scale
+            response = np.abs(self.solver.response(change)) / scale
         errors = np.where(touching, response, 0.0)
         again = errors.argmax(axis=1)
         # where nothing touches the gap must be that of no pressure
@@ -208,9 +232,9 @@ class CorrectedContacts:
 
     def start_from(self, *before: "CorrectedContacts") -> None:
         """Start where others would, whose histories follow each other here."""
-        self.solver.warm = concat([contacts.solver.warm for contacts in before])
-        errors, elements = zip(*(contacts.worst for contacts in before), strict=True)
-        self.worst = np.concatenate(errors), np.concatenate(elements)
+        self.warm = concat([contacts.warm for contacts in before])
+        errors, elements = zip(*(contacts.largest_errors for contacts in before), strict=True)
+        self.largest_errors = np.concatenate(errors), np.concatenate(elements)
 
     def take(self, histories: IntArray) -> "CorrectedContacts":
         """Return the contacts of some of the histories."""
@@ -218,9 +242,9 @@ class CorrectedContacts:
         taken = CorrectedContacts(
             self.solver.take(histories), self._excess[used], which, self._stiffness[used]
         )
-        taken.worst = self.worst[0][histories], self.worst[1][histories]
+        taken.largest_errors = self.largest_errors[0][histories], self.largest_errors[1][histories]
         return taken
 
-    def response(self, gap: FloatArray, force_kept: bool) -> FloatArray:
+    def response(self, gap: FloatArray) -> FloatArray:
         """Return the change of the last pressures, MPa, with a small growth (B, n) mm of gaps."""
-        return self.solver.response(gap, force_kept)
+        return self.solver.response(gap)

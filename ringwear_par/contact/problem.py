@@ -27,6 +27,23 @@ GRADIENT_TOLERANCE = 1e-12
 
 
 @dataclass(frozen=True)
+class ContactInputs:
+    """What B contact solutions depend on, beside the compliances.
+
+    Parameters
+    ----------
+    gap : (B, n) float, mm, of the undeformed, worn profiles.
+    force, approach : (B,) float, N or mm; the other one is None.
+    wear : of an implicit step; None: profiles stay.
+    """
+
+    gap: FloatArray
+    force: FloatArray | None
+    approach: FloatArray | None
+    wear: WearIncrement | None = None
+
+
+@dataclass(frozen=True)
 class ContactState:
     """Solution of B contact problems: numbers (B,), fields (B, n); of one without this axis.
 

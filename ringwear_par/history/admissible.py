@@ -1,28 +1,29 @@
-"""What the model does not hold for: overlapping bodies, contact cut by the mesh, deep wear."""
+"""What the physics does not hold for: overlapping bodies, contact cut by the mesh, deep wear."""
 
 import numpy as np
 
 from ringwear_par.cases.case import Case
+from ringwear_par.contact.correction import CorrectedContacts
 from ringwear_par.errors import ComputationError, HistoriesError, UnfitError
 from ringwear_par.history.inputs import of_faces
-from ringwear_par.history.model import WearModel
+from ringwear_par.history.physics import Physics
 from ringwear_par.history.stability import pressed
 from ringwear_par.history.state import State
 
 
-def check_interpenetration(model: WearModel) -> None:
+def check_interpenetration(physics: Physics, contacts: CorrectedContacts) -> None:
     """Refuse undeformed bodies that overlap by more than the largest force presses them.
 
     Raises
     ------
     UnfitError : they do; HistoriesError of several histories.
     """
-    inputs = model.inputs
+    inputs = physics.inputs
     if inputs.force is None or not (inputs.initial_gap < 0.0).any():
         return
     overlaps = np.array(of_faces(inputs.cases, lambda case: case.interpenetration))
     overlapping = np.flatnonzero(overlaps > 0.0)
-    approach = pressed(model, overlapping).approach
+    approach = pressed(physics, contacts, overlapping).approach
     apart = np.zeros(len(overlaps), dtype=bool)
     apart[overlapping] = approach[overlapping] < 0.0
     if not apart.any():
@@ -32,13 +33,13 @@ def check_interpenetration(model: WearModel) -> None:
     e = int(inputs.initial_gap[0].argmin())
     raise UnfitError(
         f"upper.z, lower.z and contact faces: the undeformed bodies interpenetrate by "
-        f"{overlaps[0]:.6g} mm at element {e} (r = {model.line.r[e]:.6g} mm); must be at most "
+        f"{overlaps[0]:.6g} mm at element {e} (r = {physics.line.r[e]:.6g} mm); must be at most "
         f"the {overlaps[0] + approach[0]:.6g} mm that the load presses them together"
     )
 
 
 def checked(case: Case, state: State) -> State:
-    """Return a state if the model holds for it. Not collective.
+    """Return a state if the physics holds for it. Not collective.
 
     Parameters
     ----------

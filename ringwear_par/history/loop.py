@@ -21,6 +21,7 @@ from ringwear_par import batched
 from ringwear_par.arrays import BoolArray, FloatArray, IntArray
 from ringwear_par.cases.case import Case
 from ringwear_par.cases.forecast import unit_question
+from ringwear_par.contact.correction import CorrectedContacts
 from ringwear_par.elasticity.bem.pair import ContactPair
 from ringwear_par.errors import (
     ComputationError,
@@ -31,8 +32,9 @@ from ringwear_par.errors import (
     UnfitError,
     reason_of,
 )
-from ringwear_par.history.model import WearModel
-from ringwear_par.history.moving_geometry import update_geometry
+from ringwear_par.history.elastic.pairs import assemble
+from ringwear_par.history.moving_geometry import MovingGeometry
+from ringwear_par.history.physics import Physics
 from ringwear_par.history.saving import stores, times_within
 from ringwear_par.history.schemes import euler, sdirk2
 from ringwear_par.history.schemes.step import Scheme
@@ -206,7 +208,10 @@ class _Batch:
         self._run, self.numbers = run, numbers
         self._begun = False
         self._control: Control
-        self._model: WearModel
+        self._physics: Physics
+        self._contacts: CorrectedContacts
+        #: of elements that follow the wear; None where they stay
+        self._geometry: MovingGeometry | None = None
         self._state: State
         self._progress: Progress
         #: (B,) s, end of the present try; None: there is none
@@ -225,14 +230,14 @@ class _Batch:
         Histories in trouble leave: alone, each says why, and tries a shorter step if there is one.
         """
         count = len(self.numbers)
-        warm = self._model.warm if self._begun else None
+        warm = self._contacts.warm if self._begun else None
         try:
             snapshots = self._round() if self._begun else self._start()
         except Exception as error:
             if isinstance(error, InputError) and not isinstance(error, UnfitError):
                 raise  # an option for PETSc
             if warm is not None:  # a state that was not found is no place to start from
-                self._model.warm = warm
+                self._contacts.warm = warm
             if count > 1:
                 return self._parted(error)
             if self._retries(error):
@@ -301,39 +306,66 @@ class _Batch:
         run, numbers = self._run, self.numbers
         cases = [run.cases[i] for i in numbers.tolist()]
         self._control = run.control(numbers)
-        self._model = WearModel(cases, run.comm, run.pair, derivatives=run.derivatives)
+        self._physics = self._assembled(cases)
+        self._contacts = self._physics.contacts()
         self._every = np.array([case.output.every for case in cases])
         every = np.ones(len(numbers), dtype=bool)
         try:
             if run.start is not None:
-                self._state, self._progress = self._model.resume(run.start), run.start.progress
+                self._resume(run.start)
             else:
                 with together(run.comm):
-                    self._state = initial_state(self._model)
+                    self._state = initial_state(self._physics, self._contacts)
                 self._progress = Progress.at_start(len(numbers))
         except BaseException:
-            self._model.close()
+            self._contacts.close()
             raise
         self._begun = True
         if run.start is not None:
             return []
         return [
             Snapshot(
-                numbers, self._model, self._state, None, self._progress,
+                numbers, self._physics, self._contacts, self._state, None, self._progress,
                 self._state.contact.iterations, every, every, ~every,
             )
         ]  # fmt: skip
 
+    def _assembled(self, cases: Sequence[Case]) -> Physics:
+        """Return the physics of the cases before any wear. Collective."""
+        run, pair = self._run, self._run.pair
+        if cases[0].follows_wear:
+            self._geometry = MovingGeometry(cases[0], run.comm)
+        if pair is None:
+            geometry = self._geometry
+            pair = assemble(cases[0], run.comm) if geometry is None else geometry.unworn()
+        physics = Physics.of(cases, pair, derivatives=run.derivatives)
+        return replace(physics, pair_is_shared=run.pair is not None)
+
+    def _resume(self, start: Start) -> None:
+        """Continue a stored history as if its state had just been computed. Collective."""
+        state = self._state = start.state
+        self._progress = start.progress
+        if self._geometry is not None and state.meshed_wear is not None:
+            self._physics, self._contacts = self._geometry.remesh_to(
+                state.meshed_wear, self._physics, self._contacts
+            )
+        self._physics = replace(self._physics, gap_offset=state.gap_offset, updates=start.updates)
+        self._contacts.warm = start.warm
+
     def _round(self) -> list[Snapshot]:
         """Return the states that a try of each history leads to, states within it first."""
-        run, model, control = self._run, self._model, self._control
+        run, control = self._run, self._control
         self._tried = None
-        state = self._state = update_geometry(model, self._state)
+        if self._geometry is not None:
+            self._physics, self._contacts, self._state = self._geometry.follow(
+                self._physics, self._contacts, self._state
+            )
+        physics, contacts, state = self._physics, self._contacts, self._state
         before = self._progress
         end, progress = as_on_first_rank(run.comm, control.next_try(state, before))
         self._progress, self._tried = progress, end
         with together(run.comm):  # a law may raise on one rank alone
-            step = run.method.scheme(model, state, end)
+            step = run.method.scheme(physics, contacts, state, end)
         # ranks may differ by round-off, or by their processor: the first decides
         decision = as_on_first_rank(run.comm, control.decide(state, step, progress))
         with together(run.comm):
@@ -347,7 +379,7 @@ class _Batch:
         return [
             *snapshots,
             Snapshot(
-                self.numbers, model, self._state, step, self._progress,
+                self.numbers, physics, contacts, self._state, step, self._progress,
                 self._progress.iterations - before.iterations, accepted,
                 self._stored(accepted, finished), finished,
             ),
@@ -355,7 +387,7 @@ class _Batch:
 
     def _stored(self, accepted: BoolArray, finished: BoolArray) -> BoolArray:
         """Return which of the new states are stored."""
-        cases, steps = self._model.inputs.cases, self._progress.steps
+        cases, steps = self._physics.inputs.cases, self._progress.steps
         if cases[0].output.times:
             rows = zip(cases, steps.tolist(), self._state.time.tolist(), strict=True)
             return accepted & np.array([stores(*row) for row in rows])
@@ -365,7 +397,7 @@ class _Batch:
         self, before: State, end: FloatArray, accepted: BoolArray, progress: Progress
     ) -> list[Snapshot]:
         """Return the states at times of output within accepted steps, which leave no trace."""
-        cases = self._model.inputs.cases
+        cases = self._physics.inputs.cases
         if not cases[0].output.times:
             return []
         rows = zip(cases, before.time.tolist(), end.tolist(), accepted, strict=True)
@@ -381,19 +413,22 @@ class _Batch:
         self, before: State, histories: IntArray, times: FloatArray, progress: Progress
     ) -> Snapshot:
         """Return the states of some histories at times within their steps."""
-        model = self._model.take(histories)
+        physics, contacts = self._physics.take(histories), self._contacts.take(histories)
         try:
-            step = self._run.method.scheme(model, batched.take(before, histories), times)
+            step = self._run.method.scheme(
+                physics, contacts, batched.take(before, histories), times
+            )
         except HistoriesError as error:
             which = np.zeros(len(self.numbers), dtype=bool)
             which[histories[error.which]] = True
             raise HistoriesError(which) from error
         finally:
-            model.contacts.solver.destroy()
+            contacts.close()
         every = np.ones(len(histories), dtype=bool)
         return Snapshot(
-            self.numbers[histories], model, step.state, step, batched.take(progress, histories),
-            step.state.contact.iterations, every, every, ~every, passing=True,
+            self.numbers[histories], physics, contacts, step.state, step,
+            batched.take(progress, histories), step.state.contact.iterations,
+            every, every, ~every, passing=True,
         )  # fmt: skip
 
     def _split(self, parts: Sequence[IntArray]) -> list["_Batch"]:
@@ -405,10 +440,10 @@ class _Batch:
             batch = _Batch(self._run, self.numbers[part])
             if self._begun:
                 batch._begun = True
-                batch._control, batch._model = (
-                    batched.take(self._control, part),
-                    self._model.take(part),
-                )
+                batch._control = batched.take(self._control, part)
+                batch._physics = self._physics.take(part)
+                batch._contacts = self._contacts.take(part)
+                batch._geometry = self._geometry
                 batch._state = batched.take(self._state, part)
                 batch._progress = batched.take(self._progress, part)
                 batch._every = self._every[part]
@@ -421,7 +456,9 @@ class _Batch:
         batch = _Batch(self._run, np.append(self.numbers, other.numbers))
         batch._begun = True
         batch._control = self._run.control(batch.numbers)
-        batch._model = self._model.joined(other._model)
+        batch._physics = self._physics.joined(other._physics)
+        batch._contacts = batch._physics.contacts()
+        batch._contacts.start_from(self._contacts, other._contacts)
         batch._state = batched.concat([self._state, other._state])
         batch._progress = batched.concat([self._progress, other._progress])
         batch._every = np.append(self._every, other._every)
@@ -432,7 +469,7 @@ class _Batch:
     def close(self) -> None:
         """Free the contacts."""
         if self._begun:
-            self._model.close()
+            self._contacts.close()
 
 
 def _like(state: State, other: State) -> State:

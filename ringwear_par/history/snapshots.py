@@ -5,7 +5,8 @@ from dataclasses import dataclass, field
 
 from ringwear_par.arrays import BoolArray, IntArray
 from ringwear_par.batched import along, one
-from ringwear_par.history.model import WearModel
+from ringwear_par.contact.correction import CorrectedContacts
+from ringwear_par.history.physics import Physics
 from ringwear_par.history.schemes.step import Step
 from ringwear_par.history.state import Progress, State
 
@@ -17,7 +18,8 @@ class Snapshot:
     Parameters
     ----------
     numbers : (B,) int, of the histories among all cases.
-    model, state : the physics and the states.
+    physics, contacts : of these histories; the contacts start from here.
+    state : the states.
     step : that led there; None at the start.
     progress : of step control, after it.
     iterations : (B,) int, of the contact solver, for these states.
@@ -29,7 +31,8 @@ class Snapshot:
     """
 
     numbers: IntArray
-    model: WearModel = field(metadata=along(None))
+    physics: Physics = field(metadata=along(None))
+    contacts: CorrectedContacts = field(metadata=along(None))
     state: State
     step: Step | None = field(metadata=along(None))
     progress: Progress

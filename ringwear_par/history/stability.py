@@ -4,26 +4,27 @@ import numpy as np
 
 from ringwear_par.arrays import FloatArray, IntArray
 from ringwear_par.cases.case import Case
+from ringwear_par.contact.correction import CorrectedContacts
 from ringwear_par.contact.problem import ContactState
 from ringwear_par.elasticity.bem.pair import ContactCompliance, largest_stable_step
-from ringwear_par.history.model import WearModel
+from ringwear_par.history.physics import Physics
 from ringwear_par.schedules import integral, largest
 from ringwear_par.wear.law import Law
 from ringwear_par.wear.layered import LayeredLaw
 from ringwear_par.wear.local_state import LocalState
 
 
-def stable_steps(model: WearModel) -> list[float]:
+def stable_steps(physics: Physics, contacts: CorrectedContacts) -> list[float]:
     """Return the largest stable steps of the explicit scheme, s, of B histories.
 
     Unworn, under the largest load and speed, with the steepest of what laws do in time.
     """
-    warm = model.warm
-    largest_pressures = pressed(model).pressure.max(axis=1).tolist()
-    model.warm = warm
+    warm = contacts.warm
+    largest_pressures = pressed(physics, contacts).pressure.max(axis=1).tolist()
+    contacts.warm = warm
     return [
-        _stable_step(case, model.compliances.history(i), largest_pressures[i])
-        for i, case in enumerate(model.inputs.cases)
+        _stable_step(case, physics.compliances.history(i), largest_pressures[i])
+        for i, case in enumerate(physics.inputs.cases)
     ]
 
 
@@ -48,14 +49,16 @@ def _steepest(law: Law, p: FloatArray, at: LocalState) -> FloatArray:
     return law.d_rate_dp(p, at)
 
 
-def pressed(model: WearModel, histories: IntArray | None = None) -> ContactState:
+def pressed(
+    physics: Physics, contacts: CorrectedContacts, histories: IntArray | None = None
+) -> ContactState:
     """Return the contacts before any wear, under the largest loads of the cases.
 
     Parameters
     ----------
     histories : those that are solved; None: all.
     """
-    solver, inputs = model.contacts.solver, model.inputs
+    solver, inputs = contacts.solver, physics.inputs
     loads = [case.load for case in inputs.cases]
     if inputs.force is None:
         approach = np.array([largest(load.displacement or 0.0) for load in loads])

@@ -9,7 +9,6 @@ from ringwear_par.cases.case import Case
 from ringwear_par.elasticity.stress.boundary_fields import BODIES
 from ringwear_par.elasticity.stress.fields import StressHistory, StressState
 from ringwear_par.elasticity.stress.measures import mises
-from ringwear_par.history.model import WearModel
 from ringwear_par.history.observers.balances import WorstBalances
 from ringwear_par.history.observers.stresses import RISING, CaseStresses, StressObserver
 from ringwear_par.history.observers.validity import (
@@ -76,7 +75,7 @@ class Warnings:
         """Look for steps that are too long, once a history. Not collective."""
         if snapshot.step is None or not self._begun:
             numbers = snapshot.numbers.tolist()
-            self._long_steps |= {numbers[i]: w for i, w in unstable(snapshot.model).items()}
+            self._long_steps |= {numbers[i]: w for i, w in unstable(snapshot).items()}
         self._begun = True
         return False
 
@@ -346,12 +345,13 @@ def _infinite_ends(
                 yield number, r, float(z), reach
 
 
-def unstable(model: WearModel) -> dict[int, ValidityWarning]:
+def unstable(snapshot: Snapshot) -> dict[int, ValidityWarning]:
     """Return which of B histories have explicit steps that are too long."""
-    if model.case.time.scheme != "explicit":
+    physics = snapshot.physics
+    if physics.case.time.scheme != "explicit":
         return {}
-    steps = [case.time.step for case in model.inputs.cases]
-    both = enumerate(zip(steps, stable_steps(model), strict=True))
+    steps = [case.time.step for case in physics.inputs.cases]
+    both = enumerate(zip(steps, stable_steps(physics, snapshot.contacts), strict=True))
     return {i: _unstable(step, limit) for i, (step, limit) in both if step > limit}
 
 

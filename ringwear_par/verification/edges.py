@@ -62,7 +62,7 @@ def errors_against(fine: FineSolution, history: Trace) -> dict[str, float]:
     unworn. In mm: ``wear 1``, ``wear 10``, ``wear 200`` (worst element, by time in s). ``open``:
     number of elements without pressure, of all states together. No wear where faces lift off.
     """
-    first, line = history.states[0].contact, history.model.line
+    first, line = history.states[0].contact, history.physics.line
     off = pressure_errors(first.pressure, fine)
     return {
         "approach": abs(first.approach / fine.approach - 1.0),
@@ -156,7 +156,7 @@ def edge_checks(comm: MPI.Comm) -> Iterator[Check]:
 def _finite_element_rows(name: str, histories: Iterable[Trace]) -> Iterator[Check]:
     errors = [
         finite_element_errors(name, Mesh(n), first.pressure, first.approach)
-        for n, first in ((h.model.line.n, h.states[0].contact) for h in histories)
+        for n, first in ((h.physics.line.n, h.states[0].contact) for h in histories)
     ]
     for key, tolerance, accuracy in (
         ("approach", 3e-5, 1e-6), ("ring means", 5e-3, 2e-4), ("p(30)", 1e-3, 1e-4),
@@ -197,7 +197,7 @@ def steady_rows(
         history = trace(case, comm, pair=pair)
         before, last = (state.contact for state in history.states[-2:])
         rate = (last.approach - before.approach) / _STEADY.step
-        torque = float(history.model.torque(last.pressure)[0])
+        torque = float(history.physics.torque(last.pressure)[0])
         oblique = case.friction * c / math.cos(math.radians(rings.degrees))
         errors.append(
             (

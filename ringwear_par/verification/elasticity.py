@@ -33,8 +33,7 @@ from ringwear_par.elasticity.stress.recovery import (
 )
 from ringwear_par.elasticity.stress.zone import ZoneStress
 from ringwear_par.history.elastic.bodies import bodies
-from ringwear_par.history.model import WearModel
-from ringwear_par.history.start import initial_state
+from ringwear_par.history.start import first_contact
 from ringwear_par.verification import reference
 from ringwear_par.verification.check import NU, SIZES, Check, converging
 from ringwear_par.verification.paper import paper_case
@@ -189,8 +188,7 @@ def _under_a_disc(n: int, comm: MPI.Comm) -> tuple[float, ...]:
 def _paper_stresses(n: int, comm: MPI.Comm) -> list[float]:
     """Return the stresses of the paper's lower ring, in the order of the reference's."""
     case = paper_case(Mesh(n), pressure=50.0)
-    with WearModel([case], comm) as model:
-        pressure = initial_state(model).contact.pressure[0]
+    pressure = first_contact(case, comm).pressure
     top = case.lower.z[1]
     keys = list(reference.PAPER_STRESS)
     points = np.array([[30.0, top - depth] for _, depth in keys])

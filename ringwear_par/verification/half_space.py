@@ -15,15 +15,13 @@ from scipy.interpolate import CubicSpline
 from scipy.linalg import eigh, solve
 
 from ringwear_par.arrays import FloatArray
-from ringwear_par.batched import one
 from ringwear_par.cases.case import Case, Load, Output, Ring, Stepping
 from ringwear_par.contact.problem import ContactState
 from ringwear_par.elasticity.bem.body import compliance
 from ringwear_par.elasticity.bem.reciprocity import symmetric
 from ringwear_par.elasticity.geometry.mesh import ContactLine, Mesh, contact_line
 from ringwear_par.elasticity.geometry.sections import Body, Section
-from ringwear_par.history.model import WearModel
-from ringwear_par.history.start import initial_state
+from ringwear_par.history.start import first_contact
 from ringwear_par.verification import reference
 from ringwear_par.verification.check import NU, SIZES, Check
 
@@ -156,8 +154,7 @@ def indented(profile: FloatArray, approach: float, big_r: float, n: int,
         0.1, None, None, Load(0.0, displacement=approach), Stepping("implicit", 1.0, 1),
         Mesh(n, grading=1.0), Output(),
     )  # fmt: skip
-    with WearModel([case], comm) as model:
-        return model.line, one(initial_state(model).contact, 0)
+    return case.line, first_contact(case, comm)
 
 
 def _indented_force(forces: Iterable[float], approach: float, power: float) -> float:

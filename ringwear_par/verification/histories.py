@@ -12,8 +12,8 @@ from ringwear_par.elasticity.bem.pair import ContactPair
 from ringwear_par.elasticity.geometry.mesh import Mesh
 from ringwear_par.elasticity.geometry.sections import Polyline
 from ringwear_par.history.elastic.pairs import assemble
-from ringwear_par.history.model import WearModel
 from ringwear_par.history.observers.trace import Trace, trace
+from ringwear_par.history.physics import Physics
 from ringwear_par.history.stability import stable_steps
 from ringwear_par.verification import reference
 from ringwear_par.verification.check import NU, SIZES, Check, bound, identity
@@ -47,7 +47,7 @@ def _steady_constant(case: Case, p0: float) -> float:
 def _approach_rate(history: Trace) -> float:
     """Return the rate of the approach in the last step, mm/s."""
     before, after = history.states[-2:]
-    return (after.contact.approach - before.contact.approach) / history.model.case.time.step
+    return (after.contact.approach - before.contact.approach) / history.physics.case.time.step
 
 
 def steady_checks(pair: ContactPair, comm: MPI.Comm) -> Iterator[Check]:
@@ -139,14 +139,14 @@ def pin_checks(comm: MPI.Comm) -> Iterator[Check]:
     """Compare a worn solid pin with its steady state, p = F / (2 pi R r) up to the axis."""
     histories = [trace(pin_case(n), comm) for n in SIZES]
     history = histories[SIZES.index(_N)]
-    case = history.model.case
+    case = history.physics.case
     assert isinstance(case.load.force, float)
     force, (_, radius) = case.load.force, case.upper.r
     c = force / (2.0 * math.pi * radius)
     p = history.last.contact.pressure
     for text, value, exact in (
-        ("pressure F / (2 pi R r)", p * history.model.line.r, c),
-        ("torque mu F R / 2", history.model.torque(p)[0], 0.5 * case.friction * force * radius),
+        ("pressure F / (2 pi R r)", p * history.physics.line.r, c),
+        ("torque mu F R / 2", history.physics.torque(p)[0], 0.5 * case.friction * force * radius),
         ("approach rate mu k omega F / (2 pi R)", _approach_rate(history),
          case.friction * 1e-6 * 1.0 * c),
     ):  # fmt: skip
@@ -198,9 +198,10 @@ def explicit_limit_error(n: int, comm: MPI.Comm) -> float:
         lower=replace(case.lower, r=(290.0, 310.0)),
         upper=replace(case.upper, r=(298.5, 301.5)),
     )
-    with WearModel([case], comm) as model:
-        (step,) = stable_steps(model)
-    fastest = 1e-7 * case.friction * OMEGA * float(model.line.arm.max())  # mm/s per MPa
+    physics = Physics.of([case], assemble(case, comm))
+    with physics.contacts() as contacts:
+        (step,) = stable_steps(physics, contacts)
+    fastest = 1e-7 * case.friction * OMEGA * float(physics.line.arm.max())  # mm/s per MPa
     wear = step * fastest
     modulus = reference.contact_modulus((case.lower.young, NU))
     return abs(wear * modulus / (3.0 / n) / reference.EXPLICIT_LIMIT - 1.0)

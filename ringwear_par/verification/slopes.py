@@ -9,7 +9,6 @@ import numpy as np
 from mpi4py import MPI
 
 from ringwear_par.arrays import FloatArray
-from ringwear_par.batched import one
 from ringwear_par.cases.case import Case
 from ringwear_par.elasticity.bem.body import boundary_conditions, solve_body
 from ringwear_par.elasticity.bem.boundary import boundary_mesh
@@ -17,9 +16,8 @@ from ringwear_par.elasticity.geometry.mesh import ContactLine, Mesh, contact_lin
 from ringwear_par.elasticity.geometry.sections import Body, Section
 from ringwear_par.history.elastic.bodies import bodies, young
 from ringwear_par.history.elastic.pairs import assemble
-from ringwear_par.history.model import WearModel
 from ringwear_par.history.observers.trace import trace
-from ringwear_par.history.start import initial_state
+from ringwear_par.history.start import first_contact
 from ringwear_par.verification import reference
 from ringwear_par.verification.check import NU, SIZES, Check, converging, identity
 from ringwear_par.verification.edges import both_wear, rows_against, steady_rows
@@ -68,9 +66,9 @@ def cone_errors(
 def _finite_element_rows(degrees: float, comm: MPI.Comm) -> Iterator[Check]:
     errors: list[dict[str, float]] = []
     for n in SIZES:
-        with WearModel([ring_case(Rings(CONTACT, (1e4, 1e5), degrees), Mesh(n))], comm) as model:
-            first = one(initial_state(model).contact, 0)
-        errors.append(cone_errors(degrees, model.line, first.pressure, first.approach))
+        case = ring_case(Rings(CONTACT, (1e4, 1e5), degrees), Mesh(n))
+        first = first_contact(case, comm)
+        errors.append(cone_errors(degrees, case.line, first.pressure, first.approach))
     way = {0.0: "flat", 1.0: "rising"}.get(degrees, "falling")
     said = f"matched cones of {abs(degrees):g} degree, {way}" if degrees else "flat flush rings"
     texts = {"approach": "approach", "p(r)": "p, worst of 5 radii"}
@@ -87,11 +85,11 @@ def _fine_rows(name: str, comm: MPI.Comm) -> Iterator[Check]:
     pairs = [assemble(case, comm) for case in cases]
     histories = [trace(case, comm, pair=pair) for case, pair in zip(cases, pairs, strict=True)]
     yield from rows_against(name, [fine.on(Mesh(n)) for n in SIZES], histories)
-    first, model = histories[-1].states[0].contact, histories[-1].model
-    n, line = model.line.n, model.line
-    flat = model.case.friction * (line.area * line.arm) @ first.pressure
+    first, physics = histories[-1].states[0].contact, histories[-1].physics
+    n, line = physics.line.n, physics.line
+    flat = physics.case.friction * (line.area * line.arm) @ first.pressure
     error = abs(
-        model.torque(first.pressure)[0] / flat * math.cos(math.radians(rings.degrees)) - 1.0
+        physics.torque(first.pressure)[0] / flat * math.cos(math.radians(rings.degrees)) - 1.0
     )
     yield identity(f"{name}: torque, 1 / cos alpha of a flat face's", n,
                    float(error), 1e-12)  # fmt: skip

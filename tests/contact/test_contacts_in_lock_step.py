@@ -135,22 +135,22 @@ def test_every_history_meets_its_conditions(monkeypatch, comm, name, control, sm
 def test_digits_do_not_depend_on_the_company(solver, name, control):
     """Nor does the response: among others, alone, in another order, with some left out."""
     given, wear = {"force": FORCE, "approach": np.linspace(-1e-3, 4e-3, B)}[control], wear_of(name)
-    change, kept = RNG.uniform(0.0, 1e-5, (B, N)), control == "force"
+    change = RNG.uniform(0.0, 1e-5, (B, N))
     every = solver.solve(GAP, **{control: given}, wear=wear)
-    response = solver.response(change, kept)
+    response = solver.response(change)
     for part in (np.array([3]), np.array([10, 0, 5]), np.arange(B)[::-1]):
         taken = BatchSolver(COMPLIANCES, WHICH[part], AREA)
         own = taken.solve(GAP[part], **{control: given[part]}, wear=wear.take(part))
         for what, value in vars(own).items():
             assert np.array_equal(value, getattr(every, what)[part]), what
-        assert np.array_equal(taken.response(change[part], kept), response[part])
+        assert np.array_equal(taken.response(change[part]), response[part])
         taken.destroy()
     some = np.array([1, 4, 9])
     again = solver.take(np.arange(B))
     solver.solve(2.0 * GAP, **{control: given}, wear=wear, histories=some)
     left = np.setdiff1d(np.arange(B), some)
     assert np.array_equal(solver.warm.scaled_pressure[left], again.warm.scaled_pressure[left])
-    assert np.array_equal(solver.response(change, kept)[left], response[left])
+    assert np.array_equal(solver.response(change)[left], response[left])
     again.destroy()
 
 
@@ -162,7 +162,7 @@ def test_no_force_is_no_pressure(solver):
         assert found.force == pytest.approx(given, rel=1e-12)
     assert found.approach[4] == GAP[4].min()
     assert not found.pressure[4].any()
-    assert not solver.response(GAP, True)[4].any()
+    assert not solver.response(GAP)[4].any()
 
 
 def test_who_cannot_be_solved_is_named(solver):

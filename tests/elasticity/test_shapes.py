@@ -13,9 +13,8 @@ from ringwear_par.elasticity.geometry.sections import Section
 from ringwear_par.errors import InputError
 from ringwear_par.history.elastic.bodies import young
 from ringwear_par.history.elastic.pairs import assemble
-from ringwear_par.history.model import WearModel
 from ringwear_par.history.observers.trace import trace
-from ringwear_par.history.start import initial_state
+from ringwear_par.history.start import first_contact
 from ringwear_par.verification.paper import paper_case
 from ringwear_par.verification.reference import contact_modulus
 
@@ -75,7 +74,7 @@ def test_a_shift_of_both_faces_changes_little(comm):
 def test_chamfers_come_into_contact_as_wear_proceeds(comm):
     case = read_case(CASES / "chamfer.toml", ["wear.lower.p0=0", "time.steps=100"])
     history = trace(case, comm)
-    line, states = history.model.line, history.states
+    line, states = history.physics.line, history.states
     reach = [line.edges[:-1][s.contact.pressure > 0].min() for s in states]
     assert reach[0] > 28.6 - 1e-3  # nearly the flat part alone, but for its deformation
     assert reach[-1] < 28.6 - 5e-3
@@ -95,7 +94,7 @@ def test_partly_overlapping_rings(comm):
     assert case.contact == (38.0, 40.0)
     assert case.open_ends == (False, False)
     history = trace(case, comm)
-    pair, states = history.model.compliances.history(0), history.states
+    pair, states = history.physics.compliances.history(0), history.states
     assert pair.symmetry_defect < 1e-3
     # the inner edge digs in, at the free end of the lower ring the pressure is small and regular
     p = states[0].contact.pressure
@@ -113,7 +112,7 @@ def test_a_sphere_wears_where_it_slides(comm):
     modulus = 0.5 * 210e3 / (1 - 0.09)
     hertz = (0.75 * 200.0 * 20.0 / modulus) ** (1 / 3)
     history = trace(case, comm)
-    line, states = history.model.line, history.states
+    line, states = history.physics.line, history.states
     touching = line.edges[1:][states[0].contact.pressure > 0].max()
     assert touching == pytest.approx(hertz, abs=line.width.max())
     wear = states[-1].wear[1]
@@ -176,8 +175,7 @@ def test_dense_samples_of_a_smooth_face_are_splined_and_kinks_stay():
 def test_the_sphere_of_the_case_file_is_that_of_hertz(comm):
     """200 N on a sphere of 20 mm (see sphere.toml), before any wear."""
     case = read_case(Path(__file__).parents[2] / "scripts/cases/sphere.toml")
-    with WearModel([case], comm) as model:
-        p = initial_state(model).contact.pressure[0]
+    p = first_contact(case, comm).pressure
     modulus = contact_modulus(*((b.young, b.poisson) for b in case.rings))
     a = (0.75 * 200.0 * 20.0 / modulus) ** (1.0 / 3.0)
     exact = 1.5 * 200.0 / (np.pi * a * a) * np.sqrt(np.maximum(1.0 - (case.line.r / a) ** 2, 0.0))

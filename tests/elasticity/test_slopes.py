@@ -7,7 +7,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ringwear_par.batched import one
 from ringwear_par.cases.case import Stepping
 from ringwear_par.cases.files.reading import read_case
 from ringwear_par.elasticity.bem.body import compliance
@@ -18,9 +17,8 @@ from ringwear_par.elasticity.geometry.slopes import case_slopes, common_slope, f
 from ringwear_par.elasticity.stress.boundary_fields import FACES
 from ringwear_par.history.elastic.bodies import bodies, young
 from ringwear_par.history.elastic.pairs import assemble, boundary_recovery
-from ringwear_par.history.model import WearModel
 from ringwear_par.history.observers.trace import trace
-from ringwear_par.history.start import initial_state
+from ringwear_par.history.start import first_contact
 from ringwear_par.verification.fine import SORTS, Rings, ring_case
 
 CASES = Path(__file__).parents[2] / "scripts" / "cases"
@@ -159,8 +157,7 @@ def test_falling_cones_are_not_rising_ones(comm):
     mesh, found = Mesh(16), []
     for degrees in (10.0, -10.0):
         case = ring_case(Rings(CONTACT, (1e4, 1e5), degrees), mesh)
-        with WearModel([case], comm) as model:
-            found.append(initial_state(model).contact.pressure)
+        found.append(first_contact(case, comm).pressure)
     assert np.abs(found[0] - found[1]).max() > 5.0
 
 
@@ -208,8 +205,7 @@ def test_displaced_faces_meet_along_the_common_normal(degrees, comm):
     case = ring_case(Rings(CONTACT, (1e4, 1e5), degrees), Mesh(32))
     t = math.tan(math.radians(degrees))
     cos = math.cos(math.radians(degrees))
-    with WearModel([case], comm) as model:
-        contact = one(initial_state(model).contact, 0)
+    contact = first_contact(case, comm)
     p, touching = contact.pressure, contact.pressure > 0.0
     recovery = boundary_recovery(case, comm)
     both = recovery.fields(p, contact.approach, case.friction, np.zeros((2, 32)))

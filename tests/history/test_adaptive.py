@@ -12,9 +12,9 @@ from ringwear_par.batched import one
 from ringwear_par.cases.case import Load, Output, Stepping
 from ringwear_par.errors import ComputationError
 from ringwear_par.history.loop import METHODS
-from ringwear_par.history.model import WearModel
 from ringwear_par.history.observers.balances import balances
 from ringwear_par.history.observers.trace import trace
+from ringwear_par.history.physics import Physics
 from ringwear_par.history.schemes import sdirk2
 from ringwear_par.results.storage import result_files as results
 from ringwear_par.schedules import Table, integral
@@ -67,13 +67,14 @@ def test_stages_are_of_second_order(stepped, paper_pair, comm):
     case, pair = paper_pair
     case = replace(case, wear_lower=ThresholdLaw(1e-7), time=until(40.0, 1e-8))
     start = trace(case, comm, pair=pair).snapshots[-1].state
-    with WearModel([case], comm, pair) as model:
+    physics = Physics.of([case], pair)
+    with physics.contacts() as contacts:
 
         def wear(number):
             state = start
             for i in range(number):
                 end = np.array([40.0 + 160.0 * (i + 1) / number])
-                state = sdirk2.step(model, state, end).state
+                state = sdirk2.step(physics, contacts, state, end).state
             return state.wear[0]
 
         exact = wear(256)
@@ -115,7 +116,7 @@ def test_times_of_output_are_as_accurate_and_change_nothing(stepped):
         _, exact, _ = stepped(time=until(float(state.time), 1e-9))
         assert np.abs(state.wear - exact[-1].wear).max() <= 1e-5
         assert state.contact.pressure == pytest.approx(exact[-1].contact.pressure, rel=0.03)
-        off = balances(snapshot.model, snapshot.state)
+        off = balances(snapshot.physics, snapshot.state)
         assert max(np.max(off[n]) for n in ("force", "volume", "energy", "residual")) <= 1e-9
 
 
@@ -173,7 +174,7 @@ def test_sliding_distance_of_fixed_steps_is_exact(stepped):
         load=Load(pulses, FORCE), time=Stepping("implicit", 4.0, 5), wear_lower=law
     )
     # so little wear leaves the pressure alone
-    p, line = states[0].contact.pressure, history.model.line
+    p, line = states[0].contact.pressure, history.physics.line
     assert states[-1].wear[0] == pytest.approx(1e-14 * p * line.arm * angle, rel=1e-3)
 
 

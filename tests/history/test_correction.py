@@ -20,8 +20,8 @@ from ringwear_par.errors import ComputationError, HistoriesError
 from ringwear_par.history.elastic.bodies import young
 from ringwear_par.history.elastic.pairs import assemble
 from ringwear_par.history.loop import METHODS
-from ringwear_par.history.model import WearModel
 from ringwear_par.history.observers.trace import trace
+from ringwear_par.history.physics import Physics
 from ringwear_par.history.schemes import euler
 from ringwear_par.history.start import initial_state
 from ringwear_par.schedules import in_time
@@ -72,9 +72,10 @@ def test_first_pressures_are_those_of_the_collocated_equations(cases, number, co
     case, pair = cases[number]
     m = pair.line.area
     exact, approach = active_set.solve(weighted(case, pair), m, case.initial_gap, **loads(case, 0))
-    with WearModel([case], comm, pair) as model:
-        first = initial_state(model).contact
-        told, _ = model.asymmetry
+    physics = Physics.of([case], pair)
+    with physics.contacts() as contacts:
+        first = initial_state(physics, contacts).contact
+        told, _ = contacts.largest_errors
     assert errors(first.pressure, exact, m).max() < 1e-3
     assert told <= 1e-4
     assert first.approach == pytest.approx(approach, rel=1e-6)
@@ -110,11 +111,13 @@ def test_corrections_end_once_there_is_nothing_to_correct(cases, comm, monkeypat
 
     monkeypatch.setattr(BatchSolver, "solve", counted)
     nothing, start = np.zeros((2, 1, pair.line.n)), np.zeros(1)
-    with WearModel([case], comm, pair) as model:
-        p = model.contact(start, nothing, nothing[0], exact=True).pressure
+    physics = Physics.of([case], pair)
+    with physics.contacts() as contacts:
+        p = contacts.solve(physics.contact_inputs(start, nothing), nothing[0], exact=True).pressure
         made = len(calls)
         assert 2 <= made <= 6
-        again = model.contact(start, nothing, p, exact=True)  # from the solution on: none to make
+        again = contacts.solve(physics.contact_inputs(start, nothing), p, exact=True)
+        # from the solution on: none to make
         assert len(calls) == made + 1
     assert errors(again.pressure[0], p[0], pair.line.area).max() < 1e-3
 
@@ -129,10 +132,12 @@ def test_pressures_of_an_implicit_step_are_those_of_the_collocated_equations(cas
     assert isinstance(omega, float)
     line = pair.line
     before = trace(case, comm, pair=pair).states[-2]
-    with WearModel([case], comm, pair) as model:
+    physics = Physics.of([case], pair)
+    with physics.contacts() as contacts:
         wear, end = before.wear[:, None], np.array([10.0 * step])
-        during = model.increment(end, np.array([omega]), wear, np.array([step]))
-        found = model.contact(end, wear, before.contact.pressure[None], during, exact=exact)
+        during = physics.increment(end, np.array([omega]), wear, np.array([step]))
+        inputs = physics.contact_inputs(end, wear, during)
+        found = contacts.solve(inputs, before.contact.pressure[None], exact=exact)
     rise = step * law.k * case.friction * omega * line.arm
     gap = case.initial_gap + before.wear.sum(axis=0)
     right, _ = active_set.solve(
@@ -147,22 +152,23 @@ def test_last_pressures_of_a_history_are_near_the_collocated_ones(cases, number,
     """The last step again, all its contacts corrected to the end."""
     case, pair = cases[number]
     history = trace(case, comm, pair=pair)
-    told, e = history.model.asymmetry
+    told, e = history.snapshots[-1].contacts.largest_errors
     assert 0 <= e < pair.line.n
     assert told <= 1e-2
     scheme = METHODS[case.time.scheme].scheme
-    with WearModel([case], comm, pair) as model:
-        contact = model.contact
+    physics = Physics.of([case], pair)
+    with physics.contacts() as contacts:
+        solve = contacts.solve
 
-        def corrected(time, wear, near, during=None, found=None, exact=False, along=None):
+        def corrected(inputs, near, already_solved=None, along=None):
             for _ in range(4):
-                solution = contact(time, wear, near, during, found, exact=True)
+                solution = solve(inputs, near, already_solved=already_solved, exact=True)
                 near = solution.pressure
             return solution
 
-        monkeypatch.setattr(model, "contact", corrected)
+        monkeypatch.setattr(contacts, "solve", corrected)
         before, last = (snapshot.state for snapshot in history.snapshots[-2:])
-        right = scheme(model, before, last.time).state.contact.pressure[0]
+        right = scheme(physics, contacts, before, last.time).state.contact.pressure[0]
     assert errors(history.last.contact.pressure, right, pair.line.area).max() < 0.02
 
 
@@ -220,15 +226,17 @@ def test_histories_together_are_corrected_as_if_alone(cases, comm):
         replace(base, load=Load(5.0, factor * force), friction=mu)
         for factor, mu in ((1.0, 0.1), (0.02, 0.3), (30.0, 0.2))
     ]
-    with WearModel(several, comm, pair) as model:
-        first = initial_state(model)
-        second = euler.forward(model, first, np.array([0.01, 0.02, 0.03])).state
+    physics = Physics.of(several, pair)
+    with physics.contacts() as contacts:
+        first = initial_state(physics, contacts)
+        second = euler.forward(physics, contacts, first, np.array([0.01, 0.02, 0.03])).state
     counts = set()
     for i, case in enumerate(several):
         end = (0.01, 0.02, 0.03)[i]
-        with WearModel([case], comm, pair) as model:
-            alone = initial_state(model)
-            after = euler.forward(model, alone, np.array([end])).state
+        physics = Physics.of([case], pair)
+        with physics.contacts() as contacts:
+            alone = initial_state(physics, contacts)
+            after = euler.forward(physics, contacts, alone, np.array([end])).state
         for together, mine in ((first, alone), (second, after)):
             for name in ("pressure", "gap", "approach", "force", "iterations", "residual"):
                 of_all = getattr(together.contact, name)[i]
@@ -271,11 +279,10 @@ def test_a_contact_that_corrections_do_not_settle_is_refused(cases, comm, monkey
     """Alone with its error; among others it leaves."""
     case, pair = cases[12]
     monkeypatch.setattr(correction, "_EXACT", 1e-30)
-    with (
-        WearModel([case], comm, pair) as model,
-        pytest.raises(ComputationError, match=r"after 10 corrections .* is off by .*allowed 1e-30"),
-    ):
-        initial_state(model)
-    with WearModel([case, case], comm, pair) as model, pytest.raises(HistoriesError) as failure:
-        initial_state(model)
+    told = r"after 10 corrections .* is off by .*allowed 1e-30"
+    one, two = Physics.of([case], pair), Physics.of([case, case], pair)
+    with one.contacts() as contacts, pytest.raises(ComputationError, match=told):
+        initial_state(one, contacts)
+    with two.contacts() as contacts, pytest.raises(HistoriesError) as failure:
+        initial_state(two, contacts)
     assert failure.value.which.all()

@@ -13,9 +13,9 @@ from ringwear_par.cases.case import Load, Ring, Stepping
 from ringwear_par.elasticity.geometry.mesh import Mesh
 from ringwear_par.errors import ComputationError, InputError
 from ringwear_par.history.limits import check_mesh
-from ringwear_par.history.model import WearModel
-from ringwear_par.history.moving_geometry import update_geometry
+from ringwear_par.history.moving_geometry import MovingGeometry
 from ringwear_par.history.observers.trace import trace
+from ringwear_par.history.physics import Physics
 from ringwear_par.history.start import initial_state
 from ringwear_par.verification.histories import round_face
 from ringwear_par.verification.paper import paper_case
@@ -35,10 +35,10 @@ def test_following_changes_little_and_keeps_the_balances(comm, scheme):
     case = paper_case(UPDATED, p0=(0.0, 0.0), k=(1e-7, 2e-8), stepping=scheme)
     history, moved = states(case, comm)
     still, fixed = states(replace(case, mesh=replace(UPDATED, geometry="fixed")), comm)
-    following, once = history.model.geometry, history.model.pair.cost.kernel_evaluations
+    following, once = history.physics, history.physics.pair.cost.kernel_evaluations
     assert following.updates >= 4
-    assert following.cost.kernel_evaluations > 0.5 * following.updates * once > 0.0
-    assert still.model.geometry is None
+    assert following.update_cost.kernel_evaluations > 0.5 * following.updates * once > 0.0
+    assert still.physics.updates == 0
     last = moved[-1]
     assert history.balances.worst <= 1e-9
     assert history.balances.volume <= 1e-12
@@ -106,14 +106,14 @@ def test_volume_balance_while_the_contact_grows(comm, shape, geometry):
     assert history.balances.volume <= 1e-10
     assert history.balances.energy <= 1e-10
     assert history.balances.force <= 1e-10
-    line = history.model.line
+    line = history.physics.line
     # the cut that has the same volume: how deep is it, and does it reach as far as the contact?
     depth = np.interp(line.r, *zip(*face, strict=True))
     cut = np.maximum(depth - np.linspace(-0.1, 0.0, 4001)[:, None], 0.0) @ line.area
     deepest = -float(np.interp(last.worn[1], cut[::-1], np.linspace(-0.1, 0.0, 4001)[::-1]))
     assert last.wear[1].max() == pytest.approx(deepest, rel=0.15)
     if geometry == "updated":
-        assert history.model.geometry.updates >= 1
+        assert history.physics.updates >= 1
 
 
 def test_bodies_that_interpenetrate_too_much(comm):
@@ -145,11 +145,13 @@ def test_places_that_stand_out_are_told_with_where(comm):
     wear[0] = 8.0
     wear[0, ::2] = 0.01
     case = paper_case(UPDATED, p0=(0.0, None), stepping=Stepping("implicit", 5.0, 40))
-    with WearModel([case], comm) as model:
-        state = replace(initial_state(model), wear=wear[:, None])
+    geometry = MovingGeometry(case, comm)
+    physics = Physics.of([case], geometry.unworn())
+    with physics.contacts() as contacts:
+        state = replace(initial_state(physics, contacts), wear=wear[:, None])
         told = r"lower is worn by 8 mm at r = .* and by 0\.01 mm at r = .* beside it"
         with pytest.raises(ComputationError, match=told):
-            update_geometry(model, state)
+            geometry.follow(physics, contacts, state)
 
 
 def test_a_hole_that_drowns_in_round_off_is_refused():

@@ -9,8 +9,8 @@ import pytest
 from ringwear_par.cases.case import Load, Stepping
 from ringwear_par.history.elastic.bodies import young
 from ringwear_par.history.elastic.pairs import assemble
-from ringwear_par.history.model import WearModel
 from ringwear_par.history.observers.trace import trace
+from ringwear_par.history.physics import Physics
 from ringwear_par.history.stability import stable_steps
 from ringwear_par.wear.laws.threshold import ThresholdLaw
 
@@ -43,7 +43,7 @@ def test_balances_at_every_step(stepped, scheme):
     assert 0 < worst.reaction <= 1e-4
     assert worst.residual <= 1e-9
     # recomputed from the states themselves
-    line, case = history.model.line, history.model.case
+    line, case = history.physics.line, history.physics.case
     energy = 0.0
     for before, after in itertools.pairwise(states):
         p = (after if scheme == "implicit" else before).contact.pressure
@@ -67,7 +67,7 @@ def test_twenty_steps_nearly_serve_for_two_hundred(stepped):
             history, states = stepped(
                 wear_lower=ThresholdLaw(1e-7, p0), time=steps("implicit", 200.0 / number, number)
             )
-            volumes.append(history.model.integrals(states[-1].wear)[0])
+            volumes.append(history.physics.integrals(states[-1].wear)[0])
             depths.append(states[-1].contact.approach - states[0].contact.approach)
         assert volumes[0] == pytest.approx(volumes[1], rel=tolerance)
         assert 1e3 * depths[1] == pytest.approx(
@@ -77,7 +77,7 @@ def test_twenty_steps_nearly_serve_for_two_hundred(stepped):
 
 def test_steady_pressure_at_2000_s(stepped):
     history, states = stepped(wear_lower=ThresholdLaw(1e-7), time=steps("implicit", 5.0, 400))
-    line, case = history.model.line, history.model.case
+    line, case = history.physics.line, history.physics.case
     c = case.load.force / (2 * np.pi * 3.0)
     p = states[-1].contact.pressure
     assert np.abs(p * line.r / c - 1)[1:-1].max() < 1e-3
@@ -137,8 +137,9 @@ def test_both_schemes_are_of_first_order_and_meet(stepped):
 
 @pytest.mark.most_ranks(2)
 def test_explicit_limit_separates_smooth_from_oscillating(stepped, paper_pair, comm):
-    with WearModel([paper_pair[0]], comm, paper_pair[1]) as model:
-        (limit,) = stable_steps(model)
+    physics = Physics.of([paper_pair[0]], paper_pair[1])
+    with physics.contacts() as contacts:
+        (limit,) = stable_steps(physics, contacts)
 
     def roughness(factor):
         _, states = stepped(
@@ -176,7 +177,7 @@ def test_same_history_on_any_number_of_ranks(stepped, comm):
     from mpi4py import MPI
 
     history, states = stepped(time=steps("implicit", 1.0, 10))
-    alone = assemble(history.model.case, MPI.COMM_SELF)
+    alone = assemble(history.physics.case, MPI.COMM_SELF)
     _, single = stepped(alone, time=steps("implicit", 1.0, 10))
     assert states[-1].contact.approach == pytest.approx(single[-1].contact.approach, rel=1e-9)
     assert states[-1].wear[0] == pytest.approx(single[-1].wear[0], rel=1e-9)
@@ -186,17 +187,17 @@ def test_same_history_on_any_number_of_ranks(stepped, comm):
 
 def test_torque_of_uniform_pressure_and_of_the_steady_state(stepped, paper_pair):
     history, states = stepped(wear_lower=ThresholdLaw(1e-7), time=steps("implicit", 40.0, 200))
-    uniform = np.full(history.model.line.n, 80.0)
+    uniform = np.full(history.physics.line.n, 80.0)
     exact = 0.1 * 80.0 * 2 * np.pi / 3 * (31.5**3 - 28.5**3)
-    line = history.model.line
+    line = history.physics.line
     # elements bear c / r, of which a uniform pressure is so much of another torque
     other = 0.1 * line.area @ (uniform * (line.uniform_arm - line.arm))
-    assert history.model.torque(uniform) + other == pytest.approx(exact, rel=1e-13)
-    worn = history.model.torque(2400.0 / line.r)
+    assert history.physics.torque(uniform) + other == pytest.approx(exact, rel=1e-13)
+    worn = history.physics.torque(2400.0 / line.r)
     assert worn == pytest.approx(0.1 * 2400.0 * np.pi * (31.5**2 - 28.5**2), rel=1e-13)
     # p = c/r: the friction force acts at the mean radius
-    steady = history.model.torque(states[-1].contact.pressure)
-    assert steady == pytest.approx(0.1 * history.model.case.load.force * 30.0, rel=1e-10)
+    steady = history.physics.torque(states[-1].contact.pressure)
+    assert steady == pytest.approx(0.1 * history.physics.case.load.force * 30.0, rel=1e-10)
 
 
 def test_twist_of_the_upper_ring_alone(paper_pair, comm):

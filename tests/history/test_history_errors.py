@@ -43,7 +43,7 @@ def history(paper, law, tolerance, end=200.0):
 
 def error_of(found, paper):
     """Return the largest error of wear at the ends of steps, mm."""
-    case, states = found.model.case, found.states[1:]
+    case, states = found.physics.case, found.states[1:]
     finer = replace(case.time, tolerance=0.02 * case.time.tolerance)
     times = Output(times=tuple(state.time for state in states))
     exact = trace(replace(case, time=finer, output=times), ALONE, pair=paper[1])

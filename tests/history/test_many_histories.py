@@ -1,4 +1,4 @@
-"""Many histories that share a pair, through model, schemes and balances: each as if alone."""
+"""Many histories that share a pair, through physics, schemes and balances: each as if alone."""
 
 from dataclasses import astuple, replace
 
@@ -8,8 +8,8 @@ import pytest
 from ringwear_par.cases.case import Load
 from ringwear_par.elasticity.geometry.mesh import Mesh
 from ringwear_par.history.elastic.pairs import assemble
-from ringwear_par.history.model import WearModel
 from ringwear_par.history.observers.balances import balances
+from ringwear_par.history.physics import Physics
 from ringwear_par.history.schemes import euler, sdirk2
 from ringwear_par.history.start import initial_state
 from ringwear_par.schedules import Table
@@ -81,14 +81,15 @@ def parts(state):
 
 
 def two_steps(cases, comm, pair, scheme, ends):
-    """Both steps, the balances after them, and what the model makes of the last pressures."""
+    """Both steps, the balances after them, and what the physics makes of the last pressures."""
     step = SCHEMES[scheme]
-    with WearModel(cases, comm, pair) as model:
-        steps = [step(model, initial_state(model), ends[0])]
-        steps.append(step(model, steps[0].state, ends[1]))
+    physics = Physics.of(cases, pair)
+    with physics.contacts() as contacts:
+        steps = [step(physics, contacts, initial_state(physics, contacts), ends[0])]
+        steps.append(step(physics, contacts, steps[0].state, ends[1]))
         p = steps[1].state.contact.pressure
-        off = balances(model, steps[1].state)
-        return steps, off, {"torque": model.torque(p), "twist": model.twist(p)}
+        off = balances(physics, steps[1].state)
+        return steps, off, {"torque": physics.torque(p), "twist": physics.twist(p)}
 
 
 @pytest.mark.parametrize("scheme", SCHEMES)
@@ -119,18 +120,21 @@ def test_each_history_is_as_if_alone(base, pair, comm, scheme, name):
 def test_loads_of_different_kinds_do_not_go_together(base, pair, comm):
     cases = [base, replace(base, load=Load(OMEGA, displacement=0.05))]
     with pytest.raises(ValueError, match="cannot be stacked"):
-        WearModel(cases, comm, pair)
+        Physics.of(cases, pair)
 
 
 def test_the_volume_balance_sees_depths_that_are_not_those_of_the_rates(base, pair, comm):
     """The rate is integrated apart from the depths: what a step forgets to wear off is missed."""
-    with WearModel([base], comm, pair) as model:
-        sound = euler.backward(model, initial_state(model), np.ones(1)).state
-        assert balances(model, sound)["volume"] < 1e-14
+    physics = Physics.of([base], pair)
+    with physics.contacts() as contacts:
+        sound = euler.backward(
+            physics, contacts, initial_state(physics, contacts), np.ones(1)
+        ).state
+        assert balances(physics, sound)["volume"] < 1e-14
         wear = sound.wear.copy()
         wear[0, 0, 3] *= 1.01
-        missed = wear[0, 0, 3] / 101.0 * model.area[3] / (wear @ model.area).max()
-        spoilt = balances(model, replace(sound, wear=wear))
+        missed = wear[0, 0, 3] / 101.0 * physics.area[3] / (wear @ physics.area).max()
+        spoilt = balances(physics, replace(sound, wear=wear))
     assert spoilt["volume"] == pytest.approx(missed, rel=1e-6)
 
 
@@ -138,13 +142,14 @@ def test_the_volume_balance_sees_depths_that_are_not_those_of_the_rates(base, pa
 def test_the_estimated_error_of_a_step_is_of_the_size_of_the_error(base, pair, comm, scheme):
     """Of one step from a state that has left the singular transient behind, against many."""
     step, start, end = SCHEMES[scheme], 30.0, 34.0
-    with WearModel([base], comm, pair) as model:
-        state = initial_state(model)
+    physics = Physics.of([base], pair)
+    with physics.contacts() as contacts:
+        state = initial_state(physics, contacts)
         for time in np.linspace(0.0, start, 61)[1:]:
-            state = sdirk2.step(model, state, np.array([time])).state
+            state = sdirk2.step(physics, contacts, state, np.array([time])).state
         exact = state
         for time in np.linspace(start, end, 81)[1:]:
-            exact = sdirk2.step(model, exact, np.array([time])).state
-        found = step(model, state, np.array([end]))
+            exact = sdirk2.step(physics, contacts, exact, np.array([time])).state
+        found = step(physics, contacts, state, np.array([end]))
     error = np.abs((found.state.wear - exact.wear).sum(axis=0)).max()
     assert 0.1 < found.wear_error / error < 10.0

@@ -9,9 +9,9 @@ import pytest
 from ringwear_par.cases.case import Output
 from ringwear_par.cases.files.reading import read_case
 from ringwear_par.history.elastic.pairs import assemble
-from ringwear_par.history.model import WearModel
 from ringwear_par.history.observers.balances import balances
 from ringwear_par.history.observers.trace import trace
+from ringwear_par.history.physics import Physics
 from ringwear_par.history.schemes import sdirk2
 from ringwear_par.history.schemes.closing_elements import entering
 from ringwear_par.history.start import initial_state
@@ -86,14 +86,14 @@ def test_elements_enter_where_the_contact_is_about_to_grow(crown, comm):
     case, pair = crown
     state = trace(replace(case, time=replace(case.time, until=40.0)), comm, pair=pair)
     state = state.snapshots[-1].state
-    with WearModel([case], comm, pair) as model:
-        assert entering(model, state, np.array([1e-6])) is None
-        late = entering(model, state, np.array([10.0])).late[0]
-        touching = np.flatnonzero(state.contact.pressure[0] > 0.0)
-        assert set(np.flatnonzero(late)) <= {*range(touching[0]), *range(touching[-1] + 1, 32)}
-        assert late[touching[0] - 1] or late[touching[-1] + 1]
-        still = replace(state, rates=np.zeros_like(state.rates))
-        assert entering(model, still, np.array([10.0])) is None
+    physics = Physics.of([case], pair)
+    assert entering(physics, state, np.array([1e-6])) is None
+    late = entering(physics, state, np.array([10.0])).late[0]
+    touching = np.flatnonzero(state.contact.pressure[0] > 0.0)
+    assert set(np.flatnonzero(late)) <= {*range(touching[0]), *range(touching[-1] + 1, 32)}
+    assert late[touching[0] - 1] or late[touching[-1] + 1]
+    still = replace(state, rates=np.zeros_like(state.rates))
+    assert entering(physics, still, np.array([10.0])) is None
 
 
 def test_steps_with_entering_elements_together_are_as_if_alone(crown, comm):
@@ -101,21 +101,23 @@ def test_steps_with_entering_elements_together_are_as_if_alone(crown, comm):
     case, pair = crown
     cases = [replace(case, wear_upper=ArchardLaw(k)) for k in (1e-7, 1e-9, 3e-7)]
     ends = [np.array([20.0, 20.0, 5.0]), np.array([26.0, 26.0, 9.0]), np.array([33.0, 28.0, 12.0])]
-    with WearModel(cases, comm, pair) as model:
-        state, together, grown = initial_state(model), [], 0
+    physics = Physics.of(cases, pair)
+    with physics.contacts() as contacts:
+        state, together, grown = initial_state(physics, contacts), [], 0
         for end in ends:
-            grown += entering(model, state, end - state.time) is not None
-            together.append(sdirk2.step(model, state, end))
+            grown += entering(physics, state, end - state.time) is not None
+            together.append(sdirk2.step(physics, contacts, state, end))
             state = together[-1].state
-        off = balances(model, state)
+        off = balances(physics, state)
         assert off["volume"].max() < 1e-12
         assert off["energy"].max() < 1e-12
     assert grown
     for i, each in enumerate(cases):
-        with WearModel([each], comm, pair) as model:
-            state = initial_state(model)
+        physics = Physics.of([each], pair)
+        with physics.contacts() as contacts:
+            state = initial_state(physics, contacts)
             for end, of_all in zip(ends, together, strict=True):
-                alone = sdirk2.step(model, state, end[i : i + 1])
+                alone = sdirk2.step(physics, contacts, state, end[i : i + 1])
                 state, pressure = alone.state, of_all.state.contact.pressure[i]
                 assert np.array_equal(of_all.state.wear[:, i], state.wear[:, 0])
                 assert np.array_equal(pressure, state.contact.pressure[0])

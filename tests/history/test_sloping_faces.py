@@ -17,10 +17,10 @@ from ringwear_par.elasticity.geometry.slopes import case_slopes, common_slope
 from ringwear_par.history.elastic.bodies import bodies
 from ringwear_par.history.elastic.pairs import assemble, updated_geometry
 from ringwear_par.history.loop import simulate_one
-from ringwear_par.history.model import WearModel
 from ringwear_par.history.observers.balances import balances
 from ringwear_par.history.observers.trace import trace
 from ringwear_par.history.observers.validity import WorstStates
+from ringwear_par.history.physics import Physics
 from ringwear_par.history.schemes import euler, sdirk2
 from ringwear_par.history.start import initial_state
 from ringwear_par.results.warnings import validity_warnings
@@ -54,13 +54,14 @@ def cones(comm):
 def test_torque_and_energy_are_those_of_the_true_area(cones, comm):
     case, pair = cones
     line = pair.line
-    with WearModel([case], comm, pair) as model:
-        state = initial_state(model)
+    physics = Physics.of([case], pair)
+    with physics.contacts() as contacts:
+        state = initial_state(physics, contacts)
         p = state.contact.pressure
         flat = case.friction * float((line.area * line.arm) @ p[0])
-        assert model.torque(p) == pytest.approx(flat / COS, rel=1e-12)
+        assert physics.torque(p) == pytest.approx(flat / COS, rel=1e-12)
         assert line.area @ p[0] == pytest.approx(case.load.force, rel=1e-12)
-        step = euler.backward(model, state, np.array([2.0])).state
+        step = euler.backward(physics, contacts, state, np.array([2.0])).state
         flat = case.friction * float((line.area * line.arm) @ step.contact.pressure[0])
         power = case.load.omega * flat / COS
         assert step.energy == pytest.approx(2.0 * power, rel=1e-12)
@@ -96,11 +97,12 @@ def test_other_laws_keep_their_balances_on_cones(cones, laws, comm):
     base, pair = cones
     case = replace(base, wear_lower=laws[0], wear_upper=laws[1])
     for step in (euler.backward, euler.forward, sdirk2.step):
-        with WearModel([case], comm, pair) as model:
-            state = initial_state(model)
+        physics = Physics.of([case], pair)
+        with physics.contacts() as contacts:
+            state = initial_state(physics, contacts)
             for end in (0.5, 1.0, 2.0):
-                state = step(model, state, np.array([end])).state
-                found = balances(model, state)
+                state = step(physics, contacts, state, np.array([end])).state
+                found = balances(physics, state)
                 assert found["volume"] < 1e-12
                 assert found["energy"] < 1e-12
                 assert found["force"] < 1e-12
@@ -118,15 +120,17 @@ def test_histories_on_cones_together_are_as_if_alone(cones, step, comm):
         for k, mu in ((9e-7, 0.1), (3e-7, 0.3), (1e-7, 0.2))
     ]  # fmt: skip
     ends = np.array([0.3, 0.2, 0.5])
-    with WearModel(several, comm, pair) as model:
-        first = step(model, initial_state(model), ends).state
-        second = step(model, first, 2.0 * ends).state
-        assert balances(model, second)["volume"].max() < 1e-12
+    physics = Physics.of(several, pair)
+    with physics.contacts() as contacts:
+        first = step(physics, contacts, initial_state(physics, contacts), ends).state
+        second = step(physics, contacts, first, 2.0 * ends).state
+        assert balances(physics, second)["volume"].max() < 1e-12
     for i, case in enumerate(several):
         end = ends[i : i + 1]
-        with WearModel([case], comm, pair) as model:
-            alone = step(model, initial_state(model), end).state
-            alone = step(model, alone, 2.0 * end).state
+        physics = Physics.of([case], pair)
+        with physics.contacts() as contacts:
+            alone = step(physics, contacts, initial_state(physics, contacts), end).state
+            alone = step(physics, contacts, alone, 2.0 * end).state
         assert np.array_equal(second.wear[:, i], alone.wear[:, 0])
         assert np.array_equal(second.worn[:, i], alone.worn[:, 0])
         assert np.array_equal(second.contact.pressure[i], alone.contact.pressure[0])
@@ -138,8 +142,11 @@ def test_averages_keep_the_volume_of_the_true_area(cones, comm):
     base, pair = cones
     law = NonLocalLaw(1e-7, 0.0, length=0.3)
     case, line = replace(base, wear_lower=law, wear_upper=None), pair.line
-    with WearModel([case], comm, pair) as model:
-        state = euler.backward(model, initial_state(model), np.array([2.0])).state
+    physics = Physics.of([case], pair)
+    with physics.contacts() as contacts:
+        state = euler.backward(
+            physics, contacts, initial_state(physics, contacts), np.array([2.0])
+        ).state
         worn, p = state.wear[0, 0], state.contact.pressure[0]
         average = averaging(line.r, line.area / COS, 0.3)
     speed = case.load.omega * line.arm
@@ -153,9 +160,12 @@ def test_running_in_remembers_depths_along_the_normal(cones, comm):
     base, pair = cones
     law = RunningInLaw(1e-7, 9e-7, 0.0, depth=2e-4)
     case = replace(base, wear_lower=law, wear_upper=None)
-    with WearModel([case], comm, pair) as model:
-        first = euler.backward(model, initial_state(model), np.array([2.0])).state
-        second = euler.backward(model, first, np.array([5.0])).state
+    physics = Physics.of([case], pair)
+    with physics.contacts() as contacts:
+        first = euler.backward(
+            physics, contacts, initial_state(physics, contacts), np.array([2.0])
+        ).state
+        second = euler.backward(physics, contacts, first, np.array([5.0])).state
     depth, p = second.wear[0, 0] * COS, second.contact.pressure[0]
     k = law.k + (law.k_start - law.k) * np.exp(-depth / law.depth)
     rate = k * case.friction * case.load.omega * pair.line.arm * p
@@ -245,8 +255,8 @@ def cutting(comm):
 
 def test_pressure_on_a_conforming_chamfer_is_that_beside_it_times_the_cosine(cutting):
     """All of the face goes down at one rate along the axis: k p V / cos alpha."""
-    last, slope = cutting.last, cutting.model.compliances.history(0).slope
-    p, line = last.contact.pressure, cutting.model.line
+    last, slope = cutting.last, cutting.physics.compliances.history(0).slope
+    p, line = last.contact.pressure, cutting.physics.line
     assert 0.05 < last.wear[0].max() < 0.1
     assert not last.wear[1].any()
     for side, sign in ((line.r < 30.0, -1.0), (line.r > 30.0, 1.0)):
@@ -269,7 +279,7 @@ def test_pressure_on_a_conforming_chamfer_is_that_beside_it_times_the_cosine(cut
 
 def test_a_body_that_does_not_wear_is_solved_again_when_the_slope_turns(cutting, comm):
     """And not otherwise; what it gives way is that of a fresh assembly with that slope."""
-    case = cutting.model.case
+    case = cutting.physics.case
     moving, n = updated_geometry(case, comm), case.line.n
     pairs = [moving.update(np.zeros((2, n)))]
     assert not pairs[0].slope.any()
@@ -365,9 +375,10 @@ def test_archard_on_a_cone_is_worn_along_the_axis_by_more(cones, comm):
     """The law knows no friction; the depth along the axis is that along the normal / cos alpha."""
     base, pair = cones
     case = replace(base, wear_lower=ArchardLaw(1e-8), wear_upper=None)
-    with WearModel([case], comm, pair) as model:
-        state = initial_state(model)
-        rates = model.rates_at(np.zeros(1), state.wear, state.contact.pressure)
+    physics = Physics.of([case], pair)
+    with physics.contacts() as contacts:
+        state = initial_state(physics, contacts)
+        rates = physics.rates_at(np.zeros(1), state.wear, state.contact.pressure)
     exact = 1e-8 * state.contact.pressure[0] * case.load.omega * pair.line.arm
     assert rates[0, 0] * COS == pytest.approx(exact, rel=1e-12)
     assert not rates[1].any()

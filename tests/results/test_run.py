@@ -187,10 +187,10 @@ def test_a_failure_at_a_time_of_output_leaves_no_row_twice(shared_path, comm, mo
     run_case(PAPER, whole, keys, comm=comm)
     step = METHODS["implicit"].scheme
 
-    def failing(model, state, end):
+    def failing(physics, contacts, state, end):
         if end[0] == 2.5:
             raise ComputationError("contact: no")
-        return step(model, state, end)
+        return step(physics, contacts, state, end)
 
     with monkeypatch.context() as patch:
         patch.setitem(METHODS, "implicit", METHODS["implicit"]._replace(scheme=failing))

@@ -68,10 +68,10 @@ def test_a_law_that_raises_on_one_rank_fails_its_cases(
 def test_a_start_that_fails_on_one_rank_fails_its_case(swept, shared_path, comm, monkeypatch):
     initial_state = loop.initial_state
 
-    def failing(model):
-        if is_bad(model.case.wear_lower) and comm.rank == comm.size - 1:
+    def failing(physics, contacts):
+        if is_bad(physics.case.wear_lower) and comm.rank == comm.size - 1:
             raise MemoryError("no room")
-        return initial_state(model)
+        return initial_state(physics, contacts)
 
     monkeypatch.setattr(loop, "initial_state", failing)
     with pytest.raises(ComputationError, match="4 of 12 cases failed"):

@@ -7,7 +7,7 @@ import numpy as np
 
 from ringwear_par.arrays import FloatArray, relative
 from ringwear_par.history.layers import layer_volumes
-from ringwear_par.history.model import WearModel
+from ringwear_par.history.physics import Physics
 from ringwear_par.history.snapshots import Snapshot
 from ringwear_par.history.state import State
 from ringwear_par.schedules import in_time
@@ -54,21 +54,21 @@ TO_ROUND_OFF = ("force", "volume", "energy", "residual")
 _NAMES = [declared.name for declared in fields(Balances)]
 
 
-def balances(model: WearModel, state: State) -> dict[str, Any]:
+def balances(physics: Physics, state: State) -> dict[str, Any]:
     """Return the defects of a state by name, each a float, or (B,) of B histories. Not collective.
 
     All but ``step_error``, which is that of a step.
     """
     contact = state.contact
-    turned, lower, upper, turned_lower, turned_upper = model.reactions(contact.pressure)
-    volumes, worn = model.integrals(state.wear), state.worn
+    turned, lower, upper, turned_lower, turned_upper = physics.reactions(contact.pressure)
+    volumes, worn = physics.integrals(state.wear), state.worn
     identity: Any = 0.0
-    for body, (ratio, volume) in enumerate(zip(model.inputs.per_energy, volumes, strict=True)):
+    for body, (ratio, volume) in enumerate(zip(physics.inputs.per_energy, volumes, strict=True)):
         if isinstance(ratio, list):
-            identity = np.maximum(identity, _layers_defect(model, state, body, ratio))
+            identity = np.maximum(identity, _layers_defect(physics, state, body, ratio))
         elif ratio is not None:
             identity = np.maximum(identity, _defect(volume, ratio * state.energy))
-    force = None if model.inputs.force is None else in_time(model.inputs.force, state.time)
+    force = None if physics.inputs.force is None else in_time(physics.inputs.force, state.time)
     off = np.maximum(abs(volumes[0] - worn[0]), abs(volumes[1] - worn[1]))
     total = np.maximum(volumes[0], volumes[1])
     return {
@@ -81,12 +81,12 @@ def balances(model: WearModel, state: State) -> dict[str, Any]:
     }
 
 
-def _layers_defect(model: WearModel, state: State, body: int, ratios: list[Any]) -> Any:
+def _layers_defect(physics: Physics, state: State, body: int, ratios: list[Any]) -> Any:
     """Return how far the energy is off what volumes worn off the layers of a body took of it.
 
     0 where a law of them has no fixed volume by energy.
     """
-    volumes = layer_volumes(model, body, state.wear[body])
+    volumes = layer_volumes(physics, body, state.wear[body])
     known = np.all([np.asarray(ratio) > 0.0 for ratio in ratios], axis=0)
     took = sum(
         np.divide(volumes[..., number], ratio, where=known, out=np.zeros(volumes.shape[:-1]))
@@ -130,7 +130,7 @@ class WorstBalances:
         if snapshot.passing:
             return False
         new = np.flatnonzero(snapshot.accepted)
-        values, numbers = balances(snapshot.model, snapshot.state), snapshot.numbers[new]
+        values, numbers = balances(snapshot.physics, snapshot.state), snapshot.numbers[new]
         if snapshot.step is not None:
             values["step_error"] = snapshot.step.history_error
             closing = np.broadcast_to(snapshot.step.closing, snapshot.accepted.shape)[new]

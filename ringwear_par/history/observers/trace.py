@@ -6,8 +6,8 @@ from ringwear_par.batched import one
 from ringwear_par.cases.case import SAME_TIME, Case
 from ringwear_par.elasticity.bem.pair import ContactPair
 from ringwear_par.history.loop import simulate_one
-from ringwear_par.history.model import WearModel
 from ringwear_par.history.observers.balances import Balances, WorstBalances
+from ringwear_par.history.physics import Physics
 from ringwear_par.history.snapshots import Snapshot
 from ringwear_par.history.state import State
 
@@ -54,9 +54,9 @@ class Trace:
         return int(self.snapshots[-1].progress.steps[0])
 
     @property
-    def model(self) -> WearModel:
+    def physics(self) -> Physics:
         """The physics; its contact solver is gone."""
-        return self.snapshots[-1].model
+        return self.snapshots[-1].physics
 
     @property
     def balances(self) -> Balances:

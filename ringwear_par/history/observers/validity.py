@@ -14,7 +14,7 @@ from ringwear_par.elasticity.geometry.slopes import case_slopes
 from ringwear_par.elasticity.stress.boundary_fields import BODIES
 
 if TYPE_CHECKING:  # opening a result, which has the worst states of its history, starts no MPI
-    from ringwear_par.history.model import WearModel
+    from ringwear_par.history.physics import Physics
     from ringwear_par.history.snapshots import Snapshot
 
 #: fewer elements in contact than this do not resolve it
@@ -74,7 +74,7 @@ class WorstStates:
         """Take new states: an observer. Not collective."""
         if snapshot.passing:
             return False
-        model, state = snapshot.model, snapshot.state
+        physics, state = snapshot.physics, snapshot.state
         places = np.flatnonzero(snapshot.accepted)
         numbers = snapshot.numbers[places]
         contact, wear, time = state.contact, state.wear, state.time
@@ -96,17 +96,17 @@ class WorstStates:
         take(_MOVED, np.maximum(approach, wear.max(axis=(0, 2))))
         take(_FORCE, force)
         enough = count >= min(FEW_ELEMENTS, n)
-        area = inner(model.area, bearing.astype(float))
+        area = inner(physics.area, bearing.astype(float))
         take(_MEAN_PRESSURE, np.divide(force, area, out=np.zeros_like(force), where=enough))
         for few in np.unique(count[~enough & (count > 0)]).tolist():
             take(force_on(few), np.where(count == few, force, 0.0))
-        errors, elements = model.asymmetry
-        take(_ASYMMETRY, errors, model.line.r[elements])
-        take(_SYMMETRY_DEFECT, model.compliances.symmetry_defect)
+        errors, elements = snapshot.contacts.largest_errors
+        take(_ASYMMETRY, errors, physics.line.r[elements])
+        take(_SYMMETRY_DEFECT, physics.compliances.symmetry_defect)
         if self._sloping:
-            take(_UNLIKE_SLOPES, *_unlike_slopes(model, p, wear))
+            take(_UNLIKE_SLOPES, *_unlike_slopes(physics, p, wear))
         for i in self._layered:
-            for layer, share in enumerate(_worn_shares(model, i, p, wear[i])):
+            for layer, share in enumerate(_worn_shares(physics, i, p, wear[i])):
                 take(worn_share(i, layer), share)
         return False
 
@@ -121,17 +121,17 @@ class WorstStates:
             self._table[self._rows[name], :, 0] = before[name]
 
 
-def _worn_shares(model: "WearModel", body: int, p: FloatArray, wear: FloatArray) -> FloatArray:
+def _worn_shares(physics: "Physics", body: int, p: FloatArray, wear: FloatArray) -> FloatArray:
     """Return the shares of a body's layers that are worn off, meant by load, (layers, B).
 
     Parameters
     ----------
     p, wear : (B, n), MPa and mm.
     """
-    ends = model.layer_ends[body]
+    ends = physics.layer_ends[body]
     assert ends is not None
     starts = np.concatenate([np.zeros_like(ends[:1]), ends[:-1]])
-    load = model.area * p
+    load = physics.area * p
     total = load.sum(axis=1)
     shares = [
         np.einsum("bi,bi->b", (np.clip(wear, start, end) - start) / (end - start), load)
@@ -140,7 +140,7 @@ def _worn_shares(model: "WearModel", body: int, p: FloatArray, wear: FloatArray)
     return np.divide(shares, total, out=np.zeros((len(ends), len(p))), where=total > 0.0)
 
 
-def _unlike_slopes(model: "WearModel", p: FloatArray, wear: FloatArray) -> tuple[FloatArray, ...]:
+def _unlike_slopes(physics: "Physics", p: FloatArray, wear: FloatArray) -> tuple[FloatArray, ...]:
     """Return the share of the load between faces of unlike slopes, and where; see ``WorstStates``.
 
     Slopes are those of the faces now, and the one along whose normal elements have the pressure.
@@ -149,8 +149,8 @@ def _unlike_slopes(model: "WearModel", p: FloatArray, wear: FloatArray) -> tuple
     ----------
     p, wear : (B, n) MPa, (2, B, n) mm.
     """
-    line, acts = model.line, model.compliances.every[0].slope
-    lower, upper = case_slopes(model.case.sections, line, model.case.mesh, wear)
+    line, acts = physics.line, physics.compliances.every[0].slope
+    lower, upper = case_slopes(physics.case.sections, line, physics.case.mesh, wear)
     slopes = np.stack([lower, upper, np.broadcast_to(acts, lower.shape)])
     angles = np.degrees(np.arctan(slopes))  # (3, B, n)
     load = line.area * p

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from ringwear_par.arrays import BoolArray, FloatArray, columns, inner
-from ringwear_par.history.model import WearModel
+from ringwear_par.history.physics import Physics
 from ringwear_par.history.state import State
 from ringwear_par.wear.increment import Closing, WearIncrement
 from ringwear_par.wear.layered_increment import LayeredIncrement
@@ -95,7 +95,7 @@ class Entering:
         return np.where(late, d_counts, d_more[..., None])
 
 
-def entering(model: WearModel, state: State, length: FloatArray) -> Entering | None:
+def entering(physics: Physics, state: State, length: FloatArray) -> Entering | None:
     """Return the elements that wear may bring into contact; None where there are none.
 
     Where an element that wears yields more elastically than it wears, its gap is not closed by
@@ -103,22 +103,22 @@ def entering(model: WearModel, state: State, length: FloatArray) -> Entering | N
     they touch. In these cases stages do as for all others, and ``entry_error`` judges.
     """
     p, gap = state.contact.pressure, state.contact.gap
-    if not model.inputs.wears_locally or (p > 0.0).all():
+    if not physics.inputs.wears_locally or (p > 0.0).all():
         return None
     worn = columns(length * state.rates.sum(axis=0).max(axis=-1))
     late = (p <= 0.0) & (gap > 0.0) & (gap < _REACH * worn)
-    late &= worn > model.yielding(columns(p.max(axis=-1)))
+    late &= worn > physics.own_displacement(columns(p.max(axis=-1)))
     # the others can make up for what a few of them carry
-    touching = np.asarray(inner(model.area, (p > 0.0).astype(float)))
-    joining = np.asarray(inner(model.area, (late & (gap < worn)).astype(float)))
+    touching = np.asarray(inner(physics.area, (p > 0.0).astype(float)))
+    joining = np.asarray(inner(physics.area, (late & (gap < worn)).astype(float)))
     late &= (joining <= _MOST * touching)[..., None]
     if not late.any():
         return None
-    return Entering(np.where(late, gap, 0.0), model.area, model.inputs.force is not None)
+    return Entering(np.where(late, gap, 0.0), physics.area, physics.inputs.force is not None)
 
 
 def held(
-    model: WearModel, enter: Entering | None, first: WearIncrement, p: FloatArray, share: float
+    physics: Physics, enter: Entering | None, first: WearIncrement, p: FloatArray, share: float
 ) -> Entering | None:
     """Return the elements that enter, and with them those that get to the next layer after a stage.
 
@@ -138,11 +138,11 @@ def held(
     if not (counts < 1.0).any():
         return enter
     gap = np.zeros_like(p) if enter is None else enter.gap
-    return Entering(gap, model.area, model.inputs.force is not None, counts)
+    return Entering(gap, physics.area, physics.inputs.force is not None, counts)
 
 
 def entry_error(
-    model: WearModel,
+    physics: Physics,
     enter: Entering | None,
     before: State,
     after: State,
@@ -162,7 +162,7 @@ def entry_error(
     came = (before.contact.pressure <= 0.0) & (p > 0.0)
     if not came.any():
         return np.zeros_like(p)
-    elastic, most = model.yielding(p), unhindered.sum(axis=0)
+    elastic, most = physics.own_displacement(p), unhindered.sum(axis=0)
     worn = (after.wear - before.wear).sum(axis=0)
     size = np.maximum((elastic + worn) * (elastic + most), np.finfo(float).tiny)
     share: FloatArray | float = _STAGE_ERROR

@@ -9,7 +9,8 @@ rate.
 import numpy as np
 
 from ringwear_par.arrays import FloatArray, columns
-from ringwear_par.history.model import WearModel
+from ringwear_par.contact.correction import CorrectedContacts
+from ringwear_par.history.physics import Physics
 from ringwear_par.history.schemes.step import Step, advanced, first_through
 from ringwear_par.history.schemes.tangent import along_step
 from ringwear_par.history.state import State
@@ -17,54 +18,56 @@ from ringwear_par.schedules import mean
 from ringwear_par.wear.layered_increment import LayeredIncrement
 
 
-def forward(model: WearModel, state: State, end: FloatArray) -> Step:
-    """Return the explicit step to a time. Collective."""
+def forward(physics: Physics, contacts: CorrectedContacts, state: State, end: FloatArray) -> Step:
+    """Return the explicit step to a time."""
     length = end - state.time
-    omega = mean(model.inputs.omega, state.time, end)
+    omega = mean(physics.inputs.omega, state.time, end)
     p, rates = state.contact.pressure, state.rates
-    if not model.inputs.steady_speed:
-        rates = model.rates(state.time, omega, state.wear, p)
-    depths, volumes = columns(length) * rates, length * model.integrals(rates)
+    if not physics.inputs.steady_speed:
+        rates = physics.rates(state.time, omega, state.wear, p)
+    depths, volumes = columns(length) * rates, length * physics.integrals(rates)
     through = None
-    if model.inputs.layered:
-        start = model.increment(state.time, omega, state.wear, length)
+    if physics.inputs.layered:
+        start = physics.increment(state.time, omega, state.wear, length)
         assert isinstance(start, LayeredIncrement)
         depths = start.explicit(p)
-        volumes = model.integrals(depths)
+        volumes = physics.integrals(depths)
         through = first_through(state, (state.time, length, start, p, 1.0))
-    along = along_step(model, state)
+    along = along_step(physics, contacts, state)
     if along is not None:
-        along.explicit(model.increment(state.time, omega, state.wear, length), p)
+        along.explicit(physics.increment(state.time, omega, state.wear, length), p)
         along.work(length, omega, p, along.pressure)
-    contact = model.contact(end, state.wear + depths, p, along=along)
-    then = model.rates_at(end, state.wear + depths, contact.pressure)
-    energy = length * omega * model.torque(p)
-    after = advanced(model, state, end, depths, volumes, energy, contact, then, along, through)
+    contact = contacts.solve(physics.contact_inputs(end, state.wear + depths), p, along=along)
+    then = physics.rates_at(end, state.wear + depths, contact.pressure)
+    energy = length * omega * physics.torque(p)
+    after = advanced(physics, state, end, depths, volumes, energy, contact, then, along, through)
     return _judged(state, after)
 
 
-def backward(model: WearModel, state: State, end: FloatArray) -> Step:
-    """Return the implicit step to a time. Collective."""
+def backward(physics: Physics, contacts: CorrectedContacts, state: State, end: FloatArray) -> Step:
+    """Return the implicit step to a time."""
     length = end - state.time
-    omega = mean(model.inputs.omega, state.time, end)
-    during = model.increment(end, omega, state.wear, length)
-    along = along_step(model, state)
-    contact = model.contact(end, state.wear, state.contact.pressure, during, along=along)
+    omega = mean(physics.inputs.omega, state.time, end)
+    during = physics.increment(end, omega, state.wear, length)
+    along = along_step(physics, contacts, state)
+    contact = contacts.solve(
+        physics.contact_inputs(end, state.wear, during), state.contact.pressure, along=along
+    )
     p = contact.pressure
     depths = during.depths(p)
-    if model.inputs.layered:
-        volumes = model.integrals(during.apart(p, depths, 1.0))
+    if physics.inputs.layered:
+        volumes = physics.integrals(during.apart(p, depths, 1.0))
     else:
         then = during.rates(p, depths)
-        volumes = length * model.integrals(then)
-    if not model.inputs.rates_last:
-        then = model.rates_at(end, state.wear + depths, p)
-    energy = length * omega * model.torque(p)
+        volumes = length * physics.integrals(then)
+    if not physics.inputs.rates_last:
+        then = physics.rates_at(end, state.wear + depths, p)
+    energy = length * omega * physics.torque(p)
     if along is not None:
         along.implicit()
         along.work(length, omega, p, along.pressure)
     through = first_through(state, (state.time, length, during, p, 1.0))
-    after = advanced(model, state, end, depths, volumes, energy, contact, then, along, through)
+    after = advanced(physics, state, end, depths, volumes, energy, contact, then, along, through)
     return _judged(state, after)
 
 

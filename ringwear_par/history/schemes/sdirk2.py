@@ -17,8 +17,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ringwear_par.arrays import BoolArray, FloatArray, columns, inner
+from ringwear_par.contact.correction import CorrectedContacts
 from ringwear_par.contact.problem import ContactState
-from ringwear_par.history.model import WearModel
+from ringwear_par.history.physics import Physics
 from ringwear_par.history.schemes.closing_elements import Entering, entering, entry_error, held
 from ringwear_par.history.schemes.step import Step, advanced, first_through
 from ringwear_par.history.schemes.tangent import Along, along_step
@@ -52,19 +53,21 @@ _FIRST_ORDER = 0.25
 _FASTER = 3000.0
 
 
-def step(model: WearModel, state: State, end: FloatArray) -> Step:
-    """Return the step to a time. Collective."""
+def step(physics: Physics, contacts: CorrectedContacts, state: State, end: FloatArray) -> Step:
+    """Return the step to a time."""
     length = end - state.time
     middle = state.time + GAMMA * length
-    speeds = [in_time(model.inputs.omega, t) for t in (state.time, middle, end)]
+    speeds = [in_time(physics.inputs.omega, t) for t in (state.time, middle, end)]
 
-    enter = entering(model, state, length)
+    enter = entering(physics, state, length)
     closing = None if enter is None else enter.closing(GAMMA * length, np.ones_like(enter.gap))
-    first = model.increment(middle, speeds[1], state.wear, GAMMA * length, closing)
-    along = along_step(model, state, enter)
-    stage = model.contact(middle, state.wear, state.contact.pressure, first, along=along)
+    first = physics.increment(middle, speeds[1], state.wear, GAMMA * length, closing)
+    along = along_step(physics, contacts, state, enter)
+    stage = contacts.solve(
+        physics.contact_inputs(middle, state.wear, first), state.contact.pressure, along=along
+    )
     worn_first = first.unhindered(stage.pressure)
-    enter = held(model, enter, first, stage.pressure, _SHARE)
+    enter = held(physics, enter, first, stage.pressure, _SHARE)
     counts = 1.0 if enter is None else enter.counts(stage.pressure, enter.first)
     lost_first = first.lost(stage.pressure, worn_first, _SHARE * counts)
     carried = state.wear + lost_first
@@ -72,14 +75,14 @@ def step(model: WearModel, state: State, end: FloatArray) -> Step:
         along.hold(enter, _SHARE, GAMMA * length)
         along.first_stage(stage.pressure, worn_first, counts, _SHARE)
     last, contact, counts_last, inside = _last_stage(
-        model, enter, end, speeds[2], carried, length, stage.pressure, along
+        physics, contacts, enter, end, speeds[2], carried, length, stage.pressure, along
     )
     worn_last = last.unhindered(contact.pressure)
     losses = worn_last if enter is None else last.depths(contact.pressure)
 
     pressures = state.contact.pressure, counts * stage.pressure, counts_last * contact.pressure
     powers = np.stack(
-        [speed * model.torque(p) for speed, p in zip(speeds, pressures, strict=True)], axis=-1
+        [speed * physics.torque(p) for speed, p in zip(speeds, pressures, strict=True)], axis=-1
     )
     contact = replace(
         contact,
@@ -89,8 +92,8 @@ def step(model: WearModel, state: State, end: FloatArray) -> Step:
     energy = length * inner(_WEIGHTS, powers)
     depths = lost_first + losses
     through = None
-    if model.inputs.layered:
-        volumes = model.integrals(
+    if physics.inputs.layered:
+        volumes = physics.integrals(
             first.apart(stage.pressure, worn_first, _SHARE * counts)
             + last.apart(contact.pressure, worn_last, inside)
         )
@@ -101,17 +104,17 @@ def step(model: WearModel, state: State, end: FloatArray) -> Step:
         )
     else:
         then = last.rates(contact.pressure, worn_last)
-        volumes = length * model.integrals(
+        volumes = length * physics.integrals(
             _WEIGHTS[1] * (counts * first.rates(stage.pressure, worn_first))
             + _WEIGHTS[2] * (counts_last * then)
         )
-    if not model.inputs.rates_last:
-        then = model.rates(end, speeds[2], state.wear + depths, contact.pressure)
+    if not physics.inputs.rates_last:
+        then = physics.rates(end, speeds[2], state.wear + depths, contact.pressure)
     if along is not None:
         along.last_stage(last, contact.pressure, worn_last, GAMMA * length)
         for i, d_p in enumerate(along.counted, start=1):
             along.work(_WEIGHTS[i] * length, speeds[i], pressures[i], d_p)
-    after = advanced(model, state, end, depths, volumes, energy, contact, then, along, through)
+    after = advanced(physics, state, end, depths, volumes, energy, contact, then, along, through)
     standard = worn_last  # in a last stage of its usual length
     if enter is not None:
         standard = np.where(enter.late, 0.0, worn_last / np.where(enter.late, 1.0, counts_last))
@@ -122,18 +125,18 @@ def step(model: WearModel, state: State, end: FloatArray) -> Step:
     if enter is not None:  # those make one step of first order, see ``entry_error``
         defect = np.where(enter.late, 0.0, defect)
     crossing: BoolArray | bool = False
-    if model.inputs.layered:
+    if physics.inputs.layered:
         defect, crossing = _through_defect(
-            model, state, after, enter, last, stage.pressure, defect,
+            physics, state, after, enter, last, stage.pressure, defect,
             (standard - worn_first).sum(axis=0), worn_last,
         )  # fmt: skip
-    off = entry_error(model, enter, state, after, worn_last)
+    off = entry_error(physics, enter, state, after, worn_last)
     if defect.any():
         # the wear that the defect undoes by the pressure that it takes away
-        relief = model.pressure_response(defect)
+        relief = contacts.response(defect)
         off = np.maximum(off, np.abs(relief))
         defect = defect + last.linear(contact.pressure, relief)
-    feedback = _Feedback(model, last, contact.pressure, last.memory(contact.pressure, worn_last))
+    feedback = _Feedback(contacts, last, contact.pressure, last.memory(contact.pressure, worn_last))
     rise = (standard / GAMMA - columns(length) * state.rates).sum(axis=0)
     if enter is not None:
         rise = np.where(enter.late, 0.0, rise)
@@ -144,14 +147,14 @@ def step(model: WearModel, state: State, end: FloatArray) -> Step:
     carried = carried + feedback(carried)
     after = replace(after, error=carried + defect)
     if isinstance(last, LayeredIncrement):
-        defect = defect * last.faster(contact.pressure, _mean_pressure(model, contact), _FASTER)
+        defect = defect * last.faster(contact.pressure, _mean_pressure(physics, contact), _FASTER)
     return Step(
         after,
         _largest(defect),
         _largest(after.error),
         abs(length * inner(_DEFECT, powers)),
         powers.max(axis=-1),
-        _largest(off / _scale(model, state.contact, contact)),
+        _largest(off / _scale(physics, state.contact, contact)),
         _largest(carried),
         ((state.contact.pressure <= 0.0) & (losses.sum(axis=0) > 0.0)).any(axis=-1),
     )
@@ -163,13 +166,13 @@ class _Feedback:
 
     Parameters
     ----------
-    model : whose last contact is that of the last stage.
+    contacts : the last one is that of the last stage.
     last : its increment.
     pressure : (..., n) MPa, of it.
     memory : see ``WearIncrement.memory``.
     """
 
-    model: WearModel
+    contacts: CorrectedContacts
     last: WearIncrement
     pressure: FloatArray
     memory: FloatArray | float
@@ -179,7 +182,7 @@ class _Feedback:
         if not depth.any():
             return depth
         grown = self.memory * depth
-        relief = self.model.pressure_response(grown)
+        relief = self.contacts.response(grown)
         return grown - depth + self.last.linear(self.pressure, relief)
 
 
@@ -189,7 +192,8 @@ def _largest(values: FloatArray) -> FloatArray:
 
 
 def _last_stage(
-    model: WearModel,
+    physics: Physics,
+    contacts: CorrectedContacts,
     enter: Entering | None,
     end: FloatArray,
     speed: FloatArray,
@@ -205,21 +209,22 @@ def _last_stage(
     """
     step = GAMMA * length
     if enter is None:
-        last = model.increment(end, speed, carried, step)
-        contact = model.contact(end, carried, near, last, along=along)
+        last = physics.increment(end, speed, carried, step)
+        contact = contacts.solve(physics.contact_inputs(end, carried, last), near, along=along)
         return last, contact, 1.0, 1.0
     counts = np.where(enter.late, 1.0 + (1.0 - enter.first) * _SHARE, 1.0)
-    last = model.increment(end, speed, carried, step, enter.closing(step, counts))
-    contact = model.contact(end, carried, near, last, along=along)
+    last = physics.increment(end, speed, carried, step, enter.closing(step, counts))
+    contact = contacts.solve(physics.contact_inputs(end, carried, last), near, along=along)
     p, inside = contact.pressure, last.share(last.top(contact.pressure))
     if enter.force_kept:
         # what the others count depends on what those that enter carry: so little that twice will do
         if along is not None:
             along.lengthen(last, p, step)
         counts = np.where(enter.late, counts, enter.counts(p, counts * inside))
-        last = model.increment(end, speed, carried, step, enter.closing(step, counts))
+        last = physics.increment(end, speed, carried, step, enter.closing(step, counts))
         found = np.logical_not(enter.late.any(axis=-1)), contact
-        again = model.contact(end, carried, near, last, already_solved=found, along=along)
+        inputs = physics.contact_inputs(end, carried, last)
+        again = contacts.solve(inputs, near, already_solved=found, along=along)
         more = np.where(found[0], 0, contact.iterations)
         contact = replace(again, iterations=again.iterations + more)
         inside = last.share(last.top(contact.pressure))
@@ -227,7 +232,7 @@ def _last_stage(
 
 
 def _through_defect(
-    model: WearModel,
+    physics: Physics,
     before: State,
     after: State,
     enter: Entering | None,
@@ -250,8 +255,8 @@ def _through_defect(
     defect : of the quadratic, which holds in all other steps.
     changed : (..., n) mm, what both stages differ in, in the length of one.
     """
-    now = np.zeros(model.inputs.shape, dtype=bool)
-    for ends, *worn in zip(model.layer_ends, before.wear, after.wear, strict=True):
+    now = np.zeros(physics.inputs.shape, dtype=bool)
+    for ends, *worn in zip(physics.layer_ends, before.wear, after.wear, strict=True):
         for end in () if ends is None else ends:
             was, is_ = (worn_through(end, each) for each in worn)
             now |= is_ & ~was
@@ -267,17 +272,17 @@ def _through_defect(
     return np.where(some, first_order, defect), some
 
 
-def _scale(model: WearModel, before: ContactState, after: ContactState) -> FloatArray:
+def _scale(physics: Physics, before: ContactState, after: ContactState) -> FloatArray:
     """Return what errors of pressure are relative to, (..., n) MPa.
 
     The pressure at the start of the step or the mean pressure at its end, whichever is larger; but
     not less than what an approach as small as the tolerance of wear presses.
     """
-    least = columns(model.slight_pressure)
-    return np.maximum(before.pressure, np.maximum(_mean_pressure(model, after), least))
+    least = columns(physics.slight_pressure)
+    return np.maximum(before.pressure, np.maximum(_mean_pressure(physics, after), least))
 
 
-def _mean_pressure(model: WearModel, contact: ContactState) -> FloatArray:
+def _mean_pressure(physics: Physics, contact: ContactState) -> FloatArray:
     """Return the force over the area in contact, MPa, a number or (B, 1)."""
-    touching = inner(model.area, (contact.pressure > 0.0).astype(float))
-    return columns(contact.force / np.maximum(touching, model.area.min()))
+    touching = inner(physics.area, (contact.pressure > 0.0).astype(float))
+    return columns(contact.force / np.maximum(touching, physics.area.min()))

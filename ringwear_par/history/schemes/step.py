@@ -1,8 +1,8 @@
 """What a scheme is: a function that makes one step and says how far it may be off.
 
-``scheme(model, state, end) -> Step``, collective on the model's communicator, for one history or
-for B with ends of their own. Schemes remember nothing and decide nothing; a new one is a file with
-such a function, and a line in ``simulate.METHODS``.
+``scheme(physics, contacts, state, end) -> Step``, for B histories with ends of their own. Schemes
+remember nothing and decide nothing; a new one is a file with such a function, and a line in
+``loop.METHODS``.
 """
 
 from collections.abc import Callable
@@ -12,9 +12,10 @@ from typing import Any
 import numpy as np
 
 from ringwear_par.arrays import FloatArray, columns
+from ringwear_par.contact.correction import CorrectedContacts
 from ringwear_par.contact.problem import ContactState
 from ringwear_par.history.admissible import checked
-from ringwear_par.history.model import WearModel
+from ringwear_par.history.physics import Physics
 from ringwear_par.history.schemes.tangent import Along
 from ringwear_par.history.state import State
 from ringwear_par.wear.increment import WearIncrement
@@ -54,11 +55,11 @@ class Step:
     closing: Any = False
 
 
-Scheme = Callable[[WearModel, State, FloatArray], Step]
+Scheme = Callable[[Physics, CorrectedContacts, State, FloatArray], Step]
 
 
 def advanced(
-    model: WearModel,
+    physics: Physics,
     state: State,
     end: FloatArray,
     depths: FloatArray,
@@ -82,14 +83,14 @@ def advanced(
 
     Raises
     ------
-    ComputationError : the model no longer holds, see ``checked``.
+    ComputationError : the physics no longer holds, see ``checked``.
     """
     after = State(
         end, state.wear + depths, state.worn + volumes, state.energy + energy, contact, rates,
         state.error, state.meshed_wear, state.gap_offset,
         None if along is None else along.reached(contact), through,
     )  # fmt: skip
-    return checked(model.case, after)
+    return checked(physics.case, after)
 
 
 def first_through(

@@ -18,8 +18,9 @@ from typing import Any
 import numpy as np
 
 from ringwear_par.arrays import FloatArray, IntArray, columns, inner
+from ringwear_par.contact.correction import CorrectedContacts
 from ringwear_par.contact.problem import ContactState
-from ringwear_par.history.model import WearModel
+from ringwear_par.history.physics import Physics
 from ringwear_par.history.schemes.closing_elements import Entering
 from ringwear_par.history.state import State, Tangent
 from ringwear_par.wear.increment import VariedIncrement, WearIncrement
@@ -33,18 +34,24 @@ class Along:
 
     Parameters
     ----------
-    model : the physics, with its ``sensitivity``.
+    physics : with its ``sensitivity``.
+    contacts : of the histories.
     before : at the start of the step; None: there is no step, and nothing was worn.
     enter : the elements that wear may bring into contact in it.
     """
 
     def __init__(
-        self, model: WearModel, before: Tangent | None, enter: Entering | None = None
+        self,
+        physics: Physics,
+        contacts: CorrectedContacts,
+        before: Tangent | None,
+        enter: Entering | None = None,
     ) -> None:
-        assert model.sensitivity is not None
-        self._model, self._numbers, self._enter = model, model.sensitivity, enter
+        assert physics.sensitivity is not None
+        self._physics, self._contacts = physics, contacts
+        self._numbers, self._enter = physics.sensitivity, enter
         nothing = self._numbers.nothing
-        shape = model.inputs.shape
+        shape = physics.inputs.shape
         if before is None:
             before = Tangent(
                 np.stack([nothing(*shape)] * 2), nothing(*shape[:-1]), nothing(*shape),
@@ -72,14 +79,13 @@ class Along:
 
     # -- contact -----------------------------------------------------------------------------------
 
-    def pose(self, during: WearIncrement | None) -> None:
-        """Take the wear of the next contact problem."""
-        self._during = during
-
-    def solved(self, solution: ContactState, at: FloatArray, histories: IntArray) -> None:
+    def solved(
+        self, wear: WearIncrement | None, solution: ContactState, at: FloatArray,
+        histories: IntArray,
+    ) -> None:  # fmt: skip
         """Differentiate a contact solution, see ``contact.correction.Tangents``."""
-        model, during, p = self._model, self._during, solution.pressure
-        contacts = model.contacts
+        contacts, p = self._contacts, solution.pressure
+        during = self._during = wear
         gap = self.wear[0] + self.wear[1]
         contacts.take_shift(gap, self._near)
         self._numbers.add_gap(gap, contacts.products, p, at)
@@ -90,7 +96,7 @@ class Along:
             gap += worn
             self._varied = varied
         load = self._numbers.load
-        forced = model.inputs.force is not None
+        forced = self._physics.inputs.force is not None
         d_force, d_approach = (load, None) if forced else (None, load)
         solved = contacts.tangents(solution, gap, d_force, d_approach, slope, histories)
         if len(histories) == gap.shape[1]:
@@ -216,9 +222,9 @@ class Along:
 
     def work(self, lasts: FloatArray, omega: FloatArray, p: FloatArray, d_p: FloatArray) -> None:
         """Dissipate the energy of a time, s, at a speed, rad/s, and a pressure."""
-        power = omega * d_torque(self._model, p, d_p)
+        power = omega * d_torque(self._physics, p, d_p)
         if self._numbers.omega is not None:
-            power[self._numbers.omega] += self._model.torque(p)
+            power[self._numbers.omega] += self._physics.torque(p)
         self._energy = self._energy + lasts * power
 
     @property
@@ -235,38 +241,40 @@ class Along:
         open_ = found.pressure <= 0.0
         if not open_.any():
             return np.zeros_like(self._gap)
-        gap = self._gap + self._model.contacts.deflections(self.pressure)
+        gap = self._gap + self._contacts.deflections(self.pressure)
         if self._during is not None and not self._during.local:
             assert self._varied is not None
             gap += sum(self.unhindered().values()) - self._varied.depth
         return np.where(open_, gap - self.approach[..., None], 0.0)
 
 
-def along_step(model: WearModel, state: State, enter: Entering | None = None) -> Along | None:
+def along_step(
+    physics: Physics, contacts: CorrectedContacts, state: State, enter: Entering | None = None
+) -> Along | None:
     """Return the derivatives along a step from a state; None where there are none."""
-    return None if model.sensitivity is None else Along(model, state.tangent, enter)
+    return None if physics.sensitivity is None else Along(physics, contacts, state.tangent, enter)
 
 
 # -- what is stored --------------------------------------------------------------------------------
 
 
-def variables(model: WearModel, state: State) -> dict[str, Any]:
+def variables(physics: Physics, state: State) -> dict[str, Any]:
     """Return derivatives of what is stored of a state by name, (P, ...) each. Not collective.
 
     All but that of ``penetration``, in which the first state has a part.
     """
-    tangent, numbers = state.tangent, model.sensitivity
+    tangent, numbers = state.tangent, physics.sensitivity
     if tangent is None or numbers is None:
         return {}
     p, d_p = state.contact.pressure, tangent.pressure
-    volumes = model.integrals(tangent.wear)
+    volumes = physics.integrals(tangent.wear)
     return {
         "d_approach": tangent.approach,
         "d_force": numbers.load
-        if model.inputs.force is not None
-        else np.asarray(inner(model.area, d_p)),
-        "d_torque": d_torque(model, p, d_p),
-        "d_twist": d_twist(model, p, d_p),
+        if physics.inputs.force is not None
+        else np.asarray(inner(physics.area, d_p)),
+        "d_torque": d_torque(physics, p, d_p),
+        "d_twist": d_twist(physics, p, d_p),
         "d_worn_volume_lower": volumes[0],
         "d_worn_volume_upper": volumes[1],
         "d_dissipated_energy": tangent.energy,
@@ -277,23 +285,23 @@ def variables(model: WearModel, state: State) -> dict[str, Any]:
     }
 
 
-def d_torque(model: WearModel, p: FloatArray, d_p: FloatArray) -> FloatArray:
+def d_torque(physics: Physics, p: FloatArray, d_p: FloatArray) -> FloatArray:
     """Return derivatives of the friction torque, (P, B) N mm, from those of pressures."""
-    numbers = model.sensitivity
+    numbers = physics.sensitivity
     assert numbers is not None
-    change = np.asarray(model.torque(d_p))
+    change = np.asarray(physics.torque(d_p))
     if numbers.friction is not None:
-        change[numbers.friction] += model.moment(p)
+        change[numbers.friction] += physics.moment(p)
     return change
 
 
-def d_twist(model: WearModel, p: FloatArray, d_p: FloatArray) -> FloatArray:
+def d_twist(physics: Physics, p: FloatArray, d_p: FloatArray) -> FloatArray:
     """Return derivatives of the twist, (P, B) mm, from those of pressures."""
-    numbers = model.sensitivity
+    numbers = physics.sensitivity
     assert numbers is not None
-    change = np.asarray(model.twist(d_p))
+    change = np.asarray(physics.twist(d_p))
     if numbers.friction is not None:
-        change[numbers.friction] += inner(model.compliances.twist, p)
+        change[numbers.friction] += inner(physics.compliances.twist, p)
     for row, elastic in numbers.elastic:
-        change[row] += model.inputs.friction * inner(elastic.twist[elastic.which], p)
+        change[row] += physics.inputs.friction * inner(elastic.twist[elastic.which], p)
     return change

@@ -10,7 +10,7 @@ from ringwear_par.cases.case import Case
 from ringwear_par.cases.files.law_trials import law_sources
 from ringwear_par.elasticity.bem.pair import BodyCost
 from ringwear_par.elasticity.stress.boundary_fields import BODIES
-from ringwear_par.history.model import WearModel
+from ringwear_par.history.physics import Physics
 from ringwear_par.info import versions
 from ringwear_par.results.variables import TIMES_THROUGH
 from ringwear_par.schedules import in_time, integral
@@ -92,18 +92,18 @@ def times_through(case: Case, through: FloatArray) -> dict[str, FloatArray]:
     }
 
 
-def assembly_cost(model: WearModel, *, shared: bool = True) -> BodyCost:
+def assembly_cost(physics: Physics, *, shared: bool = True) -> BodyCost:
     """Return the cost of a contact pair and of elements that follow the wear. Not collective.
 
     Parameters
     ----------
     shared : whether a pair counts that was assembled elsewhere.
     """
-    cost = BodyCost() if model.geometry is None else model.geometry.cost
-    return cost + model.pair.cost if shared or not model.pair_is_shared else cost
+    counted = shared or not physics.pair_is_shared
+    return physics.update_cost + physics.pair.cost if counted else physics.update_cost
 
 
-def wall_times(model: WearModel, stepping: float, output: float) -> dict[str, float]:
+def wall_times(physics: Physics, stepping: float, output: float) -> dict[str, float]:
     """Return wall times by attribute, s.
 
     Parameters
@@ -111,7 +111,7 @@ def wall_times(model: WearModel, stepping: float, output: float) -> dict[str, fl
     stepping : from the start of a history to its last state, all included.
     output : of it, spent on files.
     """
-    cost = assembly_cost(model, shared=False)
+    cost = assembly_cost(physics, shared=False)
     return {
         "seconds_assembly": cost.seconds_assembly,
         "seconds_factorisation": cost.seconds_solution,

@@ -7,7 +7,7 @@ import numpy as np
 from ringwear_par import batched
 from ringwear_par.arrays import BoolArray, FloatArray, IntArray
 from ringwear_par.contact.problem import WarmStart
-from ringwear_par.history.model import WearModel
+from ringwear_par.history.physics import Physics
 from ringwear_par.history.snapshots import Snapshot
 from ringwear_par.history.state import Progress, State
 
@@ -33,12 +33,12 @@ class LastState:
     @classmethod
     def of(cls, snapshot: Snapshot, places: IntArray) -> "LastState":
         """Return the states of some histories of a snapshot."""
-        state, model = replace(snapshot.state, tangent=None), snapshot.model
+        state = replace(snapshot.state, tangent=None)
         return cls(
             batched.take(state, places),
             batched.take(snapshot.progress, places),
-            batched.take(model.warm, places),
-            model.compliances.symmetry_defect[places],
+            batched.take(snapshot.contacts.warm, places),
+            snapshot.physics.compliances.symmetry_defect[places],
             snapshot.finished[places],
         )
 
@@ -87,15 +87,15 @@ class LastStates:
         return batched.take(states, np.array([place]))
 
     @property
-    def model(self) -> WearModel:
+    def physics(self) -> Physics:
         """The physics of the last snapshot."""
         assert self.snapshot is not None
-        return self.snapshot.model
+        return self.snapshot.physics
 
     @property
     def updates(self) -> int:
         """Number of times that elements were assembled anew to follow the wear."""
-        return 0 if self.model.geometry is None else self.model.geometry.updates
+        return self.physics.updates
 
     @property
     def finished(self) -> bool:

@@ -238,7 +238,7 @@ class Recorder:
 
     def kernel_evaluations(self) -> int:
         """Return how many kernels were evaluated for both bodies, updates included."""
-        return assembly_cost(self._last.model).kernel_evaluations
+        return assembly_cost(self._last.physics).kernel_evaluations
 
     def seconds(self) -> dict[str, float]:
         """Return the wall times so far by attribute, s, those of an interrupted run included.
@@ -246,5 +246,5 @@ class Recorder:
         Of several histories, those of one in the mean.
         """
         stepping = self._stepping / len(self._cases)
-        seconds = wall_times(self._last.model, stepping, self.seconds_output)
+        seconds = wall_times(self._last.physics, stepping, self.seconds_output)
         return {name: s + float(self._before.get(name, 0.0)) for name, s in seconds.items()}

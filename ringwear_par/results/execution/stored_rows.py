@@ -9,7 +9,7 @@ import numpy as np
 from ringwear_par.arrays import BoolArray, IntArray, share
 from ringwear_par.cases.case import Case
 from ringwear_par.history.layers import layer_left, layer_volumes
-from ringwear_par.history.model import WearModel
+from ringwear_par.history.physics import Physics
 from ringwear_par.history.saving import stores
 from ringwear_par.history.schemes.tangent import variables as derivatives_of
 from ringwear_par.history.sensitivity import units_of
@@ -31,18 +31,18 @@ _WIDE = (*D_PROFILES, *LAYER_PROFILES)
 _SINCE_START = {"penetration": "approach", "d_penetration": "d_approach"}
 
 
-def row(model: WearModel, state: State) -> dict[str, Any]:
+def row(physics: Physics, state: State) -> dict[str, Any]:
     """Return the result's variables of B states by name, (B,) or (B, n). Not collective.
 
     All but ``penetration`` and ``contact_iterations``, which other states have a part in.
     """
-    contact, volumes = state.contact, model.integrals(state.wear)
+    contact, volumes = state.contact, physics.integrals(state.wear)
     values = {
         "time": state.time,
         "approach": contact.approach,
         "force": contact.force,
-        "torque": model.torque(contact.pressure),
-        "twist": model.twist(contact.pressure),
+        "torque": physics.torque(contact.pressure),
+        "twist": physics.twist(contact.pressure),
         "worn_volume_lower": volumes[0],
         "worn_volume_upper": volumes[1],
         "dissipated_energy": state.energy,
@@ -52,11 +52,11 @@ def row(model: WearModel, state: State) -> dict[str, Any]:
         "wear_upper": state.wear[1],
     }
     for i, body in enumerate(("lower", "upper")):
-        if model.layer_ends[i] is not None:
-            left = layer_left(model, i, state.wear[i])
-            values[f"share_through_{body}"] = share(model.area, left <= 0.0)
+        if physics.layer_ends[i] is not None:
+            left = layer_left(physics, i, state.wear[i])
+            values[f"share_through_{body}"] = share(physics.area, left <= 0.0)
             values[f"layer_left_{body}"] = left
-            values[f"worn_volume_{body}_layers"] = layer_volumes(model, i, state.wear[i])
+            values[f"worn_volume_{body}_layers"] = layer_volumes(physics, i, state.wear[i])
     return values
 
 
@@ -144,9 +144,9 @@ class StoredRows:
         stored = np.flatnonzero(snapshot.stored)
         if not len(stored):
             return False
-        values, numbers = row(snapshot.model, snapshot.state), snapshot.numbers[stored]
+        values, numbers = row(snapshot.physics, snapshot.state), snapshot.numbers[stored]
         values["contact_iterations"] = self.pending[snapshot.numbers]
-        values |= derivatives_of(snapshot.model, snapshot.state)
+        values |= derivatives_of(snapshot.physics, snapshot.state)
         self._numbers.append(numbers)
         self._steps.append(snapshot.progress.steps[stored])
         # states do not change: those of all histories are stored without a copy

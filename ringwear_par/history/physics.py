@@ -1,0 +1,286 @@
+"""The physics of one contact pair: what presses (3), how it wears (4), what a step wears off.
+
+Pure: contact solutions are the matter of ``contact.correction``, whose problems are posed here;
+nothing here knows of schemes, step control, files or observers.
+
+There are B >= 1 histories on the pair: fields are (B, n), numbers of histories (B,). Loads, laws
+and gaps are ``inputs``, moduli ``compliances``; elements that follow the wear are the matter of
+``moving_geometry``, states for which all this does not hold that of ``admissible``.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from types import MappingProxyType
+from typing import Self
+
+import numpy as np
+
+from ringwear_par.arrays import FloatArray, IntArray, columns, inner
+from ringwear_par.cases.case import Case
+from ringwear_par.contact.correction import CorrectedContacts
+from ringwear_par.contact.problem import ContactInputs
+from ringwear_par.elasticity.bem.pair import BodyCost, ContactCompliance, ContactPair
+from ringwear_par.elasticity.geometry.mesh import ContactLine
+from ringwear_par.history.elastic.bodies import young
+from ringwear_par.history.elastic.compliances import Compliances
+from ringwear_par.history.inputs import HistoryInputs
+from ringwear_par.history.sensitivity import Sensitivity
+from ringwear_par.schedules import in_time, integral
+from ringwear_par.wear.increment import Closing, WearIncrement, averaged_rate, averaging
+from ringwear_par.wear.layered_increment import LayeredIncrement
+from ringwear_par.wear.local_state import LocalState
+
+
+@dataclass(frozen=True)
+class Physics:
+    """Contact and wear of B cases that share a pair.
+
+    Parameters
+    ----------
+    inputs : loads, laws and gaps of the cases.
+    pair : the contact pair before any wear.
+    compliances : of the histories.
+    layer_ends : (layers, n) mm, along the axis, depths at which the layers of lower and upper end;
+        None for a body without.
+    averages : (n, n) of the pressures, and of the rates, of non-local laws of lower and upper.
+    sensitivity : what the numbers act on that there are derivatives with respect to, if any.
+    gap_offset : (B, n) mm, what elements are nearer than their profiles say, see ``State``.
+    updates, update_cost : how often elements were assembled anew to follow the wear, and what that
+        took.
+    pair_is_shared : whether the pair was assembled for others, too.
+    """
+
+    inputs: HistoryInputs
+    pair: ContactPair
+    compliances: Compliances
+    layer_ends: tuple[FloatArray | None, ...]
+    averages: tuple[FloatArray | None, ...] = (None, None)
+    sensitivity: Sensitivity | None = None
+    gap_offset: FloatArray | None = None
+    updates: int = 0
+    update_cost: BodyCost = field(default_factory=BodyCost)
+    pair_is_shared: bool = False
+
+    @classmethod
+    def of(
+        cls,
+        cases: Sequence[Case],
+        pair: ContactPair,
+        *,
+        known: Mapping[tuple[float, float], ContactCompliance] = MappingProxyType({}),
+        derivatives: Sequence[str] = (),
+    ) -> Self:
+        """Return the physics of cases before any wear. Not collective.
+
+        Parameters
+        ----------
+        cases : of one shape and mesh, with laws of the same kinds; one alone if its elements follow
+            the wear.
+        pair : contact pair of the cases.
+        known : compliances by moduli, as far as they are known.
+        derivatives : keys that states are to have derivatives with respect to.
+
+        Raises
+        ------
+        ValueError : the cases cannot be stacked.
+        """
+        inputs = HistoryInputs.of(cases)
+        ends = tuple(
+            cases[0].layer_ends(i) if ring.layers else None for i, ring in enumerate(cases[0].rings)
+        )
+        physics = cls(
+            inputs,
+            pair,
+            Compliances.of([young(case) for case in cases], pair, known),
+            ends,
+            sensitivity=Sensitivity(derivatives, inputs.cases, pair) if derivatives else None,
+        )
+        return physics._along_slopes()
+
+    def with_compliances(self, compliances: Compliances, cost: BodyCost) -> Self:
+        """Return the physics of elements that have followed the wear, at a further cost."""
+        return replace(
+            self, compliances=compliances, update_cost=self.update_cost + cost
+        )._along_slopes()
+
+    def _along_slopes(self) -> Self:
+        """Return the physics whose averages and layers are those of faces of these slopes."""
+        inputs, true_area = self.inputs, self.area * self.compliances.every[0].obliquity
+        if inputs.layered:
+            inputs = inputs.with_layers(self.layer_ends, self.obliquity)
+        averages = tuple(
+            averaging(self.line.r, true_area, law.length)
+            if law is not None and law.length
+            else None
+            for law in inputs.laws
+        )
+        return replace(self, inputs=inputs, averages=averages)
+
+    @property
+    def case(self) -> Case:
+        """The first case."""
+        return self.inputs.cases[0]
+
+    @property
+    def line(self) -> ContactLine:
+        """The contact elements before any wear."""
+        return self.pair.line
+
+    @property
+    def area(self) -> FloatArray:
+        """(n,) mm^2, of the contact elements, normal to the axis."""
+        return self.pair.line.area
+
+    @cached_property
+    def obliquity(self) -> FloatArray | None:
+        """(n,) 1 / cos alpha of sloping faces, None where all are flat."""
+        first = self.compliances.every[0]
+        return first.obliquity if first.slope.any() else None
+
+    @cached_property
+    def _moment(self) -> FloatArray:
+        """(n,) mm^3, torque per unit shear."""
+        return self.area * self.compliances.every[0].obliquity * self.line.arm
+
+    # -- contact, eq. (3) --------------------------------------------------------------------------
+
+    def contact_inputs(
+        self, time: FloatArray, wear: FloatArray, increment: WearIncrement | None = None
+    ) -> ContactInputs:
+        """Return what the contacts at a time depend on, loads those of that time.
+
+        Parameters
+        ----------
+        time : (B,) float, s.
+        wear : (2, B, n) float, mm, by which the profiles are worn.
+        increment : wear of an implicit step, which is part of the contact problem.
+        """
+        gap = self.inputs.initial_gap + wear[0] + wear[1]
+        if self.gap_offset is not None:
+            gap = gap - self.gap_offset
+        force, displacement = self.inputs.force, self.inputs.displacement
+        return ContactInputs(
+            gap,
+            None if force is None else in_time(force, time),
+            None if displacement is None else in_time(displacement, time),
+            increment if self.inputs.wears else None,
+        )
+
+    def contacts(self) -> CorrectedContacts:
+        """Return the contacts of the histories, to be closed. Not collective."""
+        return self.compliances.contacts()
+
+    @property
+    def slight_pressure(self) -> FloatArray:
+        """About what an approach as small as ``time.tolerance`` presses, MPa, (B,)."""
+        return self.inputs.tolerance * self.compliances.stiffness
+
+    def own_displacement(self, p: FloatArray) -> FloatArray:
+        """Return the displacements (B, n) mm of elements under their own pressures alone, MPa."""
+        return self.compliances.own * p
+
+    # -- wear, eq. (4) -----------------------------------------------------------------------------
+
+    def local_state(self, time: FloatArray, omega: FloatArray, wear: FloatArray) -> LocalState:
+        """Return what laws may know of a body, its wear being (B, n) mm, at speed omega.
+
+        Laws speak of depths along the normal; everything else here is along the axis.
+        """
+        angle, arm = integral(self.inputs.omega, 0.0, time), self.line.arm
+        if self.obliquity is not None:
+            wear = wear / self.obliquity
+        return LocalState(
+            time, self.line.r, columns(omega) * arm, self.inputs.friction, wear,
+            columns(angle) * arm,
+        )  # fmt: skip
+
+    def increment(
+        self,
+        time: FloatArray,
+        omega: FloatArray,
+        wear: FloatArray,
+        step: FloatArray,
+        closing: Closing | None = None,
+    ) -> WearIncrement:
+        """Return the wear of an implicit step that ends at a time, from wear (2, B, n) mm on.
+
+        ``closing`` is of elements that come into contact in it.
+        """
+        lower = self.local_state(time, omega, wear[0])
+        upper = self.local_state(time, omega, wear[1]) if self.inputs.laws[1] is not None else lower
+        kind = LayeredIncrement if self.inputs.layered else WearIncrement
+        return kind(self.inputs.laws, (lower, upper), step, self.averages, self.obliquity, closing)
+
+    def rates(
+        self, time: FloatArray, omega: FloatArray, wear: FloatArray, p: FloatArray
+    ) -> FloatArray:
+        """Return the rates of wear of lower and upper, (2, B, n) mm/s, at pressure and wear."""
+        rates = np.zeros((2, *p.shape))
+        bodies = zip(rates, self.inputs.laws, wear, self.averages, strict=True)
+        for rate, law, worn, average in bodies:
+            if law is not None:
+                rate[:] = averaged_rate(law, self.local_state(time, omega, worn), average, p)
+        if self.obliquity is not None:
+            rates *= self.obliquity
+        return rates
+
+    def rates_at(self, time: FloatArray, wear: FloatArray, p: FloatArray) -> FloatArray:
+        """Return the rates of wear at an instant, (2, B, n) mm/s, at the speed of that time."""
+        return self.rates(time, in_time(self.inputs.omega, time), wear, p)
+
+    # -- integrals over the contact ----------------------------------------------------------------
+
+    def integrals(self, field: FloatArray) -> FloatArray:
+        """Return area integrals of a field of both bodies, (2, ..., n) to (2, ...)."""
+        return np.asarray(inner(self.area, field))
+
+    def moment(self, p: FloatArray) -> FloatArray:
+        """Return the friction torque over mu in full slip, N mm, (B,), at (B, n)."""
+        return inner(self._moment, p)
+
+    def torque(self, p: FloatArray) -> FloatArray:
+        """Return the friction torque in full slip, N mm, (B,), at pressure (B, n)."""
+        return self.inputs.friction * self.moment(p)
+
+    def twist(self, p: FloatArray) -> FloatArray:
+        """Return the area mean of the circumferential displacement jump, mm, at pressure."""
+        return self.inputs.friction * inner(self.compliances.twist, p)
+
+    def reactions(self, p: FloatArray) -> FloatArray:
+        """Return friction torque / mu, axial force and torque / mu on both fixed faces, (5, B).
+
+        At pressure (B, n); N mm and N.
+        """
+        first = self.compliances.every[0]
+        # boundary elements turn with tractions that are constant on each
+        turned = first.torque_reaction * (self.line.arm / self.line.uniform_arm)
+        carried = np.vstack([self._moment, first.force_reaction, turned])
+        return np.array([inner(weights, p) for weights in carried])
+
+    # -- some of the histories ---------------------------------------------------------------------
+
+    def take(self, histories: IntArray) -> Self:
+        """Return the physics of some of the histories."""
+        sensitivity, offset = self.sensitivity, self.gap_offset
+        return replace(
+            self,
+            inputs=self.inputs.take(histories),
+            compliances=self.compliances.take(histories),
+            sensitivity=None if sensitivity is None else sensitivity.take(histories),
+            gap_offset=None if offset is None else offset[histories],
+        )
+
+    def joined(self, other: "Physics") -> "Physics":
+        """Return the physics of the histories of both."""
+        known = {
+            young(case): physics.compliances.history(i)
+            for physics in (self, other)
+            for i, case in enumerate(physics.inputs.cases)
+        }
+        return Physics.of(
+            (*self.inputs.cases, *other.inputs.cases),
+            self.pair,
+            known=known,
+            derivatives=() if self.sensitivity is None else self.sensitivity.keys,
+        )
