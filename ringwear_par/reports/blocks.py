@@ -3,7 +3,8 @@
 import base64
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+
+from ringwear_par.pictures.panels import Panel
 
 
 @dataclass(frozen=True)
@@ -71,32 +72,29 @@ class Picture:
 
 @dataclass(frozen=True)
 class Chart:
-    """A chart of plotly.
+    """A chart.
 
     Parameters
     ----------
     name : of its element, without blanks, only one on the page.
     label : what it shows, for those who do not see it.
-    data, layout : as plotly has them, plain numbers and texts; those of users are ``shown``.
     height : pixels.
-    frames : values of y by instant of the last of ``data``, where there is a slider.
+    frames : values of y by instant of the last curve of the panel, where there is a slider.
     wide : whether it has no other one beside it.
     """
 
     name: str
-    caption: str
+    panel: Panel
     label: str
-    data: Sequence[dict[str, Any]]
-    layout: dict[str, Any]
     height: int = 320
-    frames: Sequence[Sequence[float | None]] = ()
+    frames: Sequence[Sequence[float]] = ()
     wide: bool = False
     kind = "chart"
 
     @property
-    def told(self) -> dict[str, Any]:
-        """What the page's script draws."""
-        return {"data": self.data, "layout": self.layout, "frames": self.frames}
+    def caption(self) -> str:
+        """What it is called, and what it does not show."""
+        return ", ".join(filter(None, (self.panel.title, self.panel.note)))
 
 
 @dataclass(frozen=True)
@@ -107,7 +105,7 @@ class Charts:
     ----------
     instants : what a slider above them goes through, in words; () for none.
     first : where it stands at the beginning.
-    points : what points are, as plotly draws texts: their ``customdata`` are numbers of these.
+    points : words at the pointer, whose numbers are the ``cases`` of points.
     """
 
     charts: Sequence[Chart]

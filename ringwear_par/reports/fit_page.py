@@ -6,13 +6,12 @@ from typing import Any
 
 import h5py
 import numpy as np
-from scipy.stats import norm
 
 from ringwear_par import folders
 from ringwear_par.cases.units import in_signs, with_signs
 from ringwear_par.errors import InputError, legible
 from ringwear_par.files import read_bytes
-from ringwear_par.reports import charts
+from ringwear_par.pictures import fits
 from ringwear_par.reports.blocks import (
     Block,
     Chart,
@@ -25,19 +24,14 @@ from ringwear_par.reports.blocks import (
     Table,
     software,
 )
-from ringwear_par.results.instants import time_unit
-from ringwear_par.results.pictures.drawing import COLOURS, in_words
+from ringwear_par.results.pictures.drawing import in_words
 from ringwear_par.results.storage.hdf5 import read_text, reading
 from ringwear_par.results.variables import SOFTWARE
 from ringwear_par.textfiles import parse_json
 from ringwear_par.textfiles import read_text as read_file
 
-#: what base units are told in, and how many of them
-_TOLD = {"mm": ("\N{MICRO SIGN}m", 1e3), "g": ("mg", 1e3), "N mm": ("N m", 1e-3)}
-#: of the median distance between radii: where they are further apart nothing was read
-_GAP = 3.0
-#: readings whose noise has a bar each
-_FEW = 60
+#: units that readings are shown in, and how many of them one of the file is
+_DISPLAY_UNITS = {"mm": ("\N{MICRO SIGN}m", 1e3), "g": ("mg", 1e3), "N mm": ("N m", 1e-3)}
 _DASH = "\N{EN DASH}"
 
 
@@ -218,28 +212,32 @@ def _series(path: Path, level: float) -> tuple[list[Chart], list[list[str]], str
     """Return charts of the series, rows of those of one reading, and the fit file's text."""
     drawn: list[Chart] = []
     single: list[list[str]] = []
-    quantile = float(norm.ppf(0.5 + 0.5 * level))
     with reading(path, SOFTWARE, "the readings of ringwear fit") as file:
         for number, group in enumerate(_groups(file), start=1):
-            columns = {
-                name: group[name][()] for name in ("data", "model", "sd", "band", "residual")
-            }
-            unit, factor = _TOLD.get(read_text(group["data"].attrs["units"]), ("", 1.0))
-            unit = unit or in_signs(read_text(group["data"].attrs["units"]))
-            experiment, series = (read_text(group.attrs[n]) for n in ("experiment", "series"))
-            if len(columns["data"]) == 1:
-                bars = [(columns["data"], columns["sd"]), (columns["model"], columns["band"])]
-                told = [
-                    f"{factor * v[0]:.5g} \u00b1 {quantile * factor * s[0]:.2g}" for v, s in bars
-                ]
-                single.append([experiment, series, *told, unit, f"{columns['residual'][0]:.2g}"])
+            series = _series_of(group, level)
+            if len(series.data) == 1:
+                bars = [(series.data, series.sd), (series.model, series.band)]
+                words = [f"{v[0]:.5g} \u00b1 {series.quantile * sd[0]:.2g}" for v, sd in bars]
+                residual = f"{series.residuals[0]:.2g}"
+                single.append([series.experiment, series.name, *words, series.unit, residual])
                 continue
-            profile = "r" in group
-            x = group["r" if profile else "time"][()]
             name = f"series-{number}"
-            label = (series, unit)
-            drawn += _charts(name, experiment, label, x, columns, factor, quantile, profile)
+            drawn += [
+                Chart(name, fits.readings(series), f"Data, model and band of {series.title}"),
+                Chart(f"{name}-residuals", fits.residuals(series), f"Residuals of {series.title}"),
+            ]
         return drawn, single, read_text(file.attrs["fit"])
+
+
+def _series_of(group: h5py.Group, level: float) -> fits.Series:
+    """Return a stored series in the unit that people read it in."""
+    base = read_text(group["data"].attrs["units"])
+    unit, factor = _DISPLAY_UNITS.get(base, (in_signs(base), 1.0))
+    experiment, name = (read_text(group.attrs[n]) for n in ("experiment", "series"))
+    data, model, sd, band = (factor * group[n][()] for n in ("data", "model", "sd", "band"))
+    profile = "r" in group
+    x, residuals = (group[n][()] for n in ("r" if profile else "time", "residual"))
+    return fits.Series(experiment, name, unit, x, profile, data, model, sd, band, residuals, level)
 
 
 def _bands(level: float) -> list[str]:
@@ -256,66 +254,6 @@ def _groups(file: h5py.File) -> Iterator[h5py.Group]:
     names = [name for name in file if name.partition("_")[0].isdigit()]
     for name in sorted(names, key=lambda name: int(name.partition("_")[0])):
         yield file[name]
-
-
-def _charts(
-    name: str, experiment: str, label: tuple[str, str], x: Any, columns: Mapping[str, Any],
-    factor: float, quantile: float, profile: bool,
-) -> list[Chart]:  # fmt: skip
-    """Return the charts of a series: readings with the model, and residuals."""
-    unit_of_x, length = ("mm", 1.0) if profile else time_unit(float(np.max(x)))
-    x = x / length
-    order = np.argsort(x, kind="stable")
-    own, steps = x[order], np.diff(x[order])
-    usual = float(np.median(steps[steps > 0])) if (steps > 0).any() else np.inf
-    ends = np.flatnonzero(profile & (steps > _GAP * usual)) + 1
-    model = factor * columns["model"][order]
-    own_band = factor * quantile * columns["band"][order]
-    spread = factor * quantile * np.hypot(columns["band"], columns["sd"])[order]
-
-    def broken(values: Any) -> Any:
-        return np.insert(values.astype(float), ends, np.nan)
-
-    dots: dict[str, Any] = {"mode": "markers", "marker": {"size": 4, "color": "#8c8c8c"}}
-    level = f"{100 * (2 * norm.cdf(quantile) - 1):g} %"
-    noise = charts.numbers(factor * columns["sd"])
-    bars = {"type": "data", "array": noise, "visible": True, "thickness": 1, "width": 0}
-    readings = {
-        "x": charts.numbers(x), "y": charts.numbers(factor * columns["data"]), "name": "data",
-        "text": [f"\u00b1 {sd:.3g}" for sd in noise if sd is not None], **dots,
-        "hovertemplate": "%{x:.5g}: %{y:.5g} %{text} (noise)<extra></extra>",
-    }  # fmt: skip
-    if len(x) <= _FEW:
-        readings["error_y"] = {**bars, "color": dots["marker"]["color"]}
-    data = []
-    for what, reach, style in (
-        ("readings", spread, (0, 0.1, 1.0, "dot")), ("the model", own_band, (1, 0.35, 0.5)),
-    ):  # fmt: skip
-        low, high = (broken(model + sign * reach) for sign in (-1.0, 1.0))
-        told = f"{level} of {what}"
-        data += charts.band(broken(own), low, high, told, (f"{told}, from", f"{told}, to"), *style)
-    line = charts.line(broken(own), broken(model), "model", 1, line={"color": COLOURS[1]})
-    data += [readings, line]
-    below = charts.axis(f"{'radius' if profile else 'time'} ({unit_of_x})")
-    series, unit = label
-    upwards = {"autorange": "reversed"} if profile else {}
-    whole = f"{experiment}: {series}"
-    left = charts.axis(charts.shown(f"{series} ({unit})"), **upwards)
-    residuals = [{"x": charts.numbers(x), "y": charts.numbers(columns["residual"]), **dots}]
-    lines = [
-        {"type": "line", "xref": "paper", "x0": 0, "x1": 1, "y0": y, "y1": y,
-         "line": {"color": COLOURS[0], "width": 1, "dash": "dot"}}
-        for y in (-quantile, quantile)
-    ]  # fmt: skip
-    return [
-        Chart(name, whole, f"Data, model and band of {whole}", data, charts.layout(below, left)),
-        Chart(
-            f"{name}-residuals", f"{whole}, residuals", f"Residuals of {whole}", residuals,
-            charts.layout(
-                below, charts.axis("(data - model) / sd"), showlegend=False, shapes=lines
-            ),
-        ),
-    ]  # fmt: skip
 
 
 def _alternatives(told: Mapping[str, Any]) -> Table:

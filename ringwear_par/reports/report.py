@@ -7,7 +7,7 @@ from typing import Any
 from ringwear_par import __version__, folders
 from ringwear_par.atomic import atomic_write, check_writable
 from ringwear_par.errors import ComputationError, InputError
-from ringwear_par.reports.blocks import Page
+from ringwear_par.reports.blocks import Chart, Page
 from ringwear_par.results.result import Result
 from ringwear_par.results.storage.result_files import result_of
 from ringwear_par.studies.storage.results_file import RESULTS
@@ -48,11 +48,11 @@ def _check(output: Path) -> None:
         raise InputError(f"{output}: its ending must be one of {', '.join(_ENDINGS)}")
     check_writable(output)
     try:
+        import bokeh  # noqa: F401
         import jinja2  # noqa: F401
-        import plotly  # noqa: F401
     except ImportError as error:
         raise InputError(
-            f"{output}: needs the Python packages jinja2 and plotly; "
+            f"{output}: needs the Python packages bokeh and jinja2; "
             "pip install 'ringwear-par[report]'"
         ) from error
 
@@ -82,7 +82,8 @@ def _html(page: Page) -> str:
     """Return the text of a page; everything that is not of the template is escaped."""
     import jinja2
     from markupsafe import Markup
-    from plotly.offline import get_plotlyjs
+
+    from ringwear_par.pictures import bokeh
 
     parts = files("ringwear_par.reports") / "page"
 
@@ -90,11 +91,22 @@ def _html(page: Page) -> str:
         return (parts / name).read_text(encoding="utf-8")
 
     surroundings = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined)
+    # bokeh reads a model before what refers to it
+    surroundings.policies["json.dumps_kwargs"] = {"sort_keys": False}
     values: dict[str, Any] = {
         "page": page,
         "version": __version__,
         "style": Markup(part("page.css")),
         "script": Markup(part("page.js")),
-        "plotly": Markup(get_plotlyjs()) if page.charts else "",
+        "bokeh": Markup(bokeh.script()) if page.charts else "",
+        "drawings": {chart.name: _drawing(chart) for chart in page.charts},
     }
     return surroundings.from_string(part("page.html")).render(values)
+
+
+def _drawing(chart: Chart) -> dict[str, Any]:
+    """Return the figure that the page's script embeds, and the frames of its slider."""
+    from ringwear_par.pictures import bokeh
+
+    figure = bokeh.chart(chart.name, chart.panel, chart.height)
+    return {"item": bokeh.embedded(figure), "frames": bokeh.rounded(chart.frames)}

@@ -2,14 +2,17 @@
 
 import io
 from collections.abc import Iterable
+from dataclasses import replace
 
 import numpy as np
 
 from ringwear_par.cases.units import in_signs, with_signs
 from ringwear_par.elasticity.stress.boundary_fields import BODIES
-from ringwear_par.reports import charts
+from ringwear_par.pictures import runs
 from ringwear_par.reports.blocks import (
     Block,
+    Chart,
+    Charts,
     Lines,
     Page,
     Picture,
@@ -19,6 +22,7 @@ from ringwear_par.reports.blocks import (
     software,
 )
 from ringwear_par.reports.words import case_words
+from ringwear_par.results.instants import time_words
 from ringwear_par.results.key_numbers import (
     KeyNumber,
     check_numbers,
@@ -37,6 +41,8 @@ _STRESS_PANELS = {
     "mises": "the largest over time",
     "interfaces": "tractions along interfaces, von Mises stress on both sides",
 }
+#: most instants of a slider
+_SLIDER = 120
 #: instants of the table of histories
 _INSTANTS = 21
 
@@ -61,17 +67,49 @@ def run_page(result: Result) -> Page:
     if (worn := worn_table(numbers)) is not None:
         blocks.append(worn)
     sections = [Section("Summary", blocks)]
-    drawn = charts.profiles(result)
+    drawn = profiles(result)
     told = "No profiles are stored at several times (output.fields, output.profiles)."
     sections.append(
         Section("Worn profiles and pressure", [Lines([told]) if drawn is None else drawn])
     )
-    sections.append(Section("Histories", [charts.histories(result), _told(result)]))
+    sections.append(Section("Histories", [histories(result), _told(result)]))
     sections += _stresses(result)
     sections.append(Section("The case", case_words(result)))
     sections.append(Section("Balances", [_errors(result)]))
     sections.append(_reproduced(result))
     return Page("Wear history of a test", title or "Run without a title", sections)
+
+
+def histories(result: Result) -> Charts:
+    """Return the charts of the quantities over time that the result holds."""
+    return Charts([
+        Chart(name, panel, f"Line chart: {panel.title} over {panel.x.label}")
+        for name, panel in runs.histories(result).items()
+    ])  # fmt: skip
+
+
+def profiles(result: Result) -> Charts | None:
+    """Return worn faces and pressure at five instants and at that of a slider; None: not stored."""
+    panels = {
+        f"wear-{body}": (runs.worn_face(result, body), runs.height(result, body))
+        for body in runs.worn_bodies(result)
+    }
+    if runs.stored_at_all_states(result, "pressure"):
+        panels["pressure"] = runs.pressure(result), result.profiles["pressure"]
+    if not panels:
+        return None
+    time = result.histories["time"]
+    instants = np.unique(np.linspace(0, len(time) - 1, _SLIDER).round().astype(int)).tolist()
+    charts = []
+    for name, (panel, values) in panels.items():
+        times = ", ".join(curve.name for curve in panel.curves)
+        label = f"Line chart: {panel.y.label} over the {runs.RADIUS} at {times}"
+        frames = [values[row].tolist() for row in instants]
+        chosen = runs.at_instant(result, values[instants[-1]])
+        panel = replace(panel, curves=[*panel.curves, chosen])
+        charts.append(Chart(name, panel, label, 400, frames))
+    words = [time_words(time[row], float(time[-1])) for row in instants]
+    return Charts(charts, words, len(instants) - 1)
 
 
 def key_rows(numbers: Iterable[KeyNumber]) -> list[tuple[str, str, str]]:

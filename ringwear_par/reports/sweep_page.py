@@ -1,6 +1,7 @@
 """The page of a sweep."""
 
 from collections import Counter
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -9,9 +10,11 @@ import numpy as np
 from ringwear_par.cases.schema import unit_of
 from ringwear_par.cases.units import in_signs
 from ringwear_par.errors import InputError, legible
-from ringwear_par.reports import sweep_charts
+from ringwear_par.pictures import sweeps
 from ringwear_par.reports.blocks import (
     Block,
+    Chart,
+    Charts,
     Lines,
     Page,
     Section,
@@ -53,11 +56,10 @@ def sweep_page(folder: Path) -> Page:
             regressions, why = None, f"No surrogate: {error}"
         bars = index_bars(ensemble, regressions)
         chosen = choose(ensemble, regressions, bars)
-        sections.append(Section("Histories", [sweep_charts.histories(ensemble, chosen)]))
+        sections.append(Section("Histories", [_histories(ensemble, chosen)]))
         sections.append(Section("Final values", _effects(ensemble, chosen, why)))
         told = "No indices: they need two varied numbers, and a design of enough cases."
-        drawn = sweep_charts.indices(bars)
-        blocks: list[Block] = [Lines([told])] if drawn is None else [drawn]
+        blocks: list[Block] = [_index_charts(bars) if bars else Lines([told])]
         sections.append(Section("Sensitivity", [*blocks, *map(_indices, bars)]))
     sections.append(Section("Cases", [_cases(ensemble)]))
     sections.append(_reproduced(ensemble))
@@ -121,8 +123,36 @@ def _number(value: float) -> str:
     return f"{value:.{_DIGITS}g}" if np.isfinite(value) else ""
 
 
+def _histories(ensemble: Ensemble, chosen: Choice) -> Charts:
+    panel = sweeps.histories(ensemble, chosen)
+    label = f"Line chart: {panel.y.label} over {panel.x.label}"
+    return Charts([Chart("histories", panel, label, 440, wide=True)])
+
+
+def _index_charts(bars: Sequence[IndexBars]) -> Charts:
+    charts = []
+    for name, panel in sweeps.all_indices(bars).items():
+        label = f"Bar chart: {panel.title}; the table has the numbers"
+        charts.append(Chart(_name(name), panel, label, 160 + 55 * len(panel.y.categories)))
+    return Charts(charts)
+
+
+def _name(text: str) -> str:
+    """Return the name of an element."""
+    return text.replace("_", "-").replace(".", "-")
+
+
+def _effect_charts(ensemble: Ensemble, chosen: Choice) -> Charts:
+    charts = [
+        Chart(_name(name), panel, f"Chart: {panel.title}, a point each case")
+        for name, panel in sweeps.effects(ensemble, chosen).items()
+    ]
+    cases = sweeps.drawn_cases(chosen)
+    return Charts(charts, points=sweeps.words_of(ensemble, chosen, cases))
+
+
 def _effects(ensemble: Ensemble, chosen: Choice, why: str) -> list[Block]:
-    drawn = sweep_charts.effects(ensemble, chosen)
+    drawn = _effect_charts(ensemble, chosen)
     told = [f"{chosen.told}: a point each case, named where the pointer is."]
     if len(drawn.points) < len(chosen.cases):
         told.append(

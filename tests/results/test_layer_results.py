@@ -12,8 +12,7 @@ from mpi4py import MPI
 
 import ringwear_par as rw
 from ringwear_par.arrays import share
-from ringwear_par.reports.charts import profiles
-from ringwear_par.reports.run_page import worn_table
+from ringwear_par.reports.run_page import profiles, worn_table
 from ringwear_par.results.key_numbers import key_numbers
 from ringwear_par.results.layer_ends import worn_through
 from ringwear_par.results.pictures.figures import plot
@@ -214,10 +213,11 @@ def test_layers_in_tables_and_pictures(result, tmp_path):
     assert [text.get_text().strip() for text in wear.texts[-2:]] == ["layer 0", "layer 1"]
     assert "end of layer" in [text.get_text() for text in wear.get_legend().get_texts()]
     plain = rw.simulate(rw.read_case(CASE, {**SMALL, "lower.layers": None}), MPI.COMM_SELF)
-    (face, _, _) = profiles(result).charts
-    ends = [curve for curve in face.data if curve["name"].startswith("end of layer")]
-    assert [(curve["name"][-1], curve["y"][0]) for curve in ends] == [("0", -0.5), ("1", -3.5)]
-    assert face.data[-1]["name"] == "time chosen"  # which the slider moves
+    face, _, _ = profiles(result).charts
+    ends = [curve for curve in face.panel.curves if curve.name.startswith("end of layer")]
+    assert [curve.name[-1] for curve in ends] == ["0", "1"]
+    np.testing.assert_allclose([curve.y[0] for curve in ends], [-0.5, -3.5])
+    assert face.panel.curves[-1].name == "time chosen"  # which the slider moves
     light = rw.simulate(rw.read_case(CASE, {**SMALL, "time.steps": 1}), MPI.COMM_SELF)
     assert plot(light, "through").axes[0].get_ylim() == (0.0, 100.0)
     with pytest.raises(rw.InputError, match="through needs a body with layers"):

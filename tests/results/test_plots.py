@@ -392,7 +392,7 @@ def test_what_the_common_scale_shows_is_not_cut(tmp_path, comm):
 
 def test_the_peak_of_pressure_is_the_same_everywhere(tmp_path, comm):
     from ringwear_par.explorer.figures import Drawing
-    from ringwear_par.reports.charts import profiles
+    from ringwear_par.reports.run_page import profiles
     from ringwear_par.results.instants import pressure_peak
     from ringwear_par.results.pictures.figures import plot
     from ringwear_par.results.storage.result_files import open_result
@@ -410,7 +410,7 @@ def test_the_peak_of_pressure_is_the_same_everywhere(tmp_path, comm):
     assert chart.caption == f"contact pressure (MPa), {note}"
     told = Drawing(result, result, None, 1.0, "volume", []).told()["pressure"]
     assert told["note"] == note
-    assert told["ranges"][1] == chart.layout["yaxis"]["range"]
+    assert told["ranges"][1] == [*chart.panel.y.ends]
     assert told["ranges"][1][1] == pytest.approx(pressure_peak(result).limit)
 
 

@@ -458,7 +458,7 @@ def test_many_cases_are_drawn_from_a_part_of_their_histories(tmp_path, monkeypat
 @pytest.mark.usefixtures("few_resamples")
 def test_round_off_looks_like_no_effect(tmp_path, keys, method):
     """Values that differ by it lie on a level line; 2 % are seen as ever."""
-    from ringwear_par.reports.sweep_charts import effects
+    from ringwear_par.pictures.sweeps import effects
     from ringwear_par.studies.analysis.surrogate import surrogate
 
     u = sample(KEYS[:keys], 32) if method == "sobol" else np.array(
@@ -481,8 +481,8 @@ def test_round_off_looks_like_no_effect(tmp_path, keys, method):
                 of.append(np.ptp(axes.get_ylim()))
     assert min(spans["lower"]) >= 1e-3 * 4.79
     assert 0.015 < max(spans["upper"]) < 0.03
-    charts = effects(ensemble, choose(ensemble, found, ())).charts
-    ranges = [chart.layout["yaxis"].get("range") for chart in charts if "lower" in chart.name]
+    panels = effects(ensemble, choose(ensemble, found, ()))
+    ranges = [panel.y.ends for name, panel in panels.items() if "lower" in name]
     assert ranges
     assert all(high - low >= 1e-3 * 4.79 for low, high in ranges)
-    assert not any("range" in chart.layout["yaxis"] for chart in charts if "upper" in chart.name)
+    assert not any(panel.y.ends for name, panel in panels.items() if "upper" in name)

@@ -11,7 +11,7 @@ from swept import CASE, table, variables, write_study
 import ringwear_par as rw
 from ringwear_par.elasticity.stress.recovery import StressRecovery
 from ringwear_par.errors import ComputationError
-from ringwear_par.reports import sweep_charts
+from ringwear_par.pictures import sweeps
 from ringwear_par.studies.analysis.sensitivity import outputs_of
 from ringwear_par.studies.analysis.surrogate import surrogate
 from ringwear_par.studies.execution import workers
@@ -353,12 +353,6 @@ def test_keys_that_are_spaced_by_logarithms_are_drawn_so(swept, tmp_path):
     assert scales["lower.layers[0].thickness"] == {"log"}
     assert scales["load.pressure"] == {"linear"}
     chosen = choose(read_ensemble(swept), None, ())
-    drawn = sweep_charts.effects(read_ensemble(swept), chosen)
-    types = {
-        (
-            chart.layout["xaxis"]["title"]["text"].partition(" ")[0],
-            chart.layout["xaxis"].get("type"),
-        )
-        for chart in drawn.charts
-    }
-    assert types == {("lower.layers[0].thickness", "log"), ("load.pressure", None)}
+    drawn = sweeps.effects(read_ensemble(swept), chosen)
+    logarithmic = {(panel.x.label.partition(" ")[0], panel.x.log) for panel in drawn.values()}
+    assert logarithmic == {("lower.layers[0].thickness", True), ("load.pressure", False)}

@@ -1,47 +1,73 @@
 "use strict";
-// charts
-for (const told of document.querySelectorAll("script.told")) {
-  const plot = told.previousElementSibling, { data, layout, frames } = JSON.parse(told.textContent);
+// charts: each is a figure of bokeh, whose sources are named by their kinds of marks
+Bokeh.set_log_level("error");
+// twice as fine as some screens, for paper
+Object.defineProperty(window, "devicePixelRatio", { value: Math.max(2, devicePixelRatio) });
+const sourceOf = (plot, kind) => plot.figure.document.get_model_by_name(`${plot.id}-${kind}`);
+const ready = [...document.querySelectorAll("script.drawing")].map(async (drawing) => {
+  const plot = drawing.previousElementSibling, { item, frames } = JSON.parse(drawing.textContent);
   const points = plot.closest(".charts").querySelector("script.points");
-  const words = points && JSON.parse(points.textContent);
-  for (const curve of data) {
-    if (curve.customdata) curve.text = curve.customdata.map((i) => words[i]);
-    else if (curve.text) curve.text = curve.y.map(() => curve.text);  // newer plotly wants one a point
-  }
+  const views = await Bokeh.embed.embed_item(item, plot.id);
   plot.frames = frames;
-  Plotly.newPlot(plot, data, layout, {
-    responsive: true, displaylogo: false, plotlyServerURL: "",
-    // none that would send data anywhere, as newer versions have of their own accord
-    modeBarButtons: [["toImage", "zoom2d", "pan2d", "zoomIn2d", "zoomOut2d", "resetScale2d"]],
-  });
+  plot.figure = views.roots[0].model;
+  if (points) {
+    const words = JSON.parse(points.textContent), source = sourceOf(plot, "points");
+    change(source, { words: Array.from(source.data.case, (i) => words[i] ?? "") });
+  }
+  plot.whole = axes.map((name) => [plot.figure[name].start, plot.figure[name].end]);
+});
+const axes = ["x_range", "y_range"];
+function change(source, columns) {
+  source.data = { ...source.data, ...columns };
 }
 // on paper charts are as wide as their place there, whatever the window was
-const resized = (width) => document.querySelectorAll("div.plot").forEach((plot) => {
-  Plotly.relayout(plot, { width: width(plot), autosize: true });
-});
-addEventListener("beforeprint", () => resized((plot) => plot.closest(".whole") ? 1000 : 485));
-addEventListener("afterprint", () => resized(() => null));
+addEventListener("beforeprint", () => document.querySelectorAll("div.plot").forEach((plot) => {
+  const width = plot.offsetWidth;
+  plot.style.width = `${width}px`;
+  plot.style.zoom = (plot.closest(".whole") ? 680 : 330) / width;
+}));
+addEventListener("afterprint", () => document.querySelectorAll("div.plot").forEach((plot) => {
+  plot.style.width = plot.style.zoom = "";
+}));
 // what the mouse does in a chart, by buttons: a share of its width or height
 const moves = {
   "zoom in": [0.5, 0, 0], "zoom out": [2, 0, 0], "left": [1, -0.25, 0], "right": [1, 0.25, 0],
   "up": [1, 0, 0.25], "down": [1, 0, -0.25],
 };
-// the text that plotly draws, of which parts are escaped
-const plain = (text) => new DOMParser().parseFromString(text.replaceAll("<br>", ", "), "text/html").body.textContent;
+const labelOf = (axis) => axis.axis_label?.text ?? axis.axis_label ?? "";
 // the numbers of a chart as rows: curves beside each other if they share their places
 function rowsOf(plot) {
-  const curves = plot.data.filter((curve) => curve.meta !== "aside"), [across, upwards] = ["xaxis", "yaxis"]
-    .map((name) => plain(plot.layout[name].title.text) || "of");
-  const places = (curve) => curve.x ?? curve.y.map((_, i) => Number((curve.x0 + i * curve.dx).toPrecision(7)));
-  const name = (curve) => plain(curve.name || upwards), first = JSON.stringify(places(curves[0]));
-  if (curves.every((curve) => !curve.customdata && JSON.stringify(places(curve)) === first)) {
-    return [[across, ...curves.map(name)], ...places(curves[0]).map((x, i) => [x, ...curves.map((c) => c.y[i])])];
+  const [across, upwards] = [plot.figure.below[0], plot.figure.left[0]].map((axis) => labelOf(axis) || "of");
+  const curves = [], number = (value) => Number.isFinite(value) ? Number(value.toPrecision(7)) : null;
+  for (const kind of ["ends", "lines"]) {
+    const { x, y, label, stepped } = sourceOf(plot, kind).data;
+    Array.from(label, (name, i) => {  // of steps their ends
+      const of = (values) => Array.from(values[i], number).filter((_, j) => !stepped[i] || j % 2);
+      curves.push({ name, x: of(x), y: of(y) });
+    });
   }
-  const row = (curve, x, i) => [name(curve), x, curve.y[i], ...(curve.customdata ? [plain(curve.text[i])] : [])];
-  return [["curve", across, upwards, "case"].slice(0, curves.some((c) => c.customdata) ? 4 : 3),
-    ...curves.flatMap((curve) => places(curve).map((x, i) => row(curve, x, i)))];
+  const { x, y, label, case: cases, words } = sourceOf(plot, "points").data, bars = sourceOf(plot, "bars").data;
+  for (const name of new Set(label)) {
+    const rows = Array.from(label, (_, i) => i).filter((i) => label[i] === name);
+    const named = rows.some((i) => cases[i] >= 0) && rows.map((i) => words[i].replaceAll("\n", ", "));
+    curves.push({ name, x: rows.map((i) => number(x[i])), y: rows.map((i) => number(y[i])), words: named });
+  }
+  const keys = plot.figure.left[0].major_label_overrides;
+  for (const name of new Set(bars.label)) {
+    const rows = Array.from(bars.label, (_, i) => i).filter((i) => bars.label[i] === name);
+    const key = (word) => word?.text ?? word;
+    curves.push({ name, x: rows.map((i) => number(bars.right[i])), y: rows.map((_, i) => key(keys.get(i))) });
+  }
+  const first = JSON.stringify(curves[0].x);
+  if (curves.every((curve) => !curve.words && JSON.stringify(curve.x) === first)) {
+    return [[across, ...curves.map((curve) => curve.name || upwards)],
+      ...curves[0].x.map((value, i) => [value, ...curves.map((curve) => curve.y[i])])];
+  }
+  const named = curves.some((curve) => curve.words);
+  return [["curve", across, upwards, ...(named ? ["case"] : [])], ...curves.flatMap((curve) =>
+    curve.x.map((value, i) => [curve.name || upwards, value, curve.y[i], ...(curve.words ? [curve.words[i]] : [])]))];
 }
-function tell(plot) {
+function tabulate(plot) {
   const table = document.createElement("table"), rows = rowsOf(plot);
   table.createCaption().textContent = plot.parentElement.querySelector("figcaption").textContent;
   rows.forEach((row, number) => {
@@ -56,17 +82,18 @@ function tell(plot) {
   plot.parentElement.querySelector(".numbers").replaceChildren(table);
 }
 for (const aside of document.querySelectorAll(".by-hand")) {
-  const plot = aside.parentElement.querySelector("div.plot"), axes = ["xaxis", "yaxis"];
-  const whole = Object.fromEntries(axes.map((name) => [`${name}.range`, [...plot._fullLayout[name].range]]));
-  aside.addEventListener("toggle", () => { if (aside.open) tell(plot); });
+  const plot = aside.parentElement.querySelector("div.plot");
+  aside.addEventListener("toggle", () => { if (aside.open) tabulate(plot); });
   aside.querySelector("p").addEventListener("click", (event) => {
     const move = moves[event.target.textContent];
     if (event.target.tagName !== "BUTTON") return;
-    Plotly.relayout(plot, !move ? whole : Object.fromEntries(axes.map((name, number) => {
-      const [a, b] = plot._fullLayout[name].range, [zoom, ...by] = move;
-      const middle = 0.5 * (a + b) + by[number] * (b - a), half = 0.5 * zoom * (b - a);
-      return [`${name}.range`, [middle - half, middle + half]];
-    })));
+    axes.forEach((name, i) => {
+      const range = plot.figure[name], log = plot.figure[`${"xy"[i]}_scale`].type === "LogScale";
+      const [into, outOf] = log ? [Math.log10, (v) => 10 ** v] : [Number, Number];
+      const [a, b] = [range.start, range.end].map(into), [zoom, ...by] = move ?? [];
+      const middle = 0.5 * (a + b) + by[i] * (b - a), half = 0.5 * zoom * (b - a);
+      [range.start, range.end] = move ? [middle - half, middle + half].map(outOf) : plot.whole[i];
+    });
   });
 }
 // the slider above charts: the last curve of each is that of its instant
@@ -78,8 +105,10 @@ for (const slider of document.querySelectorAll(".slider input")) {
     slider.setAttribute("aria-valuetext", instants[instant]);
     for (const plot of block.querySelectorAll("div.plot")) {
       if (!plot.frames.length) continue;
-      Plotly.restyle(plot, { y: [plot.frames[instant]] }, [plot.data.length - 1]);
-      if (plot.parentElement.querySelector(".by-hand").open) tell(plot);
+      const frame = plot.frames[instant], lines = sourceOf(plot, "lines");
+      change(lines, { y: [...lines.data.y.slice(0, -1), frame] });
+      change(sourceOf(plot, "dots"), { y: frame });
+      if (plot.parentElement.querySelector(".by-hand").open) tabulate(plot);
     }
   });
 }

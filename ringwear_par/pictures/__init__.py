@@ -1,0 +1,1 @@
+"""Charts of runs, sweeps and fits as data, and what draws them."""

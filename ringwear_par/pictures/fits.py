@@ -1,0 +1,96 @@
+"""Panels of a fit: readings with the model and its bands, residuals."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy.stats import norm
+
+from ringwear_par.arrays import FloatArray
+from ringwear_par.pictures.panels import GREY, Axis, Band, Curve, Panel, Points
+from ringwear_par.results.instants import time_unit
+from ringwear_par.results.pictures.drawing import COLOURS
+
+#: of the median distance between radii: where they are further apart nothing was read
+_GAP = 3.0
+#: readings whose noise has a bar each
+_FEW = 60
+
+
+@dataclass(frozen=True)
+class Series:
+    """Readings of a series and the model of a fit, in the unit that they are shown in.
+
+    Parameters
+    ----------
+    experiment, name : of the series; unit : of its readings.
+    x : (n,) float, times (s), or radii (mm) of a profile.
+    data, model : (n,) float; sd, band : standard deviations of the noise and of the model.
+    residuals : (n,) float, in standard deviations of the noise.
+    level : confidence of the bands.
+    """
+
+    experiment: str
+    name: str
+    unit: str
+    x: FloatArray
+    profile: bool
+    data: FloatArray
+    model: FloatArray
+    sd: FloatArray
+    band: FloatArray
+    residuals: FloatArray
+    level: float
+
+    @property
+    def quantile(self) -> float:
+        """The standard deviations of half a band."""
+        return float(norm.ppf(0.5 + 0.5 * self.level))
+
+    @property
+    def title(self) -> str:
+        """The experiment and the series."""
+        return f"{self.experiment}: {self.name}"
+
+    def along(self) -> tuple[FloatArray, Axis]:
+        """Return the abscissae in the unit of their axis, and that axis."""
+        unit, length = ("mm", 1.0) if self.profile else time_unit(float(np.max(self.x)))
+        return self.x / length, Axis(f"{'radius' if self.profile else 'time'} ({unit})")
+
+
+def readings(series: Series) -> Panel:
+    """Return readings with the model, its band and that of readings; gaps where none were."""
+    x, below = series.along()
+    order = np.argsort(x, kind="stable")
+    steps = np.diff(x[order])
+    usual = float(np.median(steps[steps > 0])) if (steps > 0).any() else np.inf
+    gaps = np.flatnonzero(series.profile & (steps > _GAP * usual)) + 1
+
+    def broken(values: Any) -> FloatArray:
+        return np.insert(values[order].astype(float), gaps, np.nan)
+
+    percent, bands = f"{100 * series.level:g} %", []
+    for name, reach, colour, opacity, edge in (
+        ("readings", np.hypot(series.band, series.sd), COLOURS[0], 0.1, 1.0),
+        ("the model", series.band, COLOURS[1], 0.35, 0.0),
+    ):
+        low, high = (broken(series.model + sign * series.quantile * reach) for sign in (-1.0, 1.0))
+        name = f"{percent} of {name}"
+        ends = f"{name}, from", f"{name}, to"
+        bands.append(Band(broken(x), low, high, name, ends, colour, opacity, edge))
+    noise = series.sd if len(x) <= _FEW else None
+    return Panel(
+        below, Axis(f"{series.name} ({series.unit})", reversed=series.profile), series.title,
+        curves=[Curve(broken(x), broken(series.model), "model", COLOURS[1])],
+        bands=bands, points=[Points(x, series.data, "data", GREY, 4.0, errors=noise)],
+    )  # fmt: skip
+
+
+def residuals(series: Series) -> Panel:
+    """Return the residuals of a series, with the limits of the confidence level."""
+    x, below = series.along()
+    return Panel(
+        below, Axis("(data - model) / sd"), f"{series.title}, residuals",
+        points=[Points(x, series.residuals, "", GREY, 4.0)],
+        levels=(-series.quantile, series.quantile),
+    )  # fmt: skip

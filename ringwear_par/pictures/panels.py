@@ -1,0 +1,144 @@
+"""Panels: charts as data, without a word of the library that draws them."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from ringwear_par.arrays import FloatArray, IntArray
+from ringwear_par.results.pictures.drawing import COLOURS
+
+GREY = "#8c8c8c"
+#: as many points of a curve, or fewer, are marked
+FEW_POINTS = 20
+
+
+@dataclass(frozen=True)
+class Axis:
+    """An axis of a panel.
+
+    Parameters
+    ----------
+    label : with the unit.
+    ends : low and high end; None: what is drawn, with some room.
+    zero : whether it includes 0, if it has no ends.
+    log : whether it is logarithmic.
+    reversed : whether it grows downwards, or to the left.
+    categories : words at 0, 1, ...; () for numbers.
+    """
+
+    label: str
+    ends: tuple[float, float] | None = None
+    zero: bool = False
+    log: bool = False
+    reversed: bool = False
+    categories: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Curve:
+    """A line; NaN are gaps.
+
+    Parameters
+    ----------
+    x, y : (n,) float; of means between points of x, y is shorter by one, and the line has steps.
+    name : of the legend and of the table of numbers.
+    dash : number of its dashes, 0 for none.
+    marked : whether its points are; hidden : whether the line itself is not drawn.
+    tabulated : whether a table of the panel's numbers has it.
+    words : at the pointer, before its numbers.
+    """
+
+    x: FloatArray
+    y: FloatArray
+    name: str = ""
+    colour: str = COLOURS[0]
+    dash: int = 0
+    width: float = 1.6
+    opacity: float = 1.0
+    marked: bool = False
+    hidden: bool = False
+    tabulated: bool = True
+    words: str = ""
+
+
+@dataclass(frozen=True)
+class Band:
+    """A ribbon between two curves; NaN are gaps.
+
+    Parameters
+    ----------
+    name : of the legend.
+    ends : names of the low and the high curve in a table of numbers.
+    edge : width of the lines at its ends, which are dotted.
+    """
+
+    x: FloatArray
+    low: FloatArray
+    high: FloatArray
+    name: str
+    ends: tuple[str, str]
+    colour: str = COLOURS[0]
+    opacity: float = 0.3
+    edge: float = 0.0
+
+
+@dataclass(frozen=True)
+class Points:
+    """Points of one kind.
+
+    Parameters
+    ----------
+    size : pixels of a page.
+    hollow : whether only their outlines are drawn; level : whether they are short level lines.
+    errors : (n,) float, half-lengths of upright bars.
+    cases : (n,) int, rows of a list of words that are at the pointer; several panels share it.
+    """
+
+    x: FloatArray
+    y: FloatArray
+    name: str = ""
+    colour: str = GREY
+    size: float = 5.0
+    opacity: float = 1.0
+    hollow: bool = False
+    level: bool = False
+    errors: FloatArray | None = None
+    cases: IntArray | None = None
+
+
+@dataclass(frozen=True)
+class Bars:
+    """Bars from 0 to the right.
+
+    Parameters
+    ----------
+    places : (n,) float, their middles on the axis of categories.
+    values : (n,) float, where they end; errors : (n,) float, half-lengths about these.
+    """
+
+    places: FloatArray
+    values: FloatArray
+    name: str
+    colour: str
+    errors: FloatArray | None = None
+
+
+@dataclass(frozen=True)
+class Panel:
+    """A chart.
+
+    Parameters
+    ----------
+    title : a line about it; note : of what it does not show, "" for nothing.
+    levels : values at which dotted lines go across; uprights : go up.
+    """
+
+    x: Axis
+    y: Axis
+    title: str = ""
+    note: str = ""
+    curves: Sequence[Curve] = ()
+    bands: Sequence[Band] = ()
+    points: Sequence[Points] = ()
+    bars: Sequence[Bars] = ()
+    levels: tuple[float, ...] = ()
+    uprights: tuple[float, ...] = ()
