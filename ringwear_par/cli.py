@@ -125,7 +125,7 @@ def _plot(args: argparse.Namespace, comm: Any) -> None:
         chosen = args.panels or PANELS, args.steps or "", args.profiles_of or (), args.times or ""
         on_first_rank(comm, lambda: plot_files(args.results, args.output, *chosen))
         return
-    from ringwear_par.folders import refuse_drawn
+    from ringwear_par.files.folders import refuse_drawn
     from ringwear_par.studies.pictures.figures import plot_sweep
 
     refuse_drawn(folders[0])
@@ -540,7 +540,7 @@ def _main(words: Sequence[str], world: _World, signals: StopAtOnce) -> int:
         command = _COMMANDS[args.command]
         _check_launch(comm.size)
         if args.command == "verify" or getattr(args, "no_cache", False):
-            from ringwear_par import pair_cache
+            from ringwear_par.elasticity.bem import pair_cache
 
             os.environ[pair_cache.VARIABLE] = ""  # no cache
         if command.solves or words[cut + 1 :]:

@@ -51,7 +51,7 @@ def _optional(package: str) -> str:
 
 def print_info(comm: "MPI.Comm") -> None:
     """Print versions, builds, ranks and threads. On one rank."""
-    from ringwear_par import pair_cache
+    from ringwear_par.elasticity.bem import pair_cache
     from ringwear_par.petsc import PETSc
 
     print(f"ringwear-par {__version__} in {os.path.dirname(__file__)}, Python {sys.executable}")

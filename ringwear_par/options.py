@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ringwear_par.errors import InputError, RingwearError, legible
-from ringwear_par.textfiles import read_text
+from ringwear_par.files.text import read_text
 
 if TYPE_CHECKING:
     from petsc4py import PETSc

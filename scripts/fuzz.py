@@ -34,11 +34,11 @@ import matplotlib
 from mutations import WORDS, edited, mutated_bytes, mutated_table, mutated_text
 
 from ringwear_par import cli
-from ringwear_par.atomic import check_writable
 from ringwear_par.cases.files.reading import read_case
 from ringwear_par.cases.units import seconds
 from ringwear_par.errors import InputError, RingwearError
-from ringwear_par.history.limits import check_case
+from ringwear_par.files.writing import check_writable
+from ringwear_par.history.validity.case_limits import check_case
 from ringwear_par.options import _refuse_words
 from ringwear_par.reports.report import report
 from ringwear_par.results.pictures.figures import plot_files

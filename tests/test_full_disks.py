@@ -14,8 +14,8 @@ import try_faults as faults
 from conftest import SHELL_ENVIRONMENT
 from stored import contents
 
-from ringwear_par.atomic import atomic_write
 from ringwear_par.elasticity.bem import assembly
+from ringwear_par.files.writing import atomic_write
 from ringwear_par.results.execution import watch
 from ringwear_par.results.execution.run import run_case
 from ringwear_par.results.storage.hdf5 import atomic_hdf5

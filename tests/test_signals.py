@@ -88,7 +88,7 @@ FIRST_STEP = " before the first step; nothing written"
         ("petsc4py", signal.SIGINT, ["run", PAPER, "-o", "a.h5"], FIRST_STEP),
         ("numpy", signal.SIGINT, ["run", PAPER, "-o", "a.h5"], FIRST_STEP),
         *(
-            ("ringwear_par.history.physics:assemble", n, ["run", PAPER, "-o", "a.h5"], FIRST_STEP)
+            ("ringwear_par.history.batch:assemble", n, ["run", PAPER, "-o", "a.h5"], FIRST_STEP)
             for n in (signal.SIGINT, signal.SIGTERM)
         ),
         ("ringwear_par.studies.execution.sweep", signal.SIGINT, ["sweep", STUDY, "-o", "out"],
@@ -110,7 +110,7 @@ def test_a_signal_before_there_is_anything_to_keep(tmp_path, place, number, word
 
 
 @pytest.mark.skipif(not shutil.which("mpirun"), reason="no mpirun")
-@pytest.mark.parametrize("place", ["mpi4py", "ringwear_par.history.physics:assemble"])
+@pytest.mark.parametrize("place", ["mpi4py", "ringwear_par.history.batch:assemble"])
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGUSR1])
 def test_ranks_say_once_what_the_launcher_sent(tmp_path, place, number):
     words = ["run", PAPER, "-o", "a.h5"]

@@ -16,11 +16,11 @@ import pytest
 import ringwear_par as rw
 from ringwear_par.cases import schema
 from ringwear_par.cli import _parser
+from ringwear_par.files.text import parse_toml
 from ringwear_par.identification.definition import schema as fit_schema
 from ringwear_par.identification.definition.candidates import count_of
 from ringwear_par.identification.definition.fit_file import read_fit
 from ringwear_par.studies.definition import schema as study_schema
-from ringwear_par.textfiles import parse_toml
 from ringwear_par.wear.catalogue import LAWS
 from ringwear_par.wear.parameters import parameters_of
 

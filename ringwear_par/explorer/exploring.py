@@ -15,14 +15,14 @@ from ringwear_par.elasticity.bem.pair import ContactPair
 from ringwear_par.explorer.controls import controls_of
 from ringwear_par.explorer.moved import changed
 from ringwear_par.explorer.sliders import Control
+from ringwear_par.files.text import read_text
 from ringwear_par.history.elastic.bodies import operator_key
 from ringwear_par.history.elastic.pairs import assemble
-from ringwear_par.history.limits import check_case
 from ringwear_par.history.loop import simulate_one
 from ringwear_par.history.snapshots import Snapshot
+from ringwear_par.history.validity.case_limits import check_case
 from ringwear_par.results.execution.recorder import Recorder
 from ringwear_par.results.result import Result
-from ringwear_par.textfiles import read_text
 
 #: about how many states of fixed steps are kept: more would not be seen
 _STATES = 400

@@ -12,8 +12,8 @@ from ringwear_par.cases.case import Case, density_keys
 from ringwear_par.cases.units import assumption, factor, told_unit, unit_of_column
 from ringwear_par.cases.values import RejectedError
 from ringwear_par.errors import InputError, legible
+from ringwear_par.files.measurements import measurements_in
 from ringwear_par.identification.definition.problem import BASE
-from ringwear_par.measurements import measurements_in
 from ringwear_par.results.result import Result
 
 #: what a column may be over time, and along the radius; as in fit files

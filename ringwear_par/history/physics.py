@@ -8,6 +8,7 @@ and gaps are ``inputs``, moduli ``compliances``; elements that follow the wear a
 ``moving_geometry``, states for which all this does not hold that of ``admissible``.
 """
 
+import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -22,12 +23,13 @@ from ringwear_par.contact.correction import CorrectedContacts
 from ringwear_par.contact.problem import ContactInputs
 from ringwear_par.elasticity.bem.pair import BodyCost, ContactCompliance, ContactPair
 from ringwear_par.elasticity.geometry.mesh import ContactLine
+from ringwear_par.history.derivatives.numbers import Sensitivity
 from ringwear_par.history.elastic.bodies import young
 from ringwear_par.history.elastic.compliances import Compliances
 from ringwear_par.history.inputs import HistoryInputs
-from ringwear_par.history.sensitivity import Sensitivity
 from ringwear_par.schedules import in_time, integral
 from ringwear_par.wear.increment import Closing, WearIncrement, averaged_rate, averaging
+from ringwear_par.wear.layered import worn_through
 from ringwear_par.wear.layered_increment import LayeredIncrement
 from ringwear_par.wear.local_state import LocalState
 
@@ -257,6 +259,25 @@ class Physics:
         turned = first.torque_reaction * (self.line.arm / self.line.uniform_arm)
         carried = np.vstack([self._moment, first.force_reaction, turned])
         return np.array([inner(weights, p) for weights in carried])
+
+    # -- layers ------------------------------------------------------------------------------------
+
+    def layer_left(self, body: int, wear: FloatArray) -> FloatArray:
+        """Return what is left of all layers of a body, (..., n) mm, worn by (..., n) mm."""
+        ends = self.layer_ends[body]
+        assert ends is not None
+        return np.where(worn_through(ends[-1], wear), 0.0, ends[-1] - wear)
+
+    def layer_volumes(self, body: int, wear: FloatArray) -> FloatArray:
+        """Return what is worn off each layer and the body itself, (..., layers + 1) mm3."""
+        ends = self.layer_ends[body]
+        assert ends is not None
+        bounds = [np.zeros(self.line.n), *ends, np.full(self.line.n, np.inf)]
+        volumes = [
+            np.asarray(inner(self.area, np.clip(wear, start, end) - start))
+            for start, end in itertools.pairwise(bounds)
+        ]
+        return np.stack(volumes, axis=-1)
 
     # -- some of the histories ---------------------------------------------------------------------
 

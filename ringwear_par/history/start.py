@@ -8,11 +8,11 @@ from ringwear_par.cases.case import Case
 from ringwear_par.contact.correction import CorrectedContacts
 from ringwear_par.contact.problem import ContactState
 from ringwear_par.errors import ComputationError, HistoriesError
-from ringwear_par.history.admissible import check_interpenetration, checked
 from ringwear_par.history.elastic.pairs import assemble
 from ringwear_par.history.physics import Physics
 from ringwear_par.history.schemes.tangent import Along
 from ringwear_par.history.state import State
+from ringwear_par.history.validity.state_limits import check_interpenetration, checked
 
 
 def first_contact(case: Case, comm: MPI.Comm) -> ContactState:

@@ -2,7 +2,7 @@
 
 A control is frozen data of B histories; what changes from step to step is their ``Progress``, which
 its functions take and return. Another control is a class with the same methods and a line in
-``schemes.SCHEMES``.
+``loop.METHODS``.
 """
 
 from collections.abc import Sequence

@@ -11,15 +11,15 @@ from typing import TYPE_CHECKING, Any
 import h5py
 import numpy as np
 
-from ringwear_par.atomic import atomic_write, check_writable
 from ringwear_par.errors import ComputationError, InputError
-from ringwear_par.folders import CURVES, ESTIMATES, FIT, READINGS
+from ringwear_par.files.folders import CURVES, ESTIMATES, FIT, READINGS
+from ringwear_par.files.text import parse_json, read_text
+from ringwear_par.files.writing import atomic_write, check_writable
 from ringwear_par.identification.definition.fitted import units_of
 from ringwear_par.identification.definition.problem import Problem
 from ringwear_par.identification.estimation.starts import PROGRESS
 from ringwear_par.results.storage.hdf5 import atomic_hdf5, write_variable
 from ringwear_par.results.variables import PARAMETER, PARAMETER_UNIT, SOFTWARE, Variable
-from ringwear_par.textfiles import parse_json, read_text
 
 if TYPE_CHECKING:
     from ringwear_par.identification.outcome import FitResult

@@ -7,10 +7,12 @@ from typing import Any
 import h5py
 import numpy as np
 
-from ringwear_par import folders
 from ringwear_par.cases.units import in_signs, with_signs
 from ringwear_par.errors import InputError, legible
-from ringwear_par.files import read_bytes
+from ringwear_par.files import folders
+from ringwear_par.files.ordinary import read_bytes
+from ringwear_par.files.text import parse_json
+from ringwear_par.files.text import read_text as read_file
 from ringwear_par.pictures import fits
 from ringwear_par.reports.blocks import (
     Block,
@@ -27,8 +29,6 @@ from ringwear_par.reports.blocks import (
 from ringwear_par.results.pictures.drawing import in_words
 from ringwear_par.results.storage.hdf5 import read_text, reading
 from ringwear_par.results.variables import SOFTWARE
-from ringwear_par.textfiles import parse_json
-from ringwear_par.textfiles import read_text as read_file
 
 #: units that readings are shown in, and how many of them one of the file is
 _DISPLAY_UNITS = {"mm": ("\N{MICRO SIGN}m", 1e3), "g": ("mg", 1e3), "N mm": ("N m", 1e-3)}

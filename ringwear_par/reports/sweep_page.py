@@ -10,6 +10,7 @@ import numpy as np
 from ringwear_par.cases.schema import unit_of
 from ringwear_par.cases.units import in_signs
 from ringwear_par.errors import InputError, legible
+from ringwear_par.files.text import parse_value
 from ringwear_par.pictures import sweeps
 from ringwear_par.reports.blocks import (
     Block,
@@ -32,7 +33,6 @@ from ringwear_par.studies.storage.end_values import entry_of, final_name
 from ringwear_par.studies.storage.ensemble import Ensemble, read_ensemble
 from ringwear_par.studies.storage.results_file import count_flags
 from ringwear_par.studies.storage.stored_variables import told_entry
-from ringwear_par.textfiles import parse_value
 
 #: cases of the table
 _MOST = 1000

@@ -14,10 +14,10 @@ from ringwear_par.elasticity.geometry.mesh import ContactLine
 from ringwear_par.elasticity.stress.boundary_fields import BoundaryState
 from ringwear_par.elasticity.stress.fields import StressHistory
 from ringwear_par.errors import InputError, RingwearError
+from ringwear_par.files.text import parse_toml
 from ringwear_par.results import variables as table
 from ringwear_par.results.stress_variables import stress_coordinates, stress_variables
 from ringwear_par.results.variables import Variable, edge_elements, layer_axis
-from ringwear_par.textfiles import parse_toml
 
 if TYPE_CHECKING:
     import xarray

@@ -11,7 +11,7 @@ from ringwear_par.elasticity.stress.fields import StressHistory, StressState
 from ringwear_par.elasticity.stress.measures import mises
 from ringwear_par.history.observers.balances import WorstBalances
 from ringwear_par.history.observers.stresses import RISING, CaseStresses, StressObserver
-from ringwear_par.history.observers.validity import (
+from ringwear_par.history.observers.worst_states import (
     ENTRIES,
     FEW_ELEMENTS,
     MOST_ANGLE,
@@ -20,7 +20,7 @@ from ringwear_par.history.observers.validity import (
     worn_share,
 )
 from ringwear_par.history.snapshots import Snapshot
-from ringwear_par.history.stability import stable_steps
+from ringwear_par.history.validity.stable_steps import stable_steps
 from ringwear_par.results.unit_suspicions import (
     MOST_PRESSED,
     ValidityWarning,

@@ -14,7 +14,7 @@ from ringwear_par.elasticity.geometry.sections import Polyline
 from ringwear_par.history.elastic.pairs import assemble
 from ringwear_par.history.observers.trace import Trace, trace
 from ringwear_par.history.physics import Physics
-from ringwear_par.history.stability import stable_steps
+from ringwear_par.history.validity.stable_steps import stable_steps
 from ringwear_par.verification import reference
 from ringwear_par.verification.check import NU, SIZES, Check, bound, identity
 from ringwear_par.verification.paper import OMEGA, paper_case

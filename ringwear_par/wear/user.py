@@ -11,9 +11,9 @@ import numpy as np
 
 from ringwear_par.arrays import FloatArray
 from ringwear_par.errors import ComputationError, InputError
+from ringwear_par.files.text import read_text
 from ringwear_par.schedules import Quantity, breakpoints, value
 from ringwear_par.schedules import stack as stack_quantities
-from ringwear_par.textfiles import read_text
 from ringwear_par.wear.guard import Asked, ask, shown
 from ringwear_par.wear.law import CompletedLaw, Law, WearLaw, found_along, found_before
 from ringwear_par.wear.local_state import LocalState

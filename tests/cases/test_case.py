@@ -12,7 +12,7 @@ from ringwear_par.cases.schema import KEYS, key_table
 from ringwear_par.cases.text import toml_text
 from ringwear_par.errors import InputError
 from ringwear_par.history.elastic.bodies import operator_key
-from ringwear_par.history.limits import check_memory, check_mesh
+from ringwear_par.history.validity.case_limits import check_memory, check_mesh
 from ringwear_par.identification.definition import schema as fits
 from ringwear_par.studies.definition import schema as studies
 from ringwear_par.wear.laws.threshold import ThresholdLaw

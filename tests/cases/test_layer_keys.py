@@ -15,7 +15,7 @@ from ringwear_par.cases.numbers import interval_of, with_numbers
 from ringwear_par.cases.schema import KEYS, key_table, unit_of
 from ringwear_par.elasticity.geometry.sections import Material
 from ringwear_par.history.elastic.bodies import bodies, operator_key
-from ringwear_par.history.limits import check_mesh
+from ringwear_par.history.validity.case_limits import check_mesh
 from ringwear_par.studies.definition.identities import case_id
 from ringwear_par.studies.definition.variations import split_key, value_of, varied_keys
 from ringwear_par.wear.laws.archard import ArchardLaw

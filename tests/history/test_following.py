@@ -12,11 +12,11 @@ import ringwear_par as rw
 from ringwear_par.cases.case import Load, Ring, Stepping
 from ringwear_par.elasticity.geometry.mesh import Mesh
 from ringwear_par.errors import ComputationError, InputError
-from ringwear_par.history.limits import check_mesh
 from ringwear_par.history.moving_geometry import MovingGeometry
 from ringwear_par.history.observers.trace import trace
 from ringwear_par.history.physics import Physics
 from ringwear_par.history.start import initial_state
+from ringwear_par.history.validity.case_limits import check_mesh
 from ringwear_par.verification.histories import round_face
 from ringwear_par.verification.paper import paper_case
 from ringwear_par.wear.laws.threshold import ThresholdLaw

@@ -10,7 +10,7 @@ from ringwear_par.batched import one
 from ringwear_par.cases.case import Load, Output, Stepping
 from ringwear_par.elasticity.geometry.mesh import Mesh
 from ringwear_par.errors import ComputationError, LawError
-from ringwear_par.history import loop
+from ringwear_par.history import batch
 from ringwear_par.history.elastic.pairs import assemble
 from ringwear_par.history.lockstep import batch_key
 from ringwear_par.history.loop import simulate, simulate_one
@@ -295,7 +295,7 @@ def test_those_worn_too_far_leave(flat, pair, monkeypatch):
     cases = of_laws(flat, "threshold", 6)
     cases[2] = replace(cases[2], wear_lower=ThresholdLaw(3e-2))  # to half of its height
     halved = []
-    monkeypatch.setattr(loop.log, "log", lambda *words, **_: halved.append(words))
+    monkeypatch.setattr(batch.log, "log", lambda *words, **_: halved.append(words))
     finished = []
     see = [lambda s: finished.extend(s.numbers[s.finished].tolist())]
     failures = simulate(cases, ALONE, pair=pair, observers=see).failures

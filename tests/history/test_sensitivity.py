@@ -8,9 +8,9 @@ import pytest
 from mpi4py import MPI
 
 import ringwear_par as rw
+from ringwear_par.history.derivatives.numbers import differentiable
 from ringwear_par.history.elastic.pairs import assemble
 from ringwear_par.history.loop import simulate_one
-from ringwear_par.history.sensitivity import differentiable
 from ringwear_par.results.execution.recorder import Recorder
 from ringwear_par.results.variables import D_HISTORIES, D_PROFILES
 from ringwear_par.studies.execution.batches import computed

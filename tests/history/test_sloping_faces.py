@@ -19,7 +19,7 @@ from ringwear_par.history.elastic.pairs import assemble, updated_geometry
 from ringwear_par.history.loop import simulate_one
 from ringwear_par.history.observers.balances import balances
 from ringwear_par.history.observers.trace import trace
-from ringwear_par.history.observers.validity import WorstStates
+from ringwear_par.history.observers.worst_states import WorstStates
 from ringwear_par.history.physics import Physics
 from ringwear_par.history.schemes import euler, sdirk2
 from ringwear_par.history.start import initial_state

@@ -7,11 +7,10 @@ import pytest
 from mpi4py import MPI
 
 import ringwear_par as rw
+from ringwear_par.history.derivatives.numbers import differentiable
 from ringwear_par.history.elastic.pairs import assemble
-from ringwear_par.history.layers import layer_left, layer_volumes
 from ringwear_par.history.loop import simulate_one
 from ringwear_par.history.observers.trace import Trace, trace
-from ringwear_par.history.sensitivity import differentiable
 from ringwear_par.results.storage import result_files as files
 from ringwear_par.studies.execution.batches import computed
 
@@ -52,15 +51,15 @@ def test_energy_goes_into_the_layers_one_after_the_other(pair, scheme):
     last, physics = history.last, history.physics
     assert history.balances.energy < 1e-12
     assert history.balances.volume < 1e-12
-    lower, upper = (layer_volumes(physics, i, last.wear[i]) for i in (0, 1))
+    lower, upper = (physics.layer_volumes(i, last.wear[i]) for i in (0, 1))
     energy = lower / [3e-7, 1e-7, 4e-7]
     assert energy.sum() == pytest.approx(last.energy, rel=1e-12)
     assert (upper / [1e-8, 2e-9 / 0.1]).sum() == pytest.approx(last.energy, rel=1e-12)
     assert (energy > 0.01 * last.energy).all()  # it is in the body itself by now
     assert np.isfinite(last.through).all()
     for i in (0, 1):
-        before = [s.time for s in history.states if (layer_left(physics, i, s.wear[i]) > 0.0).all()]
-        after = [s.time for s in history.states if (layer_left(physics, i, s.wear[i]) <= 0.0).any()]
+        before = [s.time for s in history.states if (physics.layer_left(i, s.wear[i]) > 0.0).all()]
+        after = [s.time for s in history.states if (physics.layer_left(i, s.wear[i]) <= 0.0).any()]
         assert before[-1] <= last.through[i] <= after[0]
 
 
@@ -110,7 +109,7 @@ def test_a_threshold_above_the_pressure_fails_no_step(pair, p0, step):
     )
     history = trace(case, ALONE, pair=pair)
     assert history.balances.worst < 1e-9
-    through = layer_left(history.physics, 0, history.last.wear[0]) <= 0.0
+    through = history.physics.layer_left(0, history.last.wear[0]) <= 0.0
     assert through.any()
     assert (np.diff([state.wear[0] for state in history.states], axis=0) >= 0.0).all()
 
@@ -188,7 +187,7 @@ def test_derivatives_are_those_of_differences(pair, scheme):
 
     found = history(case, KEYS)
     state = found.last
-    assert 0.0 < (layer_left(found.physics, 0, state.wear[0]) <= 0.0).mean() < 1.0
+    assert 0.0 < (found.physics.layer_left(0, state.wear[0]) <= 0.0).mean() < 1.0
     values = (2e-8, 5.0, 1e-7, 80.0, 0.1)
     for row, (key, number) in enumerate(zip(KEYS, values, strict=True)):
         h = 1e-5 * number

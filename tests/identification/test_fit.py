@@ -23,11 +23,11 @@ from laboratory import (
 
 import ringwear_par as rw
 from ringwear_par.errors import InputError
+from ringwear_par.files.text import parse_toml
 from ringwear_par.identification.definition.fit_file import read_fit
 from ringwear_par.identification.estimation import starts as starts_room
 from ringwear_par.identification.estimation.starts import Started
 from ringwear_par.identification.fit import fit, fitted, predicted
-from ringwear_par.textfiles import parse_toml
 
 SCRIPTS = Path(__file__).parents[2] / "scripts"
 

@@ -6,7 +6,7 @@ import pytest
 from ringwear_par.cases.units import factor, number_in, told_unit, unit_of_column
 from ringwear_par.cases.values import RejectedError
 from ringwear_par.errors import InputError
-from ringwear_par.measurements import read_measurements
+from ringwear_par.files.measurements import read_measurements
 
 
 def numbers(path, *names):

@@ -8,6 +8,7 @@ from laboratory import fit_tables, write_tests
 from mpi4py import MPI
 
 import ringwear_par as rw
+from ringwear_par.files.text import parse_toml
 from ringwear_par.identification.definition.fit_file import read_fit
 from ringwear_par.identification.definition.problem import Nuisance, Series
 from ringwear_par.identification.model.histories import Histories
@@ -18,7 +19,6 @@ from ringwear_par.identification.model.readings import (
     whitened,
 )
 from ringwear_par.identification.model.steps import step_times
-from ringwear_par.textfiles import parse_toml
 
 SERIES = Series("a", "penetration", np.arange(1.0, 6.0), np.zeros(5), np.ones(5), factor=1e-3)
 

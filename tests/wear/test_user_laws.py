@@ -11,9 +11,9 @@ from ringwear_par import assemble, simulate
 from ringwear_par.cases.files.law_trials import check_laws
 from ringwear_par.cases.files.reading import read_case
 from ringwear_par.errors import ComputationError, InputError, LawError
+from ringwear_par.files.text import read_text
 from ringwear_par.results.execution.run import run_case
 from ringwear_par.studies.execution.sweep import run_sweep
-from ringwear_par.textfiles import read_text
 from ringwear_par.wear import LocalState
 from ringwear_par.wear.law import complete
 from ringwear_par.wear.laws.archard import ArchardLaw

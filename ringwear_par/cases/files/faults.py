@@ -21,8 +21,8 @@ from ringwear_par.elasticity.geometry.profiles import (
 )
 from ringwear_par.elasticity.geometry.sections import Polyline, corners
 from ringwear_par.errors import InputError
+from ringwear_par.files.text import value_fault
 from ringwear_par.schedules import Quantity, largest, quantity_text
-from ringwear_par.textfiles import value_fault
 
 #: of a face: more are of a trace that is not smooth
 _MANY_CORNERS = 20

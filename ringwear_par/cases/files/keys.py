@@ -9,15 +9,15 @@ from typing import Any
 import numpy as np
 
 from ringwear_par.cases.files.faults import LOADS, unread_keys
+from ringwear_par.cases.files.traces import read_trace
 from ringwear_par.cases.laws import law_keys
 from ringwear_par.cases.layers import LAYERS, changed_layers, layers_in_full
 from ringwear_par.cases.schema import BY_PATH, TABLES, key_of
 from ringwear_par.cases.text import shortened
-from ringwear_par.cases.traces import read_trace
 from ringwear_par.cases.units import without_units
 from ringwear_par.cases.values import RejectedError
 from ringwear_par.errors import InputError, legible
-from ringwear_par.textfiles import parse_toml, parse_value, read_text, refuse_depth
+from ringwear_par.files.text import parse_toml, parse_value, read_text, refuse_depth
 
 #: keys that exclude each other: an overriding one takes the place of the others
 _ALTERNATIVES = (

@@ -38,8 +38,8 @@ from ringwear_par.cases.values import RejectedError
 from ringwear_par.elasticity.geometry.mesh import Mesh
 from ringwear_par.elasticity.geometry.sections import Grip, Polyline
 from ringwear_par.errors import MOST_FAULTS, InputError, legible
+from ringwear_par.files.text import read_text
 from ringwear_par.schedules import Quantity, Table
-from ringwear_par.textfiles import read_text
 from ringwear_par.wear.law import Law
 
 _WEAR = ("wear.lower", "wear.upper")

@@ -6,7 +6,6 @@ from typing import Any
 import numpy as np
 
 from ringwear_par.arrays import FloatArray, relative
-from ringwear_par.history.layers import layer_volumes
 from ringwear_par.history.physics import Physics
 from ringwear_par.history.snapshots import Snapshot
 from ringwear_par.history.state import State
@@ -86,7 +85,7 @@ def _layers_defect(physics: Physics, state: State, body: int, ratios: list[Any])
 
     0 where a law of them has no fixed volume by energy.
     """
-    volumes = layer_volumes(physics, body, state.wear[body])
+    volumes = physics.layer_volumes(body, state.wear[body])
     known = np.all([np.asarray(ratio) > 0.0 for ratio in ratios], axis=0)
     took = sum(
         np.divide(volumes[..., number], ratio, where=known, out=np.zeros(volumes.shape[:-1]))

@@ -1,13 +1,12 @@
-"""Which stored states have boundary fields or stresses: all, the last, those after some times."""
+"""Which states of a history are stored, and which of these have boundary fields or stresses."""
 
 from collections.abc import Sequence
 from typing import TypeVar
 
 from ringwear_par.arrays import FloatArray
-from ringwear_par.cases.case import Case
+from ringwear_par.cases.case import SAME_TIME, Case
 from ringwear_par.elasticity.stress.boundary_fields import BoundaryState
 from ringwear_par.elasticity.stress.fields import StressState
-from ringwear_par.history.saving import times_within, wants
 from ringwear_par.history.snapshots import Instant
 
 Timed = TypeVar("Timed", BoundaryState, StressState)
@@ -34,7 +33,10 @@ class Selection:
         before = self._stored_before(time, steps)
         if not instant.passing:
             self._last_stored = time
-        return wants(self._which, time, instant.finished, before)
+        if isinstance(self._which, str):
+            return self._which == "all" or (self._which == "last" and instant.finished)
+        near = SAME_TIME * time
+        return any(before + near < t <= time + near for t in self._which)
 
     def of_interrupted(
         self, states: Sequence[Timed], stored: FloatArray, finished: bool
@@ -55,7 +57,7 @@ class Selection:
         """Return the time of the stored state before one at a time; negative: there is none."""
         output = self._case.output
         if output.times:
-            return max(times_within(self._case, -1.0, time), default=0.0 if time > 0.0 else -1.0)
+            return max(self._case.output_times(-1.0, time), default=0.0 if time > 0.0 else -1.0)
         if not self._case.time.adaptive and steps > 0:
             # a shorter run's last state, from which this one may go on, is forgotten
             return (steps - 1) // output.every * output.every * self._case.time.step

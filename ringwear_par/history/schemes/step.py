@@ -14,10 +14,10 @@ import numpy as np
 from ringwear_par.arrays import FloatArray, columns
 from ringwear_par.contact.correction import CorrectedContacts
 from ringwear_par.contact.problem import ContactState
-from ringwear_par.history.admissible import checked
 from ringwear_par.history.physics import Physics
 from ringwear_par.history.schemes.tangent import Along
 from ringwear_par.history.state import State
+from ringwear_par.history.validity.state_limits import checked
 from ringwear_par.wear.increment import WearIncrement
 from ringwear_par.wear.layered_increment import LayeredIncrement
 

@@ -23,7 +23,8 @@ from ringwear_par.cases.files.reading import make_case
 from ringwear_par.cases.tables import TableReader
 from ringwear_par.cases.text import shortened, toml_value
 from ringwear_par.errors import MOST_FAULTS, InputError, legible
-from ringwear_par.history.limits import check_case
+from ringwear_par.files.text import parse_toml, read_text, refuse_depth
+from ringwear_par.history.validity.case_limits import check_case
 from ringwear_par.identification.definition import schema
 from ringwear_par.identification.definition.candidates import read_space
 from ringwear_par.identification.definition.fitted import read_parameters, refuse_both, refuse_fixed
@@ -35,7 +36,6 @@ from ringwear_par.identification.definition.problem import (
     Settings,
 )
 from ringwear_par.identification.definition.series import FileStore, read_series
-from ringwear_par.textfiles import parse_toml, read_text, refuse_depth
 
 #: what a fit needs of histories, and how they are stepped
 _STEPPING = {"time.scheme": "adaptive"}

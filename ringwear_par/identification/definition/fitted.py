@@ -15,8 +15,8 @@ from ringwear_par.cases.text import shortened
 from ringwear_par.cases.units import in_unit
 from ringwear_par.cases.values import RejectedError
 from ringwear_par.errors import MOST_FAULTS, InputError, legible
-from ringwear_par.history.elastic_numbers import elastic_numbers
-from ringwear_par.history.sensitivity import differentiable
+from ringwear_par.history.derivatives.elastic_numbers import elastic_numbers
+from ringwear_par.history.derivatives.numbers import differentiable
 from ringwear_par.identification.definition.problem import FittedParameter, Problem
 from ringwear_par.identification.definition.schema import PARAMETER
 from ringwear_par.studies.definition.variations import split_key

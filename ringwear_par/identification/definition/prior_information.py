@@ -12,6 +12,7 @@ from ringwear_par.cases.text import shortened
 from ringwear_par.cases.units import factor
 from ringwear_par.cases.values import RejectedError
 from ringwear_par.errors import InputError
+from ringwear_par.files.text import parse_json, read_text
 from ringwear_par.identification.definition.problem import (
     Experiment,
     FittedParameter,
@@ -19,7 +20,6 @@ from ringwear_par.identification.definition.problem import (
     Series,
     reflected,
 )
-from ringwear_par.textfiles import parse_json, read_text
 
 #: draws of the keys, and their seed
 _DRAWS, _SEED = 8, 0

@@ -5,8 +5,8 @@ import numpy as np
 from ringwear_par.arrays import IntArray
 from ringwear_par.cases.case import Case
 from ringwear_par.cases.tables import TableReader
+from ringwear_par.files.measurements import and_more
 from ringwear_par.identification.definition.problem import Series
-from ringwear_par.measurements import and_more
 
 
 def check_times(reader: TableReader, series: Series, case: Case) -> None:

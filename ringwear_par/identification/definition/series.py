@@ -24,11 +24,11 @@ from ringwear_par.cases.units import (
 )
 from ringwear_par.cases.values import RejectedError
 from ringwear_par.errors import InputError, legible
+from ringwear_par.files.measurements import Measurements, and_more, read_measurements
 from ringwear_par.identification.definition.densities import density_of
 from ringwear_par.identification.definition.problem import BASE, Nuisance, Quantity, Series
 from ringwear_par.identification.definition.ranges import check_profile, check_times
 from ringwear_par.identification.definition.schema import DATA, NUISANCE, NUISANCES, SD
-from ringwear_par.measurements import Measurements, and_more, read_measurements
 
 #: what messages say of units
 _UNITS = {

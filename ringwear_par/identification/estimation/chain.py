@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from ringwear_par.arrays import FloatArray
-from ringwear_par.atomic import atomic_write
-from ringwear_par.files import open_ordinary
+from ringwear_par.files.ordinary import open_ordinary
+from ringwear_par.files.writing import atomic_write
 
 log = logging.getLogger(__name__)
 

@@ -9,8 +9,9 @@ from pathlib import Path
 import numpy as np
 
 from ringwear_par.arrays import FloatArray
-from ringwear_par.atomic import atomic_write
 from ringwear_par.errors import ComputationError, InputError, RingwearError, reason_of
+from ringwear_par.files.text import parse_json, read_text
+from ringwear_par.files.writing import atomic_write
 from ringwear_par.identification.estimation.chain import Keeper
 from ringwear_par.identification.estimation.least_squares import LeastSquares
 from ringwear_par.identification.estimation.marginal import Marginal
@@ -18,7 +19,6 @@ from ringwear_par.identification.estimation.minimise import minimise
 from ringwear_par.identification.model.histories import Histories
 from ringwear_par.identification.model.lockstep import Meet, StoppedError, side_by_side
 from ringwear_par.identification.model.rounds import Rounds
-from ringwear_par.textfiles import parse_json, read_text
 
 log = logging.getLogger(__name__)
 

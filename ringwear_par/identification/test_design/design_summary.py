@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ringwear_par.atomic import atomic_write, unwritable
 from ringwear_par.errors import ComputationError
-from ringwear_par.folders import DESIGN, MAP, NEXT
+from ringwear_par.files.folders import DESIGN, MAP, NEXT
+from ringwear_par.files.writing import atomic_write, unwritable
 from ringwear_par.identification.definition.candidates import Candidate
 from ringwear_par.identification.storing import check
 from ringwear_par.identification.summary import unit_of

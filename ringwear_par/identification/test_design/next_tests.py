@@ -12,9 +12,9 @@ from ringwear_par.cases.text import toml_value
 from ringwear_par.cases.units import has_unit, in_unit
 from ringwear_par.cases.values import is_number
 from ringwear_par.errors import legible
+from ringwear_par.files.text import parse_toml
 from ringwear_par.identification.definition.candidates import LOADS, Candidate, last_profiles
 from ringwear_par.identification.definition.problem import Series
-from ringwear_par.textfiles import parse_toml
 
 if TYPE_CHECKING:
     from ringwear_par.identification.test_design.design import DesignResult

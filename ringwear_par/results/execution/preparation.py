@@ -4,13 +4,13 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from ringwear_par.atomic import check_writable
 from ringwear_par.cases.case import Case
 from ringwear_par.cases.files.keys import named_files, read_keys
 from ringwear_par.cases.files.law_trials import law_files, law_sources
 from ringwear_par.cases.files.reading import parse_case, read_case
 from ringwear_par.errors import InputError
-from ringwear_par.history.limits import check_case
+from ringwear_par.files.writing import check_writable
+from ringwear_par.history.validity.case_limits import check_case
 from ringwear_par.results.result import Result
 from ringwear_par.results.storage.checkpoints import restored
 from ringwear_par.results.storage.result_files import open_result, read_error, read_status

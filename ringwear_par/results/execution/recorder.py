@@ -16,7 +16,7 @@ from ringwear_par.errors import reason_of
 from ringwear_par.history.observers.balances import Balances, WorstBalances
 from ringwear_par.history.observers.boundaries import BoundaryObserver
 from ringwear_par.history.observers.stresses import CaseStresses, StressObserver
-from ringwear_par.history.observers.validity import WorstStates
+from ringwear_par.history.observers.worst_states import WorstStates
 from ringwear_par.history.snapshots import Observer, Snapshot
 from ringwear_par.results.execution.attributes import (
     assembly_cost,

@@ -8,11 +8,9 @@ import numpy as np
 
 from ringwear_par.arrays import BoolArray, IntArray, share
 from ringwear_par.cases.case import Case
-from ringwear_par.history.layers import layer_left, layer_volumes
+from ringwear_par.history.derivatives.numbers import units_of
 from ringwear_par.history.physics import Physics
-from ringwear_par.history.saving import stores
 from ringwear_par.history.schemes.tangent import variables as derivatives_of
-from ringwear_par.history.sensitivity import units_of
 from ringwear_par.history.snapshots import Snapshot
 from ringwear_par.history.state import State
 from ringwear_par.results.result import Result
@@ -53,10 +51,10 @@ def row(physics: Physics, state: State) -> dict[str, Any]:
     }
     for i, body in enumerate(("lower", "upper")):
         if physics.layer_ends[i] is not None:
-            left = layer_left(physics, i, state.wear[i])
+            left = physics.layer_left(i, state.wear[i])
             values[f"share_through_{body}"] = share(physics.area, left <= 0.0)
             values[f"layer_left_{body}"] = left
-            values[f"worn_volume_{body}_layers"] = layer_volumes(physics, i, state.wear[i])
+            values[f"worn_volume_{body}_layers"] = physics.layer_volumes(i, state.wear[i])
     return values
 
 
@@ -122,7 +120,7 @@ class StoredRows:
         reached : s, time from which the history continues.
         """
         states = zip(before.steps_made.tolist(), before.histories["time"].tolist(), strict=True)
-        rows = np.array([t <= reached and stores(self._case, n, t) for n, t in states])
+        rows = np.array([t <= reached and self._case.stores(n, t) for n, t in states])
         self._numbers.append(np.zeros(np.count_nonzero(rows), dtype=np.int64))
         self._steps.append(before.steps_made[rows])
         stored = {**before.histories, **before.profiles, **before.layers}

@@ -10,7 +10,7 @@ import numpy as np
 from ringwear_par.batched import one
 from ringwear_par.contact.problem import ContactState, WarmStart
 from ringwear_par.errors import InputError
-from ringwear_par.history.observers.validity import ENTRIES
+from ringwear_par.history.observers.worst_states import ENTRIES
 from ringwear_par.history.state import Progress, Start, State
 from ringwear_par.results.result import Checkpoint, Result
 from ringwear_par.results.storage.hdf5 import read_array, read_number, read_numbers, write_variable

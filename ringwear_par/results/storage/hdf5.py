@@ -19,9 +19,9 @@ from typing import Any, BinaryIO
 import h5py
 import numpy as np
 
-from ringwear_par.atomic import atomic_write
 from ringwear_par.errors import InputError
-from ringwear_par.files import open_ordinary
+from ringwear_par.files.ordinary import open_ordinary
+from ringwear_par.files.writing import atomic_write
 from ringwear_par.results.variables import Variable
 
 log = logging.getLogger(__name__)

@@ -12,7 +12,6 @@ from typing import Any
 import h5py
 import numpy as np
 
-from ringwear_par.atomic import check_writable
 from ringwear_par.elasticity.geometry.mesh import ContactLine
 from ringwear_par.elasticity.stress.boundary_fields import (
     BODIES,
@@ -23,6 +22,7 @@ from ringwear_par.elasticity.stress.boundary_fields import (
 from ringwear_par.elasticity.stress.fields import Interfaces, Largest, StressHistory, StressState
 from ringwear_par.elasticity.stress.measures import COMPONENTS, SIDES
 from ringwear_par.errors import ComputationError
+from ringwear_par.files.writing import check_writable
 from ringwear_par.results import variables as table
 from ringwear_par.results.result import Checkpoint, Result
 from ringwear_par.results.storage.checkpoints import read_checkpoint, write_checkpoint

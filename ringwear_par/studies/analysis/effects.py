@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from ringwear_par.arrays import FloatArray, IntArray
+from ringwear_par.files.text import parse_value
 from ringwear_par.results.pictures.drawing import COLOURS, DASHES, in_words, plain, set_legend
 from ringwear_par.studies.analysis.regression import SEED
 from ringwear_par.studies.definition.axes import (
@@ -22,7 +23,6 @@ from ringwear_par.studies.definition.axes import (
 )
 from ringwear_par.studies.definition.designs import SAMPLED
 from ringwear_par.studies.storage.end_values import shown
-from ringwear_par.textfiles import parse_value
 
 _MARKERS = ("o", "s", "^", "v", "D", "P", "X", "*")
 #: most curves with a legend

@@ -19,6 +19,7 @@ from ringwear_par.cases.layers import LAYERS
 from ringwear_par.cases.text import shortened, toml_value
 from ringwear_par.cases.values import RejectedError
 from ringwear_par.errors import MOST_FAULTS, InputError, legible
+from ringwear_par.files.text import parse_toml, parse_value, read_text, refuse_depth
 from ringwear_par.studies.definition.schema import DESIGN, MOST_CASES
 from ringwear_par.studies.definition.variations import (
     Column,
@@ -31,7 +32,6 @@ from ringwear_par.studies.definition.variations import (
     split_key,
     whole_name,
 )
-from ringwear_par.textfiles import parse_toml, parse_value, read_text, refuse_depth
 
 SAMPLED = ("sobol", "latin-hypercube", "random")
 #: faults of a table told one by one

@@ -17,8 +17,8 @@ import numpy as np
 from ringwear_par.cases.layers import LAYERS, entries_of
 from ringwear_par.cases.numbers import Number
 from ringwear_par.cases.schema import BY_PATH, key_of
+from ringwear_par.files.text import read_text
 from ringwear_par.studies.definition.rows import Rows, by_kind
-from ringwear_par.textfiles import read_text
 
 #: defaults of before keys had to be given: the ids of the cases of then have to stay
 _NOT_IN_IDS = {f"wear.{body}.law": "threshold" for body in ("lower", "upper")}

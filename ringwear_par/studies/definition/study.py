@@ -19,7 +19,7 @@ from ringwear_par.cases.text import toml_value
 from ringwear_par.elasticity.bem.boundary import count_elements
 from ringwear_par.errors import InputError
 from ringwear_par.history.elastic.bodies import operator_key, young
-from ringwear_par.history.limits import check_memory, check_mesh
+from ringwear_par.history.validity.case_limits import check_memory, check_mesh
 from ringwear_par.studies.definition.bad_cases import LOOKED_AT, case_name, told_faults
 from ringwear_par.studies.definition.designs import Draft, read_draft
 from ringwear_par.studies.definition.groups import Groups

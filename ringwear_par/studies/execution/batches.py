@@ -9,9 +9,9 @@ from mpi4py import MPI
 from ringwear_par.cases.case import Case
 from ringwear_par.elasticity.bem.pair import ContactPair
 from ringwear_par.history.elastic.bodies import young
-from ringwear_par.history.limits import stress_numbers
 from ringwear_par.history.lockstep import batch_key, can_share
 from ringwear_par.history.loop import simulate
+from ringwear_par.history.validity.case_limits import stress_numbers
 from ringwear_par.results.execution.recorder import Recorder
 from ringwear_par.results.result import HistoryColumns, Result
 from ringwear_par.results.variables import HISTORIES

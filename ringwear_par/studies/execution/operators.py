@@ -8,10 +8,10 @@ import numpy as np
 from mpi4py import MPI
 
 from ringwear_par.arrays import FloatArray
-from ringwear_par.atomic import atomic_write
 from ringwear_par.cases.case import Case
 from ringwear_par.elasticity.bem.pair import ContactPair
 from ringwear_par.errors import ComputationError, InputError
+from ringwear_par.files.writing import atomic_write
 from ringwear_par.history.elastic.pairs import assemble, from_stacked, to_stacked
 from ringwear_par.parallel import on_first_rank, together
 

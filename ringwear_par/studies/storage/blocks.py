@@ -21,7 +21,7 @@ import numpy as np
 
 from ringwear_par.arrays import FloatArray, IntArray
 from ringwear_par.cases.case import Case
-from ringwear_par.files import open_ordinary
+from ringwear_par.files.ordinary import open_ordinary
 from ringwear_par.results.result import HistoryColumns
 from ringwear_par.results.variables import LAYER_PROFILES, LINE
 from ringwear_par.studies.definition.texts import Texts

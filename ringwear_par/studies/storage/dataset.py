@@ -16,12 +16,12 @@ import h5py
 import numpy as np
 
 from ringwear_par.arrays import BoolArray, FloatArray, IntArray
-from ringwear_par.atomic import atomic_write
 from ringwear_par.cases.files.keys import read_keys
 from ringwear_par.cases.schema import unit_of
 from ringwear_par.cases.text import toml_value
 from ringwear_par.cases.values import is_number
 from ringwear_par.errors import InputError
+from ringwear_par.files.writing import atomic_write
 from ringwear_par.results.storage.hdf5 import atomic_hdf5
 from ringwear_par.results.stress_variables import side_words
 from ringwear_par.results.variables import (

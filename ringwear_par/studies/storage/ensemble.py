@@ -11,6 +11,7 @@ import numpy as np
 from ringwear_par.arrays import BoolArray, FloatArray, IntArray
 from ringwear_par.cases.schema import BY_PATH
 from ringwear_par.errors import InputError
+from ringwear_par.files.text import parse_toml
 from ringwear_par.results.storage.hdf5 import (
     find_array,
     find_texts,
@@ -31,7 +32,6 @@ from ringwear_par.studies.storage.results_file import (
     over_cases,
 )
 from ringwear_par.studies.storage.stored_variables import FIELDS, ROWS
-from ringwear_par.textfiles import parse_toml
 
 if TYPE_CHECKING:
     import xarray

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import BinaryIO
 
 from ringwear_par.errors import InputError
-from ringwear_par.files import open_ordinary
+from ringwear_par.files.ordinary import open_ordinary
 
 
 @contextmanager

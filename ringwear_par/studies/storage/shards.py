@@ -16,9 +16,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO
 
-from ringwear_par.atomic import atomic_write
 from ringwear_par.errors import ComputationError
-from ringwear_par.files import open_ordinary
+from ringwear_par.files.ordinary import open_ordinary
+from ringwear_par.files.writing import atomic_write
 from ringwear_par.studies.storage.blocks import MARKER, Block, PackedBlock, is_torn, unpack_header
 from ringwear_par.studies.storage.index import DamagedError, Index, join
 

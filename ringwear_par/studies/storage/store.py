@@ -15,9 +15,9 @@ from typing import Any
 
 import numpy as np
 
-from ringwear_par.atomic import check_writable, remove_leftovers, unwritable
 from ringwear_par.cases.files.keys import read_keys
 from ringwear_par.errors import ComputationError, InputError
+from ringwear_par.files.writing import check_writable, remove_leftovers, unwritable
 from ringwear_par.history.observers.balances import Balances
 from ringwear_par.results.storage.checkpoints import restored
 from ringwear_par.results.storage.hdf5 import UnreadableError

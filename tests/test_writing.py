@@ -8,7 +8,7 @@ import sys
 
 import pytest
 
-from ringwear_par.atomic import atomic_write, check_writable, remove_leftovers
+from ringwear_par.files.writing import atomic_write, check_writable, remove_leftovers
 from ringwear_par.results.storage.hdf5 import atomic_hdf5
 
 
@@ -90,7 +90,7 @@ def test_what_killed_processes_have_left_goes(tmp_path):
     program = """
 import sys, time
 from pathlib import Path
-from ringwear_par.atomic import atomic_write
+from ringwear_par.files.writing import atomic_write
 with atomic_write(Path(sys.argv[1])) as temporary:
     temporary.write_text("half")
     print("begun", flush=True)

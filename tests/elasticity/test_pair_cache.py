@@ -14,7 +14,7 @@ from conftest import SHELL_ENVIRONMENT
 from full_disk import resize
 from mpi4py import MPI
 
-from ringwear_par import pair_cache
+from ringwear_par.elasticity.bem import pair_cache
 from ringwear_par.elasticity.bem.solve import solved_on_one_rank
 from ringwear_par.elasticity.geometry.mesh import Mesh
 from ringwear_par.history.elastic import pairs
@@ -23,7 +23,7 @@ from ringwear_par.petsc import PETSc
 from ringwear_par.verification.paper import paper_case
 
 N = 8
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 PARTS = ("normal", "twist", "force_reaction", "torque_reaction", "slope")
 
 

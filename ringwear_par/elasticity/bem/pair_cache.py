@@ -33,8 +33,8 @@ import scipy
 
 from ringwear_par import __version__
 from ringwear_par.arrays import FloatArray
-from ringwear_par.atomic import atomic_write, remove_leftovers
-from ringwear_par.files import open_ordinary
+from ringwear_par.files.ordinary import open_ordinary
+from ringwear_par.files.writing import atomic_write, remove_leftovers
 from ringwear_par.parallel import blas_threads, on_first_rank
 
 if TYPE_CHECKING:
@@ -206,7 +206,7 @@ def _exact_text(value: object) -> str:
 def _surroundings() -> str:
     """Return version, source, libraries and processor, on which the last bits of a pair depend."""
     source = hashlib.sha256()
-    for path in sorted((Path(__file__).parent / "elasticity").rglob("*.py")):
+    for path in sorted(Path(__file__).parents[1].rglob("*.py")):
         source.update(path.read_bytes())
     processor = ""
     with suppress(OSError), open("/proc/cpuinfo", "rb") as file:

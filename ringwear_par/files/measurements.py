@@ -11,7 +11,7 @@ import numpy as np
 
 from ringwear_par.arrays import BoolArray, FloatArray, IntArray
 from ringwear_par.errors import InputError, legible
-from ringwear_par.files import read_bytes
+from ringwear_par.files.ordinary import read_bytes
 
 #: read one way only, so that the time of long cells is linear in their length
 _NUMBER = re.compile(r"[+-]?(\d+(\.\d*)?|\.\d+)([eE][+-]?\d+)?", re.ASCII)

@@ -9,7 +9,7 @@ import numpy as np
 from ringwear_par.cases.units import factor, told_unit
 from ringwear_par.cases.values import RejectedError
 from ringwear_par.errors import InputError, legible
-from ringwear_par.measurements import read_measurements
+from ringwear_par.files.measurements import read_measurements
 
 log = logging.getLogger(__name__)
 

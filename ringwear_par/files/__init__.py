@@ -1,0 +1,1 @@
+"""Files: ordinary ones only, texts, tables of readings, and what is written whole or not at all."""

@@ -1,0 +1,397 @@
+"""Histories that step together, and the ensemble that they are part of."""
+
+import logging
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import NamedTuple
+
+import numpy as np
+from mpi4py import MPI
+
+from ringwear_par import batched
+from ringwear_par.arrays import BoolArray, FloatArray, IntArray
+from ringwear_par.cases.case import Case
+from ringwear_par.cases.forecast import unit_question
+from ringwear_par.contact.correction import CorrectedContacts
+from ringwear_par.contact.problem import WarmStart
+from ringwear_par.elasticity.bem.pair import ContactPair
+from ringwear_par.errors import (
+    ComputationError,
+    HistoriesError,
+    InputError,
+    LawError,
+    RingwearError,
+    UnfitError,
+    reason_of,
+)
+from ringwear_par.history.elastic.pairs import assemble
+from ringwear_par.history.moving_geometry import MovingGeometry
+from ringwear_par.history.physics import Physics
+from ringwear_par.history.schemes.step import Scheme
+from ringwear_par.history.snapshots import Observer, Snapshot
+from ringwear_par.history.start import initial_state
+from ringwear_par.history.state import Progress, Start, State
+from ringwear_par.history.step_control import NO_STEP, Control, ErrorControl, FixedSteps
+from ringwear_par.parallel import as_on_first_rank, together
+
+log = logging.getLogger(__name__)
+
+
+class Method(NamedTuple):
+    """A ``time.scheme``: how a step is made, and how its length is controlled."""
+
+    scheme: Scheme
+    control: type[FixedSteps] | type[ErrorControl]
+
+
+@dataclass
+class Ensemble:
+    """All cases of a simulation, and how their histories ended so far.
+
+    Parameters
+    ----------
+    cases, comm, pair, start, observers, derivatives, step_times : see ``loop.simulate``.
+    method : of all cases.
+    failures : why, of the histories that failed, by number.
+    stopped : whether an observer stopped all.
+    """
+
+    cases: Sequence[Case]
+    comm: MPI.Comm
+    pair: ContactPair | None
+    start: Start | None
+    observers: Sequence[Observer]
+    derivatives: tuple[str, ...]
+    step_times: Sequence[Sequence[float]] | None
+    method: Method
+    failures: dict[int, Exception] = field(default_factory=dict)
+    stopped: bool = False
+
+    def control(self, numbers: IntArray) -> Control:
+        """Return the step control of some histories."""
+        cases = [self.cases[i] for i in numbers.tolist()]
+        if self.step_times is None:
+            return self.method.control.of(cases, None)
+        return FixedSteps.of(cases, [self.step_times[i] for i in numbers.tolist()])
+
+    def show(self, snapshots: Sequence[Snapshot]) -> None:
+        """Show new states to the observers."""
+        for snapshot in snapshots:
+            for observer in self.observers:
+                self.stopped |= bool(observer(snapshot))
+
+
+@dataclass(frozen=True)
+class _Present:
+    """Where the histories of a batch are.
+
+    Parameters
+    ----------
+    control : of their steps.
+    physics, contacts : of the histories; the contacts start from here.
+    geometry : of elements that follow the wear; None where they stay.
+    state, progress : after the last accepted step of each.
+    """
+
+    control: Control
+    physics: Physics
+    contacts: CorrectedContacts
+    geometry: MovingGeometry | None
+    state: State
+    progress: Progress
+
+    def take(self, histories: IntArray) -> "_Present":
+        """Return that of some of the histories."""
+        return _Present(
+            batched.take(self.control, histories),
+            self.physics.take(histories),
+            self.contacts.take(histories),
+            self.geometry,
+            batched.take(self.state, histories),
+            batched.take(self.progress, histories),
+        )
+
+    def joined(self, other: "_Present", control: Control) -> "_Present":
+        """Return that of the histories of both, which end; elements stay in all of them."""
+        physics = self.physics.joined(other.physics)
+        contacts = physics.contacts()
+        contacts.start_from(self.contacts, other.contacts)
+        self.contacts.close()
+        other.contacts.close()
+        return _Present(
+            control,
+            physics,
+            contacts,
+            None,
+            batched.concat([self.state, other.state]),
+            batched.concat([self.progress, other.progress]),
+        )
+
+
+class Batch:
+    """Histories that step together.
+
+    Parameters
+    ----------
+    ensemble : of all cases.
+    numbers : (B,) int, the histories of this batch.
+    """
+
+    def __init__(self, ensemble: Ensemble, numbers: IntArray) -> None:
+        self._ensemble, self.numbers = ensemble, numbers
+        #: None before the start
+        self._present: _Present | None = None
+        #: (B,) s, end of the present try, and where its contacts start, and those of the next one
+        #: if it fails; None: there is no try
+        self._end: FloatArray | None = None
+        self._warm: WarmStart | None = None
+        #: whether a history steps alone until it has made a step, and why its last try failed
+        self._alone, self._failure = False, ""
+
+    @property
+    def may_join(self) -> bool:
+        """Whether the histories may step with others."""
+        return self._present is not None and not self._alone
+
+    def advance(self) -> list["Batch"]:
+        """Make a round; return the batches that go on. Collective.
+
+        Histories in trouble leave: alone, each says why, and tries a shorter step if there is one.
+        """
+        before, self._warm = self._present, None
+        try:
+            snapshots = self._start() if before is None else self._round(before)
+        except Exception as error:
+            if isinstance(error, InputError) and not isinstance(error, UnfitError):
+                raise  # an option for PETSc
+            if self._present is not None and self._warm is not None:
+                self._present.contacts.warm = self._warm
+            return self._after_failure(error)
+        if not snapshots:
+            return [self]
+        if snapshots[-1].accepted.any():
+            self._ensemble.show(snapshots)
+        if self._alone and snapshots[-1].accepted.all():
+            self._alone, self._failure = False, ""
+        ended = snapshots[-1].finished
+        return self._split([np.flatnonzero(~ended)]) if ended.any() else [self]
+
+    def joined(self, other: "Batch") -> "Batch":
+        """Return one batch of the histories of both, which end."""
+        batch = Batch(self._ensemble, np.append(self.numbers, other.numbers))
+        assert self._present is not None
+        assert other._present is not None
+        control = self._ensemble.control(batch.numbers)
+        batch._present = self._present.joined(other._present, control)
+        return batch
+
+    def close(self) -> None:
+        """Free the contacts."""
+        if self._present is not None:
+            self._present.contacts.close()
+
+    # -- the start ---------------------------------------------------------------------------------
+
+    def _start(self) -> list[Snapshot]:
+        """Return the states at the start, unless the history continues. Collective."""
+        ensemble, numbers = self._ensemble, self.numbers
+        cases, start = [ensemble.cases[i] for i in numbers.tolist()], ensemble.start
+        geometry = MovingGeometry(cases[0], ensemble.comm) if cases[0].follows_wear else None
+        pair = ensemble.pair
+        if pair is None:
+            pair = assemble(cases[0], ensemble.comm) if geometry is None else geometry.unworn()
+        physics = Physics.of(cases, pair, derivatives=ensemble.derivatives)
+        physics = replace(physics, pair_is_shared=ensemble.pair is not None)
+        contacts, control = physics.contacts(), ensemble.control(numbers)
+        try:
+            if start is not None:
+                if geometry is not None and start.state.meshed_wear is not None:
+                    physics, contacts = geometry.remesh_to(
+                        start.state.meshed_wear, physics, contacts
+                    )
+                physics = replace(physics, gap_offset=start.state.gap_offset, updates=start.updates)
+                contacts.warm = start.warm
+                state, progress = start.state, start.progress
+            else:
+                with together(ensemble.comm):
+                    state = initial_state(physics, contacts)
+                progress = Progress.at_start(len(numbers))
+        except BaseException:
+            contacts.close()
+            raise
+        self._present = _Present(control, physics, contacts, geometry, state, progress)
+        if start is not None:
+            return []
+        every = np.ones(len(numbers), dtype=bool)
+        return [
+            Snapshot(
+                numbers, physics, contacts, state, None, progress, state.contact.iterations, every,
+                every, ~every,
+            )
+        ]  # fmt: skip
+
+    # -- a round -----------------------------------------------------------------------------------
+
+    def _round(self, before: _Present) -> list[Snapshot]:
+        """Return the states that a try of each history leads to, states within it first."""
+        ensemble, self._end = self._ensemble, None
+        if before.geometry is not None:
+            physics, contacts, state = before.geometry.follow(
+                before.physics, before.contacts, before.state
+            )
+            before = self._present = replace(
+                before, physics=physics, contacts=contacts, state=state
+            )
+        control, physics, contacts = before.control, before.physics, before.contacts
+        self._warm = contacts.warm
+        end, progress = as_on_first_rank(
+            ensemble.comm, control.next_try(before.state, before.progress)
+        )
+        self._end, self._present = end, replace(before, progress=progress)
+        with together(ensemble.comm):  # a law may raise on one rank alone
+            step = ensemble.method.scheme(physics, contacts, before.state, end)
+        # ranks may differ by round-off, or by their processor: the first decides
+        decision = as_on_first_rank(ensemble.comm, control.decide(before.state, step, progress))
+        accepted, progress = decision.accepted, decision.progress
+        with together(ensemble.comm):
+            snapshots = self._within(before, end, accepted, progress)
+        state = step.state
+        if not accepted.all():
+            state = batched.where(accepted, state, _with_entries_of(before.state, state))
+        self._present = replace(before, state=state, progress=progress)
+        finished = accepted & control.finished(state, progress)
+        return [
+            *snapshots,
+            Snapshot(
+                self.numbers, physics, contacts, state, step, progress,
+                progress.iterations - before.progress.iterations, accepted,
+                _stored(physics.inputs.cases, state, progress, accepted, finished), finished,
+            ),
+        ]  # fmt: skip
+
+    def _within(
+        self, before: _Present, end: FloatArray, accepted: BoolArray, progress: Progress
+    ) -> list[Snapshot]:
+        """Return the states at times of output within accepted steps, which leave no trace."""
+        cases = before.physics.inputs.cases
+        if not cases[0].output.times:
+            return []
+        rows = zip(cases, before.state.time.tolist(), end.tolist(), accepted, strict=True)
+        times = [case.output_times(t0, t1) if new else [] for case, t0, t1, new in rows]
+        snapshots = []
+        for k in range(max(map(len, times))):
+            histories = np.array([i for i, row in enumerate(times) if len(row) > k])
+            instants = np.array([times[i][k] for i in histories])
+            snapshots.append(self._at_times(before, histories, instants, progress))
+        return snapshots
+
+    def _at_times(
+        self, before: _Present, histories: IntArray, times: FloatArray, progress: Progress
+    ) -> Snapshot:
+        """Return the states of some histories at times within their steps."""
+        part = before.take(histories)
+        try:
+            step = self._ensemble.method.scheme(part.physics, part.contacts, part.state, times)
+        except HistoriesError as error:
+            which = np.zeros(len(self.numbers), dtype=bool)
+            which[histories[error.which]] = True
+            raise HistoriesError(which) from error
+        finally:
+            part.contacts.close()
+        every = np.ones(len(histories), dtype=bool)
+        return Snapshot(
+            self.numbers[histories], part.physics, part.contacts, step.state, step,
+            batched.take(progress, histories), step.state.contact.iterations, every, every, ~every,
+            passing=True,
+        )  # fmt: skip
+
+    # -- failures ----------------------------------------------------------------------------------
+
+    def _after_failure(self, error: Exception) -> list["Batch"]:
+        """Return the batches that go on after a round that failed."""
+        if len(self.numbers) > 1:
+            return self._parted(error)
+        if self._tries_shorter(error):
+            return [self]
+        self._ensemble.failures[int(self.numbers[0])] = self._named(error)
+        self.close()
+        return []
+
+    def _parted(self, error: Exception) -> list["Batch"]:
+        """Return those that go on together, and those in trouble, as far as it is known which."""
+        count = len(self.numbers)
+        if isinstance(error, HistoriesError):
+            parts = [np.flatnonzero(~error.which), *np.flatnonzero(error.which)[:, None]]
+        else:  # whatever a user's law may raise, nobody knows for whom
+            expected = isinstance(error, RingwearError)
+            log.log(
+                logging.DEBUG if expected else logging.WARNING,
+                "%d histories cannot step together (%s)", count, reason_of(error),
+                exc_info=error if expected else None,
+            )  # fmt: skip
+            parts = list(np.array_split(np.arange(count), 2))
+        batches = self._split(parts)
+        for batch in batches:
+            batch._alone = len(batch.numbers) == 1 or not isinstance(error, HistoriesError)
+        return batches
+
+    def _tries_shorter(self, error: Exception) -> bool:
+        """Tell whether a single history tries a shorter step after an error, and prepare it."""
+        passed, present = LawError | InputError | HistoriesError, self._present
+        if not isinstance(error, ComputationError) or isinstance(error, passed):
+            return False
+        if present is None or self._end is None:  # there was no try
+            return False
+        progress = present.control.shorten(present.state, self._end, present.progress)
+        if progress is None:
+            return False
+        self._present, self._end = replace(present, progress=progress), None
+        self._alone, self._failure = True, str(error)
+        return True
+
+    def _named(self, error: Exception) -> Exception:
+        """Return the error of a single history with its step and time."""
+        present = self._present
+        if present is None or not isinstance(error, ComputationError):
+            return error
+        case, state = self._ensemble.cases[int(self.numbers[0])], present.state
+        why = f"{self._failure}, {NO_STEP}" if self._failure else str(error)
+        named = type(error)(
+            f"{why}{unit_question(case, state.wear[:, 0])}; in step "
+            f"{int(present.progress.steps[0]) + 1}, from time {state.time[0]:g} s"
+        )
+        named.__cause__ = error
+        return named
+
+    def _split(self, parts: Sequence[IntArray]) -> list["Batch"]:
+        """Return batches of some of the histories each; this one ends."""
+        batches = []
+        for part in parts:
+            if len(part):
+                batch = Batch(self._ensemble, self.numbers[part])
+                batch._present = None if self._present is None else self._present.take(part)
+                batches.append(batch)
+        self.close()
+        return batches
+
+
+def _stored(
+    cases: Sequence[Case],
+    state: State,
+    progress: Progress,
+    accepted: BoolArray,
+    finished: BoolArray,
+) -> BoolArray:
+    """Return which of the new states are stored."""
+    steps = progress.steps
+    if cases[0].output.times:
+        rows = zip(cases, steps.tolist(), state.time.tolist(), strict=True)
+        return accepted & np.array([case.stores(step, time) for case, step, time in rows])
+    return accepted & (finished | (steps % np.array([c.output.every for c in cases]) == 0))
+
+
+def _with_entries_of(other: State, state: State) -> State:
+    """Return ``other`` with an entry wherever ``state`` has one."""
+    if other.gap_offset is None and state.gap_offset is not None:
+        return replace(other, gap_offset=np.zeros_like(state.gap_offset))
+    return other

@@ -1,0 +1,1 @@
+"""What histories have derivatives with respect to."""
