@@ -277,7 +277,7 @@ class Page:
                 "numbers": [(name, value, before.get(name, ""), unit)
                             for name, value, unit in key_rows(numbers)],
                 "worn": [] if worn is None else [worn.header, *worn.rows],
-                "chosen": drawing.chosen_time, "charts": drawing.told(), "laid": columns,
+                "chosen": drawing.chosen_time, "charts": drawing.columns(), "laid": columns,
                 "laid_fault": ". ".join(dict.fromkeys(faults)), "seconds": self._seconds,
                 "sketch": self._sketched and not self._faults,
             }

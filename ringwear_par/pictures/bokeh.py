@@ -41,6 +41,8 @@ KINDS = {
 }
 #: those with an entry in the legend, in its order
 _IN_LEGEND = ("lines", "asides", "points", "bars", "ribbons")
+#: those of figures that change
+_CHANGING = ("lines", "dots", "points")
 #: of an axis, beyond what is drawn
 _ROOM = 0.04
 #: height of a bar where categories are 1 apart
@@ -58,8 +60,13 @@ _POINTER = (
 )
 
 
-def chart(name: str, panel: Panel, height: int) -> Any:
-    """Return the figure of a panel, its sources named by their kinds of marks."""
+def chart(name: str, panel: Panel, height: int, *, changing: bool = False) -> Any:
+    """Return the figure of a panel, its sources named by their kinds of marks.
+
+    Parameters
+    ----------
+    changing : whether the sources get other lines and points, which the legend then follows.
+    """
     log = ("log" if axis.log else "linear" for axis in (panel.x, panel.y))
     x_type, y_type = log
     plot = figure(
@@ -69,67 +76,67 @@ def chart(name: str, panel: Panel, height: int) -> Any:
         active_drag="box_zoom",
     )  # fmt: skip
     plot.toolbar.logo = None
-    marks = _marks(plot, name)
-    for kind, columns in columns_of(panel).items():
-        marks[kind].data_source.data = columns
-    pointed = [marks[kind] for kind in ("lines", "asides", "ends", "points")]
+    marks = {
+        kind: _add_marks(plot, kind, ColumnDataSource(columns, name=f"{name}-{kind}"))
+        for kind, columns in columns_of(panel).items()
+        if not changing or kind in _CHANGING
+    }
+    pointed = [marks[kind] for kind in ("lines", "asides", "ends", "points") if kind in marks]
     formats = {"$snap_x": "printf", "$snap_y": "printf"}
     plot.add_tools(
         HoverTool(renderers=pointed, tooltips=_POINTER, formatters=formats, visible=False)
     )
-    _add_legend(plot, marks)
+    _add_legend(plot, marks, changing=changing)
     _style(plot, panel)
     return plot
 
 
-def _marks(plot: Any, name: str) -> dict[str, Any]:
-    """Return the renderers of all kinds of marks, without data."""
-    source = {
-        kind: ColumnDataSource({column: [] for column in columns}, name=f"{name}-{kind}")
-        for kind, columns in KINDS.items()
-    }
+def _add_marks(plot: Any, kind: str, source: Any) -> Any:
+    """Add a kind of marks to a figure; return its renderer."""
     line = {
         "line_color": "colour", "line_dash": "dash", "line_width": "width", "line_alpha": "opacity",
     }  # fmt: skip
     dotted = {"line_color": "#222222", "line_dash": "dotted", "line_width": 1.0}
-    return {
-        "ribbons": plot.patches(
-            "x", "y", fill_color="colour", fill_alpha="opacity", line_color=None,
-            source=source["ribbons"],
-        ),
-        "asides": plot.multi_line("x", "y", **line, source=source["asides"]),
-        "ends": plot.multi_line("x", "y", **line, source=source["ends"]),
-        "levels": plot.hspan(y="y", **dotted, source=source["levels"]),
-        "uprights": plot.vspan(x="x", **dotted, source=source["uprights"]),
-        "bars": plot.hbar(
-            y="y", right="right", left=0.0, height=_BAR, fill_color="colour", fill_alpha=0.8,
-            line_color=None, source=source["bars"],
-        ),
-        "whiskers": plot.segment(
-            "x0", "y0", "x1", "y1", line_color="colour", source=source["whiskers"]
-        ),
-        "lines": plot.multi_line("x", "y", **line, source=source["lines"]),
-        "dots": plot.scatter("x", "y", size=4.0, color="colour", source=source["dots"]),
-        "points": plot.scatter(
-            "x", "y", size="size", line_color="colour", fill_color="fill", line_alpha="opacity",
-            fill_alpha="opacity", marker="marker", source=source["points"],
-        ),
-    }  # fmt: skip
+    filled = {"fill_color": "colour", "line_color": None}
+    match kind:
+        case "ribbons":
+            return plot.patches("x", "y", fill_alpha="opacity", **filled, source=source)
+        case "levels":
+            return plot.hspan(y="y", **dotted, source=source)
+        case "uprights":
+            return plot.vspan(x="x", **dotted, source=source)
+        case "bars":
+            size = {"left": 0.0, "height": _BAR}
+            return plot.hbar(y="y", right="right", fill_alpha=0.8, **size, **filled, source=source)
+        case "whiskers":
+            return plot.segment("x0", "y0", "x1", "y1", line_color="colour", source=source)
+        case "dots":
+            return plot.scatter("x", "y", size=4.0, color="colour", source=source)
+        case "points":
+            return plot.scatter(
+                "x", "y", size="size", line_color="colour", fill_color="fill",
+                line_alpha="opacity", fill_alpha="opacity", marker="marker", source=source,
+            )  # fmt: skip
+    return plot.multi_line("x", "y", **line, source=source)
 
 
-def _add_legend(plot: Any, marks: Mapping[str, Any]) -> None:
+def _add_legend(plot: Any, marks: Mapping[str, Any], *, changing: bool) -> None:
     """Add a legend above the figure, where it covers nothing; a label stands there once."""
     items: dict[str, Any] = {}
-    for kind in _IN_LEGEND:
+    for kind in [kind for kind in _IN_LEGEND if kind in marks]:
+        if changing:
+            items[kind] = LegendItem(label={"field": "label"}, renderers=[marks[kind]])
+            continue
         for row, label in enumerate(marks[kind].data_source.data["label"]):
             if label and label not in items:
                 items[label] = LegendItem(
                     label={"value": label}, renderers=[marks[kind]], index=row
                 )
-    columns = _LETTERS // (max(map(len, items), default=0) + _GLYPH)
+    letters = max(map(len, items), default=0) + _GLYPH
+    columns = max(1, min(_MOST_COLUMNS - changing, _LETTERS // letters))
     legend = Legend(
         name="legend", items=list(items.values()), orientation="horizontal", location="left",
-        ncols=max(1, min(_MOST_COLUMNS, columns)), border_line_color=None, padding=0, margin=4,
+        ncols=columns, border_line_color=None, padding=0, margin=4,
         spacing=6, glyph_width=22, glyph_height=12, label_height=12, visible=bool(items),
         label_text_font_size="12px", label_text_baseline="middle",
     )  # fmt: skip
@@ -245,6 +252,12 @@ def columns_of(panel: Panel) -> dict[str, dict[str, list[Any]]]:
     }  # fmt: skip
 
 
+def changing_columns(panel: Panel) -> dict[str, dict[str, list[Any]]]:
+    """Return the columns of the sources that a figure has that changes."""
+    columns = columns_of(panel)
+    return {kind: columns[kind] for kind in _CHANGING}
+
+
 def _line(curve: Curve) -> tuple[Any, ...]:
     x, y = curve.x, curve.y
     stepped = len(y) < len(x)
@@ -301,6 +314,7 @@ def _points(points: Points) -> Iterator[tuple[Any, ...]]:
 def embedded(plot: Any) -> dict[str, Any]:
     """Return a figure as a page embeds it; the same panel gives the same."""
     item = _renamed(rounded(json_item(plot)), plot.name, {})
+    item["doc"].pop("defs", None)  # of models that others in the process have defined
     return {name: item[name] for name in ("root_id", "doc", "version")}
 
 

@@ -1,5 +1,7 @@
 """Panels of a run: quantities over time, worn faces and pressure along the radius."""
 
+from collections.abc import Sequence
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -19,25 +21,37 @@ from ringwear_par.results.variables import edge_elements
 RADIUS = "distance to axis (mm)"
 
 
-def history(result: Result, quantity: str) -> Panel:
-    """Return the panel of a quantity over time, see ``HISTORY_PANELS``.
+def history(
+    results: Sequence[Result], labels: Sequence[str], quantity: str, end: float | None = None
+) -> Panel:
+    """Return the panel of a quantity over time, see ``HISTORY_PANELS``, of one or more results.
+
+    Parameters
+    ----------
+    labels : of the results, "" for none.
+    end : s, which chooses the unit of time; None: the end of the longest result.
 
     Raises
     ------
-    InputError : the result does not hold it.
+    InputError : a result does not hold it.
     """
-    chart = HISTORY_PANELS[quantity]
-    time = result.histories["time"]
-    unit, seconds = time_unit(float(time[-1]))
-    values = chart.curves(result)
-    curves = [
-        Curve(
-            time / seconds, y, name if len(values) > 1 else "", COLOURS[number % len(COLOURS)],
-            number, 2.0, marked=len(y) == len(time) <= FEW_POINTS,
-        )
-        for number, (name, y) in enumerate(values.items())
-    ]  # fmt: skip
-    flat = not any(y.any() for y in values.values())
+    chart, several = HISTORY_PANELS[quantity], len(results) > 1
+    end = end or max(float(result.histories["time"][-1]) for result in results)
+    unit, seconds = time_unit(end)
+    curves = []
+    for number, (result, label) in enumerate(zip(results, labels, strict=True)):
+        time, values = result.histories["time"] / seconds, chart.curves(result)
+        for place, (name, y) in enumerate(values.items()):
+            words = [name if len(values) > 1 else "", label]
+            curves.append(
+                Curve(
+                    time, y, ", ".join(filter(None, words)),
+                    COLOURS[(number if several else place) % len(COLOURS)],
+                    number + place + number // len(COLOURS), 2.0,
+                    marked=len(y) == len(time) <= FEW_POINTS,
+                )
+            )  # fmt: skip
+    flat = not any(curve.y.any() for curve in curves)
     y_axis = Axis(chart.label, ends=(0.0, chart.whole) if flat else None, zero=True)
     return Panel(Axis(f"time ({unit})", zero=True), y_axis, chart.label, curves=curves)
 
@@ -47,7 +61,7 @@ def histories(result: Result) -> dict[str, Panel]:
     panels = {}
     for name in HISTORY_PANELS:
         try:
-            panels[name] = history(result, name)
+            panels[name] = history([result], [""], name)
         except InputError:  # p V without friction
             continue
     return panels
@@ -70,16 +84,20 @@ def worn_bodies(result: Result) -> list[Which]:
     return [body for body in bodies if result.profiles[f"wear_{body}"].any()] or bodies[:1]
 
 
-def worn_face(result: Result, body: Which) -> Panel:
-    """Return the panel of a worn face at the default instants, with the ends of its layers."""
-    label = f"Height of worn face of {body} (\N{MICRO SIGN}m)"
-    sign = -1e3 if body == "lower" else 1e3
-    ends = [
-        Curve(result.line.r, sign * end.depth, f"end of layer {end.layer}", "#666666", 3, 1.0)
-        for end in ends_near(result, body)
-    ]
-    drawn = at_stages(result, height(result, body))
-    return Panel(Axis(RADIUS), Axis(label), label, curves=[*ends, *drawn])
+def worn_faces(result: Result, bodies: Sequence[Which]) -> Panel:
+    """Return the panel of worn faces at the default instants, with the ends of their layers."""
+    faces = "faces" if len(bodies) > 1 else f"face of {bodies[0]}"
+    label = f"height of worn {faces} (\N{MICRO SIGN}m)"
+    curves = []
+    for body in bodies:
+        sign = -1e3 if body == "lower" else 1e3
+        curves += [
+            Curve(result.line.r, sign * end.depth, f"end of layer {end.layer}", "#666666", 3, 1.0)
+            for end in ends_near(result, body)
+        ]
+        curves += at_stages(result, height(result, body))
+    note = "lower below 0, upper above" if len(bodies) > 1 else ""
+    return Panel(Axis(RADIUS), Axis(label, zero=True), label, note, curves=curves)
 
 
 def pressure(result: Result) -> Panel:
@@ -123,6 +141,7 @@ def at_instant(result: Result, values: FloatArray) -> Curve:
     return Curve(result.line.r, values, "time chosen", COLOURS[1], 0, 2.5, marked=True)
 
 
+@cache
 def stage(number: int, count: int) -> str:
     """Return the colour of a stage in time."""
     return str(to_hex(stage_colour(number, count)))

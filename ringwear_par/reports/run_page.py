@@ -91,7 +91,7 @@ def histories(result: Result) -> Charts:
 def profiles(result: Result) -> Charts | None:
     """Return worn faces and pressure at five instants and at that of a slider; None: not stored."""
     panels = {
-        f"wear-{body}": (runs.worn_face(result, body), runs.height(result, body))
+        f"wear-{body}": (runs.worn_faces(result, [body]), runs.height(result, body))
         for body in runs.worn_bodies(result)
     }
     if runs.stored_at_all_states(result, "pressure"):

@@ -30,13 +30,14 @@ def drawn():
 def test_figures_hold_the_history(drawn):
     first, now = drawn
     for menu in MENU.keys() - {"through"}:  # of layers
-        told = Drawing(now.result, first.result, now.case, 0.5, menu, []).told()
+        told = Drawing(now.result, first.result, now.case, 0.5, menu, []).columns()
         curves = HISTORY_PANELS[menu].curves(now.result)
         lines = told["other"]["sources"]["lines"]
         assert len(lines["x"]) == 2 * len(curves)  # and those of the case file
         for y, values in zip(lines["y"][len(curves) :], curves.values(), strict=True):
             assert np.array_equal(np.unique(y), np.unique(values))
     lines = told["wear"]["sources"]["lines"]
+    assert lines["label"][-2:] == ["time chosen"] * 2
     assert np.array_equal(lines["y"][-2], -1e3 * now.result.profiles["wear_lower"][
         np.abs(now.result.histories["time"] - 100.0).argmin()])  # fmt: skip
     ends = [lines["y"][lines["label"].index(label)] for label in ("case file, end", "200 s")]
@@ -58,7 +59,7 @@ def test_the_share_worn_through_is_drawn_of_layers(comm):
         assert len(menu) == len(MENU) - (not layered)
         if layered:
             found = exploration.compute({})
-            told = Drawing(found.result, found.result, found.case, 1.0, "through", []).told()
+            told = Drawing(found.result, found.result, found.case, 1.0, "through", []).columns()
             (y,) = told["other"]["sources"]["lines"]["y"]
             assert y == (100.0 * found.result.layers["share_through_lower"]).tolist()
             assert y[-1] > 0.0
