@@ -101,7 +101,7 @@ class _Present:
     progress: Progress
 
     def take(self, histories: IntArray) -> "_Present":
-        """Return that of some of the histories."""
+        """Return the present of some of the histories."""
         return _Present(
             batched.take(self.control, histories),
             self.physics.take(histories),
@@ -112,7 +112,7 @@ class _Present:
         )
 
     def joined(self, other: "_Present", control: Control) -> "_Present":
-        """Return that of the histories of both, which end; elements stay in all of them."""
+        """Return the present of the histories of both, which end; elements stay in all of them."""
         physics = self.physics.joined(other.physics)
         contacts = physics.contacts()
         contacts.start_from(self.contacts, other.contacts)
@@ -318,7 +318,7 @@ class Batch:
         return []
 
     def _parted(self, error: Exception) -> list["Batch"]:
-        """Return those that go on together, and those in trouble, as far as it is known which."""
+        """Return batches that go on, histories in trouble apart, as far as it is known which."""
         count = len(self.numbers)
         if isinstance(error, HistoriesError):
             parts = [np.flatnonzero(~error.which), *np.flatnonzero(error.which)[:, None]]

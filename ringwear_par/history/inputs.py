@@ -58,11 +58,11 @@ class HistoryInputs:
             stack([load.omega for load in loads]),
             _stacked([load.force for load in loads]),
             _stacked([load.displacement for load in loads]),
-            tuple(stack_laws(own) for own in laws),
+            tuple(stack_laws(body_laws) for body_laws in laws),
         )
 
     def take(self, histories: IntArray) -> Self:
-        """Return the same of some of B histories."""
+        """Return the inputs of some of B histories."""
         return replace(
             self,
             cases=tuple(self.cases[i] for i in histories.tolist()),
@@ -76,7 +76,7 @@ class HistoryInputs:
         )
 
     def with_layers(self, ends: Sequence[FloatArray | None], obliquity: FloatArray | None) -> Self:
-        """Return the same with laws that know at which depths along the normal layers end.
+        """Return the inputs with laws that know the depths along the normal where layers end.
 
         Parameters
         ----------
@@ -147,18 +147,18 @@ def of_faces(cases: Sequence[Case], number: Callable[[Case], Any]) -> list[Any]:
     The cases are of one pair.
     """
     known: dict[Hashable, Any] = {}
-    found = []
+    numbers = []
     for case in cases:
         key = (*((ring.r, ring.z, ring.face) for ring in case.rings), case.mesh.contact)
         if key not in known:
             known[key] = number(case)
-        found.append(known[key])
-    return found
+        numbers.append(known[key])
+    return numbers
 
 
 def _stacked(loads: Sequence[Quantity | None]) -> Quantity | None:
     """Return the loads of B histories as one, None where none of them has this kind of load."""
-    given = [load for load in loads if load is not None]
-    if given and len(given) < len(loads):
+    present = [load for load in loads if load is not None]
+    if present and len(present) < len(loads):
         raise ValueError("histories under a force and at a displacement cannot be stacked")
-    return stack(given) if given else None
+    return stack(present) if present else None

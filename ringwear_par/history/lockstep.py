@@ -19,7 +19,7 @@ def must_run_alone(case: Case) -> bool:
 
 
 def batch_key(case: Case) -> Hashable | None:
-    """Return what cases of one pair share that step together; None for one that steps alone.
+    """Return the key of cases of one pair that step together; None for one that steps alone.
 
     Of the case alone. Not collective.
     """
@@ -37,19 +37,21 @@ def can_share(case: Case) -> bool:
 
     Laws that are not ours are tried. Not collective.
     """
-    given = [law for law in case.laws if law is not None]
-    every = [each for law in given for each in (law.laws if isinstance(law, LayeredLaw) else [law])]
-    own = [law for law in every if type(law) not in (*LAWS.values(), NoWear)]
-    return all(serves_many(law, case.line.r) for law in own)
+    laws: list[Law] = []
+    for law in case.laws:
+        if law is not None:
+            laws += law.laws if isinstance(law, LayeredLaw) else [law]
+    foreign = [law for law in laws if type(law) not in (*LAWS.values(), NoWear)]
+    return all(serves_many(law, case.line.r) for law in foreign)
 
 
 def _kind(law: Law) -> Hashable:
-    """Return what laws have to share to be stacked."""
+    """Return the key of laws that can be stacked."""
     parts: list[Any] = [type(law)]
     if isinstance(law, LayeredLaw):
         return (*parts, law.thicknesses, law.own, *map(_kind, law.laws))
     if isinstance(law, CompletedLaw):
-        return (*parts, *_own_kind(law.own))
+        return (*parts, *_identity(law.own))
     for name, parameter in _fields_of(type(law)):  # type: ignore[arg-type]
         value = getattr(law, name)
         if parameter is not None and parameter.numeric:
@@ -69,10 +71,10 @@ def _fields_of(law: type[Law]) -> tuple[tuple[str, Parameter | None], ...]:
     return tuple((name, declared.get(name)) for name in names)
 
 
-def _own_kind(own: Any) -> tuple[Hashable, ...]:
-    """Return the same of a user's object: itself."""
+def _identity(user_law: Any) -> tuple[Hashable, ...]:
+    """Return a user's object itself, or its identity where it has no hash."""
     try:
-        hash(own)
+        hash(user_law)
     except TypeError:
-        return (id(own),)
-    return (own,)
+        return (id(user_law),)
+    return (user_law,)

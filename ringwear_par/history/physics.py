@@ -150,7 +150,7 @@ class Physics:
     def contact_inputs(
         self, time: FloatArray, wear: FloatArray, increment: WearIncrement | None = None
     ) -> ContactInputs:
-        """Return what the contacts at a time depend on, loads those of that time.
+        """Return gaps and loads at a time, and the wear of the step that ends then.
 
         Parameters
         ----------
@@ -180,12 +180,12 @@ class Physics:
 
     def own_displacement(self, p: FloatArray) -> FloatArray:
         """Return the displacements (B, n) mm of elements under their own pressures alone, MPa."""
-        return self.compliances.own * p
+        return self.compliances.diagonal * p
 
     # -- wear, eq. (4) -----------------------------------------------------------------------------
 
     def local_state(self, time: FloatArray, omega: FloatArray, wear: FloatArray) -> LocalState:
-        """Return what laws may know of a body, its wear being (B, n) mm, at speed omega.
+        """Return the local state of a body whose wear is (B, n) mm, at speed omega.
 
         Laws speak of depths along the normal; everything else here is along the axis.
         """
@@ -263,13 +263,13 @@ class Physics:
     # -- layers ------------------------------------------------------------------------------------
 
     def layer_left(self, body: int, wear: FloatArray) -> FloatArray:
-        """Return what is left of all layers of a body, (..., n) mm, worn by (..., n) mm."""
+        """Return the thickness left of all layers of a body, (..., n) mm, worn by (..., n) mm."""
         ends = self.layer_ends[body]
         assert ends is not None
         return np.where(worn_through(ends[-1], wear), 0.0, ends[-1] - wear)
 
     def layer_volumes(self, body: int, wear: FloatArray) -> FloatArray:
-        """Return what is worn off each layer and the body itself, (..., layers + 1) mm3."""
+        """Return the worn volumes of each layer and the body itself, (..., layers + 1) mm3."""
         ends = self.layer_ends[body]
         assert ends is not None
         bounds = [np.zeros(self.line.n), *ends, np.full(self.line.n, np.inf)]

@@ -13,7 +13,7 @@ from ringwear_par.history.observers.balances import balances
 from ringwear_par.history.observers.trace import trace
 from ringwear_par.history.physics import Physics
 from ringwear_par.history.schemes import sdirk2
-from ringwear_par.history.schemes.closing_elements import entering
+from ringwear_par.history.schemes.closing_elements import find_closing_elements
 from ringwear_par.history.start import initial_state
 from ringwear_par.wear import LocalState
 from ringwear_par.wear.increment import Closing, WearIncrement
@@ -87,13 +87,13 @@ def test_elements_enter_where_the_contact_is_about_to_grow(crown, comm):
     state = trace(replace(case, time=replace(case.time, until=40.0)), comm, pair=pair)
     state = state.snapshots[-1].state
     physics = Physics.of([case], pair)
-    assert entering(physics, state, np.array([1e-6])) is None
-    late = entering(physics, state, np.array([10.0])).late[0]
+    assert find_closing_elements(physics, state, np.array([1e-6])) is None
+    late = find_closing_elements(physics, state, np.array([10.0])).mask[0]
     touching = np.flatnonzero(state.contact.pressure[0] > 0.0)
     assert set(np.flatnonzero(late)) <= {*range(touching[0]), *range(touching[-1] + 1, 32)}
     assert late[touching[0] - 1] or late[touching[-1] + 1]
     still = replace(state, rates=np.zeros_like(state.rates))
-    assert entering(physics, still, np.array([10.0])) is None
+    assert find_closing_elements(physics, still, np.array([10.0])) is None
 
 
 def test_steps_with_entering_elements_together_are_as_if_alone(crown, comm):
@@ -105,7 +105,7 @@ def test_steps_with_entering_elements_together_are_as_if_alone(crown, comm):
     with physics.contacts() as contacts:
         state, together, grown = initial_state(physics, contacts), [], 0
         for end in ends:
-            grown += entering(physics, state, end - state.time) is not None
+            grown += find_closing_elements(physics, state, end - state.time) is not None
             together.append(sdirk2.step(physics, contacts, state, end))
             state = together[-1].state
         off = balances(physics, state)

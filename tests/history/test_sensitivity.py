@@ -185,13 +185,13 @@ def test_derivatives_are_central_differences(tmp_path, law, scheme, changes):
 def test_elements_that_enter_within_steps_are_differentiated(tmp_path, monkeypatch):
     from ringwear_par.history.schemes import sdirk2
 
-    entering, late = sdirk2.entering, []
+    find, late = sdirk2.find_closing_elements, []
 
     def noted(*args):
-        late.append(entering(*args))
+        late.append(find(*args))
         return late[-1]
 
-    monkeypatch.setattr(sdirk2, "entering", noted)
+    monkeypatch.setattr(sdirk2, "find_closing_elements", noted)
     case = rw.read_case(CASES / "crown.toml", {"mesh.contact_elements": 16})
     pair = assemble(case, ALONE)
     assert off_differences(case, pair, list(numbers_of(case))) < 1e-6

@@ -19,16 +19,16 @@ _ENTRIES: tuple[Entry, ...] = ("thickness", "young", "poisson")
 
 def elastic_numbers(case: Case) -> dict[str, str]:
     """Return the keys of numbers that each value of has its own operator, and their units."""
-    found = {}
+    units = {}
     for body, ring in zip(BODIES, case.rings, strict=True):
         for i in range(len(ring.layers)):
             for entry in _ENTRIES:
                 key = key_of(name := f"{body}.layers[{i}].{entry}")
                 assert key is not None
-                found[name] = key.unit
+                units[name] = key.unit
         if ring.layers:
-            found[f"{body}.young"] = "MPa"
-    return found
+            units[f"{body}.young"] = "MPa"
+    return units
 
 
 def is_elastic(case: Case, keys: Sequence[str]) -> bool:
@@ -68,11 +68,11 @@ def compliance_change(case: Case, pair: ContactPair, key: str) -> ComplianceChan
 def _of_layer(
     case: Case, pair: ContactPair, which: int, layer: int, entry: str
 ) -> ComplianceChange:
-    """Return what a number of a layer does to its body at modulus 1; kept by the pair."""
+    """Return derivatives of a body of modulus 1 to a number of a layer; the pair keeps them."""
     known = pair.changes
     name = which, layer, entry
     if name not in known:
-        (number,) = (each for each in _ENTRIES if each == entry)
+        (number,) = (known for known in _ENTRIES if known == entry)
         slope = (pair.slope, -pair.slope)[which]
         body = bodies(case)[which]
         known[name] = layer_derivative(

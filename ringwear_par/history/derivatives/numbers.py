@@ -28,16 +28,16 @@ def differentiable(case: Case) -> dict[str, str]:
 
     Its plain numbers: of a law's parameters, those that rates have derivatives with respect to.
     """
-    found: dict[str, str] = {}
+    units: dict[str, str] = {}
     for body, law in zip(BODIES, case.laws, strict=True):
         if law is None:
             continue
         for name in law.numeric:
             if _is_number(law.quantity(name)):
-                found[_key_of_number(body, name)] = _unit(law, name)
+                units[_key_of_number(body, name)] = _unit(law, name)
         if law.length and "length" in parameters_of(type(law)):
-            found[f"wear.{body}.length"] = "mm"
-    found["contact.friction"] = UNITS["contact.friction"]
+            units[f"wear.{body}.length"] = "mm"
+    units["contact.friction"] = UNITS["contact.friction"]
     load = case.load
     for key, number in (
         ("load.pressure", load.force),
@@ -48,20 +48,20 @@ def differentiable(case: Case) -> dict[str, str]:
         ("upper.young", case.upper.young),
     ):
         if _is_number(number):
-            found[key] = UNITS[key]
-    return found | elastic_numbers(case)
+            units[key] = UNITS[key]
+    return units | elastic_numbers(case)
 
 
 def _key_of_number(body: str, name: str) -> str:
     """Return the key of a parameter of a body's law, or of one of its layers' laws."""
-    layer, _, own = name.rpartition("].")
-    return f"{body}.{layer}].wear.{own}" if layer else f"wear.{body}.{name}"
+    layer, _, parameter = name.rpartition("].")
+    return f"{body}.{layer}].wear.{parameter}" if layer else f"wear.{body}.{name}"
 
 
 def _unit(law: Law, name: str) -> str:
     """Return the unit of a parameter, "1" where it is not declared."""
     if isinstance(law, LayeredLaw):
-        return next(_unit(law.laws[number], own) for number, own in law.having(name))
+        return next(_unit(law.laws[i], parameter) for i, parameter in law.having(name))
     parameter = parameters_of(type(law)).get(name)
     return "1" if parameter is None else parameter.unit
 
@@ -105,7 +105,7 @@ def check_derivatives(case: Case, keys: Sequence[str]) -> None:
 
 
 def _name_of_number(body: str, key: str) -> str:
-    """Return what the law of a body calls the parameter of a key, "" if it is none of its."""
+    """Return the name that the law of a body has for a key, "" for a key that is not its own."""
     entry = layer_entry(key)
     if entry is not None and entry[0] == f"{body}.layers":
         return f"layers{entry[1]}.{entry[2].removeprefix('wear.')}"
@@ -135,11 +135,11 @@ class Sensitivity:
         #: of bodies, which number is the length of their averages, and what it does to these
         self.averages: dict[int, tuple[int, FloatArray]] = {}
         line, true_area = pair.line, pair.line.area * obliquity(pair.slope)
-        for body, (own, law) in enumerate(zip(self._laws, cases[0].laws, strict=True)):
-            for row in [row for row, name in own if name == "length"]:
+        for body, (numbers, law) in enumerate(zip(self._laws, cases[0].laws, strict=True)):
+            for row in [row for row, name in numbers if name == "length"]:
                 assert law is not None
                 self.averages[body] = row, d_averaging(line.r, true_area, law.length)
-                own.remove((row, "length"))
+                numbers.remove((row, "length"))
         self.friction, self.omega = rows.get("contact.friction"), rows.get("load.omega")
 
         #: what mu and omega are, which tells how far differences may go
@@ -174,28 +174,28 @@ class Sensitivity:
         return len(self.keys)
 
     def take(self, histories: IntArray) -> "Sensitivity":
-        """Return that of some of B histories."""
+        """Return the sensitivity of some of B histories."""
         taken = copy.copy(self)
         taken._sizes = {row: size[histories] for row, size in self._sizes.items()}
         taken.load = self.load[:, histories]
         taken.elastic = [(row, elastic.take(histories)) for row, elastic in self.elastic]
         return taken
 
-    def nothing(self, *shape: int) -> FloatArray:
+    def zeros(self, *shape: int) -> FloatArray:
         """Return derivatives (P, ...) that are 0."""
         return np.zeros((len(self), *shape))
 
     def rates(
         self, i: int, law: Law, p: FloatArray, at: LocalState, layer: int | None
     ) -> FloatArray:
-        """Return what the numbers do to rates, see ``VaryingNumbers`` of increments."""
-        out, whole = self.nothing(*p.shape), self._whole_laws[i]
+        """Return derivatives of rates with respect to the numbers, see ``VaryingNumbers``."""
+        out, whole = self.zeros(*p.shape), self._whole_laws[i]
         for row, name in self._laws[i]:
             if layer is not None and isinstance(whole, LayeredLaw):
-                own = whole.of_layer(name, layer)
-                if own is None or own not in law.numeric:
+                in_layer = whole.of_layer(name, layer)
+                if in_layer is None or in_layer not in law.numeric:
                     continue
-                name = own
+                name = in_layer
             out[row] = law.d_rate_dparameter(name, p, at)
         if self.friction is not None:
             size, still = columns(self._sizes[self.friction]), np.zeros(p.shape[-1])
@@ -245,21 +245,21 @@ class _Elastic:
 
     @classmethod
     def of(cls, cases: Sequence[Case], pair: ContactPair, key: str) -> "_Elastic":
-        """Return those of some cases."""
+        """Return the derivatives of some cases."""
         moduli = [young(case) for case in cases]
         firsts = dict(zip(moduli, cases, strict=True))
-        places = {each: place for place, each in enumerate(firsts)}
+        places = {both: place for place, both in enumerate(firsts)}
         every = [
-            pair.d_compliance(each, compliance_change(case, pair, key))
-            for each, case in firsts.items()
+            pair.d_compliance(both, compliance_change(case, pair, key))
+            for both, case in firsts.items()
         ]
         return cls(
             np.array([(matrix / pair.line.area[:, None]).T for matrix, _, _ in every]),
             np.array([collocated.T for _, collocated, _ in every]),
             np.array([twist for _, _, twist in every]),
-            np.array([places[each] for each in moduli]),
+            np.array([places[both] for both in moduli]),
         )
 
     def take(self, histories: IntArray) -> "_Elastic":
-        """Return those of some of B histories."""
+        """Return the derivatives of some of B histories."""
         return replace(self, which=self.which[histories])

@@ -12,7 +12,7 @@ def bodies(case: Case) -> tuple[Body, Body]:
     lower, upper = (
         Body(
             case.section(ring), ring.young, ring.poisson, ring.grip,
-            tuple(Material(each.young, each.poisson) for each in ring.layers),
+            tuple(Material(layer.young, layer.poisson) for layer in ring.layers),
         )
         for ring in case.rings
     )  # fmt: skip
@@ -25,5 +25,5 @@ def young(case: Case) -> tuple[float, float]:
 
 
 def operator_key(case: Case) -> Hashable:
-    """Return what the contact pair of a case depends on; equal for cases that can share it."""
+    """Return the key of the contact pair of a case; equal for cases that can share it."""
     return pair_key(bodies(case), case.contact, case.mesh)

@@ -21,7 +21,7 @@ class Compliances:
     ----------
     every : compliances at all the different moduli, that of the first history first.
     which : (B,) int, the one of each history.
-    own : (B, n) float, mm/MPa, displacement of each element under its own pressure alone.
+    diagonal : (B, n) float, mm/MPa, displacement of each element under its own pressure alone.
     stiffness : (B,) float, MPa/mm, uniform pressure over the mean displacement that it makes.
     twist : (B, n) float, mm/MPa, see ``ContactCompliance``.
     symmetry_defect : (B,) float, see there.
@@ -29,7 +29,7 @@ class Compliances:
 
     every: Sequence[ContactCompliance] = field(metadata=along(None))
     which: IntArray
-    own: FloatArray
+    diagonal: FloatArray
     stiffness: FloatArray
     twist: FloatArray
     symmetry_defect: FloatArray

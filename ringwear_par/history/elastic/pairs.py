@@ -62,7 +62,7 @@ def assemble(case: Case, comm: MPI.Comm | None = None, *, use_kept: bool = True)
 
 
 def to_stacked(pair: ContactPair) -> FloatArray:
-    """Return what has been solved for of both bodies, (2, n + 3, n). Not collective."""
+    """Return the responses of both bodies, stacked, (2, n + 3, n). Not collective."""
     rest = (pair.twist, pair.force_reaction, pair.torque_reaction)
     return np.concatenate([pair.normal, np.stack(rest, axis=1)], axis=1)
 
@@ -108,6 +108,6 @@ def updated_geometry(case: Case, comm: MPI.Comm) -> UpdatedGeometry:
 
 
 def boundary_recovery(case: Case, comm: MPI.Comm) -> BoundaryRecovery:
-    """Return what makes the whole-boundary fields of a case. Not collective."""
+    """Return the recovery of the whole-boundary fields of a case. Not collective."""
     planes = case.lower.z[1], case.upper.z[0]
     return BoundaryRecovery(bodies(case), case.line, case.mesh, planes, comm)

@@ -26,7 +26,7 @@ _SIDES: dict[Side, float] = {"above": 1.0, "": 0.0, "below": -1.0}
 
 
 def stress_key(case: Case) -> Hashable:
-    """Return what the stresses of unit loads depend on; equal for cases that can share them."""
+    """Return the key of the stresses of unit loads; equal for cases that can share them."""
     return operator_key(case), case.mesh, case.lower.z[1], case.upper.z[0], case.stress
 
 
@@ -55,10 +55,10 @@ class CaseStresses:
         sides = np.array([_SIDES[side] for side in self.sides])
 
         def of(i: int) -> StressPoints:
-            own, grid = self.of_points == i, on_grid[self._of_grid == i]
+            of_body, grid = self.of_points == i, on_grid[self._of_grid == i]
             return StressPoints(
-                np.concatenate([self.points[own], grid]),
-                np.concatenate([sides[own], np.zeros(len(grid))]),
+                np.concatenate([self.points[of_body], grid]),
+                np.concatenate([sides[of_body], np.zeros(len(grid))]),
             )
 
         both, planes = bodies(case), (case.lower.z[1], case.upper.z[0])
@@ -80,21 +80,21 @@ class CaseStresses:
         """
         lower, upper = (worn_through(case.layer_ends(i), wear) for i, wear in enumerate(state.wear))
         gone = lower, upper
-        found = self._recovery.stresses(
+        bodies = self._recovery.stresses(
             state.contact.pressure, case.friction, state.meshed_wear, gone
         )
         points = np.empty((len(self.points), 6))
         grid = np.full((*self._of_grid.shape, 6), np.nan)
-        for i, body in enumerate(found):
-            own = np.count_nonzero(self.of_points == i)
-            points[self.of_points == i] = body.points[:own]
-            grid[self._of_grid == i] = body.points[own:]
+        for i, body in enumerate(bodies):
+            count = np.count_nonzero(self.of_points == i)
+            points[self.of_points == i] = body.points[:count]
+            grid[self._of_grid == i] = body.points[count:]
         surface, largest = (
-            (found[0].surface, found[1].surface),
-            (found[0].largest, found[1].largest),
+            (bodies[0].surface, bodies[1].surface),
+            (bodies[0].largest, bodies[1].largest),
         )
-        along = found[0].interfaces, found[1].interfaces
-        layers = found[0].layers, found[1].layers
+        along = bodies[0].interfaces, bodies[1].interfaces
+        layers = bodies[0].layers, bodies[1].layers
         return StressState(step, float(state.time), points, grid, surface, largest, along, layers)
 
     def history(self, states: tuple[StressState, ...]) -> StressHistory:

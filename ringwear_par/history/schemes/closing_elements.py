@@ -20,7 +20,7 @@ from ringwear_par.wear.layered_increment import LayeredIncrement
 
 #: gaps that a step may close, in what the fastest element wears in it
 _REACH = 2.0
-#: largest area of elements that enter, in that of those in contact
+#: largest area of closing elements, in that of those in contact
 _MOST = 0.25
 #: least of what a stage counts more: wear never falls
 _LEAST = -0.9
@@ -30,7 +30,7 @@ _ENTRY_ERROR, _STAGE_ERROR = 0.33, 0.67
 
 
 @dataclass(frozen=True)
-class Entering:
+class ClosingElements:
     """The elements that wear may bring into contact in a step.
 
     Parameters
@@ -38,64 +38,68 @@ class Entering:
     gap : (..., n) float, mm, of these elements at the start, 0 elsewhere.
     area : (n,) float, mm^2.
     force_kept : whether the others carry what these do not.
-    held : (..., n) float, how many times its weight the first stage counts for elements that wear
-        through a layer after it, see ``held``; 1 for all others.
+    first_weight : (..., n) float, how many times its weight the first stage counts for elements
+        that wear through a layer after it, see ``with_layer_crossings``; 1 for all others.
     """
 
     gap: FloatArray
     area: FloatArray
     force_kept: bool
-    held: FloatArray | float = 1.0
+    first_weight: FloatArray | float = 1.0
 
     @property
-    def late(self) -> BoolArray:
+    def mask(self) -> BoolArray:
         """Which elements these are, (..., n)."""
-        return (self.gap > 0.0) | (np.asarray(self.held) < 1.0)
+        return (self.gap > 0.0) | (np.asarray(self.first_weight) < 1.0)
 
     @property
     def first(self) -> FloatArray:
         """How many times its weight the first stage counts for these elements, (..., n)."""
-        return np.where(self.gap > 0.0, 0.0, self.held)
+        return np.where(self.gap > 0.0, 0.0, self.first_weight)
 
     def closing(self, step: FloatArray, stretch: FloatArray) -> Closing:
-        """Return what a stage closes; ``stretch`` is of the steps, s, of the elements."""
+        """Return gaps and steps of elements in a stage, whose step (s) is stretched for each."""
         return Closing(self.gap, columns(step) * stretch)
 
-    def counts(self, p: FloatArray, counts: FloatArray | float) -> FloatArray:
+    def stage_weights(self, p: FloatArray, weights: FloatArray | float) -> FloatArray:
         """Return how many times its weight a stage counts for each element, (..., n).
 
         Parameters
         ----------
         p : (..., n) float, MPa, of the stage.
-        counts : for the elements that enter.
+        weights : for the closing elements.
         """
-        late, area = self.late, self.area
+        chosen, area = self.mask, self.area
         ones = np.ones_like(p)
         if self.force_kept:
-            lacking = np.asarray(inner(area, np.where(late, (1.0 - counts) * p, 0.0)))
-            carried = np.asarray(inner(area, np.where(late, 0.0, p)))
+            lacking = np.asarray(inner(area, np.where(chosen, (1.0 - weights) * p, 0.0)))
+            carried = np.asarray(inner(area, np.where(chosen, 0.0, p)))
             more = np.divide(lacking, carried, out=np.zeros_like(carried), where=carried > 0.0)
             ones = ones + np.maximum(more, _LEAST)[..., None]
-        return np.where(late, counts, ones)
+        return np.where(chosen, weights, ones)
 
-    def d_counts(self, p: FloatArray, d_p: FloatArray, counts: Any, d_counts: Any) -> FloatArray:
-        """Return derivatives of ``counts``, (P, ..., n), from those of what it is given."""
-        late, area = self.late, self.area
+    def d_stage_weights(
+        self, p: FloatArray, d_p: FloatArray, weights: Any, d_weights: Any
+    ) -> FloatArray:
+        """Return derivatives of ``stage_weights``, (P, ..., n), from those of what it is given."""
+        chosen, area = self.mask, self.area
         if not self.force_kept:
-            return np.where(late, d_counts, np.zeros_like(d_p))
+            return np.where(chosen, d_weights, np.zeros_like(d_p))
 
-        def carried(late_ones: Any, others: Any) -> Any:
-            return np.asarray(inner(area, np.where(late, late_ones, others)))
+        def carried(of_closing: Any, of_touching: Any) -> Any:
+            return np.asarray(inner(area, np.where(chosen, of_closing, of_touching)))
 
-        lacking, held = carried((1.0 - counts) * p, 0.0), carried(0.0, p)
-        d_lacking, d_held = carried((1.0 - counts) * d_p - d_counts * p, 0.0), carried(0.0, d_p)
-        whole = np.where(held > 0.0, held, 1.0)
+        lacking, load = carried((1.0 - weights) * p, 0.0), carried(0.0, p)
+        d_lacking, d_load = carried((1.0 - weights) * d_p - d_weights * p, 0.0), carried(0.0, d_p)
+        whole = np.where(load > 0.0, load, 1.0)
         more = lacking / whole
-        d_more = np.where((held > 0.0) & (more > _LEAST), (d_lacking - more * d_held) / whole, 0.0)
-        return np.where(late, d_counts, d_more[..., None])
+        d_more = np.where((load > 0.0) & (more > _LEAST), (d_lacking - more * d_load) / whole, 0.0)
+        return np.where(chosen, d_weights, d_more[..., None])
 
 
-def entering(physics: Physics, state: State, length: FloatArray) -> Entering | None:
+def find_closing_elements(
+    physics: Physics, state: State, length: FloatArray
+) -> ClosingElements | None:
     """Return the elements that wear may bring into contact; None where there are none.
 
     Where an element that wears yields more elastically than it wears, its gap is not closed by
@@ -106,21 +110,27 @@ def entering(physics: Physics, state: State, length: FloatArray) -> Entering | N
     if not physics.inputs.wears_locally or (p > 0.0).all():
         return None
     worn = columns(length * state.rates.sum(axis=0).max(axis=-1))
-    late = (p <= 0.0) & (gap > 0.0) & (gap < _REACH * worn)
-    late &= worn > physics.own_displacement(columns(p.max(axis=-1)))
+    chosen = (p <= 0.0) & (gap > 0.0) & (gap < _REACH * worn)
+    chosen &= worn > physics.own_displacement(columns(p.max(axis=-1)))
     # the others can make up for what a few of them carry
     touching = np.asarray(inner(physics.area, (p > 0.0).astype(float)))
-    joining = np.asarray(inner(physics.area, (late & (gap < worn)).astype(float)))
-    late &= (joining <= _MOST * touching)[..., None]
-    if not late.any():
+    joining = np.asarray(inner(physics.area, (chosen & (gap < worn)).astype(float)))
+    chosen &= (joining <= _MOST * touching)[..., None]
+    if not chosen.any():
         return None
-    return Entering(np.where(late, gap, 0.0), physics.area, physics.inputs.force is not None)
+    return ClosingElements(
+        np.where(chosen, gap, 0.0), physics.area, physics.inputs.force is not None
+    )
 
 
-def held(
-    physics: Physics, enter: Entering | None, first: WearIncrement, p: FloatArray, share: float
-) -> Entering | None:
-    """Return the elements that enter, and with them those that get to the next layer after a stage.
+def with_layer_crossings(
+    physics: Physics,
+    closing: ClosingElements | None,
+    first: WearIncrement,
+    p: FloatArray,
+    share: float,
+) -> ClosingElements | None:
+    """Return the closing elements, and with them those that get to the next layer after a stage.
 
     The pressure of the first stage is not that of the next layer: it wears such an element as long
     as its layer lasts, and the last stage does for the rest of the step.
@@ -131,19 +141,19 @@ def held(
     share : of that stage's length, what it stands for.
     """
     if not isinstance(first, LayeredIncrement):
-        return enter
+        return closing
     counts = first.until_next(p, share) / share
-    if enter is not None:
-        counts = np.where(enter.gap > 0.0, 1.0, counts)
+    if closing is not None:
+        counts = np.where(closing.gap > 0.0, 1.0, counts)
     if not (counts < 1.0).any():
-        return enter
-    gap = np.zeros_like(p) if enter is None else enter.gap
-    return Entering(gap, physics.area, physics.inputs.force is not None, counts)
+        return closing
+    gap = np.zeros_like(p) if closing is None else closing.gap
+    return ClosingElements(gap, physics.area, physics.inputs.force is not None, counts)
 
 
 def entry_error(
     physics: Physics,
-    enter: Entering | None,
+    closing: ClosingElements | None,
     before: State,
     after: State,
     unhindered: FloatArray,
@@ -166,6 +176,6 @@ def entry_error(
     worn = (after.wear - before.wear).sum(axis=0)
     size = np.maximum((elastic + worn) * (elastic + most), np.finfo(float).tiny)
     share: FloatArray | float = _STAGE_ERROR
-    if enter is not None:
-        share = np.where(enter.late, _ENTRY_ERROR, _STAGE_ERROR)
+    if closing is not None:
+        share = np.where(closing.mask, _ENTRY_ERROR, _STAGE_ERROR)
     return np.where(came, share * p * elastic * most / size, 0.0)

@@ -8,7 +8,8 @@ knows nothing. Its stiff part, which the formula damps but the estimate does not
 (I + gamma h W C^-1)^-1, with what the last stage knows (Hosea and Shampine, Appl. Numer. Math. 20
 (1996) 21-37); the pressure that the filter takes away is the error of the pressure. The error of
 the history is what the step makes of the one before it, as of any small change of depth, and its
-own. Elements that wear brings into contact within a step are dealt with apart: see ``entering``.
+own. Elements that wear brings into contact within a step are dealt with apart, see
+``closing_elements``.
 """
 
 import math
@@ -20,7 +21,12 @@ from ringwear_par.arrays import BoolArray, FloatArray, columns, inner
 from ringwear_par.contact.correction import CorrectedContacts
 from ringwear_par.contact.problem import ContactState
 from ringwear_par.history.physics import Physics
-from ringwear_par.history.schemes.closing_elements import Entering, entering, entry_error, held
+from ringwear_par.history.schemes.closing_elements import (
+    ClosingElements,
+    entry_error,
+    find_closing_elements,
+    with_layer_crossings,
+)
 from ringwear_par.history.schemes.step import Step, advanced, first_through
 from ringwear_par.history.schemes.tangent import Along, along_step
 from ringwear_par.history.state import State
@@ -59,26 +65,28 @@ def step(physics: Physics, contacts: CorrectedContacts, state: State, end: Float
     middle = state.time + GAMMA * length
     speeds = [in_time(physics.inputs.omega, t) for t in (state.time, middle, end)]
 
-    enter = entering(physics, state, length)
-    closing = None if enter is None else enter.closing(GAMMA * length, np.ones_like(enter.gap))
-    first = physics.increment(middle, speeds[1], state.wear, GAMMA * length, closing)
-    along = along_step(physics, contacts, state, enter)
+    closing = find_closing_elements(physics, state, length)
+    gap_closing = (
+        None if closing is None else closing.closing(GAMMA * length, np.ones_like(closing.gap))
+    )
+    first = physics.increment(middle, speeds[1], state.wear, GAMMA * length, gap_closing)
+    along = along_step(physics, contacts, state, closing)
     stage = contacts.solve(
         physics.contact_inputs(middle, state.wear, first), state.contact.pressure, along=along
     )
     worn_first = first.unhindered(stage.pressure)
-    enter = held(physics, enter, first, stage.pressure, _SHARE)
-    counts = 1.0 if enter is None else enter.counts(stage.pressure, enter.first)
+    closing = with_layer_crossings(physics, closing, first, stage.pressure, _SHARE)
+    counts = 1.0 if closing is None else closing.stage_weights(stage.pressure, closing.first)
     lost_first = first.lost(stage.pressure, worn_first, _SHARE * counts)
     carried = state.wear + lost_first
     if along is not None:
-        along.hold(enter, _SHARE, GAMMA * length)
+        along.hold(closing, _SHARE, GAMMA * length)
         along.first_stage(stage.pressure, worn_first, counts, _SHARE)
     last, contact, counts_last, inside = _last_stage(
-        physics, contacts, enter, end, speeds[2], carried, length, stage.pressure, along
+        physics, contacts, closing, end, speeds[2], carried, length, stage.pressure, along
     )
     worn_last = last.unhindered(contact.pressure)
-    losses = worn_last if enter is None else last.depths(contact.pressure)
+    losses = worn_last if closing is None else last.depths(contact.pressure)
 
     pressures = state.contact.pressure, counts * stage.pressure, counts_last * contact.pressure
     powers = np.stack(
@@ -116,21 +124,21 @@ def step(physics: Physics, contacts: CorrectedContacts, state: State, end: Float
             along.work(_WEIGHTS[i] * length, speeds[i], pressures[i], d_p)
     after = advanced(physics, state, end, depths, volumes, energy, contact, then, along, through)
     standard = worn_last  # in a last stage of its usual length
-    if enter is not None:
-        standard = np.where(enter.late, 0.0, worn_last / np.where(enter.late, 1.0, counts_last))
+    if closing is not None:
+        standard = np.where(closing.mask, 0.0, worn_last / np.where(closing.mask, 1.0, counts_last))
     defect = (
         _DEFECT[0] * columns(length) * state.rates
         + (_DEFECT[1] * worn_first + _DEFECT[2] * standard) / GAMMA
     ).sum(axis=0)
-    if enter is not None:  # those make one step of first order, see ``entry_error``
-        defect = np.where(enter.late, 0.0, defect)
+    if closing is not None:  # those make one step of first order, see ``entry_error``
+        defect = np.where(closing.mask, 0.0, defect)
     crossing: BoolArray | bool = False
     if physics.inputs.layered:
         defect, crossing = _through_defect(
-            physics, state, after, enter, last, stage.pressure, defect,
+            physics, state, after, closing, last, stage.pressure, defect,
             (standard - worn_first).sum(axis=0), worn_last,
         )  # fmt: skip
-    off = entry_error(physics, enter, state, after, worn_last)
+    off = entry_error(physics, closing, state, after, worn_last)
     if defect.any():
         # the wear that the defect undoes by the pressure that it takes away
         relief = contacts.response(defect)
@@ -138,8 +146,8 @@ def step(physics: Physics, contacts: CorrectedContacts, state: State, end: Float
         defect = defect + last.linear(contact.pressure, relief)
     feedback = _Feedback(contacts, last, contact.pressure, last.memory(contact.pressure, worn_last))
     rise = (standard / GAMMA - columns(length) * state.rates).sum(axis=0)
-    if enter is not None:
-        rise = np.where(enter.late, 0.0, rise)
+    if closing is not None:
+        rise = np.where(closing.mask, 0.0, rise)
     lacking = _LACKING / GAMMA * feedback(np.where(crossing, 0.0, rise))
     defect = defect + lacking + feedback(lacking)
     # (1 + (1 - 2 gamma) z) / (1 - gamma z)^2 of the error before, z being h J
@@ -194,7 +202,7 @@ def _largest(values: FloatArray) -> FloatArray:
 def _last_stage(
     physics: Physics,
     contacts: CorrectedContacts,
-    enter: Entering | None,
+    closing: ClosingElements | None,
     end: FloatArray,
     speed: FloatArray,
     carried: FloatArray,
@@ -208,24 +216,24 @@ def _last_stage(
     ``near`` are pressures near those at its end, (..., n) MPa.
     """
     step = GAMMA * length
-    if enter is None:
+    if closing is None:
         last = physics.increment(end, speed, carried, step)
         contact = contacts.solve(physics.contact_inputs(end, carried, last), near, along=along)
         return last, contact, 1.0, 1.0
-    counts = np.where(enter.late, 1.0 + (1.0 - enter.first) * _SHARE, 1.0)
-    last = physics.increment(end, speed, carried, step, enter.closing(step, counts))
+    counts = np.where(closing.mask, 1.0 + (1.0 - closing.first) * _SHARE, 1.0)
+    last = physics.increment(end, speed, carried, step, closing.closing(step, counts))
     contact = contacts.solve(physics.contact_inputs(end, carried, last), near, along=along)
     p, inside = contact.pressure, last.share(last.top(contact.pressure))
-    if enter.force_kept:
-        # what the others count depends on what those that enter carry: so little that twice will do
+    if closing.force_kept:
+        # the others' weight depends on what closing elements carry: so little that twice will do
         if along is not None:
             along.lengthen(last, p, step)
-        counts = np.where(enter.late, counts, enter.counts(p, counts * inside))
-        last = physics.increment(end, speed, carried, step, enter.closing(step, counts))
-        found = np.logical_not(enter.late.any(axis=-1)), contact
+        counts = np.where(closing.mask, counts, closing.stage_weights(p, counts * inside))
+        last = physics.increment(end, speed, carried, step, closing.closing(step, counts))
+        solved = np.logical_not(closing.mask.any(axis=-1)), contact
         inputs = physics.contact_inputs(end, carried, last)
-        again = contacts.solve(inputs, near, already_solved=found, along=along)
-        more = np.where(found[0], 0, contact.iterations)
+        again = contacts.solve(inputs, near, already_solved=solved, along=along)
+        more = np.where(solved[0], 0, contact.iterations)
         contact = replace(again, iterations=again.iterations + more)
         inside = last.share(last.top(contact.pressure))
     return last, contact, counts * inside, inside
@@ -235,7 +243,7 @@ def _through_defect(
     physics: Physics,
     before: State,
     after: State,
-    enter: Entering | None,
+    closing: ClosingElements | None,
     last: WearIncrement,
     near: FloatArray,
     defect: FloatArray,
@@ -258,22 +266,22 @@ def _through_defect(
     now = np.zeros(physics.inputs.shape, dtype=bool)
     for ends, *worn in zip(physics.layer_ends, before.wear, after.wear, strict=True):
         for end in () if ends is None else ends:
-            was, is_ = (worn_through(end, each) for each in worn)
+            was, is_ = (worn_through(end, depths) for depths in worn)
             now |= is_ & ~was
     some = now.any(axis=-1, keepdims=True)
     if not some.any():
         return defect, some
     first_order = _FIRST_ORDER / GAMMA * changed
-    if enter is not None:
-        held = np.asarray(enter.held) < 1.0
-        first_order = np.where(enter.late, 0.0, first_order)
+    if closing is not None:
+        crossing_layers = np.asarray(closing.first_weight) < 1.0
+        first_order = np.where(closing.mask, 0.0, first_order)
         settled = _FIRST_ORDER * (last.unhindered(near) - worn_last).sum(axis=0)
-        first_order = np.where(held, settled, first_order)
+        first_order = np.where(crossing_layers, settled, first_order)
     return np.where(some, first_order, defect), some
 
 
 def _scale(physics: Physics, before: ContactState, after: ContactState) -> FloatArray:
-    """Return what errors of pressure are relative to, (..., n) MPa.
+    """Return the scale of errors of pressure, (..., n) MPa.
 
     The pressure at the start of the step or the mean pressure at its end, whichever is larger; but
     not less than what an approach as small as the tolerance of wear presses.

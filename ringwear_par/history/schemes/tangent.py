@@ -21,7 +21,7 @@ from ringwear_par.arrays import FloatArray, IntArray, columns, inner
 from ringwear_par.contact.correction import CorrectedContacts
 from ringwear_par.contact.problem import ContactState
 from ringwear_par.history.physics import Physics
-from ringwear_par.history.schemes.closing_elements import Entering
+from ringwear_par.history.schemes.closing_elements import ClosingElements
 from ringwear_par.history.state import State, Tangent
 from ringwear_par.wear.increment import VariedIncrement, WearIncrement
 from ringwear_par.wear.layered_increment import VariedLayers
@@ -37,7 +37,7 @@ class Along:
     physics : with its ``sensitivity``.
     contacts : of the histories.
     before : at the start of the step; None: there is no step, and nothing was worn.
-    enter : the elements that wear may bring into contact in it.
+    closing : the elements that wear may bring into contact in it.
     """
 
     def __init__(
@@ -45,17 +45,17 @@ class Along:
         physics: Physics,
         contacts: CorrectedContacts,
         before: Tangent | None,
-        enter: Entering | None = None,
+        closing: ClosingElements | None = None,
     ) -> None:
         assert physics.sensitivity is not None
         self._physics, self._contacts = physics, contacts
-        self._numbers, self._enter = physics.sensitivity, enter
-        nothing = self._numbers.nothing
+        self._numbers, self._closing = physics.sensitivity, closing
+        zeros = self._numbers.zeros
         shape = physics.inputs.shape
         if before is None:
             before = Tangent(
-                np.stack([nothing(*shape)] * 2), nothing(*shape[:-1]), nothing(*shape),
-                nothing(*shape), nothing(*shape[:-1]),
+                np.stack([zeros(*shape)] * 2), zeros(*shape[:-1]), zeros(*shape),
+                zeros(*shape), zeros(*shape[:-1]),
             )  # fmt: skip
         self._before = before
         #: (2, P, ..., n) mm, of the wear that a stage starts from
@@ -65,13 +65,13 @@ class Along:
         #: of the pressures that the next solution is corrected at
         self._near = before.pressure
         #: of the gap at given pressure
-        self._gap = nothing(*shape)
+        self._gap = zeros(*shape)
         self._during: WearIncrement | None = None
         self._varied: VariedIncrement | None = None
         self._closes: FloatArray | None = None
-        if enter is not None:
-            self._closes = np.where(enter.gap > 0.0, before.gap, 0.0)
-        #: (P, ..., n) of what the first stage counts for elements that enter
+        if closing is not None:
+            self._closes = np.where(closing.gap > 0.0, before.gap, 0.0)
+        #: (P, ..., n) of what the first stage counts for elements that closing
         self._d_first: FloatArray | float = 0.0
         #: (P, ..., n) s, of the steps of elements
         self._step: FloatArray | None = None
@@ -149,28 +149,34 @@ class Along:
         """
         first = self._counted = self.pressure
         d_counts: FloatArray | float = 0.0
-        if self._enter is not None:
-            d_counts = self._enter.d_counts(p, first, self._enter.first, self._d_first)
+        if self._closing is not None:
+            d_counts = self._closing.d_stage_weights(p, first, self._closing.first, self._d_first)
             self._counted = counts * first + d_counts * p
         self._wear_off(self._lost(worn, share * counts, share * d_counts))
         self._near = self._first = first
 
-    def hold(self, enter: Entering | None, share: float, step: FloatArray) -> None:
+    def hold(self, closing: ClosingElements | None, share: float, step: FloatArray) -> None:
         """Take note of the elements that get to the next layer after the first stage.
 
         Parameters
         ----------
-        enter : they, and those that wear brings into contact.
+        closing : they, and those that wear brings into contact.
         share : of the first stage's length, what it stands for.
         step : s, of the last stage.
         """
-        if enter is self._enter or enter is None or not isinstance(self._varied, VariedLayers):
+        if (
+            closing is self._closing
+            or closing is None
+            or not isinstance(self._varied, VariedLayers)
+        ):
             return
-        self._enter = enter
+        self._closing = closing
         if self._closes is None:
             self._closes = np.zeros_like(self._before.gap)
-        held = np.asarray(enter.held) < 1.0
-        self._d_first = np.where(held, self._varied.until_next(share, self.pressure) / share, 0.0)
+        crossing_layers = np.asarray(closing.first_weight) < 1.0
+        self._d_first = np.where(
+            crossing_layers, self._varied.until_next(share, self.pressure) / share, 0.0
+        )
         self._step = -columns(step) * share * self._d_first
 
     def lengthen(self, last: WearIncrement, p: FloatArray, step: FloatArray) -> None:
@@ -180,15 +186,15 @@ class Along:
         ----------
         step : s, of which steps are so many times as much as the stage counts.
         """
-        assert self._enter is not None
+        assert self._closing is not None
         whole = last.step / columns(step)
         inside, d_inside = self._inside(last, p)
         counts = whole * inside
         d_late = whole * d_inside
         d_step: FloatArray | float = 0.0 if self._step is None else self._step
         d_late = d_late + inside * d_step / columns(step)
-        d_counts = self._enter.d_counts(p, self.pressure, counts, d_late)
-        self._step = np.where(self._enter.late, d_step, columns(step) * d_counts)
+        d_counts = self._closing.d_stage_weights(p, self.pressure, counts, d_late)
+        self._step = np.where(self._closing.mask, d_step, columns(step) * d_counts)
         self._near = self._first
 
     def last_stage(
@@ -198,7 +204,7 @@ class Along:
         self._counted_last = self.pressure
         inside: FloatArray | float = 1.0
         d_inside: FloatArray | float = 0.0
-        if self._enter is not None:
+        if self._closing is not None:
             inside, d_inside = self._inside(last, p)
             counts = last.step / columns(step)
             d_counts = counts * d_inside
@@ -236,9 +242,9 @@ class Along:
         """Return the derivatives of the state at the end, whose contact is the last one."""
         return Tangent(self.wear, self._energy, self.pressure, self._d_gap(contact), self.approach)
 
-    def _d_gap(self, found: ContactState) -> FloatArray:
+    def _d_gap(self, contact: ContactState) -> FloatArray:
         """Return derivatives of the gap: 0 in contact."""
-        open_ = found.pressure <= 0.0
+        open_ = contact.pressure <= 0.0
         if not open_.any():
             return np.zeros_like(self._gap)
         gap = self._gap + self._contacts.deflections(self.pressure)
@@ -249,10 +255,13 @@ class Along:
 
 
 def along_step(
-    physics: Physics, contacts: CorrectedContacts, state: State, enter: Entering | None = None
+    physics: Physics,
+    contacts: CorrectedContacts,
+    state: State,
+    closing: ClosingElements | None = None,
 ) -> Along | None:
     """Return the derivatives along a step from a state; None where there are none."""
-    return None if physics.sensitivity is None else Along(physics, contacts, state.tangent, enter)
+    return None if physics.sensitivity is None else Along(physics, contacts, state.tangent, closing)
 
 
 # -- what is stored --------------------------------------------------------------------------------

@@ -34,9 +34,9 @@ def memory_needed(case: Case, ranks: int) -> float:
     elements = max(count_elements(case.section(r), case.contact, case.mesh) for r in case.rings)
     # two at each of two nodes an element; on the fixed face, n/2 elements, at one
     unknowns = 4.0 * elements - n
-    kept = 0.0
+    moving = 0.0
     if case.mesh.geometry == "updated":
-        kept = 1.25 * sum(law is not None for law in case.laws)
+        moving = 1.25 * sum(law is not None for law in case.laws)
     history, shared = len(case.output.fields) * n * case.stored_rows, 8.0 * n**2
     if case.output.boundary != "none":
         # displacements of two nodes an element and its traction, of both bodies and n loads
@@ -52,7 +52,7 @@ def memory_needed(case: Case, ranks: int) -> float:
         history += 2.0 * stored_at
     else:
         systems_of_stress = 0.0
-    systems = _numbers_of_systems(unknowns, n, ranks) + kept * unknowns**2
+    systems = _numbers_of_systems(unknowns, n, ranks) + moving * unknowns**2
     return 8.0 * (systems + systems_of_stress + ranks * shared + history)
 
 
@@ -138,33 +138,34 @@ def check_memory(case: Case, ranks: int, name: str) -> None:
     InputError : with the memory needed and the memory there is.
     """
     needed = memory_needed(case, ranks)
-    there = float(os.sysconf("SC_PAGE_SIZE")) * os.sysconf("SC_PHYS_PAGES")
-    most = _SHARE_OF_MEMORY * there
+    installed = float(os.sysconf("SC_PAGE_SIZE")) * os.sysconf("SC_PHYS_PAGES")
+    most = _SHARE_OF_MEMORY * installed
     if needed <= most:
         return
-    told = (
-        f"needs about {needed / 1e9:.3g} GB of memory, this machine has {there / 1e9:.3g} GB; must"
+    sentence = (
+        f"needs about {needed / 1e9:.3g} GB of memory, this machine has "
+        f"{installed / 1e9:.3g} GB; must"
     )
     if said := _too_many_points(case, ranks, needed, most):
         key, allowed = said
-        raise InputError(f"{name}: {key}: {told} be at most {allowed} points")
+        raise InputError(f"{name}: {key}: {sentence} be at most {allowed} points")
     taking = [f"mesh.contact_elements = {case.mesh.contact_elements}"]
     if not case.time.adaptive:
         taking.append(f"time.steps = {case.time.steps}")
     if case.stress is not None:
         taking += _stress_keys(case.stress)
     taking.append(f"output.every = {case.output.every}")
-    raise InputError(f"{name}: {', '.join(taking)}: {told} be less")
+    raise InputError(f"{name}: {', '.join(taking)}: {sentence} be less")
 
 
 def _stress_keys(stress: Stress) -> list[str]:
     """Return the keys of stress that memory depends on, with their values."""
-    told = [] if stress.grid is None else [f"stress.grid.n = {list(stress.grid.n)}"]
+    keys = [] if stress.grid is None else [f"stress.grid.n = {list(stress.grid.n)}"]
     if stress.points:
-        told.append(f"stress.points: {len(stress.points)} of them")
+        keys.append(f"stress.points: {len(stress.points)} of them")
     if stress.times != "last":
-        told.append(f"stress.times = {toml_value(stress.times)}")
-    return told
+        keys.append(f"stress.times = {toml_value(stress.times)}")
+    return keys
 
 
 def _too_many_points(case: Case, ranks: int, needed: float, most: float) -> tuple[str, int] | None:
@@ -227,7 +228,7 @@ def check_mesh(case: Case, name: str) -> None:
 
 
 def _thin(body: str, ring: Ring, i: int) -> str:
-    """Return what is said of a layer, or of what layers leave of a body, that is too thin."""
+    """Return the sentence about a layer, or the rest of a body under layers, that is too thin."""
     if i < len(ring.layers):
         said = f"{body}.layers[{i}].thickness = {ring.layers[i].thickness:g}"
     else:

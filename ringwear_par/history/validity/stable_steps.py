@@ -45,7 +45,7 @@ def _stable_step(case: Case, compliance: ContactCompliance, most: float) -> floa
 def _steepest(law: Law, p: FloatArray, at: LocalState) -> FloatArray:
     """Return the slope of a law with pressure, the steepest of those of layers."""
     if isinstance(law, LayeredLaw):
-        return np.max([own.d_rate_dp(p, at) for own in law.laws], axis=0)
+        return np.max([layer.d_rate_dp(p, at) for layer in law.laws], axis=0)
     return law.d_rate_dp(p, at)
 
 
