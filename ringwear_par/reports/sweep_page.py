@@ -80,7 +80,10 @@ def _summary(ensemble: Ensemble) -> list[Block]:
     lines = [f"{len(here)} cases ({counts}); design: {method}; the sweep is "
              f"{ensemble.attributes['status']}"]  # fmt: skip
     blocks: list[Block] = [Lines(doubts, warning=True)] if doubts else []
-    blocks += [Lines(lines), _ranges(ensemble, here)]
+    ranges, fixed = _ranges(ensemble, here)
+    if fixed:
+        lines.append(f"the same in all cases: {', '.join(fixed)}")
+    blocks += [Lines(lines), ranges]
     done = done_cases(ensemble)
     if done.any():
         rows = [
@@ -103,8 +106,9 @@ def _quantiles(values: Any) -> list[str]:
     return [_number(v) for v in np.nanquantile(values, [0.0, 0.5, 1.0])]
 
 
-def _ranges(ensemble: Ensemble, here: Any) -> Table:
-    rows = []
+def _ranges(ensemble: Ensemble, here: Any) -> tuple[Table, list[str]]:
+    """Return the keys that differ between cases, and those of the study that do not."""
+    rows, fixed = [], []
     for name, column in ensemble.varied.items():
         values, meaning = column[here], own_key(name).meaning
         if column.dtype.kind == "f":
@@ -114,9 +118,12 @@ def _ranges(ensemble: Ensemble, here: Any) -> Table:
         else:
             words = list(dict.fromkeys(values))
             ends, count = [in_words(parse_value(w)) for w in (words[0], words[-1])], len(words)
-        rows.append((name, in_signs(unit_of(name)), meaning, *ends, str(count)))
+        if count > 1:
+            rows.append((name, in_signs(unit_of(name)), meaning, *ends, str(count)))
+        else:
+            fixed.append(f"{name} = {ends[0]} {in_signs(unit_of(name))}".rstrip())
     header = ("key", "unit", "meaning", "least, or first", "largest, or last", "values")
-    return Table("Varied keys", header, rows)
+    return Table("Varied keys", header, rows), fixed
 
 
 def _number(value: float) -> str:
