@@ -15,8 +15,8 @@ from scipy.stats import norm
 from ringwear_par.arrays import FloatArray, IntArray
 from ringwear_par.cases.units import in_signs
 from ringwear_par.identification.definition.problem import Experiment, Series
+from ringwear_par.pictures.style import COLOURS, NotebookFigure
 from ringwear_par.results.instants import time_unit
-from ringwear_par.results.pictures.drawing import COLOURS, NotebookFigure
 
 if TYPE_CHECKING:
     from ringwear_par.identification.outcome import FitResult

@@ -12,7 +12,7 @@ from ringwear_par.cases.units import in_signs
 from ringwear_par.identification.definition.problem import Problem
 from ringwear_par.identification.estimation.intervals import ParameterEstimate
 from ringwear_par.identification.summary import unit_of
-from ringwear_par.results.pictures.drawing import COLOURS, NotebookFigure
+from ringwear_par.pictures.style import COLOURS, NotebookFigure
 
 if TYPE_CHECKING:
     from ringwear_par.identification.outcome import FitResult

@@ -8,8 +8,8 @@ from scipy.stats import norm
 
 from ringwear_par.arrays import FloatArray
 from ringwear_par.pictures.panels import GREY, Axis, Band, Curve, Panel, Points
+from ringwear_par.pictures.style import COLOURS
 from ringwear_par.results.instants import time_unit
-from ringwear_par.results.pictures.drawing import COLOURS
 
 #: of the median distance between radii: where they are further apart nothing was read
 _GAP = 3.0

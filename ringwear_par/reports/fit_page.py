@@ -14,6 +14,7 @@ from ringwear_par.files.ordinary import read_bytes
 from ringwear_par.files.text import parse_json
 from ringwear_par.files.text import read_text as read_file
 from ringwear_par.pictures import fits
+from ringwear_par.pictures.style import in_words
 from ringwear_par.reports.blocks import (
     Block,
     Chart,
@@ -26,7 +27,6 @@ from ringwear_par.reports.blocks import (
     Table,
     software,
 )
-from ringwear_par.results.pictures.drawing import in_words
 from ringwear_par.results.storage.hdf5 import read_text, reading
 from ringwear_par.results.variables import SOFTWARE
 

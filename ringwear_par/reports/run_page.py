@@ -9,6 +9,7 @@ import numpy as np
 from ringwear_par.cases.units import in_signs, with_signs
 from ringwear_par.elasticity.stress.boundary_fields import BODIES
 from ringwear_par.pictures import runs
+from ringwear_par.pictures.figures import plot
 from ringwear_par.reports.blocks import (
     Block,
     Chart,
@@ -29,7 +30,6 @@ from ringwear_par.results.key_numbers import (
     in_groups,
     key_numbers,
 )
-from ringwear_par.results.pictures.figures import plot
 from ringwear_par.results.result import Result
 from ringwear_par.results.variables import DISPLAY_UNITS, HISTORIES
 
@@ -94,7 +94,7 @@ def profiles(result: Result) -> Charts | None:
         f"wear-{body}": (runs.worn_faces(result, [body]), runs.height(result, body))
         for body in runs.worn_bodies(result)
     }
-    if runs.stored_at_all_states(result, "pressure"):
+    if runs.at_all_states(result, "pressure"):
         panels["pressure"] = runs.pressure(result), result.profiles["pressure"]
     if not panels:
         return None

@@ -11,7 +11,7 @@ from ringwear_par.cases.schema import unit_of
 from ringwear_par.cases.units import in_signs
 from ringwear_par.errors import InputError, legible
 from ringwear_par.files.text import parse_value
-from ringwear_par.pictures import sweeps
+from ringwear_par.pictures.style import in_words
 from ringwear_par.reports.blocks import (
     Block,
     Chart,
@@ -23,10 +23,10 @@ from ringwear_par.reports.blocks import (
     Table,
     software,
 )
-from ringwear_par.results.pictures.drawing import in_words
 from ringwear_par.studies.analysis.sensitivity import done_cases
 from ringwear_par.studies.analysis.surrogate import surrogate
 from ringwear_par.studies.definition.variations import own_key
+from ringwear_par.studies.pictures import panels as sweeps
 from ringwear_par.studies.pictures.figures import Choice, choose
 from ringwear_par.studies.pictures.index_bars import IndexBars, index_bars
 from ringwear_par.studies.storage.end_values import entry_of, final_name

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 
 from ringwear_par.arrays import FloatArray, IntArray
+from ringwear_par.pictures.style import COLOURS, DASHES, plain, set_legend
 from ringwear_par.results.instants import time_unit
-from ringwear_par.results.pictures.drawing import COLOURS, DASHES, plain, set_legend
 from ringwear_par.studies.analysis.effects import Key, values_told
 from ringwear_par.studies.analysis.sensitivity import chosen_cases
 from ringwear_par.studies.definition.axes import GREY, LOG_VALUE, spans

@@ -18,7 +18,7 @@ from matplotlib.figure import Figure
 
 from ringwear_par.arrays import IntArray
 from ringwear_par.errors import InputError
-from ringwear_par.results.pictures.drawing import STYLE, NotebookFigure, check_format, save_figure
+from ringwear_par.pictures.style import STYLE, NotebookFigure, check_format, save_figure
 from ringwear_par.studies.analysis.effects import Key, Plan, draw_effects, key_of, plan_of
 from ringwear_par.studies.analysis.predictions import Surrogate
 from ringwear_par.studies.analysis.sensitivity import done_cases, outputs_of

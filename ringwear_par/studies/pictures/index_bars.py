@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from ringwear_par.arrays import FloatArray
-from ringwear_par.results.pictures.drawing import COLOURS, plain, set_legend
+from ringwear_par.pictures.style import COLOURS, plain, set_legend
 from ringwear_par.studies.analysis.predictions import COARSE, Surrogate, told_share
 from ringwear_par.studies.analysis.sensitivity import (
     done_cases,

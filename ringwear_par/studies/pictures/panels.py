@@ -12,8 +12,8 @@ import numpy as np
 from ringwear_par.arrays import FloatArray, IntArray
 from ringwear_par.pictures.panels import GREY, Axis, Band, Curve, Panel, Points
 from ringwear_par.pictures.panels import Bars as PanelBars
+from ringwear_par.pictures.style import COLOURS
 from ringwear_par.results.instants import time_unit
-from ringwear_par.results.pictures.drawing import COLOURS
 from ringwear_par.studies.analysis.effects import Plan, running_median, values_told
 from ringwear_par.studies.analysis.sensitivity import chosen_cases
 from ringwear_par.studies.definition.axes import LOG_VALUE, least_range, spans
