@@ -18,7 +18,7 @@ a result or drawing it starts MPI, PETSc or compiled code.
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-__version__ = "0.2.0"
+from ringwear_par.version import __version__ as __version__
 
 if TYPE_CHECKING:
     from ringwear_par.cases.case import Case
@@ -29,11 +29,11 @@ if TYPE_CHECKING:
     from ringwear_par.identification.fit import fit
     from ringwear_par.identification.outcome import FitResult
     from ringwear_par.identification.test_design.design import DesignResult, design
+    from ringwear_par.outcomes import save, summary, to_dict
     from ringwear_par.reports.report import report
     from ringwear_par.results.execution.simulate import simulate
     from ringwear_par.results.result import FailedResult, Result
-    from ringwear_par.results.storage.result_files import open_result, save
-    from ringwear_par.results.summary import summary, to_dict
+    from ringwear_par.results.storage.result_files import open_result
     from ringwear_par.studies.analysis.surrogate import surrogate
     from ringwear_par.studies.definition.study import Study, read_study
     from ringwear_par.studies.execution.many import simulate_all
@@ -64,13 +64,13 @@ _PUBLIC = {
     "read_case": "cases.files.reading",
     "read_study": "studies.definition.study",
     "report": "reports.report",
-    "save": "results.storage.result_files",
+    "save": "outcomes",
     "simulate": "results.execution.simulate",
     "simulate_all": "studies.execution.many",
-    "summary": "results.summary",
+    "summary": "outcomes",
     "surrogate": "studies.analysis.surrogate",
     "sweep": "studies.execution.sweep",
-    "to_dict": "results.summary",
+    "to_dict": "outcomes",
 }
 __all__ = [
     "Case", "ComputationError", "ContactPair", "DesignResult", "FailedResult", "FitResult",

@@ -18,9 +18,9 @@ from io import TextIOWrapper
 from pathlib import Path
 from typing import Any, NoReturn
 
-from ringwear_par import __version__
 from ringwear_par.errors import LONGEST_SENTENCE, InputError, RingwearError, legible
-from ringwear_par.stopping import StopAtOnce, Stopped, ignore_at_end, remark
+from ringwear_par.results.execution.stopping import StopAtOnce, Stopped, ignore_at_end, remark
+from ringwear_par.version import __version__
 
 #: how long a rank that fails waits for the others to fail alike, and one that is stopped: mpirun
 #: kills a second after its signal
@@ -545,7 +545,7 @@ def _main(words: Sequence[str], world: _World, signals: StopAtOnce) -> int:
         command = _COMMANDS[args.command]
         _check_launch(comm.size)
         if args.command == "verify" or getattr(args, "no_cache", False):
-            from ringwear_par.elasticity.bem import pair_cache
+            from ringwear_par.elasticity import pair_cache
 
             os.environ[pair_cache.VARIABLE] = ""  # no cache
         if command.solves or words[cut + 1 :]:

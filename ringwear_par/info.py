@@ -7,7 +7,7 @@ from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from typing import TYPE_CHECKING
 
-from ringwear_par import __version__
+from ringwear_par.version import __version__
 
 if TYPE_CHECKING:
     from mpi4py import MPI
@@ -51,7 +51,7 @@ def _optional(package: str) -> str:
 
 def print_info(comm: "MPI.Comm") -> None:
     """Print versions, builds, ranks and threads. On one rank."""
-    from ringwear_par.elasticity.bem import pair_cache
+    from ringwear_par.elasticity import pair_cache
     from ringwear_par.petsc import PETSc
 
     print(f"ringwear-par {__version__} in {os.path.dirname(__file__)}, Python {sys.executable}")

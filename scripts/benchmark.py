@@ -39,7 +39,7 @@ from mpi4py import MPI
 import ringwear_par as rw
 from ringwear_par.cases.case import Case, Stepping
 from ringwear_par.contact.solver import ContactSolver
-from ringwear_par.elasticity.bem import pair_cache
+from ringwear_par.elasticity import pair_cache
 from ringwear_par.elasticity.bem.assembly import assemble
 from ringwear_par.elasticity.bem.body import body_zones
 from ringwear_par.elasticity.bem.pair import assemble_pair

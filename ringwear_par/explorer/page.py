@@ -17,7 +17,6 @@ from bokeh.core.properties import String
 from bokeh.model import DataModel
 from markupsafe import Markup
 
-from ringwear_par import __version__
 from ringwear_par.cases.units import in_signs, with_signs
 from ringwear_par.cases.values import is_number
 from ringwear_par.errors import InputError, RingwearError, reason_of
@@ -29,6 +28,7 @@ from ringwear_par.reports.run_page import key_rows, worn_table
 from ringwear_par.results.key_numbers import key_numbers
 from ringwear_par.results.result import Result
 from ringwear_par.results.variables import DISPLAY_UNITS
+from ringwear_par.version import __version__
 
 log = logging.getLogger(__name__)
 

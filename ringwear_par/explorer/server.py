@@ -18,7 +18,7 @@ from mpi4py import MPI
 
 from ringwear_par.errors import InputError
 from ringwear_par.explorer.exploring import Exploration, raw_keys
-from ringwear_par.stopping import StopAtOnce, Stopped
+from ringwear_par.results.execution.stopping import StopAtOnce, Stopped
 
 log = logging.getLogger(__name__)
 

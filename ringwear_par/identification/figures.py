@@ -6,7 +6,7 @@ Series of one reading, such as weighings, share a strip below: a line each.
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -15,11 +15,9 @@ from scipy.stats import norm
 from ringwear_par.arrays import FloatArray, IntArray
 from ringwear_par.cases.units import in_signs
 from ringwear_par.identification.definition.problem import Experiment, Series
+from ringwear_par.identification.outcome import FitResult
 from ringwear_par.pictures.style import COLOURS, NotebookFigure
 from ringwear_par.results.instants import time_unit
-
-if TYPE_CHECKING:
-    from ringwear_par.identification.outcome import FitResult
 
 _COLUMNS = 3
 _WIDTH, _HEIGHT = 4.3, 3.9
@@ -35,7 +33,7 @@ _GAP = 3.0
 _CLOSE = 1e-9
 
 
-def figure(found: "FitResult") -> Figure:
+def figure(found: FitResult) -> Figure:
     """Return the figure of data, model, its band at the fit's level, and residuals."""
     squares = found.squares
     every = [
@@ -108,7 +106,7 @@ def pieces(series: Series, contact: tuple[float, float]) -> list[IntArray]:
 
 
 def _draw_single(
-    axes: Any, found: "FitResult", single: Sequence[_Drawn], quantile: float, *, explained: bool
+    axes: Any, found: FitResult, single: Sequence[_Drawn], quantile: float, *, explained: bool
 ) -> None:
     """Draw series of one reading, a line each: how far it is off the model, and both in words."""
     level = f"{100 * found.squares.problem.settings.level:g} %"
@@ -160,7 +158,7 @@ def _axis(series: Series) -> tuple[FloatArray, str]:
     return series.x / seconds, f"time ({unit})"
 
 
-def _draw(above: Any, below: Any, found: "FitResult", one: _Drawn, quantile: float) -> None:
+def _draw(above: Any, below: Any, found: FitResult, one: _Drawn, quantile: float) -> None:
     experiment, series, part = one.experiment, one.series, one.part
     scale = 1.0 / series.factor
     data, sd = scale * series.value, scale * found.squares.sd[part]

@@ -12,7 +12,6 @@ from mpi4py import MPI
 from ringwear_par.arrays import FloatArray
 from ringwear_par.errors import ComputationError, InputError, reason_of
 from ringwear_par.identification.definition.fit_file import read_fit
-from ringwear_par.identification.definition.planned import fill
 from ringwear_par.identification.definition.problem import Problem
 from ringwear_par.identification.estimation.intervals import estimates
 from ringwear_par.identification.estimation.least_squares import LeastSquares
@@ -23,6 +22,7 @@ from ringwear_par.identification.estimation.profile import likelihood_profiles
 from ringwear_par.identification.estimation.starts import (
     Progress,
     Started,
+    fill_planned,
     solve_from,
     solve_starts,
 )
@@ -33,7 +33,7 @@ from ringwear_par.identification.outcome import FitResult
 from ringwear_par.info import versions
 from ringwear_par.options import reject_unused_options
 from ringwear_par.parallel import on_first_rank, together, warn_of_threads
-from ringwear_par.stopping import StopSignals
+from ringwear_par.results.execution.stopping import StopSignals
 
 log = logging.getLogger(__name__)
 
@@ -146,7 +146,7 @@ class _Posed:
 
     def _begin(self) -> FloatArray:
         """Return the unknowns at the start, where readings are what they are called."""
-        fill(self._squares)
+        fill_planned(self._squares)
         start = self._squares.started(list(self._problem.start.values()))
         refuse_idle(self._squares, start)
         refuse_reversed(self._squares, start)

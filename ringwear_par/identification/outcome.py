@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from scipy.stats import chi2
 
+from ringwear_par import outcomes
 from ringwear_par.arrays import FloatArray
 from ringwear_par.identification.definition.fitted import units_of
 from ringwear_par.identification.estimation.doubts import Doubt, doubts
@@ -17,6 +18,7 @@ from ringwear_par.identification.estimation.intervals import ParameterEstimate, 
 from ringwear_par.identification.estimation.least_squares import Evaluation, LeastSquares
 from ringwear_par.identification.estimation.posterior import Posterior
 from ringwear_par.identification.estimation.starts import Started
+from ringwear_par.parallel import on_first_rank
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -196,20 +198,16 @@ class FitResult:
     @cached_property
     def doubts(self) -> tuple[Doubt, ...]:
         """What records say against the model or the intervals; ``warnings`` has their texts."""
-        return doubts(self)
+        return doubts(self.squares, self.x, self.evaluation)
 
     @property
     def warnings(self) -> tuple[str, ...]:
         """What speaks against taking the numbers as they are, a sentence each."""
-        from ringwear_par.identification.summary import warnings
-
-        return warnings(self)
+        return outcomes.warnings(self)
 
     def summary(self) -> str:
         """Return the outcome in a few lines, what is doubtful first."""
-        from ringwear_par.identification.summary import summary
-
-        return summary(self)
+        return outcomes.summary(self)
 
     def to_dict(self) -> dict[str, Any]:
         """Return what fit.json holds."""
@@ -306,15 +304,11 @@ class FitResult:
 
     def plot(self) -> "Figure":
         """Return the figure of data, model and residuals."""
-        from ringwear_par.identification.figures import figure
-
-        return figure(self)
+        return outcomes.figure(self)
 
     def plot_parameters(self) -> "Figure":
         """Return the figure of the fitted keys: ellipses, likelihood profiles, samples."""
-        from ringwear_par.identification.parameter_figures import figure
-
-        return figure(self)
+        return outcomes.parameter_figure(self)
 
     def save(self, folder: str | Path) -> None:
         """Write fit.json, results.h5 and both figures to a folder, which is made.
@@ -326,10 +320,7 @@ class FitResult:
         InputError : a folder that cannot be written.
         ComputationError : the disk.
         """
-        from ringwear_par.identification.storing import save
-        from ringwear_par.parallel import on_first_rank
-
-        on_first_rank(self.comm, lambda: save(self, Path(folder)))
+        on_first_rank(self.comm, lambda: outcomes.save(self, folder))
 
     def correlations(self) -> list[tuple[str, str, float]]:
         """Return pairs of fitted keys and nuisances and their correlation, the strongest first."""

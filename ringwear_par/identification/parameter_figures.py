@@ -1,7 +1,7 @@
 """The figure of the fitted keys: a panel each, and one for each pair of them."""
 
 import math
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -11,17 +11,15 @@ from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.units import in_signs
 from ringwear_par.identification.definition.problem import Problem
 from ringwear_par.identification.estimation.intervals import ParameterEstimate
+from ringwear_par.identification.outcome import FitResult
 from ringwear_par.identification.summary import unit_of
 from ringwear_par.pictures.style import COLOURS, NotebookFigure
-
-if TYPE_CHECKING:
-    from ringwear_par.identification.outcome import FitResult
 
 _LINEAR, _PROFILE, _SAMPLES, _BEST = COLOURS[0], COLOURS[2], "0.6", COLOURS[1]
 _LEVELS = (0.68, 0.95)
 
 
-def figure(found: "FitResult") -> Figure:
+def parameter_figure(found: FitResult) -> Figure:
     """Return densities by key on the diagonal, pairs with confidence ellipses below it."""
     m = len(found.parameters)
     chart = NotebookFigure(figsize=(1.2 + 2.7 * m, 0.9 + 2.5 * m), layout="constrained")
@@ -73,12 +71,12 @@ def _told_axis(axis: Any, one: ParameterEstimate, problem: Problem) -> str:
     return f"{one.key} ({unit})" if unit else one.key
 
 
-def _sd(found: "FitResult", j: int) -> float:
+def _sd(found: FitResult, j: int) -> float:
     """Return the standard deviation of an unknown, infinite where it is not told."""
     return float(found.standard_deviations[j])
 
 
-def _limits(found: "FitResult", j: int) -> tuple[float, float] | None:
+def _limits(found: FitResult, j: int) -> tuple[float, float] | None:
     """Return what of an axis is shown: four sd, or the whole of the samples."""
     parameter, one = found.squares.problem.parameters[j], found.parameters[j]
     ends = [one.estimate]
@@ -90,7 +88,7 @@ def _limits(found: "FitResult", j: int) -> tuple[float, float] | None:
     return (low, high) if low < high else None
 
 
-def _draw_one(axes: Any, found: "FitResult", j: int) -> None:
+def _draw_one(axes: Any, found: FitResult, j: int) -> None:
     """Draw likelihoods over a key, relative to the best fit's."""
     parameter, one = found.squares.problem.parameters[j], found.parameters[j]
     level = found.squares.problem.settings.level
@@ -138,7 +136,7 @@ def _draw_profile(axes: Any, profile: FloatArray, estimate: float) -> None:
     axes.plot([], [], "o-", color=_PROFILE, ms=3, lw=0.8, label="likelihood profile")
 
 
-def _draw_pair(axes: Any, found: "FitResult", i: int, j: int) -> None:
+def _draw_pair(axes: Any, found: FitResult, i: int, j: int) -> None:
     """Draw ellipses of two keys, and their samples."""
     if found.posterior is not None:
         samples = found.posterior.samples[:, [i, j]].T
@@ -158,7 +156,7 @@ def _draw_pair(axes: Any, found: "FitResult", i: int, j: int) -> None:
 
 
 def _ellipse(
-    found: "FitResult", i: int, j: int, covariance: FloatArray, level: float
+    found: FitResult, i: int, j: int, covariance: FloatArray, level: float
 ) -> tuple[list[float], list[float]]:
     values, vectors = np.linalg.eigh(covariance)
     radius = np.sqrt(np.maximum(values, 0.0) * chi2.ppf(level, 2))

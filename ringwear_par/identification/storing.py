@@ -6,7 +6,7 @@ import logging
 import re
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import h5py
 import numpy as np
@@ -18,11 +18,9 @@ from ringwear_par.files.writing import atomic_write, check_writable
 from ringwear_par.identification.definition.fitted import units_of
 from ringwear_par.identification.definition.problem import Problem
 from ringwear_par.identification.estimation.starts import PROGRESS
+from ringwear_par.identification.outcome import FitResult
 from ringwear_par.results.storage.hdf5 import atomic_hdf5, write_variable
 from ringwear_par.results.variables import PARAMETER, PARAMETER_UNIT, SOFTWARE, Variable
-
-if TYPE_CHECKING:
-    from ringwear_par.identification.outcome import FitResult
 
 log = logging.getLogger(__name__)
 
@@ -72,7 +70,7 @@ def complete(folder: Path, problem: Problem, *, compare: bool) -> bool:
         return False
 
 
-def save(found: "FitResult", folder: Path) -> None:
+def save(found: FitResult, folder: Path) -> None:
     """Write all files; fit.json, which says that it is whole, the last. On one rank.
 
     A picture that cannot be drawn is left out, with a warning.
@@ -103,7 +101,7 @@ def save(found: "FitResult", folder: Path) -> None:
         raise ComputationError(f"{name}: {error.strerror or error}") from error
 
 
-def _write(file: h5py.File, found: "FitResult") -> None:
+def _write(file: h5py.File, found: FitResult) -> None:
     squares = found.squares
     keys = [p.key for p in found.parameters]
     sd, band, units = squares.sd, found.band, units_of(squares.problem)

@@ -1,19 +1,14 @@
 """A fit in the words of who made the test, what is doubtful first."""
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from ringwear_par.identification.definition.fitted import units_of
 from ringwear_par.identification.definition.problem import Problem
 from ringwear_par.identification.estimation.intervals import ParameterEstimate
-from ringwear_par.identification.estimation.posterior import FEW, missing_for
+from ringwear_par.identification.estimation.posterior import FEW, Posterior, missing_for
 from ringwear_par.identification.estimation.starts import Started
 from ringwear_par.identification.model.steps import ENOUGH
-
-if TYPE_CHECKING:
-    from ringwear_par.identification.estimation.posterior import Posterior
-    from ringwear_par.identification.outcome import FitResult
+from ringwear_par.identification.outcome import FitResult
 
 #: correlations that are told
 _STRONG = 0.9
@@ -23,7 +18,7 @@ _HIGH = 2.0
 _FAR, _SHARE, _SHOWN = 6.0, 0.1, 4
 
 
-def warnings(found: "FitResult") -> tuple[str, ...]:
+def warnings(found: FitResult) -> tuple[str, ...]:
     """Return what speaks against taking the numbers as they are, a sentence each."""
     sentences = []
     for one in found.parameters:
@@ -74,7 +69,7 @@ def warnings(found: "FitResult") -> tuple[str, ...]:
     return (*sentences, *_assumptions(found))
 
 
-def _assumptions(found: "FitResult") -> list[str]:
+def _assumptions(found: FitResult) -> list[str]:
     """Return the sentences about columns whose unit nobody names."""
     return [
         f"{series.name} ({experiment.name}): {sentence}"
@@ -83,7 +78,7 @@ def _assumptions(found: "FitResult") -> list[str]:
     ]
 
 
-def _outliers(found: "FitResult") -> list[str]:
+def _outliers(found: FitResult) -> list[str]:
     """Return which few readings do not fit at all, a sentence a series."""
     sentences = []
     squares = found.squares
@@ -119,7 +114,7 @@ def _count(number: int, noun: str) -> str:
     return f"{number} {noun}{'' if number == 1 else 's'}"
 
 
-def summary(found: "FitResult") -> str:
+def summary(found: FitResult) -> str:
     """Return the outcome in a few lines."""
     problem = found.squares.problem
     lines = [
@@ -146,7 +141,7 @@ def summary(found: "FitResult") -> str:
     return "\n".join(lines)
 
 
-def prediction(found: "FitResult") -> str:
+def prediction(found: FitResult) -> str:
     """Return what a fit would tell if the parameters were those of the start."""
     problem = found.squares.problem
     lines = [
@@ -179,7 +174,7 @@ def unit_of(problem: Problem, key: str) -> str:
     return "" if unit in ("1", "-") else f" {unit}"
 
 
-def _parameter_lines(found: "FitResult") -> list[str]:
+def _parameter_lines(found: FitResult) -> list[str]:
     width = max(len(one.key) for one in found.parameters)
     problem = found.squares.problem
     return [
@@ -210,7 +205,7 @@ def _with_spread(one: ParameterEstimate, problem: Problem) -> str:
     return f"{one.estimate:.5g}{spread}{unit_of(problem, one.key)}"
 
 
-def _posterior_lines(found: "FitResult", posterior: "Posterior") -> list[str]:
+def _posterior_lines(found: FitResult, posterior: Posterior) -> list[str]:
     problem = found.squares.problem
     level, width = problem.settings.level, max(len(p.key) for p in found.parameters)
     lines = [
@@ -227,7 +222,7 @@ def _posterior_lines(found: "FitResult", posterior: "Posterior") -> list[str]:
     return lines
 
 
-def _fit_line(found: "FitResult") -> str:
+def _fit_line(found: FitResult) -> str:
     probable = "no p-value"
     if found.p_value is not None:
         probable = f"p = {found.p_value:.2g}"
@@ -243,7 +238,7 @@ def _fit_line(found: "FitResult") -> str:
     )
 
 
-def _series_lines(found: "FitResult") -> list[str]:
+def _series_lines(found: FitResult) -> list[str]:
     nuisances, lines = found.nuisances, []
     for experiment, series in found.experiments.items():
         for name, entry in series.items():
@@ -263,7 +258,7 @@ def _series_lines(found: "FitResult") -> list[str]:
     return lines
 
 
-def _unit_lines(found: "FitResult") -> list[str]:
+def _unit_lines(found: FitResult) -> list[str]:
     lines = []
     for experiment, series in found.squares.series:
         spread = np.median(series.sd) / series.factor
@@ -275,12 +270,12 @@ def _unit_lines(found: "FitResult") -> list[str]:
     return lines
 
 
-def _correlation_lines(found: "FitResult") -> list[str]:
+def _correlation_lines(found: FitResult) -> list[str]:
     strong = [pair for pair in found.correlations() if abs(pair[2]) > _STRONG]
     return [f"correlated by {value:+.3f}: {one} and {other}" for one, other, value in strong[:5]]
 
 
-def _alternative_lines(found: "FitResult") -> list[str]:
+def _alternative_lines(found: FitResult) -> list[str]:
     laws = {"this law": found, **found.alternatives}
     best = min(other.aic for other in laws.values())
     lines = ["laws compared (AIC over the smallest, BIC, chi2, parameters):"]

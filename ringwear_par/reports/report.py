@@ -4,7 +4,6 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
-from ringwear_par import __version__
 from ringwear_par.errors import ComputationError, InputError
 from ringwear_par.files import folders
 from ringwear_par.files.writing import atomic_write, check_writable
@@ -12,6 +11,7 @@ from ringwear_par.reports.blocks import Chart, Page
 from ringwear_par.results.result import Result
 from ringwear_par.results.storage.result_files import result_of
 from ringwear_par.studies.storage.results_file import RESULTS
+from ringwear_par.version import __version__
 
 _ENDINGS = (".html", ".htm")
 

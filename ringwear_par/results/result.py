@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-import ringwear_par
+from ringwear_par import outcomes
 from ringwear_par.arrays import FloatArray, IntArray
 from ringwear_par.elasticity.geometry.mesh import ContactLine
 from ringwear_par.elasticity.stress.boundary_fields import BoundaryState
@@ -119,8 +119,8 @@ class Result:
         return dict(json.loads(self.attributes["user_laws"]))
 
     def summary(self) -> str:
-        """Return ``ringwear_par.summary`` of it."""
-        return ringwear_par.summary(self)
+        """Return it in a few lines, see ``rw.summary``."""
+        return outcomes.summary(self)
 
     def variables(self) -> list[tuple[Variable, Any]]:
         """Return every variable on the contact line and in time, with its values."""
@@ -188,12 +188,12 @@ class Result:
         return dataset.set_coords(self.coordinates)
 
     def save(self, path: str | Path) -> None:
-        """Write its file, see ``ringwear_par.save``."""
-        ringwear_par.save(self, path)
+        """Write its file, see ``rw.save``."""
+        outcomes.save(self, path)
 
     def to_dict(self) -> dict[str, Any]:
-        """Return ``ringwear_par.to_dict`` of it."""
-        return ringwear_par.to_dict(self)
+        """Return title, status, warnings and key numbers, see ``rw.to_dict``."""
+        return outcomes.to_dict(self)
 
 
 @dataclass(frozen=True)

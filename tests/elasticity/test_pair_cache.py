@@ -14,7 +14,7 @@ from conftest import SHELL_ENVIRONMENT
 from full_disk import resize
 from mpi4py import MPI
 
-from ringwear_par.elasticity.bem import pair_cache
+from ringwear_par.elasticity import pair_cache
 from ringwear_par.elasticity.bem.solve import solved_on_one_rank
 from ringwear_par.elasticity.geometry.mesh import Mesh
 from ringwear_par.history.elastic import pairs

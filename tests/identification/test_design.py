@@ -20,7 +20,7 @@ from ringwear_par.identification.fit import fit, predicted
 from ringwear_par.identification.test_design.design import run_design
 from ringwear_par.identification.test_design.design_summary import FILES
 from ringwear_par.identification.test_design.next_tests import next_tests
-from ringwear_par.stopping import Stopped
+from ringwear_par.results.execution.stopping import Stopped
 
 VARY = {"load.pressure": [40.0, 96.0]}
 

@@ -27,7 +27,7 @@ from ringwear_par.identification import storing
 from ringwear_par.identification.definition.fit_file import read_fit
 from ringwear_par.identification.estimation import starts as starts_room
 from ringwear_par.identification.fit import fit, fitted, run_fit
-from ringwear_par.stopping import StopSignals
+from ringwear_par.results.execution.stopping import StopSignals
 
 
 @pytest.fixture(scope="module")

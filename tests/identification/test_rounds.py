@@ -23,7 +23,7 @@ from ringwear_par.identification.model import lockstep
 from ringwear_par.identification.model.histories import Histories
 from ringwear_par.identification.model.lockstep import StoppedError, side_by_side
 from ringwear_par.identification.model.rounds import Rounds
-from ringwear_par.stopping import StopSignals
+from ringwear_par.results.execution.stopping import StopSignals
 
 
 @pytest.fixture(scope="module")

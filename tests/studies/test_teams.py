@@ -10,7 +10,7 @@ from swept import CASE, table, write_study
 
 from ringwear_par.errors import ComputationError
 from ringwear_par.history import batch
-from ringwear_par.stopping import StopSignals
+from ringwear_par.results.execution.stopping import StopSignals
 from ringwear_par.studies.execution import operators, workers
 from ringwear_par.studies.execution.scheduling import Scheduler
 from ringwear_par.studies.execution.sweep import sweep

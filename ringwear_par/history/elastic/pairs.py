@@ -9,7 +9,7 @@ from mpi4py import MPI
 
 from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.case import Case, need_case
-from ringwear_par.elasticity.bem import pair_cache
+from ringwear_par.elasticity import pair_cache
 from ringwear_par.elasticity.bem.assembly import load_kernels
 from ringwear_par.elasticity.bem.boundary import count_elements
 from ringwear_par.elasticity.bem.pair import BodyCost, ContactPair, assemble_pair

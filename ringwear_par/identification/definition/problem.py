@@ -8,9 +8,9 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from ringwear_par import __version__
 from ringwear_par.arrays import FloatArray, IntArray
 from ringwear_par.cases.case import Case
+from ringwear_par.version import __version__
 
 Quantity = Literal[
     "penetration", "approach", "torque", "profile.lower", "profile.upper", "mass.lower",

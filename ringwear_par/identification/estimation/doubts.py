@@ -1,17 +1,15 @@
 """Doubts of a fit: what its readings say against the model or the intervals, record by record."""
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from scipy.stats import f as f_distribution
 
 from ringwear_par.arrays import FloatArray
 from ringwear_par.identification.definition.problem import Experiment, Series
+from ringwear_par.identification.estimation.least_squares import Evaluation, LeastSquares
 from ringwear_par.identification.estimation.plausible import opposing
-
-if TYPE_CHECKING:
-    from ringwear_par.identification.outcome import FitResult
 
 #: blocks of a record, and readings less nuisances that it needs
 _BLOCKS, _ENOUGH = 10, 30
@@ -38,15 +36,15 @@ class Doubt:
     values: dict[str, Any] = field(default_factory=dict)
 
 
-def doubts(found: "FitResult") -> tuple[Doubt, ...]:
-    """Return the doubts of a fit."""
-    return (*_oppositions(found), *_trends(found))
+def doubts(squares: LeastSquares, x: FloatArray, evaluation: Evaluation) -> tuple[Doubt, ...]:
+    """Return the doubts of a fit, whose unknowns are x at the optimum."""
+    return (*_oppositions(squares, x), *_trends(squares, evaluation))
 
 
-def _oppositions(found: "FitResult") -> list[Doubt]:
+def _oppositions(squares: LeastSquares, x: FloatArray) -> list[Doubt]:
     """Return doubts of records that fall where the model's rise."""
     told = []
-    for experiment, series, exclude in opposing(found.squares, found.x):
+    for experiment, series, exclude in opposing(squares, x):
         kinds = " and ".join(n.kind for n in series.nuisances)
         beside = f"beside its {kinds}, " if kinds else ""
         said = f"{series.name} ({experiment.name}): {beside}readings fall where the model's rise"
@@ -64,11 +62,11 @@ def _oppositions(found: "FitResult") -> list[Doubt]:
     return told
 
 
-def _trends(found: "FitResult") -> list[Doubt]:
+def _trends(squares: LeastSquares, evaluation: Evaluation) -> list[Doubt]:
     """Return doubts of records whose residuals are no noise."""
-    told, squares = [], found.squares
+    told = []
     for (experiment, series), part in zip(squares.series, squares.parts, strict=True):
-        probability = trend(series, -found.evaluation.noise[part])
+        probability = trend(series, -evaluation.noise[part])
         if probability < _NO_NOISE:
             told.append(_of_trend(experiment, series, probability))
     return told

@@ -12,7 +12,7 @@ from ringwear_par.identification.definition.problem import Experiment, Problem, 
 from ringwear_par.identification.estimation.intervals import share_of_loss
 from ringwear_par.identification.model.readings import nuisance_columns, whitened
 from ringwear_par.identification.model.rounds import Rounds
-from ringwear_par.stopping import StopSignals
+from ringwear_par.results.execution.stopping import StopSignals
 
 #: singular values of nuisances' columns of unit length that are no more than round-off
 _ROUND_OFF = 1e-10

@@ -270,3 +270,30 @@ def _solved(squares: LeastSquares, number: int, unknowns: FloatArray, meet: Meet
         optimum.iterations,
         asked,
     )
+
+
+def fill_planned(squares: LeastSquares) -> None:
+    """Let planned readings be what the model has at the start, nuisances as their priors have them.
+
+    Not collective.
+
+    Raises
+    ------
+    ComputationError : a history.
+    """
+    plans = [
+        (part, series)
+        for (_, series), part in zip(squares.series, squares.parts, strict=True)
+        if series.planned
+    ]
+    if not plans:
+        return
+    m = len(squares.problem.parameters)
+    start = [p.unknown(p.start) for p in squares.problem.parameters]
+    x = np.concatenate([start, np.zeros(len(squares.names) - m)])
+    for j, prior in squares.priors:
+        if j >= m:
+            x[j] = prior.mean
+    expected = squares.bare(x) + squares.nuisance_columns @ x[m:]
+    for part, _ in plans:
+        squares.data[part] = expected[part]

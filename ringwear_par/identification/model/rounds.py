@@ -17,7 +17,7 @@ from ringwear_par.identification.model.histories import Histories, Pair
 from ringwear_par.identification.model.lockstep import StoppedError
 from ringwear_par.parallel import as_ours, together
 from ringwear_par.results.execution.progress import FitProgress
-from ringwear_par.stopping import StopSignals, name_of, remark
+from ringwear_par.results.execution.stopping import StopSignals, name_of, remark
 
 T = TypeVar("T")
 

@@ -14,8 +14,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from mpi4py import MPI
 
+from ringwear_par import outcomes
 from ringwear_par.arrays import FloatArray
 from ringwear_par.errors import ComputationError, InputError
+from ringwear_par.files.folders import DESIGN, MAP, NEXT
 from ringwear_par.identification.definition.candidates import (
     INSTANTS,
     LOADS,
@@ -29,6 +31,7 @@ from ringwear_par.identification.definition.prior_information import Belief, bel
 from ringwear_par.identification.definition.problem import Criterion, Problem
 from ringwear_par.identification.estimation.information import informations
 from ringwear_par.identification.estimation.search import Design, Search
+from ringwear_par.identification.storing import check
 from ringwear_par.info import versions
 from ringwear_par.parallel import on_first_rank
 
@@ -129,15 +132,11 @@ class DesignResult:
 
     def summary(self) -> str:
         """Return the outcome in a few lines."""
-        from ringwear_par.identification.test_design.design_summary import summary
-
-        return summary(self)
+        return outcomes.summary(self)
 
     def plot(self) -> "Figure":
         """Return the map of predicted standard deviations."""
-        from ringwear_par.identification.test_design.design_figures import figure
-
-        return figure(self)
+        return outcomes.figure(self)
 
     def save(self, folder: str | Path) -> None:
         """Write design.json, next.toml and design.png to a folder, which is made.
@@ -149,9 +148,7 @@ class DesignResult:
         InputError : a folder that cannot be written.
         ComputationError : the disk.
         """
-        from ringwear_par.identification.test_design.design_summary import save
-
-        on_first_rank(self.comm, lambda: save(self, Path(folder)))
+        on_first_rank(self.comm, lambda: outcomes.save(self, folder))
 
 
 def _finite(value: float) -> float | None:
@@ -268,10 +265,7 @@ def run_design(
     criterion: Criterion | None = None,
 ) -> None:
     """Find the next tests and write them to a folder. Collective on comm."""
-    from ringwear_par.identification.storing import check
-    from ringwear_par.identification.test_design.design_summary import FILES
-
-    on_first_rank(comm, lambda: check(folder, FILES))
+    on_first_rank(comm, lambda: check(folder, (DESIGN, NEXT, MAP)))
     found = design(source, comm, after=after, criterion=criterion)
     found.save(folder)
     if comm.rank == 0:

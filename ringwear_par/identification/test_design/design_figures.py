@@ -1,6 +1,6 @@
 """The map of a test design: predicted standard deviations over loads, or over load and duration."""
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from matplotlib.colors import LogNorm
@@ -11,16 +11,14 @@ from ringwear_par.arrays import FloatArray, IntArray
 from ringwear_par.cases.units import in_signs
 from ringwear_par.identification.definition.candidates import Candidate
 from ringwear_par.identification.summary import unit_of
+from ringwear_par.identification.test_design.design import DesignResult
 from ringwear_par.identification.test_design.design_summary import name_of
 from ringwear_par.pictures.style import COLOURS, NotebookFigure
-
-if TYPE_CHECKING:
-    from ringwear_par.identification.test_design.design import DesignResult
 
 _MAP = "viridis_r"
 
 
-def figure(found: "DesignResult") -> Figure:
+def figure(found: DesignResult) -> Figure:
     """Return a map for each key: of two tests over their loads, of one over load and duration.
 
     Of two tests a cell has the durations of the best score within the budget.
@@ -52,7 +50,7 @@ def _is_plain(test: Candidate) -> bool:
     return len(test.loads) == 1 and len(test.profiles) <= 1 and "load.omega" not in test.keys
 
 
-def _axis_of(found: "DesignResult", plain: IntArray) -> tuple[str, list[float]]:
+def _axis_of(found: DesignResult, plain: IntArray) -> tuple[str, list[float]]:
     first = found.candidates[plain[0]]
     unit = "MPa" if "load.pressure" in first.keys else "N"
     what = "mean pressure" if unit == "MPa" else "force"
@@ -61,7 +59,7 @@ def _axis_of(found: "DesignResult", plain: IntArray) -> tuple[str, list[float]]:
 
 def _map_of_pairs(
     axes: Any,
-    found: "DesignResult",
+    found: DesignResult,
     plain: IntArray,
     values: FloatArray,
     label: str,
@@ -89,7 +87,7 @@ def _map_of_pairs(
 
 
 def _map_of_tests(
-    axes: Any, found: "DesignResult", plain: IntArray, values: FloatArray, label: str
+    axes: Any, found: DesignResult, plain: IntArray, values: FloatArray, label: str
 ) -> None:
     """Draw the sd of one test over its load and duration, a profile being at its best instant."""
     name, loads = _axis_of(found, plain)
@@ -129,7 +127,7 @@ def _mark(axes: Any, x: list[float], y: list[float], told: str) -> None:
         axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), fontsize=8, frameon=False)
 
 
-def _bars(axes: Any, found: "DesignResult", j: int, scale: float, label: str) -> None:
+def _bars(axes: Any, found: DesignResult, j: int, scale: float, label: str) -> None:
     names = ["\n+ ".join(name_of(found.candidates[i]) for i in one.tests) for one in found.designs]
     values = [scale * one.sd[j] for one in found.designs]
     axes.barh(range(len(values)), np.where(np.isfinite(values), values, 0.0), color=COLOURS[0])

@@ -3,7 +3,6 @@
 import io
 import json
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -11,13 +10,11 @@ from ringwear_par.errors import ComputationError
 from ringwear_par.files.folders import DESIGN, MAP, NEXT
 from ringwear_par.files.writing import atomic_write, unwritable
 from ringwear_par.identification.definition.candidates import Candidate
+from ringwear_par.identification.estimation.search import Design
 from ringwear_par.identification.storing import check
 from ringwear_par.identification.summary import unit_of
+from ringwear_par.identification.test_design.design import DesignResult
 from ringwear_par.identification.test_design.next_tests import next_tests
-
-if TYPE_CHECKING:
-    from ringwear_par.identification.estimation.search import Design
-    from ringwear_par.identification.test_design.design import DesignResult
 
 FILES = (DESIGN, NEXT, MAP)
 
@@ -30,7 +27,7 @@ _CRITERIA = {
 _SHOWN = 5
 
 
-def summary(found: "DesignResult") -> str:
+def summary(found: DesignResult) -> str:
     """Return the outcome in a few lines."""
     problem, count = found.problem, len(found.designs[0].tests)
     lines = [
@@ -62,7 +59,7 @@ def summary(found: "DesignResult") -> str:
     return "\n".join(lines)
 
 
-def _tests(found: "DesignResult", one: "Design") -> str:
+def _tests(found: DesignResult, one: Design) -> str:
     return " + ".join(name_of(found.candidates[i]) for i in one.tests)
 
 
@@ -81,7 +78,7 @@ def name_of(test: Candidate) -> str:
     return ", ".join(words)
 
 
-def _spreads(found: "DesignResult", one: "Design") -> str:
+def _spreads(found: DesignResult, one: Design) -> str:
     told = []
     pairs = zip(found.problem.parameters, found.nominal, one.sd, strict=True)
     for place, (parameter, value, sd) in enumerate(pairs):
@@ -98,7 +95,7 @@ def _spreads(found: "DesignResult", one: "Design") -> str:
     return "; ".join(told)
 
 
-def save(found: "DesignResult", folder: Path) -> None:
+def save(found: DesignResult, folder: Path) -> None:
     """Write all three files; design.json, which says that it is whole, the last. On one rank.
 
     Raises

@@ -2,7 +2,7 @@
 
 import itertools
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -15,15 +15,13 @@ from ringwear_par.errors import legible
 from ringwear_par.files.text import parse_toml
 from ringwear_par.identification.definition.candidates import LOADS, Candidate, last_profiles
 from ringwear_par.identification.definition.problem import Series
-
-if TYPE_CHECKING:
-    from ringwear_par.identification.test_design.design import DesignResult
+from ringwear_par.identification.test_design.design import DesignResult
 
 #: of a step: within it distances are equal
 _EQUAL = 1e-6
 
 
-def next_tests(found: "DesignResult", told: str) -> str:
+def next_tests(found: DesignResult, told: str) -> str:
     """Return the best design as tables that may follow those of its fit file.
 
     Parameters
@@ -57,7 +55,7 @@ def next_tests(found: "DesignResult", told: str) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _measured_as(found: "DesignResult") -> dict[str, Any]:
+def _measured_as(found: DesignResult) -> dict[str, Any]:
     """Return the table of the experiment as which tests are measured."""
     problem = found.problem
     first: dict[str, Any] = parse_toml(problem.text, problem.name)["experiment"][0]

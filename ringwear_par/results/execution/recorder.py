@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 from mpi4py import MPI
 
-from ringwear_par import __version__
 from ringwear_par.arrays import BoolArray, FloatArray
 from ringwear_par.cases.case import Case
 from ringwear_par.errors import reason_of
@@ -30,6 +29,7 @@ from ringwear_par.results.result import HistoryColumns, Result, balance_attribut
 from ringwear_par.results.storage.checkpoints import restored, take
 from ringwear_par.results.stress_variables import point_columns, stress_rows
 from ringwear_par.results.warnings import Warnings
+from ringwear_par.version import __version__
 
 _NO_FAILURES: Mapping[int, Exception] = MappingProxyType({})
 

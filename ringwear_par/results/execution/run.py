@@ -9,7 +9,6 @@ from pathlib import Path
 
 from mpi4py import MPI
 
-from ringwear_par import __version__
 from ringwear_par.cases.case import Case
 from ringwear_par.errors import ComputationError, InputError, RingwearError, UnfitError
 from ringwear_par.history.loop import simulate_one
@@ -19,12 +18,13 @@ from ringwear_par.parallel import on_first_rank, warn_of_threads
 from ringwear_par.results.execution.preparation import Figure, prepare, reached_end
 from ringwear_par.results.execution.progress import Progress
 from ringwear_par.results.execution.recorder import Recorder
+from ringwear_par.results.execution.stopping import StopSignals, remark
 from ringwear_par.results.execution.watch import Watch
 from ringwear_par.results.result import Result
 from ringwear_par.results.storage.checkpoints import restored
 from ringwear_par.results.storage.result_files import write_result
 from ringwear_par.results.unit_suspicions import unit_suspicions
-from ringwear_par.stopping import StopSignals, remark
+from ringwear_par.version import __version__
 
 log = logging.getLogger(__name__)
 

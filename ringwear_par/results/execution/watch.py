@@ -9,7 +9,7 @@ from mpi4py import MPI
 
 from ringwear_par.errors import ComputationError
 from ringwear_par.history.snapshots import Snapshot
-from ringwear_par.stopping import StopSignals, name_of
+from ringwear_par.results.execution.stopping import StopSignals, name_of
 
 log = logging.getLogger(__name__)
 

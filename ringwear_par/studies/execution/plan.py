@@ -9,7 +9,6 @@ from pathlib import Path
 
 import numpy as np
 
-import ringwear_par
 from ringwear_par.arrays import BoolArray, IntArray
 from ringwear_par.errors import InputError
 from ringwear_par.history.validity.case_limits import memory_needed
@@ -19,6 +18,7 @@ from ringwear_par.studies.storage.index import DONE, FAILED, NOTHING, Index
 from ringwear_par.studies.storage.locks import locked
 from ringwear_par.studies.storage.results_file import RESULTS
 from ringwear_par.studies.storage.store import Store
+from ringwear_par.version import __version__
 
 log = logging.getLogger(__name__)
 
@@ -220,7 +220,7 @@ def _interrupted(
         np.isin(stored["id"], [os.fsencode(name) for name in in_flight])
     ].tolist():
         path = store.inflight(identity.decode())
-        same_version = index.kinds[kind].version == ringwear_par.__version__
+        same_version = index.kinds[kind].version == __version__
         if index.blocks[block].path == path and same_version:
             going_on.add(path.stem)
     return frozenset(going_on)
@@ -238,12 +238,12 @@ def _refuse_other_versions(folder: Path, index: Index, kept: IntArray, more: boo
     for kind, n in Counter(index["kind"][kept].tolist()).items():
         counts[index.kinds[kind].version] += n
     if more:
-        counts.setdefault(ringwear_par.__version__, 0)
+        counts.setdefault(__version__, 0)
     if len(counts) > 1:
         known = ", ".join(f"{n} by {version}" for version, n in counts.most_common() if n)
         raise InputError(
             f"{folder}: holds cases computed by another version of ringwear-par ({known}; this is "
-            f"{ringwear_par.__version__}); must be a new folder, or --mix-versions (in Python "
+            f"{__version__}); must be a new folder, or --mix-versions (in Python "
             "mix_versions=True), and the variable version tells them apart"
         )
 

@@ -23,8 +23,8 @@ from ringwear_par.errors import ComputationError, InputError, RingwearError
 from ringwear_par.info import versions
 from ringwear_par.parallel import on_first_rank, peak_memory, warn_of_threads
 from ringwear_par.results.execution.progress import SweepProgress
+from ringwear_par.results.execution.stopping import StopSignals, name_of, remark
 from ringwear_par.results.storage.hdf5 import UnreadableError
-from ringwear_par.stopping import StopSignals, name_of, remark
 from ringwear_par.studies.definition.study import Study, read_study_together
 from ringwear_par.studies.execution.estimate import estimate
 from ringwear_par.studies.execution.operators import PATIENCE_SECONDS, StorageError

@@ -9,7 +9,6 @@ from dataclasses import dataclass, field, replace
 
 from mpi4py import MPI
 
-from ringwear_par import __version__
 from ringwear_par.cases.case import Case
 from ringwear_par.elasticity.bem.pair import ContactPair
 from ringwear_par.errors import (
@@ -25,11 +24,11 @@ from ringwear_par.options import reject_unused_options
 from ringwear_par.parallel import on_first_rank, together
 from ringwear_par.results.execution.progress import SweepProgress
 from ringwear_par.results.execution.recorder import Recorder
+from ringwear_par.results.execution.stopping import StopSignals
 from ringwear_par.results.execution.watch import Watch
 from ringwear_par.results.result import HistoryColumns, Result
 from ringwear_par.results.storage.result_files import open_result, write_result
 from ringwear_par.results.unit_suspicions import but_varied
-from ringwear_par.stopping import StopSignals
 from ringwear_par.studies.definition.texts import Texts
 from ringwear_par.studies.execution.batches import computed
 from ringwear_par.studies.execution.operators import (
@@ -43,6 +42,7 @@ from ringwear_par.studies.execution.plan import Plan
 from ringwear_par.studies.execution.scheduling import Cases, Scheduler
 from ringwear_par.studies.storage.blocks import Block
 from ringwear_par.studies.storage.shards import Shard
+from ringwear_par.version import __version__
 
 log = logging.getLogger(__name__)
 

@@ -31,11 +31,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 import scipy
 
-from ringwear_par import __version__
 from ringwear_par.arrays import FloatArray
 from ringwear_par.files.ordinary import open_ordinary
 from ringwear_par.files.writing import atomic_write, remove_leftovers
 from ringwear_par.parallel import blas_threads, on_first_rank
+from ringwear_par.version import __version__
 
 if TYPE_CHECKING:
     from mpi4py import MPI
@@ -206,7 +206,7 @@ def _exact_text(value: object) -> str:
 def _surroundings() -> str:
     """Return version, source, libraries and processor, on which the last bits of a pair depend."""
     source = hashlib.sha256()
-    for path in sorted(Path(__file__).parents[1].rglob("*.py")):
+    for path in sorted(Path(__file__).parent.rglob("*.py")):
         source.update(path.read_bytes())
     processor = ""
     with suppress(OSError), open("/proc/cpuinfo", "rb") as file:
