@@ -5,7 +5,6 @@ from typing import Any
 
 import numpy as np
 
-from ringwear_par.arrays import FloatArray
 from ringwear_par.pictures.panels import Axis, Curve, Label, Panel
 from ringwear_par.pictures.style import DASHES, plain, set_legend
 
@@ -19,13 +18,8 @@ _LABEL = 0.06
 _ROOM = 1.05
 
 
-def draw(axes: Any, panel: Panel, title: str = "") -> None:
-    """Draw a panel.
-
-    Parameters
-    ----------
-    title : of the legend, above that of the panel.
-    """
+def draw(axes: Any, panel: Panel, *, legend: bool = True) -> None:
+    """Draw a panel, with a legend above it or without one."""
     for band in panel.bands:
         axes.fill_between(
             band.x, band.low, band.high, color=band.colour, alpha=band.opacity, linewidth=0.0,
@@ -41,19 +35,21 @@ def draw(axes: Any, panel: Panel, title: str = "") -> None:
             points.x, points.y, linestyle="none", marker="_" if points.level else "o",
             color=points.colour, markersize=_SIZE * points.size, alpha=points.opacity,
             markerfacecolor="none" if points.hollow else points.colour, label=plain(points.name),
+            markeredgewidth=1.0 if points.hollow or points.level else 0.0,
         )  # fmt: skip
         if points.errors is not None:
             axes.errorbar(
                 points.x, points.y, points.errors, fmt="none", ecolor=points.colour,
                 elinewidth=0.8,
             )  # fmt: skip
-    for level in panel.levels:
-        axes.axhline(level, color="0.2", linewidth=0.8, linestyle=":")
-    for place in panel.uprights:
-        axes.axvline(place, color="0.2", linewidth=0.8, linestyle=":")
+    dotted = {"color": "0.2", "linewidth": 0.8, "linestyle": ":"}
+    across, upwards = axes.get_yaxis_transform(), axes.get_xaxis_transform()
+    axes.hlines(panel.levels, 0.0, 1.0, transform=across, **dotted)
+    axes.vlines(panel.uprights, 0.0, 1.0, transform=upwards, **dotted)
     _set_axis(axes, "x", panel.x)
     _set_axis(axes, "y", panel.y)
-    add_legend(axes, "\n".join(filter(None, (title, panel.legend))))
+    if legend:
+        add_legend(axes, panel.legend)
 
 
 def _draw_curve(axes: Any, curve: Curve) -> None:
@@ -115,8 +111,3 @@ def draw_labels(axes: Any, panel: Panel) -> None:
                 label.x, label.y, f" {label.words}", color="0.3", fontsize=7.0,
                 va="top" if below else "bottom",
             )  # fmt: skip
-
-
-def ordinates(panel: Panel) -> FloatArray:
-    """Return all ordinates of a panel's curves."""
-    return np.concatenate([[], *(curve.y for curve in panel.curves)])
