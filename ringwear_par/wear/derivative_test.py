@@ -8,7 +8,8 @@ import numpy as np
 
 from ringwear_par.arrays import FloatArray
 from ringwear_par.errors import InputError
-from ringwear_par.wear.increment import WearIncrement, averaging
+from ringwear_par.wear.averaging import averaging
+from ringwear_par.wear.increment import WearIncrement
 from ringwear_par.wear.law import CompletedLaw, Law
 from ringwear_par.wear.local_state import LocalState
 from ringwear_par.wear.user import UserLaw
