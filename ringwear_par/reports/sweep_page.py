@@ -27,7 +27,7 @@ from ringwear_par.studies.analysis.sensitivity import done_cases
 from ringwear_par.studies.analysis.surrogate import surrogate
 from ringwear_par.studies.definition.variations import own_key
 from ringwear_par.studies.pictures import panels as sweeps
-from ringwear_par.studies.pictures.figures import Choice, choose
+from ringwear_par.studies.pictures.choice import Choice, choose
 from ringwear_par.studies.pictures.index_bars import IndexBars, index_bars
 from ringwear_par.studies.storage.end_values import entry_of, final_name
 from ringwear_par.studies.storage.ensemble import Ensemble, read_ensemble
