@@ -17,8 +17,8 @@ VAGUE = {
 VAGUE_DOCSTRING = re.compile(r"(?:Return|Tell|Give) (?:what|the same|that of|those)\b")
 #: folders, and modules of the root, that are not clean yet
 ROOMS_TO_DO = {
-    "explorer", "history", "identification",
-    "reports", "results", "studies",
+    "history", "identification",
+    "results", "studies",
     "wear",
 }  # fmt: skip
 

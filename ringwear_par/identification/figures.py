@@ -81,8 +81,8 @@ def label(series: Series) -> str:
 
 def _draw(above: Any, below: Any, series: fits.Series) -> None:
     """Draw readings and model, and the residuals below them."""
-    draw(above, fits.readings(series), legend=False)
-    draw(below, fits.residuals(series), legend=False)
+    draw(above, fits.readings(series), 0)
+    draw(below, fits.residuals(series), 0)
     # ticks that change with the height of a panel would leave no room for its label
     tick = math.floor(0.75 * below.get_ylim()[1])
     below.set_yticks([-tick, 0, tick])

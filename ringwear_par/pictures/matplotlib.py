@@ -18,8 +18,13 @@ _LABEL = 0.06
 _ROOM = 1.05
 
 
-def draw(axes: Any, panel: Panel, *, legend: bool = True) -> None:
-    """Draw a panel, with a legend above it or without one."""
+def draw(axes: Any, panel: Panel, columns: int = _MOST_COLUMNS) -> None:
+    """Draw a panel, with a legend above it.
+
+    Parameters
+    ----------
+    columns : most columns of the legend, 0 for no legend.
+    """
     for band in panel.bands:
         axes.fill_between(
             band.x, band.low, band.high, color=band.colour, alpha=band.opacity, linewidth=0.0,
@@ -44,12 +49,20 @@ def draw(axes: Any, panel: Panel, *, legend: bool = True) -> None:
             )  # fmt: skip
     dotted = {"color": "0.2", "linewidth": 0.8, "linestyle": ":"}
     across, upwards = axes.get_yaxis_transform(), axes.get_xaxis_transform()
-    axes.hlines(panel.levels, 0.0, 1.0, transform=across, **dotted)
-    axes.vlines(panel.uprights, 0.0, 1.0, transform=upwards, **dotted)
+    if panel.levels:
+        axes.hlines(panel.levels, 0.0, 1.0, transform=across, **dotted)
+    if panel.uprights:
+        axes.vlines(panel.uprights, 0.0, 1.0, transform=upwards, **dotted)
+    for bars in panel.bars:
+        axes.barh(
+            bars.places, bars.values, 0.3, xerr=bars.errors, color=bars.colour, alpha=0.75,
+            label=plain(bars.name),
+            error_kw={"ecolor": "0.1", "elinewidth": 0.9, "capsize": 2.0},
+        )  # fmt: skip
     _set_axis(axes, "x", panel.x)
     _set_axis(axes, "y", panel.y)
-    if legend:
-        add_legend(axes, panel.legend)
+    if columns:
+        add_legend(axes, panel.legend, columns)
 
 
 def _draw_curve(axes: Any, curve: Curve) -> None:
@@ -78,18 +91,19 @@ def _set_axis(axes: Any, name: str, axis: Axis) -> None:
         getattr(axes, f"set_{name}lim")(0.0, _ROOM * high if high > 0.0 else 1.0)
     if axis.categories:
         words = [plain(word) for word in axis.categories]
+        getattr(axes, f"set_{name}lim")(-0.6, len(words) - 0.4)
         getattr(axes, f"set_{name}ticks")(range(len(words)), words)
     if axis.reversed:
         getattr(axes, f"invert_{name}axis")()
 
 
-def add_legend(axes: Any, title: str = "") -> None:
+def add_legend(axes: Any, title: str = "", columns: int = _MOST_COLUMNS) -> None:
     """Add a legend above a panel, where it covers nothing; a label stands there once."""
     handles, labels = axes.get_legend_handles_labels()
     entries = {label: h for h, label in zip(handles, labels, strict=True) if label}
     if entries or title:
         letters = max(map(len, entries), default=0) + _GLYPH
-        columns = max(1, min(_MOST_COLUMNS, _LETTERS // letters))
+        columns = max(1, min(columns, _LETTERS // letters))
         set_legend(axes, columns, title, entries)
 
 

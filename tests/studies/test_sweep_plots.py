@@ -13,7 +13,8 @@ from ringwear_par.errors import InputError
 from ringwear_par.results.variables import HISTORIES
 from ringwear_par.studies.analysis.sensitivity import sensitivity
 from ringwear_par.studies.definition.variations import column_of
-from ringwear_par.studies.pictures.figures import choose, draw_sweep, plot_sweep
+from ringwear_par.studies.pictures.choice import choose
+from ringwear_par.studies.pictures.figures import draw_sweep, plot_sweep
 from ringwear_par.studies.pictures.index_bars import index_bars
 from ringwear_par.studies.storage.blocks import Block, Record
 from ringwear_par.studies.storage.dataset import Listing, write_ensemble

@@ -16,7 +16,7 @@ from ringwear_par.studies.analysis.surrogate import surrogate
 from ringwear_par.studies.execution import workers
 from ringwear_par.studies.execution.sweep import sweep
 from ringwear_par.studies.pictures import panels as sweeps
-from ringwear_par.studies.pictures.figures import choose
+from ringwear_par.studies.pictures.choice import choose
 from ringwear_par.studies.storage.ensemble import read_ensemble
 from ringwear_par.studies.storage.store import Store
 
