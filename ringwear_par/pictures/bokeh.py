@@ -112,7 +112,7 @@ def _add_marks(plot: Any, kind: str, source: Any) -> Any:
         case "whiskers":
             return plot.segment("x0", "y0", "x1", "y1", line_color="colour", source=source)
         case "labels":
-            style = {"text_align": "right", "text_font_size": "11px", "text_color": "#444444"}
+            style = {"x_offset": 3, "text_font_size": "11px", "text_color": "#444444"}
             return plot.text("x", "y", text_baseline="baseline", **style, source=source)
         case "dots":
             return plot.scatter("x", "y", size=4.0, color="colour", source=source)

@@ -64,7 +64,7 @@ class Curve:
 
 @dataclass(frozen=True)
 class Label:
-    """Words at a place, to the right of it or, in pages, to the left.
+    """Words to the right of a place.
 
     Parameters
     ----------

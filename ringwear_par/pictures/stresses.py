@@ -178,12 +178,13 @@ def along_height(result: Result, label: str, states: Sequence[StressState]) -> P
         )
         for number, state in enumerate(states)
     ]  # fmt: skip
+    at = f"r = {r[column]:.4g} mm"
     highest = max((float(np.nanmax(curve.x, initial=0.0)) for curve in curves), default=0.0)
     return Panel(
         Axis(_MISES, ends=(0.0, 1.05 * highest or 1.0)),
         Axis("height (mm)", ends=(float(z[0]), float(z[-1]))),
-        f"von Mises stress along the height, at r = {r[column]:.4g} mm",
-        curves=curves, levels=tuple(levels.tolist()), legend=f"{label}, r = {r[column]:.4g} mm",
+        f"von Mises stress along the height, at {at}",
+        curves=curves, levels=tuple(levels.tolist()), legend=", ".join(filter(None, (label, at))),
     )  # fmt: skip
 
 
@@ -207,8 +208,8 @@ def largest(results: Sequence[Result], labels: Sequence[str]) -> Panel:
                 marked = len(time) <= FEW_POINTS
                 curves.append(Curve(time, values, name, colour, number + i, 2.0, marked=marked))
     beside = ", ".join(sorted({f"{stresses(result).exclude:g}" for result in results}))
-    title = f"largest {_MISES}"
+    title, excluded = f"largest {_MISES}", f"{beside} mm and more from edges"
     return Panel(
-        Axis(f"time ({unit})", zero=True), Axis(title, zero=True), title, curves=curves,
-        legend=f"{beside} mm and more from edges",
+        Axis(f"time ({unit})", zero=True), Axis(title, zero=True), title, excluded, curves=curves,
+        legend=excluded,
     )  # fmt: skip

@@ -10,6 +10,7 @@ from ringwear_par.cases.units import in_signs, with_signs
 from ringwear_par.elasticity.stress.boundary_fields import BODIES
 from ringwear_par.pictures import runs
 from ringwear_par.pictures.figures import plot
+from ringwear_par.pictures.stresses import along_height, largest
 from ringwear_par.reports.blocks import (
     Block,
     Chart,
@@ -31,14 +32,13 @@ from ringwear_par.results.key_numbers import (
     key_numbers,
 )
 from ringwear_par.results.result import Result
+from ringwear_par.results.storage.stored_stresses import nearest_states
 from ringwear_par.results.variables import DISPLAY_UNITS, HISTORIES
 
 _TABULATED = [v for name, v in HISTORIES.items() if name not in ("twist", "contact_iterations")]
-#: panels of stresses, in words for those who do not see them
-_STRESS_PANELS = {
+#: pictures of stresses, in words for those who do not see them
+_STRESS_PICTURES = {
     "stress": "map of von Mises stress in the section",
-    "depth": "its course along the height",
-    "mises": "the largest over time",
     "interfaces": "tractions along interfaces, von Mises stress on both sides",
 }
 #: most instants of a slider
@@ -163,19 +163,23 @@ def _stresses(result: Result) -> list[Section]:
     if result.stress is None or not result.stress.states:
         return []
     states = result.stress.states
-    stored = {
-        "stress": len(result.stress.grid[0]) > 0,
-        "depth": len(result.stress.grid[0]) > 0,
-        "mises": len(states) > 1,  # one is no history
-        "interfaces": any(len(of.z) for of in result.stress.interfaces),
-    }
-    panels = [name for name in _STRESS_PANELS if stored[name]]
+    gridded, label = len(result.stress.grid[0]) > 0, "Line chart: von Mises stress"
     blocks: list[Block] = []
-    if panels:
+    pictures = ["stress"] * gridded
+    pictures += ["interfaces"] * any(len(of.z) for of in result.stress.interfaces)
+    if pictures:
         content = io.BytesIO()
-        plot(result, panels).savefig(content, format="png", dpi=150)
-        alt = ", ".join(words for name, words in _STRESS_PANELS.items() if name in panels)
+        plot(result, pictures).savefig(content, format="png", dpi=150)
+        alt = ", ".join(_STRESS_PICTURES[name] for name in pictures)
         blocks.append(Picture("Stress inside", content.getvalue(), "image/png", alt))
+    charts = []
+    if gridded:
+        along = along_height(result, "", nearest_states(states, []))
+        charts.append(Chart("depth", along, f"{label} along the height at {along.legend}"))
+    if len(states) > 1:  # one is no history
+        charts.append(Chart("mises", largest([result], [""]), f"{label}, the largest over time"))
+    if charts:
+        blocks.append(Charts(charts))
     rows = [
         (f"{state.time:.6g}", body, f"{of.mises:.5g}", f"{of.r:.6g}", f"{of.z:.6g}")
         for state in states
