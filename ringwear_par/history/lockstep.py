@@ -49,7 +49,7 @@ def _kind(law: Law) -> Hashable:
     if isinstance(law, LayeredLaw):
         return (*parts, law.thicknesses, law.own, *map(_kind, law.laws))
     if isinstance(law, CompletedLaw):
-        return (*parts, *_own_kind(law.own))
+        return (*parts, *_own_kind(law.user_object))
     for name, parameter in _fields_of(type(law)):  # type: ignore[arg-type]
         value = getattr(law, name)
         if parameter is not None and parameter.numeric:

@@ -10,9 +10,8 @@ from ringwear_par.arrays import FloatArray
 from ringwear_par.errors import InputError
 from ringwear_par.wear.averaging import averaging
 from ringwear_par.wear.increment import WearIncrement
-from ringwear_par.wear.law import CompletedLaw, Law
+from ringwear_par.wear.law import CheckedLaw, Law
 from ringwear_par.wear.local_state import LocalState
-from ringwear_par.wear.user import UserLaw
 
 #: round-off of a rate, relative to the largest one
 _NOISE = 1e-14
@@ -142,14 +141,14 @@ def _remainders(
     return Remainders(steps, tuple((off.max(axis=1) / size).tolist()), bool(bounded.all()))
 
 
-def check_user_slope(law: UserLaw | CompletedLaw, at: LocalState, pressure: float) -> None:
+def check_user_slope(law: CheckedLaw, at: LocalState, pressure: float) -> None:
     """Refuse a user's law that gives another slope than that of its rate. Not collective.
 
     Raises
     ------
     InputError : it is.
     """
-    if not law.defines_d_rate_dp:
+    if not law.defines("d_rate_dp"):
         return
     rng = np.random.default_rng(1)
     tried = pressure * rng.uniform(0.01, 0.99, len(at.r))

@@ -14,8 +14,8 @@ from ringwear_par.errors import ComputationError, InputError
 from ringwear_par.files.text import read_text
 from ringwear_par.schedules import Quantity, breakpoints, value
 from ringwear_par.schedules import stack as stack_quantities
-from ringwear_par.wear.guard import Asked, ask, shown
-from ringwear_par.wear.law import CompletedLaw, Law, WearLaw, found_along, found_before
+from ringwear_par.wear.guard import UserFunction, checked_call, read_only_state
+from ringwear_par.wear.law import CheckedLaw, CompletedLaw, Law, WearLaw
 from ringwear_par.wear.local_state import LocalState
 from ringwear_par.wear.parameters import Parameter
 
@@ -41,7 +41,7 @@ def _reads_wear(source: str) -> bool:
 
 
 @dataclass(frozen=True)
-class UserLaw(Law):
+class UserLaw(CheckedLaw):
     """A law of your own, from a Python file.
 
     The file defines ``rate(p, at)``, the rate of depth in mm/s at pressures p in MPa; ``at`` knows
@@ -69,6 +69,7 @@ class UserLaw(Law):
     """
 
     name = "user"
+    one_by_one = True
     formula = "rate(p, at) of a Python file"
 
     file: Annotated[
@@ -110,18 +111,12 @@ class UserLaw(Law):
 
     @property
     def called(self) -> str:
-        """What messages call the law."""
+        """Name of the law in messages."""
         return self.file
 
-    @property
-    def defines_d_rate_dp(self) -> bool:
-        """Whether the file has the derivative with respect to pressure."""
-        return "d_rate_dp" in self._functions
-
-    @property
-    def reads_wear(self) -> bool:
-        """Whether the rate may depend on ``at.wear``: nobody knows."""
-        return True
+    def defines(self, function: UserFunction) -> bool:
+        """Tell whether the file has a function; derivatives by parameters are not asked of it."""
+        return function != "d_rate_dparameter" and function in self._functions
 
     @property
     def remembers(self) -> bool:
@@ -177,82 +172,13 @@ class UserLaw(Law):
     def _with_stacks(self, change: Callable[[Any], Any]) -> Self:
         return replace(self, parameters=tuple((name, change(q)) for name, q in self.parameters))
 
-    def _of_each(
-        self, asked: str, p: FloatArray, local: LocalState, along: LocalState | None = None
+    def _call(
+        self, function: UserFunction, p: FloatArray, local: LocalState, *first: str
     ) -> FloatArray:
-        """Return what a method gives of B histories, (B, n), each by itself.
-
-        Derivatives too: whether code takes complex numbers may depend on the history.
-        """
-        others = () if along is None else (along,)
-        each = (
-            getattr(self.history(i), asked)(
-                p[i], local.history(i), *(other.history(i) for other in others)
-            )
-            for i in range(len(p))
-        )
-        return np.array(list(each))
-
-    def _call(self, name: Asked, p: FloatArray, local: LocalState) -> FloatArray:
-        """Return the checked values (n,) of one of the file's functions."""
         values = {key: value(q, local.time, local.r) for key, q in self.parameters}
-        there = shown(local, parameters=values)
-        return ask(f"{self.file}: {name}()", name, self._functions[name], p, there, values.values())
-
-    def rate(self, p: FloatArray, local: LocalState) -> FloatArray:
-        """Return the rate of wear, mm/s.
-
-        Raises
-        ------
-        LawError : the function failed, or gave NaN or a negative rate.
-        """
-        if p.ndim > 1:
-            return self._of_each("rate", p, local)
-        return self._call("rate", p, local)
-
-    def d_rate_dp(self, p: FloatArray, local: LocalState) -> FloatArray:
-        """Return the derivative of the rate with respect to pressure, mm/s/MPa.
-
-        Raises
-        ------
-        LawError : the function failed, or gave NaN or a negative slope.
-        """
-        if p.ndim > 1:
-            return self._of_each("d_rate_dp", p, local)
-        if not self.defines_d_rate_dp:
-            return super().d_rate_dp(p, local)
-        return self._call("d_rate_dp", p, local)
-
-    def d_rate_dwear(self, p: FloatArray, local: LocalState) -> FloatArray:
-        """Return the derivative of the rate with respect to ``local.wear``, 1/s."""
-        if p.ndim > 1:
-            return self._of_each("d_rate_dwear", p, local)
-        if "d_rate_dwear" not in self._functions:
-            return super().d_rate_dwear(p, local)
-        return self._call("d_rate_dwear", p, local)
-
-    def d_rate_dparameter(self, name: str, p: FloatArray, local: LocalState) -> FloatArray:
-        """Return the derivative of the rate with respect to a parameter's value there."""
-        if p.ndim == 1:
-            return super().d_rate_dparameter(name, p, local)
-        each = (
-            self.history(i).d_rate_dparameter(name, p[i], local.history(i)) for i in range(len(p))
-        )
-        return np.array(list(each))
-
-    def d_rate_dlocal(self, p: FloatArray, local: LocalState, along: LocalState) -> FloatArray:
-        """Return how the rate changes as speed, friction and slid do along those of another."""
-        if p.ndim > 1:
-            return self._of_each("d_rate_dlocal", p, local, along)
-        return found_along(self, p, local, along)
-
-    def d_rate_dbefore(self, p: FloatArray, local: LocalState) -> FloatArray | None:
-        """Return how the rate changes with the wear before a step, 1/s."""
-        if self.remembers:
-            return self.d_rate_dwear(p, local)
-        if p.ndim > 1:
-            return self._of_each("d_rate_dbefore", p, local)
-        return found_before(self, p, local)
+        state = read_only_state(local, parameters=values)
+        called = f"{self.file}: {function}()"
+        return checked_call(called, function, self._functions[function], p, state, values.values())
 
 
 def check_object(law: object) -> None:
@@ -274,7 +200,7 @@ def check_object(law: object) -> None:
             raise InputError(f"{type(law).__name__}: {name}: {error}; must be {what}") from error
 
 
-def check_user_law(law: UserLaw | CompletedLaw, at: LocalState, pressure: float) -> None:
+def check_user_law(law: CheckedLaw, at: LocalState, pressure: float) -> None:
     """Refuse a user's law that is no law, tried at pressures up to a given one (MPa).
 
     Not collective.
@@ -338,7 +264,7 @@ def serves_many(law: Law, r: FloatArray) -> bool:
     return True
 
 
-def _jump(law: UserLaw | CompletedLaw, at: LocalState, p: FloatArray, rates: FloatArray) -> str:
+def _jump(law: CheckedLaw, at: LocalState, p: FloatArray, rates: FloatArray) -> str:
     """Return where the rate jumps with pressure, "" if it does not: by bisection of steep pieces.
 
     Parameters
