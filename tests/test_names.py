@@ -19,7 +19,6 @@ VAGUE_DOCSTRING = re.compile(r"(?:Return|Tell|Give) (?:what|the same|that of|tho
 ROOMS_TO_DO = {
     "history", "identification",
     "results", "studies",
-    "wear",
 }  # fmt: skip
 
 

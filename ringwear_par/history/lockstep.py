@@ -47,7 +47,7 @@ def _kind(law: Law) -> Hashable:
     """Return what laws have to share to be stacked."""
     parts: list[Any] = [type(law)]
     if isinstance(law, LayeredLaw):
-        return (*parts, law.thicknesses, law.own, *map(_kind, law.laws))
+        return (*parts, law.thicknesses, law.has_law, *map(_kind, law.laws))
     if isinstance(law, CompletedLaw):
         return (*parts, *_own_kind(law.user_object))
     for name, parameter in _fields_of(type(law)):  # type: ignore[arg-type]

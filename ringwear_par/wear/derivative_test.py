@@ -71,8 +71,8 @@ def taylor_test(
         return wear.depth(p + h * direction) if step else law.rate(p + h * direction, at)
 
     def slope(h: float) -> FloatArray:
-        there = p + h * direction
-        return wear.jacobian(there) @ direction if step else law.d_rate_dp(there, at) * direction
+        q = p + h * direction
+        return wear.jacobian(q) @ direction if step else law.d_rate_dp(q, at) * direction
 
     return _remainders(f, slope, float(p.max()))
 
@@ -85,11 +85,11 @@ def taylor_test_wear(law: Law, at: LocalState, p: FloatArray, scale: float) -> R
     scale : mm, over which the rate changes.
     """
 
-    def there(h: float) -> LocalState:
+    def worn(h: float) -> LocalState:
         return replace(at, wear=at.wear + h)
 
     return _remainders(
-        lambda h: law.rate(p, there(h)), lambda h: law.d_rate_dwear(p, there(h)), scale, _NOISE
+        lambda h: law.rate(p, worn(h)), lambda h: law.d_rate_dwear(p, worn(h)), scale, _NOISE
     )
 
 
@@ -100,12 +100,12 @@ def taylor_test_parameter(law: Law, at: LocalState, p: FloatArray, name: str) ->
     """
     here = law.parameter(name, at)
 
-    def there(h: float) -> Law:
+    def changed(h: float) -> Law:
         return law.with_parameter(name, here + h)
 
     return _remainders(
-        lambda h: there(h).rate(p, at),
-        lambda h: there(h).d_rate_dparameter(name, p, at),
+        lambda h: changed(h).rate(p, at),
+        lambda h: changed(h).d_rate_dparameter(name, p, at),
         float(np.abs(here).max()) or 1.0,
         _NOISE,
     )
@@ -114,8 +114,8 @@ def taylor_test_parameter(law: Law, at: LocalState, p: FloatArray, name: str) ->
 def depends(law: Law, at: LocalState, p: FloatArray, name: str) -> bool:
     """Tell whether a law's rate changes at all with a numeric parameter. Not collective."""
     here = law.parameter(name, at)
-    there = here + 2.0**-8 * (float(np.abs(here).max()) or 1.0)
-    return not np.array_equal(law.with_parameter(name, there).rate(p, at), law.rate(p, at))
+    close = here + 2.0**-8 * (float(np.abs(here).max()) or 1.0)
+    return not np.array_equal(law.with_parameter(name, close).rate(p, at), law.rate(p, at))
 
 
 def _remainders(

@@ -122,8 +122,8 @@ class Law:
 
     def d_rate_dp(self, p: FloatArray, local: LocalState) -> FloatArray:
         """Return the derivative of the rate with respect to pressure, mm/s/MPa, >= 0."""
-        found = derivative(lambda p: self.rate(p, local), p, _SMALL_PRESSURE)
-        return np.maximum(found, 0.0)
+        d_rate = derivative(lambda p: self.rate(p, local), p, _SMALL_PRESSURE)
+        return np.maximum(d_rate, 0.0)
 
     def d_rate_dwear(self, p: FloatArray, local: LocalState) -> FloatArray:
         """Return the derivative of the rate with respect to ``local.wear``, 1/s."""
@@ -141,7 +141,7 @@ class Law:
         ValueError : the rate has no derivative with respect to it.
         """
         return derivative(
-            lambda there: self.with_parameter(name, there).rate(p, local),
+            lambda values: self.with_parameter(name, values).rate(p, local),
             self.parameter(name, local),
             _SMALL_PARAMETER,
         )
@@ -179,9 +179,9 @@ class Law:
         """Return a numeric parameter as it was given."""
         return getattr(self, name)
 
-    def with_parameter(self, name: str, there: Any) -> Self:
+    def with_parameter(self, name: str, values: Any) -> Self:
         """Return the law with another number, or other values at the elements."""
-        return replace(self, **{name: there})  # type: ignore[type-var]
+        return replace(self, **{name: values})  # type: ignore[type-var]
 
     def per_energy(self, friction: float | FloatArray) -> float | FloatArray | None:
         """Return worn volume per dissipated energy, 1/MPa, if it is always the same.
@@ -190,11 +190,11 @@ class Law:
         """
         if not isinstance(friction, np.ndarray):
             return self._per_energy(friction)
-        each = [self.history(i)._per_energy(float(mu)) for i, mu in enumerate(friction)]
-        return np.array([ratio or 0.0 for ratio in each])
+        ratios = [self.history(i)._per_energy(float(mu)) for i, mu in enumerate(friction)]
+        return np.array([ratio or 0.0 for ratio in ratios])
 
     def _per_energy(self, friction: float) -> float | None:
-        """Return what ``per_energy`` is of one history."""
+        """Return ``per_energy`` of one history."""
         return None
 
     def onset(self, local: LocalState) -> float | FloatArray:
@@ -239,14 +239,14 @@ class Law:
         changed: dict[str, Any] = {}
         for declared in fields(first):
             name = declared.name
-            each = [getattr(law, name) for law in laws]
-            if all(q == each[0] for q in each):
+            values = [getattr(law, name) for law in laws]
+            if all(q == values[0] for q in values):
                 continue
             parameter = parameters_of(cls).get(name)
-            if parameter is None or not parameter.numeric or None in each:
+            if parameter is None or not parameter.numeric or None in values:
                 raise ValueError(f"laws of different {name} cannot be stacked")
             quantity = parameter.kind == "quantity"
-            changed[name] = stack_quantities(each) if quantity else np.array(each)[:, None]
+            changed[name] = stack_quantities(values) if quantity else np.array(values)[:, None]
         return replace(first, **changed)
 
     def history(self, i: int) -> Self:
@@ -259,9 +259,9 @@ class Law:
 
     def _with_stacks(self, change: Callable[[Any], Any]) -> Self:
         """Return the law with something else for what differs between histories."""
-        own = {name: getattr(self, name) for name in parameters_of(type(self))}
-        own = {k: q for k, q in own.items() if isinstance(q, Stacked | np.ndarray)}
-        changed = {name: change(q) for name, q in own.items()}
+        parameters = {name: getattr(self, name) for name in parameters_of(type(self))}
+        stacks = {k: q for k, q in parameters.items() if isinstance(q, Stacked | np.ndarray)}
+        changed = {name: change(q) for name, q in stacks.items()}
         return replace(self, **changed) if changed else self  # type: ignore[type-var]
 
     # -- from the keys of a case file --------------------------------------------------------------
@@ -278,7 +278,7 @@ class Law:
 
     @classmethod
     def faults(cls, table: str, values: Mapping[str, Any]) -> list[str]:
-        """Return what is wrong with parameters that are right one by one.
+        """Return the faults of parameters together that are right one by one.
 
         Parameters
         ----------
@@ -463,10 +463,10 @@ class CompletedLaw(CheckedLaw):
         state = read_only_state(local)
         return checked_call(f"{self.called}: {function}()", function, method, p, state, parameters)
 
-    def with_parameter(self, name: str, there: Any) -> Self:
+    def with_parameter(self, name: str, values: Any) -> Self:
         """Return the law with another number, or other values at the elements."""
         law: Any = self.user_object
-        return replace(self, user_object=replace(law, **{name: there}))
+        return replace(self, user_object=replace(law, **{name: values}))
 
     def _per_energy(self, friction: float) -> float | None:
         return self._attribute("per_energy", super()._per_energy)(friction)

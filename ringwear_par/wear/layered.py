@@ -43,22 +43,24 @@ class LayeredLaw(Law):
     ----------
     laws : of the layers from the contact face inwards, and of the body itself.
     thicknesses : mm, of the layers.
-    own : which layers have a law of their own; the others wear as the body.
+    has_law : which layers have a law of their own; the others wear as the body.
     ends : (layers, n) mm, depth at which each layer ends, measured as ``LocalState.wear``; None:
         as many thicknesses, at all elements.
     """
 
     laws: tuple[Law, ...]
     thicknesses: tuple[float, ...]
-    own: tuple[bool, ...]
+    has_law: tuple[bool, ...]
     ends: FloatArray | None = field(default=None, compare=False, repr=False)
 
     @classmethod
-    def of(cls, thicknesses: Sequence[float], own: Sequence[Law | None], body: Law | None) -> Self:
+    def of(
+        cls, thicknesses: Sequence[float], layer_laws: Sequence[Law | None], body: Law | None
+    ) -> Self:
         """Return the law of a body with layers, whose own laws are None where they wear as it."""
         itself = NoWear() if body is None else body
-        laws = (*(itself if law is None else law for law in own), itself)
-        return cls(laws, tuple(thicknesses), tuple(law is not None for law in own))
+        laws = (*(itself if law is None else law for law in layer_laws), itself)
+        return cls(laws, tuple(thicknesses), tuple(law is not None for law in layer_laws))
 
     def at(self, ends: FloatArray) -> Self:
         """Return the law at elements, where layers end at these depths, (layers, n) mm."""
@@ -132,37 +134,37 @@ class LayeredLaw(Law):
         """Names of the parameters that the rate has derivatives with respect to."""
         of_layers = [
             f"layers[{i}].{name}"
-            for i, (law, own) in enumerate(zip(self.laws, self.own, strict=False))
-            if own
+            for i, (law, has_law) in enumerate(zip(self.laws, self.has_law, strict=False))
+            if has_law
             for name in law.numeric
         ]
         return (*self.laws[-1].numeric, *of_layers)
 
     def of_layer(self, name: str, number: int) -> str | None:
-        """Return what the law of a layer, or the body, calls a parameter; None: it has it not."""
-        own = number < len(self.own) and self.own[number]
+        """Return the name of a parameter in the law of a layer or the body, None if not in it."""
+        has_law = number < len(self.has_law) and self.has_law[number]
         begin = f"layers[{number}]."
-        if own:
+        if has_law:
             return name.removeprefix(begin) if name.startswith(begin) else None
         return None if name.startswith("layers[") else name
 
     def quantity(self, name: str) -> Quantity:
         """Return a numeric parameter as it was given."""
-        number, own = next(self.having(name))
-        return self.laws[number].quantity(own)
+        number, short = next(self.having(name))
+        return self.laws[number].quantity(short)
 
     def having(self, name: str) -> Any:
         """Yield the laws that have a parameter, by number, and what they call it."""
         for number in range(len(self.laws)):
-            own = self.of_layer(name, number)
-            if own is not None:
-                yield number, own
+            short = self.of_layer(name, number)
+            if short is not None:
+                yield number, short
 
-    def with_parameter(self, name: str, there: Any) -> Self:
+    def with_parameter(self, name: str, values: Any) -> Self:
         """Return the law with another number, or other values at the elements."""
         laws = list(self.laws)
-        for number, own in self.having(name):
-            laws[number] = laws[number].with_parameter(own, there)
+        for number, short in self.having(name):
+            laws[number] = laws[number].with_parameter(short, values)
         return replace(self, laws=tuple(laws))
 
     def rate(self, p: FloatArray, local: LocalState) -> FloatArray:
@@ -179,12 +181,12 @@ class LayeredLaw(Law):
 
     def d_rate_dparameter(self, name: str, p: FloatArray, local: LocalState) -> FloatArray:
         """Return the derivative of the rate with respect to a numeric parameter's value there."""
-        present, found = self.present(local.wear), np.zeros_like(p)
+        present, d_rate = self.present(local.wear), np.zeros_like(p)
         states = self.states(local)
-        for number, own in self.having(name):
-            there = self.laws[number].d_rate_dparameter(own, p, states[number])
-            found = np.where(present == number, there, found)
-        return found
+        for number, short in self.having(name):
+            of_layer = self.laws[number].d_rate_dparameter(short, p, states[number])
+            d_rate = np.where(present == number, of_layer, d_rate)
+        return d_rate
 
     def layer_ratios(self, friction: Any) -> list[Any]:
         """Return worn volume per dissipated energy of each layer and the body, 1/MPa, 0: none."""
@@ -193,11 +195,11 @@ class LayeredLaw(Law):
 
     def describe(self) -> str:
         """Return the formulas with their numbers and units, layer by layer."""
-        told = [
+        through = [
             f"{law.describe()} through a layer of {1e3 * thickness:.6g} um"
             for law, thickness in zip(self.laws, self.thicknesses, strict=False)
         ]
-        return ", then ".join([*told, f"{self.laws[-1].describe()} in the body itself"])
+        return ", then ".join([*through, f"{self.laws[-1].describe()} in the body itself"])
 
     @classmethod
     def stacked(cls, laws: Sequence[Self]) -> Self:
@@ -208,10 +210,12 @@ class LayeredLaw(Law):
         ValueError : they differ in something else.
         """
         first = laws[0]
-        if any((law.thicknesses, law.own) != (first.thicknesses, first.own) for law in laws):
+        if any(
+            (law.thicknesses, law.has_law) != (first.thicknesses, first.has_law) for law in laws
+        ):
             raise ValueError("laws of different layers cannot be stacked")
-        each = [stack_laws(own) for own in zip(*(law.laws for law in laws), strict=True)]
-        return replace(first, laws=tuple(law for law in each if law is not None))
+        stacks = [stack_laws(group) for group in zip(*(law.laws for law in laws), strict=True)]
+        return replace(first, laws=tuple(law for law in stacks if law is not None))
 
     def history(self, i: int) -> Self:
         """Return the law of one of B histories."""

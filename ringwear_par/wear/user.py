@@ -27,7 +27,7 @@ _PARAMETERS = "parameters."
 
 @lru_cache(maxsize=64)
 def _compiled(source: str, name: str) -> dict[str, Any]:
-    """Return what the source of a user's law defines. On every rank, once."""
+    """Return the names that the source of a user's law defines. On every rank, once."""
     names: dict[str, Any] = {"__name__": "user_law", "__file__": name}
     exec(compile(source, name, "exec"), names)
     return names
@@ -100,7 +100,7 @@ class UserLaw(CheckedLaw):
         return law
 
     def missing(self) -> str:
-        """Return what keeps the file from being a law, "" if nothing does."""
+        """Return the fault that keeps the file from being a law, "" if there is none."""
         try:
             names = self._functions
         except (Exception, SystemExit) as error:  # whatever a user's code may raise
@@ -128,8 +128,8 @@ class UserLaw(CheckedLaw):
     @property
     def breakpoints(self) -> tuple[float, ...]:
         """Times at which a parameter's table bends, and those that the file names."""
-        own = {float(time) for time in self._functions.get("breakpoints", ())}
-        return tuple(sorted(own.union(breakpoints(*(q for _, q in self.parameters)))))
+        times = {float(time) for time in self._functions.get("breakpoints", ())}
+        return tuple(sorted(times.union(breakpoints(*(q for _, q in self.parameters)))))
 
     @property
     def numeric(self) -> tuple[str, ...]:
@@ -140,9 +140,9 @@ class UserLaw(CheckedLaw):
         """Return a numeric parameter as it was given."""
         return dict(self.parameters)[name.removeprefix(_PARAMETERS)]
 
-    def with_parameter(self, name: str, there: Any) -> Self:
+    def with_parameter(self, name: str, values: Any) -> Self:
         """Return the law with another number, or other values at the elements."""
-        changed = {**dict(self.parameters), name.removeprefix(_PARAMETERS): there}
+        changed = {**dict(self.parameters), name.removeprefix(_PARAMETERS): values}
         return replace(self, parameters=tuple(changed.items()))
 
     def describe(self) -> str:
@@ -162,12 +162,12 @@ class UserLaw(CheckedLaw):
         ValueError : they are of different files, or have other parameters.
         """
         first = laws[0]
-        what = {(law.file, law.source, tuple(name for name, _ in law.parameters)) for law in laws}
-        if len(what) > 1:
+        kinds = {(law.file, law.source, tuple(name for name, _ in law.parameters)) for law in laws}
+        if len(kinds) > 1:
             raise ValueError("laws of different Python files or parameters cannot be stacked")
-        each = zip(*(law.parameters for law in laws), strict=True)
-        own = ((pairs[0][0], stack_quantities([q for _, q in pairs])) for pairs in each)
-        return replace(first, parameters=tuple(own))
+        columns = zip(*(law.parameters for law in laws), strict=True)
+        stacks = ((pairs[0][0], stack_quantities([q for _, q in pairs])) for pairs in columns)
+        return replace(first, parameters=tuple(stacks))
 
     def _with_stacks(self, change: Callable[[Any], Any]) -> Self:
         return replace(self, parameters=tuple((name, change(q)) for name, q in self.parameters))
@@ -193,11 +193,11 @@ def check_object(law: object) -> None:
         raise InputError(f"{law.__name__} is a class; {must}, as {law.__name__}(...) may be")
     if not (isinstance(law, WearLaw) and callable(law.rate)):
         raise InputError(f"{type(law).__name__} is no wear law; {must}")
-    for name, what in (("length", "a number (mm)"), ("breakpoints", "a list of times (s)")):
+    for name, kind in (("length", "a number (mm)"), ("breakpoints", "a list of times (s)")):
         try:
             getattr(CompletedLaw(law), name)
         except Exception as error:  # whatever a user's code may raise
-            raise InputError(f"{type(law).__name__}: {name}: {error}; must be {what}") from error
+            raise InputError(f"{type(law).__name__}: {name}: {error}; must be {kind}") from error
 
 
 def check_user_law(law: CheckedLaw, at: LocalState, pressure: float) -> None:
@@ -251,13 +251,13 @@ def serves_many(law: Law, r: FloatArray) -> bool:
     shares = np.linspace(0.0, 1.0, 3 * len(r)).reshape(3, -1)
     p, wear, speed = _TRIED_PRESSURE * shares, 1e-3 * shares[::-1], np.array([[1.0], [2.0], [3.0]])
     at = LocalState(np.arange(3.0), r, speed * r, np.array([0.1, 0.2, 0.3]), wear, 5.0 * speed * r)
-    for asked in ("rate", "d_rate_dp", "d_rate_dwear"):
+    for method in ("rate", "d_rate_dp", "d_rate_dwear"):
         try:
-            alone = [getattr(law, asked)(p[i], at.history(i)) for i in range(3)]
+            alone = [getattr(law, method)(p[i], at.history(i)) for i in range(3)]
         except Exception:  # nothing that company would change: its histories will tell
             continue
         try:
-            if not np.array_equal(getattr(law, asked)(p, at), alone):
+            if not np.array_equal(getattr(law, method)(p, at), alone):
                 return False
         except Exception:  # whatever a user's code may raise
             return False
