@@ -64,7 +64,7 @@ def gallery_style(config: dict[str, Any], name: str) -> None:
     import matplotlib as mpl
     from cycler import cycler
 
-    from ringwear_par.results.pictures.drawing import COLOURS, DASHES, STYLE
+    from ringwear_par.pictures.style import COLOURS, DASHES, STYLE
 
     mpl.rcParams.update(STYLE)
     mpl.rcParams["axes.prop_cycle"] = cycler(color=COLOURS) + cycler(linestyle=DASHES)

@@ -85,9 +85,14 @@ def _path(text: str) -> Path:
 def _run(args: argparse.Namespace, comm: Any) -> None:
     from ringwear_par.results.execution.run import run_case
 
+    figure = None
+    if args.plot is not None:
+        from ringwear_par.pictures.figures import FigureFile
+
+        figure = FigureFile(args.plot)
     run_case(
         args.case, args.output, args.overrides, comm=comm, restart=args.restart,
-        overwrite=args.overwrite, figure=args.plot,
+        overwrite=args.overwrite, figure=figure,
     )  # fmt: skip
 
 
@@ -120,7 +125,7 @@ def _plot(args: argparse.Namespace, comm: Any) -> None:
 
     folders = [path for path in args.results if path.is_dir()]
     if not folders:
-        from ringwear_par.results.pictures.figures import plot_files
+        from ringwear_par.pictures.figures import plot_files
 
         chosen = args.panels or PANELS, args.steps or "", args.profiles_of or (), args.times or ""
         on_first_rank(comm, lambda: plot_files(args.results, args.output, *chosen))

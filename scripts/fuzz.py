@@ -40,8 +40,8 @@ from ringwear_par.errors import InputError, RingwearError
 from ringwear_par.files.writing import check_writable
 from ringwear_par.history.validity.case_limits import check_case
 from ringwear_par.options import _refuse_words
+from ringwear_par.pictures.figures import plot_files
 from ringwear_par.reports.report import report
-from ringwear_par.results.pictures.figures import plot_files
 from ringwear_par.results.storage.export import export
 from ringwear_par.results.storage.result_files import (
     open_result,

@@ -54,7 +54,7 @@ from ringwear_par.history.schemes.euler import backward, forward
 from ringwear_par.history.snapshots import Snapshot
 from ringwear_par.history.start import initial_state
 from ringwear_par.history.state import State
-from ringwear_par.results.pictures.drawing import COLOURS, STYLE
+from ringwear_par.pictures.style import COLOURS, STYLE
 from ringwear_par.verification.reference import EXPLICIT_LIMIT, contact_modulus
 from ringwear_par.wear.laws.threshold import ThresholdLaw
 

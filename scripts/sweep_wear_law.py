@@ -123,7 +123,7 @@ def _draw(
     from matplotlib.figure import Figure
     from matplotlib.ticker import NullFormatter
 
-    from ringwear_par.results.pictures.drawing import COLOURS, STYLE
+    from ringwear_par.pictures.style import COLOURS, STYLE
 
     def written(number: float) -> str:
         return f"{number:.0e}".replace("e-0", "e-")

@@ -17,9 +17,7 @@ VAGUE = {
 VAGUE_DOCSTRING = re.compile(r"(?:Return|Tell|Give) (?:what|the same|that of|those)\b")
 #: folders, and modules of the root, that are not clean yet
 ROOMS_TO_DO = {
-    "explorer", "identification",
-    "reports", "results", "studies",
-    "wear",
+    "identification", "results", "studies",
 }  # fmt: skip
 
 

@@ -22,7 +22,7 @@ from ringwear_par.cases.text import toml_value
 from ringwear_par.cases.units import in_signs
 from ringwear_par.files.text import parse_toml
 from ringwear_par.identification.definition.schema import KEYS as FIT_KEYS
-from ringwear_par.results.pictures.drawing import COLOURS, DASHES, STYLE
+from ringwear_par.pictures.style import COLOURS, DASHES, STYLE
 from ringwear_par.schedules import value
 from ringwear_par.studies.definition.schema import KEYS as STUDY_KEYS
 from ringwear_par.wear.catalogue import LAWS

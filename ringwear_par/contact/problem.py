@@ -215,9 +215,9 @@ class ContactProblem:
         return 1.0 + self._slope
 
     @property
-    def bends(self) -> bool:
+    def nearly_discontinuous(self) -> bool:
         """Whether depth may almost jump with pressure."""
-        return self._wear is not None and self._wear.bends
+        return self._wear is not None and self._wear.nearly_discontinuous
 
     def on_curve(self, before: FloatArray, after: FloatArray) -> FloatArray:
         """Return unknowns after a Newton step, put back on the curves of wear, see there."""

@@ -10,7 +10,15 @@ from ringwear_par.cases.units import in_unit
 from ringwear_par.cases.values import Interval
 from ringwear_par.elasticity.geometry.profiles import SHAPE_UNITS
 from ringwear_par.elasticity.stress.boundary_fields import BODIES
-from ringwear_par.explorer.sliders import POSITIONS, TIMES, Control, length, nice, quantity, shown
+from ringwear_par.explorer.sliders import (
+    POSITIONS,
+    TIMES,
+    Control,
+    length,
+    nice,
+    quantity,
+    unit_words,
+)
 from ringwear_par.wear.catalogue import LAWS
 from ringwear_par.wear.parameters import parameters_of
 
@@ -42,14 +50,14 @@ def _laws(keys: Mapping[str, Any]) -> Iterator[Control]:
             path = f"{table}.{name}"
             raw = keys.get(path, None if parameter.default is ... else parameter.default)
             if parameter.kind == "parameters":
-                for entry, own in (raw or {}).items():
+                for entry, value in (raw or {}).items():
                     meaning = f"parameter of the law of {wears}"
-                    yield from quantity(path, entry, own, group, entry, meaning, "", None)
+                    yield from quantity(path, entry, value, group, entry, meaning, "", None)
             elif parameter.kind != "file" and raw is not None:
                 key = _key(path)
                 unit = key.unit.partition(" and ")[2] or parameter.unit
                 yield from quantity(
-                    path, None, raw, group, name, parameter.meaning, shown(unit), key.numbers
+                    path, None, raw, group, name, parameter.meaning, unit_words(unit), key.numbers
                 )
 
 
@@ -60,7 +68,7 @@ def _tests(keys: Mapping[str, Any]) -> Iterator[Control]:
             key = BY_PATH[path]
             label = path.rpartition(".")[2]
             yield from quantity(
-                path, None, keys[path], group, label, key.meaning, shown(key.unit), key.numbers
+                path, None, keys[path], group, label, key.meaning, unit_words(key.unit), key.numbers
             )
 
 
@@ -71,7 +79,7 @@ def _materials(keys: Mapping[str, Any]) -> Iterator[Control]:
             key = BY_PATH[f"{body}.{name}"]
             yield from quantity(
                 key.path, None, keys[key.path], "Materials", f"{body} {name}", key.meaning,
-                shown(key.unit), key.numbers, assembles=layered or name == "poisson",
+                unit_words(key.unit), key.numbers, assembles=layered or name == "poisson",
             )  # fmt: skip
 
 
@@ -82,7 +90,7 @@ def _layers(keys: Mapping[str, Any]) -> Iterator[Control]:
                 key, path = _key(f"{layer}.{name}"), f"{layer}.{name}"
                 yield from quantity(
                     path, None, keys[path], f"Layer {number} of {body}", name, key.meaning,
-                    shown(key.unit), key.numbers, assembles=True,
+                    unit_words(key.unit), key.numbers, assembles=True,
                 )  # fmt: skip
 
 
@@ -123,22 +131,22 @@ def _faces(body: str, keys: Mapping[str, Any], group: str) -> Iterator[Control]:
     chamfer, profile = keys.get(f"{body}.chamfer"), keys.get(f"{body}.profile")
     anything, meaning = Interval(0.0, ends=True), BY_PATH[f"{body}.profile"].meaning
     for entry, raw in _places(chamfer):
-        told = "chamfer" if entry is None else f"{_ENTRY[entry]} chamfer"
+        label = "chamfer" if entry is None else f"{_ENTRY[entry]} chamfer"
         yield from quantity(
-            f"{body}.chamfer", entry, raw, group, told, BY_PATH["upper.chamfer"].meaning, "mm",
+            f"{body}.chamfer", entry, raw, group, label, BY_PATH["upper.chamfer"].meaning, "mm",
             anything, assembles=True,
         )  # fmt: skip
     if isinstance(profile, Mapping):
-        ((shape, given),) = profile.items()
+        ((shape, sizes),) = profile.items()
         if shape not in SHAPE_UNITS or shape == "trace":
             return
         unit = SHAPE_UNITS[shape]
         interval = Interval(-45.0, 45.0) if shape == "cone" else anything
-        for place, raw in _places(given):
+        for place, raw in _places(sizes):
             size = shape if place is None else f"{shape}[{place}]"
-            told = shape if place is None else f"{_ENTRY[place]} {shape}"
+            label = shape if place is None else f"{_ENTRY[place]} {shape}"
             yield from quantity(
-                f"{body}.profile", size, raw, group, told, meaning, unit, interval, assembles=True
+                f"{body}.profile", size, raw, group, label, meaning, unit, interval, assembles=True
             )
 
 

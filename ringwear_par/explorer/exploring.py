@@ -127,20 +127,20 @@ def raw_keys(path: Path, overrides: list[str]) -> dict[str, Any]:
     InputError : what ``ringwear run`` refuses, in its words.
     """
     check_case(read_case(path, overrides), 1, str(path))
-    own = _files_in_full(read_keys(read_text(path), str(path)), path.parent)
+    of_file = _files_in_full(read_keys(read_text(path), str(path)), path.parent)
     changes = flatten(parse_overrides(overrides), "--set")
-    return override(own, _files_in_full(changes, Path()))
+    return override(of_file, _files_in_full(changes, Path()))
 
 
 def _files_in_full(keys: Mapping[str, Any], folder: Path) -> dict[str, Any]:
     """Return keys with the whole names of files, so that the text may be saved anywhere."""
-    found = dict(keys)
+    full = dict(keys)
     for path, value in keys.items():
         if path in _FILES:
-            found[path] = str((folder / value).resolve())
+            full[path] = str((folder / value).resolve())
         elif path in _PROFILES and isinstance(value, Mapping) and "file" in value:
-            found[path] = {"file": str((folder / value["file"]).resolve())}
-    return found
+            full[path] = {"file": str((folder / value["file"]).resolve())}
+    return full
 
 
 def _stored(keys: Mapping[str, Any], case: Case) -> dict[str, Any]:
@@ -148,15 +148,15 @@ def _stored(keys: Mapping[str, Any], case: Case) -> dict[str, Any]:
 
     Times of output stay: states between steps change what comes after them in the last digits.
     """
-    own = {"output.every", "output.fields", "output.profiles", "output.boundary"}
-    kept = {
+    replaced = {"output.every", "output.fields", "output.profiles", "output.boundary"}
+    stored = {
         path: value
         for path, value in keys.items()
-        if path not in own and not path.startswith("stress.")
+        if path not in replaced and not path.startswith("stress.")
     }
     if not case.output.times:
-        kept["output.every"] = 1 if case.time.adaptive else max(1, case.time.steps // _STATES)
-    return kept
+        stored["output.every"] = 1 if case.time.adaptive else max(1, case.time.steps // _STATES)
+    return stored
 
 
 def _coarse(case: Case) -> dict[str, Any]:

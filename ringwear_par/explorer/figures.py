@@ -11,9 +11,9 @@ from ringwear_par.errors import InputError
 from ringwear_par.explorer.measured import Laid
 from ringwear_par.pictures import bokeh, runs
 from ringwear_par.pictures.panels import Axis, Curve, Panel, Points
+from ringwear_par.pictures.runs import HISTORY_PANELS
+from ringwear_par.pictures.style import COLOURS
 from ringwear_par.results.instants import time_unit, time_words
-from ringwear_par.results.pictures.drawing import COLOURS
-from ringwear_par.results.pictures.history_panels import HISTORY_PANELS
 from ringwear_par.results.result import Result
 from ringwear_par.results.variables import DISPLAY_UNITS
 
@@ -133,7 +133,7 @@ class Drawing:
 
 def _before(curve: Curve, when: str) -> Curve:
     """Return a curve of the case file."""
-    name = ", ".join(filter(None, (curve.name, "case file", when)))
+    name = ", ".join(filter(None, ("case file", curve.name, when)))
     return replace(curve, name=name, colour=_GREY, dash=1, width=1.6)
 
 

@@ -102,12 +102,12 @@ class Laid:
                 f"{said}: a mass needs the density of what is lost; the case must have {missing} "
                 "(g/mm^3)"
             )
-        density, *others = set(known.values())
-        if others:
-            told = ", ".join(f"{key} = {density:g}" for key, density in known.items())
+        density, *more = set(known.values())
+        if more:
+            densities_words = ", ".join(f"{key} = {density:g}" for key, density in known.items())
             raise InputError(
                 f"{said}: a mass cannot be drawn as a volume where what is lost has several "
-                f"densities ({told} g/mm^3); must be a volume"
+                f"densities ({densities_words} g/mm^3); must be a volume"
             )
         return cast(FloatArray, values / density)
 
@@ -154,9 +154,9 @@ def read_table(content: bytes, name: str, case: Case) -> list[Laid]:
     table = measurements_in(content, name)
     first = next((c for c in table.columns if _TIME.match(c) or _RADIUS.match(c)), None)
     if first is None:
-        shown = legible(", ".join(table.columns), 200)
+        names = legible(", ".join(table.columns), 200)
         raise InputError(
-            f"{name}: has the columns {shown}; must have one of times, such as time_s, or of "
+            f"{name}: has the columns {names}; must have one of times, such as time_s, or of "
             "radii, such as r_mm"
         )
     along = _TIME.match(first) is None
@@ -166,7 +166,7 @@ def read_table(content: bytes, name: str, case: Case) -> list[Laid]:
     x_assumption = ""
     if not (unit or (not along and table.names_seconds(first, table.filled(first)))):
         x_assumption = f"{name}: {assumption(first, base)}"
-    found = []
+    columns = []
     for column in table.columns:
         if column == first or not column or _BESIDE.match(column):
             continue
@@ -176,10 +176,10 @@ def read_table(content: bytes, name: str, case: Case) -> list[Laid]:
         x = share * table.numbers(first, rows, None if along else factor("h", "s") / share)
         order = np.argsort(x, kind="stable")
         raw, quantity = table.numbers(column, rows)[order], _quantity(column, along, case)
-        found.append(Laid(name, column, quantity, along, x[order], raw, x_assumption))
-    if not found:
+        columns.append(Laid(name, column, quantity, along, x[order], raw, x_assumption))
+    if not columns:
         raise InputError(f"{name}: has no readings beside {legible(first)}; must have some")
-    return found
+    return columns
 
 
 def _unit(file: str, column: str, base: str) -> str | None:
@@ -193,7 +193,7 @@ def _unit(file: str, column: str, base: str) -> str | None:
 
 
 def _quantity(column: str, along: bool, case: Case) -> str:
-    """Return what a column is, as well as its name tells."""
+    """Return the quantity of a column, as well as its name tells."""
     words = re.findall("[a-z]+", column.lower())
     kind = next((_WORDS[word] for word in words if word in _WORDS), "")
     wearing = [b for b, law in zip(("lower", "upper"), case.laws, strict=True) if law is not None]

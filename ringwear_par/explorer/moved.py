@@ -26,7 +26,7 @@ def changed(
     ------
     InputError : all texts that are no numbers.
     """
-    there, made, moved, faults = expanded(keys), dict[str, Any](), dict(controls), []
+    raw_keys, changes, moved, faults = expanded(keys), dict[str, Any](), dict(controls), []
     for name, text in texts.items():
         control = controls.get(name)
         if control is None:
@@ -43,14 +43,16 @@ def changed(
             )
             continue
         moved[name] = control.at(value)
-        made[control.path] = _put(control, made.get(control.path, there.get(control.path)), raw)
+        changes[control.path] = _put(
+            control, changes.get(control.path, raw_keys.get(control.path)), raw
+        )
     if faults:
         raise InputError(*faults)
-    return {**keys, **changed_layers(keys, made)}, moved
+    return {**keys, **changed_layers(keys, changes)}, moved
 
 
 def _read(control: Control, text: str) -> tuple[Any, float]:
-    """Return what a text means in a case file, and how much it is in the unit of the control."""
+    """Return the raw value of a text, and its number in the unit of the control."""
     text = text.strip().replace("\N{MINUS SIGN}", "-")
     if is_plain(text):
         value = float(text)
@@ -64,23 +66,23 @@ def _read(control: Control, text: str) -> tuple[Any, float]:
     return text, float(in_unit(text, control.unit))
 
 
-def _put(control: Control, there: Any, raw: Any) -> Any:
+def _put(control: Control, before: Any, raw: Any) -> Any:
     """Return the raw value of a key with that of a control in it."""
     if control.scales:
         if isinstance(control.entry, str):
-            return {**there, control.entry: _scaled(there[control.entry], raw)}
-        return _scaled(there, raw)
+            return {**before, control.entry: _scaled(before[control.entry], raw)}
+        return _scaled(before, raw)
     if isinstance(control.entry, int):
-        entries = list(there)
+        entries = list(before)
         entries[control.entry] = raw
         return entries
     if isinstance(control.entry, str):
         shape, _, place = control.entry.partition("[")
         if place:  # one of the two fillets
-            entries = list(there[shape])
+            entries = list(before[shape])
             entries[int(place[:-1])] = raw
-            return {**there, shape: entries}
-        return {**there, control.entry: raw}
+            return {**before, shape: entries}
+        return {**before, control.entry: raw}
     return raw
 
 

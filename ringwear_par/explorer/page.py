@@ -47,15 +47,15 @@ _BAD_WISH = "the page sent a wish that cannot be read; load it again"
 class Talk(DataModel):  # type: ignore[misc]
     """What a page and its server tell each other, in JSON.
 
-    ``asked`` (numbers by the names of controls and whether one is moving, the time and chart
-    chosen) and ``given`` (a table of measurements, or what its columns are) come from the page,
-    ``told`` goes to it: all that is seen of a history in one message, so that figures are painted
+    ``request`` (numbers by the names of controls and whether one is moving, the time and chart
+    chosen) and ``table`` (a table of measurements, or what its columns are) come from the page,
+    ``answer`` goes to it: all that is seen of a history in one message, so that figures are painted
     once. The ``n`` of a wish comes back with its answer, and with nothing else.
     """
 
-    asked = String(default="")
-    given = String(default="")
-    told = String(default="")
+    request = String(default="")
+    table = String(default="")
+    answer = String(default="")
 
 
 class Page:
@@ -104,8 +104,8 @@ class Page:
         document.template = _template()
         document.template_variables.update(_variables(exploration, title, hosts))
         document.on_session_destroyed(self._left)
-        self._talk.on_change("asked", lambda _, __, new: self._ask(_message(new)))
-        self._talk.on_change("given", lambda _, __, new: self._give(_message(new)))
+        self._talk.on_change("request", lambda _, __, new: self._ask(_message(new)))
+        self._talk.on_change("table", lambda _, __, new: self._give(_message(new)))
         self._start()
 
     def _left(self, _: Any) -> None:
@@ -205,19 +205,19 @@ class Page:
 
     # -- measurements ------------------------------------------------------------------------------
 
-    def _give(self, given: dict[str, Any]) -> None:
+    def _give(self, table: dict[str, Any]) -> None:
         """Take a table, another meaning of a column, or take a column away."""
-        fault, number = "", given.get("number", -1)
+        fault, number = "", table.get("number", -1)
         if not isinstance(number, int):
             self._draw(fault="the page sent a message that is no table; load it again")
             return
         try:
-            if "content" in given:
-                fault = self._add(str(given["name"]), str(given["content"]))
-            elif given.get("remove"):
+            if "content" in table:
+                fault = self._add(str(table["name"]), str(table["content"]))
+            elif table.get("remove"):
                 self._laid.pop(number, None)
-            elif number in self._laid and given.get("quantity") in self._laid[number].choices:
-                self._laid[number] = replace(self._laid[number], quantity=given["quantity"])
+            elif number in self._laid and table.get("quantity") in self._laid[number].choices:
+                self._laid[number] = replace(self._laid[number], quantity=table["quantity"])
         except InputError as error:
             fault = " ".join(error.faults)
         self._draw(fault=fault)
@@ -229,8 +229,8 @@ class Page:
             table = base64.b64decode(content, validate=True)
         except binascii.Error:
             return f"{name}: has not arrived whole"
-        found = read_table(table, name, self._explored.case)
-        self._laid.update((next(self._numbers), one) for one in found)
+        columns = read_table(table, name, self._explored.case)
+        self._laid.update((next(self._numbers), one) for one in columns)
         return ""
 
     # -- what is seen ------------------------------------------------------------------------------
@@ -243,17 +243,17 @@ class Page:
         n : of the wish that is answered.
         fault : of a table.
         """
-        found = self._explored
-        if found is None:
-            told = {"laid": [], "laid_fault": fault}
-            self._tell({"n": n, "faults": self._faults, **(told if fault else {})})
+        explored = self._explored
+        if explored is None:
+            laid = {"laid": [], "laid_fault": fault}
+            self._tell({"n": n, "faults": self._faults, **(laid if fault else {})})
             return
-        wanted, result, faults = self._wanted, found.result, [fault] if fault else []
+        wanted, result, faults = self._wanted, explored.result, [fault] if fault else []
         good, columns = [], []
         for number, one in self._laid.items():
             off = None
             try:
-                off = one.off(result, one.values(found.case, result))
+                off = one.off(result, one.values(explored.case, result))
                 good.append(one)
                 faults += one.assumptions
             except InputError as error:
@@ -262,7 +262,7 @@ class Page:
         menu = wanted["menu"] if wanted["menu"] in MENU else _START["menu"]
         share = float(wanted["instant"])
         first = result if self._first is None else self._first
-        drawing = Drawing(result, first, found.case, share, menu, good)
+        drawing = Drawing(result, first, explored.case, share, menu, good)
         numbers = key_numbers(result)
         known = [] if self._first is None else key_rows(key_numbers(first))
         before = {name: value for name, value, _ in known}
@@ -271,9 +271,9 @@ class Page:
             {
                 "n": n, "faults": self._faults,
                 # those that cannot be computed stay as the user has them
-                "controls": {} if self._faults else _states(found.controls.values()),
+                "controls": {} if self._faults else _states(explored.controls.values()),
                 "doubts": [*map(with_signs, result.doubts)],
-                "summary": with_signs(result.summary()), "case": found.text,
+                "summary": with_signs(result.summary()), "case": explored.text,
                 "numbers": [(name, value, before.get(name, ""), unit)
                             for name, value, unit in key_rows(numbers)],
                 "worn": [] if worn is None else [worn.header, *worn.rows],
@@ -283,8 +283,8 @@ class Page:
             }
         )  # fmt: skip
 
-    def _tell(self, told: dict[str, Any]) -> None:
-        self._talk.told = json.dumps(told)
+    def _tell(self, answer: dict[str, Any]) -> None:
+        self._talk.answer = json.dumps(answer)
 
 
 def _message(text: str) -> dict[str, Any]:
@@ -297,7 +297,7 @@ def _message(text: str) -> dict[str, Any]:
 
 
 def _wish_fault(wish: dict[str, Any]) -> str:
-    """Return what is wrong with a wish, "" if nothing is."""
+    """Return the fault of a wish, "" for none."""
     values, instant = wish.get("values"), wish.get("instant", -1.0)
     good = (
         isinstance(values, dict)
@@ -312,13 +312,13 @@ def _wish_fault(wish: dict[str, Any]) -> str:
 
 
 def _column(one: Laid, off: float | None) -> dict[str, Any]:
-    """Return what the page says of a column that is laid over it."""
+    """Return the entries of the page about a column that is laid over it."""
     far = ""
     if off is not None:
         kind = one.quantity.partition(".")[0]
         cubic = "mm\N{SUPERSCRIPT THREE}", 1.0
-        told = {**DISPLAY_UNITS, "volume": cubic, "mass": cubic}
-        unit, factor = told.get(kind, ("\N{MICRO SIGN}m", 1e3))
+        units = {**DISPLAY_UNITS, "volume": cubic, "mass": cubic}
+        unit, factor = units.get(kind, ("\N{MICRO SIGN}m", 1e3))
         far = f"{factor * off:.3g} {unit}"
     return {
         "file": one.file, "column": one.column, "quantity": one.quantity,
@@ -347,7 +347,7 @@ def _part(name: str, room: str = "ringwear_par.explorer", folder: str = "parts")
 
 
 def _variables(exploration: Exploration, title: str, hosts: Sequence[str]) -> dict[str, Any]:
-    """Return what the template is filled with, beside what bokeh gives it."""
+    """Return the values of the template, beside those of bokeh."""
 
     def group(control: Control) -> str:
         return control.group
@@ -359,7 +359,7 @@ def _variables(exploration: Exploration, title: str, hosts: Sequence[str]) -> di
             (name, name.startswith(_FOLDED), list(controls))
             for name, controls in groupby(exploration.controls.values(), group)
         ],
-        "menu": {name: told for name, told in MENU.items()
+        "menu": {name: label for name, label in MENU.items()
                  if name != "through" or exploration.layered},
         "start": _START, "largest": LARGEST,
         "style": Markup(_part("page.css", "ringwear_par.reports", "page")

@@ -183,8 +183,8 @@ class _Server(threading.Thread):
             """Lets pass what is asked of this machine, or others' names for it would read pages."""
 
             def match(self, request: Any) -> dict[str, Any] | None:
-                name, asked = split_host_and_port(request.host.lower())
-                return {} if name in _NAMES and (asked or 80) == port else None
+                name, number = split_host_and_port(request.host.lower())
+                return {} if name in _NAMES and (number or 80) == port else None
 
         http = HTTPServer(RuleRouter([Rule(OwnHost(), tornado)]))
         http.add_sockets([self._listening])

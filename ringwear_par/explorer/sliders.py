@@ -88,7 +88,7 @@ class Control:
         return replace(self, value=value, low=low, high=high, step=max(step, self.step))
 
 
-def shown(unit: str) -> str:
+def unit_words(unit: str) -> str:
     """Return a key's unit, "" for none."""
     return "" if unit in ("1", "-") else unit
 
@@ -106,14 +106,14 @@ def quantity(
             "", False, 1.0, 1.0 / _FACTOR, _FACTOR, 1.0 / _OF_A_DECADE, log=True, scales=True,
         )  # fmt: skip
         return
-    value, own = _with_unit(raw, unit)
-    share = factor(own, unit) if own else 1.0
+    value, user_unit = _with_unit(raw, unit)
+    share = factor(user_unit, unit) if user_unit else 1.0
     reach = _linear
     if label.rpartition(" ")[2] in _LOGARITHMIC or (interval is None and _extreme(value)):
         reach = _logarithmic
     size = label.rpartition(" ")[2]
     if value:  # positions are round in the unit that is shown
-        if interval is not None and own:
+        if interval is not None and user_unit:
             interval = Interval(interval.low / share, interval.high / share, interval.ends)
         low, high, step, log = reach(size, value, interval)
     else:
@@ -122,8 +122,8 @@ def quantity(
         if not log:
             step = nice(step / share)
     yield Control(
-        name, path, entry, group, label, meaning, own or unit, bool(own), value, min(low, value),
-        max(high, value), step, log, assembles=assembles,
+        name, path, entry, group, label, meaning, user_unit or unit, bool(user_unit), value,
+        min(low, value), max(high, value), step, log, assembles=assembles,
     )  # fmt: skip
 
 
@@ -131,11 +131,11 @@ def length(
     path: str, place: int, keys: Mapping[str, Any], group: str, label: str, low: float, high: float
 ) -> Control:
     """Return the control of one of a pair of lengths, between two (mm)."""
-    value, own = _with_unit(keys[path][place], "mm")
-    share = factor(own, "mm") if own else 1.0
+    value, user_unit = _with_unit(keys[path][place], "mm")
+    share = factor(user_unit, "mm") if user_unit else 1.0
     return Control(
-        _name(path, place), path, place, group, label, BY_PATH[path].meaning, own or "mm",
-        bool(own), value, _round(low / share), _round(high / share),
+        _name(path, place), path, place, group, label, BY_PATH[path].meaning, user_unit or "mm",
+        bool(user_unit), value, _round(low / share), _round(high / share),
         nice((high - low) / share / POSITIONS),
         assembles=True,
     )  # fmt: skip

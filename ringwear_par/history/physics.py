@@ -28,9 +28,9 @@ from ringwear_par.history.elastic.bodies import young
 from ringwear_par.history.elastic.compliances import Compliances
 from ringwear_par.history.inputs import HistoryInputs
 from ringwear_par.schedules import in_time, integral
-from ringwear_par.wear.increment import Closing, WearIncrement, averaged_rate, averaging
-from ringwear_par.wear.layered import worn_through
-from ringwear_par.wear.layered_increment import LayeredIncrement
+from ringwear_par.wear.averaging import averaged_rate, averaging
+from ringwear_par.wear.increment import Closing, WearIncrement
+from ringwear_par.wear.layer_split import worn_through
 from ringwear_par.wear.local_state import LocalState
 
 
@@ -211,8 +211,9 @@ class Physics:
         """
         lower = self.local_state(time, omega, wear[0])
         upper = self.local_state(time, omega, wear[1]) if self.inputs.laws[1] is not None else lower
-        kind = LayeredIncrement if self.inputs.layered else WearIncrement
-        return kind(self.inputs.laws, (lower, upper), step, self.averages, self.obliquity, closing)
+        return WearIncrement(
+            self.inputs.laws, (lower, upper), step, self.averages, self.obliquity, closing
+        )
 
     def rates(
         self, time: FloatArray, omega: FloatArray, wear: FloatArray, p: FloatArray

@@ -13,7 +13,7 @@ from ringwear_par.identification.definition.problem import Problem
 from ringwear_par.identification.estimation.intervals import ParameterEstimate
 from ringwear_par.identification.outcome import FitResult
 from ringwear_par.identification.summary import unit_of
-from ringwear_par.results.pictures.drawing import COLOURS, NotebookFigure
+from ringwear_par.pictures.style import COLOURS, NotebookFigure
 
 _LINEAR, _PROFILE, _SAMPLES, _BEST = COLOURS[0], COLOURS[2], "0.6", COLOURS[1]
 _LEVELS = (0.68, 0.95)

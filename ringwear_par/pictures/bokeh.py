@@ -26,7 +26,7 @@ from ringwear_par.pictures.panels import Axis, Band, Curve, Panel, Points
 #: in the order of matplotlib's
 DASHES = ("solid", "dashed", "dashdot", "dotted", "dotdash")
 #: kinds of marks from the hindmost to the foremost, and their columns
-_LINE = ("x", "y", "label", "colour", "dash", "width", "opacity", "words", "stepped")
+_LINE = ("x", "y", "name", "label", "colour", "dash", "width", "opacity", "words", "stepped")
 KINDS = {
     "ribbons": ("x", "y", "label", "colour", "opacity"),
     "asides": _LINE,
@@ -38,11 +38,12 @@ KINDS = {
     "lines": _LINE,
     "dots": ("x", "y", "colour"),
     "points": ("x", "y", "label", "colour", "fill", "size", "opacity", "marker", "case", "words"),
+    "labels": ("x", "y", "text", "baseline"),
 }
 #: those with an entry in the legend, in its order
 _IN_LEGEND = ("lines", "asides", "points", "bars", "ribbons")
 #: those of figures that change
-_CHANGING = ("lines", "dots", "points")
+_CHANGING = ("asides", "lines", "dots", "points", "labels")
 #: of an axis, beyond what is drawn
 _ROOM = 0.04
 #: height of a bar where categories are 1 apart
@@ -110,6 +111,9 @@ def _add_marks(plot: Any, kind: str, source: Any) -> Any:
             return plot.hbar(y="y", right="right", fill_alpha=0.8, **size, **filled, source=source)
         case "whiskers":
             return plot.segment("x0", "y0", "x1", "y1", line_color="colour", source=source)
+        case "labels":
+            style = {"x_offset": 3, "text_font_size": "11px", "text_color": "#444444"}
+            return plot.text("x", "y", text_baseline="baseline", **style, source=source)
         case "dots":
             return plot.scatter("x", "y", size=4.0, color="colour", source=source)
         case "points":
@@ -124,7 +128,7 @@ def _add_legend(plot: Any, marks: Mapping[str, Any], *, changing: bool) -> None:
     """Add a legend above the figure, where it covers nothing; a label stands there once."""
     items: dict[str, Any] = {}
     for kind in [kind for kind in _IN_LEGEND if kind in marks]:
-        if changing:
+        if changing and kind != "asides":
             items[kind] = LegendItem(label={"field": "label"}, renderers=[marks[kind]])
             continue
         for row, label in enumerate(marks[kind].data_source.data["label"]):
@@ -239,6 +243,10 @@ def columns_of(panel: Panel) -> dict[str, dict[str, list[Any]]]:
             for x, y in zip(curve.x.tolist(), curve.y.tolist(), strict=True)
         ],
         "points": [row for points in panel.points for row in _points(points)],
+        "labels": [
+            (label.x, label.y, label.words, "top" if label.below else "bottom")
+            for label in panel.labels
+        ],
     }
     return {
         kind: {
@@ -265,8 +273,8 @@ def _line(curve: Curve) -> tuple[Any, ...]:
         x, y = np.repeat(x, 2)[1:-1], np.repeat(y, 2)
     dash = DASHES[curve.dash % len(DASHES)]
     return (
-        x.tolist(), y.tolist(), curve.name, curve.colour, dash, curve.width, curve.opacity,
-        curve.words, stepped,
+        x.tolist(), y.tolist(), curve.name, curve.legend or curve.name, curve.colour, dash,
+        curve.width, curve.opacity, curve.words, stepped,
     )  # fmt: skip
 
 

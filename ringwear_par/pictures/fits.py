@@ -6,13 +6,18 @@ from typing import Any
 import numpy as np
 from scipy.stats import norm
 
-from ringwear_par.arrays import FloatArray
+from ringwear_par.arrays import FloatArray, IntArray
 from ringwear_par.pictures.panels import GREY, Axis, Band, Curve, Panel, Points
+from ringwear_par.pictures.style import COLOURS
 from ringwear_par.results.instants import time_unit
-from ringwear_par.results.pictures.drawing import COLOURS
 
 #: of the median distance between radii: where they are further apart nothing was read
 _GAP = 3.0
+#: relative distance within which a radius is that of an edge
+_CLOSE = 1e-9
+RESIDUAL = "(data - model) / sd"
+#: standard deviations that axes of residuals have at least
+_REACH = 4.0
 #: readings whose noise has a bar each
 _FEW = 60
 
@@ -28,6 +33,8 @@ class Series:
     data, model : (n,) float; sd, band : standard deviations of the noise and of the model.
     residuals : (n,) float, in standard deviations of the noise.
     level : confidence of the bands.
+    label : of the axis of readings, with the unit; "" for the name and the unit.
+    edges : mm, of the contact, where the model of a profile is broken; () if they are not known.
     """
 
     experiment: str
@@ -41,6 +48,8 @@ class Series:
     band: FloatArray
     residuals: FloatArray
     level: float
+    label: str = ""
+    edges: tuple[float, ...] = ()
 
     @property
     def quantile(self) -> float:
@@ -57,14 +66,26 @@ class Series:
         unit, length = ("mm", 1.0) if self.profile else time_unit(float(np.max(self.x)))
         return self.x / length, Axis(f"{'radius' if self.profile else 'time'} ({unit})")
 
+    def breaks(self) -> IntArray:
+        """Return the readings, in the order of x, before which the model's line is broken.
+
+        Of a profile at the edges of the contact, and where nothing was read.
+        """
+        x = np.sort(self.x, kind="stable")
+        steps = np.diff(x)
+        usual = float(np.median(steps[steps > 0])) if (steps > 0).any() else np.inf
+        broken = steps > _GAP * usual
+        for edge, outwards in zip(self.edges, (-1.0, 1.0), strict=False):
+            beside = outwards * (x - edge) > _CLOSE * edge
+            broken |= beside[1:] != beside[:-1]
+        return np.flatnonzero(broken & self.profile) + 1
+
 
 def readings(series: Series) -> Panel:
     """Return readings with the model, its band and that of readings; gaps where none were."""
     x, below = series.along()
     order = np.argsort(x, kind="stable")
-    steps = np.diff(x[order])
-    usual = float(np.median(steps[steps > 0])) if (steps > 0).any() else np.inf
-    gaps = np.flatnonzero(series.profile & (steps > _GAP * usual)) + 1
+    gaps = series.breaks()
 
     def broken(values: Any) -> FloatArray:
         return np.insert(values[order].astype(float), gaps, np.nan)
@@ -79,8 +100,9 @@ def readings(series: Series) -> Panel:
         ends = f"{name}, from", f"{name}, to"
         bands.append(Band(broken(x), low, high, name, ends, colour, opacity, edge))
     noise = series.sd if len(x) <= _FEW else None
+    label = series.label or f"{series.name} ({series.unit})"
     return Panel(
-        below, Axis(f"{series.name} ({series.unit})", reversed=series.profile), series.title,
+        below, Axis(label, reversed=series.profile), series.title,
         curves=[Curve(broken(x), broken(series.model), "model", COLOURS[1])],
         bands=bands, points=[Points(x, series.data, "data", GREY, 4.0, errors=noise)],
     )  # fmt: skip
@@ -89,8 +111,9 @@ def readings(series: Series) -> Panel:
 def residuals(series: Series) -> Panel:
     """Return the residuals of a series, with the limits of the confidence level."""
     x, below = series.along()
+    reach = max(_REACH, 1.1 * float(np.abs(series.residuals).max()))
     return Panel(
-        below, Axis("(data - model) / sd"), f"{series.title}, residuals",
+        below, Axis(RESIDUAL, ends=(-reach, reach)), f"{series.title}, residuals",
         points=[Points(x, series.residuals, "", GREY, 4.0)],
         levels=(-series.quantile, series.quantile),
     )  # fmt: skip

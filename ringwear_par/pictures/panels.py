@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from ringwear_par.arrays import FloatArray, IntArray
-from ringwear_par.results.pictures.drawing import COLOURS
+from ringwear_par.pictures.style import COLOURS
 
 GREY = "#8c8c8c"
 #: as many points of a curve, or fewer, are marked
@@ -45,6 +45,7 @@ class Curve:
     marked : whether its points are; hidden : whether the line itself is not drawn.
     tabulated : whether a table of the panel's numbers has it.
     words : at the pointer, before its numbers.
+    legend : the name in the legend, if another one.
     """
 
     x: FloatArray
@@ -58,6 +59,22 @@ class Curve:
     hidden: bool = False
     tabulated: bool = True
     words: str = ""
+    legend: str = ""
+
+
+@dataclass(frozen=True)
+class Label:
+    """Words to the right of a place.
+
+    Parameters
+    ----------
+    below : whether they stand below it, or else above.
+    """
+
+    x: float
+    y: float
+    words: str
+    below: bool = False
 
 
 @dataclass(frozen=True)
@@ -130,6 +147,7 @@ class Panel:
     ----------
     title : a line about it; note : of what it does not show, "" for nothing.
     levels : values at which dotted lines go across; uprights : go up.
+    legend : title of the legend, in lines.
     """
 
     x: Axis
@@ -142,3 +160,5 @@ class Panel:
     bars: Sequence[Bars] = ()
     levels: tuple[float, ...] = ()
     uprights: tuple[float, ...] = ()
+    labels: Sequence[Label] = ()
+    legend: str = ""

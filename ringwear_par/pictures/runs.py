@@ -1,6 +1,7 @@
 """Panels of a run: quantities over time, worn faces and pressure along the radius."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from functools import cache
 from typing import Any
 
@@ -8,17 +9,96 @@ import numpy as np
 from matplotlib.colors import to_hex
 
 from ringwear_par.arrays import FloatArray
+from ringwear_par.cases.units import in_signs
 from ringwear_par.elasticity.stress.boundary_fields import BODIES, Which
 from ringwear_par.errors import InputError
-from ringwear_par.pictures.panels import FEW_POINTS, Axis, Curve, Panel, Points
+from ringwear_par.pictures.panels import FEW_POINTS, Axis, Curve, Label, Panel, Points
+from ringwear_par.pictures.style import COLOURS, stage_colour
 from ringwear_par.results.instants import pressure_peak, stages, time_unit, time_words
+from ringwear_par.results.key_numbers import nominal_area
 from ringwear_par.results.layer_ends import ends_near
-from ringwear_par.results.pictures.drawing import COLOURS, stage_colour
-from ringwear_par.results.pictures.history_panels import HISTORY_PANELS
 from ringwear_par.results.result import Result
-from ringwear_par.results.variables import edge_elements
+from ringwear_par.results.variables import DISPLAY_UNITS, HISTORIES, edge_elements
 
 RADIUS = "distance to axis (mm)"
+#: of the width of the contact, how far unworn faces are drawn beside it
+_BESIDE = 0.15
+
+
+@dataclass(frozen=True)
+class HistoryPanel:
+    """What is drawn over time.
+
+    Parameters
+    ----------
+    label : of the axis, with the unit.
+    curves : returns the curves of a result by their names, "" where there is one; (stored states,)
+        or, between these, one fewer.
+    whole : the end of the axis where all is 0.
+    """
+
+    label: str
+    curves: Callable[[Result], dict[str, FloatArray]]
+    whole: float = 1.0
+
+
+def _stored(name: str, words: str) -> HistoryPanel:
+    """Return the panel of a history that is stored."""
+    unit, factor = DISPLAY_UNITS.get(name, (HISTORIES[name].unit, 1.0))
+    return HistoryPanel(
+        f"{words} ({in_signs(unit)})", lambda result: {"": factor * result.histories[name]}
+    )
+
+
+def _volumes(result: Result) -> dict[str, FloatArray]:
+    """Return the worn volumes, mm^3, of the bodies that wear; of lower where none does."""
+    volumes = {body: result.histories[f"worn_volume_{body}"] for body in ("lower", "upper")}
+    return {body: v for body, v in volumes.items() if v.any()} or {"lower": volumes["lower"]}
+
+
+def _rates(result: Result) -> dict[str, FloatArray]:
+    """Return the mean depths worn off between stored states by their time, um/h."""
+    hours = np.diff(result.histories["time"]) / 3600.0
+    area = nominal_area(result)
+    return {body: 1e3 * np.diff(v) / area / hours for body, v in _volumes(result).items()}
+
+
+def _p_v(result: Result) -> dict[str, FloatArray]:
+    """Return pressure times speed, meaned over the nominal area and between states, MPa m/s."""
+    friction = result.attributes.get("friction")
+    if not friction:
+        why = "was stored without it" if friction is None else "is 0"
+        raise InputError(
+            f"{result.name}: pv needs the friction coefficient, which {why}; must be > 0"
+        )
+    power = np.diff(result.histories["dissipated_energy"]) / np.diff(result.histories["time"])
+    return {"": 1e-3 * power / friction / nominal_area(result)}
+
+
+def _through(result: Result) -> dict[str, FloatArray]:
+    """Return the shares of the contact area that are worn through, %."""
+    shares = {
+        body: 100.0 * result.layers[f"share_through_{body}"]
+        for body in ("lower", "upper")
+        if f"share_through_{body}" in result.layers
+    }
+    if not shares:
+        raise InputError(f"{result.name}: through needs a body with layers, of which it has none")
+    return shares
+
+
+#: by name, as ``--panels`` has it
+HISTORY_PANELS = {
+    "penetration": _stored("penetration", "penetration depth"),
+    "approach": _stored("approach", "approach"),
+    "force": _stored("force", "axial force"),
+    "torque": _stored("torque", "friction torque"),
+    "energy": _stored("dissipated_energy", "energy dissipated"),
+    "volume": HistoryPanel("worn volume (mm\N{SUPERSCRIPT THREE})", _volumes),
+    "rate": HistoryPanel("wear rate, mean depth (\N{MICRO SIGN}m/h)", _rates),
+    "through": HistoryPanel("worn through (% of area)", _through, whole=100.0),
+    "pv": HistoryPanel("pressure \N{MULTIPLICATION SIGN} speed, mean (MPa m/s)", _p_v),
+}
 
 
 def history(
@@ -42,7 +122,7 @@ def history(
     for number, (result, label) in enumerate(zip(results, labels, strict=True)):
         time, values = result.histories["time"] / seconds, chart.curves(result)
         for place, (name, y) in enumerate(values.items()):
-            words = [name if len(values) > 1 else "", label]
+            words = [label, name if len(values) > 1 else ""]
             curves.append(
                 Curve(
                     time, y, ", ".join(filter(None, words)),
@@ -67,48 +147,88 @@ def histories(result: Result) -> dict[str, Panel]:
     return panels
 
 
-def height(result: Result, body: Which) -> FloatArray:
-    """Return the height of a worn face, um, at all stored states: lower's is below 0."""
-    sign = -1e3 if body == "lower" else 1e3
-    return sign * np.asarray(result.profiles[f"wear_{body}"])
+def stored_field(result: Result, name: str) -> Any:
+    """Return a field along the contact line at all stored states.
+
+    Raises
+    ------
+    InputError : it is not stored, or of the last step only.
+    """
+    if name not in result.profiles:
+        raise InputError(
+            f"{result.name}: does not hold {name}; output.fields of its case left it out"
+        )
+    if result.profiles[name].ndim == 1:
+        raise InputError(
+            f"{result.name}: holds {name} of the last step only; must be computed with "
+            'output.profiles = "all"'
+        )
+    return result.profiles[name]
 
 
-def stored_at_all_states(result: Result, field: str) -> bool:
+def at_all_states(result: Result, field: str) -> bool:
     """Tell whether a field along the radius is stored at all states, not at the last one only."""
     return field in result.profiles and result.profiles[field].ndim == 2
 
 
 def worn_bodies(result: Result) -> list[Which]:
     """Return the bodies whose stored profiles are drawn: those that wear, or the first."""
-    bodies: list[Which] = [body for body in BODIES if stored_at_all_states(result, f"wear_{body}")]
+    bodies: list[Which] = [body for body in BODIES if at_all_states(result, f"wear_{body}")]
     return [body for body in bodies if result.profiles[f"wear_{body}"].any()] or bodies[:1]
 
 
-def worn_faces(result: Result, bodies: Sequence[Which]) -> Panel:
-    """Return the panel of worn faces at the default instants, with the ends of their layers."""
+def worn_faces(
+    result: Result, bodies: Sequence[Which] | None = None, rows: Sequence[int] | None = None
+) -> Panel:
+    """Return the panel of worn faces with the ends of their layers.
+
+    Parameters
+    ----------
+    bodies : those to be drawn; None: those that wear.
+    rows : stored states; None: the default instants.
+    """
+    bodies = worn_bodies(result) if bodies is None else bodies
     faces = "faces" if len(bodies) > 1 else f"face of {bodies[0]}"
     label = f"height of worn {faces} (\N{MICRO SIGN}m)"
-    curves = []
+    r, (inner, outer) = result.line.r, result.line.edges[[0, -1]].tolist()
+    curves = [c for body in bodies for c in at_states(result, height(result, body), rows)]
+    labels = []
     for body in bodies:
         sign = -1e3 if body == "lower" else 1e3
-        curves += [
-            Curve(result.line.r, sign * end.depth, f"end of layer {end.layer}", "#666666", 3, 1.0)
-            for end in ends_near(result, body)
-        ]
-        curves += at_stages(result, height(result, body))
+        for end in ends_near(result, body):
+            name, depth = f"end of layer {end.layer}", sign * end.depth
+            curves.append(Curve(r, depth, name, "#666666", 3, 1.0, legend="end of layer"))
+            place = float(result.line.edges[-1]), float(depth[-1])
+            labels.append(Label(*place, f"layer {end.layer}", below=body == "lower"))
+    beside = _BESIDE * (outer - inner)
+    low, high = max(inner - beside, 0.0), outer + beside
+    for ends in ([low, inner], [outer, high]):
+        unworn = Curve(np.array(ends), np.zeros(2), "", "#666666", 0, 1.0, tabulated=False)
+        curves.append(unworn)
     note = "lower below 0, upper above" if len(bodies) > 1 else ""
-    return Panel(Axis(RADIUS), Axis(label, zero=True), label, note, curves=curves)
+    return Panel(
+        Axis(RADIUS, ends=(low, high)),
+        Axis(label, zero=True),
+        label,
+        note,
+        curves=curves,
+        labels=labels,
+    )
 
 
-def pressure(result: Result) -> Panel:
-    """Return the panel of the contact pressure at the default instants.
+def pressure(result: Result, rows: Sequence[int] | None = None, top: float | None = None) -> Panel:
+    """Return the panel of the contact pressure; elements at the contact edge are hollow points.
 
-    Singular edges of the first instant are cut; elements at the edge of contact are hollow points.
+    Parameters
+    ----------
+    rows : stored states; None: the default instants.
+    top : MPa, where the scale ends; None: above the highest pressure of all stored states, or
+        where singular edges of the first instant are cut.
     """
     label, values = "contact pressure (MPa)", result.profiles["pressure"]
     peak = pressure_peak(result)
-    top = peak.top(peak.highest)
-    rows = stages(result.histories["time"])
+    top = top or peak.top(peak.highest)
+    rows = stages(result.histories["time"]) if rows is None else rows
     marks = [
         Points(
             result.line.r[edge], values[row][edge], "contact edge", stage(number, len(rows)), 6.0,
@@ -119,14 +239,20 @@ def pressure(result: Result) -> Panel:
     ]  # fmt: skip
     return Panel(
         Axis(RADIUS), Axis(label, ends=(0.0, top)), label, peak.note(top),
-        curves=at_stages(result, values), points=marks,
+        curves=at_states(result, values, rows), points=marks,
     )  # fmt: skip
 
 
-def at_stages(result: Result, values: Any) -> list[Curve]:
-    """Return a field along the radius at the default instants."""
+def height(result: Result, body: Which) -> FloatArray:
+    """Return the height of a worn face, um, at all stored states: lower's is below 0."""
+    sign = -1e3 if body == "lower" else 1e3
+    return sign * np.asarray(result.profiles[f"wear_{body}"])
+
+
+def at_states(result: Result, values: Any, rows: Sequence[int] | None = None) -> list[Curve]:
+    """Return a field along the radius at some stored states; None: the default instants."""
     time = result.histories["time"]
-    rows = stages(time)
+    rows = stages(time) if rows is None else rows
     return [
         Curve(
             result.line.r, values[row], time_words(time[row], float(time[-1])),

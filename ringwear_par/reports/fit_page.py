@@ -1,6 +1,7 @@
 """The page of a fit, and of the design of the next tests, from what their folders hold."""
 
 from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,7 @@ from ringwear_par.files.ordinary import read_bytes
 from ringwear_par.files.text import parse_json
 from ringwear_par.files.text import read_text as read_file
 from ringwear_par.pictures import fits
+from ringwear_par.pictures.style import in_words
 from ringwear_par.reports.blocks import (
     Block,
     Chart,
@@ -26,7 +28,6 @@ from ringwear_par.reports.blocks import (
     Table,
     software,
 )
-from ringwear_par.results.pictures.drawing import in_words
 from ringwear_par.results.storage.hdf5 import read_text, reading
 from ringwear_par.results.variables import SOFTWARE
 
@@ -45,36 +46,31 @@ def fit_page(folder: Path) -> Page:
     sections: list[Section] = []
     title = f"Fit: {legible(folder.resolve().name)}"
     if (folder / folders.FIT).exists():
-        with _telling(folder / folders.FIT, "the outcome of ringwear fit") as told:
-            sections += _fitted(folder, told)
+        with _stored_outcome(folder / folders.FIT, "the outcome of ringwear fit") as outcome:
+            sections += _fitted(folder, outcome)
     else:
         title = f"Design: {legible(folder.resolve().name)}"
     if (folder / folders.DESIGN).exists():
-        with _telling(folder / folders.DESIGN, "the outcome of ringwear design") as told:
-            sections.insert(max(len(sections) - 1, 0), _designed(folder, told))
+        with _stored_outcome(folder / folders.DESIGN, "the outcome of ringwear design") as outcome:
+            sections.insert(max(len(sections) - 1, 0), _designed(folder, outcome))
     kind = "Fit of a wear law" if title.startswith("Fit") else "Design of the next tests"
     return Page(kind, title, sections)
 
 
-class _telling:  # noqa: N801  (it reads as a word)
-    """Give what a JSON file holds; what is not found in it means that the file is none of ours."""
-
-    def __init__(self, path: Path, what: str) -> None:
-        self._told = f"{path}: is not {what}, or is damaged"
-        self._text = read_file(path)
-
-    def __enter__(self) -> dict[str, Any]:
-        try:
-            found = parse_json(self._text)
-        except ValueError as error:
-            raise InputError(self._told) from error
-        if not isinstance(found, dict):
-            raise InputError(self._told)
-        return found
-
-    def __exit__(self, _: object, own: BaseException | None, __: object) -> None:
-        if isinstance(own, KeyError | TypeError | ValueError | AttributeError | IndexError):
-            raise InputError(self._told) from own
+@contextmanager
+def _stored_outcome(path: Path, kind: str) -> Iterator[dict[str, Any]]:
+    """Yield the content of a JSON file; whoever misses something in it says that it is damaged."""
+    fault, text = f"{path}: is not {kind}, or is damaged", read_file(path)
+    try:
+        content = parse_json(text)
+    except ValueError as error:
+        raise InputError(fault) from error
+    if not isinstance(content, dict):
+        raise InputError(fault)
+    try:
+        yield content
+    except (KeyError, TypeError, ValueError, AttributeError, IndexError) as error:
+        raise InputError(fault) from error
 
 
 def _picture(title: str, path: Path, alt: str) -> Picture:
@@ -90,16 +86,16 @@ def _picture(title: str, path: Path, alt: str) -> Picture:
         raise InputError(f"{path}: cannot be read: {error.strerror or error}") from error
 
 
-def _fitted(folder: Path, told: Mapping[str, Any]) -> list[Section]:
-    sections = [Section("Summary", _summary(told))]
-    level = float(told["level"])
+def _fitted(folder: Path, outcome: Mapping[str, Any]) -> list[Section]:
+    sections = [Section("Summary", _summary(outcome))]
+    level = float(outcome["level"])
     drawn, single, text = _series(folder / folders.READINGS, level)
     blocks: list[Block] = [Lines(_bands(level)), Charts(drawn)] if drawn else []
     if single:
         header = ("experiment", "series", "data", "model", "unit", "(data - model) / sd")
         caption = f"Series of one reading, with what {100 * level:g} % of them keep within"
         blocks.append(Table(caption, header, single))
-    blocks.append(_series_table(told))
+    blocks.append(_series_table(outcome))
     sections.append(Section("Data, model and residuals", blocks))
     picture = folder / folders.ESTIMATES
     if picture.exists():
@@ -107,44 +103,45 @@ def _fitted(folder: Path, told: Mapping[str, Any]) -> list[Section]:
             "Relative likelihood of each fitted key, and confidence ellipses of each pair of them; "
             "estimates, intervals and correlations are in the table above"
         )
-        shown = _picture("Fitted keys", picture, alt)
-        sections.append(Section("Likelihoods and ellipses", [shown]))
-    if told["alternatives"]:
-        sections.append(Section("Other laws", [_alternatives(told)]))
-    sections.append(_reproduced(told, text))
+        estimates = _picture("Fitted keys", picture, alt)
+        sections.append(Section("Likelihoods and ellipses", [estimates]))
+    if outcome["alternatives"]:
+        sections.append(Section("Other laws", [_alternatives(outcome)]))
+    sections.append(_reproduced(outcome, text))
     return sections
 
 
-def _summary(told: Mapping[str, Any]) -> list[Block]:
-    parameters, level = told["parameters"], float(told["level"])
-    doubts = list(told["warnings"])
-    p_value = told["p_value"]
+def _summary(outcome: Mapping[str, Any]) -> list[Block]:
+    parameters, level = outcome["parameters"], float(outcome["level"])
+    doubts = list(outcome["warnings"])
+    p_value = outcome["p_value"]
     probable = "no p-value" if p_value is None else f"p = {p_value:.2g}"
     lines = [
-        f"{_counted(told['n_data'], 'reading')}, {_counted(len(parameters), 'parameter')}, "
-        f"{told['histories']} histories by {told['method']}, loss {told['loss']}",
-        f"chi2 = {told['chi2']:.5g}, {_counted(told['degrees_of_freedom'], 'degree')} of freedom "
-        f"({probable}); AIC {told['aic']:.5g}, BIC {told['bic']:.5g}",
+        f"{_counted(outcome['n_data'], 'reading')}, {_counted(len(parameters), 'parameter')}, "
+        f"{outcome['histories']} histories by {outcome['method']}, loss {outcome['loss']}",
+        f"chi2 = {outcome['chi2']:.5g}, "
+        f"{_counted(outcome['degrees_of_freedom'], 'degree')} of freedom ({probable}); "
+        f"AIC {outcome['aic']:.5g}, BIC {outcome['bic']:.5g}",
     ]
     blocks: list[Block] = [Lines([*map(with_signs, doubts)], warning=True)] if doubts else []
     blocks += [Lines(lines), _estimates("Estimates", parameters, level)]
-    untold = [
+    unidentified = [
         f"{key}: {one['direction']}" for key, one in parameters.items() if one.get("direction")
     ]
     everything = ["All fitted keys are identified: the readings tell each of them."]
-    if untold:
+    if unidentified:
         blocks.append(
-            Lines([f"What the readings do not tell \N{EN DASH} {each}" for each in untold])
+            Lines([f"What the readings do not tell \N{EN DASH} {line}" for line in unidentified])
         )
     elif all(one["verdict"] == "identified" for one in parameters.values()):
         blocks.append(Lines(everything))
     if len(parameters) > 1:
-        blocks.append(_correlations(told))
+        blocks.append(_correlations(outcome))
     return blocks
 
 
-def _counted(count: int, what: str) -> str:
-    return f"{count} {what}{'' if count == 1 else 's'}"
+def _counted(count: int, noun: str) -> str:
+    return f"{count} {noun}{'' if count == 1 else 's'}"
 
 
 def _estimates(caption: str, parameters: Mapping[str, Any], level: float) -> Table:
@@ -161,8 +158,8 @@ def _estimates(caption: str, parameters: Mapping[str, Any], level: float) -> Tab
             _number(low, 5), _number(high, 5), str(one["verdict"]),
         ]  # fmt: skip
         if sampled:
-            own = one["posterior"]
-            row += [_number(v, 5) for v in (own["median"], *own["interval"])]
+            posterior = one["posterior"]
+            row += [_number(v, 5) for v in (posterior["median"], *posterior["interval"])]
         rows.append(row)
     return Table(caption, header, rows)
 
@@ -178,8 +175,8 @@ def _estimate(one: Mapping[str, Any]) -> str:
     return f"{one['estimate']:.4g}{spread}{unit}"
 
 
-def _correlations(told: Mapping[str, Any]) -> Table:
-    keys, covariance = told["keys"], told["covariance"]
+def _correlations(outcome: Mapping[str, Any]) -> Table:
+    keys, covariance = outcome["keys"], outcome["covariance"]
     rows = []
     for i, key in enumerate(keys):
         row = [key]
@@ -191,15 +188,15 @@ def _correlations(told: Mapping[str, Any]) -> Table:
     return Table("Correlations of the estimates", ["key", *keys], rows)
 
 
-def _series_table(told: Mapping[str, Any]) -> Table:
+def _series_table(outcome: Mapping[str, Any]) -> Table:
     rows = []
-    for experiment, series in told["experiments"].items():
+    for experiment, series in outcome["experiments"].items():
         for name, one in series.items():
-            own = told["nuisance"].get(experiment, {}).get(name, {})
+            fitted = outcome["nuisance"].get(experiment, {}).get(name, {})
             nuisances = ", ".join(
                 f"{kind} {v['estimate']:.3g}"
                 + ("" if v["sd"] is None else f" \u00b1 {v['sd']:.2g}")
-                for kind, v in own.items()
+                for kind, v in fitted.items()
             )
             noise = _number(one.get("sd"), 3)
             rows.append((f"{experiment}, {name}", str(one["n"]), f"{one['chi2']:.4g}",
@@ -256,8 +253,8 @@ def _groups(file: h5py.File) -> Iterator[h5py.Group]:
         yield file[name]
 
 
-def _alternatives(told: Mapping[str, Any]) -> Table:
-    laws = {"this law": told, **told["alternatives"]}
+def _alternatives(outcome: Mapping[str, Any]) -> Table:
+    laws = {"this law": outcome, **outcome["alternatives"]}
     best = min(one["aic"] for one in laws.values() if "aic" in one)
     rows = []
     for name, one in laws.items():
@@ -274,19 +271,19 @@ def _alternatives(told: Mapping[str, Any]) -> Table:
     return Table("Laws compared", header, rows)
 
 
-def _designed(folder: Path, told: Mapping[str, Any]) -> Section:
-    keys = list(told["parameters"])
+def _designed(folder: Path, outcome: Mapping[str, Any]) -> Section:
+    keys = list(outcome["parameters"])
     rows = []
-    for number, one in enumerate(told["designs"], start=1):
+    for number, one in enumerate(outcome["designs"], start=1):
         tests = " + ".join(map(_test, one["experiments"]))
         rows.append([str(number), tests, f"{one['seconds']:g}",
                      *(_number(one["sd"][key], 3) for key in keys)])  # fmt: skip
     rows.append(["fit file", "its own tests", _DASH,
-                 *(_number(told["fit_file"]["sd"][key], 3) for key in keys)])  # fmt: skip
+                 *(_number(outcome["fit_file"]["sd"][key], 3) for key in keys)])  # fmt: skip
     header = ["design", "tests", "seconds", *(f"sd of {key}" for key in keys)]
     blocks: list[Block] = [
-        Lines([f"{told['candidates']} tests looked at, criterion {told['criterion']}, measured as "
-               f"in {told['measured_as']}"]),
+        Lines([f"{outcome['candidates']} tests looked at, criterion {outcome['criterion']}, "
+               f"measured as in {outcome['measured_as']}"]),
         Table("Best designs, with predicted standard deviations", header, rows),
     ]  # fmt: skip
     picture, following = folder / folders.MAP, folder / folders.NEXT
@@ -302,24 +299,24 @@ def _test(keys: Mapping[str, Any]) -> str:
     return ", ".join(f"{key} = {in_words(value)}" for key, value in keys.items())
 
 
-def _reproduced(told: Mapping[str, Any], text: str) -> Section:
+def _reproduced(outcome: Mapping[str, Any], text: str) -> Section:
     commands = (
-        f"ringwear fit fit.toml -o out/fit{' --compare' if told['alternatives'] else ''}\n"
+        f"ringwear fit fit.toml -o out/fit{' --compare' if outcome['alternatives'] else ''}\n"
         "ringwear report out/fit -o report.html\n"
     )
     first = "Save the fit file as fit.toml beside its case and its data, then type:"
     starts = [
         [str(number), _number(one["objective"], 6), "yes" if one["converged"] else "no",
          str(one["error"] or "")]
-        for number, one in enumerate(told["starts"], start=1)
+        for number, one in enumerate(outcome["starts"], start=1)
     ]  # fmt: skip
     blocks: list[Block] = [Lines([first]), Source("Commands", commands), Source("Fit file", text)]
-    if told["data"]:
+    if outcome["data"]:
         blocks.append(
-            Table("Data files, by their SHA-256", ("file", "hash"), [*told["data"].items()])
+            Table("Data files, by their SHA-256", ("file", "hash"), [*outcome["data"].items()])
         )
     if starts:
         header = ("start", "half the sum of squares, with priors", "converged", "error")
         blocks.append(Table("Starts", header, starts))
-    blocks.append(software(told["versions"]))
+    blocks.append(software(outcome["versions"]))
     return Section("How to reproduce", blocks)

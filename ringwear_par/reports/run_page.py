@@ -9,6 +9,8 @@ import numpy as np
 from ringwear_par.cases.units import in_signs, with_signs
 from ringwear_par.elasticity.stress.boundary_fields import BODIES
 from ringwear_par.pictures import runs
+from ringwear_par.pictures.figures import plot
+from ringwear_par.pictures.stresses import along_height, largest
 from ringwear_par.reports.blocks import (
     Block,
     Chart,
@@ -29,16 +31,14 @@ from ringwear_par.results.key_numbers import (
     in_groups,
     key_numbers,
 )
-from ringwear_par.results.pictures.figures import plot
 from ringwear_par.results.result import Result
+from ringwear_par.results.storage.stored_stresses import nearest_states
 from ringwear_par.results.variables import DISPLAY_UNITS, HISTORIES
 
-_TOLD = [v for name, v in HISTORIES.items() if name not in ("twist", "contact_iterations")]
-#: panels of stresses, in words for those who do not see them
-_STRESS_PANELS = {
+_TABULATED = [v for name, v in HISTORIES.items() if name not in ("twist", "contact_iterations")]
+#: pictures of stresses, in words for those who do not see them
+_STRESS_PICTURES = {
     "stress": "map of von Mises stress in the section",
-    "depth": "its course along the height",
-    "mises": "the largest over time",
     "interfaces": "tractions along interfaces, von Mises stress on both sides",
 }
 #: most instants of a slider
@@ -68,11 +68,11 @@ def run_page(result: Result) -> Page:
         blocks.append(worn)
     sections = [Section("Summary", blocks)]
     drawn = profiles(result)
-    told = "No profiles are stored at several times (output.fields, output.profiles)."
+    absence = "No profiles are stored at several times (output.fields, output.profiles)."
     sections.append(
-        Section("Worn profiles and pressure", [Lines([told]) if drawn is None else drawn])
+        Section("Worn profiles and pressure", [Lines([absence]) if drawn is None else drawn])
     )
-    sections.append(Section("Histories", [histories(result), _told(result)]))
+    sections.append(Section("Histories", [histories(result), _history_table(result)]))
     sections += _stresses(result)
     sections.append(Section("The case", case_words(result)))
     sections.append(Section("Balances", [_errors(result)]))
@@ -94,7 +94,7 @@ def profiles(result: Result) -> Charts | None:
         f"wear-{body}": (runs.worn_faces(result, [body]), runs.height(result, body))
         for body in runs.worn_bodies(result)
     }
-    if runs.stored_at_all_states(result, "pressure"):
+    if runs.at_all_states(result, "pressure"):
         panels["pressure"] = runs.pressure(result), result.profiles["pressure"]
     if not panels:
         return None
@@ -138,12 +138,12 @@ def worn_table(numbers: Iterable[KeyNumber]) -> Table | None:
     return Table("Wear", header, rows)
 
 
-def _told(result: Result) -> Table:
+def _history_table(result: Result) -> Table:
     """Return the histories at some instants, for those who do not see charts."""
     count = len(result.step)
     rows = np.unique(np.linspace(0, count - 1, _INSTANTS).round().astype(int)).tolist()
-    units = [DISPLAY_UNITS.get(v.name, (v.unit, 1.0)) for v in _TOLD]
-    both = list(zip(_TOLD, units, strict=True))
+    units = [DISPLAY_UNITS.get(v.name, (v.unit, 1.0)) for v in _TABULATED]
+    both = list(zip(_TABULATED, units, strict=True))
     header = [f"{v.name.replace('_', ' ')} ({in_signs(unit)})" for v, (unit, _) in both]
     table = [
         [f"{factor * result.histories[v.name][row]:.6g}" for v, (_, factor) in both] for row in rows
@@ -163,19 +163,23 @@ def _stresses(result: Result) -> list[Section]:
     if result.stress is None or not result.stress.states:
         return []
     states = result.stress.states
-    there = {
-        "stress": len(result.stress.grid[0]) > 0,
-        "depth": len(result.stress.grid[0]) > 0,
-        "mises": len(states) > 1,  # one is no history
-        "interfaces": any(len(of.z) for of in result.stress.interfaces),
-    }
-    panels = [name for name in _STRESS_PANELS if there[name]]
+    gridded, label = len(result.stress.grid[0]) > 0, "Line chart: von Mises stress"
     blocks: list[Block] = []
-    if panels:
+    pictures = ["stress"] * gridded
+    pictures += ["interfaces"] * any(len(of.z) for of in result.stress.interfaces)
+    if pictures:
         content = io.BytesIO()
-        plot(result, panels).savefig(content, format="png", dpi=150)
-        alt = ", ".join(words for name, words in _STRESS_PANELS.items() if name in panels)
+        plot(result, pictures).savefig(content, format="png", dpi=150)
+        alt = ", ".join(_STRESS_PICTURES[name] for name in pictures)
         blocks.append(Picture("Stress inside", content.getvalue(), "image/png", alt))
+    charts = []
+    if gridded:
+        along = along_height(result, "", nearest_states(states, []))
+        charts.append(Chart("depth", along, f"{label} along the height at {along.legend}"))
+    if len(states) > 1:  # one is no history
+        charts.append(Chart("mises", largest([result], [""]), f"{label}, the largest over time"))
+    if charts:
+        blocks.append(Charts(charts))
     rows = [
         (f"{state.time:.6g}", body, f"{of.mises:.5g}", f"{of.r:.6g}", f"{of.z:.6g}")
         for state in states
@@ -191,7 +195,7 @@ def _reproduced(result: Result) -> Section:
     about = result.attributes
     ranks = int(about.get("ranks", 1))
     launched = f"mpirun -n {ranks} " if ranks > 1 else ""
-    told = (
+    commands = (
         f"{launched}ringwear run case.toml -o run.h5\nringwear report run.h5 -o report.html\n"
         "ringwear plot run.h5 -o run.png\n"
     )
@@ -205,7 +209,7 @@ def _reproduced(result: Result) -> Section:
     }
     names = [name for name in about if name == "version" or name.endswith("_version")]
     used = {name: str(about[name]) for name in [*names, "mpi_library"] if name in about}
-    blocks: list[Block] = [Lines([f"{first}, then type:"]), Source("Commands", told)]
+    blocks: list[Block] = [Lines([f"{first}, then type:"]), Source("Commands", commands)]
     blocks.append(software(used))
     rows = [("MPI ranks", str(ranks)), *((f"{k}, s", v) for k, v in seconds.items())]
     blocks.append(Table("Ranks, and seconds that it took", ("what", "value"), rows))

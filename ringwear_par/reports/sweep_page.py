@@ -11,7 +11,7 @@ from ringwear_par.cases.schema import unit_of
 from ringwear_par.cases.units import in_signs
 from ringwear_par.errors import InputError, legible
 from ringwear_par.files.text import parse_value
-from ringwear_par.pictures import sweeps
+from ringwear_par.pictures.style import in_words
 from ringwear_par.reports.blocks import (
     Block,
     Chart,
@@ -23,11 +23,11 @@ from ringwear_par.reports.blocks import (
     Table,
     software,
 )
-from ringwear_par.results.pictures.drawing import in_words
 from ringwear_par.studies.analysis.sensitivity import done_cases
 from ringwear_par.studies.analysis.surrogate import surrogate
 from ringwear_par.studies.definition.variations import own_key
-from ringwear_par.studies.pictures.figures import Choice, choose
+from ringwear_par.studies.pictures import panels as sweeps
+from ringwear_par.studies.pictures.choice import Choice, choose
 from ringwear_par.studies.pictures.index_bars import IndexBars, index_bars
 from ringwear_par.studies.storage.end_values import entry_of, final_name
 from ringwear_par.studies.storage.ensemble import Ensemble, read_ensemble
@@ -58,8 +58,8 @@ def sweep_page(folder: Path) -> Page:
         chosen = choose(ensemble, regressions, bars)
         sections.append(Section("Histories", [_histories(ensemble, chosen)]))
         sections.append(Section("Final values", _effects(ensemble, chosen, why)))
-        told = "No indices: they need two varied numbers, and a design of enough cases."
-        blocks: list[Block] = [_index_charts(bars) if bars else Lines([told])]
+        absence = "No indices: they need two varied numbers, and a design of enough cases."
+        blocks: list[Block] = [_index_charts(bars) if bars else Lines([absence])]
         sections.append(Section("Sensitivity", [*blocks, *map(_indices, bars)]))
     sections.append(Section("Cases", [_cases(ensemble)]))
     sections.append(_reproduced(ensemble))
@@ -160,17 +160,17 @@ def _effect_charts(ensemble: Ensemble, chosen: Choice) -> Charts:
 
 def _effects(ensemble: Ensemble, chosen: Choice, why: str) -> list[Block]:
     drawn = _effect_charts(ensemble, chosen)
-    told = [f"{chosen.told}: a point each case, named where the pointer is."]
+    lines = [f"{chosen.told}: a point each case, named where the pointer is."]
     if len(drawn.points) < len(chosen.cases):
-        told.append(
+        lines.append(
             f"{len(drawn.points)} of {len(chosen.cases)} cases are drawn, chosen at random; "
             "medians are of all."
         )
     if chosen.responses is not None:
-        told.append("; ".join(chosen.responses.said))
+        lines.append("; ".join(chosen.responses.said))
     elif why:
-        told.append(why)
-    return [Lines(told), drawn]
+        lines.append(why)
+    return [Lines(lines), drawn]
 
 
 def _indices(bars: IndexBars) -> Table:
@@ -187,10 +187,10 @@ def _indices(bars: IndexBars) -> Table:
 def _cases(ensemble: Ensemble) -> Table:
     """Return the first cases of the study, failed ones with why."""
     here = np.flatnonzero(ensemble.in_study)
-    shown = here[:_MOST]
-    told = f"{len(here)} cases"
-    if len(shown) < len(here):
-        told = f"The first {len(shown)} of {len(here)} cases; cases.csv has all"
+    tabulated = here[:_MOST]
+    caption = f"{len(here)} cases"
+    if len(tabulated) < len(here):
+        caption = f"The first {len(tabulated)} of {len(here)} cases; cases.csv has all"
     header = ["case", "status", *ensemble.varied]
     finals = ensemble.final
     header += [
@@ -200,23 +200,23 @@ def _cases(ensemble: Ensemble) -> Table:
         "flags": [", ".join(flags).replace("_", " ") for flags in ensemble.flags],
         "error": ensemble.error,
     }
-    remarks = {name: told for name, told in remarks.items() if any(told[i] for i in shown)}
+    remarks = {name: texts for name, texts in remarks.items() if any(texts[i] for i in tabulated)}
     header += remarks
     rows = []
-    for i in shown.tolist():
+    for i in tabulated.tolist():
         keys = [
             _number(column[i]) if column.dtype.kind == "f" else in_words(parse_value(column[i]))
             for column in ensemble.varied.values()
         ]
         ends = [_number(values[i]) for values in finals.values()]
-        words = [told[i] for told in remarks.values()]
+        words = [texts[i] for texts in remarks.values()]
         rows.append((ensemble.ids[i], ensemble.status[i], *keys, *ends, *words))
-    return Table(f"{told}; headers sort", header, rows, sortable=True)
+    return Table(f"{caption}; headers sort", header, rows, sortable=True)
 
 
 def _reproduced(ensemble: Ensemble) -> Section:
     about = ensemble.attributes
-    told = (
+    commands = (
         "ringwear sweep study.toml -o out/study\nringwear report out/study -o report.html\n"
         "ringwear plot out/study -o study.png\n"
     )
@@ -224,7 +224,7 @@ def _reproduced(ensemble: Ensemble) -> Section:
         "Save the study as study.toml beside the case file that it names; the text of a case below "
         "has all its keys, those that vary with their values of this case. Then type:"
     )
-    blocks: list[Block] = [Lines([first]), Source("Commands", told)]
+    blocks: list[Block] = [Lines([first]), Source("Commands", commands)]
     blocks.append(Source("Study", str(about["study"])))
     if len(ensemble.ids):
         blocks.append(Source(f"Case {ensemble.ids[0]} of the study", ensemble.text(0)))

@@ -30,8 +30,10 @@ def case_words(result: Result) -> list[Block]:
     except InputError:  # of a version that had other keys
         case = None
     if case is None:
-        told = "The stored text does not tell the whole case: only its laws are known for certain."
-        blocks.append(Lines([told]))
+        caution = (
+            "The stored text does not tell the whole case: only its laws are known for certain."
+        )
+        blocks.append(Lines([caution]))
     rows = wear if case is None else [*_bodies(case), *wear, *_test(case)]
     if rows:
         blocks.append(Table("The case in words", ("what", "how"), rows))

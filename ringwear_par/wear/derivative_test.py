@@ -8,10 +8,10 @@ import numpy as np
 
 from ringwear_par.arrays import FloatArray
 from ringwear_par.errors import InputError
-from ringwear_par.wear.increment import WearIncrement, averaging
-from ringwear_par.wear.law import CompletedLaw, Law
+from ringwear_par.wear.averaging import averaging
+from ringwear_par.wear.increment import WearIncrement
+from ringwear_par.wear.law import CheckedLaw, Law
 from ringwear_par.wear.local_state import LocalState
-from ringwear_par.wear.user import UserLaw
 
 #: round-off of a rate, relative to the largest one
 _NOISE = 1e-14
@@ -71,8 +71,8 @@ def taylor_test(
         return wear.depth(p + h * direction) if step else law.rate(p + h * direction, at)
 
     def slope(h: float) -> FloatArray:
-        there = p + h * direction
-        return wear.jacobian(there) @ direction if step else law.d_rate_dp(there, at) * direction
+        q = p + h * direction
+        return wear.jacobian(q) @ direction if step else law.d_rate_dp(q, at) * direction
 
     return _remainders(f, slope, float(p.max()))
 
@@ -85,11 +85,11 @@ def taylor_test_wear(law: Law, at: LocalState, p: FloatArray, scale: float) -> R
     scale : mm, over which the rate changes.
     """
 
-    def there(h: float) -> LocalState:
+    def worn(h: float) -> LocalState:
         return replace(at, wear=at.wear + h)
 
     return _remainders(
-        lambda h: law.rate(p, there(h)), lambda h: law.d_rate_dwear(p, there(h)), scale, _NOISE
+        lambda h: law.rate(p, worn(h)), lambda h: law.d_rate_dwear(p, worn(h)), scale, _NOISE
     )
 
 
@@ -100,12 +100,12 @@ def taylor_test_parameter(law: Law, at: LocalState, p: FloatArray, name: str) ->
     """
     here = law.parameter(name, at)
 
-    def there(h: float) -> Law:
+    def changed(h: float) -> Law:
         return law.with_parameter(name, here + h)
 
     return _remainders(
-        lambda h: there(h).rate(p, at),
-        lambda h: there(h).d_rate_dparameter(name, p, at),
+        lambda h: changed(h).rate(p, at),
+        lambda h: changed(h).d_rate_dparameter(name, p, at),
         float(np.abs(here).max()) or 1.0,
         _NOISE,
     )
@@ -114,8 +114,8 @@ def taylor_test_parameter(law: Law, at: LocalState, p: FloatArray, name: str) ->
 def depends(law: Law, at: LocalState, p: FloatArray, name: str) -> bool:
     """Tell whether a law's rate changes at all with a numeric parameter. Not collective."""
     here = law.parameter(name, at)
-    there = here + 2.0**-8 * (float(np.abs(here).max()) or 1.0)
-    return not np.array_equal(law.with_parameter(name, there).rate(p, at), law.rate(p, at))
+    close = here + 2.0**-8 * (float(np.abs(here).max()) or 1.0)
+    return not np.array_equal(law.with_parameter(name, close).rate(p, at), law.rate(p, at))
 
 
 def _remainders(
@@ -141,14 +141,14 @@ def _remainders(
     return Remainders(steps, tuple((off.max(axis=1) / size).tolist()), bool(bounded.all()))
 
 
-def check_user_slope(law: UserLaw | CompletedLaw, at: LocalState, pressure: float) -> None:
+def check_user_slope(law: CheckedLaw, at: LocalState, pressure: float) -> None:
     """Refuse a user's law that gives another slope than that of its rate. Not collective.
 
     Raises
     ------
     InputError : it is.
     """
-    if not law.defines_d_rate_dp:
+    if not law.defines("d_rate_dp"):
         return
     rng = np.random.default_rng(1)
     tried = pressure * rng.uniform(0.01, 0.99, len(at.r))

@@ -1,4 +1,4 @@
-"""What stands between a history and a user's law: views it cannot change, answers that are checked.
+"""Guards of a user's law: local state that it cannot change, and results that are checked.
 
 For laws from files and for objects; built-in laws are called as they are.
 """
@@ -13,8 +13,8 @@ from ringwear_par.arrays import FloatArray, IntArray
 from ringwear_par.errors import ComputationError, LawError
 from ringwear_par.wear.local_state import LocalState
 
-#: what a law is asked for
-Asked = Literal["rate", "d_rate_dp", "d_rate_dwear", "d_rate_dparameter"]
+#: functions of a law that may be the user's
+UserFunction = Literal["rate", "d_rate_dp", "d_rate_dwear", "d_rate_dparameter"]
 _SIGNED = ("d_rate_dwear", "d_rate_dparameter")
 
 
@@ -25,7 +25,7 @@ def read_only(values: FloatArray) -> FloatArray:
     return view
 
 
-def shown(local: LocalState, **changes: Any) -> LocalState:
+def read_only_state(local: LocalState, **changes: Any) -> LocalState:
     """Return local state, with changes, as a user's law sees it: it may not change what it has."""
     return replace(
         local,
@@ -37,15 +37,15 @@ def shown(local: LocalState, **changes: Any) -> LocalState:
     )
 
 
-def ask(
+def checked_call(
     called: str,
-    asked: Asked,
+    name: UserFunction,
     function: Callable[[FloatArray, LocalState], Any],
     p: FloatArray,
     local: LocalState,
     parameters: Iterable[Any] = (),
 ) -> FloatArray:
-    """Return what a user's law answers, (..., n): its own copy, checked.
+    """Return the checked result of a function of a user's law, (..., n), as a copy.
 
     Real, unless something that it knows is complex: such answers are held against differences
     element by element (see ``derivative``), so that they are not refused here for one of them.
@@ -53,10 +53,10 @@ def ask(
     Parameters
     ----------
     called : law and function, as in "law.py: rate()".
-    asked : what the function is to give.
-    function : the law's own.
+    name : of the function.
+    function : of the user's code.
     p : (..., n) float, MPa.
-    local : as ``shown``.
+    local : as of ``read_only_state``.
     parameters : values that the function knows besides.
 
     Raises
@@ -82,34 +82,34 @@ def ask(
     if not real:
         return result
     bad = ~np.isfinite(result)
-    if asked not in _SIGNED:
+    if name not in _SIGNED:
         bad |= result < 0.0
     if bad.any():
-        raise LawError(_refused(called, asked, p, local, result, np.argwhere(bad)[0]))
+        raise LawError(_refused(called, name, p, local, result, np.argwhere(bad)[0]))
     return result
 
 
 def _refused(
     called: str,
-    asked: Asked,
+    name: UserFunction,
     p: FloatArray,
     local: LocalState,
     result: FloatArray,
     place: IntArray,
 ) -> str:
-    """Return what is wrong with an answer at a place: (element,) or (history, element)."""
+    """Return the fault of a result at a place: (element,) or (history, element)."""
     *among, e = (int(i) for i in place)
     where = (*among, e)
     if among:
         local = local.history(among[0])
-    what = {"rate": "rate", "potential": "integral of the rate"}.get(
-        asked, "derivative of the rate"
+    quantity = {"rate": "rate", "potential": "integral of the rate"}.get(
+        name, "derivative of the rate"
     )
-    why = "a finite number" if asked in _SIGNED else "a finite number >= 0"
-    if asked == "d_rate_dp" and result[where] < 0.0:
+    why = "a finite number" if name in _SIGNED else "a finite number >= 0"
+    if name == "d_rate_dp" and result[where] < 0.0:
         why += ": rates must not fall with pressure"
     return (
-        f"{called} gives {result[where]:g} as {what} at {_when(local)}, "
+        f"{called} gives {result[where]:g} as {quantity} at {_when(local)}, "
         f"element {e} (r = {local.r[e]:.6g} mm), p = {p[where]:.6g} MPa; must be {why}"
     )
 

@@ -7,7 +7,7 @@ not fall with pressure, so that the implicit step is a convex problem.
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields, is_dataclass, replace
-from typing import Any, ClassVar, Protocol, Self, runtime_checkable
+from typing import Any, ClassVar, NamedTuple, Protocol, Self, runtime_checkable
 
 import numpy as np
 
@@ -23,7 +23,7 @@ from ringwear_par.schedules import (
 )
 from ringwear_par.schedules import stack as stack_quantities
 from ringwear_par.wear.derivatives import COMPLEX_STEP, derivative
-from ringwear_par.wear.guard import Asked, ask, read_only, shown
+from ringwear_par.wear.guard import UserFunction, checked_call, read_only, read_only_state
 from ringwear_par.wear.local_state import LocalState
 from ringwear_par.wear.parameters import parameters_of
 
@@ -44,6 +44,39 @@ class WearLaw(Protocol):
     def rate(self, p: FloatArray, local: LocalState, /) -> FloatArray:
         """Return the rate of wear, (..., n) mm/s, at pressures p, (..., n) MPa, >= 0."""
         ...
+
+
+class Layers(NamedTuple):
+    """The layers of a body at the start of a step, from the contact face inwards.
+
+    Parameters
+    ----------
+    laws : of layers, and of the body itself.
+    states : local state of each.
+    remaining : (layers, ..., n) mm, thickness along the normal; none of the body itself.
+    present : (..., n) int, which of them is at the face.
+    """
+
+    laws: tuple["Law", ...]
+    states: Sequence[LocalState]
+    remaining: FloatArray
+    present: Any
+
+    def at_face(self, values: FloatArray) -> FloatArray:
+        """Return values, (layers + 1, ..., n), of the layer at the face of each element."""
+        at_face: FloatArray = values[-1]
+        for number in range(len(values) - 1):
+            at_face = np.where(self.present == number, values[number], at_face)
+        return at_face
+
+    def remaining_at_face(self, full: FloatArray) -> FloatArray:
+        """Return the remaining thickness at the face, infinite of the body itself.
+
+        Parameters
+        ----------
+        full : (layers + 1, ..., n), of which it has the shape.
+        """
+        return self.at_face(np.concatenate([self.remaining, np.full_like(full[:1], np.inf)]))
 
 
 class Law:
@@ -89,8 +122,8 @@ class Law:
 
     def d_rate_dp(self, p: FloatArray, local: LocalState) -> FloatArray:
         """Return the derivative of the rate with respect to pressure, mm/s/MPa, >= 0."""
-        found = derivative(lambda p: self.rate(p, local), p, _SMALL_PRESSURE)
-        return np.maximum(found, 0.0)
+        d_rate = derivative(lambda p: self.rate(p, local), p, _SMALL_PRESSURE)
+        return np.maximum(d_rate, 0.0)
 
     def d_rate_dwear(self, p: FloatArray, local: LocalState) -> FloatArray:
         """Return the derivative of the rate with respect to ``local.wear``, 1/s."""
@@ -108,7 +141,7 @@ class Law:
         ValueError : the rate has no derivative with respect to it.
         """
         return derivative(
-            lambda there: self.with_parameter(name, there).rate(p, local),
+            lambda values: self.with_parameter(name, values).rate(p, local),
             self.parameter(name, local),
             _SMALL_PARAMETER,
         )
@@ -127,6 +160,10 @@ class Law:
         """
         return self.d_rate_dwear(p, local) if self.remembers else None
 
+    def layers(self, local: LocalState) -> Layers:
+        """Return the layers of a body at the start of a step: one, but of laws of several."""
+        return Layers((self,), (local,), local.wear[None][:0], 0)
+
     def parameter(self, name: str, local: LocalState) -> float | FloatArray:
         """Return the value of a numeric parameter: a number, or one that broadcasts with p.
 
@@ -142,9 +179,9 @@ class Law:
         """Return a numeric parameter as it was given."""
         return getattr(self, name)
 
-    def with_parameter(self, name: str, there: Any) -> Self:
+    def with_parameter(self, name: str, values: Any) -> Self:
         """Return the law with another number, or other values at the elements."""
-        return replace(self, **{name: there})  # type: ignore[type-var]
+        return replace(self, **{name: values})  # type: ignore[type-var]
 
     def per_energy(self, friction: float | FloatArray) -> float | FloatArray | None:
         """Return worn volume per dissipated energy, 1/MPa, if it is always the same.
@@ -153,11 +190,11 @@ class Law:
         """
         if not isinstance(friction, np.ndarray):
             return self._per_energy(friction)
-        each = [self.history(i)._per_energy(float(mu)) for i, mu in enumerate(friction)]
-        return np.array([ratio or 0.0 for ratio in each])
+        ratios = [self.history(i)._per_energy(float(mu)) for i, mu in enumerate(friction)]
+        return np.array([ratio or 0.0 for ratio in ratios])
 
     def _per_energy(self, friction: float) -> float | None:
-        """Return what ``per_energy`` is of one history."""
+        """Return ``per_energy`` of one history."""
         return None
 
     def onset(self, local: LocalState) -> float | FloatArray:
@@ -202,14 +239,14 @@ class Law:
         changed: dict[str, Any] = {}
         for declared in fields(first):
             name = declared.name
-            each = [getattr(law, name) for law in laws]
-            if all(q == each[0] for q in each):
+            values = [getattr(law, name) for law in laws]
+            if all(q == values[0] for q in values):
                 continue
             parameter = parameters_of(cls).get(name)
-            if parameter is None or not parameter.numeric or None in each:
+            if parameter is None or not parameter.numeric or None in values:
                 raise ValueError(f"laws of different {name} cannot be stacked")
             quantity = parameter.kind == "quantity"
-            changed[name] = stack_quantities(each) if quantity else np.array(each)[:, None]
+            changed[name] = stack_quantities(values) if quantity else np.array(values)[:, None]
         return replace(first, **changed)
 
     def history(self, i: int) -> Self:
@@ -222,9 +259,9 @@ class Law:
 
     def _with_stacks(self, change: Callable[[Any], Any]) -> Self:
         """Return the law with something else for what differs between histories."""
-        own = {name: getattr(self, name) for name in parameters_of(type(self))}
-        own = {k: q for k, q in own.items() if isinstance(q, Stacked | np.ndarray)}
-        changed = {name: change(q) for name, q in own.items()}
+        parameters = {name: getattr(self, name) for name in parameters_of(type(self))}
+        stacks = {k: q for k, q in parameters.items() if isinstance(q, Stacked | np.ndarray)}
+        changed = {name: change(q) for name, q in stacks.items()}
         return replace(self, **changed) if changed else self  # type: ignore[type-var]
 
     # -- from the keys of a case file --------------------------------------------------------------
@@ -241,7 +278,7 @@ class Law:
 
     @classmethod
     def faults(cls, table: str, values: Mapping[str, Any]) -> list[str]:
-        """Return what is wrong with parameters that are right one by one.
+        """Return the faults of parameters together that are right one by one.
 
         Parameters
         ----------
@@ -251,29 +288,14 @@ class Law:
         return []
 
 
-@dataclass(frozen=True)
-class CompletedLaw(Law):
-    """A user's object with a ``rate``, and what else of ``Law`` it has.
+class CheckedLaw(Law):
+    """A law of a user's code: its results are checked, and derivatives that it lacks are computed.
 
-    Its rate counts as one that remembers wear unless it says ``remembers = False``. Where it is a
-    dataclass, the numbers among its fields are its parameters. Whatever it does wrong is told with
-    time and element.
+    Whatever the code does wrong is reported with time and element.
     """
 
-    own: WearLaw
-
-    def _own(self, name: str, default: Any) -> Any:
-        return getattr(self.own, name, default)
-
-    @property
-    def length(self) -> float:  # type: ignore[override]
-        """Averaging length, mm; 0 for a local law."""
-        return float(self._own("length", 0.0))
-
-    @property
-    def remembers(self) -> bool:
-        """Whether the rate may depend on ``local.wear``."""
-        return bool(self._own("remembers", True))
+    #: whether the code serves one history at a time
+    one_by_one: ClassVar[bool] = False
 
     @property
     def reads_wear(self) -> bool:
@@ -281,117 +303,187 @@ class CompletedLaw(Law):
         return True
 
     @property
-    def breakpoints(self) -> tuple[float, ...]:
-        """Times, s, at which the rate jumps or bends."""
-        return tuple(sorted(float(time) for time in self._own("breakpoints", ())))
-
-    @property
-    def numeric(self) -> tuple[str, ...]:
-        """Names of the fields that are numbers."""
-        own: Any = self.own
-        numbers = [f.name for f in fields(own)] if is_dataclass(own) else []
-        return tuple(
-            name
-            for name in numbers
-            if name != "length" and isinstance(getattr(own, name), float | np.ndarray)
-        )
-
-    def quantity(self, name: str) -> Quantity:
-        """Return a numeric parameter as it was given."""
-        return getattr(self.own, name)
-
-    @property
     def called(self) -> str:
-        """What messages call the law."""
-        return type(self.own).__name__
+        """Name of the law in messages."""
+        raise NotImplementedError
 
-    @property
-    def defines_d_rate_dp(self) -> bool:
-        """Whether the object has the derivative with respect to pressure."""
-        return hasattr(self.own, "d_rate_dp")
+    def defines(self, function: UserFunction) -> bool:
+        """Tell whether the code has a function."""
+        raise NotImplementedError
 
-    def _ask(self, asked: Asked, p: FloatArray, local: LocalState, *first: str) -> FloatArray:
-        """Return what the object gives, (..., n): checked; ``first`` is what it is asked first."""
-        if p.ndim == 2 and len(p) == 1:  # it may have been written for the (n,) of one history
-            alone: FloatArray = self._ask(asked, p[0], local.history(0), *first)
-            return alone[None]
+    def _call(
+        self, function: UserFunction, p: FloatArray, local: LocalState, *first: str
+    ) -> FloatArray:
+        """Return the checked result of a function of the code, (..., n).
 
-        def answer(p: FloatArray, local: LocalState) -> Any:
-            return getattr(self.own, asked)(*first, p, local)
+        ``first`` are its arguments before the pressure.
+        """
+        raise NotImplementedError
 
-        own = (getattr(self.own, name) for name in self.numeric)
-        return ask(f"{self.called}: {asked}()", asked, answer, p, shown(local), own)
+    def _many(self, p: FloatArray) -> bool:
+        """Tell whether pressures are of histories that the code does not serve together."""
+        return self.one_by_one and p.ndim > 1
+
+    def _by_history(
+        self, method: str, p: FloatArray, *states: LocalState, first: tuple[str, ...] = ()
+    ) -> FloatArray:
+        """Return the values of a method, (B, n), each history by itself.
+
+        Derivatives too: whether code takes complex numbers may depend on the history.
+        """
+        rows = (
+            getattr(self.history(i), method)(*first, p[i], *(state.history(i) for state in states))
+            for i in range(len(p))
+        )
+        return np.array(list(rows))
 
     def rate(self, p: FloatArray, local: LocalState) -> FloatArray:
         """Return the rate of wear, mm/s.
 
         Raises
         ------
-        LawError : the object failed, or gave NaN or a negative rate.
+        LawError : the code failed, or gave NaN or a negative rate.
         """
-        return self._ask("rate", p, local)
+        if self._many(p):
+            return self._by_history("rate", p, local)
+        return self._call("rate", p, local)
 
     def d_rate_dp(self, p: FloatArray, local: LocalState) -> FloatArray:
         """Return the derivative of the rate with respect to pressure, mm/s/MPa.
 
         Raises
         ------
-        LawError : the object failed, or gave NaN or a negative slope.
+        LawError : the code failed, or gave NaN or a negative derivative.
         """
-        if not self.defines_d_rate_dp:
+        if self._many(p):
+            return self._by_history("d_rate_dp", p, local)
+        if not self.defines("d_rate_dp"):
             return super().d_rate_dp(p, local)
-        return self._ask("d_rate_dp", p, local)
+        return self._call("d_rate_dp", p, local)
 
     def d_rate_dwear(self, p: FloatArray, local: LocalState) -> FloatArray:
         """Return the derivative of the rate with respect to ``local.wear``, 1/s."""
-        if not hasattr(self.own, "d_rate_dwear"):
+        if self._many(p):
+            return self._by_history("d_rate_dwear", p, local)
+        if not self.defines("d_rate_dwear"):
             return super().d_rate_dwear(p, local)
-        return self._ask("d_rate_dwear", p, local)
-
-    def d_rate_dlocal(self, p: FloatArray, local: LocalState, along: LocalState) -> FloatArray:
-        """Return how the rate changes as speed, friction and slid do along those of another."""
-        return found_along(self, p, local, along)
-
-    def d_rate_dbefore(self, p: FloatArray, local: LocalState) -> FloatArray | None:
-        """Return how the rate changes with the wear before a step, 1/s."""
-        return self.d_rate_dwear(p, local) if self.remembers else found_before(self, p, local)
+        return self._call("d_rate_dwear", p, local)
 
     def d_rate_dparameter(self, name: str, p: FloatArray, local: LocalState) -> FloatArray:
         """Return the derivative of the rate with respect to a numeric parameter."""
-        if not hasattr(self.own, "d_rate_dparameter"):
+        if self._many(p):
+            return self._by_history("d_rate_dparameter", p, local, first=(name,))
+        if not self.defines("d_rate_dparameter"):
             return super().d_rate_dparameter(name, p, local)
-        return self._ask("d_rate_dparameter", p, local, name)
+        return self._call("d_rate_dparameter", p, local, name)
 
-    def with_parameter(self, name: str, there: Any) -> Self:
+    def d_rate_dlocal(self, p: FloatArray, local: LocalState, along: LocalState) -> FloatArray:
+        """Return how the rate changes as speed, friction and slid do along those of another.
+
+        The code need not take complex numbers.
+        """
+        if self._many(p):
+            return self._by_history("d_rate_dlocal", p, local, along)
+        return derivative(lambda x: self.rate(p, local.moved(x, along)), 0.0, 1.0)
+
+    def d_rate_dbefore(self, p: FloatArray, local: LocalState) -> FloatArray | None:
+        """Return how the rate changes with the wear before a step, 1/s."""
+        if self.remembers:
+            return self.d_rate_dwear(p, local)
+        if self._many(p):
+            return self._by_history("d_rate_dbefore", p, local)
+        return derivative(
+            lambda wear: self.rate(p, replace(local, wear=wear)), local.wear, _SMALL_WEAR
+        )
+
+
+@dataclass(frozen=True)
+class CompletedLaw(CheckedLaw):
+    """A user's object with a ``rate``, and what else of ``Law`` it has.
+
+    Its rate counts as one that remembers wear unless it says ``remembers = False``. Where it is a
+    dataclass, the numbers among its fields are its parameters.
+    """
+
+    user_object: WearLaw
+
+    def _attribute(self, name: str, default: Any) -> Any:
+        return getattr(self.user_object, name, default)
+
+    @property
+    def length(self) -> float:  # type: ignore[override]
+        """Averaging length, mm; 0 for a local law."""
+        return float(self._attribute("length", 0.0))
+
+    @property
+    def remembers(self) -> bool:
+        """Whether the rate may depend on ``local.wear``."""
+        return bool(self._attribute("remembers", True))
+
+    @property
+    def breakpoints(self) -> tuple[float, ...]:
+        """Times, s, at which the rate jumps or bends."""
+        return tuple(sorted(float(time) for time in self._attribute("breakpoints", ())))
+
+    @property
+    def numeric(self) -> tuple[str, ...]:
+        """Names of the fields that are numbers."""
+        law: Any = self.user_object
+        numbers = [f.name for f in fields(law)] if is_dataclass(law) else []
+        return tuple(
+            name
+            for name in numbers
+            if name != "length" and isinstance(getattr(law, name), float | np.ndarray)
+        )
+
+    def quantity(self, name: str) -> Quantity:
+        """Return a numeric parameter as it was given."""
+        return getattr(self.user_object, name)
+
+    @property
+    def called(self) -> str:
+        """Name of the law in messages."""
+        return type(self.user_object).__name__
+
+    def defines(self, function: UserFunction) -> bool:
+        """Tell whether the object has a method."""
+        return hasattr(self.user_object, function)
+
+    def _call(
+        self, function: UserFunction, p: FloatArray, local: LocalState, *first: str
+    ) -> FloatArray:
+        if p.ndim == 2 and len(p) == 1:  # it may have been written for the (n,) of one history
+            alone: FloatArray = self._call(function, p[0], local.history(0), *first)
+            return alone[None]
+
+        def method(p: FloatArray, local: LocalState) -> Any:
+            return getattr(self.user_object, function)(*first, p, local)
+
+        parameters = (self.quantity(name) for name in self.numeric)
+        state = read_only_state(local)
+        return checked_call(f"{self.called}: {function}()", function, method, p, state, parameters)
+
+    def with_parameter(self, name: str, values: Any) -> Self:
         """Return the law with another number, or other values at the elements."""
-        own: Any = self.own
-        return replace(self, own=replace(own, **{name: there}))
+        law: Any = self.user_object
+        return replace(self, user_object=replace(law, **{name: values}))
 
     def _per_energy(self, friction: float) -> float | None:
-        return self._own("per_energy", super()._per_energy)(friction)
+        return self._attribute("per_energy", super()._per_energy)(friction)
 
     def onset(self, local: LocalState) -> float | FloatArray:
         """Return the pressure, MPa, up to which nothing wears."""
-        return self._own("onset", super().onset)(shown(local))
+        return self._attribute("onset", super().onset)(read_only_state(local))
 
     def potential(self, p: FloatArray, local: LocalState) -> FloatArray | None:
         """Return the integral of the rate from 0 to p, MPa mm/s; None: by quadrature."""
-        return self._own("potential", super().potential)(read_only(p), shown(local))
+        integral = self._attribute("potential", super().potential)
+        return integral(read_only(p), read_only_state(local))
 
     def describe(self) -> str:
-        """Return what it calls itself, with its numbers."""
-        formula = self._own("formula", f"{type(self.own).__name__}.rate(p, local)")
+        """Return the object's formula with its numbers."""
+        formula = self._attribute("formula", f"{self.called}.rate(p, local)")
         return formula + self._with({name: self.quantity(name) for name in self.numeric})
-
-
-def found_along(law: Law, p: FloatArray, local: LocalState, along: LocalState) -> FloatArray:
-    """Return ``d_rate_dlocal`` of a user's law, which need not take complex numbers."""
-    return derivative(lambda x: law.rate(p, local.moved(x, along)), 0.0, 1.0)
-
-
-def found_before(law: Law, p: FloatArray, local: LocalState) -> FloatArray:
-    """Return the derivative of a user's rate with respect to wear that it does not remember."""
-    return derivative(lambda wear: law.rate(p, replace(local, wear=wear)), local.wear, _SMALL_WEAR)
 
 
 def complete(law: WearLaw | Law) -> Law:

@@ -1,4 +1,4 @@
-"""Wear through the layers of a body: each by its own law, and how a step divides among them."""
+"""Wear through the layers of a body, each by its own law."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -6,25 +6,11 @@ from typing import Any, Self
 
 import numpy as np
 
-from ringwear_par.arrays import BoolArray, FloatArray, IntArray
+from ringwear_par.arrays import FloatArray, IntArray
 from ringwear_par.schedules import Quantity
-from ringwear_par.wear.law import Law, stack_laws
+from ringwear_par.wear.law import Law, Layers, stack_laws
+from ringwear_par.wear.layer_split import worn_through
 from ringwear_par.wear.local_state import LocalState
-
-#: share of the depth of a layer's end below which what is left above it is round-off
-ROUND_OFF = 1e-13
-
-
-def worn_through(ends: FloatArray, wear: FloatArray) -> BoolArray:
-    """Tell where wear has come to the ends of layers, but for round-off.
-
-    Parameters
-    ----------
-    ends : (layers, n) or (n,) float, mm, depths of the layers' ends.
-    wear : (..., n) float, mm.
-    """
-    through: BoolArray = ends - wear <= ROUND_OFF * np.abs(ends)
-    return through
 
 
 @dataclass(frozen=True)
@@ -57,22 +43,24 @@ class LayeredLaw(Law):
     ----------
     laws : of the layers from the contact face inwards, and of the body itself.
     thicknesses : mm, of the layers.
-    own : which layers have a law of their own; the others wear as the body.
+    has_law : which layers have a law of their own; the others wear as the body.
     ends : (layers, n) mm, depth at which each layer ends, measured as ``LocalState.wear``; None:
         as many thicknesses, at all elements.
     """
 
     laws: tuple[Law, ...]
     thicknesses: tuple[float, ...]
-    own: tuple[bool, ...]
+    has_law: tuple[bool, ...]
     ends: FloatArray | None = field(default=None, compare=False, repr=False)
 
     @classmethod
-    def of(cls, thicknesses: Sequence[float], own: Sequence[Law | None], body: Law | None) -> Self:
+    def of(
+        cls, thicknesses: Sequence[float], layer_laws: Sequence[Law | None], body: Law | None
+    ) -> Self:
         """Return the law of a body with layers, whose own laws are None where they wear as it."""
         itself = NoWear() if body is None else body
-        laws = (*(itself if law is None else law for law in own), itself)
-        return cls(laws, tuple(thicknesses), tuple(law is not None for law in own))
+        laws = (*(itself if law is None else law for law in layer_laws), itself)
+        return cls(laws, tuple(thicknesses), tuple(law is not None for law in layer_laws))
 
     def at(self, ends: FloatArray) -> Self:
         """Return the law at elements, where layers end at these depths, (layers, n) mm."""
@@ -83,35 +71,41 @@ class LayeredLaw(Law):
         """(layers, n) or (layers, 1) mm, where layers end."""
         return np.cumsum(self.thicknesses)[:, None] if self.ends is None else self.ends
 
-    def left(self, wear: FloatArray) -> FloatArray:
-        """Return what is left of each layer, (layers, ..., n) mm, worn by (..., n) mm."""
+    def remaining(self, wear: FloatArray) -> FloatArray:
+        """Return the thickness that remains of layers, (layers, ..., n) mm, worn by (..., n) mm."""
         ends = self.depths.reshape(len(self.thicknesses), *(1,) * (wear.ndim - 1), -1)
         starts = np.concatenate([np.zeros_like(ends[:1]), ends[:-1]])
         reached = np.maximum(wear, starts)
         return np.where(worn_through(ends, reached), 0.0, ends - reached)
 
     def states(self, local: LocalState) -> list[LocalState]:
-        """Return what each law is told: the depth worn off its own layer."""
+        """Return the local state of each layer: with the depth worn off the layer itself."""
         starts = np.concatenate([np.zeros_like(self.depths[:1]), self.depths])
         return [
             replace(local, wear=np.maximum(local.wear - start, 0.0)) if law.reads_wear else local
             for law, start in zip(self.laws, starts, strict=True)
         ]
 
+    def layers(self, local: LocalState) -> Layers:
+        """Return the layers at the start of a step."""
+        remaining = self.remaining(local.wear)
+        present = (remaining <= 0.0).sum(axis=0)
+        return Layers(self.laws, self.states(local), remaining, present)
+
     def present(self, wear: FloatArray) -> IntArray:
         """Return which layer is at the face, (..., n), worn by (..., n) mm."""
-        return (self.left(wear) <= 0.0).sum(axis=0)
+        return (self.remaining(wear) <= 0.0).sum(axis=0)
 
-    def _there(self, asked: str, p: FloatArray, local: LocalState, *first: Any) -> FloatArray:
-        """Return what the law of each place's layer gives."""
+    def _at_face(self, method: str, p: FloatArray, local: LocalState) -> FloatArray:
+        """Return a method of the law of the layer that is at the face of each element."""
         shape = np.broadcast_shapes(p.shape, local.wear.shape)
         present = np.broadcast_to(self.present(local.wear), shape)
-        found = np.zeros(shape)
+        values = np.zeros(shape)
         for number, (law, at) in enumerate(zip(self.laws, self.states(local), strict=True)):
             here = present == number
             if here.any():
-                found = np.where(here, getattr(law, asked)(*first, p, at), found)
-        return found
+                values = np.where(here, getattr(law, method)(p, at), values)
+        return values
 
     # -- as any law --------------------------------------------------------------------------------
 
@@ -140,59 +134,59 @@ class LayeredLaw(Law):
         """Names of the parameters that the rate has derivatives with respect to."""
         of_layers = [
             f"layers[{i}].{name}"
-            for i, (law, own) in enumerate(zip(self.laws, self.own, strict=False))
-            if own
+            for i, (law, has_law) in enumerate(zip(self.laws, self.has_law, strict=False))
+            if has_law
             for name in law.numeric
         ]
         return (*self.laws[-1].numeric, *of_layers)
 
     def of_layer(self, name: str, number: int) -> str | None:
-        """Return what the law of a layer, or the body, calls a parameter; None: it has it not."""
-        own = number < len(self.own) and self.own[number]
+        """Return the name of a parameter in the law of a layer or the body, None if not in it."""
+        has_law = number < len(self.has_law) and self.has_law[number]
         begin = f"layers[{number}]."
-        if own:
+        if has_law:
             return name.removeprefix(begin) if name.startswith(begin) else None
         return None if name.startswith("layers[") else name
 
     def quantity(self, name: str) -> Quantity:
         """Return a numeric parameter as it was given."""
-        number, own = next(self.having(name))
-        return self.laws[number].quantity(own)
+        number, short = next(self.having(name))
+        return self.laws[number].quantity(short)
 
     def having(self, name: str) -> Any:
         """Yield the laws that have a parameter, by number, and what they call it."""
         for number in range(len(self.laws)):
-            own = self.of_layer(name, number)
-            if own is not None:
-                yield number, own
+            short = self.of_layer(name, number)
+            if short is not None:
+                yield number, short
 
-    def with_parameter(self, name: str, there: Any) -> Self:
+    def with_parameter(self, name: str, values: Any) -> Self:
         """Return the law with another number, or other values at the elements."""
         laws = list(self.laws)
-        for number, own in self.having(name):
-            laws[number] = laws[number].with_parameter(own, there)
+        for number, short in self.having(name):
+            laws[number] = laws[number].with_parameter(short, values)
         return replace(self, laws=tuple(laws))
 
     def rate(self, p: FloatArray, local: LocalState) -> FloatArray:
         """Return the rate of wear, mm/s."""
-        return self._there("rate", p, local)
+        return self._at_face("rate", p, local)
 
     def d_rate_dp(self, p: FloatArray, local: LocalState) -> FloatArray:
         """Return the derivative of the rate with respect to pressure, mm/s/MPa."""
-        return self._there("d_rate_dp", p, local)
+        return self._at_face("d_rate_dp", p, local)
 
     def d_rate_dwear(self, p: FloatArray, local: LocalState) -> FloatArray:
         """Return the derivative of the rate with respect to ``local.wear``, 1/s."""
-        return self._there("d_rate_dwear", p, local)
+        return self._at_face("d_rate_dwear", p, local)
 
     def d_rate_dparameter(self, name: str, p: FloatArray, local: LocalState) -> FloatArray:
         """Return the derivative of the rate with respect to a numeric parameter's value there."""
-        present, found = self.present(local.wear), np.zeros_like(p)
+        present, d_rate = self.present(local.wear), np.zeros_like(p)
         states = self.states(local)
-        for number, own in self.having(name):
-            there = self.laws[number].d_rate_dparameter(own, p, states[number])
-            found = np.where(present == number, there, found)
-        return found
+        for number, short in self.having(name):
+            of_layer = self.laws[number].d_rate_dparameter(short, p, states[number])
+            d_rate = np.where(present == number, of_layer, d_rate)
+        return d_rate
 
     def layer_ratios(self, friction: Any) -> list[Any]:
         """Return worn volume per dissipated energy of each layer and the body, 1/MPa, 0: none."""
@@ -201,11 +195,11 @@ class LayeredLaw(Law):
 
     def describe(self) -> str:
         """Return the formulas with their numbers and units, layer by layer."""
-        told = [
+        through = [
             f"{law.describe()} through a layer of {1e3 * thickness:.6g} um"
             for law, thickness in zip(self.laws, self.thicknesses, strict=False)
         ]
-        return ", then ".join([*told, f"{self.laws[-1].describe()} in the body itself"])
+        return ", then ".join([*through, f"{self.laws[-1].describe()} in the body itself"])
 
     @classmethod
     def stacked(cls, laws: Sequence[Self]) -> Self:
@@ -216,10 +210,12 @@ class LayeredLaw(Law):
         ValueError : they differ in something else.
         """
         first = laws[0]
-        if any((law.thicknesses, law.own) != (first.thicknesses, first.own) for law in laws):
+        if any(
+            (law.thicknesses, law.has_law) != (first.thicknesses, first.has_law) for law in laws
+        ):
             raise ValueError("laws of different layers cannot be stacked")
-        each = [stack_laws(own) for own in zip(*(law.laws for law in laws), strict=True)]
-        return replace(first, laws=tuple(law for law in each if law is not None))
+        stacks = [stack_laws(group) for group in zip(*(law.laws for law in laws), strict=True)]
+        return replace(first, laws=tuple(law for law in stacks if law is not None))
 
     def history(self, i: int) -> Self:
         """Return the law of one of B histories."""
@@ -228,84 +224,3 @@ class LayeredLaw(Law):
     def take(self, histories: IntArray) -> Self:
         """Return the law of some of B histories."""
         return replace(self, laws=tuple(law.take(histories) for law in self.laws))
-
-
-# -- a step ----------------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True)
-class Passage:
-    """How the time of a step divides among the layers of a body.
-
-    Parameters
-    ----------
-    times : (layers + 1, ..., n) shares of the step.
-    depths : (layers + 1, ..., n) mm, worn off each along the normal.
-    left_behind : (layers, ..., n) bool, which layers are worn through by then.
-    """
-
-    times: FloatArray
-    depths: FloatArray
-    left_behind: FloatArray
-
-
-def passage(full: FloatArray, left: FloatArray, share: FloatArray | float) -> Passage:
-    """Return how wear goes through layers in a share of a step.
-
-    A layer of which c mm are left, and which all of the step would wear by a mm, takes the share
-    c / a of it, and the next one what remains.
-
-    Parameters
-    ----------
-    full : (layers + 1, ..., n) mm, what each would lose in all of the step.
-    left : (layers, ..., n) mm, of each layer.
-    share : (..., n) or a number, of the step.
-    """
-    times, depths = np.zeros_like(full), np.zeros_like(full)
-    behind = np.zeros(left.shape, dtype=bool)
-    remains = np.broadcast_to(np.asarray(share, dtype=float), full.shape[1:])
-    for number in range(len(left)):
-        a, c = full[number], left[number]
-        # a share that ends at the interface does so in spite of round-off
-        behind[number] = through = worn_through(c, remains * a) & ((remains > 0.0) | (c <= 0.0))
-        taken = np.divide(c, a, out=np.zeros_like(a), where=through & (a > 0.0))
-        taken = np.where(through, np.minimum(taken, remains), remains)
-        times[number] = taken
-        depths[number] = np.where(through, c, taken * a)
-        remains = np.where(through, remains - taken, 0.0)
-    times[-1] = remains
-    depths[-1] = remains * full[-1]
-    return Passage(times, depths, behind)
-
-
-def d_passage(
-    full: FloatArray,
-    d_full: FloatArray,
-    gone: Passage,
-    share: FloatArray | float,
-    d_share: Any = 0.0,
-    d_left: FloatArray | None = None,
-) -> FloatArray:
-    """Return how what a passage wears off, all layers together, varies: (..., n) mm over what does.
-
-    Parameters
-    ----------
-    d_full : (layers + 1, ..., n), perhaps of P numbers: (layers + 1, P, ..., n).
-    gone : the passage.
-    d_share : as ``d_full`` without its first axis.
-    d_left : (layers, ..., n) or of P numbers, of what is left.
-    """
-    total = np.zeros(np.broadcast_shapes(d_full.shape[1:], np.shape(d_share)))
-    remains = np.broadcast_to(np.asarray(share, dtype=float), full.shape[1:])
-    d_remains: Any = d_share + np.zeros_like(total)
-    for number, through in enumerate(gone.left_behind):
-        a, taken = full[number], gone.times[number]
-        d_c = 0.0 if d_left is None else d_left[number]
-        inside = d_remains * a + remains * d_full[number]
-        total = total + np.where(through, d_c, inside)
-        d_taken = np.divide(
-            d_c - taken * d_full[number], a, out=np.zeros_like(total), where=through & (a > 0.0)
-        )
-        remains = np.where(through, remains - taken, 0.0)
-        d_remains = np.where(through, d_remains - d_taken, 0.0)
-    return total + d_remains * full[-1] + remains * d_full[-1]

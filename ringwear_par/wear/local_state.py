@@ -49,11 +49,11 @@ class LocalState:
     if not TYPE_CHECKING:  # which tells unknown names by itself
 
         def __getattr__(self, name: str) -> Any:
-            there = ", ".join(f.name for f in fields(self) if f.name != "memo")
-            raise AttributeError(f"LocalState has no {name!r}; it has {there}")
+            names = ", ".join(f.name for f in fields(self) if f.name != "memo")
+            raise AttributeError(f"LocalState has no {name!r}; it has {names}")
 
     def take(self, histories: IntArray) -> "LocalState":
-        """Return what some of B histories know."""
+        """Return the local state of some of B histories."""
         return replace(
             self,
             time=take(self.time, histories),
@@ -64,7 +64,7 @@ class LocalState:
         )
 
     def moved(self, by: Any, along: "LocalState") -> "LocalState":
-        """Return the same with so many times another's speed, friction and slid added."""
+        """Return the state with ``by`` times another's speed, friction and slid added."""
         return LocalState(
             self.time,
             self.r,
@@ -76,7 +76,7 @@ class LocalState:
         )
 
     def history(self, i: int) -> "LocalState":
-        """Return what one of B histories knows."""
+        """Return the local state of one of B histories."""
         return replace(
             self,
             time=history(self.time, i),

@@ -52,16 +52,16 @@ class Parameter:
 
 
 def _declared(law: type) -> Mapping[str, Parameter]:
-    found: dict[str, Parameter] = {}
+    declared: dict[str, Parameter] = {}
     if not is_dataclass(law):
-        return found
+        return declared
     hints = get_type_hints(law, include_extras=True)
     for field in fields(law):
         for note in getattr(hints[field.name], "__metadata__", ()):
             if isinstance(note, Parameter):
                 default = ... if field.default is MISSING else field.default
-                found[field.name] = replace(note, name=field.name, default=default)
-    return found
+                declared[field.name] = replace(note, name=field.name, default=default)
+    return declared
 
 
 #: the parameters that a class of laws declares, by name, in their order

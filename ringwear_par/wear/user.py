@@ -14,8 +14,8 @@ from ringwear_par.errors import ComputationError, InputError
 from ringwear_par.files.text import read_text
 from ringwear_par.schedules import Quantity, breakpoints, value
 from ringwear_par.schedules import stack as stack_quantities
-from ringwear_par.wear.guard import Asked, ask, shown
-from ringwear_par.wear.law import CompletedLaw, Law, WearLaw, found_along, found_before
+from ringwear_par.wear.guard import UserFunction, checked_call, read_only_state
+from ringwear_par.wear.law import CheckedLaw, CompletedLaw, Law, WearLaw
 from ringwear_par.wear.local_state import LocalState
 from ringwear_par.wear.parameters import Parameter
 
@@ -27,7 +27,7 @@ _PARAMETERS = "parameters."
 
 @lru_cache(maxsize=64)
 def _compiled(source: str, name: str) -> dict[str, Any]:
-    """Return what the source of a user's law defines. On every rank, once."""
+    """Return the names that the source of a user's law defines. On every rank, once."""
     names: dict[str, Any] = {"__name__": "user_law", "__file__": name}
     exec(compile(source, name, "exec"), names)
     return names
@@ -41,7 +41,7 @@ def _reads_wear(source: str) -> bool:
 
 
 @dataclass(frozen=True)
-class UserLaw(Law):
+class UserLaw(CheckedLaw):
     """A law of your own, from a Python file.
 
     The file defines ``rate(p, at)``, the rate of depth in mm/s at pressures p in MPa; ``at`` knows
@@ -69,6 +69,7 @@ class UserLaw(Law):
     """
 
     name = "user"
+    one_by_one = True
     formula = "rate(p, at) of a Python file"
 
     file: Annotated[
@@ -99,7 +100,7 @@ class UserLaw(Law):
         return law
 
     def missing(self) -> str:
-        """Return what keeps the file from being a law, "" if nothing does."""
+        """Return the fault that keeps the file from being a law, "" if there is none."""
         try:
             names = self._functions
         except (Exception, SystemExit) as error:  # whatever a user's code may raise
@@ -110,18 +111,12 @@ class UserLaw(Law):
 
     @property
     def called(self) -> str:
-        """What messages call the law."""
+        """Name of the law in messages."""
         return self.file
 
-    @property
-    def defines_d_rate_dp(self) -> bool:
-        """Whether the file has the derivative with respect to pressure."""
-        return "d_rate_dp" in self._functions
-
-    @property
-    def reads_wear(self) -> bool:
-        """Whether the rate may depend on ``at.wear``: nobody knows."""
-        return True
+    def defines(self, function: UserFunction) -> bool:
+        """Tell whether the file has a function; derivatives by parameters are not asked of it."""
+        return function != "d_rate_dparameter" and function in self._functions
 
     @property
     def remembers(self) -> bool:
@@ -133,8 +128,8 @@ class UserLaw(Law):
     @property
     def breakpoints(self) -> tuple[float, ...]:
         """Times at which a parameter's table bends, and those that the file names."""
-        own = {float(time) for time in self._functions.get("breakpoints", ())}
-        return tuple(sorted(own.union(breakpoints(*(q for _, q in self.parameters)))))
+        times = {float(time) for time in self._functions.get("breakpoints", ())}
+        return tuple(sorted(times.union(breakpoints(*(q for _, q in self.parameters)))))
 
     @property
     def numeric(self) -> tuple[str, ...]:
@@ -145,9 +140,9 @@ class UserLaw(Law):
         """Return a numeric parameter as it was given."""
         return dict(self.parameters)[name.removeprefix(_PARAMETERS)]
 
-    def with_parameter(self, name: str, there: Any) -> Self:
+    def with_parameter(self, name: str, values: Any) -> Self:
         """Return the law with another number, or other values at the elements."""
-        changed = {**dict(self.parameters), name.removeprefix(_PARAMETERS): there}
+        changed = {**dict(self.parameters), name.removeprefix(_PARAMETERS): values}
         return replace(self, parameters=tuple(changed.items()))
 
     def describe(self) -> str:
@@ -167,92 +162,23 @@ class UserLaw(Law):
         ValueError : they are of different files, or have other parameters.
         """
         first = laws[0]
-        what = {(law.file, law.source, tuple(name for name, _ in law.parameters)) for law in laws}
-        if len(what) > 1:
+        kinds = {(law.file, law.source, tuple(name for name, _ in law.parameters)) for law in laws}
+        if len(kinds) > 1:
             raise ValueError("laws of different Python files or parameters cannot be stacked")
-        each = zip(*(law.parameters for law in laws), strict=True)
-        own = ((pairs[0][0], stack_quantities([q for _, q in pairs])) for pairs in each)
-        return replace(first, parameters=tuple(own))
+        columns = zip(*(law.parameters for law in laws), strict=True)
+        stacks = ((pairs[0][0], stack_quantities([q for _, q in pairs])) for pairs in columns)
+        return replace(first, parameters=tuple(stacks))
 
     def _with_stacks(self, change: Callable[[Any], Any]) -> Self:
         return replace(self, parameters=tuple((name, change(q)) for name, q in self.parameters))
 
-    def _of_each(
-        self, asked: str, p: FloatArray, local: LocalState, along: LocalState | None = None
+    def _call(
+        self, function: UserFunction, p: FloatArray, local: LocalState, *first: str
     ) -> FloatArray:
-        """Return what a method gives of B histories, (B, n), each by itself.
-
-        Derivatives too: whether code takes complex numbers may depend on the history.
-        """
-        others = () if along is None else (along,)
-        each = (
-            getattr(self.history(i), asked)(
-                p[i], local.history(i), *(other.history(i) for other in others)
-            )
-            for i in range(len(p))
-        )
-        return np.array(list(each))
-
-    def _call(self, name: Asked, p: FloatArray, local: LocalState) -> FloatArray:
-        """Return the checked values (n,) of one of the file's functions."""
         values = {key: value(q, local.time, local.r) for key, q in self.parameters}
-        there = shown(local, parameters=values)
-        return ask(f"{self.file}: {name}()", name, self._functions[name], p, there, values.values())
-
-    def rate(self, p: FloatArray, local: LocalState) -> FloatArray:
-        """Return the rate of wear, mm/s.
-
-        Raises
-        ------
-        LawError : the function failed, or gave NaN or a negative rate.
-        """
-        if p.ndim > 1:
-            return self._of_each("rate", p, local)
-        return self._call("rate", p, local)
-
-    def d_rate_dp(self, p: FloatArray, local: LocalState) -> FloatArray:
-        """Return the derivative of the rate with respect to pressure, mm/s/MPa.
-
-        Raises
-        ------
-        LawError : the function failed, or gave NaN or a negative slope.
-        """
-        if p.ndim > 1:
-            return self._of_each("d_rate_dp", p, local)
-        if not self.defines_d_rate_dp:
-            return super().d_rate_dp(p, local)
-        return self._call("d_rate_dp", p, local)
-
-    def d_rate_dwear(self, p: FloatArray, local: LocalState) -> FloatArray:
-        """Return the derivative of the rate with respect to ``local.wear``, 1/s."""
-        if p.ndim > 1:
-            return self._of_each("d_rate_dwear", p, local)
-        if "d_rate_dwear" not in self._functions:
-            return super().d_rate_dwear(p, local)
-        return self._call("d_rate_dwear", p, local)
-
-    def d_rate_dparameter(self, name: str, p: FloatArray, local: LocalState) -> FloatArray:
-        """Return the derivative of the rate with respect to a parameter's value there."""
-        if p.ndim == 1:
-            return super().d_rate_dparameter(name, p, local)
-        each = (
-            self.history(i).d_rate_dparameter(name, p[i], local.history(i)) for i in range(len(p))
-        )
-        return np.array(list(each))
-
-    def d_rate_dlocal(self, p: FloatArray, local: LocalState, along: LocalState) -> FloatArray:
-        """Return how the rate changes as speed, friction and slid do along those of another."""
-        if p.ndim > 1:
-            return self._of_each("d_rate_dlocal", p, local, along)
-        return found_along(self, p, local, along)
-
-    def d_rate_dbefore(self, p: FloatArray, local: LocalState) -> FloatArray | None:
-        """Return how the rate changes with the wear before a step, 1/s."""
-        if self.remembers:
-            return self.d_rate_dwear(p, local)
-        if p.ndim > 1:
-            return self._of_each("d_rate_dbefore", p, local)
-        return found_before(self, p, local)
+        state = read_only_state(local, parameters=values)
+        called = f"{self.file}: {function}()"
+        return checked_call(called, function, self._functions[function], p, state, values.values())
 
 
 def check_object(law: object) -> None:
@@ -267,14 +193,14 @@ def check_object(law: object) -> None:
         raise InputError(f"{law.__name__} is a class; {must}, as {law.__name__}(...) may be")
     if not (isinstance(law, WearLaw) and callable(law.rate)):
         raise InputError(f"{type(law).__name__} is no wear law; {must}")
-    for name, what in (("length", "a number (mm)"), ("breakpoints", "a list of times (s)")):
+    for name, kind in (("length", "a number (mm)"), ("breakpoints", "a list of times (s)")):
         try:
             getattr(CompletedLaw(law), name)
         except Exception as error:  # whatever a user's code may raise
-            raise InputError(f"{type(law).__name__}: {name}: {error}; must be {what}") from error
+            raise InputError(f"{type(law).__name__}: {name}: {error}; must be {kind}") from error
 
 
-def check_user_law(law: UserLaw | CompletedLaw, at: LocalState, pressure: float) -> None:
+def check_user_law(law: CheckedLaw, at: LocalState, pressure: float) -> None:
     """Refuse a user's law that is no law, tried at pressures up to a given one (MPa).
 
     Not collective.
@@ -325,20 +251,20 @@ def serves_many(law: Law, r: FloatArray) -> bool:
     shares = np.linspace(0.0, 1.0, 3 * len(r)).reshape(3, -1)
     p, wear, speed = _TRIED_PRESSURE * shares, 1e-3 * shares[::-1], np.array([[1.0], [2.0], [3.0]])
     at = LocalState(np.arange(3.0), r, speed * r, np.array([0.1, 0.2, 0.3]), wear, 5.0 * speed * r)
-    for asked in ("rate", "d_rate_dp", "d_rate_dwear"):
+    for method in ("rate", "d_rate_dp", "d_rate_dwear"):
         try:
-            alone = [getattr(law, asked)(p[i], at.history(i)) for i in range(3)]
+            alone = [getattr(law, method)(p[i], at.history(i)) for i in range(3)]
         except Exception:  # nothing that company would change: its histories will tell
             continue
         try:
-            if not np.array_equal(getattr(law, asked)(p, at), alone):
+            if not np.array_equal(getattr(law, method)(p, at), alone):
                 return False
         except Exception:  # whatever a user's code may raise
             return False
     return True
 
 
-def _jump(law: UserLaw | CompletedLaw, at: LocalState, p: FloatArray, rates: FloatArray) -> str:
+def _jump(law: CheckedLaw, at: LocalState, p: FloatArray, rates: FloatArray) -> str:
     """Return where the rate jumps with pressure, "" if it does not: by bisection of steep pieces.
 
     Parameters

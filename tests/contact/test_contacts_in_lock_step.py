@@ -9,7 +9,8 @@ from ringwear_par.contact.batch import BatchSolver
 from ringwear_par.contact.problem import KKT_TOLERANCE, WarmStart
 from ringwear_par.contact.solver import ContactSolver
 from ringwear_par.errors import HistoriesError
-from ringwear_par.wear.increment import WearIncrement, averaging
+from ringwear_par.wear.averaging import averaging
+from ringwear_par.wear.increment import WearIncrement
 from ringwear_par.wear.law import stack_laws
 from ringwear_par.wear.laws.non_local import NonLocalLaw
 from ringwear_par.wear.laws.power import PowerLaw
@@ -175,7 +176,7 @@ def test_who_cannot_be_solved_is_named(solver):
 
 def test_what_a_law_raises_comes_out_as_it_is(solver):
     class Failing:
-        local, bends = True, False
+        local, nearly_discontinuous = True, False
 
         def depth(self, p):
             raise ZeroDivisionError("of a law")

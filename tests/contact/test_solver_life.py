@@ -25,7 +25,7 @@ AREA = np.ones(N)
 class _Failing:
     """Wear whose law fails."""
 
-    local, bends = True, False
+    local, nearly_discontinuous = True, False
 
     def __init__(self, error):
         self.error = error

@@ -13,7 +13,7 @@ from ringwear_par.explorer.exploring import Exploration, raw_keys
 from ringwear_par.explorer.figures import MENU, Drawing
 from ringwear_par.explorer.measured import read_table
 from ringwear_par.explorer.page import _variables
-from ringwear_par.results.pictures.history_panels import HISTORY_PANELS
+from ringwear_par.pictures.runs import HISTORY_PANELS
 
 pytestmark = pytest.mark.serial
 

@@ -267,14 +267,14 @@ def test_cases_of_other_kinds(name, other, tmp_path):
         page = other
         page.open(address)
         page.wait(REST.format(n=0))
-        first = page.run("page.talk.told")
+        first = page.run("page.talk.answer")
         page.run("""(() => { const row = document.querySelector("[data-name^='wear.']");
           const range = row.querySelector("input");
           range.value = Number(range.value) + 20 * Number(range.step);
           range.dispatchEvent(new Event("input"));
           range.dispatchEvent(new Event("change")); })()""")
         page.wait(REST.format(n=1))
-        assert page.run("page.talk.told") != first
+        assert page.run("page.talk.answer") != first
         assert page.run("find('faults').textContent") == ""
         path = tmp_path / "home.toml"
         path.write_text(page.run("find('case').textContent"))

@@ -30,7 +30,7 @@ class Visited:
     @property
     def told(self):
         """What the page was told last."""
-        return json.loads(self.talk.told)
+        return json.loads(self.talk.answer)
 
     def work(self):
         """Do all that is to be done, and return what the page is told then."""
@@ -43,12 +43,12 @@ class Visited:
     def ask(self, n, **values):
         """Ask for other numbers."""
         wish = {"n": n, "instant": 1.0, "menu": "torque", "values": values}
-        self.talk.asked = json.dumps(wish)
+        self.talk.request = json.dumps(wish)
 
     def give(self, name, table):
         """Lay a table over the history."""
         content = base64.b64encode(table).decode()
-        self.talk.given = json.dumps({"name": name, "content": content})
+        self.talk.table = json.dumps({"name": name, "content": content})
 
 
 def test_a_page_computes_the_last_wish_and_goes_on_after_faults(comm):
@@ -71,7 +71,7 @@ def test_a_page_computes_the_last_wish_and_goes_on_after_faults(comm):
     assert [t["wear.lower.k"] for t in computed if t] == ["8e-8"]
     assert told["controls"]["wear.lower.k"]["value"] == 8e-8
     ask(9, **{"wear.lower.k": "8e-8"})  # nothing to compute
-    assert json.loads(talk.told)["n"] == 9
+    assert json.loads(talk.answer)["n"] == 9
     ask(10, **{"wear.lower.k": "0", "contact.friction": "x"})
     assert work()["faults"] == ["contact.friction = x: must be a number"]
     ask(11, **{"wear.lower.k": "5"})
@@ -83,10 +83,10 @@ def test_a_page_computes_the_last_wish_and_goes_on_after_faults(comm):
     assert told["n"] == 12
     assert told["faults"] == []
     visited.page._slow, exploration.compute = True, compute
-    talk.asked = json.dumps({**json.loads(talk.asked), "n": 12.5, "moving": True,
+    talk.request = json.dumps({**json.loads(talk.request), "n": 12.5, "moving": True,
                              "values": {"wear.lower.k": "2e-7"}})  # fmt: skip
     assert work()["sketch"] is True
-    talk.asked = json.dumps({**json.loads(talk.asked), "n": 12, "moving": False})
+    talk.request = json.dumps({**json.loads(talk.request), "n": 12, "moving": False})
     assert work()["sketch"] is False  # the same numbers, but at rest
     visited.page._left(None)
     ask(13, **{"wear.lower.k": "9e-8"})
@@ -101,12 +101,12 @@ def test_malformed_wishes_are_answered_by_a_sentence(comm, caplog):
         json.dumps({**good, key: value})
         for key, value in (("n", None), ("instant", "x"), ("values", {"a": 1}), ("menu", []))
     )):  # fmt: skip
-        visited.talk.told = ""
-        visited.talk.asked = wish
+        visited.talk.answer = ""
+        visited.talk.request = wish
         assert visited.told["faults"] == [
             "the page sent a wish that cannot be read; load it again"
         ]  # fmt: skip
-    visited.talk.given = json.dumps({"number": "x"})
+    visited.talk.table = json.dumps({"number": "x"})
     assert "no table" in visited.told["laid_fault"]
     assert not visited.tasks
     assert caplog.text == ""
@@ -146,7 +146,7 @@ def test_faults_stay_until_numbers_can_be_computed(comm):
     assert told["controls"]
     visited.ask(3, **{"lower.young": "1e30"})  # whose slider would reach further
     visited.work()
-    assert "Infinity" not in visited.talk.told
+    assert "Infinity" not in visited.talk.answer
 
 
 def test_units_that_are_taken_are_told_as_long_as_a_table_is_there(comm):
@@ -155,7 +155,7 @@ def test_units_that_are_taken_are_told_as_long_as_a_table_is_there(comm):
     visited.give("a.csv", b"t,penetration_um,torque_Nm\n1,2,3\n")
     assert visited.told["laid_fault"] == "a.csv: the column t names no unit; s is taken"
     for column in visited.told["laid"]:
-        visited.talk.given = json.dumps({"number": column["number"], "remove": True})
+        visited.talk.table = json.dumps({"number": column["number"], "remove": True})
     assert visited.told["laid_fault"] == ""
 
 

@@ -26,7 +26,8 @@ from ringwear_par.history.start import initial_state
 from ringwear_par.results.warnings import validity_warnings
 from ringwear_par.verification.fine import CONTACT, Rings, ring_case
 from ringwear_par.verification.paper import paper_case
-from ringwear_par.wear.increment import WearIncrement, averaging
+from ringwear_par.wear.averaging import averaging
+from ringwear_par.wear.increment import WearIncrement
 from ringwear_par.wear.laws.archard import ArchardLaw
 from ringwear_par.wear.laws.non_local import NonLocalLaw
 from ringwear_par.wear.laws.power import PowerLaw

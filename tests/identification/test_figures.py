@@ -8,8 +8,9 @@ from laboratory import FITTED, fit_tables, write_tests
 
 from ringwear_par.identification.definition.fit_file import read_fit
 from ringwear_par.identification.definition.problem import Series
-from ringwear_par.identification.figures import _axis, label, pieces
+from ringwear_par.identification.figures import _series, label
 from ringwear_par.identification.fit import predicted
+from ringwear_par.pictures import fits
 
 pytestmark = pytest.mark.serial
 
@@ -33,17 +34,26 @@ def profile_at(radii):
     return Series("profile", "profile.lower", x, 0.0 * x, 0.0 * x + 1.0)
 
 
+def drawn_series(radii, edges, profile=True):
+    x = np.array(radii)
+    columns = dict.fromkeys(("data", "model", "sd", "band", "residuals"), 0.0 * x)
+    return fits.Series("test", "profile", "um", x, profile, **columns, level=0.95, edges=edges)
+
+
 def test_a_profile_is_broken_at_edges_and_gaps():
     radii = [28.3, 28.4, 28.5, 28.6, 28.7, 28.8, 29.4, 29.5]
-    parts = [part.tolist() for part in pieces(profile_at(radii), (28.5, 31.5))]
-    assert parts == [[0, 1], [2, 3, 4, 5], [6, 7]]
-    backwards = [part.tolist() for part in pieces(profile_at(radii[::-1]), (28.5, 31.5))]
-    assert backwards == [[7, 6], [5, 4, 3, 2], [1, 0]]
+    for order in (radii, radii[::-1]):
+        series = drawn_series(order, (28.5, 31.5))
+        assert series.breaks().tolist() == [2, 6]
+        (model,) = fits.readings(series).curves
+        assert np.flatnonzero(np.isnan(model.x)).tolist() == [2, 7]
+        assert model.x[np.isfinite(model.x)].tolist() == radii
+    assert drawn_series([31.4, 31.5, 31.6], (28.5, 31.5)).breaks().tolist() == [2]
+    assert drawn_series(radii, ()).breaks().tolist() == [6]  # where edges are not known
 
 
 def test_readings_in_time_are_joined():
-    series = replace(profile_at([1.0, 2.0, 28.0, 29.0]), quantity="penetration")
-    assert [part.tolist() for part in pieces(series, (1.5, 31.5))] == [[0, 1, 2, 3]]
+    assert not len(drawn_series([1.0, 2.0, 28.0, 29.0], (1.5, 31.5), profile=False).breaks())
 
 
 @pytest.mark.parametrize(
@@ -130,6 +140,9 @@ def test_long_tests_are_drawn_in_hours(found):
     series = test.series[0]
     assert not series.profile
     long = replace(series, x=series.x * (2e4 / series.x.max()))
-    assert _axis(long) == (pytest.approx(long.x / 3600.0), "time (h)")
-    assert _axis(series) == (pytest.approx(series.x), "time (s)")
-    assert _axis(test.series[1])[1] == "radius (mm)"
+    for one, seconds, words in ((long, 3600.0, "time (h)"), (series, 1.0, "time (s)")):
+        x, axis = _series(found, test, one, found.squares.parts[0]).along()
+        assert x == pytest.approx(one.x / seconds)
+        assert axis.label == words
+    _, axis = _series(found, test, test.series[1], found.squares.parts[1]).along()
+    assert axis.label == "radius (mm)"

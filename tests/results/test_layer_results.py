@@ -12,10 +12,10 @@ from mpi4py import MPI
 
 import ringwear_par as rw
 from ringwear_par.arrays import share
+from ringwear_par.pictures.figures import plot
 from ringwear_par.reports.run_page import profiles, worn_table
 from ringwear_par.results.key_numbers import key_numbers
 from ringwear_par.results.layer_ends import worn_through
-from ringwear_par.results.pictures.figures import plot
 from ringwear_par.results.storage.export import export
 from ringwear_par.results.unit_suspicions import unit_suspicions
 
@@ -206,7 +206,7 @@ def test_layers_in_tables_and_pictures(result, tmp_path):
     wear, through = plot(result, "wear,through").axes
     drawn = [line.get_ydata() for line in through.lines]
     np.testing.assert_allclose(drawn[0], 100.0 * result.layers["share_through_lower"])
-    grey = [line for line in wear.lines if line.get_color() == "0.4"]
+    grey = [line for line in wear.lines if line.get_color() == "#666666"]
     interface = [line for line in grey if line.get_linestyle() == ":"]
     # um, both of lower, the coating of upper is far from worn
     np.testing.assert_allclose([line.get_ydata()[0] for line in interface], [-0.5, -3.5])

@@ -35,7 +35,7 @@ def runs(tmp_path_factory, comm):
 @pytest.mark.parametrize("panels", ["wear,penetration", "pressure", "penetration,pressure,wear"])
 @pytest.mark.parametrize("ending", [".png", ".pdf", ".svg"])
 def test_every_panel_and_format(runs, tmp_path, panels, ending):
-    from ringwear_par.results.pictures.figures import plot_files
+    from ringwear_par.pictures.figures import plot_files
 
     output = tmp_path / f"figure{ending}"
     plot_files(runs[:2], output, panels, "1,10,20")
@@ -49,7 +49,7 @@ def test_every_panel_and_format(runs, tmp_path, panels, ending):
 @pytest.mark.parametrize("by_command", [True, False])
 def test_fonts_in_files_are_fonts(runs, tmp_path, by_command):
     """Publishers refuse Type 3; texts in drawings can be searched and edited."""
-    from ringwear_par.results.pictures.figures import plot, plot_files
+    from ringwear_par.pictures.figures import plot, plot_files
 
     pdf, svg = tmp_path / "figure.pdf", tmp_path / "figure.svg"
     for path in (pdf, svg):
@@ -69,7 +69,7 @@ def test_what_libraries_note_of_a_picture_is_not_told(runs, tmp_path):
 
 
 def test_what_is_drawn_is_what_is_stored(runs):
-    from ringwear_par.results.pictures.figures import plot
+    from ringwear_par.pictures.figures import plot
     from ringwear_par.results.storage.result_files import open_result
 
     figure = plot(runs[:2], "wear,penetration,pressure", "1,20", runs[1:2])
@@ -87,7 +87,7 @@ def test_what_is_drawn_is_what_is_stored(runs):
 
 
 def test_few_points_of_a_curve_are_marked(runs):
-    from ringwear_par.results.pictures.figures import plot
+    from ringwear_par.pictures.figures import plot
 
     (penetration,) = plot(runs[2], "penetration").axes
     assert penetration.lines[0].get_marker() == "o"
@@ -105,7 +105,7 @@ def test_few_points_of_a_curve_are_marked(runs):
     ],
 )
 def test_wrong_requests(runs, tmp_path, arguments, match):
-    from ringwear_par.results.pictures.figures import plot_files
+    from ringwear_par.pictures.figures import plot_files
 
     with pytest.raises(InputError, match=match):
         plot_files(runs[:1], tmp_path / "a.png", *arguments)
@@ -113,7 +113,7 @@ def test_wrong_requests(runs, tmp_path, arguments, match):
 
 
 def test_wrong_files(runs, tmp_path):
-    from ringwear_par.results.pictures.figures import plot_files
+    from ringwear_par.pictures.figures import plot_files
 
     with pytest.raises(InputError, match="does not hold pressure"):
         plot_files([runs[2]], tmp_path / "a.png", "pressure")
@@ -128,7 +128,7 @@ def test_wrong_files(runs, tmp_path):
 
 @pytest.mark.parametrize("case", ["fields", "sphere", "crown", "coated"])
 def test_deformed_sections(tmp_path, comm, case):
-    from ringwear_par.results.pictures.figures import plot, plot_files
+    from ringwear_par.pictures.figures import plot, plot_files
     from ringwear_par.results.storage.result_files import open_result
 
     run = tmp_path / "run.h5"
@@ -169,7 +169,7 @@ def test_deformed_sections(tmp_path, comm, case):
 
 
 def test_magnification_is_round():
-    from ringwear_par.results.pictures.section_panel import magnification
+    from ringwear_par.pictures.sections import magnification
 
     assert magnification(np.inf) == 1.0
     assert magnification(100.0) == 100.0
@@ -179,7 +179,7 @@ def test_magnification_is_round():
 
 
 def test_sections_need_boundary_fields(runs, tmp_path):
-    from ringwear_par.results.pictures.figures import plot_files
+    from ringwear_par.pictures.figures import plot_files
 
     with pytest.raises(InputError, match=r"holds no fields .* output\.boundary"):
         plot_files(runs[:1], tmp_path / "a.png", "section")
@@ -187,8 +187,8 @@ def test_sections_need_boundary_fields(runs, tmp_path):
 
 
 def test_results_and_files_are_drawn_alike(runs, tmp_path):
-    from ringwear_par.results.pictures.drawing import save_figure
-    from ringwear_par.results.pictures.figures import plot
+    from ringwear_par.pictures.figures import plot
+    from ringwear_par.pictures.style import save_figure
     from ringwear_par.results.storage.result_files import open_result
 
     first, second = map(open_result, runs[:2])
@@ -215,7 +215,7 @@ def test_results_and_files_are_drawn_alike(runs, tmp_path):
 def test_results_without_a_file_have_a_name(runs):
     from dataclasses import replace
 
-    from ringwear_par.results.pictures.figures import plot
+    from ringwear_par.pictures.figures import plot
     from ringwear_par.results.storage.result_files import open_result
 
     several = [replace(open_result(path), path=None) for path in (*runs[:1], runs[0], runs[2])]
@@ -227,8 +227,8 @@ def test_results_without_a_file_have_a_name(runs):
 
 def test_every_history_has_its_panel(runs):
     """What is drawn follows from what is stored: rates and p V are means between states."""
-    from ringwear_par.results.pictures.figures import plot
-    from ringwear_par.results.pictures.history_panels import HISTORY_PANELS
+    from ringwear_par.pictures.figures import plot
+    from ringwear_par.pictures.runs import HISTORY_PANELS
     from ringwear_par.results.storage.result_files import open_result
 
     result = open_result(runs[0])  # both bodies wear
@@ -256,7 +256,7 @@ def test_every_history_has_its_panel(runs):
 
 
 def test_profiles_at_times_are_those_of_the_nearest_states(runs):
-    from ringwear_par.results.pictures.figures import plot
+    from ringwear_par.pictures.figures import plot
     from ringwear_par.results.storage.result_files import open_result
 
     result = open_result(runs[1])
@@ -268,7 +268,7 @@ def test_profiles_at_times_are_those_of_the_nearest_states(runs):
 
 def test_times_without_a_stored_state_are_told(runs, caplog):
     """Of all that are drawn once, and only where it can be seen."""
-    from ringwear_par.results.pictures.figures import plot
+    from ringwear_par.pictures.figures import plot
 
     plot(runs[2], "penetration")
     assert not caplog.messages
@@ -279,7 +279,7 @@ def test_times_without_a_stored_state_are_told(runs, caplog):
 
 
 def test_what_is_stored_is_drawn_beside_what_is_not(runs, caplog):
-    from ringwear_par.results.pictures.figures import plot
+    from ringwear_par.pictures.figures import plot
 
     figure = plot(runs[:2], "wear,section,penetration")
     assert len(figure.axes) == 3  # two panels of wear
@@ -293,8 +293,8 @@ def test_what_is_stored_is_drawn_beside_what_is_not(runs, caplog):
 
 
 def test_long_histories_are_drawn_in_hours(tmp_path, comm):
+    from ringwear_par.pictures.figures import plot
     from ringwear_par.results.instants import time_unit
-    from ringwear_par.results.pictures.figures import plot
 
     run_case(
         PAPER, tmp_path / "a.h5",
@@ -309,7 +309,7 @@ def test_long_histories_are_drawn_in_hours(tmp_path, comm):
 
 
 def test_panels_of_several_results_have_one_scale(runs):
-    from ringwear_par.results.pictures.figures import plot
+    from ringwear_par.pictures.figures import plot
 
     figure = plot(runs[:2], "wear,pressure")
     for pair in (figure.axes[:2], figure.axes[2:]):
@@ -322,7 +322,7 @@ def test_panels_of_several_results_have_one_scale(runs):
 @pytest.mark.parametrize("panels", ["wear,pressure", "penetration,volume", "rate,pv"])
 def test_legends_cover_nothing(runs, panels):
     """They stand above their panel, within the picture, and no two letters overlap."""
-    from ringwear_par.results.pictures.figures import plot
+    from ringwear_par.pictures.figures import plot
 
     figure = plot(runs[:2], panels)
     figure.canvas.draw()
@@ -337,7 +337,7 @@ def test_legends_cover_nothing(runs, panels):
 
 
 def test_values_are_told_in_a_few_words():
-    from ringwear_par.results.pictures.drawing import in_words
+    from ringwear_par.pictures.style import in_words
 
     assert in_words(80.0) == "80"
     assert in_words([[0.0, 50.0], [5.0, 60.0], [9.0, 80.0]]) == "50 to 80 in 3 points"
@@ -352,7 +352,7 @@ def test_stages_in_time_stay_apart_in_grey():
     """Lightness falls from the first to the last, whatever colours are to somebody's eyes."""
     from matplotlib.colors import to_rgb
 
-    from ringwear_par.results.pictures.drawing import COLOURS, stage_colour
+    from ringwear_par.pictures.style import COLOURS, stage_colour
 
     def lightness(colour):
         return float(np.dot((0.2126, 0.7152, 0.0722), np.square(to_rgb(colour))))
@@ -366,7 +366,7 @@ def test_stages_in_time_stay_apart_in_grey():
 def test_a_history_of_one_state_has_no_rate(runs):
     from dataclasses import replace
 
-    from ringwear_par.results.pictures.figures import plot
+    from ringwear_par.pictures.figures import plot
     from ringwear_par.results.storage.result_files import open_result
 
     whole = open_result(runs[1])
@@ -377,7 +377,7 @@ def test_a_history_of_one_state_has_no_rate(runs):
 
 
 def test_what_the_common_scale_shows_is_not_cut(tmp_path, comm):
-    from ringwear_par.results.pictures.figures import plot
+    from ringwear_par.pictures.figures import plot
 
     for name, pressure in (("low", 5), ("high", 80)):
         words = ["mesh.contact_elements=32", "time.steps=1", f"load.pressure={pressure}"]
@@ -392,9 +392,9 @@ def test_what_the_common_scale_shows_is_not_cut(tmp_path, comm):
 
 def test_the_peak_of_pressure_is_the_same_everywhere(tmp_path, comm):
     from ringwear_par.explorer.figures import Drawing
+    from ringwear_par.pictures.figures import plot
     from ringwear_par.reports.run_page import profiles
     from ringwear_par.results.instants import pressure_peak
-    from ringwear_par.results.pictures.figures import plot
     from ringwear_par.results.storage.result_files import open_result
 
     words = ["mesh.contact_elements=32", "time.steps=8"]

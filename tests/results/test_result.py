@@ -225,7 +225,7 @@ def test_results_in_memory_are_exported(computed, comm, tmp_path):
 
 LIGHT = """
 import sys
-from ringwear_par.results.pictures.figures import plot
+from ringwear_par.pictures.figures import plot
 from ringwear_par.results.storage.result_files import open_result
 
 result = open_result(sys.argv[1])

@@ -9,6 +9,7 @@ import xarray
 from stored import assert_same, contents
 
 from ringwear_par.errors import ComputationError, InputError
+from ringwear_par.pictures.figures import FigureFile
 from ringwear_par.results.execution import run as driver
 from ringwear_par.results.execution import watch as monitor
 from ringwear_par.results.execution.run import run_case
@@ -102,7 +103,7 @@ def test_a_complete_run_is_drawn_without_computing(shared_path, comm):
     path, figure = shared_path / "run.h5", shared_path / "run.png"
     run_case(PAPER, path, SMALL, comm=comm)
     before = contents(path) if comm.rank == 0 else {}
-    run_case(PAPER, path, SMALL, comm=comm, restart=True, figure=figure)
+    run_case(PAPER, path, SMALL, comm=comm, restart=True, figure=FigureFile(figure))
     if comm.rank == 0:
         assert figure.exists()
         assert all(np.array_equal(v, contents(path)[k]) for k, v in before.items())

@@ -239,7 +239,7 @@ def stored(tmp_path_factory, comm):
 
 @pytest.mark.serial
 def test_pictures_show_what_is_stored(stored, tmp_path):
-    from ringwear_par.results.pictures.figures import plot_files
+    from ringwear_par.pictures.figures import plot_files
 
     result = rw.open_result(stored)
     r, z = result.stress.grid

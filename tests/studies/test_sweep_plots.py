@@ -13,7 +13,8 @@ from ringwear_par.errors import InputError
 from ringwear_par.results.variables import HISTORIES
 from ringwear_par.studies.analysis.sensitivity import sensitivity
 from ringwear_par.studies.definition.variations import column_of
-from ringwear_par.studies.pictures.figures import choose, draw_sweep, plot_sweep
+from ringwear_par.studies.pictures.choice import choose
+from ringwear_par.studies.pictures.figures import draw_sweep, plot_sweep
 from ringwear_par.studies.pictures.index_bars import index_bars
 from ringwear_par.studies.storage.blocks import Block, Record
 from ringwear_par.studies.storage.dataset import Listing, write_ensemble
@@ -458,8 +459,8 @@ def test_many_cases_are_drawn_from_a_part_of_their_histories(tmp_path, monkeypat
 @pytest.mark.usefixtures("few_resamples")
 def test_round_off_looks_like_no_effect(tmp_path, keys, method):
     """Values that differ by it lie on a level line; 2 % are seen as ever."""
-    from ringwear_par.pictures.sweeps import effects
     from ringwear_par.studies.analysis.surrogate import surrogate
+    from ringwear_par.studies.pictures.panels import effects
 
     u = sample(KEYS[:keys], 32) if method == "sobol" else np.array(
         list(itertools.product(*[np.linspace(0.1, 1.0, 4)] * keys))

@@ -11,12 +11,12 @@ from swept import CASE, table, variables, write_study
 import ringwear_par as rw
 from ringwear_par.elasticity.stress.recovery import StressRecovery
 from ringwear_par.errors import ComputationError
-from ringwear_par.pictures import sweeps
 from ringwear_par.studies.analysis.sensitivity import outputs_of
 from ringwear_par.studies.analysis.surrogate import surrogate
 from ringwear_par.studies.execution import workers
 from ringwear_par.studies.execution.sweep import sweep
-from ringwear_par.studies.pictures.figures import choose
+from ringwear_par.studies.pictures import panels as sweeps
+from ringwear_par.studies.pictures.choice import choose
 from ringwear_par.studies.storage.ensemble import read_ensemble
 from ringwear_par.studies.storage.store import Store
 

@@ -9,14 +9,15 @@ from wearing import sliding, step_wear
 
 from ringwear_par.errors import ComputationError, InputError
 from ringwear_par.schedules import Table
-from ringwear_par.wear import increment
+from ringwear_par.wear import averaging as averages
+from ringwear_par.wear.averaging import averaging
 from ringwear_par.wear.derivative_test import (
     taylor_test,
     taylor_test_parameter,
     taylor_test_wear,
 )
 from ringwear_par.wear.derivatives import derivative
-from ringwear_par.wear.increment import WearIncrement, averaging
+from ringwear_par.wear.increment import WearIncrement
 from ringwear_par.wear.law import Law, complete
 from ringwear_par.wear.laws.archard import ArchardLaw
 from ringwear_par.wear.laws.non_local import NonLocalLaw
@@ -307,7 +308,7 @@ def test_a_file_without_a_law():
 
 
 def test_averages_that_do_not_settle_are_refused(monkeypatch):
-    monkeypatch.setattr(increment, "_SCALINGS", 1)
+    monkeypatch.setattr(averages, "_SCALINGS", 1)
     r = np.linspace(28.5, 31.5, 12)
     with pytest.raises(ComputationError, match=r"averages over 0.5 mm keep constants to .* only"):
-        increment.averaging(r, r, 0.5)
+        averaging(r, r, 0.5)

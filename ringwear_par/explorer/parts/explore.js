@@ -10,7 +10,7 @@ function ask() {
   page.flying = true; page.slow = false; page.waiting = false; page.n += 1; clearTimeout(page.late);
   const { n, values, instant, menu, moving } = page;
   page.late = setTimeout(() => { page.slow = true; say("Computing \u2026", true); if (page.waiting && !page.moving) ask(); }, 400);
-  page.talk.asked = JSON.stringify({ n, values, instant, menu, moving });
+  page.talk.request = JSON.stringify({ n, values, instant, menu, moving });
 }
 // the next is computed while figures are painted
 function land() {
@@ -158,7 +158,7 @@ function lay({ laid, laid_fault }) {
   const wanted = over && { approach: "approach", torque: "torque" }[over.quantity] || over && "volume";
   if (wanted && find("menu").value !== wanted) { find("menu").value = page.menu = wanted; ask(); }
 }
-function give(what) { page.talk.given = JSON.stringify({ ...what, at: performance.now() }); }
+function give(what) { page.talk.table = JSON.stringify({ ...what, at: performance.now() }); }
 async function take(files) {
   for (const file of files) {
     if (file.size > Number(find("file").dataset.largest)) {
@@ -203,10 +203,10 @@ const waiting = setInterval(() => {
   if (!talk) return;
   clearInterval(waiting);
   page.talk = talk;
-  talk.properties.told.change.connect(() => hear(JSON.parse(talk.told)));
+  talk.properties.answer.change.connect(() => hear(JSON.parse(talk.answer)));
   doc.on_event("connection_lost", () => {
     find("faults").replaceChildren(element("p", "The connection is lost: ringwear explore has ended, or this page slept. If it still runs, load the page again.", { className: "warning" }));
   });
-  if (talk.told) hear(JSON.parse(talk.told));
+  if (talk.answer) hear(JSON.parse(talk.answer));
   ask();  // nothing is computed for a page without a connection
 }, 50);

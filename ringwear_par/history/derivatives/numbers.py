@@ -16,7 +16,7 @@ from ringwear_par.elasticity.stress.boundary_fields import BODIES
 from ringwear_par.errors import InputError, legible
 from ringwear_par.history.derivatives.elastic_numbers import compliance_change, elastic_numbers
 from ringwear_par.history.elastic.bodies import young
-from ringwear_par.wear.increment import d_averaging
+from ringwear_par.wear.averaging import d_averaging
 from ringwear_par.wear.law import Law
 from ringwear_par.wear.layered import LayeredLaw
 from ringwear_par.wear.local_state import LocalState

@@ -16,7 +16,6 @@ from ringwear_par.arrays import BoolArray, FloatArray, columns, inner
 from ringwear_par.history.physics import Physics
 from ringwear_par.history.state import State
 from ringwear_par.wear.increment import Closing, WearIncrement
-from ringwear_par.wear.layered_increment import LayeredIncrement
 
 #: gaps that a step may close, in what the fastest element wears in it
 _REACH = 2.0
@@ -140,9 +139,9 @@ def with_layer_crossings(
     p : (..., n) float, MPa, of the first stage.
     share : of that stage's length, what it stands for.
     """
-    if not isinstance(first, LayeredIncrement):
+    if not first.layered:
         return closing
-    counts = first.until_next(p, share) / share
+    counts = first.fraction_to_interface(p, share) / share
     if closing is not None:
         counts = np.where(closing.gap > 0.0, 1.0, counts)
     if not (counts < 1.0).any():

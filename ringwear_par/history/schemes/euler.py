@@ -15,7 +15,6 @@ from ringwear_par.history.schemes.step import Step, advanced, first_through
 from ringwear_par.history.schemes.tangent import along_step
 from ringwear_par.history.state import State
 from ringwear_par.schedules import mean
-from ringwear_par.wear.layered_increment import LayeredIncrement
 
 
 def forward(physics: Physics, contacts: CorrectedContacts, state: State, end: FloatArray) -> Step:
@@ -29,7 +28,6 @@ def forward(physics: Physics, contacts: CorrectedContacts, state: State, end: Fl
     through = None
     if physics.inputs.layered:
         start = physics.increment(state.time, omega, state.wear, length)
-        assert isinstance(start, LayeredIncrement)
         depths = start.explicit(p)
         volumes = physics.integrals(depths)
         through = first_through(state, (state.time, length, start, p, 1.0))
@@ -56,7 +54,7 @@ def backward(physics: Physics, contacts: CorrectedContacts, state: State, end: F
     p = contact.pressure
     depths = during.depths(p)
     if physics.inputs.layered:
-        volumes = physics.integrals(during.apart(p, depths, 1.0))
+        volumes = physics.integrals(during.integrated_rates(p, depths, 1.0))
     else:
         then = during.rates(p, depths)
         volumes = length * physics.integrals(then)

@@ -32,8 +32,7 @@ from ringwear_par.history.schemes.tangent import Along, along_step
 from ringwear_par.history.state import State
 from ringwear_par.schedules import in_time
 from ringwear_par.wear.increment import WearIncrement
-from ringwear_par.wear.layered import worn_through
-from ringwear_par.wear.layered_increment import LayeredIncrement
+from ringwear_par.wear.layer_split import worn_through
 
 GAMMA = 1.0 - 1.0 / math.sqrt(2.0)
 # weights of the rates at 0, gamma and 1; what the integral of the quadratic through them has more
@@ -74,18 +73,18 @@ def step(physics: Physics, contacts: CorrectedContacts, state: State, end: Float
     stage = contacts.solve(
         physics.contact_inputs(middle, state.wear, first), state.contact.pressure, along=along
     )
-    worn_first = first.unhindered(stage.pressure)
+    worn_first = first.depth_if_always_in_contact(stage.pressure)
     closing = with_layer_crossings(physics, closing, first, stage.pressure, _SHARE)
     counts = 1.0 if closing is None else closing.stage_weights(stage.pressure, closing.first)
-    lost_first = first.lost(stage.pressure, worn_first, _SHARE * counts)
+    lost_first = first.depths_in_share(stage.pressure, worn_first, _SHARE * counts)
     carried = state.wear + lost_first
     if along is not None:
         along.hold(closing, _SHARE, GAMMA * length)
-        along.first_stage(stage.pressure, worn_first, counts, _SHARE)
+        along.first_stage(stage.pressure, counts, _SHARE)
     last, contact, counts_last, inside = _last_stage(
         physics, contacts, closing, end, speeds[2], carried, length, stage.pressure, along
     )
-    worn_last = last.unhindered(contact.pressure)
+    worn_last = last.depth_if_always_in_contact(contact.pressure)
     losses = worn_last if closing is None else last.depths(contact.pressure)
 
     pressures = state.contact.pressure, counts * stage.pressure, counts_last * contact.pressure
@@ -102,8 +101,8 @@ def step(physics: Physics, contacts: CorrectedContacts, state: State, end: Float
     through = None
     if physics.inputs.layered:
         volumes = physics.integrals(
-            first.apart(stage.pressure, worn_first, _SHARE * counts)
-            + last.apart(contact.pressure, worn_last, inside)
+            first.integrated_rates(stage.pressure, worn_first, _SHARE * counts)
+            + last.integrated_rates(contact.pressure, worn_last, inside)
         )
         through = first_through(
             state,
@@ -119,7 +118,7 @@ def step(physics: Physics, contacts: CorrectedContacts, state: State, end: Float
     if not physics.inputs.rates_last:
         then = physics.rates(end, speeds[2], state.wear + depths, contact.pressure)
     if along is not None:
-        along.last_stage(last, contact.pressure, worn_last, GAMMA * length)
+        along.last_stage(last, contact.pressure, GAMMA * length)
         for i, d_p in enumerate(along.counted, start=1):
             along.work(_WEIGHTS[i] * length, speeds[i], pressures[i], d_p)
     after = advanced(physics, state, end, depths, volumes, energy, contact, then, along, through)
@@ -154,8 +153,9 @@ def step(physics: Physics, contacts: CorrectedContacts, state: State, end: Float
     carried = state.error + feedback(state.error) / GAMMA * (1.0 - GAMMA)
     carried = carried + feedback(carried)
     after = replace(after, error=carried + defect)
-    if isinstance(last, LayeredIncrement):
-        defect = defect * last.faster(contact.pressure, _mean_pressure(physics, contact), _FASTER)
+    if last.layered:
+        usual = _mean_pressure(physics, contact)
+        defect = defect * last.rate_ratio_below(contact.pressure, usual, _FASTER)
     return Step(
         after,
         _largest(defect),
@@ -223,7 +223,7 @@ def _last_stage(
     counts = np.where(closing.mask, 1.0 + (1.0 - closing.first) * _SHARE, 1.0)
     last = physics.increment(end, speed, carried, step, closing.closing(step, counts))
     contact = contacts.solve(physics.contact_inputs(end, carried, last), near, along=along)
-    p, inside = contact.pressure, last.share(last.top(contact.pressure))
+    p, inside = contact.pressure, last.share(last.depth_in_present_layer(contact.pressure))
     if closing.force_kept:
         # the others' weight depends on what closing elements carry: so little that twice will do
         if along is not None:
@@ -235,7 +235,7 @@ def _last_stage(
         again = contacts.solve(inputs, near, already_solved=solved, along=along)
         more = np.where(solved[0], 0, contact.iterations)
         contact = replace(again, iterations=again.iterations + more)
-        inside = last.share(last.top(contact.pressure))
+        inside = last.share(last.depth_in_present_layer(contact.pressure))
     return last, contact, counts * inside, inside
 
 
@@ -275,7 +275,7 @@ def _through_defect(
     if closing is not None:
         crossing_layers = np.asarray(closing.first_weight) < 1.0
         first_order = np.where(closing.mask, 0.0, first_order)
-        settled = _FIRST_ORDER * (last.unhindered(near) - worn_last).sum(axis=0)
+        settled = _FIRST_ORDER * (last.depth_if_always_in_contact(near) - worn_last).sum(axis=0)
         first_order = np.where(crossing_layers, settled, first_order)
     return np.where(some, first_order, defect), some
 

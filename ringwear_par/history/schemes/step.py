@@ -19,7 +19,6 @@ from ringwear_par.history.schemes.tangent import Along
 from ringwear_par.history.state import State
 from ringwear_par.history.validity.state_limits import checked
 from ringwear_par.wear.increment import WearIncrement
-from ringwear_par.wear.layered_increment import LayeredIncrement
 
 
 @dataclass(frozen=True)
@@ -103,12 +102,11 @@ def first_through(
     parts : of a step, one after the other: start and length (s) of what the whole step of its
         increment stands for, the increment, the pressure and the share of the step that is worn.
     """
-    if not isinstance(parts[0][2], LayeredIncrement):
+    if not parts[0][2].layered:
         return None
     assert state.through is not None
     first = state.through
     for start, length, increment, p, share in parts:
-        assert isinstance(increment, LayeredIncrement)
-        after = increment.through(p, share)
+        after = increment.breakthrough_time(p, share)
         first = np.minimum(first, (columns(start) + columns(length) * after).min(axis=-1))
     return first

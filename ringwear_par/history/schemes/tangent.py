@@ -23,8 +23,8 @@ from ringwear_par.contact.problem import ContactState
 from ringwear_par.history.physics import Physics
 from ringwear_par.history.schemes.closing_elements import ClosingElements
 from ringwear_par.history.state import State, Tangent
-from ringwear_par.wear.increment import VariedIncrement, WearIncrement
-from ringwear_par.wear.layered_increment import VariedLayers
+from ringwear_par.wear.increment import WearIncrement
+from ringwear_par.wear.linearised import LinearisedIncrement, linearise
 
 # -- along one step --------------------------------------------------------------------------------
 
@@ -67,11 +67,11 @@ class Along:
         #: of the gap at given pressure
         self._gap = zeros(*shape)
         self._during: WearIncrement | None = None
-        self._varied: VariedIncrement | None = None
+        self._linearised: LinearisedIncrement | None = None
         self._closes: FloatArray | None = None
         if closing is not None:
             self._closes = np.where(closing.gap > 0.0, before.gap, 0.0)
-        #: (P, ..., n) of what the first stage counts for elements that closing
+        #: (P, ..., n) of what the first stage counts for closing elements
         self._d_first: FloatArray | float = 0.0
         #: (P, ..., n) s, of the steps of elements
         self._step: FloatArray | None = None
@@ -91,10 +91,10 @@ class Along:
         self._numbers.add_gap(gap, contacts.products, p, at)
         slope: FloatArray | None = None
         if during is not None:
-            varied = self._varied_by(during, p, self._step, instant=False)
-            worn, slope = varied.posed(during, p, self._closes)
+            linearised = self._linearise(during, p, self._step, instant=False)
+            worn, slope = linearised.in_contact_problem(p, self._closes)
             gap += worn
-            self._varied = varied
+            self._linearised = linearised
         load = self._numbers.load
         forced = self._physics.inputs.force is not None
         d_force, d_approach = (load, None) if forced else (None, load)
@@ -108,15 +108,15 @@ class Along:
             self.pressure[:, histories], self.approach[:, histories] = solved
         self._near = self.pressure
 
-    def _varied_by(
+    def _linearise(
         self, increment: WearIncrement, p: FloatArray, d_step: FloatArray | None, instant: bool
-    ) -> VariedIncrement:
-        """Return how an increment varies with the numbers."""
-        return increment.varied(p, self._numbers, self.wear, d_step, instant)
+    ) -> LinearisedIncrement:
+        """Return the linearisation of an increment."""
+        return linearise(increment, p, self._numbers, self.wear, d_step, instant)
 
     def unhindered(self) -> dict[int, FloatArray]:
         """Return derivatives of what the last stage wears off bodies all along, (P, ..., n) mm."""
-        return {} if self._varied is None else self._varied.with_pressure(self.pressure)
+        return {} if self._linearised is None else self._linearised.depths_in_share(self.pressure)
 
     def _wear_off(self, lost: dict[int, FloatArray]) -> None:
         """Add to derivatives of the wear."""
@@ -128,22 +128,19 @@ class Along:
 
     def explicit(self, increment: WearIncrement, p: FloatArray) -> None:
         """Wear off what an explicit step does at the pressure of its start."""
-        varied = self._varied_by(increment, p, None, instant=True)
-        self._wear_off(varied.with_pressure(self._before.pressure))
+        linearised = self._linearise(increment, p, None, instant=True)
+        self._wear_off(linearised.depths_in_share(self._before.pressure))
 
     def implicit(self) -> None:
         """Wear off what the last stage does."""
         self._wear_off(self.unhindered())
 
-    def first_stage(
-        self, p: FloatArray, worn: FloatArray, counts: FloatArray | float, share: float
-    ) -> None:
+    def first_stage(self, p: FloatArray, counts: FloatArray | float, share: float) -> None:
         """Go on to the last stage of two.
 
         Parameters
         ----------
         p : (..., n) MPa, at the end of the first.
-        worn : (2, ..., n) mm, unhindered.
         counts : how many times its weight the stage counts, (..., n) or 1.
         share : of what is worn that the last stage starts from.
         """
@@ -152,7 +149,7 @@ class Along:
         if self._closing is not None:
             d_counts = self._closing.d_stage_weights(p, first, self._closing.first, self._d_first)
             self._counted = counts * first + d_counts * p
-        self._wear_off(self._lost(worn, share * counts, share * d_counts))
+        self._wear_off(self._lost(share * counts, share * d_counts))
         self._near = self._first = first
 
     def hold(self, closing: ClosingElements | None, share: float, step: FloatArray) -> None:
@@ -164,19 +161,14 @@ class Along:
         share : of the first stage's length, what it stands for.
         step : s, of the last stage.
         """
-        if (
-            closing is self._closing
-            or closing is None
-            or not isinstance(self._varied, VariedLayers)
-        ):
+        if closing is self._closing or closing is None or self._linearised is None:
             return
         self._closing = closing
         if self._closes is None:
             self._closes = np.zeros_like(self._before.gap)
         crossing_layers = np.asarray(closing.first_weight) < 1.0
-        self._d_first = np.where(
-            crossing_layers, self._varied.until_next(share, self.pressure) / share, 0.0
-        )
+        d_share = self._linearised.fraction_to_interface(share, self.pressure)
+        self._d_first = np.where(crossing_layers, d_share / share, 0.0)
         self._step = -columns(step) * share * self._d_first
 
     def lengthen(self, last: WearIncrement, p: FloatArray, step: FloatArray) -> None:
@@ -197,9 +189,7 @@ class Along:
         self._step = np.where(self._closing.mask, d_step, columns(step) * d_counts)
         self._near = self._first
 
-    def last_stage(
-        self, last: WearIncrement, p: FloatArray, worn: FloatArray, step: FloatArray
-    ) -> None:
+    def last_stage(self, last: WearIncrement, p: FloatArray, step: FloatArray) -> None:
         """Wear off what the last stage of two does, see ``first_stage`` and ``lengthen``."""
         self._counted_last = self.pressure
         inside: FloatArray | float = 1.0
@@ -211,20 +201,20 @@ class Along:
             if self._step is not None:
                 d_counts = d_counts + inside * self._step / columns(step)
             self._counted_last = counts * inside * self.pressure + d_counts * p
-        self._wear_off(self._lost(worn, inside, d_inside))
+        self._wear_off(self._lost(inside, d_inside))
 
     def _inside(self, last: WearIncrement, p: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return ``WearIncrement.share`` at a solution, (..., n), and its derivatives."""
-        assert self._varied is not None
-        top, d_total = last.top(p), sum(self._varied.top(self.pressure).values())
-        d_inside = last.d_share(top[0] + top[1], np.asarray(d_total), self._closes)
-        return last.share(top), d_inside
+        assert self._linearised is not None
+        depth = last.depth_in_present_layer(p)
+        d_depth = self._linearised.depth_in_present_layer(self.pressure)
+        return last.share(depth), last.d_share(depth[0] + depth[1], d_depth, self._closes)
 
-    def _lost(self, worn: FloatArray, share: Any, d_share: Any) -> dict[int, FloatArray]:
+    def _lost(self, share: Any, d_share: Any) -> dict[int, FloatArray]:
         """Return derivatives of what the last stage wears off in a share of its step."""
-        if self._varied is None:
+        if self._linearised is None:
             return {}
-        return self._varied.lost(self.pressure, worn, share, d_share)
+        return self._linearised.depths_in_share(self.pressure, share, d_share)
 
     def work(self, lasts: FloatArray, omega: FloatArray, p: FloatArray, d_p: FloatArray) -> None:
         """Dissipate the energy of a time, s, at a speed, rad/s, and a pressure."""
@@ -249,8 +239,8 @@ class Along:
             return np.zeros_like(self._gap)
         gap = self._gap + self._contacts.deflections(self.pressure)
         if self._during is not None and not self._during.local:
-            assert self._varied is not None
-            gap += sum(self.unhindered().values()) - self._varied.depth
+            assert self._linearised is not None
+            gap += sum(self.unhindered().values()) - self._linearised.depth
         return np.where(open_, gap - self.approach[..., None], 0.0)
 
 

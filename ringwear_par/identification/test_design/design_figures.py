@@ -13,7 +13,7 @@ from ringwear_par.identification.definition.candidates import Candidate
 from ringwear_par.identification.summary import unit_of
 from ringwear_par.identification.test_design.design import DesignResult
 from ringwear_par.identification.test_design.design_summary import name_of
-from ringwear_par.results.pictures.drawing import COLOURS, NotebookFigure
+from ringwear_par.pictures.style import COLOURS, NotebookFigure
 
 _MAP = "viridis_r"
 

@@ -40,8 +40,8 @@ function rowsOf(plot) {
   const [across, upwards] = [plot.figure.below[0], plot.figure.left[0]].map((axis) => labelOf(axis) || "of");
   const curves = [], number = (value) => Number.isFinite(value) ? Number(value.toPrecision(7)) : null;
   for (const kind of ["ends", "lines"]) {
-    const { x, y, label, stepped } = sourceOf(plot, kind).data;
-    Array.from(label, (name, i) => {  // of steps their ends
+    const { x, y, name: names, stepped } = sourceOf(plot, kind).data;
+    Array.from(names, (name, i) => {  // of steps their ends
       const of = (values) => Array.from(values[i], number).filter((_, j) => !stepped[i] || j % 2);
       curves.push({ name, x: of(x), y: of(y) });
     });

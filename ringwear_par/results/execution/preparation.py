@@ -3,8 +3,9 @@
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Protocol
 
-from ringwear_par.cases.case import Case
+from ringwear_par.cases.case import Case, Output
 from ringwear_par.cases.files.keys import named_files, read_keys
 from ringwear_par.cases.files.law_trials import law_files, law_sources
 from ringwear_par.cases.files.reading import parse_case, read_case
@@ -22,13 +23,23 @@ def reached_end(case: Case, result: Result) -> bool:
     return case.time.finished(int(start.progress.steps[0]), float(start.state.time[0]))
 
 
+class Figure(Protocol):
+    """A picture that is drawn of a result file."""
+
+    def check(self, stored: Output | None) -> None:
+        """Refuse a picture that cannot be written, or drawn from what a case stores."""
+
+    def draw(self, results: Path) -> None:
+        """Draw and write it."""
+
+
 def prepare(
     path: Path,
     output: Path,
     overrides: Sequence[str],
     restart: bool,
     overwrite: bool,
-    figure: Path | None,
+    figure: Figure | None,
     ranks: int,
 ) -> tuple[Case, Result | None]:
     """Read and check all that a run needs, before any work. On one rank.
@@ -57,10 +68,8 @@ def prepare(
     except InputError as error:
         faults += error.faults
     if figure is not None:
-        from ringwear_par.results.pictures.figures import check_figure
-
         try:
-            check_figure(figure, case.output if case is not None else None)
+            figure.check(case.output if case is not None else None)
         except InputError as error:
             faults += error.faults
     if faults or case is None:

@@ -15,7 +15,7 @@ from ringwear_par.history.loop import simulate_one
 from ringwear_par.history.snapshots import Observer, Snapshot
 from ringwear_par.options import reject_unused_options
 from ringwear_par.parallel import on_first_rank, warn_of_threads
-from ringwear_par.results.execution.preparation import prepare, reached_end
+from ringwear_par.results.execution.preparation import Figure, prepare, reached_end
 from ringwear_par.results.execution.progress import Progress
 from ringwear_par.results.execution.recorder import Recorder
 from ringwear_par.results.execution.stopping import StopSignals, remark
@@ -37,7 +37,7 @@ def run_case(
     comm: MPI.Comm,
     restart: bool = False,
     overwrite: bool = False,
-    figure: Path | None = None,
+    figure: Figure | None = None,
 ) -> None:
     """Compute a wear history, write it, and print what came of it. Collective on comm.
 
@@ -204,11 +204,9 @@ def _progress(case: Case, time: float) -> str:
     return f"of {case.time.steps}"
 
 
-def _draw(output: Path, figure: Path | None, comm: MPI.Comm) -> None:
+def _draw(output: Path, figure: Figure | None, comm: MPI.Comm) -> None:
     if figure is not None:
-        from ringwear_par.results.pictures.figures import plot_files
-
-        on_first_rank(comm, lambda: plot_files([output], figure))
+        on_first_rank(comm, lambda: figure.draw(output))
 
 
 def _times(seconds: dict[str, float], start_up: float, evaluations: int) -> str:

@@ -9,7 +9,7 @@ import numpy as np
 
 from ringwear_par.arrays import FloatArray, IntArray
 from ringwear_par.files.text import parse_value
-from ringwear_par.results.pictures.drawing import COLOURS, DASHES, in_words, plain, set_legend
+from ringwear_par.pictures.style import COLOURS, DASHES, in_words, plain, set_legend
 from ringwear_par.studies.analysis.regression import SEED
 from ringwear_par.studies.definition.axes import (
     GREY,

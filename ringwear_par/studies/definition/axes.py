@@ -11,7 +11,7 @@ from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullLocato
 from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.schema import unit_of
 from ringwear_par.cases.units import in_signs
-from ringwear_par.results.pictures.drawing import plain
+from ringwear_par.pictures.style import plain
 
 GREY = "0.45"
 #: of a label along the height of a panel

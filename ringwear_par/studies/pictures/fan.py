@@ -2,17 +2,12 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from ringwear_par.arrays import FloatArray, IntArray
-from ringwear_par.results.instants import time_unit
-from ringwear_par.results.pictures.drawing import COLOURS, DASHES, plain, set_legend
 from ringwear_par.studies.analysis.effects import Key, values_told
 from ringwear_par.studies.analysis.sensitivity import chosen_cases
-from ringwear_par.studies.definition.axes import GREY, LOG_VALUE, spans
-from ringwear_par.studies.storage.end_values import shown
 from ringwear_par.studies.storage.ensemble import Ensemble
 
 #: so few cases are drawn one by one
@@ -69,61 +64,6 @@ def labels_of(ensemble: Ensemble, drawn: IntArray, keys: Sequence[Key]) -> tuple
         return [ensemble.ids[case] for case in drawn], "case"
     labels = [", ".join(words) for words in zip(*map(values_told, differ), strict=True)]
     return labels, ",\n".join(key.label for key in differ)
-
-
-def draw_histories(axes: Any, ensemble: Ensemble, drawn: IntArray, keys: Sequence[Key]) -> None:
-    """Draw one line a case."""
-    labels, title = labels_of(ensemble, drawn, keys)
-    time, depth = (ensemble.histories(name, drawn) for name in ("time", "penetration"))
-    unit, seconds = time_unit(float(np.nanmax(time)))
-    for number, count in enumerate(ensemble.steps_stored[drawn]):
-        axes.plot(
-            time[number, :count] / seconds, 1e3 * depth[number, :count],
-            color=COLOURS[number % len(COLOURS)],
-            linestyle=DASHES[number // len(COLOURS) % len(DASHES)],
-            label=plain(labels[number]) if labels else None,
-        )  # fmt: skip
-    _finish_fan(axes, unit)
-    if labels:
-        axes.legend(
-            frameon=False, loc="center left", bbox_to_anchor=(1.0, 0.5), title=title,
-            title_fontsize=8.0, ncols=1 if len(labels) <= 8 else 2,
-        )  # fmt: skip
-
-
-def draw_fan(axes: Any, ensemble: Ensemble, drawn: IntArray, columns: int) -> None:
-    """Draw quantile bands, the median and a few cases."""
-    fan = fan_of(ensemble, drawn)
-    unit, seconds = time_unit(float(fan.time[-1]))
-    grid = fan.time / seconds
-    low, lower, median, upper, high = fan.quantiles
-    colour = COLOURS[0]
-    singles = fan.singles(_SINGLES)
-    for number, row in enumerate(singles):
-        axes.plot(
-            grid, fan.table[row], color=GREY, linewidth=0.5, alpha=0.7, zorder=1.5,
-            label=None if number else f"{len(singles)} of the cases",
-        )  # fmt: skip
-    axes.fill_between(
-        grid, low, high, color=colour, alpha=0.16, linewidth=0.0, label="5\N{EN DASH}95 %"
-    )
-    axes.fill_between(
-        grid, lower, upper, color=colour, alpha=0.3, linewidth=0.0, label="25\N{EN DASH}75 %"
-    )
-    axes.plot(grid, median, color=colour, label="median")
-    _finish_fan(axes, unit)
-    ends = 1e3 * ensemble.final["penetration"][fan.cases]
-    if spans(ends, LOG_VALUE):
-        axes.set_yscale("log")
-        axes.set_ylim(0.1 * ends.min(), 1.5 * ends.max())
-    set_legend(axes, columns, ",\n".join(fan.chosen))
-
-
-def _finish_fan(axes: Any, unit: str) -> None:
-    axes.set_xlim(0.0, axes.dataLim.x1)
-    axes.set_ylim(bottom=min(0.0, axes.dataLim.y0))
-    axes.set_xlabel(f"time ({unit})")
-    axes.set_ylabel(shown("penetration").label)
 
 
 def _fan_table(ensemble: Ensemble, cases: IntArray) -> tuple[FloatArray, FloatArray, bool]:

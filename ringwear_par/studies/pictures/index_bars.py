@@ -2,12 +2,8 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
-
-import numpy as np
 
 from ringwear_par.arrays import FloatArray
-from ringwear_par.results.pictures.drawing import COLOURS, plain, set_legend
 from ringwear_par.studies.analysis.predictions import COARSE, Surrogate, told_share
 from ringwear_par.studies.analysis.sensitivity import (
     done_cases,
@@ -15,8 +11,6 @@ from ringwear_par.studies.analysis.sensitivity import (
     sensitivity,
     sobol_indices,
 )
-from ringwear_par.studies.definition.axes import upright
-from ringwear_par.studies.storage.end_values import final_name
 from ringwear_par.studies.storage.ensemble import Ensemble
 
 _FIRST = "first order S\N{SUBSCRIPT ONE}"
@@ -44,31 +38,6 @@ class IndexBars:
     values: tuple[FloatArray, FloatArray]
     widths: tuple[FloatArray | None, FloatArray | None] = (None, None)
     noise: float = 0.0
-
-    def draw(self, axes: Any, keys: Sequence[str]) -> None:
-        """Draw the indices of some of the keys."""
-        chosen = [i for i, key in enumerate(self.keys) if key in keys]
-        places = np.arange(len(chosen), dtype=float)
-        for number, (name, values, widths) in enumerate(
-            zip(self.names, self.values, self.widths, strict=True)
-        ):
-            axes.barh(
-                places + (-0.17, 0.17)[number], values[chosen], 0.3, label=name,
-                xerr=None if widths is None else widths[chosen], color=COLOURS[number], alpha=0.75,
-                error_kw={"ecolor": "0.1", "elinewidth": 0.9, "capsize": 2.0},
-            )  # fmt: skip
-        if self.noise:
-            axes.axvline(
-                self.noise, color="0.1", linewidth=0.9, linestyle=":",
-                label="\N{GREEK SMALL LETTER DELTA} of a key without influence",
-            )  # fmt: skip
-        axes.set_yticks(places, [plain(self.keys[i]) for i in chosen])
-        axes.set_ylim(len(places) - 0.5, -0.5)
-        axes.set_xlim(0.0, 1.04)
-        axes.grid(axis="x", linewidth=0.4, color="0.85")
-        axes.set_axisbelow(True)
-        axes.set_xlabel("sensitivity index")
-        set_legend(axes, 1, upright(f"{final_name(self.output)}:") + f"\n{self.source}")
 
 
 def index_bars(ensemble: Ensemble, regressions: Surrogate | None) -> tuple[IndexBars, ...]:

@@ -7,7 +7,7 @@ from matplotlib.figure import Figure
 
 from ringwear_par.errors import InputError
 from ringwear_par.files.folders import refuse_drawn
-from ringwear_par.results.pictures import figures
+from ringwear_par.pictures import figures
 from ringwear_par.results.result import Result
 
 

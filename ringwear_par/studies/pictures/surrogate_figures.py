@@ -10,7 +10,7 @@ from scipy.stats import qmc
 
 from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.text import shortened
-from ringwear_par.results.pictures.drawing import COLOURS, plain, set_legend
+from ringwear_par.pictures.style import COLOURS, plain, set_legend
 from ringwear_par.studies.analysis.predictions import USELESS, Surrogate, told_share
 from ringwear_par.studies.analysis.regression import SEED, Part, untested
 from ringwear_par.studies.definition.axes import (

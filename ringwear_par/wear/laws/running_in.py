@@ -59,7 +59,7 @@ class RunningInLaw(AboveThreshold):
 
     @classmethod
     def faults(cls, table: str, values: Mapping[str, Any]) -> list[str]:
-        """Return what is wrong with depth and distance, or k and k_start, together."""
+        """Return the faults of depth and distance, and of k and k_start, together."""
         faults = []
         if {"depth", "distance"} <= values.keys() and (values["depth"] is None) == (
             values["distance"] is None

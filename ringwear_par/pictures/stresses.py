@@ -12,9 +12,11 @@ from ringwear_par.cases.files.reading import Outline, outlines
 from ringwear_par.elasticity.stress.boundary_fields import BODIES
 from ringwear_par.elasticity.stress.fields import StressState
 from ringwear_par.elasticity.stress.measures import mises
+from ringwear_par.pictures.panels import FEW_POINTS, Axis, Curve, Panel
+from ringwear_par.pictures.runs import stage
+from ringwear_par.pictures.sections import magnification
+from ringwear_par.pictures.style import COLOURS
 from ringwear_par.results.instants import time_unit, time_words
-from ringwear_par.results.pictures.drawing import COLOURS, DASHES, set_legend, stage_colour
-from ringwear_par.results.pictures.section_panel import magnification
 from ringwear_par.results.result import Result
 from ringwear_par.results.storage.stored_stresses import stresses
 
@@ -28,12 +30,10 @@ _LEAST, _STRETCHED = 0.25, 0.5
 #: mm, within which a point of the grid lies on a face
 _ON_FACE = 1e-9
 _MISES = "von Mises stress (MPa)"
-#: as many points of a curve, or fewer, are marked
-_FEW_POINTS = 20
 
 
 def highest(states: Sequence[StressState]) -> float:
-    """Return what the scale of maps of some states ends with, MPa."""
+    """Return the end of the scale of maps of some states, MPa."""
     values = np.concatenate([mises(state.grid).ravel() for state in states])
     known = values[np.isfinite(values)]
     return float(np.quantile(known, _SHARE)) if len(known) else 1.0
@@ -51,12 +51,12 @@ def draw_map(axes: Any, result: Result, label: str, state: StressState, top: flo
     under = (r > result.line.edges[0]) & (r < result.line.edges[-1])
     levels = MaxNLocator(_LEVELS).tick_values(0.0, top or 1.0)
     drawn = None
-    for own, band in _materials(sections, r, z):  # each by itself, and up to its contour
-        known = own & np.isfinite(values)
+    for inside, band in _materials(sections, r, z):  # each by itself, and up to its contour
+        known = inside & np.isfinite(values)
         if known.any():
-            shown = _spread(values, known)
-            shown[under & own.any(axis=1) & ~known.any(axis=1)] = np.nan  # worn through
-            drawn = axes.contourf(r, z, shown.T, levels, cmap="viridis", extend="max")
+            filled = _spread(values, known)
+            filled[under & inside.any(axis=1) & ~known.any(axis=1)] = np.nan  # worn through
+            drawn = axes.contourf(r, z, filled.T, levels, cmap="viridis", extend="max")
             drawn.set_clip_path(Polygon(band, transform=axes.transData))
     if drawn is None:
         axes.text(
@@ -83,8 +83,8 @@ def draw_map(axes: Any, result: Result, label: str, state: StressState, top: flo
         scales["heights" if stretch > 1.0 else "radii"] = max(stretch, 1.0 / stretch)
     if factor:
         scales["worn faces"] = factor * max(stretch, 1.0)
-    told = ", ".join(f"{name} {of:.6g}\N{MULTIPLICATION SIGN}" for name, of in scales.items())
-    axes.set_title(f"{label}: {time}\n{told}".rstrip())
+    words = ", ".join(f"{name} {of:.6g}\N{MULTIPLICATION SIGN}" for name, of in scales.items())
+    axes.set_title(f"{label}: {time}\n{words}".rstrip())
 
 
 def _stretch(width: float, height: float) -> float:
@@ -159,10 +159,9 @@ def _draw_wear(
     return factor if seen else 0.0
 
 
-def draw_depth(axes: Any, result: Result, label: str, states: Sequence[StressState]) -> None:
-    """Draw von Mises' stress along the height of the grid, in the middle of the contact."""
-    found = stresses(result)
-    r, z = found.grid
+def along_height(result: Result, label: str, states: Sequence[StressState]) -> Panel:
+    """Return von Mises' stress along the height of the grid, in the middle of the contact."""
+    r, z = stresses(result).grid
     inner, outer = result.line.edges[[0, -1]]
     column = int(np.abs(r - 0.5 * (inner + outer)).argmin())
     end = float(result.histories["time"][-1])
@@ -171,42 +170,46 @@ def draw_depth(axes: Any, result: Result, label: str, states: Sequence[StressSta
     levels = np.concatenate([lower.interfaces - _ON_FACE, np.add(faces, _ON_FACE),
                              upper.interfaces + _ON_FACE])  # fmt: skip
     between = np.searchsorted(z, levels)  # where materials end, curves do
-    height, highest_drawn = np.insert(z, between, np.nan), 0.0
-    for number, state in enumerate(states):
-        values = np.insert(mises(state.grid[column]), between, np.nan)
-        highest_drawn = max(highest_drawn, float(np.nanmax(values, initial=0.0)))
-        axes.plot(
-            values, height, color=stage_colour(number, len(states)),
-            linestyle=DASHES[number % len(DASHES)], label=time_words(state.time, end),
-        )  # fmt: skip
-    for level in levels:
-        axes.axhline(level, color="0.4", linewidth=0.8)
-    axes.set_xlim(0.0, 1.05 * highest_drawn or 1.0)
-    axes.set_ylim(z[0], z[-1])
-    axes.set_xlabel(_MISES)
-    axes.set_ylabel("height (mm)")
-    set_legend(axes, 3, f"{label}, r = {r[column]:.4g} mm")
+    height = np.insert(z, between, np.nan)
+    curves = [
+        Curve(
+            np.insert(mises(state.grid[column]), between, np.nan), height,
+            time_words(state.time, end), stage(number, len(states)), number,
+        )
+        for number, state in enumerate(states)
+    ]  # fmt: skip
+    at = f"r = {r[column]:.4g} mm"
+    highest = max((float(np.nanmax(curve.x, initial=0.0)) for curve in curves), default=0.0)
+    return Panel(
+        Axis(_MISES, ends=(0.0, 1.05 * highest or 1.0)),
+        Axis("height (mm)", ends=(float(z[0]), float(z[-1]))),
+        f"von Mises stress along the height, at {at}",
+        curves=curves, levels=tuple(levels.tolist()), legend=", ".join(filter(None, (label, at))),
+    )  # fmt: skip
 
 
-def draw_largest(axes: Any, results: Sequence[Result], labels: Sequence[str]) -> None:
-    """Draw the largest von Mises stresses of both bodies over time."""
+def largest(results: Sequence[Result], labels: Sequence[str]) -> Panel:
+    """Return the largest von Mises stresses of both bodies over time.
+
+    Parameters
+    ----------
+    labels : of the results, "" for none.
+    """
     unit, seconds = time_unit(max(float(result.histories["time"][-1]) for result in results))
+    several, curves = len(results) > 1, []
     for number, (result, label) in enumerate(zip(results, labels, strict=True)):
-        found = stresses(result)
-        time = np.array([state.time for state in found.states]) / seconds
-        told = [label] if len(results) > 1 else []
+        states = stresses(result).states
+        time = np.array([state.time for state in states]) / seconds
         for i, body in enumerate(BODIES):
-            values = [state.largest[i].mises for state in found.states]
-            if not np.isfinite(values).any():
-                continue
-            axes.plot(
-                time, values, color=COLOURS[(number if told else i) % len(COLOURS)],
-                linestyle=DASHES[(number + i) % len(DASHES)], markersize=2.5,
-                marker="o" if len(time) <= _FEW_POINTS else "", label=", ".join([*told, body]),
-            )  # fmt: skip
+            values = np.array([state.largest[i].mises for state in states])
+            if np.isfinite(values).any():
+                colour = COLOURS[(number if several else i) % len(COLOURS)]
+                name = ", ".join(filter(None, (label, body)))
+                marked = len(time) <= FEW_POINTS
+                curves.append(Curve(time, values, name, colour, number + i, 2.0, marked=marked))
     beside = ", ".join(sorted({f"{stresses(result).exclude:g}" for result in results}))
-    axes.set_xlim(left=0.0)
-    axes.set_ylim(bottom=0.0)
-    axes.set_xlabel(f"time ({unit})")
-    axes.set_ylabel(f"largest {_MISES}")
-    set_legend(axes, 2, f"{beside} mm and more from edges")
+    title, excluded = f"largest {_MISES}", f"{beside} mm and more from edges"
+    return Panel(
+        Axis(f"time ({unit})", zero=True), Axis(title, zero=True), title, excluded, curves=curves,
+        legend=excluded,
+    )  # fmt: skip

@@ -12,13 +12,13 @@ import numpy as np
 from ringwear_par.arrays import FloatArray, IntArray
 from ringwear_par.pictures.panels import GREY, Axis, Band, Curve, Panel, Points
 from ringwear_par.pictures.panels import Bars as PanelBars
+from ringwear_par.pictures.style import COLOURS
 from ringwear_par.results.instants import time_unit
-from ringwear_par.results.pictures.drawing import COLOURS
 from ringwear_par.studies.analysis.effects import Plan, running_median, values_told
 from ringwear_par.studies.analysis.sensitivity import chosen_cases
-from ringwear_par.studies.definition.axes import LOG_VALUE, least_range, spans
+from ringwear_par.studies.definition.axes import LOG_VALUE, least_range, spans, upright
+from ringwear_par.studies.pictures.choice import Choice
 from ringwear_par.studies.pictures.fan import FEW, Fan, fan_of, labels_of
-from ringwear_par.studies.pictures.figures import Choice
 from ringwear_par.studies.pictures.index_bars import IndexBars
 from ringwear_par.studies.storage.end_values import final_name
 from ringwear_par.studies.storage.end_values import shown as display_of
@@ -42,7 +42,7 @@ def histories(ensemble: Ensemble, choice: Choice) -> Panel:
 
 def _lines(ensemble: Ensemble, choice: Choice) -> Panel:
     cases = choice.cases
-    labels, _ = labels_of(ensemble, cases, choice.keys)
+    labels, legend = labels_of(ensemble, cases, choice.keys)
     time, depth = (ensemble.histories(name, cases) for name in ("time", "penetration"))
     unit, seconds = time_unit(float(np.nanmax(time)))
     curves = []
@@ -52,12 +52,12 @@ def _lines(ensemble: Ensemble, choice: Choice) -> Panel:
         curves.append(
             Curve(
                 time[row, :count] / seconds, 1e3 * depth[row, :count], name,
-                COLOURS[row % len(COLOURS)], row, words=words,
+                COLOURS[row % len(COLOURS)], row // len(COLOURS), words=words,
             )
         )  # fmt: skip
     return Panel(
         Axis(f"time ({unit})", zero=True), Axis(display_of("penetration").label, zero=True),
-        "Penetration of each case", curves=curves,
+        "Penetration of each case", curves=curves, legend=legend,
     )  # fmt: skip
 
 
@@ -94,7 +94,14 @@ def _fan(ensemble: Ensemble, choice: Choice, fan: Fan) -> Panel:
     deepest = 1e3 * ensemble.final["penetration"][fan.cases]
     if spans(deepest, LOG_VALUE):
         y = replace(y, log=True, ends=(0.1 * float(deepest.min()), 1.5 * float(deepest.max())))
-    return Panel(Axis(f"time ({unit})", zero=True), y, title, curves=curves, bands=bands)
+    return Panel(
+        Axis(f"time ({unit})", zero=True),
+        y,
+        title,
+        curves=curves,
+        bands=bands,
+        legend=",\n".join(fan.chosen),
+    )
 
 
 def words_of(ensemble: Ensemble, choice: Choice, cases: IntArray) -> list[str]:
@@ -140,8 +147,10 @@ def _effect(ensemble: Ensemble, choice: Choice, plan: Plan, output: str, rows: I
     points: list[Points] = []
     if on_curves:
         for number, cases in enumerate(plan.curves):
-            name, colour = plan.labels[number] if plan.labels else "cases", COLOURS[number % 5]
-            curves.append(Curve(x[cases], y[cases], name, colour, number, tabulated=False))
+            name = plan.labels[number] if plan.labels else "cases"
+            dash, hue = divmod(number, len(COLOURS))
+            colour = COLOURS[hue]
+            curves.append(Curve(x[cases], y[cases], name, colour, dash, tabulated=False))
             points.append(Points(x[cases], y[cases], name, colour, 5.0, cases=places[cases]))
         if plan.points is not None and len(plan.points):
             rest = plan.points
@@ -208,21 +217,27 @@ def _response(
     return [Curve(along, factor * mean, name)], [band]
 
 
-def indices(bars: IndexBars) -> Panel:
-    """Return the indices of an output by key."""
+def indices(bars: IndexBars, keys: Sequence[str] | None = None) -> Panel:
+    """Return the indices of an output by key, of some keys or of all (None)."""
+    chosen = [i for i, key in enumerate(bars.keys) if keys is None or key in keys]
     title = f"Indices of the {final_name(bars.output)}"
     if bars.noise:
         title += "; dotted: \N{GREEK SMALL LETTER DELTA} of a key without influence"
-    places = np.arange(len(bars.keys), dtype=float)
+    places = np.arange(len(chosen), dtype=float)
     return Panel(
-        Axis("index", ends=(0.0, 1.05)), Axis("", categories=bars.keys, reversed=True), title,
+        Axis("sensitivity index", ends=(0.0, 1.05)),
+        Axis("", categories=tuple(bars.keys[i] for i in chosen), reversed=True), title,
         bars=[
-            PanelBars(places + (-0.17, 0.17)[number], values, name, COLOURS[number], widths)
+            PanelBars(
+                places + (-0.17, 0.17)[number], values[chosen], name, COLOURS[number],
+                None if widths is None else widths[chosen],
+            )
             for number, (name, values, widths) in enumerate(
                 zip(bars.names, bars.values, bars.widths, strict=True)
             )
         ],
         uprights=(bars.noise,) if bars.noise else (),
+        legend=upright(f"{final_name(bars.output)}:") + f"\n{bars.source}",
     )  # fmt: skip
 
 

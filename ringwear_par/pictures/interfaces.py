@@ -10,8 +10,8 @@ from ringwear_par.arrays import BoolArray, FloatArray
 from ringwear_par.cases.files.reading import outlines
 from ringwear_par.elasticity.stress.fields import StressState
 from ringwear_par.elasticity.stress.measures import COMPONENTS, SIDES, mises
+from ringwear_par.pictures.style import COLOURS, DASHES, set_legend
 from ringwear_par.results.instants import time_words
-from ringwear_par.results.pictures.drawing import COLOURS, DASHES, set_legend
 from ringwear_par.results.result import Result
 from ringwear_par.results.storage.stored_stresses import Interface, interfaces_of, stresses
 
@@ -20,7 +20,7 @@ _BESIDE = 0.5
 #: share of the highest values that is left above and below them
 _ROOM = 0.05
 #: share of the radii drawn from which on a part that is worn through is told in words, and where
-_TOLD, _TEXT_HEIGHT = 0.2, 0.6
+_WIDE, _TEXT_HEIGHT = 0.2, 0.6
 #: of the components that both sides share, words for a legend
 _TRACTIONS = {
     "zz": r"normal $\sigma_{zz}$ (+ opens)",
@@ -32,7 +32,7 @@ _TRACTIONS = {
 def interface_drawings(
     result: Result, label: str, states: Sequence[StressState]
 ) -> Iterator[partial[None]]:
-    """Give what draws tractions along each interface at some states, then von Mises likewise."""
+    """Yield drawings of tractions along each interface at some states, then of von Mises."""
     for draw in (draw_tractions, draw_both_sides):
         for interface in interfaces_of(result):
             for state in states:
@@ -99,15 +99,15 @@ def _draw(
             edge, color="0.6", linewidth=0.8, linestyle=":",
             label=None if number else "edges of contact",
         )  # fmt: skip
-    shown, exclude = (r >= low) & (r <= high), stresses(result).exclude
+    scaled, exclude = (r >= low) & (r <= high), stresses(result).exclude
     for end in _free_edges(result, interface):
-        shown &= np.abs(r - end) >= exclude
+        scaled &= np.abs(r - end) >= exclude
         axes.axvspan(end - exclude, end + exclude, color="0.9", linewidth=0.0)
     axes.set_xlim(low, high)
-    there = np.concatenate([curves[:, shown].ravel() for curves in scale])
-    there = np.append(there[np.isfinite(there)], 0.0)
-    room = _ROOM * float(np.ptp(there)) or 1.0
-    axes.set_ylim(there.min() - room, there.max() + room)
+    extent = np.concatenate([curves[:, scaled].ravel() for curves in scale])
+    extent = np.append(extent[np.isfinite(extent)], 0.0)
+    room = _ROOM * float(np.ptp(extent)) or 1.0
+    axes.set_ylim(extent.min() - room, extent.max() + room)
     _tell_worn_through(axes, r, np.isfinite(values).all(axis=0))
     axes.set_xlabel("distance to axis (mm)")
 
@@ -117,7 +117,7 @@ def _tell_worn_through(axes: Any, r: FloatArray, known: BoolArray) -> None:
     low, high = axes.get_xlim()
     gone = np.ma.clump_masked(np.ma.array(r, mask=~known))
     first, last = max(((r[part][0], r[part][-1]) for part in gone), key=np.ptp, default=(low, low))
-    if last - first >= _TOLD * (high - low):
+    if last - first >= _WIDE * (high - low):
         axes.text(
             0.5 * (first + last), _TEXT_HEIGHT, "worn through", ha="center",
             transform=axes.get_xaxis_transform(),
@@ -148,8 +148,8 @@ def _free_edges(result: Result, interface: Interface) -> list[float]:
 
 def _title(result: Result, label: str, interface: Interface, state: StressState) -> str:
     time = time_words(state.time, float(result.histories["time"][-1]))
-    told = f"{label}: {time}\n{interface.name}"
+    title = f"{label}: {time}\n{interface.name}"
     exclude = stresses(result).exclude
     if exclude and _free_edges(result, interface):
-        told += f"\nshaded: {exclude:g} mm beside free edges, where stress is infinite"
-    return told
+        title += f"\nshaded: {exclude:g} mm beside free edges, where stress is infinite"
+    return title

@@ -10,8 +10,8 @@ from ringwear_par.wear.increment import Closing, WearIncrement
 from ringwear_par.wear.laws.power import PowerLaw
 from ringwear_par.wear.laws.running_in import RunningInLaw
 from ringwear_par.wear.laws.threshold import ThresholdLaw
-from ringwear_par.wear.layered import LayeredLaw, d_passage, passage
-from ringwear_par.wear.layered_increment import LayeredIncrement
+from ringwear_par.wear.layer_split import d_split, split
+from ringwear_par.wear.layered import LayeredLaw
 from ringwear_par.wear.local_state import LocalState
 
 N, STEP = 24, 5.0
@@ -26,25 +26,25 @@ def local(wear=0.0):
 
 def increment(laws, wear=0.0, thicknesses=(1e-4, 2e-4), **more):
     law = LayeredLaw.of(thicknesses, laws[:-1], laws[-1])
-    return LayeredIncrement((law, None), (local(wear), local(wear)), STEP, **more)
+    return WearIncrement((law, None), (local(wear), local(wear)), STEP, **more)
 
 
 @pytest.mark.parametrize("short", [0.0, 1e-15, 5e-14])
 def test_a_layer_of_which_round_off_is_left_is_worn_through_in_the_step_and_after_it(short):
     end = 1e-4
     worn = np.full((2, 1), end * (1.0 - short))
-    gone = passage(worn, np.full((1, 1), end), 1.0)
+    gone = split(worn, np.full((1, 1), end), 1.0)
     law = LayeredLaw.of((end,), (COATING,), BODY)
-    assert gone.left_behind.all()
+    assert gone.worn_through.all()
     assert gone.depths[0] == end
-    assert (law.left(worn[0]) == 0.0).all()
+    assert (law.remaining(worn[0]) == 0.0).all()
     assert (law.present(worn[0]) == 1).all()
 
 
 def test_time_divides_among_all_layers_that_a_step_passes():
     full = np.array([[1.0, 1.0, 0.0, 4.0], [2.0, 2.0, 1.0, 6.0], [8.0, 8.0, 8.0, 8.0]])
     left = np.array([[2.0, 0.5, 1.0, 1.0], [1.0, 1.0, 1.0, 3.0]])
-    gone = passage(full, left, 1.0)
+    gone = split(full, left, 1.0)
     np.testing.assert_allclose(gone.times.sum(axis=0), 1.0, rtol=1e-15)
     np.testing.assert_allclose(
         gone.depths, [[1.0, 0.5, 0.0, 1.0], [0.0, 1.0, 0.0, 3.0], [0.0, 0.0, 0.0, 2.0]], rtol=1e-15
@@ -53,7 +53,7 @@ def test_time_divides_among_all_layers_that_a_step_passes():
     # a share that ends at an interface gets there
     share = np.array([0.1, 0.3, 0.7]) / np.array([0.3, 0.7, 0.9])
     a, c = np.array([[0.3, 0.7, 0.9], [1.0, 1.0, 1.0]]), np.array([[0.1, 0.3, 0.7]])
-    assert passage(a, c, share).left_behind.all()
+    assert split(a, c, share).worn_through.all()
 
 
 def test_derivatives_of_a_passage_are_those_of_its_depth():
@@ -63,9 +63,9 @@ def test_derivatives_of_a_passage_are_those_of_its_depth():
     share = rng.uniform(0.5, 2.0, N)
 
     def depth(h):
-        return passage(full + h * d_full, left + h * d_left, share + h * d_share).depths.sum(axis=0)
+        return split(full + h * d_full, left + h * d_left, share + h * d_share).depths.sum(axis=0)
 
-    found = d_passage(full, d_full, passage(full, left, share), share, d_share, d_left)
+    found = d_split(full, d_full, split(full, left, share), share, d_share, d_left)
     np.testing.assert_allclose((depth(1e-7) - depth(-1e-7)) / 2e-7, found, rtol=1e-6, atol=1e-7)
 
 
@@ -108,10 +108,8 @@ def test_both_bodies_lose_what_the_share_of_the_step_leaves_them():
     upper = LayeredLaw.of((5e-5,), (ThresholdLaw(3e-8),), ThresholdLaw(1e-7))
     at, p = local(), np.linspace(10.0, 300.0, N)
     gap = np.where(np.arange(N) % 2 == 0, 2e-5, 0.0)
-    during = LayeredIncrement(
-        (lower, upper), (at, at), STEP, closing=Closing(gap, np.full(N, STEP))
-    )
-    inside = during.share(during.top(p))
+    during = WearIncrement((lower, upper), (at, at), STEP, closing=Closing(gap, np.full(N, STEP)))
+    inside = during.share(during.depth_in_present_layer(p))
     lost, work = during.depths(p), inside * STEP * at.power * p
     for law, depth in zip((lower, upper), lost, strict=True):
         starts = np.concatenate([[[0.0]], law.depths])
@@ -120,7 +118,7 @@ def test_both_bodies_lose_what_the_share_of_the_step_leaves_them():
         by_layer = sum(part / own.k for part, own in zip(parts, law.laws, strict=True))
         np.testing.assert_allclose(by_layer, work, rtol=1e-13)
     np.testing.assert_allclose(lost.sum(axis=0), during.depth(p), rtol=1e-15)
-    np.testing.assert_allclose(during.apart(p, lost, inside), lost, rtol=1e-14)
+    np.testing.assert_allclose(during.integrated_rates(p, lost, inside), lost, rtol=1e-14)
 
 
 def test_layers_of_one_law_are_no_layers():

@@ -1,6 +1,7 @@
 """What all figures share: one style, colours that stay apart, words for values."""
 
 import io
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -85,11 +86,19 @@ def in_words(value: Any, unit: str = "") -> str:
     return value if isinstance(value, str) else shortened(value)
 
 
-def set_legend(axes: Any, columns: int, title: str = "") -> None:
-    """Set a legend above the panel, where it covers nothing."""
+def set_legend(
+    axes: Any, columns: int, title: str = "", entries: Mapping[str, Any] | None = None
+) -> None:
+    """Set a legend above the panel, where it covers nothing.
+
+    Parameters
+    ----------
+    entries : what stands beside each label; None: all that is drawn with a label.
+    """
+    labelled = () if entries is None else (list(entries.values()), list(entries))
     legend = axes.legend(
-        frameon=False, loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=columns, title=title,
-        title_fontsize=8.0, columnspacing=1.0, handlelength=1.8, borderaxespad=0.2,
+        *labelled, frameon=False, loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=columns,
+        title=title, title_fontsize=8.0, columnspacing=1.0, handlelength=1.8, borderaxespad=0.2,
     )  # fmt: skip
     legend.get_title().set_multialignment("center")
 

@@ -3,6 +3,7 @@
 import logging
 import re
 from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -17,9 +18,21 @@ from ringwear_par.cases.layers import expanded
 from ringwear_par.cases.schema import unit_of
 from ringwear_par.cases.units import seconds
 from ringwear_par.cases.values import RejectedError
+from ringwear_par.elasticity.stress.boundary_fields import BODIES
 from ringwear_par.errors import InputError, legible
-from ringwear_par.results.instants import stages
-from ringwear_par.results.pictures.drawing import (
+from ringwear_par.pictures import runs
+from ringwear_par.pictures.interfaces import interface_drawings
+from ringwear_par.pictures.matplotlib import draw, draw_labels
+from ringwear_par.pictures.panels import Panel
+from ringwear_par.pictures.runs import HISTORY_PANELS
+from ringwear_par.pictures.sections import draw_section
+from ringwear_par.pictures.stresses import (
+    along_height,
+    draw_map,
+    highest,
+    largest,
+)
+from ringwear_par.pictures.style import (
     STYLE,
     NotebookFigure,
     check_format,
@@ -27,22 +40,7 @@ from ringwear_par.results.pictures.drawing import (
     plain,
     save_figure,
 )
-from ringwear_par.results.pictures.history_panels import HISTORY_PANELS, draw_history
-from ringwear_par.results.pictures.interface_panels import interface_drawings
-from ringwear_par.results.pictures.profile_panels import (
-    draw_peak,
-    draw_pressure,
-    draw_wear,
-    merge_labels,
-    stored_field,
-)
-from ringwear_par.results.pictures.section_panel import draw_section
-from ringwear_par.results.pictures.stress_panels import (
-    draw_depth,
-    draw_largest,
-    draw_map,
-    highest,
-)
+from ringwear_par.results.instants import pressure_peak, stages
 from ringwear_par.results.result import FailedResult, Result
 from ringwear_par.results.storage.export import boundary_states
 from ringwear_par.results.storage.result_files import result_of
@@ -56,13 +54,11 @@ from ringwear_par.results.storage.stored_stresses import (
 log = logging.getLogger(__name__)
 
 Source = Result | str | Path
-#: the name of a panel, and what draws it
-Drawing = tuple[str, partial[None]]
+#: a panel, or what draws one that matplotlib alone draws
+Drawing = Panel | partial[None]
 
 #: panels along the radius, one a result
-_PROFILES = {"wear": draw_wear, "pressure": draw_pressure}
-#: what is drawn in them once their common scale is known
-_ON_SCALE = {"wear": merge_labels, "pressure": draw_peak}
+_PROFILES = ("wear", "pressure")
 #: panels of stresses, one a result or more
 _STRESSES = ("stress", "depth", "interfaces")
 #: panels that all results share
@@ -77,8 +73,8 @@ _MOST_COLUMNS = 3
 _NOTICED = 0.01
 #: what panels need of a result: refused where it is not stored
 _NEEDED: dict[str, Callable[[Result], Any]] = {
-    "wear": lambda result: [stored_field(result, f"wear_{body}") for body in ("lower", "upper")],
-    "pressure": lambda result: stored_field(result, "pressure"),
+    "wear": lambda result: [runs.stored_field(result, f"wear_{body}") for body in BODIES],
+    "pressure": lambda result: runs.stored_field(result, "pressure"),
     "section": lambda result: boundary_states(result)[-1],
     "stress": check_grid,
     "depth": check_grid,
@@ -121,16 +117,16 @@ def plot(
     InputError : a file that is not a result, an unknown panel, a step not stored, a time outside
         of the history, nothing that can be drawn.
     """
-    given: Any = results
-    one = isinstance(given, str) or not isinstance(given, Iterable)
-    sources = [given] if one else [*given]
+    single = isinstance(results, Result | FailedResult | str | Path)
+    several: Any = [results] if single or not isinstance(results, Iterable) else results
+    sources = [*several]
     for number, source in enumerate(sources, 1):
         if isinstance(source, FailedResult):
             why = str(source.error).partition("\n")[0]
             raise InputError(f"plot: result {number} failed ({why}); must be results only")
         if not isinstance(source, Result | str | Path):
-            told = type(source).__name__
-            raise InputError(f"plot: result {number} is a {told}; must be a result or its file")
+            kind = type(source).__name__
+            raise InputError(f"plot: result {number} is a {kind}; must be a result or its file")
     names = panels.split(",") if isinstance(panels, str) else list(panels)
     if steps and times:
         raise InputError("--times: must be absent beside --steps")
@@ -162,13 +158,27 @@ def plot_files(
     save_figure(plot(paths, panels, steps, profiles_of, times), output)
 
 
-def check_figure(output: Path, stored: Output | None) -> None:
-    """Refuse a picture that cannot be written, or drawn from what a case stores. Not collective.
+@dataclass(frozen=True)
+class FigureFile:
+    """The picture of a run, to be drawn at its end."""
 
-    Raises
-    ------
-    InputError : the reason.
-    """
+    path: Path
+
+    def check(self, stored: Output | None) -> None:
+        """Refuse a picture that cannot be written, or drawn from what a case stores.
+
+        Raises
+        ------
+        InputError : the reason.
+        """
+        _check_figure(self.path, stored)
+
+    def draw(self, results: Path) -> None:
+        """Draw the default panels of a result file."""
+        plot_files([results], self.path)
+
+
+def _check_figure(output: Path, stored: Output | None) -> None:
     check_format(output)
     if stored is None:
         return
@@ -198,9 +208,11 @@ def _drawn_panels(
         if source not in sources:
             name = source.name if isinstance(source, Result) else source
             raise InputError(f"--profiles-of {name}: must be one of the result files to be drawn")
-    told = list(zip(results, _labels(results), strict=True))
+    labelled = list(zip(results, _labels(results), strict=True))
     profiled = [
-        both for source, both in zip(sources, told, strict=True) if not chosen or source in chosen
+        both
+        for source, both in zip(sources, labelled, strict=True)
+        if not chosen or source in chosen
     ]
     for panel in panels:
         if panel not in PANELS:
@@ -211,17 +223,17 @@ def _drawn_panels(
     rows: list[list[int]] = []
     if not {*_PROFILES, *_STRESSES}.isdisjoint(panels):
         rows = [_at_times(r, times) if times else _rows(r, steps) for r, _ in profiled]
-    drawings: list[Drawing] = []
+    drawings: list[tuple[str, Drawing]] = []
     left_out: list[tuple[str, str]] = []
     for panel in panels:
         if panel in _OF_ALL:
-            found, faults = _of_all(panel, told)
+            drawn, faults = _of_all(panel, labelled)
         elif panel in _STRESSES:
             wished = rows if steps or times else [[]] * len(profiled)
-            found, faults = _of_stresses(panel, profiled, wished)
+            drawn, faults = _of_stresses(panel, profiled, wished)
         else:
-            found, faults = _of_each(panel, profiled, rows)
-        drawings += [(panel, draw) for draw in found]
+            drawn, faults = _of_each(panel, profiled, rows)
+        drawings += [(panel, drawing) for drawing in drawn]
         left_out += [(panel, fault) for fault in faults]
     if not drawings:
         raise InputError(*(fault for _, fault in left_out))
@@ -234,7 +246,7 @@ def _drawn_panels(
     return figure
 
 
-def _laid_out(drawings: Sequence[Drawing]) -> Figure:
+def _laid_out(drawings: Sequence[tuple[str, Drawing]]) -> Figure:
     """Return a figure of panels, which are named, and drawn side by side."""
     lines = -(-len(drawings) // _MOST_COLUMNS)
     columns = -(-len(drawings) // lines)
@@ -249,25 +261,28 @@ def _laid_out(drawings: Sequence[Drawing]) -> Figure:
     layout: Any = "compressed" if set(names) <= _SECTIONS else "constrained"
     figure = NotebookFigure(figsize=(3.6 * sum(widths), 3.3 * sum(heights)), layout=layout)
     grid = figure.add_gridspec(lines, columns, width_ratios=widths, height_ratios=heights)
-    shared: dict[str, list[tuple[Any, Result]]] = {panel: [] for panel in _PROFILES}
-    for number, (panel, draw) in enumerate(drawings):
+    shared: dict[str, list[tuple[Any, Panel]]] = {panel: [] for panel in _PROFILES}
+    for number, (name, drawing) in enumerate(drawings):
         axes = figure.add_subplot(grid[number // columns, number % columns])
         # else taken when the figure is drawn, where another style may hold
         axes.tick_params(labelsize=STYLE["font.size"])
-        draw(axes)
-        if panel in shared:
-            shared[panel].append((axes, draw.keywords["result"]))
-    for panel, alike in shared.items():  # one scale, or one cannot compare
+        if not isinstance(drawing, Panel):
+            drawing(axes)
+            continue
+        draw(axes, drawing)
+        if name in shared:
+            shared[name].append((axes, drawing))
+    for alike in shared.values():  # one scale, or one cannot compare
         if alike:
             low, high = zip(*(axes.get_ylim() for axes, _ in alike), strict=True)
-            for axes, result in alike:
+            for axes, panel in alike:
                 axes.set_ylim(min(low), max(high))
-                _ON_SCALE[panel](axes, result)
+                draw_labels(axes, panel)
     return figure
 
 
 def _not_stored(panel: str, results: Iterable[Result]) -> list[str]:
-    """Return what results do not hold of what a panel needs, a sentence each."""
+    """Return the sentences about results that do not hold what a panel needs."""
     faults: list[str] = []
     for result in results:
         try:
@@ -277,38 +292,49 @@ def _not_stored(panel: str, results: Iterable[Result]) -> list[str]:
     return faults
 
 
-def _of_all(
-    panel: str, told: Sequence[tuple[Result, str]]
-) -> tuple[list[partial[None]], list[str]]:
+def _of_all(panel: str, labelled: Sequence[tuple[Result, str]]) -> tuple[list[Drawing], list[str]]:
     """Return the panel that results with their labels share, and why there is none."""
-    results, labels = [result for result, _ in told], [label for _, label in told]
+    results = [result for result, _ in labelled]
+    labels = [label * (len(results) > 1) for _, label in labelled]
     if faults := _not_stored(panel, results):
         return [], faults
-    draw: Callable[..., None] = draw_largest
     if panel in HISTORY_PANELS:
-        draw = partial(draw_history, panel=HISTORY_PANELS[panel])
-    return [partial(draw, results=results, labels=labels)], []
+        return [runs.history(results, labels, panel)], []
+    return [largest(results, labels)], []
 
 
 def _of_each(
     panel: str, profiled: Sequence[tuple[Result, str]], rows: Sequence[Sequence[int]]
-) -> tuple[list[partial[None]], list[str]]:
+) -> tuple[list[Drawing], list[str]]:
     """Return a profile or section of each result, and why some have none.
 
     Parameters
     ----------
     rows : of each result, the stored states whose profiles are drawn.
     """
-    drawn: list[partial[None]] = []
+    drawn: list[Drawing] = []
     left_out: list[str] = []
+    results = [result for result, _ in profiled]
+    top = 0.0
+    if panel == "pressure":
+        tops = [
+            pressure_peak(result).top(float(result.profiles["pressure"][list(own_rows)].max()))
+            for result, own_rows in zip(results, rows, strict=True)
+            if not _not_stored(panel, [result])
+        ]
+        top = max(tops, default=0.0)
     for number, (result, label) in enumerate(profiled):
         if faults := _not_stored(panel, [result]):
             left_out += faults
         elif panel == "section":
             drawn.append(partial(draw_section, result=result, label=label))
         else:
-            own = rows[number]
-            drawn.append(partial(_PROFILES[panel], result=result, label=label, rows=own))
+            profile = (
+                runs.worn_faces(result, None, rows[number])
+                if panel == "wear"
+                else runs.pressure(result, rows[number], top)
+            )
+            drawn.append(replace(profile, legend="\n".join(filter(None, (label, profile.note)))))
     return drawn, left_out
 
 
@@ -329,23 +355,23 @@ def _rows(result: Result, steps: str) -> list[int]:
 
 def _at_times(result: Result, times: str) -> list[int]:
     """Return the stored states nearest to times, and say which where these are others."""
-    there = result.histories["time"]
+    stored = result.histories["time"]
     rows = set()
     for word in map(str.strip, times.split(",")):
         try:
             time = seconds(word)
-            if not 0 <= time <= there[-1] * (1 + 1e-9):
+            if not 0 <= time <= stored[-1] * (1 + 1e-9):
                 raise RejectedError
         except RejectedError as error:
             raise InputError(
                 f"--times {legible(times)}: {legible(word)!r} is no time of {result.name}; "
-                f'must be from 0 to {there[-1]:g} (s), or with a unit, such as "1 h"'
+                f'must be from 0 to {stored[-1]:g} (s), or with a unit, such as "1 h"'
             ) from error
-        row = int(np.abs(there - time).argmin())
-        if abs(there[row] - time) > _NOTICED * time:
+        row = int(np.abs(stored - time).argmin())
+        if abs(stored[row] - time) > _NOTICED * time:
             log.warning(
                 "--times %s: %s has no state stored there; that of %.4g s is shown",
-                word, result.name, there[row],
+                word, result.name, stored[row],
             )  # fmt: skip
         rows.add(row)
     return sorted(rows)
@@ -353,7 +379,7 @@ def _at_times(result: Result, times: str) -> list[int]:
 
 def _of_stresses(
     panel: str, profiled: Sequence[tuple[Result, str]], rows: Sequence[Sequence[int]]
-) -> tuple[list[partial[None]], list[str]]:
+) -> tuple[list[Drawing], list[str]]:
     """Return maps, one a state and on one scale, courses along depth, or interfaces of results.
 
     And why there are none.
@@ -365,16 +391,16 @@ def _of_stresses(
     if faults := _not_stored(panel, (result for result, _ in profiled)):
         return [], faults
     states = [
-        nearest_states(stresses(result).states, result.histories["time"][list(own)].tolist())
-        for (result, _), own in zip(profiled, rows, strict=True)
+        nearest_states(stresses(result).states, result.histories["time"][list(of_result)].tolist())
+        for (result, _), of_result in zip(profiled, rows, strict=True)
     ]
     top = highest([state for some in states for state in some]) if panel == "stress" else 0.0
-    drawn: list[partial[None]] = []
+    drawn: list[Drawing] = []
     for (result, label), some in zip(profiled, states, strict=True):
         if panel == "interfaces":
             drawn += interface_drawings(result, label, some)
         elif panel == "depth":
-            drawn.append(partial(draw_depth, result=result, label=label, states=some))
+            drawn.append(along_height(result, label, some))
         else:
             of = partial(draw_map, result=result, label=label, top=top)
             drawn += [partial(of, state=state) for state in some]

@@ -1,0 +1,127 @@
+"""Panels in files, drawn by matplotlib."""
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from ringwear_par.pictures.panels import Axis, Curve, Label, Panel
+from ringwear_par.pictures.style import DASHES, plain, set_legend
+
+#: letters of the labels in a line of a legend, with what is beside each, and its most columns
+_LETTERS, _GLYPH, _MOST_COLUMNS = 54, 5, 3
+#: widths of lines of a page, in those of a figure; of sizes of points
+_WIDTH, _SIZE = 0.65, 0.7
+#: share of a panel's height that a label takes
+_LABEL = 0.06
+#: of an axis beyond 0, over what is drawn
+_ROOM = 1.05
+
+
+def draw(axes: Any, panel: Panel, columns: int = _MOST_COLUMNS) -> None:
+    """Draw a panel, with a legend above it.
+
+    Parameters
+    ----------
+    columns : most columns of the legend, 0 for no legend.
+    """
+    for band in panel.bands:
+        axes.fill_between(
+            band.x, band.low, band.high, color=band.colour, alpha=band.opacity, linewidth=0.0,
+            label=plain(band.name),
+        )  # fmt: skip
+        if band.edge:
+            for end in (band.low, band.high):
+                axes.plot(band.x, end, color=band.colour, linewidth=0.6, linestyle=":")
+    for curve in panel.curves:
+        _draw_curve(axes, curve)
+    for points in panel.points:
+        axes.plot(
+            points.x, points.y, linestyle="none", marker="_" if points.level else "o",
+            color=points.colour, markersize=_SIZE * points.size, alpha=points.opacity,
+            markerfacecolor="none" if points.hollow else points.colour, label=plain(points.name),
+            markeredgewidth=1.0 if points.hollow or points.level else 0.0,
+        )  # fmt: skip
+        if points.errors is not None:
+            axes.errorbar(
+                points.x, points.y, points.errors, fmt="none", ecolor=points.colour,
+                elinewidth=0.8,
+            )  # fmt: skip
+    dotted = {"color": "0.2", "linewidth": 0.8, "linestyle": ":"}
+    across, upwards = axes.get_yaxis_transform(), axes.get_xaxis_transform()
+    if panel.levels:
+        axes.hlines(panel.levels, 0.0, 1.0, transform=across, **dotted)
+    if panel.uprights:
+        axes.vlines(panel.uprights, 0.0, 1.0, transform=upwards, **dotted)
+    for bars in panel.bars:
+        axes.barh(
+            bars.places, bars.values, 0.3, xerr=bars.errors, color=bars.colour, alpha=0.75,
+            label=plain(bars.name),
+            error_kw={"ecolor": "0.1", "elinewidth": 0.9, "capsize": 2.0},
+        )  # fmt: skip
+    _set_axis(axes, "x", panel.x)
+    _set_axis(axes, "y", panel.y)
+    if columns:
+        add_legend(axes, panel.legend, columns)
+
+
+def _draw_curve(axes: Any, curve: Curve) -> None:
+    if not len(curve.y):  # one state has no means of the time between two
+        return
+    style = {
+        "color": curve.colour, "linestyle": DASHES[curve.dash % len(DASHES)],
+        "linewidth": _WIDTH * curve.width, "alpha": curve.opacity,
+        "label": plain(curve.legend or curve.name),
+    }  # fmt: skip
+    if len(curve.y) < len(curve.x):
+        axes.step(curve.x, np.append(curve.y[:1], curve.y), where="pre", **style)
+    else:
+        axes.plot(curve.x, curve.y, marker="o" if curve.marked else "", markersize=2.5, **style)
+
+
+def _set_axis(axes: Any, name: str, axis: Axis) -> None:
+    """Set label, scale and ends of an axis."""
+    getattr(axes, f"set_{name}label")(plain(axis.label))
+    if axis.log:
+        getattr(axes, f"set_{name}scale")("log")
+    low, high = getattr(axes.dataLim, f"interval{name}")
+    if axis.ends is not None:
+        getattr(axes, f"set_{name}lim")(*axis.ends)
+    elif axis.zero and low >= 0.0 and not axis.log:
+        getattr(axes, f"set_{name}lim")(0.0, _ROOM * high if high > 0.0 else 1.0)
+    if axis.categories:
+        words = [plain(word) for word in axis.categories]
+        getattr(axes, f"set_{name}lim")(-0.6, len(words) - 0.4)
+        getattr(axes, f"set_{name}ticks")(range(len(words)), words)
+    if axis.reversed:
+        getattr(axes, f"invert_{name}axis")()
+
+
+def add_legend(axes: Any, title: str = "", columns: int = _MOST_COLUMNS) -> None:
+    """Add a legend above a panel, where it covers nothing; a label stands there once."""
+    handles, labels = axes.get_legend_handles_labels()
+    entries = {label: h for h, label in zip(handles, labels, strict=True) if label}
+    if entries or title:
+        letters = max(map(len, entries), default=0) + _GLYPH
+        columns = max(1, min(columns, _LETTERS // letters))
+        set_legend(axes, columns, title, entries)
+
+
+def draw_labels(axes: Any, panel: Panel) -> None:
+    """Write the labels of a panel once its scale is final; those too close stand together."""
+    close = _LABEL * float(np.ptp(axes.get_ylim()))
+    for below in (True, False):
+        labels: list[Label] = []
+        for label in [label for label in panel.labels if label.below == below]:
+            if labels and abs(label.y - labels[-1].y) <= close:
+                words = (
+                    f"{labels[-1].words.replace('layer ', 'layers ')}, {label.words.split()[-1]}"
+                )
+                labels[-1] = replace(labels[-1], words=words)
+            else:
+                labels.append(label)
+        for label in labels:
+            axes.text(
+                label.x, label.y, f" {label.words}", color="0.3", fontsize=7.0,
+                va="top" if below else "bottom",
+            )  # fmt: skip
