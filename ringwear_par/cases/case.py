@@ -17,7 +17,8 @@ from ringwear_par.elasticity.geometry.profiles import CLOSE
 from ringwear_par.elasticity.geometry.sections import Grip, Polyline, Section
 from ringwear_par.errors import InputError
 from ringwear_par.schedules import Quantity, breakpoints
-from ringwear_par.wear.law import Law, WearLaw, complete
+from ringwear_par.wear.checked_law import complete
+from ringwear_par.wear.law import Law, WearLaw
 from ringwear_par.wear.layered import LayeredLaw
 
 #: dotted keys and values, or "KEY=VALUE" texts

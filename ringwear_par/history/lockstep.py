@@ -7,7 +7,8 @@ from typing import Any
 
 from ringwear_par.cases.case import Case
 from ringwear_par.wear.catalogue import LAWS
-from ringwear_par.wear.law import CompletedLaw, Law
+from ringwear_par.wear.checked_law import CompletedLaw
+from ringwear_par.wear.law import Law
 from ringwear_par.wear.layered import LayeredLaw, NoWear
 from ringwear_par.wear.parameters import Parameter, parameters_of
 from ringwear_par.wear.user import serves_many

@@ -9,8 +9,9 @@ import numpy as np
 from ringwear_par.arrays import FloatArray
 from ringwear_par.errors import InputError
 from ringwear_par.wear.averaging import averaging
+from ringwear_par.wear.checked_law import CheckedLaw
 from ringwear_par.wear.increment import WearIncrement
-from ringwear_par.wear.law import CheckedLaw, Law
+from ringwear_par.wear.law import Law
 from ringwear_par.wear.local_state import LocalState
 
 #: round-off of a rate, relative to the largest one

@@ -15,7 +15,8 @@ from ringwear_par.arrays import FloatArray, IntArray, columns
 from ringwear_par.errors import ComputationError
 from ringwear_par.schedules import history, take
 from ringwear_par.wear.averaging import averaged, averaged_rate
-from ringwear_par.wear.law import Law, Layers, WearLaw, complete
+from ringwear_par.wear.checked_law import complete
+from ringwear_par.wear.law import Law, Layers, WearLaw
 from ringwear_par.wear.layer_split import LayerSplit, d_split, split
 from ringwear_par.wear.local_state import LocalState
 

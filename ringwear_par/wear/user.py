@@ -14,8 +14,14 @@ from ringwear_par.errors import ComputationError, InputError
 from ringwear_par.files.text import read_text
 from ringwear_par.schedules import Quantity, breakpoints, value
 from ringwear_par.schedules import stack as stack_quantities
-from ringwear_par.wear.guard import UserFunction, checked_call, read_only_state
-from ringwear_par.wear.law import CheckedLaw, CompletedLaw, Law, WearLaw
+from ringwear_par.wear.checked_law import (
+    CheckedLaw,
+    CompletedLaw,
+    UserFunction,
+    checked_call,
+    read_only_state,
+)
+from ringwear_par.wear.law import Law, WearLaw
 from ringwear_par.wear.local_state import LocalState
 from ringwear_par.wear.parameters import Parameter
 

@@ -10,8 +10,9 @@ from ringwear_par.errors import ComputationError
 from ringwear_par.schedules import Stacked, Table
 from ringwear_par.wear import LocalState
 from ringwear_par.wear.averaging import averaging
+from ringwear_par.wear.checked_law import complete
 from ringwear_par.wear.increment import WearIncrement
-from ringwear_par.wear.law import complete, stack_laws
+from ringwear_par.wear.law import stack_laws
 from ringwear_par.wear.laws.archard import ArchardLaw
 from ringwear_par.wear.laws.non_local import NonLocalLaw
 from ringwear_par.wear.laws.power import PowerLaw

@@ -15,7 +15,7 @@ from ringwear_par.files.text import read_text
 from ringwear_par.results.execution.run import run_case
 from ringwear_par.studies.execution.sweep import run_sweep
 from ringwear_par.wear import LocalState
-from ringwear_par.wear.law import complete
+from ringwear_par.wear.checked_law import complete
 from ringwear_par.wear.laws.archard import ArchardLaw
 
 PAPER = Path(__file__).parents[2] / "scripts/cases/paper.toml"

@@ -11,6 +11,7 @@ from ringwear_par.errors import ComputationError, InputError
 from ringwear_par.schedules import Table
 from ringwear_par.wear import averaging as averages
 from ringwear_par.wear.averaging import averaging
+from ringwear_par.wear.checked_law import complete
 from ringwear_par.wear.derivative_test import (
     taylor_test,
     taylor_test_parameter,
@@ -18,7 +19,7 @@ from ringwear_par.wear.derivative_test import (
 )
 from ringwear_par.wear.derivatives import derivative
 from ringwear_par.wear.increment import WearIncrement
-from ringwear_par.wear.law import Law, complete
+from ringwear_par.wear.law import Law
 from ringwear_par.wear.laws.archard import ArchardLaw
 from ringwear_par.wear.laws.non_local import NonLocalLaw
 from ringwear_par.wear.laws.power import PowerLaw

@@ -13,6 +13,7 @@ from ringwear_par.elasticity.stress.boundary_fields import BODIES
 from ringwear_par.errors import LONGEST_SENTENCE, ComputationError, InputError, legible
 from ringwear_par.schedules import largest
 from ringwear_par.wear.catalogue import LAWS
+from ringwear_par.wear.checked_law import CompletedLaw, complete
 from ringwear_par.wear.derivative_test import (
     Remainders,
     check_user_slope,
@@ -21,7 +22,7 @@ from ringwear_par.wear.derivative_test import (
     taylor_test_parameter,
     taylor_test_wear,
 )
-from ringwear_par.wear.law import CompletedLaw, Law, WearLaw, complete
+from ringwear_par.wear.law import Law, WearLaw
 from ringwear_par.wear.local_state import LocalState
 from ringwear_par.wear.user import UserLaw, check_object, check_user_law
 

@@ -1,0 +1,327 @@
+"""Laws of users' code: local state that it cannot change, results that are checked.
+
+For laws from files and for objects; built-in laws are called as they are.
+"""
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, fields, is_dataclass, replace
+from typing import Any, ClassVar, Literal, Self
+
+import numpy as np
+
+from ringwear_par.arrays import FloatArray, IntArray
+from ringwear_par.errors import ComputationError, LawError
+from ringwear_par.schedules import Quantity
+from ringwear_par.wear.derivatives import derivative
+from ringwear_par.wear.law import SMALL_WEAR, Law, WearLaw
+from ringwear_par.wear.local_state import LocalState
+
+#: functions of a law that may be the user's
+UserFunction = Literal["rate", "d_rate_dp", "d_rate_dwear", "d_rate_dparameter"]
+_SIGNED = ("d_rate_dwear", "d_rate_dparameter")
+
+
+def read_only(values: FloatArray) -> FloatArray:
+    """Return a view that cannot be written to."""
+    view = values.view()
+    view.flags.writeable = False
+    return view
+
+
+def read_only_state(local: LocalState, **changes: Any) -> LocalState:
+    """Return local state, with changes, as a user's law sees it: it may not change what it has."""
+    return replace(
+        local,
+        r=read_only(local.r),
+        speed=read_only(local.speed),
+        wear=read_only(local.wear),
+        slid=read_only(local.slid),
+        **changes,
+    )
+
+
+def checked_call(
+    called: str,
+    name: UserFunction,
+    function: Callable[[FloatArray, LocalState], Any],
+    p: FloatArray,
+    local: LocalState,
+    parameters: Iterable[Any] = (),
+) -> FloatArray:
+    """Return the checked result of a function of a user's law, (..., n), as a copy.
+
+    Real, unless something that it knows is complex: such answers are held against differences
+    element by element (see ``derivative``), so that they are not refused here for one of them.
+
+    Parameters
+    ----------
+    called : law and function, as in "law.py: rate()".
+    name : of the function.
+    function : of the user's code.
+    p : (..., n) float, MPa.
+    local : as of ``read_only_state``.
+    parameters : values that the function knows besides.
+
+    Raises
+    ------
+    LawError : the function failed, or gave NaN, a negative rate or a negative slope.
+    ComputationError : pressures are not finite.
+    """
+    if not np.isfinite(p).all():
+        raise ComputationError("contact: pressures are not finite")
+    try:
+        with np.errstate(all="ignore"):
+            result = function(read_only(p), local)
+        known = (p, local.wear, local.speed, local.friction, local.slid, *parameters)
+        real = not any(map(np.iscomplexobj, known))
+        if result is None or (real and np.iscomplexobj(result)):
+            raise TypeError(f"it returns {type(result).__name__}, not real numbers")
+        result = np.asarray(result, dtype=float if real else complex)
+        result = np.array(np.broadcast_to(result, p.shape))
+    except (Exception, SystemExit) as error:  # whatever a user's code may raise
+        raise LawError(
+            f"{called} failed at {_when(local)}: {type(error).__name__}: {error}"
+        ) from error
+    if not real:
+        return result
+    bad = ~np.isfinite(result)
+    if name not in _SIGNED:
+        bad |= result < 0.0
+    if bad.any():
+        raise LawError(_refused(called, name, p, local, result, np.argwhere(bad)[0]))
+    return result
+
+
+def _refused(
+    called: str,
+    name: UserFunction,
+    p: FloatArray,
+    local: LocalState,
+    result: FloatArray,
+    place: IntArray,
+) -> str:
+    """Return the fault of a result at a place: (element,) or (history, element)."""
+    *among, e = (int(i) for i in place)
+    where = (*among, e)
+    if among:
+        local = local.history(among[0])
+    quantity = {"rate": "rate", "potential": "integral of the rate"}.get(
+        name, "derivative of the rate"
+    )
+    why = "a finite number" if name in _SIGNED else "a finite number >= 0"
+    if name == "d_rate_dp" and result[where] < 0.0:
+        why += ": rates must not fall with pressure"
+    return (
+        f"{called} gives {result[where]:g} as {quantity} at {_when(local)}, "
+        f"element {e} (r = {local.r[e]:.6g} mm), p = {p[where]:.6g} MPa; must be {why}"
+    )
+
+
+def _when(local: LocalState) -> str:
+    times = np.unique(local.time)
+    if len(times) == 1:
+        return f"time {times[0]:g} s"
+    return f"times from {times[0]:g} to {times[-1]:g} s"
+
+
+class CheckedLaw(Law):
+    """A law of a user's code: its results are checked, and derivatives that it lacks are computed.
+
+    Whatever the code does wrong is reported with time and element.
+    """
+
+    #: whether the code serves one history at a time
+    one_by_one: ClassVar[bool] = False
+
+    @property
+    def reads_wear(self) -> bool:
+        """Whether the rate may depend on ``local.wear``: nobody knows."""
+        return True
+
+    @property
+    def called(self) -> str:
+        """Name of the law in messages."""
+        raise NotImplementedError
+
+    def defines(self, function: UserFunction) -> bool:
+        """Tell whether the code has a function."""
+        raise NotImplementedError
+
+    def _call(
+        self, function: UserFunction, p: FloatArray, local: LocalState, *first: str
+    ) -> FloatArray:
+        """Return the checked result of a function of the code, (..., n).
+
+        ``first`` are its arguments before the pressure.
+        """
+        raise NotImplementedError
+
+    def _many(self, p: FloatArray) -> bool:
+        """Tell whether pressures are of histories that the code does not serve together."""
+        return self.one_by_one and p.ndim > 1
+
+    def _by_history(
+        self, method: str, p: FloatArray, *states: LocalState, first: tuple[str, ...] = ()
+    ) -> FloatArray:
+        """Return the values of a method, (B, n), each history by itself.
+
+        Derivatives too: whether code takes complex numbers may depend on the history.
+        """
+        rows = (
+            getattr(self.history(i), method)(*first, p[i], *(state.history(i) for state in states))
+            for i in range(len(p))
+        )
+        return np.array(list(rows))
+
+    def rate(self, p: FloatArray, local: LocalState) -> FloatArray:
+        """Return the rate of wear, mm/s.
+
+        Raises
+        ------
+        LawError : the code failed, or gave NaN or a negative rate.
+        """
+        if self._many(p):
+            return self._by_history("rate", p, local)
+        return self._call("rate", p, local)
+
+    def d_rate_dp(self, p: FloatArray, local: LocalState) -> FloatArray:
+        """Return the derivative of the rate with respect to pressure, mm/s/MPa.
+
+        Raises
+        ------
+        LawError : the code failed, or gave NaN or a negative derivative.
+        """
+        if self._many(p):
+            return self._by_history("d_rate_dp", p, local)
+        if not self.defines("d_rate_dp"):
+            return super().d_rate_dp(p, local)
+        return self._call("d_rate_dp", p, local)
+
+    def d_rate_dwear(self, p: FloatArray, local: LocalState) -> FloatArray:
+        """Return the derivative of the rate with respect to ``local.wear``, 1/s."""
+        if self._many(p):
+            return self._by_history("d_rate_dwear", p, local)
+        if not self.defines("d_rate_dwear"):
+            return super().d_rate_dwear(p, local)
+        return self._call("d_rate_dwear", p, local)
+
+    def d_rate_dparameter(self, name: str, p: FloatArray, local: LocalState) -> FloatArray:
+        """Return the derivative of the rate with respect to a numeric parameter."""
+        if self._many(p):
+            return self._by_history("d_rate_dparameter", p, local, first=(name,))
+        if not self.defines("d_rate_dparameter"):
+            return super().d_rate_dparameter(name, p, local)
+        return self._call("d_rate_dparameter", p, local, name)
+
+    def d_rate_dlocal(self, p: FloatArray, local: LocalState, along: LocalState) -> FloatArray:
+        """Return how the rate changes as speed, friction and slid do along those of another.
+
+        The code need not take complex numbers.
+        """
+        if self._many(p):
+            return self._by_history("d_rate_dlocal", p, local, along)
+        return derivative(lambda x: self.rate(p, local.moved(x, along)), 0.0, 1.0)
+
+    def d_rate_dbefore(self, p: FloatArray, local: LocalState) -> FloatArray | None:
+        """Return how the rate changes with the wear before a step, 1/s."""
+        if self.remembers:
+            return self.d_rate_dwear(p, local)
+        if self._many(p):
+            return self._by_history("d_rate_dbefore", p, local)
+        return derivative(
+            lambda wear: self.rate(p, replace(local, wear=wear)), local.wear, SMALL_WEAR
+        )
+
+
+@dataclass(frozen=True)
+class CompletedLaw(CheckedLaw):
+    """A user's object with a ``rate``, and what else of ``Law`` it has.
+
+    Its rate counts as one that remembers wear unless it says ``remembers = False``. Where it is a
+    dataclass, the numbers among its fields are its parameters.
+    """
+
+    user_object: WearLaw
+
+    def _attribute(self, name: str, default: Any) -> Any:
+        return getattr(self.user_object, name, default)
+
+    @property
+    def length(self) -> float:  # type: ignore[override]
+        """Averaging length, mm; 0 for a local law."""
+        return float(self._attribute("length", 0.0))
+
+    @property
+    def remembers(self) -> bool:
+        """Whether the rate may depend on ``local.wear``."""
+        return bool(self._attribute("remembers", True))
+
+    @property
+    def breakpoints(self) -> tuple[float, ...]:
+        """Times, s, at which the rate jumps or bends."""
+        return tuple(sorted(float(time) for time in self._attribute("breakpoints", ())))
+
+    @property
+    def numeric(self) -> tuple[str, ...]:
+        """Names of the fields that are numbers."""
+        law: Any = self.user_object
+        numbers = [f.name for f in fields(law)] if is_dataclass(law) else []
+        return tuple(
+            name
+            for name in numbers
+            if name != "length" and isinstance(getattr(law, name), float | np.ndarray)
+        )
+
+    def quantity(self, name: str) -> Quantity:
+        """Return a numeric parameter as it was given."""
+        return getattr(self.user_object, name)
+
+    @property
+    def called(self) -> str:
+        """Name of the law in messages."""
+        return type(self.user_object).__name__
+
+    def defines(self, function: UserFunction) -> bool:
+        """Tell whether the object has a method."""
+        return hasattr(self.user_object, function)
+
+    def _call(
+        self, function: UserFunction, p: FloatArray, local: LocalState, *first: str
+    ) -> FloatArray:
+        if p.ndim == 2 and len(p) == 1:  # it may have been written for the (n,) of one history
+            alone: FloatArray = self._call(function, p[0], local.history(0), *first)
+            return alone[None]
+
+        def method(p: FloatArray, local: LocalState) -> Any:
+            return getattr(self.user_object, function)(*first, p, local)
+
+        parameters = (self.quantity(name) for name in self.numeric)
+        state = read_only_state(local)
+        return checked_call(f"{self.called}: {function}()", function, method, p, state, parameters)
+
+    def with_parameter(self, name: str, values: Any) -> Self:
+        """Return the law with another number, or other values at the elements."""
+        law: Any = self.user_object
+        return replace(self, user_object=replace(law, **{name: values}))
+
+    def _per_energy(self, friction: float) -> float | None:
+        return self._attribute("per_energy", super()._per_energy)(friction)
+
+    def onset(self, local: LocalState) -> float | FloatArray:
+        """Return the pressure, MPa, up to which nothing wears."""
+        return self._attribute("onset", super().onset)(read_only_state(local))
+
+    def potential(self, p: FloatArray, local: LocalState) -> FloatArray | None:
+        """Return the integral of the rate from 0 to p, MPa mm/s; None: by quadrature."""
+        integral = self._attribute("potential", super().potential)
+        return integral(read_only(p), read_only_state(local))
+
+    def describe(self) -> str:
+        """Return the object's formula with its numbers."""
+        formula = self._attribute("formula", f"{self.called}.rate(p, local)")
+        return formula + self._with({name: self.quantity(name) for name in self.numeric})
+
+
+def complete(law: WearLaw | Law) -> Law:
+    """Return a law that has all that a history asks: itself, or what makes up for what it lacks."""
+    return law if isinstance(law, Law) else CompletedLaw(law)
