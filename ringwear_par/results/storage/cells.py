@@ -43,24 +43,24 @@ def surfaces(state: BoundaryState, warp: float, segments: int) -> Cells:
 def stress_cells(history: StressHistory) -> list[Cells]:
     """Return the grid of stresses of each state in the plane y = 0.
 
-    A quadrangle between four points that some state knows: others lose them where wear has taken
-    the body or the layer away.
+    A quadrangle joins four points that at least one state has; states lose points where wear has
+    taken the body or the layer away.
     """
     r, z = history.grid
-    there = np.any([np.isfinite(state.grid).all(axis=-1) for state in history.states], axis=0)
-    number = np.where(there, np.cumsum(there).reshape(there.shape) - 1, -1)
+    present = np.any([np.isfinite(state.grid).all(axis=-1) for state in history.states], axis=0)
+    number = np.where(present, np.cumsum(present).reshape(present.shape) - 1, -1)
     corners = [number[:-1, :-1], number[1:, :-1], number[1:, 1:], number[:-1, 1:]]
     cells = np.stack([corner.ravel() for corner in corners], axis=1)
     cells = cells[(cells >= 0).all(axis=1)]
-    at = np.stack(np.meshgrid(r, z, indexing="ij"), axis=-1)[there]
+    at = np.stack(np.meshgrid(r, z, indexing="ij"), axis=-1)[present]
     points = np.stack([at[:, 0], np.zeros(len(at)), at[:, 1]], axis=1)
-    found = []
+    cells_of_states = []
     for state in history.states:
-        values = state.grid[there]
+        values = state.grid[present]
         named = {f"stress_{name}": values[:, i].copy() for i, name in enumerate(COMPONENTS)}
         named |= {"mises": mises(values), "max_shear": max_shear(values)}
-        found.append(Cells(points, cells, named, {}))
-    return found
+        cells_of_states.append(Cells(points, cells, named, {}))
+    return cells_of_states
 
 
 def interface_cells(interfaces: Sequence[Interface], state: StressState) -> Cells:
@@ -72,11 +72,11 @@ def interface_cells(interfaces: Sequence[Interface], state: StressState) -> Cell
             points = np.stack([of.r, np.zeros(m), np.full(m, of.z)], axis=1)
             first = at + np.arange(m - 1)
             named = {f"stress_{name}": stress[:, i].copy() for i, name in enumerate(COMPONENTS)}
-            told = {"body": of.body, "layer": of.layer, "side": side}
+            place = {"body": of.body, "layer": of.layer, "side": side}
             lines.append(
                 Cells(
                     points, np.stack([first, first + 1], axis=1), {**named, "mises": mises(stress)},
-                    {name: np.full(m - 1, value) for name, value in told.items()},
+                    {name: np.full(m - 1, value) for name, value in place.items()},
                 )
             )  # fmt: skip
             at += m

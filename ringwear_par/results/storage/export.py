@@ -230,11 +230,11 @@ def _history_table(result: Result) -> tuple[list[str], Iterable[Sequence[Any]]]:
 
 def _contact_table(result: Result) -> tuple[list[str], Iterable[Sequence[Any]]]:
     """Return the contact line, a row for each stored state and element."""
-    known, there = {**PROFILES, **LAYER_PROFILES}, {**result.profiles, **result.layers}
-    names = [name for name in known if name in there]
+    variables, fields = {**PROFILES, **LAYER_PROFILES}, {**result.profiles, **result.layers}
+    names = [name for name in variables if name in fields]
     if not names:
         raise InputError(f"{result.name}: holds no field of the contact line (output.fields)")
-    tables = [np.atleast_2d(there[name]) for name in names]
+    tables = [np.atleast_2d(fields[name]) for name in names]
     stored, n = tables[0].shape  # one row where the last state's fields are stored only
     steps, times = result.step[-stored:], result.histories["time"][-stored:]
     header = ["step", "time (s)", "element", "r (mm)"]
@@ -242,7 +242,7 @@ def _contact_table(result: Result) -> tuple[list[str], Iterable[Sequence[Any]]]:
         np.repeat(steps, n), np.repeat(times, n), np.tile(np.arange(n), stored),
         np.tile(result.line.r, stored), *(table.ravel() for table in tables),
     ]  # fmt: skip
-    header += [_titled(known[name]) for name in names]
+    header += [_titled(variables[name]) for name in names]
     return header, zip(*(column.tolist() for column in columns), strict=True)
 
 
