@@ -183,7 +183,7 @@ class _Posed:
         posterior = None
         if "posterior" in self._problem.settings.intervals:
             posterior = sample_posterior(
-                squares, histories, optimum.x, covariance, self._progress.walk
+                squares, histories, optimum.x, covariance, self._progress.chain
             )
         return {
             "x": optimum.x,

@@ -12,7 +12,6 @@ from ringwear_par.arrays import FloatArray
 from ringwear_par.errors import ComputationError, InputError, RingwearError, reason_of
 from ringwear_par.files.text import parse_json, read_text
 from ringwear_par.files.writing import atomic_write
-from ringwear_par.identification.estimation.chain import Keeper
 from ringwear_par.identification.estimation.least_squares import LeastSquares
 from ringwear_par.identification.estimation.marginal import Marginal
 from ringwear_par.identification.estimation.minimise import minimise
@@ -79,10 +78,9 @@ class Progress:
         return self._folder is not None
 
     @property
-    def walk(self) -> Keeper:
-        """Where the walk of a posterior is kept."""
-        path = None if self._folder is None else self._folder / PROGRESS / "posterior.npz"
-        return Keeper(path, self._key)
+    def chain(self) -> Path | None:
+        """The file of a posterior's chain, if anything is kept."""
+        return None if self._folder is None else self._folder / PROGRESS / "posterior.npz"
 
     def _path(self, number: int) -> Path | None:
         if self._folder is None:
