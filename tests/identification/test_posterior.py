@@ -14,9 +14,9 @@ from ringwear_par.identification.definition.fit_file import read_fit
 from ringwear_par.identification.definition.problem import Prior
 from ringwear_par.identification.estimation import posterior
 from ringwear_par.identification.estimation.intervals import estimates
-from ringwear_par.identification.estimation.least_squares import LeastSquares
+from ringwear_par.identification.estimation.misfit import Misfit
 from ringwear_par.identification.estimation.posterior import sample_posterior
-from ringwear_par.identification.fit import fit, fitted, predicted
+from ringwear_par.identification.fit import expected_result, fit, fit_problem
 
 
 @pytest.fixture(scope="module")
@@ -71,8 +71,8 @@ def linear(laboratory):
             start = {"wear.lower.k": 1.3e-7, "wear.lower.p0": 25.0}
             at = replace(problem, parameters=tuple(
                 replace(p, start=start[p.key]) for p in problem.parameters))  # fmt: skip
-            found = predicted(at, comm)
-            bare = found.squares.bare(found.x)[:, None]
+            found = expected_result(at, comm)
+            bare = found.misfit.model_readings(found.x)[:, None]
             known["problem"] = at
             known["response"] = np.concatenate([bare, found.evaluation.sensitivity], axis=1)
         response = known["response"].copy()
@@ -84,15 +84,15 @@ def linear(laboratory):
         )
         problem = replace(problem, settings=settings, parameters=parameters)
         histories = LinearHistories(known["problem"], response)
-        squares = LeastSquares(problem, histories)
-        x = squares.started([p.start for p in parameters])
+        misfit = Misfit(problem, histories)
+        x = misfit.with_best_nuisances([p.start for p in parameters])
         for _ in range(3):  # all unknowns at once, until nothing changes
-            found = squares.evaluate(x)
+            found = misfit.evaluate(x)
             step = np.linalg.lstsq(found.jacobian, -found.residuals, rcond=None)[0]
-            x = np.clip(x + step, squares.lower, squares.upper)
-        found = squares.evaluate(x)
-        _, covariance = estimates(squares, x, found)
-        drawn = sample_posterior(squares, histories, x, covariance, path)
+            x = np.clip(x + step, misfit.lower, misfit.upper)
+        found = misfit.evaluate(x)
+        _, covariance = estimates(misfit, x, found)
+        drawn = sample_posterior(misfit, histories, x, covariance, path)
         unknowns = np.array(
             [[p.unknown(v) for p, v in zip(parameters, row, strict=True)] for row in drawn.samples]
         )
@@ -221,13 +221,13 @@ def test_a_stopped_posterior_goes_on(laboratory, tmp_path, comm, stop_after):
     tables = fit_tables(*laboratory, intervals=["posterior"], samples=64, starts=1)
     stop_after(2)
     with pytest.raises(ComputationError, match="the power failed"):
-        fitted(read_fit(tables), comm, folder=tmp_path)
+        fit_problem(read_fit(tables), comm, folder=tmp_path)
     assert (tmp_path / "progress/posterior.npz").is_file()
     lengths = stop_after(None)
-    found = fitted(read_fit(tables), comm, folder=tmp_path)
+    found = fit_problem(read_fit(tables), comm, folder=tmp_path)
     assert lengths[0] == 3
     assert len(found.posterior.samples) == 64
-    assert 0 <= found.histories - fitted(read_fit(tables), comm).histories <= 2
+    assert 0 <= found.histories - fit_problem(read_fit(tables), comm).histories <= 2
 
 
 def test_a_chain_of_another_problem_is_not_continued(tmp_path):

@@ -1,4 +1,4 @@
-"""What the fitted keys may be, given all readings: samples of their posterior distribution.
+"""Samples of the posterior distribution of the fitted keys.
 
 Drawn by an ensemble of walkers (emcee: Foreman-Mackey et al., Publ. Astron. Soc. Pac. 125 (2013)
 306-312; moves of differential evolution), whose histories step side by side. Before any reading a
@@ -24,8 +24,8 @@ from ringwear_par.arrays import FloatArray
 from ringwear_par.files.ordinary import open_ordinary
 from ringwear_par.files.writing import atomic_write
 from ringwear_par.identification.definition.problem import reflected
-from ringwear_par.identification.estimation.least_squares import LeastSquares
-from ringwear_par.identification.estimation.marginal import Marginal
+from ringwear_par.identification.estimation.likelihood import MarginalLikelihood
+from ringwear_par.identification.estimation.misfit import Misfit
 from ringwear_par.identification.model.lockstep import StoppedError
 from ringwear_par.identification.model.rounds import Rounds
 
@@ -65,15 +65,15 @@ class Posterior:
         return ends
 
 
-def missing_for(intervals: Sequence[str]) -> str:
-    """Return what intervals of a fit need that is not installed, "" for nothing; import nothing."""
+def missing_package(intervals: Sequence[str]) -> str:
+    """Return a sentence about a package that intervals need and that is missing, else ""."""
     if "posterior" not in intervals or find_spec("emcee") is not None:
         return ""
     return 'fit.intervals: "posterior" needs emcee: pip install emcee, or leave it out'
 
 
 def sample_posterior(
-    squares: LeastSquares,
+    misfit: Misfit,
     histories: Rounds,
     x: FloatArray,
     covariance: FloatArray,
@@ -92,16 +92,16 @@ def sample_posterior(
     """
     import emcee
 
-    settings, m = squares.problem.settings, len(squares.problem.parameters)
-    low, high = squares.lower[:m], squares.upper[:m]
-    marginal = Marginal(squares)
+    settings, m = misfit.problem.settings, len(misfit.problem.parameters)
+    low, high = misfit.lower[:m], misfit.upper[:m]
+    marginal = MarginalLikelihood(misfit)
 
     def log_probability(points: FloatArray) -> FloatArray:
         """Return (w,) of unknowns (w, m)."""
         scores = np.full(len(points), -np.inf)
         inside = np.flatnonzero(((points >= low) & (points <= high)).all(axis=1))
-        values = np.array([squares.values(point) for point in points[inside]]).reshape(-1, m)
-        responses = histories.responses(values, squares.steps, derivatives=False)
+        values = np.array([misfit.values(point) for point in points[inside]]).reshape(-1, m)
+        responses = histories.responses(values, misfit.steps, derivatives=False)
         for i, value, readings in zip(inside, values, responses, strict=True):
             if not isinstance(readings, Exception):
                 scores[i] = marginal(value, readings[:, 0])
@@ -110,46 +110,44 @@ def sample_posterior(
     walkers = max(min(_WALKERS, 2 * (settings.samples // (2 * _STEPS))), 16, 4 * m)
     steps = _BURN + -(-settings.samples // walkers)
     moves = [(emcee.moves.DEMove(), 0.8), (emcee.moves.DESnookerMove(), 0.2)]
-    key = squares.problem.key
+    key = misfit.problem.key
     backend, stored_histories = _stored_chain(path, key, (walkers, m))
     sampler = emcee.EnsembleSampler(
         walkers, m, log_probability, moves=moves, vectorize=True, backend=backend
     )
     sampler.log_prob_fn = log_probability  # what emcee wraps it in prints all of its errors
-    others = histories.count
+    count_before = histories.count
     histories.count += stored_histories
     before = sampler.iteration
     if before:
         start = sampler.get_last_sample()
     else:
         sampler.random_state = np.random.RandomState(_SEED).get_state()
-        start = _start(squares, x, covariance, walkers)
+        start = _start(misfit, x, covariance, walkers)
     stored_at = time.perf_counter()
     walk = sampler.sample(start, iterations=steps - before, skip_initial_state_check=True)
     try:
         for step, _ in enumerate(walk, before + 1):
             histories.tell(f"posterior: {step} of {steps} steps of {walkers} walkers")
             if time.perf_counter() - stored_at > STORE_SECONDS:
-                _store_chain(path, key, backend, histories.count - others)
+                _store_chain(path, key, backend, histories.count - count_before)
                 stored_at = time.perf_counter()
     except StoppedError:
-        _store_chain(path, key, backend, histories.count - others)
+        _store_chain(path, key, backend, histories.count - count_before)
         raise
     chain = sampler.get_chain(discard=_BURN)
     # means over walkers scatter by the correlation time of their steps
     scatter, whole = chain.mean(axis=0).var(axis=0, ddof=1), chain.reshape(-1, m).var(axis=0)
     times = np.maximum(len(chain) * scatter / np.where(whole > 0.0, whole, 1.0), 1.0)
-    values = np.array([squares.values(row) for row in chain.reshape(-1, m)])
+    values = np.array([misfit.values(row) for row in chain.reshape(-1, m)])
     accepted = int(sampler.backend.accepted.sum())
     return Posterior(values, accepted / (steps * walkers), float(len(values) / np.max(times)))
 
 
-def _start(
-    squares: LeastSquares, x: FloatArray, covariance: FloatArray, walkers: int
-) -> FloatArray:
+def _start(misfit: Misfit, x: FloatArray, covariance: FloatArray, walkers: int) -> FloatArray:
     """Return unknowns (walkers, m) around the optimum, all of them cases by the laws' rules."""
-    m = len(squares.problem.parameters)
-    low, high = squares.lower[:m], squares.upper[:m]
+    m = len(misfit.problem.parameters)
+    low, high = misfit.lower[:m], misfit.upper[:m]
     spread = np.sqrt(np.minimum(np.diag(covariance)[:m], ((high - low) / 4.0) ** 2))
     known = np.isfinite(covariance[:m, :m]).all()
     root = np.linalg.cholesky(covariance[:m, :m] + 1e-12 * np.diag(spread**2)) if known else None
@@ -158,7 +156,7 @@ def _start(
     wide = np.abs(shifts) > high - low
     start = reflected(x[:m] + np.where(wide, drawn * spread, shifts), low, high)
     for _ in range(_NEARER):  # towards the optimum, which is a case
-        out = ~squares.allowed(start)
+        out = ~misfit.allowed(start)
         start[out] = 0.5 * (start[out] + x[:m])
     return start
 
