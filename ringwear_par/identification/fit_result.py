@@ -1,5 +1,6 @@
 """The result of a fit: estimates with intervals, goodness of fit, what remains open."""
 
+import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from functools import cached_property
@@ -192,6 +193,17 @@ class FitResult:
         rows = self.misfit.columns(self.x)
         finite = np.where(np.isfinite(self.covariance), self.covariance, 0.0)
         return np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", rows, finite, rows), 0.0))
+
+    @property
+    def keys_at_bound(self) -> tuple[str, ...]:
+        """Fitted keys whose estimate is one of their bounds."""
+        return tuple(
+            parameter.key
+            for parameter, estimate in zip(
+                self.misfit.problem.parameters, self.parameters, strict=True
+            )
+            if any(math.isclose(estimate.estimate, b, rel_tol=1e-9) for b in parameter.bounds)
+        )
 
     @property
     def n_at_best(self) -> int:

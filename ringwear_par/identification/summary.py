@@ -23,7 +23,8 @@ def warnings(fit: FitResult) -> tuple[str, ...]:
     sentences = []
     for one in fit.parameters:
         if one.verdict == "not identified":
-            sentences.append(f"{one.key} is not identified: {one.direction}")
+            bound = "; its estimate is at its bound" if one.key in fit.keys_at_bound else ""
+            sentences.append(f"{one.key} is not identified: {one.direction}{bound}")
         elif one.verdict == "at bound":
             sentences.append(
                 f"{one.key} = {one.estimate:g} is at its bound; its limit is one-sided"

@@ -188,14 +188,17 @@ def test_three_keys_are_one_number_without_torque(tables, comm):
         del experiment["set"]["load.omega"]
     given["fit"]["parameters"] = {
         **FITTED,
-        "contact.friction": {"start": 0.1, "bounds": [0.01, 1.0], "scale": "log"},
+        "contact.friction": {"start": 0.1, "bounds": [0.1, 1.0], "scale": "log"},
         "load.omega": {"start": 3.5, "bounds": [0.1, 100.0], "scale": "log"},
     }
-    by_key = {p.key: p for p in expected_result(read_fit(given), comm).parameters}
+    found = expected_result(read_fit(given), comm)
+    by_key = {p.key: p for p in found.parameters}
     for key in ("contact.friction", "wear.lower.k", "load.omega"):
         assert by_key[key].verdict == "not identified"
         assert by_key[key].direction == "only contact.friction x load.omega x wear.lower.k"
     assert by_key["wear.lower.p0"].verdict == "at bound"
+    at_bound = [s for s in found.warnings if s.endswith("; its estimate is at its bound")]
+    assert [s.partition(" ")[0] for s in at_bound] == ["contact.friction"]
 
 
 @pytest.mark.serial

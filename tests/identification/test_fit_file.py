@@ -10,6 +10,7 @@ from laboratory import CASE, FITTED, PEN, PROF, K, changed, fit_tables, write_te
 from ringwear_par.errors import InputError
 from ringwear_par.identification.definition import fit_file
 from ringwear_par.identification.definition.fit_file import read_fit
+from ringwear_par.identification.definition.fitted_parameters import refuse_fixed
 from ringwear_par.identification.definition.problem import FittedParameter
 
 #: every key that a fit file may have
@@ -106,6 +107,19 @@ def good(tmp_path_factory):
     """A folder of measurements, and the fit file as a dict."""
     folder = tmp_path_factory.mktemp("laboratory")
     return fit_tables(folder, write_tests(folder), starts=1)
+
+
+def test_a_key_without_derivatives_is_refused_once(good):
+    problem = read_fit(good)
+    parameter = FittedParameter("load.displacement", 0.01, (0.001, 0.1))
+    faults: list[str] = []
+    for experiment in problem.experiments:
+        said = f'fit.toml: experiment "{experiment.name}"'
+        refuse_fixed(said, [parameter], experiment.case, faults)
+    assert faults == [
+        'fit.toml: load.displacement: cannot be fitted: the history of experiment "test 1" does '
+        "not depend on it smoothly; must be a key such as load.pressure, load.omega, load.force"
+    ]
 
 
 @pytest.mark.parametrize(

@@ -62,6 +62,18 @@ def test_a_fault_of_many_readings_is_told_once(good, tmp_path):
     assert "time 3600 s (and 48 more readings): must be within the test" in fault
 
 
+def test_times_that_end_long_before_the_test(good, tmp_path):
+    """Minutes that are read as seconds: a warning of the dry run and of the fit."""
+    times = np.linspace(0.1, 5.0 / 3.0, 50)
+    write_table(tmp_path / "z.csv", ("t", "z_um"), times, times)
+    tables = changed(good, (*PEN, "file"), str(tmp_path / "z.csv"))
+    tables["experiment"][0]["data"][0]["columns"] = {"time": "t", "value": "z_um"}
+    sentence = "readings end at 1.667 s of a test of 100 s; look at the unit of time"
+    assert read_fit(tables).experiments[0].series[0].assumptions[-1] == sentence
+    tables["experiment"][0]["data"][0]["units"] = {"time": "min"}
+    assert not read_fit(tables).experiments[0].series[0].assumptions
+
+
 def test_radii_in_another_unit(good, tmp_path):
     write_table(tmp_path / "d.csv", ("r", "d_um"), (28.0, 30.0, 32.0), (0.0, 1.0, 0.0))
     tables = changed(good, (*PROF, "file"), str(tmp_path / "d.csv"))

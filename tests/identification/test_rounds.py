@@ -12,15 +12,15 @@ import numpy as np
 import pytest
 from laboratory import FITTED, TRUTH, fit_tables, write_tests
 
-from ringwear_par.errors import ComputationError, RingwearError
+from ringwear_par.errors import ComputationError, LawError, RingwearError
 from ringwear_par.identification import fit_run as run_room
 from ringwear_par.identification.definition.fit_file import read_fit
 from ringwear_par.identification.estimation import profile as profile_room
-from ringwear_par.identification.estimation.minimise import minimise
-from ringwear_par.identification.fit import fit, fit_problem
+from ringwear_par.identification.estimation.minimise import Optimum, minimise
+from ringwear_par.identification.fit import expected_result, fit, fit_problem
 from ringwear_par.identification.model import histories as histories_room
 from ringwear_par.identification.model import lockstep
-from ringwear_par.identification.model.histories import Histories
+from ringwear_par.identification.model.histories import Histories, HistoryError
 from ringwear_par.identification.model.lockstep import StoppedError, side_by_side
 from ringwear_par.identification.model.rounds import Rounds
 from ringwear_par.results.execution.stopping import StopSignals
@@ -168,6 +168,30 @@ def test_a_limit_that_is_not_found_is_told(tables, comm, monkeypatch):
     found = fit(tables(starts=1, intervals=["profile"]), comm)
     assert set(found.inexact_limits) == set(TRUTH)
     assert any("likelihood profile" in sentence for sentence in found.warnings)
+
+
+@pytest.mark.serial
+@pytest.mark.parametrize(
+    ("error", "raised"), [(HistoryError, False), (ComputationError, True), (LawError, True)]
+)
+def test_a_profile_takes_only_missing_histories_for_too_far(
+    error, raised, tables, comm, monkeypatch
+):
+    problem = read_fit(tables(intervals=["profile"]))
+
+    def failing(*args, **kwargs):
+        raise error("no history")
+
+    found = expected_result(problem, comm)
+    optimum = Optimum(found.x, found.evaluation, True, 0, 0)
+    estimates = [replace(p, verdict="identified") for p in found.parameters]
+    monkeypatch.setattr(profile_room, "minimise", failing)
+    arguments = found.misfit, optimum, estimates, found.covariance
+    if raised:
+        with pytest.raises(error, match="no history"):
+            profile_room.likelihood_profiles(*arguments)
+    else:
+        assert set(profile_room.likelihood_profiles(*arguments).inexact_limits) == set(TRUTH)
 
 
 @pytest.mark.serial

@@ -1,5 +1,6 @@
 """``fit.parameters``: which case keys are sought, from where and within which bounds."""
 
+import difflib
 import math
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -103,20 +104,25 @@ def units_of(problem: Problem) -> dict[str, str]:
 def refuse_fixed(
     said: str, parameters: Sequence[FittedParameter], case: Case, faults: list[str]
 ) -> None:
-    """Add a fault for each key that histories of a case have no derivative with respect to.
+    """Add a fault for each key without derivatives, once for all experiments.
 
     Parameters
     ----------
-    said : how sentences about it begin.
+    said : how sentences about the experiment begin.
     """
     allowed, elastic = differentiable(case), elastic_numbers(case)
     for parameter in parameters:
         if parameter.key in elastic:
             faults += _faults_of_bounds(said, parameter, case)
         if parameter.key not in allowed:
+            scope = said.partition(': experiment "')[0]
+            beginning = f"{scope}: {parameter.key}: cannot be fitted"
+            if any(fault.startswith(beginning) for fault in faults):
+                continue  # said of another experiment
+            similar = difflib.get_close_matches(parameter.key, allowed, n=3, cutoff=0.0)
             faults.append(
-                f"{said}: {parameter.key}: cannot be fitted here, the history does not depend on "
-                f"it smoothly; must be one of {', '.join(allowed)}"
+                f"{beginning}: the history of {said.removeprefix(scope)[2:]} does not depend on it "
+                f"smoothly; must be a key such as {', '.join(similar)}"
             )
 
 

@@ -112,7 +112,7 @@ class Series:
     nuisances : what is fitted along.
     correlation_time : s, of the noise; 0: it is white.
     file, lines : where the readings stand; "" and none of a single value.
-    assumptions : sentences about columns whose unit neither ``units`` nor their own name tells.
+    assumptions : sentences about units that nobody names, or that are likely wrong.
     planned : whether nothing has been read yet; values are 0 then.
     """
 

@@ -45,6 +45,8 @@ _SMOOTH = 9
 _NEAR_ZERO = 0.05
 #: of the test: noise that is correlated for longer is an offset
 _LONGEST_CORRELATION = 100.0
+#: readings of a record, and the share of the test: one that ends before may be in another unit
+_RECORD, _SHORT_RECORD = 3, 0.1
 #: of the test: times that are rounded, in minutes, say, may be so much later than its end
 _ROUNDED = 2e-4
 
@@ -156,10 +158,17 @@ def read_series(
     reader.finish()
     if len(faults) > before:
         return None
+    assumptions = readings.assumptions
+    if kind != "profile" and readings.lines is not None and len(x) >= _RECORD:
+        last = float(x.max())
+        if 0.0 < last < _SHORT_RECORD * end:
+            assumptions += (
+                f"readings end at {last:.4g} s of a test of {end:g} s; look at the unit of time",
+            )
     series = Series(
         quantity, cast(Quantity, quantity), x[keep], value[keep], sd[keep], fitted, unit, scale,
         (end if at is None else at) if kind == "profile" else None, density, nuisances,
-        correlation, readings.where, None if lines is None else lines[keep], readings.assumptions,
+        correlation, readings.where, None if lines is None else lines[keep], assumptions,
         readings.planned,
     )  # fmt: skip
     free = [nuisance.kind for nuisance in nuisances if nuisance.free]

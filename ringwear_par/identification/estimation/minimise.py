@@ -7,9 +7,9 @@ import numpy as np
 
 from ringwear_par.arrays import BoolArray, FloatArray
 from ringwear_par.contact.tao import Guard
-from ringwear_par.errors import ComputationError, LawError
 from ringwear_par.identification.estimation.misfit import Evaluation, Misfit
-from ringwear_par.identification.model.lockstep import StoppedError, WaitFor
+from ringwear_par.identification.model.histories import HistoryError
+from ringwear_par.identification.model.lockstep import WaitFor
 from ringwear_par.identification.model.steps import bends_within
 from ringwear_par.options import FIT_PREFIX, set_from_options
 from ringwear_par.petsc import PETSc
@@ -175,9 +175,7 @@ class _Reduced:
             x[self._nonlinear] = np.clip(y * self._scale, self._low, self._high)
             try:
                 evaluation = self._evaluate(x)
-            except (StoppedError, LawError):
-                raise
-            except ComputationError:  # a trial too far: a ring worn through, say
+            except HistoryError:  # a trial too far: a ring worn through, say
                 if self._last is None:
                     raise
                 far = np.full_like(self._last[1], _FAR * (1.0 + np.abs(self._last[1]).max()))

@@ -14,11 +14,11 @@ import numpy as np
 from scipy.stats import chi2
 
 from ringwear_par.arrays import FloatArray
-from ringwear_par.errors import ComputationError, LawError
 from ringwear_par.identification.estimation.intervals import ParameterEstimate
 from ringwear_par.identification.estimation.minimise import Optimum, minimise
 from ringwear_par.identification.estimation.misfit import Misfit
-from ringwear_par.identification.model.lockstep import StoppedError, WaitFor, side_by_side
+from ringwear_par.identification.model.histories import HistoryError
+from ringwear_par.identification.model.lockstep import WaitFor, side_by_side
 
 #: of the root of the growth of the sum of squares, at which a limit is found
 _CLOSE = 0.01
@@ -144,9 +144,7 @@ def _limit(
         start[j] = at
         try:
             best = minimise(misfit, np.clip(start, *bounds), wait_for, fixed=j)
-        except (StoppedError, LawError):
-            raise
-        except ComputationError:  # too far: no case by the rules of a law, or worn through
+        except HistoryError:  # too far: no case by the rules of a law, or worn through
             outer = abs(at - centre), math.inf
             step = 0.5 * (inner[0] + outer[0])
             continue

@@ -7,10 +7,11 @@ import numpy as np
 from scipy.stats import f as f_distribution
 
 from ringwear_par.arrays import BoolArray, FloatArray
-from ringwear_par.errors import ComputationError, InputError, legible
+from ringwear_par.errors import InputError, legible
 from ringwear_par.identification.definition.problem import Experiment, Series
 from ringwear_par.identification.estimation.misfit import Evaluation, Misfit
 from ringwear_par.identification.estimation.starts import case_points
+from ringwear_par.identification.model.histories import HistoryError
 from ringwear_par.identification.model.readings import nuisance_columns
 
 #: blocks of a record, and readings less nuisances that it needs
@@ -169,7 +170,7 @@ def _responding(misfit: Misfit, start: FloatArray) -> BoolArray:
     def at(x: FloatArray) -> BoolArray:
         try:
             evaluation = misfit.evaluate(x)
-        except ComputationError:
+        except HistoryError:
             return np.ones(m, dtype=bool)
         rows = np.concatenate([evaluation.noise_jacobian, evaluation.jacobian[misfit.n :]])
         columns, nuisances = rows[:, :m], rows[:, m:]

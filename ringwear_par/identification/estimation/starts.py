@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from ringwear_par.arrays import FloatArray
-from ringwear_par.errors import ComputationError, InputError, RingwearError, reason_of
+from ringwear_par.errors import InputError, RingwearError, reason_of
 from ringwear_par.files.text import parse_json, read_text
 from ringwear_par.files.writing import atomic_write
 from ringwear_par.identification.estimation.likelihood import MarginalLikelihood
@@ -172,7 +172,7 @@ def start_points(misfit: Misfit, histories: Histories) -> FloatArray:
     marginal = MarginalLikelihood(misfit)
     moves, improbable = np.zeros((len(drawn), m)), np.full(len(drawn), np.inf)
     for i, response in enumerate(histories.responses(values, _COARSE)):
-        if not isinstance(response, ComputationError):
+        if not isinstance(response, Exception):
             slopes = misfit.whitened(response[:, 1:] * misfit.slopes(values[i]))
             moves[i] = np.linalg.norm(slopes, axis=0)
             improbable[i] = -marginal(values[i], response[:, 0])

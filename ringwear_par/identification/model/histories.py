@@ -28,6 +28,10 @@ _MOST_PAIRS = 32
 Pair = tuple[int, int]
 
 
+class HistoryError(ComputationError):
+    """There is no history at some values of the fitted keys: no case, or its computation fails."""
+
+
 class Histories:
     """Model readings of the experiments of a problem, at any values of the fitted keys.
 
@@ -63,7 +67,7 @@ class Histories:
 
     def responses(
         self, points: FloatArray, steps: int = STEPS, *, derivatives: bool = True
-    ) -> list[FloatArray | ComputationError]:
+    ) -> list[FloatArray | HistoryError]:
         """Return readings and derivatives of all experiments at some points. Not collective.
 
         Histories of all points and experiments step side by side; none depends on the others.
@@ -82,17 +86,17 @@ class Histories:
         every = range(len(self._experiments))
         pairs = [(i, e) for i in range(len(points)) for e in every]
         parts = dict(zip(pairs, self._read(points, pairs, steps, derivatives), strict=True))
-        responses: list[FloatArray | ComputationError] = []
+        responses: list[FloatArray | HistoryError] = []
         for i in range(len(points)):
             parts_of_point = [parts[i, e] for e in every]
-            failed = [part for part in parts_of_point if isinstance(part, ComputationError)]
-            arrays = [part for part in parts_of_point if not isinstance(part, ComputationError)]
+            failed = [part for part in parts_of_point if isinstance(part, HistoryError)]
+            arrays = [part for part in parts_of_point if not isinstance(part, HistoryError)]
             responses.append(failed[0] if failed else np.concatenate(arrays))
         return responses
 
     def responses_of(
         self, experiments: Sequence[int], values: FloatArray
-    ) -> list[FloatArray | ComputationError]:
+    ) -> list[FloatArray | HistoryError]:
         """Return the responses of some experiments, one each, at values (m,). Not collective."""
         return self._read(values[None], [(0, e) for e in experiments], STEPS, True)
 
@@ -103,7 +107,7 @@ class Histories:
             good &= [isinstance(case, Case) for case in self._cases(experiment, points)]
         return good
 
-    def _cases(self, experiment: int, points: FloatArray) -> list[Case | ComputationError]:
+    def _cases(self, experiment: int, points: FloatArray) -> list[Case | HistoryError]:
         """Return the cases of an experiment at some values (p, m), or why there are none."""
         case = self._experiments[experiment].case
         numbers: dict[Number, FloatArray] = {}
@@ -115,28 +119,26 @@ class Histories:
             return [self._case(case, point) for point in points]
         doubts = needs_reading(case, numbers)
         lists = {number: values.tolist() for number, values in numbers.items()}
-        cases: list[Case | ComputationError] = [
-            *with_numbers(case, lists, [case.text] * len(points))
-        ]
+        cases: list[Case | HistoryError] = [*with_numbers(case, lists, [case.text] * len(points))]
         for i in np.flatnonzero(doubts):
             cases[i] = self._case(case, points[i])
         return cases
 
-    def _case(self, case: Case, point: FloatArray) -> Case | ComputationError:
+    def _case(self, case: Case, point: FloatArray) -> Case | HistoryError:
         """Return a case at values (m,), or why there is none: each is good, not all together."""
         try:
             return case.replace(dict(zip(self._keys, point.tolist(), strict=True)))
         except InputError as error:
-            return ComputationError(reason_of(error))
+            return HistoryError(reason_of(error))
 
     def _read(
         self, points: FloatArray, pairs: Sequence[Pair], steps: int, derivatives: bool
-    ) -> list[FloatArray | ComputationError]:
+    ) -> list[FloatArray | HistoryError]:
         """Return the readings at some of the points, of an experiment each, or why not."""
         grids = {e: step_times(self._experiments[e], steps).tolist() for _, e in pairs}
         groups: dict[Hashable, list[int]] = defaultdict(list)
         wanted: dict[int, Case] = {}
-        readings: dict[int, FloatArray | ComputationError] = {}
+        readings: dict[int, FloatArray | HistoryError] = {}
         for experiment in grids:
             numbers_of_experiment = [
                 number for number, (_, e) in enumerate(pairs) if e == experiment
@@ -145,7 +147,7 @@ class Histories:
                 experiment, points[[pairs[number][0] for number in numbers_of_experiment]]
             )
             for number, case in zip(numbers_of_experiment, cases, strict=True):
-                if isinstance(case, ComputationError):
+                if isinstance(case, HistoryError):
                     readings[number] = case
                 else:
                     wanted[number] = case
@@ -158,7 +160,7 @@ class Histories:
             try:
                 pair = self._pair(key, wanted[numbers[0]])
             except ComputationError as error:
-                readings |= dict.fromkeys(numbers, error)
+                readings |= dict.fromkeys(numbers, HistoryError(reason_of(error)))
                 continue
             keys = self._keys if derivatives else ()
             parts = computed(
@@ -169,7 +171,7 @@ class Histories:
                 for place, result in zip(part.numbers, part.results(), strict=True):
                     number = numbers[place]
                     if isinstance(result, Exception):
-                        readings[number] = ComputationError(reason_of(result))
+                        readings[number] = HistoryError(reason_of(result))
                     else:
                         reader = self._readers[pairs[number][1]]
                         readings[number] = reader.read(_trajectory(result, wanted[number], keys))

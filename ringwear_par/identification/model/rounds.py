@@ -11,9 +11,8 @@ from typing import TypeVar
 from mpi4py import MPI
 
 from ringwear_par.arrays import FloatArray
-from ringwear_par.errors import ComputationError
 from ringwear_par.identification.definition.problem import Problem
-from ringwear_par.identification.model.histories import Histories, Pair
+from ringwear_par.identification.model.histories import Histories, HistoryError, Pair
 from ringwear_par.identification.model.lockstep import StoppedError
 from ringwear_par.parallel import as_ours, together
 from ringwear_par.results.execution.progress import FitProgress
@@ -81,7 +80,7 @@ class Rounds(Histories):
 
     def _read(
         self, points: FloatArray, pairs: Sequence[Pair], steps: int, derivatives: bool
-    ) -> list[FloatArray | ComputationError]:
+    ) -> list[FloatArray | HistoryError]:
         """Return them, computed by all ranks where this one leads; else by itself."""
         if not self._leads:
             return super()._read(points, pairs, steps, derivatives)
@@ -95,11 +94,11 @@ class Rounds(Histories):
 
     def _share(
         self, points: FloatArray, pairs: Sequence[Pair], steps: int, derivatives: bool
-    ) -> list[tuple[Pair, FloatArray | ComputationError]]:
+    ) -> list[tuple[Pair, FloatArray | HistoryError]]:
         """Compute this rank's share of what the first one asks, which is told all. Collective."""
         rank, size = self._comm.rank, self._comm.size
         share = pairs[rank * len(pairs) // size : (rank + 1) * len(pairs) // size]
-        responses: list[FloatArray | ComputationError] = []
+        responses: list[FloatArray | HistoryError] = []
         error: Exception | None = None
         try:
             if share and not self._signals.received:
