@@ -10,12 +10,11 @@ import tempfile
 import time
 from contextlib import contextmanager
 
+import commands  # noqa: F401  (keeps the environment before MPI adds to it)
 import pytest
 
 # assembled pairs are not kept, nor found, but in the tests of keeping them
 os.environ["RINGWEAR_CACHE"] = ""
-#: the environment before MPI adds to it: what a user's shell gives to a command
-SHELL_ENVIRONMENT = dict(os.environ)
 #: seconds that a rank waits for the others after a test
 GRACE = 180.0
 

@@ -1,47 +1,25 @@
 """The command itself, started as a user does, alone and under mpirun."""
 
 import os
-import re
 import shlex
-import shutil
 import signal
 import subprocess
 import sys
 import time
-from pathlib import Path
 
 import pytest
-from conftest import SHELL_ENVIRONMENT
+from commands import RINGWEAR, SHELL_ENVIRONMENT, on_ranks, ringwear, sentences
+from paths import PAPER
 from waiting import Waiting
 
 from ringwear_par import cli
 from ringwear_par.results.storage.result_files import read_status
 
 pytestmark = pytest.mark.serial
-PAPER = Path(__file__).parents[1] / "scripts" / "cases" / "paper.toml"
-RINGWEAR = [sys.executable, "-m", "ringwear_par"]
 SMALL = ["mesh.contact_elements=16", "time.steps=20"]
 
 
-def ringwear(*words, ranks=0, cwd=None):
-    launcher = ["mpirun", "-n", str(ranks)] if ranks else []
-    return subprocess.run(
-        [*launcher, *RINGWEAR, *map(str, words)],
-        env={**SHELL_ENVIRONMENT, "OPENBLAS_NUM_THREADS": "1"}, cwd=cwd, capture_output=True,
-        text=True, timeout=100, check=False,
-    )  # fmt: skip
-
-
-def sentences(result):
-    """What ringwear said, but for the progress that a busy machine sees; nothing of mpirun."""
-    said = [line for line in result.stderr.splitlines() if line.startswith("ringwear: ")]
-    return [line for line in said if not re.match(r"ringwear: step \d+, time", line)]
-
-
-RANKS = [
-    0,
-    pytest.param(2, marks=pytest.mark.skipif(not shutil.which("mpirun"), reason="no mpirun")),
-]
+RANKS = on_ranks(0, 2)
 
 
 @pytest.mark.parametrize("ranks", RANKS)

@@ -4,17 +4,16 @@ import re
 import subprocess
 import sys
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 import xarray
-from conftest import SHELL_ENVIRONMENT
+from commands import SHELL_ENVIRONMENT
+from paths import PAPER
 
 import ringwear_par as rw
 from ringwear_par.results.execution.run import run_case
 
-PAPER = Path(__file__).parents[1] / "scripts/cases/paper.toml"
 SMALL = {"mesh.contact_elements": 16, "time.steps": 10}
 SET = [f"{key}={value}" for key, value in SMALL.items()]
 #: what differs between two computations of the same

@@ -11,7 +11,8 @@ import h5py
 import numpy as np
 import pytest
 import try_faults as faults
-from conftest import SHELL_ENVIRONMENT
+from commands import SHELL_ENVIRONMENT
+from paths import CASES, HELPERS, PAPER
 from stored import contents
 
 from ringwear_par.elasticity.bem import assembly
@@ -23,8 +24,6 @@ from ringwear_par.results.storage.result_files import open_result, read_status
 from ringwear_par.studies.execution.sweep import run_sweep
 
 pytestmark = [pytest.mark.serial, pytest.mark.slow]
-TESTS = Path(__file__).parent
-CASES = TESTS.parent / "scripts" / "cases"
 SMALL = ["mesh.contact_elements=16", "time.steps=20"]
 WIDE = ["mesh.contact_elements=64", "time.steps=8"]
 FULL = {"disk": "No space left on device", "limit": "File too large"}
@@ -49,7 +48,7 @@ def full(request, tmp_path):
             "keep": str(tmp_path / "kept"), **more,
         }  # fmt: skip
         found = subprocess.run(
-            [sys.executable, TESTS / "full_disk.py", kind], input=json.dumps(told), text=True,
+            [sys.executable, HELPERS / "full_disk.py", kind], input=json.dumps(told), text=True,
             env=SHELL_ENVIRONMENT, capture_output=True, timeout=200, check=False,
         )  # fmt: skip
         assert found.returncode == 0, found.stderr
@@ -71,9 +70,9 @@ def full(request, tmp_path):
 def runs(tmp_path_factory, comm):
     """Results: of the paper's case, of one that is over soon, and with fields."""
     folder = tmp_path_factory.mktemp("runs")
-    run_case(CASES / "paper.toml", folder / "whole.h5", SMALL, comm=comm)
-    run_case(CASES / "paper.toml", folder / "old.h5", [SMALL[0], "time.steps=1"], comm=comm)
-    run_case(CASES / "paper.toml", folder / "wide.h5", WIDE, comm=comm)
+    run_case(PAPER, folder / "whole.h5", SMALL, comm=comm)
+    run_case(PAPER, folder / "old.h5", [SMALL[0], "time.steps=1"], comm=comm)
+    run_case(PAPER, folder / "wide.h5", WIDE, comm=comm)
     run_case(CASES / "fields.toml", folder / "fields.h5", SMALL[:1], comm=comm)
     return folder
 
@@ -109,7 +108,7 @@ def check(full, results, name, old=None):
 
 @pytest.mark.parametrize("there", [False, True])
 def test_run(full, runs, there):
-    words = ["run", CASES / "paper.toml", "-o", full.folder / "run.h5", "--set", *SMALL]
+    words = ["run", PAPER, "-o", full.folder / "run.h5", "--set", *SMALL]
     old = runs / "old.h5" if there else None
     sizes = sizes_for((runs / "whole.h5").stat().st_size)
     results = full(words, sizes, {"run.h5": old} if old else {})
@@ -123,7 +122,7 @@ def test_run(full, runs, there):
 
 def test_run_with_checkpoints(full, runs):
     """It goes on without them, says so once, and what it could write is there."""
-    words = ["run", CASES / "paper.toml", "-o", full.folder / "run.h5", "--set", *WIDE]
+    words = ["run", PAPER, "-o", full.folder / "run.h5", "--set", *WIDE]
     size = (runs / "wide.h5").stat().st_size  # two are there at a time
     sizes = [int(share * size) // 4096 * 4096 for share in (0.1, 0.5, 0.7, 0.8, 0.9, 1.1, 1.6, 2.4)]
     reached = set()
@@ -302,7 +301,7 @@ def test_checkpoints_are_missed_once_a_cause(shared_path, comm, monkeypatch, cap
 
     monkeypatch.setattr(driver, "write_result", failing)
     monkeypatch.setattr(watch, "CHECKPOINT_SECONDS", 0.0)
-    run_case(CASES / "paper.toml", shared_path / "run.h5", SMALL, comm=comm)
+    run_case(PAPER, shared_path / "run.h5", SMALL, comm=comm)
     missed = "checkpoint not written, going on: run.h5: "
     assert [m for m in caplog.messages if "checkpoint" in m] == [
         f"{missed}No space left on device", f"{missed}Input/output error",

@@ -3,12 +3,12 @@
 import re
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
-from conftest import SHELL_ENVIRONMENT
+from commands import SHELL_ENVIRONMENT
+from paths import ROOT
 
-FUZZ = Path(__file__).parents[1] / "scripts" / "fuzz.py"
+FUZZ = ROOT / "scripts" / "fuzz.py"
 
 
 @pytest.mark.serial

@@ -5,13 +5,12 @@ import shutil
 import stat
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
-from conftest import SHELL_ENVIRONMENT
+from commands import SHELL_ENVIRONMENT
+from paths import ROOT
 
 pytestmark = pytest.mark.serial
-ROOT = Path(__file__).parents[1]
 RUN = ["-m", "ringwear_par", "run", ROOT / "scripts/cases/paper.toml", "-o", "a.h5"]
 BROKEN = {
     "petsc4py": ("ImportError('libmpi.so.12: no such file')", "does not load (libmpi.so.12"),

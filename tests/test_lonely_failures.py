@@ -4,13 +4,11 @@ import resource
 import shutil
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
-from conftest import SHELL_ENVIRONMENT
+from commands import SHELL_ENVIRONMENT
+from paths import CASES, FIT, PAPER
 
-CASES = Path(__file__).parents[1] / "scripts" / "cases"
-FIT = Path(__file__).parents[1] / "scripts" / "fit"
 #: the command, with little more address space on the last rank than it has once PETSc has started
 SHORT = """
 import resource, sys
@@ -55,7 +53,7 @@ def sentences(command, folder):
 
 def command_of(name):
     if name == "run":
-        return "run", CASES / "paper.toml", "-o", "a.h5"
+        return "run", PAPER, "-o", "a.h5"
     if name == "sweep":
         return "sweep", CASES / "study.toml", "-o", "out"
     return "fit", next(iter(sorted(FIT.glob("*.toml")))), "-o", "out"
@@ -95,7 +93,7 @@ def test_a_rank_that_computes_nothing_more_keeps_nobody_waiting(comm, monkeypatc
 
     simulate = many._simulated
     monkeypatch.setattr(many, "_simulated", simulated)
-    case = read_case(CASES / "paper.toml", ["mesh.contact_elements=8", "time.steps=2"])
+    case = read_case(PAPER, ["mesh.contact_elements=8", "time.steps=2"])
     with pytest.raises(Exception, match="no more"):
         many.simulate_all([case] * (comm.size + 1), comm)
     comm.Barrier()

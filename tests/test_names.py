@@ -6,8 +6,9 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from paths import ROOT
 
-ROOT = Path(__file__).parents[1] / "ringwear_par"
+PACKAGE = ROOT / "ringwear_par"
 #: words that do not say what they name
 VAGUE = {
     "asked", "each", "found", "given", "held", "kept", "lent", "made", "nothing", "others", "own",
@@ -23,10 +24,10 @@ ROOMS_TO_DO = {
 
 def room_of(path: Path) -> str:
     """Return the folder, or the module of the root, that a file belongs to."""
-    return path.relative_to(ROOT).parts[0].removesuffix(".py")
+    return path.relative_to(PACKAGE).parts[0].removesuffix(".py")
 
 
-ROOMS = sorted({room_of(path) for path in ROOT.rglob("*.py")} - ROOMS_TO_DO)
+ROOMS = sorted({room_of(path) for path in PACKAGE.rglob("*.py")} - ROOMS_TO_DO)
 
 
 def identifiers(tree: ast.AST) -> Iterator[tuple[int, str]]:
@@ -50,7 +51,7 @@ def docstrings(tree: ast.AST) -> Iterator[tuple[int, str]]:
 
 def faults(path: Path, text: str) -> list[str]:
     """Return the vague names and docstrings of a module, each with its line."""
-    tree, place = ast.parse(text), path.relative_to(ROOT)
+    tree, place = ast.parse(text), path.relative_to(PACKAGE)
     names = [(1, path.stem), *identifiers(tree)]
     return [
         f"{place}:{line}: {name}" for line, name in names if name.strip("_").lower() in VAGUE
@@ -63,7 +64,7 @@ def faults(path: Path, text: str) -> list[str]:
 
 @pytest.mark.parametrize("room", ROOMS)
 def test_names_are_nouns_and_verbs_of_the_field(room):
-    paths = [path for path in sorted(ROOT.rglob("*.py")) if room_of(path) == room]
+    paths = [path for path in sorted(PACKAGE.rglob("*.py")) if room_of(path) == room]
     vague = [fault for path in paths for fault in faults(path, path.read_text())]
     assert not vague, "\n".join(vague)
 
@@ -75,4 +76,4 @@ class There: kept = 1
 self._found = [own for own in given]
 import numpy as asked
 """
-    assert len(faults(ROOT / "made.py", text)) == 9
+    assert len(faults(PACKAGE / "made.py", text)) == 9

@@ -7,12 +7,12 @@ import sys
 from pathlib import Path
 
 import pytest
+from paths import CASES
 from petsc4py import PETSc
 from swept import write_study
 
 from ringwear_par.cli import main
 
-CASES = Path(__file__).parents[1] / "scripts" / "cases"
 PAPER, COATED, STRESS = (str(CASES / f"{name}.toml") for name in ("paper", "coated", "stress"))
 
 

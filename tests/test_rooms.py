@@ -2,12 +2,11 @@
 
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
-from conftest import SHELL_ENVIRONMENT
+from commands import SHELL_ENVIRONMENT
+from paths import ROOT
 
-ROOT = Path(__file__).parents[1]
 HEAVY = ("mpi4py.MPI", "petsc4py.PETSc", "numba", "ringwear_par.elasticity.bem.assembly")
 
 pytestmark = pytest.mark.serial

@@ -7,15 +7,14 @@ import subprocess
 import sys
 import time
 from contextlib import contextmanager
-from pathlib import Path
 
 import pytest
-from conftest import SHELL_ENVIRONMENT
+from commands import SHELL_ENVIRONMENT
+from paths import CASES, PAPER
 from waiting import STEPS, Waiting
 
 pytestmark = pytest.mark.serial
-CASES = Path(__file__).parents[1] / "scripts" / "cases"
-PAPER, STUDY = str(CASES / "paper.toml"), str(CASES / "study.toml")
+PAPER, STUDY = str(PAPER), str(CASES / "study.toml")
 #: the command, waiting for ever where it imports a module or calls a function
 WAITING = """
 import importlib, os, sys, time

@@ -6,12 +6,12 @@
 import re
 import shlex
 import shutil
-from pathlib import Path
 
 import case_words
 import check_links
 import measured
 import pytest
+from paths import ROOT
 
 import ringwear_par as rw
 from ringwear_par.cases import schema
@@ -24,7 +24,6 @@ from ringwear_par.studies.definition import schema as study_schema
 from ringwear_par.wear.catalogue import LAWS
 from ringwear_par.wear.parameters import parameters_of
 
-ROOT = Path(__file__).parents[1]
 PAGES = [
     ROOT / "README.md",
     ROOT / "CONTRIBUTING.md",

@@ -7,13 +7,13 @@ import functools
 import http.server
 import json
 import threading
-from pathlib import Path
 from urllib.parse import unquote, urlsplit
 
 import pytest
 from browser import in_browser, open_until
+from paths import ROOT
 
-SITE = Path(__file__).parents[1] / "docs" / "_build" / "html"
+SITE = ROOT / "docs" / "_build" / "html"
 WIDTHS = (1280, 400)
 SOUGHT, FOUND = "search.html?q=pressure", 10
 

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from paths import PAPER
 
 from ringwear_par.cases.files.reading import parse_case, read_case
 from ringwear_par.cases.schema import KEYS, key_table
@@ -17,7 +18,6 @@ from ringwear_par.identification.definition import schema as fits
 from ringwear_par.studies.definition import schema as studies
 from ringwear_par.wear.laws.threshold import ThresholdLaw
 
-PAPER = Path(__file__).parents[2] / "scripts" / "cases" / "paper.toml"
 TEXT = PAPER.read_text()
 
 

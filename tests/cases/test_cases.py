@@ -1,15 +1,14 @@
 """Every case file that users are given runs as it is, on few elements, and keeps its balances."""
 
 import tomllib
-from pathlib import Path
 
 import h5py
 import pytest
+from paths import CASES
 
 from ringwear_par.results.execution.run import run_case
 from ringwear_par.wear.catalogue import LAWS
 
-CASES = Path(__file__).parents[2] / "scripts/cases"
 #: the others in that folder are studies
 RUNS = sorted(p for p in CASES.glob("*.toml") if "lower" in tomllib.loads(p.read_text()))
 

@@ -3,9 +3,9 @@
 import subprocess
 import sys
 from dataclasses import dataclass, fields, replace
-from pathlib import Path
 
 import pytest
+from paths import CASES, PAPER
 
 from ringwear_par.cases.files.law_trials import check_laws
 from ringwear_par.cases.files.reading import parse_case, read_case
@@ -14,8 +14,7 @@ from ringwear_par.errors import InputError
 from ringwear_par.wear.catalogue import LAWS
 from ringwear_par.wear.parameters import parameters_of
 
-CASES = Path(__file__).parents[2] / "scripts" / "cases"
-PAPER = CASES / "paper.toml"
+PAPER = PAPER
 TEXT = PAPER.read_text()
 
 

@@ -2,10 +2,10 @@
 
 import tomllib
 from functools import cached_property
-from pathlib import Path
 
 import numpy as np
 import pytest
+from paths import CASES
 
 import ringwear_par as rw
 from ringwear_par.cases.case import Case, RingLayer
@@ -22,7 +22,7 @@ from ringwear_par.wear.laws.archard import ArchardLaw
 from ringwear_par.wear.laws.threshold import ThresholdLaw
 from ringwear_par.wear.layered import LayeredLaw, NoWear
 
-CASE = Path(__file__).parents[2] / "scripts" / "cases" / "wear_through.toml"
+CASE = CASES / "wear_through.toml"
 TEXT = CASE.read_text()
 K = "lower.layers[0].wear.k"
 

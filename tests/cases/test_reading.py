@@ -6,18 +6,17 @@ import sys
 import tomllib
 from dataclasses import replace
 from functools import partial
-from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import SHELL_ENVIRONMENT
+from commands import SHELL_ENVIRONMENT
+from paths import CASES, PAPER
 
 from ringwear_par.cases.files.keys import read_keys
 from ringwear_par.cases.files.reading import parse_case, read_case
 from ringwear_par.errors import InputError
 
-CASES = Path(__file__).parents[2] / "scripts" / "cases"
-PAPER = CASES / "paper.toml"
+PAPER = PAPER
 TEXT = PAPER.read_text()
 TABLES = tomllib.loads(TEXT)
 FILES = sorted(p for p in CASES.glob("*.toml") if "lower" in tomllib.loads(p.read_text()))

@@ -3,18 +3,17 @@
 import difflib
 import json
 import os
-from pathlib import Path
 
 import numpy as np
 import pytest
+from paths import CASES, PAPER
 
 from ringwear_par import read_case, read_study
 from ringwear_par.cases.files import suggestions
 from ringwear_par.cases.files.reading import parse_case
 from ringwear_par.errors import ComputationError, InputError, legible
 
-CASES = Path(__file__).parents[2] / "scripts" / "cases"
-PAPER = (CASES / "paper.toml").read_text()
+PAPER = (PAPER).read_text()
 USER = (CASES / "user_law.toml").read_text()
 DEEP = "[" * 2000 + "]" * 2000
 HUGE = "0x" + "f" * 5000
@@ -150,7 +149,7 @@ def test_what_messages_show():
     fault = str(InputError("x" * 5000))
     assert len(fault) == 1000
     assert InputError(fault).faults == (fault,)
-    assert "nan" in refusal(read_case, CASES / "paper.toml", {"lower.young": np.float64("nan")})
+    assert "nan" in refusal(read_case, PAPER, {"lower.young": np.float64("nan")})
 
 
 def test_nobody_looks_for_what_is_meant_by_keys_that_are_not_told(tmp_path, monkeypatch):

@@ -1,9 +1,8 @@
 """[stress] in case files: points, grids, sides, units, and a sentence for everything wrong."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
+from paths import PAPER
 
 from ringwear_par.cases.files.reading import parse_case
 from ringwear_par.cases.stress import Grid
@@ -11,7 +10,7 @@ from ringwear_par.cases.stress_points import grid_bodies, point_bodies
 from ringwear_par.errors import InputError
 from ringwear_par.history.validity.case_limits import check_memory
 
-TEXT = (Path(__file__).parents[2] / "scripts" / "cases" / "paper.toml").read_text()
+TEXT = (PAPER).read_text()
 
 
 def case_of(stress, overrides=()):

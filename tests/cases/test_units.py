@@ -1,17 +1,15 @@
 """Numbers with units in cases, overrides and studies, and faces by name."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
+from paths import CASES, PAPER
 
 import ringwear_par as rw
 from ringwear_par.cases.schema import unit_of
 from ringwear_par.cases.units import number_in
 from ringwear_par.cases.values import RejectedError
 
-CASES = Path(__file__).parents[2] / "scripts/cases"
-PAPER, CROWN = CASES / "paper.toml", CASES / "crown.toml"
+PAPER, CROWN = PAPER, CASES / "crown.toml"
 RADII = np.linspace(10.0, 15.0, 301)
 
 

@@ -4,11 +4,11 @@ import shutil
 import subprocess
 import sys
 import weakref
-from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import SHELL_ENVIRONMENT
+from commands import SHELL_ENVIRONMENT
+from paths import ROOT
 from petsc4py import PETSc
 
 from ringwear_par.contact import solver as module
@@ -16,7 +16,6 @@ from ringwear_par.contact import tao
 from ringwear_par.contact.solver import ContactSolver
 from ringwear_par.errors import ComputationError, LawError
 
-ROOT = Path(__file__).parents[2]
 N = 8
 COMPLIANCE = np.eye(N) + 0.1
 AREA = np.ones(N)

@@ -1,10 +1,9 @@
 """Fields on whole boundaries: equilibrium, bodies that meet, exact fields, what is stored when."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 import xarray
+from paths import CASES, PAPER
 from stored import assert_same
 
 from ringwear_par.cases.files.reading import read_case
@@ -14,7 +13,6 @@ from ringwear_par.history.elastic.pairs import assemble, boundary_recovery, upda
 from ringwear_par.results.execution.run import run_case
 from ringwear_par.results.storage.result_files import open_result
 
-CASES = Path(__file__).parents[2] / "scripts" / "cases"
 FIELDS = CASES / "fields.toml"
 SMALL = ["mesh.contact_elements=16", "time.steps=20", "output.boundary=all"]
 #: elements that follow the wear often
@@ -102,7 +100,7 @@ def test_bars_shorten_as_they_should(comm):
     """Equal tubes without Poisson's effect under uniform pressure: u_z is linear, exactly."""
     tube = [f"{ring}.{key}" for ring in ("lower", "upper")
             for key in ("r=[20.0,40.0]", "young=1e4", "poisson=0")]  # fmt: skip
-    case = read_case(CASES / "paper.toml", [*SMALL, *tube])
+    case = read_case(PAPER, [*SMALL, *tube])
     strain = 80.0 / 1e4
     recovery = boundary_recovery(case, comm)
     lower, upper = recovery.fields(
@@ -213,8 +211,8 @@ def test_restart_equals_an_uninterrupted_run(shared_path, comm, restarted, overr
 def test_a_longer_history_has_another_last_state(shared_path, comm):
     path = shared_path / "run.h5"
     words = ["mesh.contact_elements=16", "output.boundary=last", "output.every=6"]
-    run_case(CASES / "paper.toml", path, [*words, "time.steps=8"], comm=comm)
-    run_case(CASES / "paper.toml", path, [*words, "time.steps=10"], comm=comm, restart=True)
+    run_case(PAPER, path, [*words, "time.steps=8"], comm=comm)
+    run_case(PAPER, path, [*words, "time.steps=10"], comm=comm, restart=True)
     if comm.rank == 0:
         assert [state.step for state in open_result(path).boundary] == [10]
 

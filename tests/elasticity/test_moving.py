@@ -1,10 +1,10 @@
 """Elements that follow the wear: updates against fresh assemblies, and what they save."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
+from paths import CASES
 
 from ringwear_par.cases.files.reading import read_case
 from ringwear_par.elasticity.bem.body import compliance
@@ -18,8 +18,6 @@ from ringwear_par.history.elastic.pairs import assemble, updated_geometry
 from ringwear_par.verification.fine import SORTS, ring_case
 from ringwear_par.verification.paper import paper_case
 from ringwear_par.wear.laws.threshold import ThresholdLaw
-
-CASES = Path(__file__).parents[2] / "scripts" / "cases"
 
 
 def agree(one, other, tolerance=1e-12):

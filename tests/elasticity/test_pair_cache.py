@@ -10,9 +10,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import SHELL_ENVIRONMENT
+from commands import SHELL_ENVIRONMENT
 from full_disk import resize
 from mpi4py import MPI
+from paths import ROOT
 
 from ringwear_par.elasticity import pair_cache
 from ringwear_par.elasticity.bem.solve import solved_on_one_rank
@@ -23,7 +24,6 @@ from ringwear_par.petsc import PETSc
 from ringwear_par.verification.paper import paper_case
 
 N = 8
-ROOT = Path(__file__).parents[2]
 PARTS = ("normal", "twist", "force_reaction", "torque_reaction", "slope")
 
 

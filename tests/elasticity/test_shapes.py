@@ -1,10 +1,10 @@
 """Chamfers, profiles and partial overlap: pressures, symmetry, contact that spreads with wear."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
+from paths import CASES, PAPER
 
 from ringwear_par.cases.case import Stepping
 from ringwear_par.cases.files.reading import parse_case, read_case
@@ -18,7 +18,6 @@ from ringwear_par.history.start import first_contact
 from ringwear_par.verification.paper import paper_case
 from ringwear_par.verification.reference import contact_modulus
 
-CASES = Path(__file__).parents[2] / "scripts" / "cases"
 CHAMFERED = ((28.5, -0.1), (28.6, 0.0), (31.4, 0.0), (31.5, -0.1))
 
 
@@ -146,7 +145,7 @@ def test_bodies_too_coarse_for_their_corners_are_refused():
 def test_a_contact_line_that_misses_the_contact_is_refused():
     """A bump that mesh.contact leaves out would touch first."""
     bumps = [[28.5, 20.3], [29, 20.0], [29.5, 20.3], [30, 20.3], [30.8, 20.05], [31.5, 20.4]]
-    text = (Path(__file__).parents[2] / "scripts/cases/paper.toml").read_text()
+    text = (PAPER).read_text()
     with pytest.raises(InputError, match=r"mesh.contact = \[30.1, 31.4\].*nearer.*outside, 0 mm"):
         parse_case(text, "case.toml", {"upper.profile": bumps, "mesh.contact": [30.1, 31.4]})
     parse_case(text, "case.toml", {"upper.profile": bumps, "mesh.contact": [28.6, 31.4]})
@@ -174,7 +173,7 @@ def test_dense_samples_of_a_smooth_face_are_splined_and_kinks_stay():
 
 def test_the_sphere_of_the_case_file_is_that_of_hertz(comm):
     """200 N on a sphere of 20 mm (see sphere.toml), before any wear."""
-    case = read_case(Path(__file__).parents[2] / "scripts/cases/sphere.toml")
+    case = read_case(CASES / "sphere.toml")
     p = first_contact(case, comm).pressure
     modulus = contact_modulus(*((b.young, b.poisson) for b in case.rings))
     a = (0.75 * 200.0 * 20.0 / modulus) ** (1.0 / 3.0)

@@ -2,10 +2,10 @@
 
 import math
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
+from paths import CASES
 
 from ringwear_par.cases.case import Stepping
 from ringwear_par.cases.files.reading import read_case
@@ -21,7 +21,6 @@ from ringwear_par.history.observers.trace import trace
 from ringwear_par.history.start import first_contact
 from ringwear_par.verification.fine import SORTS, Rings, ring_case
 
-CASES = Path(__file__).parents[2] / "scripts" / "cases"
 CONTACT = (28.5, 31.5)
 TAN = math.tan(math.radians(10.0))
 

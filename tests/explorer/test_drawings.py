@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from test_explorer import CASES, FIT
+from paths import CASES, FIT
 
 import ringwear_par as rw
 from ringwear_par.explorer.exploring import Exploration, raw_keys

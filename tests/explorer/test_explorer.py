@@ -1,9 +1,8 @@
 """The explorer without a browser: sliders and their keys, and histories."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
+from paths import CASES, PAPER
 
 import ringwear_par as rw
 from ringwear_par.explorer.controls import _times, controls_of
@@ -11,10 +10,6 @@ from ringwear_par.explorer.exploring import Exploration, raw_keys
 
 pytestmark = pytest.mark.serial
 
-ROOT = Path(__file__).parents[2]
-CASES = ROOT / "scripts" / "cases"
-PAPER = CASES / "paper.toml"
-FIT = ROOT / "scripts" / "fit"
 SMALL = ["mesh.contact_elements=12", "time.steps=8"]
 #: keys of a rig as its users write them
 RIG = """

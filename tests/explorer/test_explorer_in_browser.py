@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from browser import in_browser
 from chromium import Browser
-from test_cli import ringwear
-from test_explorer import CASES, FIT, PAPER
-from test_explorer_server import served
+from commands import ringwear
+from explorer_server import served
+from paths import CASES, FIT, PAPER
 
 import ringwear_par as rw
 from ringwear_par.cases.units import with_signs

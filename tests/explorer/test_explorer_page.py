@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import pytest
 from bokeh.document import Document
 from bokeh.server.session import ServerSession
-from test_explorer import PAPER, SMALL
+from paths import PAPER
 from tornado.ioloop import IOLoop
 
 from ringwear_par.explorer.exploring import Exploration, raw_keys
@@ -15,6 +15,9 @@ from ringwear_par.explorer.page import Page
 from ringwear_par.explorer.server import _if_there
 
 pytestmark = pytest.mark.serial
+
+
+SMALL = ["mesh.contact_elements=12", "time.steps=8"]
 
 
 class Visited:

@@ -4,35 +4,20 @@ import asyncio
 import re
 import signal
 import socket
-import subprocess
 import sys
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 
 import pytest
-from conftest import SHELL_ENVIRONMENT
-from test_cli import RINGWEAR, ringwear, sentences
-from test_explorer import CASES, PAPER, SMALL
+from commands import ringwear, sentences
+from explorer_server import served
+from paths import CASES, PAPER
 from tornado.httpclient import AsyncHTTPClient, HTTPClientError, HTTPRequest
 from tornado.websocket import websocket_connect
 
 import ringwear_par as rw
 
 pytestmark = pytest.mark.serial
-
-
-@contextmanager
-def served(*words, **options):
-    """The command, its address, and an end to it."""
-    with subprocess.Popen(
-        [*RINGWEAR, "explore", *map(str, words), "--no-browser"],
-        env=SHELL_ENVIRONMENT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, **options,
-    ) as process:  # fmt: skip
-        try:
-            address = process.stdout.readline().strip()
-            assert address.startswith("http://127.0.0.1:"), process.stderr.read()
-            yield address, process
-        finally:
-            process.kill()
+SMALL = ["mesh.contact_elements=12", "time.steps=8"]
 
 
 async def _answers(address):

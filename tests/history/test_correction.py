@@ -2,13 +2,13 @@
 
 import itertools
 from dataclasses import replace
-from pathlib import Path
 
 import active_set
 import numpy as np
 import pytest
 import random_cases
 from mpi4py import MPI
+from paths import CASES
 from stored import assert_same
 
 from ringwear_par.cases.case import Load, Stepping
@@ -27,7 +27,7 @@ from ringwear_par.history.start import initial_state
 from ringwear_par.schedules import in_time
 from ringwear_par.wear.laws.threshold import ThresholdLaw
 
-CHAMFER = Path(__file__).parents[2] / "scripts" / "cases" / "chamfer.toml"
+CHAMFER = CASES / "chamfer.toml"
 #: of scripts/random_cases.py with seed 1: contact that does not reach the edges, or has a corner
 NUMBERS = (12, 100, 120, 144)
 

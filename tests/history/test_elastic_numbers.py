@@ -1,13 +1,11 @@
 """Derivatives with respect to numbers of layers, which change the operator."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
+from paths import CASES
 
 import ringwear_par as rw
 
-CASES = Path(__file__).parents[2] / "scripts" / "cases"
 STEPS = {"time": None, "time.scheme": "implicit", "mesh.contact_elements": 24}
 COATED = {**STEPS, "time.step": 10.0, "time.steps": 4}
 #: through the coating everywhere

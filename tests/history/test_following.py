@@ -2,11 +2,11 @@
 
 import itertools
 from dataclasses import replace
-from pathlib import Path
 
 import h5py
 import numpy as np
 import pytest
+from paths import PAPER
 
 import ringwear_par as rw
 from ringwear_par.cases.case import Load, Ring, Stepping
@@ -21,7 +21,6 @@ from ringwear_par.verification.histories import round_face
 from ringwear_par.verification.paper import paper_case
 from ringwear_par.wear.laws.threshold import ThresholdLaw
 
-PAPER = Path(__file__).parents[2] / "scripts/cases/paper.toml"
 UPDATED = Mesh(24, geometry="updated", geometry_tolerance=0.003)
 
 

@@ -1,12 +1,12 @@
 """The error that adaptive steps carry along: held, estimated, carried over restarts and batches."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import h5py
 import numpy as np
 import pytest
 from mpi4py import MPI
+from paths import PAPER
 
 from ringwear_par.arrays import relative
 from ringwear_par.batched import one
@@ -75,7 +75,7 @@ def test_the_estimate_is_the_error(paper, name):
 
 
 def test_the_error_is_carried_over_a_restart(comm, restarted):
-    case = Path(__file__).parents[2] / "scripts" / "cases" / "paper.toml"
+    case = PAPER
     keys = ["mesh.contact_elements=16", "time.scheme=adaptive", "time.end=50"]
     whole, parts = restarted(case, keys, 6, "SIGTERM after step 6")
     if comm.rank == 0:

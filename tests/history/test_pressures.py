@@ -1,10 +1,10 @@
 """Pressures of adaptive steps while contact grows: a crowned ring and a sphere that wear in."""
 
 from dataclasses import astuple, replace
-from pathlib import Path
 
 import numpy as np
 import pytest
+from paths import CASES
 
 from ringwear_par.cases.case import Output
 from ringwear_par.cases.files.reading import read_case
@@ -19,7 +19,6 @@ from ringwear_par.wear import LocalState
 from ringwear_par.wear.increment import Closing, WearIncrement
 from ringwear_par.wear.laws.archard import ArchardLaw
 
-CASES = Path(__file__).parents[2] / "scripts" / "cases"
 SPHERE = {"time": None, "time.scheme": "adaptive", "time.end": 200.0}
 
 

@@ -1,11 +1,11 @@
 """Tangent-linear histories: derivatives of what the program computes, its steps being given."""
 
 import dataclasses
-from pathlib import Path
 
 import numpy as np
 import pytest
 from mpi4py import MPI
+from paths import CASES, PAPER
 
 import ringwear_par as rw
 from ringwear_par.history.derivatives.numbers import differentiable
@@ -15,7 +15,6 @@ from ringwear_par.results.execution.recorder import Recorder
 from ringwear_par.results.variables import D_HISTORIES, D_PROFILES
 from ringwear_par.studies.execution.batches import computed
 
-CASES = Path(__file__).parents[2] / "scripts" / "cases"
 ALONE = MPI.COMM_SELF
 LAW = {"law": "threshold", "k": 1e-7, "p0": 10.0}
 #: keys of laws of lower and upper
@@ -51,7 +50,7 @@ def case_of(tmp_path, law="threshold", scheme="adaptive", elements=12, **changes
         keys |= {f"wear.{body}.{name}": value for name, value in (own or {}).items()}
     if law == "user":
         keys |= {"wear.lower.file": str(tmp_path / "law.py")}
-    return rw.read_case(CASES / "paper.toml", {**keys, **STEPPINGS[scheme], **changes})
+    return rw.read_case(PAPER, {**keys, **STEPPINGS[scheme], **changes})
 
 
 def history(case, pair, keys=(), times=None):

@@ -2,10 +2,10 @@
 
 import math
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
+from paths import CASES, PAPER
 from wearing import sliding
 
 from ringwear_par.cases.case import Stepping
@@ -34,8 +34,7 @@ from ringwear_par.wear.laws.power import PowerLaw
 from ringwear_par.wear.laws.running_in import RunningInLaw
 from ringwear_par.wear.laws.threshold import ThresholdLaw
 
-CASES = Path(__file__).parents[2] / "scripts" / "cases"
-CHAMFER, PAPER = CASES / "chamfer.toml", CASES / "paper.toml"
+CHAMFER, PAPER = CASES / "chamfer.toml", PAPER
 DEGREES = 10.0
 COS = math.cos(math.radians(DEGREES))
 K = (1e-7, 3e-7)

@@ -1,10 +1,9 @@
 """Histories that wear through layers: balances, accuracy, thresholds, batches, restarts, ranks."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 from mpi4py import MPI
+from paths import CASES
 
 import ringwear_par as rw
 from ringwear_par.history.derivatives.numbers import differentiable
@@ -14,7 +13,7 @@ from ringwear_par.history.observers.trace import Trace, trace
 from ringwear_par.results.storage import result_files as files
 from ringwear_par.studies.execution.batches import computed
 
-CASE = Path(__file__).parents[2] / "scripts" / "cases" / "wear_through.toml"
+CASE = CASES / "wear_through.toml"
 ALONE = MPI.COMM_SELF
 LAYER = {"thickness": 0.003, "young": 10e3, "poisson": 0.3}
 SOFT = {"law": "threshold", "k": 1e-7, "p0": 0.0}

@@ -12,9 +12,9 @@ import h5py
 import numpy as np
 import pytest
 from browser import in_browser, opened
+from commands import on_ranks, ringwear, sentences
 from laboratory import fit_tables, write_tests
-from test_cli import RANKS, ringwear, sentences
-from test_front_door import PAPER
+from paths import PAPER
 
 import ringwear_par as rw
 from ringwear_par.cases.units import with_signs
@@ -447,7 +447,7 @@ def test_missing_packages_are_told(folder, tmp_path, monkeypatch):
     assert not list(tmp_path.iterdir())
 
 
-@pytest.mark.parametrize("ranks", RANKS)
+@pytest.mark.parametrize("ranks", on_ranks(0, 2))
 def test_the_command(ranks, folder, tmp_path):
     done = ringwear("report", folder / "run.h5", "-o", tmp_path / "page.html", ranks=ranks)
     assert done.returncode == 0, done.stderr

@@ -1,14 +1,13 @@
 """Exported files, read back: ParaView's by hand, tables by csv."""
 
 import csv
-import itertools
-import shutil
-from pathlib import Path
 
 import h5py
 import numpy as np
 import pytest
-from test_cli import ringwear, sentences
+from commands import on_ranks, ringwear, sentences
+from paths import CASES
+from vtkhdf import last_state
 
 from ringwear_par.results.execution.run import run_case
 from ringwear_par.results.storage import export as module
@@ -16,15 +15,8 @@ from ringwear_par.results.storage.export import export
 from ringwear_par.results.storage.result_files import open_result
 
 pytestmark = pytest.mark.serial
-CASES = Path(__file__).parents[2] / "scripts" / "cases"
 SMALL = ["mesh.contact_elements=16"]
-RANKS = [
-    0,
-    *(
-        pytest.param(n, marks=pytest.mark.skipif(not shutil.which("mpirun"), reason="no mpirun"))
-        for n in (2, 3)
-    ),
-]
+RANKS = on_ranks(0, 2, 3)
 
 
 @pytest.fixture(scope="module")
@@ -36,38 +28,6 @@ def runs(tmp_path_factory, comm):
     words = [*SMALL, "output.boundary=last", "time.steps=2"]
     run_case(CASES / "sphere.toml", folder / "axis.h5", words, comm=comm)
     return folder
-
-
-def vtkhdf_step(file, number):
-    """Points, cells, types and fields at a step of a VTKHDF file, by the rules of its format."""
-    root = file["VTKHDF"]
-    steps = root["Steps"]
-    part = steps["PartOffsets"][number]
-    assert steps["NumberOfParts"][number] == 1
-    m, k, ids = (
-        int(root[f"NumberOf{name}"][part]) for name in ("Points", "Cells", "ConnectivityIds")
-    )
-    at, cell = steps["PointOffsets"][number], steps["CellOffsets"][number, 0]
-    first = steps["ConnectivityIdOffsets"][number, 0]
-    offsets = root["Offsets"][cell + part : cell + part + k + 1]
-    connectivity = root["Connectivity"][first : first + ids]
-    fields = {}
-    for data, size in (("PointData", m), ("CellData", k)):
-        for name, values in root[data].items():
-            begin = steps[f"{data}Offsets"][name][number]
-            fields[name] = values[begin : begin + size]
-    cells = np.array([connectivity[a:b] for a, b in itertools.pairwise(offsets)])
-    return {
-        **fields, "points": root["Points"][at : at + m], "cells": cells,
-        "types": root["Types"][cell : cell + k],
-    }  # fmt: skip
-
-
-def last_state(path, number=-1):
-    """The last state of a VTKHDF file, or another one."""
-    with h5py.File(path) as file:
-        count = int(file["VTKHDF/Steps"].attrs["NSteps"])
-        return vtkhdf_step(file, number % count)
 
 
 def test_contours(runs, tmp_path):

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from vtkhdf import last_state
 
 import ringwear_par as rw
 from ringwear_par.elasticity.stress.measures import SIDES, mises
@@ -326,8 +327,6 @@ def test_a_restarted_run_doubts_what_the_whole_one_does(tmp_path, comm):
 def test_a_grid_that_wear_goes_through(tmp_path):
     """Files for ParaView have its points while any state has; else nothing is left to export."""
     grid = {"body": "lower", "r": [29.0, 31.0], "z": [19.9985, 19.9995], "n": [5, 4]}
-    from test_export import last_state
-
     found = worn_through("fixed", 30.0, stress__grid=grid)
     export(found, tmp_path / "a.vtkhdf", stress=True)
     data = last_state(tmp_path / "a.vtkhdf")
@@ -402,8 +401,6 @@ def title(axes):
 
 @pytest.mark.serial
 def test_exports(result, tmp_path):
-    from test_export import last_state
-
     last, of = result.stress.states[-1], result.stress.interfaces
     export(result, tmp_path / "a.csv", interfaces=True)
     with (tmp_path / "a.csv").open() as file:

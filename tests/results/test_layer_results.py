@@ -3,12 +3,12 @@
 import csv
 import itertools
 from dataclasses import replace
-from pathlib import Path
 
 import h5py
 import numpy as np
 import pytest
 from mpi4py import MPI
+from paths import CASES
 
 import ringwear_par as rw
 from ringwear_par.arrays import share
@@ -19,7 +19,7 @@ from ringwear_par.results.layer_ends import worn_through
 from ringwear_par.results.storage.export import export
 from ringwear_par.results.unit_suspicions import unit_suspicions
 
-CASE = Path(__file__).parents[2] / "scripts" / "cases" / "wear_through.toml"
+CASE = CASES / "wear_through.toml"
 LAYER = {"thickness": 0.003, "young": 10e3, "poisson": 0.3}
 SMALL = {
     "mesh.contact_elements": 16, "time.scheme": "implicit", "time.end": None, "time.step": 10.0,

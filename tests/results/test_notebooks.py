@@ -4,9 +4,9 @@ import base64
 
 import nbformat
 import pytest
-from conftest import SHELL_ENVIRONMENT
+from commands import SHELL_ENVIRONMENT
 from nbclient import NotebookClient
-from test_plots import PAPER
+from paths import PAPER
 
 from ringwear_par.results.execution.run import run_case
 

@@ -2,19 +2,18 @@
 
 import itertools
 import re
-from pathlib import Path
 
 import numpy as np
 import pytest
+from commands import ringwear
 from mpi4py import MPI
-from test_cli import ringwear
+from paths import PAPER
 
 import ringwear_par as rw
 from ringwear_par.errors import InputError
 from ringwear_par.results.execution.run import run_case
 
 pytestmark = pytest.mark.serial
-PAPER = Path(__file__).parents[2] / "scripts" / "cases" / "paper.toml"
 
 
 @pytest.fixture(scope="module")

@@ -7,14 +7,14 @@ import pickle
 import subprocess
 import sys
 from dataclasses import replace
-from pathlib import Path
 
 import h5py
 import numpy as np
 import pytest
 import xarray
-from conftest import SHELL_ENVIRONMENT
+from commands import SHELL_ENVIRONMENT
 from mpi4py import MPI
+from paths import CASES, PAPER
 from stored import contents
 
 import ringwear_par as rw
@@ -37,7 +37,6 @@ from ringwear_par.results.variables import (
     STEPS_MADE,
 )
 
-CASES = Path(__file__).parents[2] / "scripts" / "cases"
 SMALL = ["mesh.contact_elements=16", "time.steps=20"]
 FIELDS = ["mesh.contact_elements=16", "time.end=20", "output.times=[5, 10]"]
 
@@ -247,16 +246,14 @@ def test_opening_and_drawing_start_neither_mpi_nor_petsc_nor_numba(computed):
 
 
 def test_results_travel_to_other_processes(shared_path, comm):
-    result = rw.simulate(
-        rw.read_case(CASES / "paper.toml", {"mesh.contact_elements": 8, "time.steps": 2}), comm
-    )
+    result = rw.simulate(rw.read_case(PAPER, {"mesh.contact_elements": 8, "time.steps": 2}), comm)
     again = pickle.loads(pickle.dumps(result))
     assert np.array_equal(again.histories["approach"], result.histories["approach"])
     assert again.summary() == result.summary()
 
 
 def test_summary_tells_the_run_and_not_the_text(comm):
-    case = rw.read_case(CASES / "paper.toml", {"mesh.contact_elements": 8, "time.steps": 2})
+    case = rw.read_case(PAPER, {"mesh.contact_elements": 8, "time.steps": 2})
     changed = rw.simulate(replace(case, time=Stepping("implicit", 1.0, 5)), comm)
     assert "5 of 5 implicit steps" in changed.summary()
     assert changed.case.startswith("# changed in Python after it was read")
@@ -274,7 +271,7 @@ def test_the_summary_tells_wear_in_a_tribologists_words():
         "lower.density": "7.85 g/cm3", "load.pressure": 20.0, "load.omega": "60 rpm",
         "upper.profile": {"crown": 2000.0}, "mesh.contact_elements": 16, "time.steps": 20,
     }  # fmt: skip
-    result = rw.simulate(rw.read_case(CASES / "paper.toml", changes), MPI.COMM_SELF)
+    result = rw.simulate(rw.read_case(PAPER, changes), MPI.COMM_SELF)
     told = result.summary()
     speed = 2.0 * np.pi * 30.0
     for words in (
@@ -375,7 +372,7 @@ def test_the_elastic_part_of_a_penetration_is_that_of_the_load():
     changes = {"load.pressure": load, "mesh.contact_elements": 16, "time.steps": 10}
     changes |= {"time.step": 1.0, "wear.lower.p0": 0.0}
     before, after = (
-        rw.simulate(rw.read_case(CASES / "paper.toml", {**changes, **more}), MPI.COMM_SELF)
+        rw.simulate(rw.read_case(PAPER, {**changes, **more}), MPI.COMM_SELF)
         for more in ({}, {"time.step": 1.001})
     )
     pressed = (after.histories["approach"] - before.histories["approach"])[-1]

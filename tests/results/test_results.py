@@ -1,11 +1,10 @@
 """Result files: opened by xarray, restarted exactly, never half there."""
 
-from pathlib import Path
-
 import h5py
 import numpy as np
 import pytest
 import xarray
+from paths import PAPER
 from stored import assert_same, contents
 
 from ringwear_par.errors import ComputationError, InputError
@@ -16,7 +15,6 @@ from ringwear_par.results.execution.run import run_case
 from ringwear_par.results.storage import result_files as results
 from ringwear_par.results.variables import HISTORIES
 
-PAPER = Path(__file__).parents[2] / "scripts" / "cases" / "paper.toml"
 SMALL = ["mesh.contact_elements=16", "time.steps=20"]
 
 

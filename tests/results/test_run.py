@@ -2,10 +2,10 @@
 
 import re
 from dataclasses import replace
-from pathlib import Path
 
 import h5py
 import pytest
+from paths import PAPER
 
 import ringwear_par as rw
 from ringwear_par import read_case, simulate
@@ -15,7 +15,6 @@ from ringwear_par.results.execution.run import run_case
 from ringwear_par.results.storage.result_files import open_result, read_status
 from ringwear_par.studies.execution.batches import computed
 
-PAPER = Path(__file__).parents[2] / "scripts" / "cases" / "paper.toml"
 SMALL = ["mesh.contact_elements=16", "time.steps=20"]
 #: wears half of the lower body off after some steps
 TOO_MUCH = [*SMALL, "wear.lower.k=1e-3", "time.step=20"]

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from vtkhdf import last_state
 
 import ringwear_par as rw
 from ringwear_par.cases.stress import Stress
@@ -317,8 +318,6 @@ def test_pictures_of_what_is_not_stored_are_refused(tmp_path):
 @pytest.mark.serial
 def test_exports(stored, tmp_path):
     import csv
-
-    from test_export import last_state
 
     from ringwear_par.results.storage.export import export
 

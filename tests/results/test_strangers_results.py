@@ -7,14 +7,14 @@ from pathlib import Path
 
 import h5py
 import pytest
+from paths import PAPER
 from swept import CASE, write_study
 
 import ringwear_par as rw
 from ringwear_par.cli import main
 from ringwear_par.errors import InputError
 
-CASES = Path(__file__).parents[2] / "scripts" / "cases"
-PAPER = str(CASES / "paper.toml")
+PAPER = str(PAPER)
 SMALL = ["--set", "mesh.contact_elements=8", "time.steps=3"]
 LAW = """
 from pathlib import Path

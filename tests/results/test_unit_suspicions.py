@@ -1,16 +1,14 @@
 """Numbers that are likely in another unit than meant are doubted, those of our cases are not."""
 
-from pathlib import Path
-
 import pytest
 from mpi4py import MPI
+from paths import CASES, PAPER
 
 import ringwear_par as rw
 from ringwear_par.history.loop import simulate_one
 from ringwear_par.results.execution.run import run_case
 from ringwear_par.results.unit_suspicions import unit_suspicions
 
-CASES = Path(__file__).parents[2] / "scripts" / "cases"
 LAYERED = CASES / "wear_through.toml"
 
 
@@ -63,7 +61,7 @@ def test_a_k_of_a_layer_is_doubted_by_its_own_name():
     assert text.startswith("lower.layers[0].wear.k = 0.1 1/MPa is a specific wear rate of 10 mm3")
 
 
-PAPER = CASES / "paper.toml"
+PAPER = PAPER
 #: a washer 5 mm high that loses 10 um as meant
 WASHER = {"lower.z": [-5.0, 0.0], "wear.lower.law": "archard", "time.scheme": "adaptive",
           "time.step": None, "time.steps": None}  # fmt: skip

@@ -14,7 +14,7 @@ import h5py
 import numpy as np
 import pytest
 import try_faults as faults
-from conftest import SHELL_ENVIRONMENT
+from commands import SHELL_ENVIRONMENT
 from swept import write_study
 
 from ringwear_par.errors import ComputationError, InputError

@@ -6,7 +6,7 @@ import re
 import pytest
 import try_faults as faults
 from cluster import SLURM, Cluster, started, wait_for_waiting
-from conftest import SHELL_ENVIRONMENT
+from commands import SHELL_ENVIRONMENT
 from waiting import Waiting
 
 pytestmark = [pytest.mark.serial, pytest.mark.slow]

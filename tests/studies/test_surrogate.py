@@ -8,7 +8,7 @@ from dataclasses import replace
 import h5py
 import numpy as np
 import pytest
-from test_sweep_plots import sample, write
+from known_sweeps import sample, write
 
 import ringwear_par as rw
 from ringwear_par.studies.analysis import surrogate as module

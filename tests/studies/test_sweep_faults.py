@@ -9,7 +9,7 @@ import time
 import h5py
 import pytest
 import try_faults as faults
-from conftest import SHELL_ENVIRONMENT
+from commands import SHELL_ENVIRONMENT
 from waiting import STEPS, Waiting
 
 from ringwear_par.errors import ComputationError

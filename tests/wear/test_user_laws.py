@@ -6,6 +6,7 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
+from paths import PAPER
 
 from ringwear_par import assemble, simulate
 from ringwear_par.cases.files.law_trials import check_laws
@@ -18,7 +19,6 @@ from ringwear_par.wear import LocalState
 from ringwear_par.wear.checked_law import complete
 from ringwear_par.wear.laws.archard import ArchardLaw
 
-PAPER = Path(__file__).parents[2] / "scripts/cases/paper.toml"
 GOOD = """
 def rate(p, at): return 1e-8 * at.speed * p
 def d_rate_dp(p, at): return 1e-8 * at.speed + 0 * p

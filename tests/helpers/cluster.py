@@ -7,11 +7,11 @@ import time
 from pathlib import Path
 
 import pytest
-from conftest import SHELL_ENVIRONMENT
+from commands import SHELL_ENVIRONMENT
+from paths import ROOT
 
-TOP = Path(__file__).parents[1]
-SLURM = TOP / "slurm"
-_LOCAL_SLURM = ["bash", TOP / "scripts" / "local_slurm.sh"]
+SLURM = ROOT / "slurm"
+_LOCAL_SLURM = ["bash", ROOT / "scripts" / "local_slurm.sh"]
 #: exit status of local_slurm.sh where Slurm cannot be started
 _CANNOT = 77
 #: states of a job that has not ended

@@ -1,11 +1,11 @@
 """A small study, and what a sweep of it leaves."""
 
 import csv
-from pathlib import Path
 
 import h5py
+from paths import PAPER
 
-CASE = (Path(__file__).parents[1] / "scripts/cases/paper.toml").read_text()
+CASE = (PAPER).read_text()
 CASE = CASE.replace("steps = 200", "steps = 20\n\n[mesh]\ncontact_elements = 16")
 STUDY = """
 [vary]

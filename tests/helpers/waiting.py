@@ -1,6 +1,6 @@
 """A study whose cases wait under way while a test wants them to, instead of taking long."""
 
-from pathlib import Path
+from paths import PAPER
 
 _LAW = '''"""The threshold law; where k is the larger, after 4 s it waits by a file hold.
 
@@ -45,7 +45,7 @@ _STUDY = """case = "waiting.toml"
 [design]
 method = "grid"
 """
-_PAPER = Path(__file__).parents[1] / "scripts" / "cases" / "paper.toml"
+_PAPER = PAPER
 
 
 #: of each case, of 1 s

@@ -1,16 +1,14 @@
 """A laboratory for tests: rings of few elements, what instruments read of them, and fit files."""
 
 import copy
-from pathlib import Path
 
 import numpy as np
 from mpi4py import MPI
+from paths import PAPER
 
 import ringwear_par as rw
 
-CASE = (Path(__file__).parents[1] / "scripts/cases/paper.toml").read_text() + (
-    "\n[mesh]\ncontact_elements = 12\n"
-)
+CASE = (PAPER).read_text() + ("\n[mesh]\ncontact_elements = 12\n")
 TRUTH = {"wear.lower.k": 1.3e-7, "wear.lower.p0": 25.0}
 FITTED = {
     "wear.lower.k": {"start": 1e-7, "bounds": [1e-9, 1e-5], "scale": "log"},
@@ -28,7 +26,7 @@ def history(pressure, truth=TRUTH, end=END, **changes):
     """Return the history of a test with many steps."""
     steps = {"time.scheme": "adaptive", "time.end": end, "time.tolerance": 1e-7}
     with_rings = {"load.pressure": pressure, "load.omega": 3.5, **truth, **changes}
-    path = Path(__file__).parents[1] / "scripts/cases/paper.toml"
+    path = PAPER
     case = rw.read_case(path, {"mesh.contact_elements": 12, **steps, **with_rings})
     return rw.simulate(case, MPI.COMM_SELF)
 

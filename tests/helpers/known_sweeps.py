@@ -1,0 +1,70 @@
+"""Sweeps whose results are given, not computed."""
+
+import warnings
+
+import numpy as np
+from scipy.stats import qmc
+
+from ringwear_par.results.variables import HISTORIES
+from ringwear_par.studies.definition.variations import column_of
+from ringwear_par.studies.storage.blocks import Block, Record
+from ringwear_par.studies.storage.dataset import Listing, write_ensemble
+from ringwear_par.studies.storage.ensemble import read_ensemble
+from ringwear_par.studies.storage.shards import Shard, read_shard
+
+
+def write(
+    folder, names, rows, penetration, method="grid", lower=None, upper=None, steps=None,
+    step=None, status=None, in_study=None,
+):  # fmt: skip
+    """Write a sweep whose penetrations grow linearly to given final values (mm)."""
+    count = len(rows)
+    lower = np.zeros(count) if lower is None else lower
+    upper = np.zeros(count) if upper is None else upper
+    steps = [10] * count if steps is None else steps
+    step = [2.0] * count if step is None else step
+    status = ["done"] * count if status is None else status
+    in_study = [True] * count if in_study is None else in_study
+    folder.mkdir(exist_ok=True)
+
+    stored = [n for n in range(count) if status[n] != "incomplete"]
+
+    def records():
+        for n in stored:
+            share = np.arange(steps[n] + 1) / steps[n]
+            arrays = {name: np.zeros(steps[n] + 1) for name in HISTORIES}
+            arrays["time"] = step[n] * np.arange(steps[n] + 1.0)
+            arrays["penetration"] = penetration[n] * share
+            arrays["worn_volume_lower"] = lower[n] * share
+            arrays["worn_volume_upper"] = upper[n] * share
+            arrays.update(step=np.arange(steps[n] + 1.0), r=np.ones(4), width=np.ones(4))
+            yield Record(
+                id=f"{n:016x}", toml="", status=status[n], error="", seconds=0.1, imbalance=0.0,
+                arrays=arrays, version="1",
+            )  # fmt: skip
+
+    with Shard(folder / "all_0000.blocks") as shard:
+        shard.add(Block.of(list(records())))
+    index = read_shard(folder / "all_0000.blocks").index
+    columns = tuple(map(column_of, map(list, zip(*rows, strict=True))))
+    ids, entry = np.array([f"{n:016x}".encode() for n in range(count)]), np.full(count, -1)
+    entry[stored] = np.arange(len(stored))
+    listing = Listing(
+        tuple(names),
+        columns,
+        ids,
+        np.array(in_study),
+        index,
+        entry,
+        lambda missing: [""] * len(missing),
+    )
+    attributes = {"method": method, "study": "", "status": "complete", "ranks": 1}
+    write_ensemble(folder, listing, attributes)
+    (folder / "all_0000.blocks").unlink()
+    return read_ensemble(folder)
+
+
+def sample(keys, count, seed=3):
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # a Sobol sample of another number than a power of 2
+        return qmc.Sobol(len(keys), seed=seed).random(count)
