@@ -347,6 +347,7 @@ class BatchSolver:
         blocks = self._hessians
         if wear is None:
             blocks.slope[:] = 0.0
+        blocks.through_layers = wear is not None and wear.layered
         coupled, n = wear is not None and not wear.local, len(self._area)
         if coupled != bool(len(blocks.coupling)):
             blocks.coupling = np.zeros((len(self._every) if coupled else 0, n, n))

@@ -1,8 +1,8 @@
 """The Hessians of B contact problems, A of each history and what its wear adds, and their inverses.
 
 They are diagonal in bases that histories share (see ``bases``). Where the slope of wear over
-pressure has another shape, such a basis preconditions conjugate gradients. Non-local wear and large
-systems have Cholesky factors of their own.
+pressure has another shape, such a basis preconditions conjugate gradients. Wear that gets through
+layers, non-local wear and large systems have Cholesky factors of their own.
 """
 
 from collections.abc import Sequence
@@ -53,6 +53,9 @@ class Hessians:
         self.slope = np.zeros((count, n))
         #: (B, n, n) what non-local wear adds, its diagonal included in it; (0, n, n): wear is local
         self.coupling = np.zeros((0, n, n))
+        #: whether wear gets through layers: slopes then are of several laws, far apart, and a
+        #: factor takes less time than conjugate gradients
+        self.through_layers = False
         # what the inverses are of
         self._slope, self._free = np.zeros((count, n)), np.zeros((count, n), dtype=bool)
         self._valid = np.zeros(count, dtype=bool)
@@ -112,6 +115,14 @@ class Hessians:
         most = rate.max(axis=1)
         least = np.where(wearing, rate, np.inf).min(axis=1)
         regular = ~(most - least > _ROUND_OFF * most)
+        if self.through_layers and not regular.all():
+            self._factorise(histories[~regular])
+            histories, touching, wearing, most = (
+                values[regular] for values in (histories, touching, wearing, most)
+            )
+            regular = regular[regular]
+            if not len(histories):
+                return
         self._regular[histories] = regular
         if not regular.all():
             places = np.flatnonzero(~regular)
